@@ -1,0 +1,50 @@
+//! The scene: everything that the controller, the builder of the memory and the emulator must agree on.
+//!
+//! A scene file (TOML) names the camera, the pattern that it looks at, the goal, the limits, the weights of the
+//! cost, what counts as success, where random starts are drawn from, and the occlusions of the image. This crate
+//! holds the words and their checks, and **no mathematics**: controller and emulator each bring their own, so that
+//! one mistake cannot hide on both sides.
+//!
+//! Without the feature `file` the crate is `no_std` and never allocates, so that the control law can use it.
+//!
+//! ```
+//! # fn main() -> Result<(), scene::SceneError> {
+//! let scene = scene::Scene::parse(scene::PAPER_SIM, "paper-sim.toml")?;
+//! assert_eq!(scene.pattern.len(), 4);
+//! assert_eq!(scene.occlusions.len(), 4);
+//! # Ok(())
+//! # }
+//! ```
+#![cfg_attr(not(feature = "file"), no_std)]
+#![forbid(unsafe_code)]
+
+mod fingerprint;
+mod model;
+
+#[cfg(feature = "file")]
+mod file;
+#[cfg(feature = "file")]
+mod starts;
+
+pub use fingerprint::Fingerprint;
+pub use model::{
+    Camera, Cost, Limits, MAX_OCCLUSIONS, MAX_PARTS, MAX_POINTS, MIN_POINTS, Name, Occlusion, Part,
+    Pose, Scene, StartRegion, Success,
+};
+
+#[cfg(feature = "file")]
+pub use file::SceneError;
+#[cfg(feature = "file")]
+pub use starts::{StartsError, parse_starts, read_starts};
+
+/// The text of `scenes/paper-sim.toml`: the simulated experiment of the paper.
+pub const PAPER_SIM: &str = include_str!("../scenes/paper-sim.toml");
+
+/// The text of `scenes/paper-sim-starts.csv`: 100 fixed starts for [`PAPER_SIM`].
+pub const PAPER_SIM_STARTS: &str = include_str!("../scenes/paper-sim-starts.csv");
+
+/// The text of `scenes/paper-robot.toml`: the robot experiment of the paper.
+pub const PAPER_ROBOT: &str = include_str!("../scenes/paper-robot.toml");
+
+/// The text of `scenes/paper-robot-starts.csv`: 100 fixed starts for [`PAPER_ROBOT`].
+pub const PAPER_ROBOT_STARTS: &str = include_str!("../scenes/paper-robot-starts.csv");
