@@ -1,1 +1,77 @@
-//! To come.
+//! The control law of `vpcd`: visual predictive control with a memory of motion.
+//!
+//! `no_std`, no heap, no unsafe: a cycle that allocates is a compile error here. A cycle runs through the modules in
+//! this order, and so does a reader:
+//!
+//! *measured features* -> [`gate`] (refuse what cannot be trusted) -> [`recall`] (warm start and way point from the
+//! memory, when features come near a constraint) -> [`solver`] (bounded sequential quadratic programming over the
+//! [`prediction`]) -> [`limit`] (never more than allowed) -> *camera twist*. [`Controller::step`] is that sentence.
+//!
+//! # Symbols
+//! | Paper | Here | Meaning, unit |
+//! |---|---|---|
+//! | s, s* | `points`, `goal` | stacked image points u1 v1 u2 v2 ..., px; `Points` keeps them as pairs |
+//! | v, V | `twist`, `plan` | camera velocity (vx vy vz m/s, wx wy wz rad/s) in the camera frame; Nc of them |
+//! | N_p, N_c | `np`, `nc` | steps previewed, free commands |
+//! | T_s | `ts` | sampling time, s |
+//! | L | [`interaction`] | interaction matrix |
+//! | Q = k_Q I, R | `k_q`, `r` | weights of image error and velocity |
+//! | eps | `mismatch` | measured minus predicted features, px |
+//! | a, alpha | [`features::area`], [`features::angle`] | of the pattern's polygon, px^2 and rad |
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use vpc::{Controller, Measurement, Settings};
+//! let scene = scene::Scene::parse(scene::PAPER_SIM, "paper-sim.toml")?;
+//! let mut controller = Box::new(Controller::new(&scene, Settings::default())?);
+//! let points = [[700.0, 500.0], [900.0, 500.0], [900.0, 700.0], [700.0, 700.0]];
+//! let step = controller.step(&Measurement::from_points(&points), None)?;
+//! assert!(step.twist[0].abs() <= scene.limits.linear);
+//! # Ok(())
+//! # }
+//! ```
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod camera;
+pub mod constraint;
+pub mod controller;
+pub mod cost;
+pub mod features;
+pub mod gate;
+pub mod ibvs;
+pub mod interaction;
+pub mod limit;
+pub mod motion;
+pub mod pose;
+pub mod prediction;
+pub mod qp;
+pub mod recall;
+pub mod settings;
+pub mod solver;
+pub mod task;
+
+pub use controller::{Controller, Step};
+pub use features::Points;
+pub use gate::{Measurement, Refusal};
+pub use prediction::Model;
+pub use recall::MotionMemory;
+pub use settings::{Settings, SettingsError, Strategy};
+pub use solver::Status;
+pub use task::{Task, TaskError};
+
+/// Most points of a pattern.
+pub const MAX_POINTS: usize = scene::MAX_POINTS;
+/// Longest preview window, steps.
+pub const MAX_NP: usize = 40;
+/// Most free commands of a preview window.
+pub const MAX_NC: usize = 4;
+/// Components of a twist.
+pub const DOF: usize = 6;
+/// Most variables of the optimal-control problem.
+pub const MAX_VARIABLES: usize = DOF * MAX_NC;
+
+/// A camera velocity (vx vy vz in m/s, wx wy wz in rad/s), expressed in the camera frame.
+pub type Twist = [f64; DOF];

@@ -1,0 +1,213 @@
+//! Visibility constraints: the image border and the occlusions, as signed clearances in px (negative: violated).
+//!
+//! A part covers a convex area; the paper's "left of it OR right of it" is one inequality ||d||_p >= 1 on the scaled
+//! offset d from its centre. An occlusion that is not convex is a union of parts: being outside the union is being
+//! outside each.
+//!
+//! Source: paper, Eqs. (visibility_const_a) and (visibility_const_b).
+
+use libm::{pow, sqrt};
+use scene::{Camera, Part};
+
+use crate::task::Task;
+
+/// The signed clearance of a point from the border of a constraint and its direction of increase.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clearance {
+    /// First-order distance to the border, px: exact on it, and everywhere for straight borders; negative inside.
+    pub distance: f64,
+    /// Unit normal in the image, away from the occlusion.
+    pub normal: [f64; 2],
+}
+
+/// The clearance of pixel (u, v) from a part: (||d||_p - 1) / |gradient|.
+pub fn clearance(part: &Part, [u, v]: [f64; 2]) -> Clearance {
+    let offset = [
+        (u - part.center[0]) / part.half[0],
+        (v - part.center[1]) / part.half[1],
+    ];
+    let size = [offset[0].abs(), offset[1].abs()];
+    let largest = size[0].max(size[1]);
+    if largest < 1e-9 {
+        // The centre has no gradient: leave along the shorter half size.
+        let short = usize::from(part.half[1] < part.half[0]);
+        let normal = if short == 0 { [1.0, 0.0] } else { [0.0, 1.0] };
+        return Clearance {
+            distance: -part.half[short],
+            normal,
+        };
+    }
+    // Scaled by the largest entry, no power overflows or vanishes.
+    let ratio = [size[0] / largest, size[1] / largest];
+    let powers = [power(ratio[0], part.p), power(ratio[1], part.p)];
+    let norm = largest * root(powers[0] + powers[1], part.p);
+    // d||d||_p / d offset_k = sign (|offset_k| / norm)^(p-1) = sign powers_k / ratio_k / (sum)^((p-1)/p)
+    let share = [size[0] / norm, size[1] / norm];
+    let slope = |k: usize| {
+        let steep = if share[k] > 0.0 {
+            power(share[k], part.p) / share[k]
+        } else {
+            0.0
+        };
+        steep * offset[k].signum() / part.half[k]
+    };
+    let gradient = [slope(0), slope(1)];
+    let length = sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1]);
+    Clearance {
+        distance: (norm - 1.0) / length,
+        normal: [gradient[0] / length, gradient[1] / length],
+    }
+}
+
+/// Whether a pixel lies inside a part.
+pub fn hides(part: &Part, pixel: [f64; 2]) -> bool {
+    outside_box(part, pixel) < 0.0 && clearance(part, pixel).distance < 0.0
+}
+
+/// How far a pixel lies outside the part's bounding box (largest component), px: a cheap lower bound of the true
+/// distance; negative inside the box.
+pub fn outside_box(part: &Part, [u, v]: [f64; 2]) -> f64 {
+    let gap = [
+        (u - part.center[0]).abs() - part.half[0],
+        (v - part.center[1]).abs() - part.half[1],
+    ];
+    gap[0].max(gap[1])
+}
+
+/// Clearances of a pixel from the four sides of the image: left, top, right, bottom.
+pub fn border(camera: &Camera, [u, v]: [f64; 2]) -> [Clearance; 4] {
+    [
+        Clearance {
+            distance: u,
+            normal: [1.0, 0.0],
+        },
+        Clearance {
+            distance: v,
+            normal: [0.0, 1.0],
+        },
+        Clearance {
+            distance: camera.width - u,
+            normal: [-1.0, 0.0],
+        },
+        Clearance {
+            distance: camera.height - v,
+            normal: [0.0, -1.0],
+        },
+    ]
+}
+
+/// The sum of all violations of a pixel, px, where every border is moved inwards by `margin` px.
+pub fn violation(task: &Task, pixel: [f64; 2], margin: f64) -> f64 {
+    let sides: f64 = border(&task.camera, pixel)
+        .iter()
+        .map(|side| (margin - side.distance).max(0.0))
+        .sum();
+    let parts: f64 = task
+        .parts
+        .iter()
+        .filter(|part| outside_box(part, pixel) < margin)
+        .map(|part| (margin - clearance(part, pixel).distance).max(0.0))
+        .sum();
+    sides + parts
+}
+
+/// The least clearance of a pixel from any occlusion, px; infinite without occlusions.
+pub fn least_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
+    task.parts
+        .iter()
+        .map(|part| clearance(part, pixel).distance)
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// The least clearance of a pixel from the image border, px.
+pub fn border_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
+    border(&task.camera, pixel)
+        .iter()
+        .map(|side| side.distance)
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// x^p for x in [0, 1]; the powers of two that scenes use cost only products.
+fn power(x: f64, p: f64) -> f64 {
+    match squarings(p) {
+        Some(count) => (0..count).fold(x, |x, _| x * x),
+        None => pow(x, p),
+    }
+}
+
+/// x^(1/p), by square roots where p is a power of two.
+fn root(x: f64, p: f64) -> f64 {
+    match squarings(p) {
+        Some(count) => (0..count).fold(x, |x, _| sqrt(x)),
+        None => pow(x, 1.0 / p),
+    }
+}
+
+fn squarings(p: f64) -> Option<u32> {
+    const POWERS: [f64; 7] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
+    POWERS
+        .iter()
+        .position(|power| *power == p)
+        .map(|count| count as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(p: f64) -> Part {
+        Part {
+            center: [100.0, 50.0],
+            half: [40.0, 20.0],
+            p,
+        }
+    }
+
+    fn norm(part: &Part, [u, v]: [f64; 2]) -> f64 {
+        let d = [
+            (u - part.center[0]).abs() / part.half[0],
+            (v - part.center[1]).abs() / part.half[1],
+        ];
+        (d[0].powf(part.p) + d[1].powf(part.p)).powf(1.0 / part.p)
+    }
+
+    #[test]
+    fn distance_and_normal_follow_from_the_p_norm() {
+        for p in [1.0, 1.5, 2.0, 3.0, 8.0, 64.0] {
+            let part = part(p);
+            for pixel in [
+                [150.0, 58.0],
+                [120.0, 60.0],
+                [90.0, 90.0],
+                [61.0, 49.0],
+                [100.0, 75.0],
+            ] {
+                let h = 1e-5;
+                let slope = |du: f64, dv: f64| {
+                    (norm(&part, [pixel[0] + du, pixel[1] + dv])
+                        - norm(&part, [pixel[0] - du, pixel[1] - dv]))
+                        / (2.0 * h)
+                };
+                let gradient = [slope(h, 0.0), slope(0.0, h)];
+                let length = gradient[0].hypot(gradient[1]);
+                let found = clearance(&part, pixel);
+                assert!(((norm(&part, pixel) - 1.0) / length - found.distance).abs() < 1e-4);
+                assert!((gradient[0] / length - found.normal[0]).abs() < 1e-5);
+                assert!((gradient[1] / length - found.normal[1]).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn a_straight_border_gives_the_euclidean_distance() {
+        assert!((clearance(&part(8.0), [150.0, 50.0]).distance - 10.0).abs() < 1e-9);
+        assert!((clearance(&part(8.0), [100.0, 25.0]).distance - 5.0).abs() < 1e-9);
+        assert!((clearance(&part(2.0), [100.0, 60.0]).distance + 10.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_centre_has_a_way_out() {
+        let centre = clearance(&part(8.0), [100.0, 50.0]);
+        assert_eq!((centre.distance, centre.normal), (-20.0, [0.0, 1.0]));
+    }
+}

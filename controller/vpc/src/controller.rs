@@ -1,0 +1,222 @@
+//! The law, one cycle at a time.
+
+use scene::Scene;
+
+use crate::cost;
+use crate::features;
+use crate::gate::{self, Measurement, Refusal};
+use crate::prediction::{Origin, Plan, Preview};
+use crate::recall::{self, MotionMemory, Recall, Trigger};
+use crate::settings::{Settings, SettingsError, Strategy};
+use crate::solver::{Problem, Solver, Status};
+use crate::task::Task;
+use crate::{DOF, MAX_VARIABLES, Points, Twist, ibvs, limit};
+
+/// The visual predictive controller: task, settings, workspace, and what one cycle leaves to the next. Large; made
+/// once and kept in place.
+#[derive(Clone)]
+pub struct Controller {
+    task: Task,
+    settings: Settings,
+    off_image_px: f64,
+    solver: Solver,
+    one_step: Preview,
+    trigger: Trigger,
+    previous: Plan,
+    predicted: Option<Points>,
+}
+
+/// What one cycle decided.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    /// The camera twist to send.
+    pub twist: Twist,
+    /// How the solver ended.
+    pub status: Status,
+    /// Whether the memory was asked.
+    pub recalled: bool,
+    /// The way point tracked instead of the goal, px.
+    pub way_point: Option<Points>,
+    /// Iterations of the solver.
+    pub iterations: u32,
+    /// Active-set changes in its quadratic programs.
+    pub qp_iterations: u32,
+    /// The paper's running cost l(v) of the command that is sent, against the goal.
+    pub cost: f64,
+    /// Worst violation predicted over the window, px.
+    pub violation_px: f64,
+    /// Least clearance of a measured feature from an occlusion, px.
+    pub clearance_px: f64,
+    /// Largest component of s - s*, px.
+    pub error_px: f64,
+}
+
+impl Controller {
+    /// A controller for a scene.
+    ///
+    /// # Errors
+    /// [`SettingsError`] where a setting is out of range or the goal of the scene cannot be seen.
+    pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SettingsError> {
+        settings.check()?;
+        Ok(Self {
+            task: Task::new(scene)?,
+            off_image_px: scene.success.violation_px,
+            solver: Solver::new(settings.np, settings.nc, settings.effort),
+            one_step: Preview::new(1, 1),
+            trigger: Trigger::new(settings.trigger_px, settings.release),
+            previous: [0.0; MAX_VARIABLES],
+            predicted: None,
+            settings,
+        })
+    }
+
+    /// The task.
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Forgets everything of earlier cycles: for a new run.
+    pub fn reset(&mut self) {
+        self.trigger.reset();
+        self.previous = [0.0; MAX_VARIABLES];
+        self.predicted = None;
+    }
+
+    /// Forgets the prediction for this cycle, where the last command was not in force for one sampling time (a
+    /// dropped frame, a skipped release): its mismatch would not be the model's.
+    pub fn skip_mismatch(&mut self) {
+        self.predicted = None;
+    }
+
+    /// One cycle: measured features in, camera twist out. Never allocates; its work is bounded.
+    ///
+    /// # Errors
+    /// [`Refusal`] where the features cannot be trusted: send the zero twist.
+    pub fn step(
+        &mut self,
+        measurement: &Measurement,
+        memory: Option<&dyn MotionMemory>,
+    ) -> Result<Step, Refusal> {
+        let points = gate::pass(&self.task, measurement, self.off_image_px).inspect_err(|_| {
+            self.predicted = None;
+            self.previous = [0.0; MAX_VARIABLES];
+        })?;
+        let origin = Origin::new(&self.task, self.settings.model, points);
+        let clearance_px = recall::clearance(&self.task, points);
+        let mut step = Step {
+            twist: [0.0; DOF],
+            status: Status::Converged,
+            recalled: false,
+            way_point: None,
+            iterations: 0,
+            qp_iterations: 0,
+            cost: 0.0,
+            violation_px: 0.0,
+            clearance_px,
+            error_px: features::largest_error(points, &self.task.goal),
+        };
+        if self.settings.strategy == Strategy::Ibvs {
+            self.servo(&origin, &mut step);
+        } else {
+            let recall = self.recall(points, clearance_px, memory);
+            self.plan(&origin, recall, &mut step);
+        }
+        self.predict(&origin, &step.twist);
+        step.cost = self.running_cost(&origin, &step.twist);
+        Ok(step)
+    }
+
+    /// The classic law, scaled as a whole into the limits.
+    fn servo(&mut self, origin: &Origin, step: &mut Step) {
+        match ibvs::twist(&self.task, origin, self.settings.lambda) {
+            Some(twist) => step.twist = limit::scale(&twist, &self.task.limits),
+            None => step.status = Status::NumericalFailure,
+        }
+    }
+
+    /// What the memory says, where features are near an occlusion.
+    fn recall(
+        &mut self,
+        points: &Points,
+        clearance_px: f64,
+        memory: Option<&dyn MotionMemory>,
+    ) -> Option<Recall> {
+        let near = self.trigger.update(clearance_px);
+        let memory = memory.filter(|_| near && self.settings.strategy.needs_memory())?;
+        recall::query(&self.task, self.settings.strategy, memory, points)
+    }
+
+    /// Solves the optimal-control problem towards way point or goal, and limits its first command.
+    fn plan(&mut self, origin: &Origin, recall: Option<Recall>, step: &mut Step) {
+        let points = &origin.points;
+        let (warm, tracked) = match &recall {
+            Some(recall) => (repeated(&recall.twist), &recall.way_point),
+            None => (self.previous, &self.task.goal),
+        };
+        let target = self.corrected(points, tracked);
+        let problem = Problem {
+            task: &self.task,
+            origin,
+            target: &target,
+            r_share: cost::r_share(&self.task, points, tracked),
+            margin: self.settings.margin_px,
+        };
+        let solution = self.solver.solve(&problem, &warm);
+        step.twist = limit::command(&mut self.solver, &problem, &solution);
+        step.status = solution.status;
+        step.iterations = solution.iterations;
+        step.qp_iterations = solution.qp_iterations;
+        step.violation_px = solution.violation_px;
+        step.recalled = recall.is_some();
+        step.way_point = recall.map(|recall| recall.way_point);
+        self.previous = solution.plan;
+    }
+
+    /// s_d = s* - eps: what is tracked, corrected by the mismatch between the measurement and what the last cycle
+    /// predicted for now.
+    ///
+    /// Source: paper, Eq. (model).
+    fn corrected(&self, points: &Points, tracked: &Points) -> Points {
+        match &self.predicted {
+            Some(predicted) => tracked
+                .iter()
+                .zip(points.iter().zip(predicted))
+                .map(|(t, (s, m))| [t[0] - (s[0] - m[0]), t[1] - (s[1] - m[1])])
+                .collect(),
+            None => tracked.clone(),
+        }
+    }
+
+    /// Remembers where the features should be one sampling time after `twist`.
+    fn predict(&mut self, origin: &Origin, twist: &Twist) {
+        let possible = self.one_step.run(&self.task, origin, &repeated(twist));
+        self.predicted = possible.then(|| self.one_step.step(0).iter().copied().collect());
+    }
+
+    /// l(v) of the command that is sent, held over the window, always against the goal with the fixed schedule of R.
+    fn running_cost(&mut self, origin: &Origin, twist: &Twist) -> f64 {
+        let goal = &self.task.goal;
+        let problem = Problem {
+            task: &self.task,
+            origin,
+            target: goal,
+            r_share: cost::r_share(&self.task, &origin.points, goal),
+            margin: 0.0,
+        };
+        self.solver
+            .evaluate(&problem, &repeated(twist))
+            .unwrap_or(0.0)
+    }
+}
+
+/// The plan that repeats one twist.
+///
+/// Source: paper, Eq. (warm_start).
+fn repeated(twist: &Twist) -> Plan {
+    core::array::from_fn(|k| twist[k % DOF])
+}

@@ -1,0 +1,77 @@
+//! The last word before a command leaves: finite, inside the velocity box, and not worse than standing still.
+
+use crate::prediction::Plan;
+use crate::solver::{Problem, Solution, Solver};
+use crate::{DOF, MAX_VARIABLES, Twist};
+
+/// Halvings towards standing still before the command is zero.
+const HALVINGS: usize = 6;
+/// A first step may deepen a violation by this much, px: below the accuracy of the model.
+const SLACK: f64 = 0.25;
+
+/// The first command of a solution, slowed down until its first step violates no constraint more than standing
+/// still does, and clamped to the limits. A command that cannot be made so is zero.
+pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
+    let standing = solver.next_violation(problem, &[0.0; MAX_VARIABLES]);
+    let allowed = if standing.is_finite() {
+        standing + SLACK
+    } else {
+        SLACK
+    };
+    let mut plan = solution.plan;
+    let mut violation = solution.next_violation_px;
+    for _ in 0..HALVINGS {
+        if violation <= allowed {
+            return twist(&plan, &problem.task.limits);
+        }
+        plan = plan.map(|x| 0.5 * x);
+        violation = solver.next_violation(problem, &plan);
+    }
+    [0.0; DOF]
+}
+
+/// The first command of a plan, clamped; zero where a component is not finite.
+pub fn twist(plan: &Plan, limits: &Twist) -> Twist {
+    clamp(&core::array::from_fn(|k| plan[k]), limits)
+}
+
+/// A twist inside the limits, component by component; zero where a component is not finite.
+pub fn clamp(twist: &Twist, limits: &Twist) -> Twist {
+    if !twist.iter().all(|x| x.is_finite()) {
+        return [0.0; DOF];
+    }
+    core::array::from_fn(|k| twist[k].clamp(-limits[k], limits[k]))
+}
+
+/// A twist scaled down as a whole until it is inside the limits, so that its direction is kept.
+pub fn scale(twist: &Twist, limits: &Twist) -> Twist {
+    let excess = twist
+        .iter()
+        .zip(limits)
+        .map(|(v, limit)| v.abs() / limit)
+        .fold(1.0, f64::max);
+    clamp(&twist.map(|v| v / excess), limits)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Twist = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
+
+    #[test]
+    fn a_command_never_leaves_the_box() {
+        assert_eq!(
+            clamp(&[9.0, -9.0, 0.1, 2.0, -2.0, 0.0], &LIMITS),
+            [0.5, -0.5, 0.1, 1.0, -1.0, 0.0]
+        );
+        assert_eq!(
+            clamp(&[f64::NAN, 0.1, 0.1, 0.1, 0.1, 0.1], &LIMITS),
+            [0.0; 6]
+        );
+        assert_eq!(
+            scale(&[1.0, 0.5, 0.0, 0.0, 0.0, 0.0], &LIMITS),
+            [0.5, 0.25, 0.0, 0.0, 0.0, 0.0]
+        );
+    }
+}

@@ -1,0 +1,220 @@
+//! Rigid motion of what a moving camera sees: the exponential of SE(3) and its left Jacobian.
+//!
+//! Under a constant camera velocity v = (nu, omega), in the camera frame, a fixed point X (camera frame) moves by
+//! X' = -nu - omega x X. After the time t it is at exp(tau) X with tau = -t (nu, omega).
+//!
+//! Source: T. Barfoot, "State Estimation for Robotics", Sect. 7.1 (left Jacobian and its block Q).
+
+use libm::{cos, sin, sqrt};
+use nalgebra::{Matrix3, Vector3};
+
+use crate::Twist;
+
+/// A rigid motion over one sampling time, with what is needed for its derivative.
+#[derive(Clone, Copy, Debug)]
+pub struct Motion {
+    /// Rotation R.
+    pub rotation: Matrix3<f64>,
+    /// Translation t, m.
+    pub translation: Vector3<f64>,
+    /// Left Jacobian of SO(3), the diagonal block.
+    jacobian: Matrix3<f64>,
+    /// Upper right block of the left Jacobian of SE(3).
+    coupling: Matrix3<f64>,
+    /// Sampling time, s.
+    ts: f64,
+}
+
+impl Motion {
+    /// The motion of a fixed point in the camera frame while the camera moves at `v` for `ts` seconds.
+    pub fn of_camera(v: &Twist, ts: f64) -> Self {
+        let rho = Vector3::new(v[0], v[1], v[2]) * -ts;
+        let phi = Vector3::new(v[3], v[4], v[5]) * -ts;
+        let series = Coefficients::at(phi.norm_squared());
+        let (f, r) = (phi.cross_matrix(), rho.cross_matrix());
+        let (ff, fr, rf) = (f * f, f * r, r * f);
+        let frf = fr * f;
+        let jacobian = Matrix3::identity() + f * series.versine + ff * series.sine_gap;
+        let coupling = r * 0.5
+            + (fr + rf + frf) * series.sine_gap
+            + (f * fr + rf * f - frf * 3.0) * series.cosine_gap
+            + (frf * f + f * frf) * series.mixed;
+        Self {
+            rotation: Matrix3::identity() + f * series.sine + ff * series.versine,
+            translation: jacobian * rho,
+            jacobian,
+            coupling,
+            ts,
+        }
+    }
+
+    /// Where the point `x` (camera frame, m) is after the motion.
+    pub fn apply(&self, x: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * x + self.translation
+    }
+
+    /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu, omega).
+    pub fn derivative(&self, moved: &Vector3<f64>) -> [Twist; 3] {
+        // d(exp(tau) X) = [I, -[X']x] J_l d tau, and d tau = -ts d v.
+        let linear = self.jacobian * -self.ts;
+        let angular = (self.coupling - moved.cross_matrix() * self.jacobian) * -self.ts;
+        core::array::from_fn(|i| {
+            core::array::from_fn(|j| {
+                if j < 3 {
+                    linear[(i, j)]
+                } else {
+                    angular[(i, j - 3)]
+                }
+            })
+        })
+    }
+}
+
+/// Coefficients of the exponential and of the left Jacobian at the angle theta.
+struct Coefficients {
+    /// sin(theta) / theta
+    sine: f64,
+    /// (1 - cos(theta)) / theta^2
+    versine: f64,
+    /// (theta - sin(theta)) / theta^3
+    sine_gap: f64,
+    /// (theta^2 + 2 cos(theta) - 2) / (2 theta^4)
+    cosine_gap: f64,
+    /// (2 theta - 3 sin(theta) + theta cos(theta)) / (2 theta^5)
+    mixed: f64,
+}
+
+impl Coefficients {
+    fn at(square: f64) -> Self {
+        // Below 0.5 rad the closed forms lose digits to cancellation; five terms of the series are exact to 1e-13.
+        if square < 0.25 {
+            let x = square;
+            let series = |c: [f64; 6]| c.iter().rev().fold(0.0, |sum, c| sum * x + c);
+            Self {
+                sine: series([
+                    1.0,
+                    -1.0 / 6.0,
+                    1.0 / 120.0,
+                    -1.0 / 5040.0,
+                    1.0 / 362_880.0,
+                    -1.0 / 39_916_800.0,
+                ]),
+                versine: series([
+                    0.5,
+                    -1.0 / 24.0,
+                    1.0 / 720.0,
+                    -1.0 / 40_320.0,
+                    1.0 / 3_628_800.0,
+                    -1.0 / 479_001_600.0,
+                ]),
+                sine_gap: series([
+                    1.0 / 6.0,
+                    -1.0 / 120.0,
+                    1.0 / 5040.0,
+                    -1.0 / 362_880.0,
+                    1.0 / 39_916_800.0,
+                    -1.0 / 6_227_020_800.0,
+                ]),
+                cosine_gap: series([
+                    1.0 / 24.0,
+                    -1.0 / 720.0,
+                    1.0 / 40_320.0,
+                    -1.0 / 3_628_800.0,
+                    1.0 / 479_001_600.0,
+                    -1.0 / 87_178_291_200.0,
+                ]),
+                mixed: series([
+                    1.0 / 120.0,
+                    -1.0 / 2520.0,
+                    1.0 / 120_960.0,
+                    -1.0 / 9_979_200.0,
+                    1.0 / 1_245_404_160.0,
+                    -1.0 / 217_945_728_000.0,
+                ]),
+            }
+        } else {
+            let theta = sqrt(square);
+            let (sin, cos) = (sin(theta), cos(theta));
+            Self {
+                sine: sin / theta,
+                versine: (1.0 - cos) / square,
+                sine_gap: (theta - sin) / (square * theta),
+                cosine_gap: (square + 2.0 * cos - 2.0) / (2.0 * square * square),
+                mixed: (2.0 * theta - 3.0 * sin + theta * cos) / (2.0 * square * square * theta),
+            }
+        }
+    }
+}
+
+/// The rotation matrix of a rotation vector (rad).
+pub fn rotation(vector: [f64; 3]) -> Matrix3<f64> {
+    let phi = Vector3::from(vector);
+    let series = Coefficients::at(phi.norm_squared());
+    let f = phi.cross_matrix();
+    Matrix3::identity() + f * series.sine + f * f * series.versine
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_series_meets_the_closed_form() {
+        let (below, above) = (
+            Coefficients::at(0.25 - 1e-12),
+            Coefficients::at(0.25 + 1e-12),
+        );
+        for (a, b) in [
+            (below.sine, above.sine),
+            (below.versine, above.versine),
+            (below.sine_gap, above.sine_gap),
+            (below.cosine_gap, above.cosine_gap),
+            (below.mixed, above.mixed),
+        ] {
+            assert!((a - b).abs() < 1e-12, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_motion_solves_its_differential_equation() {
+        let v = [0.3, -0.2, 0.4, 0.7, -0.9, 1.1];
+        let (nu, omega) = (
+            Vector3::new(v[0], v[1], v[2]),
+            Vector3::new(v[3], v[4], v[5]),
+        );
+        let rate = |x: &Vector3<f64>| -nu - omega.cross(x);
+        let mut x = Vector3::new(0.1, 0.2, 0.8);
+        let expected = Motion::of_camera(&v, 0.8).apply(&x);
+        let h = 0.8 / 2000.0;
+        for _ in 0..2000 {
+            let k1 = rate(&x);
+            let k2 = rate(&(x + k1 * (h / 2.0)));
+            let k3 = rate(&(x + k2 * (h / 2.0)));
+            let k4 = rate(&(x + k3 * h));
+            x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
+        }
+        assert!((x - expected).norm() < 1e-12);
+    }
+
+    #[test]
+    fn its_derivative_matches_finite_differences_small_and_large() {
+        for ts in [1.0 / 30.0, 1.0] {
+            let v = [0.3, -0.2, 0.4, 0.7, -0.9, 1.1];
+            let x = Vector3::new(0.1, 0.2, 0.8);
+            let motion = Motion::of_camera(&v, ts);
+            let exact = motion.derivative(&motion.apply(&x));
+            for j in 0..6 {
+                let h = 1e-6;
+                let (mut plus, mut minus) = (v, v);
+                plus[j] += h;
+                minus[j] -= h;
+                let numeric = (Motion::of_camera(&plus, ts).apply(&x)
+                    - Motion::of_camera(&minus, ts).apply(&x))
+                    / (2.0 * h);
+                for i in 0..3 {
+                    assert!((numeric[i] - exact[i][j]).abs() < 1e-9, "{i} {j}");
+                }
+            }
+        }
+    }
+}

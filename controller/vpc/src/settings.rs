@@ -1,0 +1,275 @@
+//! What a user may choose about the law.
+
+use core::fmt;
+
+use crate::prediction::Model;
+use crate::solver::Effort;
+use crate::{MAX_NC, MAX_NP};
+
+/// Where warm start and target come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Strategy {
+    /// Warm start from the previous cycle's solution, target is the goal (the paper's "prev.-it.").
+    Previous,
+    /// Near a constraint, warm start and way point from the mean of the `k` nearest samples of the memory.
+    Knn {
+        /// Neighbours averaged, from 1.
+        k: usize,
+    },
+    /// Near a constraint, warm start and way point from Gaussian-process regression.
+    Gpr,
+    /// Classic image-based visual servoing; no prediction, no constraints but the velocity limits.
+    Ibvs,
+}
+
+impl Strategy {
+    /// Whether the strategy asks the memory.
+    pub fn needs_memory(self) -> bool {
+        matches!(self, Self::Knn { .. } | Self::Gpr)
+    }
+}
+
+impl fmt::Display for Strategy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Previous => f.write_str("previous"),
+            Self::Knn { k: 1 } => f.write_str("knn"),
+            Self::Knn { k } => write!(f, "knn{k}"),
+            Self::Gpr => f.write_str("gpr"),
+            Self::Ibvs => f.write_str("ibvs"),
+        }
+    }
+}
+
+/// A name that is no strategy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownStrategy;
+
+impl core::error::Error for UnknownStrategy {}
+
+impl fmt::Display for UnknownStrategy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("allowed: previous, knn, knn2 to knn64, gpr, ibvs")
+    }
+}
+
+impl core::str::FromStr for Strategy {
+    type Err = UnknownStrategy;
+
+    fn from_str(text: &str) -> Result<Self, UnknownStrategy> {
+        match text {
+            "previous" => Ok(Self::Previous),
+            "gpr" => Ok(Self::Gpr),
+            "ibvs" => Ok(Self::Ibvs),
+            "knn" => Ok(Self::Knn { k: 1 }),
+            _ => {
+                let k: usize = text
+                    .strip_prefix("knn")
+                    .and_then(|k| k.parse().ok())
+                    .ok_or(UnknownStrategy)?;
+                if (1..=MAX_NEIGHBOURS).contains(&k) {
+                    Ok(Self::Knn { k })
+                } else {
+                    Err(UnknownStrategy)
+                }
+            }
+        }
+    }
+}
+
+/// Most neighbours that k-NN averages.
+pub const MAX_NEIGHBOURS: usize = 64;
+
+/// Settings of the law; [`Settings::check`] accepts what [`crate::Controller`] runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Where warm start and target come from.
+    pub strategy: Strategy,
+    /// Steps previewed, 1 to 40.
+    pub np: usize,
+    /// Free commands, 1 to 4 and at most `np`.
+    pub nc: usize,
+    /// Most iterations of the solver and its tolerance.
+    pub effort: Effort,
+    /// How features are predicted.
+    pub model: Model,
+    /// The memory is asked from here on: clearance of any feature from an occlusion, px.
+    pub trigger_px: f64,
+    /// The memory is asked until every feature is this many times further away than `trigger_px`, at least 1.
+    pub release: f64,
+    /// Extra clearance kept from every border, px.
+    pub margin_px: f64,
+    /// Gain of the classic law, 1/s.
+    pub lambda: f64,
+}
+
+impl Default for Settings {
+    /// The paper's on-line settings for its simulations.
+    fn default() -> Self {
+        Self {
+            strategy: Strategy::Previous,
+            np: 3,
+            nc: 1,
+            effort: Effort {
+                max_iterations: 10,
+                tolerance: 1e-3,
+            },
+            model: Model::Pose,
+            trigger_px: 20.0,
+            release: 2.0,
+            margin_px: 0.0,
+            lambda: 0.5,
+        }
+    }
+}
+
+/// A setting outside its range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SettingsError {
+    /// The scene gives no task.
+    Task(crate::TaskError),
+    /// A setting is outside its range.
+    Range {
+        /// Name of the setting.
+        name: &'static str,
+        /// What was found.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+}
+
+impl core::error::Error for SettingsError {}
+
+impl fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Task(error) => error.fmt(f),
+            Self::Range {
+                name,
+                value,
+                allowed,
+            } => write!(f, "{name} = {value}; allowed: {allowed}"),
+        }
+    }
+}
+
+impl From<crate::TaskError> for SettingsError {
+    fn from(error: crate::TaskError) -> Self {
+        Self::Task(error)
+    }
+}
+
+impl Settings {
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`SettingsError::Range`] names the first one that is wrong.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        let range = |name, value: f64, ok: bool, allowed| {
+            if ok {
+                Ok(())
+            } else {
+                Err(SettingsError::Range {
+                    name,
+                    value,
+                    allowed,
+                })
+            }
+        };
+        let within = |x: f64, low: f64, high: f64| (low..=high).contains(&x);
+        let (np, nc) = (self.np as f64, self.nc as f64);
+        range("np", np, (1..=MAX_NP).contains(&self.np), "1 to 40")?;
+        range(
+            "nc",
+            nc,
+            (1..=MAX_NC.min(self.np)).contains(&self.nc),
+            "1 to 4, at most np",
+        )?;
+        let iterations = self.effort.max_iterations;
+        range(
+            "iterations",
+            f64::from(iterations),
+            (1..=1000).contains(&iterations),
+            "1 to 1000",
+        )?;
+        let tolerance = self.effort.tolerance;
+        range(
+            "tolerance",
+            tolerance,
+            within(tolerance, 1e-15, 1.0),
+            "1e-15 to 1",
+        )?;
+        range(
+            "trigger_px",
+            self.trigger_px,
+            within(self.trigger_px, 0.0, 1e4),
+            "0 to 1e4 px",
+        )?;
+        range(
+            "release",
+            self.release,
+            within(self.release, 1.0, 100.0),
+            "1 to 100",
+        )?;
+        range(
+            "margin_px",
+            self.margin_px,
+            within(self.margin_px, 0.0, 1e3),
+            "0 to 1e3 px",
+        )?;
+        range(
+            "lambda",
+            self.lambda,
+            within(self.lambda, 1e-6, 100.0),
+            "1e-6 to 100 per s",
+        )?;
+        if let Strategy::Knn { k } = self.strategy {
+            range("k", k as f64, (1..=MAX_NEIGHBOURS).contains(&k), "1 to 64")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_strategies_go_both_ways() {
+        for name in ["previous", "knn", "knn5", "gpr", "ibvs"] {
+            assert_eq!(name.parse::<Strategy>().unwrap().to_string(), name);
+        }
+        for name in ["", "knn0", "knn65", "knnx", "GPR"] {
+            assert!(name.parse::<Strategy>().is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let check = |change: fn(&mut Settings)| {
+            let mut settings = Settings::default();
+            change(&mut settings);
+            settings.check().map_err(|e| e.to_string())
+        };
+        assert_eq!(check(|_| ()), Ok(()));
+        assert_eq!(
+            check(|s| s.np = 41).unwrap_err(),
+            "np = 41; allowed: 1 to 40"
+        );
+        assert_eq!(
+            check(|s| s.nc = 4).unwrap_err(),
+            "nc = 4; allowed: 1 to 4, at most np"
+        );
+        assert!(
+            check(|s| s.trigger_px = f64::NAN)
+                .unwrap_err()
+                .contains("NaN")
+        );
+        assert!(
+            check(|s| s.effort.tolerance = -1.0)
+                .unwrap_err()
+                .contains("tolerance = -1")
+        );
+    }
+}
