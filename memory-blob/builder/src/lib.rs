@@ -1,3 +1,5 @@
 //! To come.
 
+pub mod lbfgs;
 pub mod mixture;
+pub mod regression;

@@ -1,9 +1,10 @@
 //! A Gaussian mixture in R^6: where the starts are that the memory cannot solve yet.
 //!
-//! Adaptive sampling draws new starts where old ones failed (paper, Sect. IV). A failed start is a point of
-//! R^6: the translation (m) and the rotation vector (rad) of the object in the camera frame. The mixture is
-//! fitted by expectation maximisation with full covariances, from seeded starts spread as k-means++ does; the
-//! number of components is the one with the least Bayesian information criterion.
+//! Adaptive sampling draws new starts where old ones failed (paper, Sect. IV). A failed start is a
+//! point of R^6: the translation (m) and the rotation vector (rad) of the object in the camera
+//! frame. The mixture is fitted by expectation maximisation with full covariances, from seeded
+//! starts spread as k-means++ does; the number of components is the one with the least Bayesian
+//! information criterion.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
@@ -12,12 +13,14 @@
 //! | pi_k, mu_k, Sigma_k | [`Component`] | weight, mean, covariance |
 //! | BIC | [`Mixture::bic`] | -2 log L + (28 K - 1) ln N |
 //!
-//! Every covariance is held above a floor, Sigma_k >= diag(floor^2) in the order of symmetric matrices. The floor
-//! is a constraint of the maximisation and not a term added afterwards (see [`gaussian::Gaussian::above_floor`]), so the
-//! likelihood still never decreases from one iteration to the next.
+//! Every covariance is held above a floor, Sigma_k >= diag(floor^2) in the order of symmetric
+//! matrices. The floor is a constraint of the maximisation and not a term added afterwards (see
+//! [`gaussian::Gaussian::above_floor`]), so the likelihood still never decreases from one iteration
+//! to the next.
 //!
-//! Rotation vectors are treated as plain vectors: two nearly equal rotations close to pi rad, with opposite vectors,
-//! count as far apart. They then get a component each, which costs a component and nothing else.
+//! Rotation vectors are treated as plain vectors: two nearly equal rotations close to pi rad, with
+//! opposite vectors, count as far apart. They then get a component each, which costs a component
+//! and nothing else.
 
 pub mod em;
 pub mod gaussian;
@@ -30,7 +33,8 @@ use gaussian::Gaussian;
 /// Number of coordinates of a point: three of translation (m), three of the rotation vector (rad).
 pub const DIMENSION: usize = 6;
 
-/// Largest size of a coordinate that [`Mixture::fit`] accepts (m or rad); squares stay far from overflow.
+/// Largest size of a coordinate that [`Mixture::fit`] accepts (m or rad); squares stay far from
+/// overflow.
 pub const LARGEST_COORDINATE: f64 = 1e6;
 
 /// Fewest points that a full covariance is estimated from: one more than the dimension.
@@ -47,7 +51,8 @@ pub struct MixtureSettings {
     pub max_iterations: usize,
     /// An attempt ends when the mean log likelihood of a point grows by less than this, above 0.
     pub tolerance: f64,
-    /// Least standard deviation along each axis: m for the first three, rad for the last three, above 0.
+    /// Least standard deviation along each axis: m for the first three, rad for the last three,
+    /// above 0.
     pub floor: [f64; DIMENSION],
 }
 
@@ -142,13 +147,15 @@ pub struct Mixture {
 }
 
 impl Mixture {
-    /// Fits a mixture to `points` (translation in m, rotation vector in rad). The same points in the same order, settings and
-    /// seed give the same mixture.
+    /// Fits a mixture to `points` (translation in m, rotation vector in rad). The same points in
+    /// the same order, settings and seed give the same mixture.
     ///
-    /// Fewer than 7 points do not determine a covariance: they give one Gaussian with independent axes.
+    /// Fewer than 7 points do not determine a covariance: they give one Gaussian with independent
+    /// axes.
     ///
     /// # Errors
-    /// [`MixtureError`] when there is no point, a coordinate is not finite, or a setting is out of range.
+    /// [`MixtureError`] when there is no point, a coordinate is not finite, or a setting is out of
+    /// range.
     pub fn fit(
         points: &[[f64; DIMENSION]],
         settings: &MixtureSettings,
@@ -183,7 +190,8 @@ impl Mixture {
 
     fn new(components: Vec<Component>, points: &[gaussian::Point]) -> Self {
         let log_likelihood = em::log_likelihood(points, &components);
-        // mean, upper half of the covariance and weight of each, less one because the weights add up to 1
+        // mean, upper half of the covariance and weight of each, less one because the weights add
+        // up to 1
         let each = DIMENSION + DIMENSION * (DIMENSION + 1) / 2 + 1;
         let parameters = (components.len() * each - 1) as f64;
         let bic = parameters * (points.len() as f64).ln() - 2.0 * log_likelihood;
@@ -209,8 +217,8 @@ impl Mixture {
         self.bic
     }
 
-    /// Draws one start: translation (m) and rotation vector (rad). It is not limited to any region: the caller
-    /// rejects what lies outside of its own.
+    /// Draws one start: translation (m) and rotation vector (rad). It is not limited to any region:
+    /// the caller rejects what lies outside of its own.
     pub fn sample(&self, rng: &mut ChaCha8Rng) -> [f64; DIMENSION] {
         let mut left: f64 = rng.random();
         let mut chosen = &self.components[0];

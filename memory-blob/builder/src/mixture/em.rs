@@ -24,8 +24,8 @@ pub fn single(points: &[Point], settings: &MixtureSettings) -> Vec<Component> {
     vec![component(points, &shares, points.len() as f64, settings)]
 }
 
-/// One attempt with `count` components. `None` when a component is left with fewer points than a covariance needs:
-/// that number of components has then nothing to say about these points.
+/// One attempt with `count` components. `None` when a component is left with fewer points than a
+/// covariance needs: that number of components has then nothing to say about these points.
 pub fn maximise(
     points: &[Point],
     count: usize,
@@ -76,7 +76,8 @@ fn log_terms(point: &Point, components: &[Component], terms: &mut [f64]) -> f64 
             .ln()
 }
 
-/// Share of each component in each point: one vector of length N a component. Returns the log likelihood.
+/// Share of each component in each point: one vector of length N a component. Returns the log
+/// likelihood.
 fn expectation(
     points: &[Point],
     components: &[Component],
@@ -131,8 +132,9 @@ fn component(
     }
 }
 
-/// Centres chosen among the points: the first at random, each further one with a chance that grows with the squared distance
-/// to the centres so far. Distances are in units of the spread of the points along each axis, so that m and rad compare.
+/// Centres chosen among the points: the first at random, each further one with a chance that grows
+/// with the squared distance to the centres so far. Distances are in units of the spread of the
+/// points along each axis, so that m and rad compare.
 fn spread_centres(points: &[Point], count: usize, rng: &mut ChaCha8Rng) -> Vec<Point> {
     let scaled = in_units_of_spread(points);
     let first = rng.random_range(0..points.len());

@@ -29,17 +29,19 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// The likeliest Gaussian with `mean` whose covariance is at least diag(`floor`^2), for points whose scatter about
-    /// `mean`, divided by their weight, is `scatter`.
+    /// The likeliest Gaussian with `mean` whose covariance is at least diag(`floor`^2), for points
+    /// whose scatter about `mean`, divided by their weight, is `scatter`.
     ///
     /// In coordinates divided by the floor the constraint reads Sigma >= I. There the likelihood
-    /// -(log det Sigma + tr Sigma^-1 S) / 2 is greatest for the eigenvectors of S with each eigenvalue raised to at least 1.
+    /// -(log det Sigma + tr Sigma^-1 S) / 2 is greatest for the eigenvectors of S with each
+    /// eigenvalue raised to at least 1.
     pub fn above_floor(mean: Point, scatter: &Square, floor: &[f64; DIMENSION]) -> Self {
         let floor = Point::from(*floor);
         let scaled = Square::from_fn(|row, column| {
             0.5 * (scatter[(row, column)] + scatter[(column, row)]) / (floor[row] * floor[column])
         });
-        // A finite symmetric matrix converges; should it not, independent axes are still a Gaussian.
+        // A finite symmetric matrix converges; should it not, independent axes are still a
+        // Gaussian.
         let (axes, variances) = SymmetricEigen::try_new(scaled, f64::EPSILON, EIGEN_SWEEPS)
             .map_or((Square::identity(), scaled.diagonal()), |e| {
                 (e.eigenvectors, e.eigenvalues)
@@ -59,7 +61,8 @@ impl Gaussian {
         }
     }
 
-    /// The Gaussian of a few points: their mean, and their variance along each axis held above the floor.
+    /// The Gaussian of a few points: their mean, and their variance along each axis held above the
+    /// floor.
     pub fn with_independent_axes(points: &[Point], floor: &[f64; DIMENSION]) -> Self {
         let count = points.len().max(1) as f64;
         let mean = points.iter().sum::<Point>() / count;

@@ -1,0 +1,484 @@
+//! Tests of the regression: against scikit-learn, against finite differences, and at the edges.
+
+use super::*;
+use serde::Deserialize;
+
+/// See `fixtures/gpr_likelihood.py`.
+#[derive(Deserialize)]
+struct Fixture {
+    inputs: Vec<Vec<f64>>,
+    outputs: Vec<Vec<f64>>,
+    mean: Vec<f64>,
+    output_scales: Vec<f64>,
+    fixed: Fixed,
+    best: Best,
+}
+
+#[derive(Deserialize)]
+struct Fixed {
+    length_scales: Vec<f64>,
+    signal_variance: f64,
+    noise_variance: f64,
+    log_marginal_likelihood: f64,
+    gradient: Vec<f64>,
+    queries: Vec<Vec<f64>>,
+    means: Vec<Vec<f64>>,
+    variances: Vec<f64>,
+}
+
+#[derive(Deserialize)]
+struct Best {
+    log_marginal_likelihood: f64,
+}
+
+impl Fixture {
+    fn read() -> Self {
+        serde_json::from_str(include_str!("../../fixtures/gpr_likelihood.json")).unwrap()
+    }
+
+    fn inputs(&self) -> Matrix {
+        matrix(&self.inputs)
+    }
+
+    fn outputs(&self) -> Matrix {
+        matrix(&self.outputs)
+    }
+
+    fn likelihood(&self) -> Likelihood {
+        let rows = self.outputs.iter().map(|row| {
+            let scaled = row.iter().zip(&self.mean).zip(&self.output_scales);
+            scaled
+                .map(|((y, mean), scale)| (y - mean) / scale)
+                .collect::<Vec<f64>>()
+        });
+        Likelihood::new(&self.inputs(), &matrix(&rows.collect::<Vec<_>>())).unwrap()
+    }
+
+    fn kernel(&self) -> Kernel {
+        Kernel {
+            length_scales: self.fixed.length_scales.clone(),
+            signal_variance: self.fixed.signal_variance,
+            noise_variance: self.fixed.noise_variance,
+        }
+    }
+
+    fn settings(&self) -> FitSettings {
+        let output_scale = OutputScale::Given(self.output_scales.clone());
+        FitSettings {
+            output_scale,
+            ..FitSettings::default()
+        }
+    }
+
+    fn fit(&self, settings: &FitSettings) -> Fit {
+        fit(&self.inputs(), &self.outputs(), &self.mean, settings).unwrap()
+    }
+}
+
+use likelihood::Likelihood;
+
+fn matrix(rows: &[Vec<f64>]) -> Matrix {
+    Matrix::new("test matrix", rows[0].len(), rows.concat()).unwrap()
+}
+
+#[track_caller]
+fn assert_close(found: f64, expected: f64, tolerance: f64) {
+    let error = (found - expected).abs();
+    assert!(
+        error <= tolerance * expected.abs().max(1.0),
+        "{found} instead of {expected}"
+    );
+}
+
+/// Bounds that leave nothing to search: the fit has this kernel.
+fn only(kernel: &Kernel) -> HyperBounds {
+    let deviation = kernel.signal_variance.sqrt();
+    let length = kernel.length_scales[0];
+    HyperBounds {
+        length_scale: (length, length),
+        signal_deviation: (deviation, deviation),
+        noise_variance: (kernel.noise_variance, kernel.noise_variance),
+    }
+}
+
+#[test]
+fn likelihood_and_gradient_are_those_of_scikit_learn() {
+    let fixture = Fixture::read();
+    let (value, gradient) = fixture
+        .likelihood()
+        .value_and_gradient(&fixture.kernel())
+        .unwrap();
+    assert_close(value, fixture.fixed.log_marginal_likelihood, 1e-8);
+    assert_eq!(gradient.len(), fixture.fixed.gradient.len());
+    for (found, expected) in gradient.iter().zip(&fixture.fixed.gradient) {
+        assert_close(*found, *expected, 1e-8);
+    }
+    assert_eq!(
+        fixture.likelihood().value(&fixture.kernel()).unwrap(),
+        value
+    );
+}
+
+#[test]
+fn mean_and_variance_are_those_of_scikit_learn() {
+    let fixture = Fixture::read();
+    // One bound serves all length scales, so the inputs carry the fixture's: x / l with l = 1 is
+    // the same kernel.
+    let divide = |rows: &[Vec<f64>]| -> Vec<Vec<f64>> {
+        let scaled = |row: &Vec<f64>| {
+            row.iter()
+                .zip(&fixture.fixed.length_scales)
+                .map(|(x, l)| x / l)
+                .collect()
+        };
+        rows.iter().map(scaled).collect()
+    };
+    let kernel = Kernel {
+        length_scales: vec![1.0; 3],
+        ..fixture.kernel()
+    };
+    let settings = FitSettings {
+        bounds: only(&kernel),
+        ..fixture.settings()
+    };
+    let inputs = matrix(&divide(&fixture.inputs));
+    let fitted = fit(&inputs, &fixture.outputs(), &fixture.mean, &settings).unwrap();
+    assert_close(
+        fitted.log_marginal_likelihood,
+        fixture.fixed.log_marginal_likelihood,
+        1e-8,
+    );
+    assert_eq!(fitted.jitter, 0.0);
+    let queries = divide(&fixture.fixed.queries);
+    for (which, query) in queries.iter().enumerate() {
+        let found = fitted.predict(&inputs, query).unwrap();
+        for (found, expected) in found.mean.iter().zip(&fixture.fixed.means[which]) {
+            assert_close(*found, *expected, 1e-8);
+        }
+        assert_close(found.variance, fixture.fixed.variances[which], 1e-8);
+    }
+}
+
+#[test]
+fn fitted_likelihood_is_at_least_that_of_scikit_learn() {
+    let fixture = Fixture::read();
+    let fitted = fixture.fit(&fixture.settings());
+    let theirs = fixture.best.log_marginal_likelihood;
+    assert!(
+        fitted.log_marginal_likelihood >= theirs - 1e-3 * theirs.abs(),
+        "{} against {theirs}",
+        fitted.log_marginal_likelihood
+    );
+}
+
+/// Central differences of the likelihood against its gradient, each relative to the largest
+/// component.
+fn assert_gradient_matches_differences(samples: &Likelihood, kernel: &Kernel, tolerance: f64) {
+    let (_, gradient) = samples.value_and_gradient(kernel).unwrap();
+    let size = gradient.iter().fold(1.0_f64, |size, g| size.max(g.abs()));
+    let step = 1e-5;
+    for (at, slope) in gradient.iter().enumerate() {
+        let value = |shift: f64| {
+            let mut logarithms = kernel.logarithms();
+            logarithms[at] += shift;
+            samples
+                .value(&Kernel::from_logarithms(&logarithms))
+                .unwrap()
+        };
+        let difference = (value(step) - value(-step)) / (2.0 * step);
+        let error = (difference - slope).abs();
+        assert!(
+            error < tolerance * size,
+            "variable {at}: {slope}, by differences {difference}"
+        );
+    }
+}
+
+#[test]
+fn gradient_matches_finite_differences() {
+    let fixture = Fixture::read();
+    let samples = fixture.likelihood();
+    for noise in [1.0, 1e-2, 1e-4] {
+        for length in [0.3, 1.0, 6.0] {
+            let kernel = Kernel {
+                length_scales: vec![length, 2.0 * length, 0.7 * length],
+                signal_variance: 0.6,
+                noise_variance: noise,
+            };
+            assert_gradient_matches_differences(&samples, &kernel, 1e-6);
+        }
+    }
+}
+
+#[test]
+fn gradient_matches_finite_differences_with_jitter() {
+    // Every sample twice and next to no noise: only the jitter makes the covariance positive
+    // definite.
+    let fixture = Fixture::read();
+    let twice = |rows: &[Vec<f64>]| matrix(&[&rows[..8], &rows[..8]].concat());
+    let samples = Likelihood::new(&twice(&fixture.inputs), &twice(&fixture.outputs)).unwrap();
+    let kernel = Kernel {
+        length_scales: vec![40.0; 3],
+        signal_variance: 1e4,
+        noise_variance: 1e-14,
+    };
+    let columns = inputs::Inputs::new(&twice(&fixture.inputs)).scaled(&kernel);
+    let covariance = columns.covariance(kernel.signal_variance);
+    let factor = likelihood::Factor::new(&covariance, &kernel).unwrap();
+    assert!(factor.jitter > 0.0);
+    let (value, gradient) = samples.value_and_gradient(&kernel).unwrap();
+    assert!(value.is_finite() && gradient.iter().all(|g| g.is_finite()));
+    // scaling signal, noise and jitter together by c is the same as scaling the outputs: the jitter
+    // must follow phi_o
+    let (n, step) = (3, 1e-4);
+    let moved = |shift: f64| {
+        let mut logarithms = kernel.logarithms();
+        logarithms[n] += shift;
+        samples
+            .value(&Kernel::from_logarithms(&logarithms))
+            .unwrap()
+    };
+    let difference = (moved(step) - moved(-step)) / (2.0 * step);
+    assert_close(gradient[n], difference, 1e-3);
+}
+
+#[test]
+fn lambda_and_factor_solve_the_system_they_stand_for() {
+    let fixture = Fixture::read();
+    let fitted = fixture.fit(&fixture.settings());
+    let (inputs, outputs, kernel) = (fixture.inputs(), fixture.outputs(), fitted.kernel());
+    let row_of = |row: usize| &fitted.cholesky[row * (row + 1) / 2..(row + 1) * (row + 2) / 2];
+    assert_eq!(fitted.cholesky.len(), 60 * 61 / 2);
+    for a in 0..inputs.rows() {
+        for b in 0..=a {
+            let product: f64 = row_of(a).iter().zip(row_of(b)).map(|(p, q)| p * q).sum();
+            let noise = if a == b {
+                fitted.noise_variance + fitted.jitter
+            } else {
+                0.0
+            };
+            let expected = kernel.value(inputs.row(a), inputs.row(b)) + noise;
+            assert_close(product, expected, 1e-12);
+        }
+        // (K + phi_s I) Lambda = Y - m: the prediction at a sample lacks exactly the noise times
+        // its weight
+        let found = fitted.predict(&inputs, inputs.row(a)).unwrap();
+        let noise = fitted.noise_variance + fitted.jitter;
+        for (column, mean) in found.mean.iter().enumerate() {
+            let whole = mean + noise * fitted.lambda.row(a)[column];
+            assert_close(whole, outputs.row(a)[column], 1e-9);
+        }
+    }
+}
+
+#[test]
+fn input_that_does_not_matter_gets_a_long_length_scale() {
+    let fixture = Fixture::read();
+    let noisy: Vec<Vec<f64>> = fixture
+        .inputs
+        .iter()
+        .enumerate()
+        .map(|(at, row)| [&row[..], &[((at * 7919) % 61) as f64 / 30.0]].concat())
+        .collect();
+    let settings = fixture.settings();
+    let fitted = fit(
+        &matrix(&noisy),
+        &fixture.outputs(),
+        &fixture.mean,
+        &settings,
+    )
+    .unwrap();
+    assert!(fitted.length_scales[3] > 10.0, "{:?}", fitted.length_scales);
+    assert!(fitted.length_scales[0] < 3.0, "{:?}", fitted.length_scales);
+}
+
+#[test]
+fn constant_outputs_change_nothing_for_the_others() {
+    let fixture = Fixture::read();
+    let settings = FitSettings::default();
+    let plain = fixture.fit(&settings);
+    // one output at its mean, one beside it
+    let rows: Vec<_> = fixture
+        .outputs
+        .iter()
+        .map(|r| [&r[..], &[5.0, 7.0]].concat())
+        .collect();
+    let mean = [&fixture.mean[..], &[5.0, 6.5]].concat();
+    let fitted = fit(&fixture.inputs(), &matrix(&rows), &mean, &settings).unwrap();
+    assert_eq!(fitted.length_scales, plain.length_scales);
+    assert_eq!(
+        fitted.log_marginal_likelihood,
+        plain.log_marginal_likelihood
+    );
+    assert_eq!(fitted.output_scales[4..], [1.0, 0.5]);
+    let found = fitted
+        .predict(&fixture.inputs(), &fixture.inputs[0])
+        .unwrap();
+    assert_eq!(found.mean[4], 5.0);
+    assert!((found.mean[5] - 7.0).abs() < 0.1, "{}", found.mean[5]);
+}
+
+#[test]
+fn nothing_but_constant_outputs_is_still_a_fit() {
+    let fixture = Fixture::read();
+    let rows = vec![vec![3.0, -1.0]; fixture.inputs.len()];
+    let settings = FitSettings::default();
+    let fitted = fit(&fixture.inputs(), &matrix(&rows), &[3.0, -1.0], &settings).unwrap();
+    assert_eq!(fitted.evaluations, 0);
+    assert!(fitted.lambda.data().iter().all(|&weight| weight == 0.0));
+    assert_eq!(
+        fitted
+            .predict(&fixture.inputs(), &[9.0, 9.0, 9.0])
+            .unwrap()
+            .mean,
+        [3.0, -1.0]
+    );
+}
+
+#[test]
+fn constant_input_does_no_harm() {
+    let fixture = Fixture::read();
+    let rows: Vec<_> = fixture
+        .inputs
+        .iter()
+        .map(|r| [&r[..], &[0.25]].concat())
+        .collect();
+    let settings = fixture.settings();
+    let fitted = fit(&matrix(&rows), &fixture.outputs(), &fixture.mean, &settings).unwrap();
+    let plain = fixture.fit(&settings);
+    let (a, b) = (
+        fitted.log_marginal_likelihood,
+        plain.log_marginal_likelihood,
+    );
+    assert_close(a, b, 1e-3);
+}
+
+#[test]
+fn repeated_samples_are_fitted() {
+    let fixture = Fixture::read();
+    let inputs = matrix(&vec![fixture.inputs[0].clone(); 12]);
+    let outputs = matrix(&fixture.outputs[..12]);
+    let fitted = fit(&inputs, &outputs, &fixture.mean, &fixture.settings()).unwrap();
+    let found = fitted.predict(&inputs, &fixture.inputs[0]).unwrap();
+    assert!(found.mean.iter().all(|mean| mean.is_finite()) && found.variance >= 0.0);
+}
+
+#[test]
+fn one_sample_is_fitted() {
+    let fixture = Fixture::read();
+    let (inputs, outputs) = (matrix(&fixture.inputs[..1]), matrix(&fixture.outputs[..1]));
+    let fitted = fit(&inputs, &outputs, &fixture.mean, &fixture.settings()).unwrap();
+    assert_eq!(fitted.cholesky.len(), 1);
+}
+
+#[test]
+fn subset_gives_lambda_for_all_samples_and_depends_on_the_seed() {
+    let fixture = Fixture::read();
+    let with_seed = |seed| {
+        fixture.fit(&FitSettings {
+            seed,
+            subset: 30,
+            polish: 0,
+            ..fixture.settings()
+        })
+    };
+    let (one, again, other) = (with_seed(1), with_seed(1), with_seed(2));
+    assert_eq!(one.lambda.rows(), 60);
+    assert_eq!(one.lambda, again.lambda);
+    assert_ne!(one.length_scales, other.length_scales);
+}
+
+#[test]
+fn polishing_on_all_samples_raises_their_likelihood_within_its_budget() {
+    let fixture = Fixture::read();
+    let with = |polish| {
+        fixture.fit(&FitSettings {
+            polish,
+            subset: 20,
+            ..fixture.settings()
+        })
+    };
+    let (rough, polished) = (with(0), with(20));
+    assert!(polished.log_marginal_likelihood > rough.log_marginal_likelihood + 1.0);
+    assert!(polished.evaluations <= rough.evaluations + 20);
+}
+
+#[test]
+fn number_of_threads_does_not_change_a_bit() {
+    let fixture = Fixture::read();
+    let with_threads = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| fixture.fit(&fixture.settings()))
+    };
+    let (one, three) = (with_threads(1), with_threads(3));
+    assert_eq!(one.lambda, three.lambda);
+    assert_eq!(one.cholesky, three.cholesky);
+    assert_eq!(one.evaluations, three.evaluations);
+}
+
+#[test]
+fn values_that_are_not_finite_are_named() {
+    let mut data = vec![0.0; 12];
+    data[7] = f64::INFINITY;
+    let message = Matrix::new("inputs", 3, data).unwrap_err().to_string();
+    assert_eq!(
+        message,
+        "inputs holds inf at row 2, column 1: every value must be finite"
+    );
+}
+
+#[test]
+fn sizes_and_settings_that_do_not_fit_are_named() {
+    let fixture = Fixture::read();
+    let (inputs, outputs) = (fixture.inputs(), fixture.outputs());
+    let failure = |inputs: &Matrix, mean: &[f64], settings: &FitSettings| {
+        fit(inputs, &outputs, mean, settings)
+            .unwrap_err()
+            .to_string()
+    };
+    let settings = fixture.settings();
+    let message = failure(&matrix(&fixture.inputs[..9]), &fixture.mean, &settings);
+    assert_eq!(message, "outputs has 60 rows: 9 are needed");
+    let message = failure(&inputs, &fixture.mean[..3], &settings);
+    assert_eq!(message, "mean has 3 values: 4 are needed");
+    let message = failure(&inputs, &[0.0, f64::NAN, 0.0, 0.0], &settings);
+    assert!(
+        message.starts_with("mean holds NaN at row 0, column 1"),
+        "{message}"
+    );
+    let output_scale = OutputScale::Given(vec![1.0, 0.0, 1.0, 1.0]);
+    let message = failure(
+        &inputs,
+        &fixture.mean,
+        &FitSettings {
+            output_scale,
+            ..settings.clone()
+        },
+    );
+    assert!(message.contains("output_scale is 0"), "{message}");
+    let message = failure(
+        &inputs,
+        &fixture.mean,
+        &FitSettings {
+            subset: 1,
+            ..settings.clone()
+        },
+    );
+    assert!(
+        message.contains("subset is 1") && message.contains("at least 2"),
+        "{message}"
+    );
+    let bounds = HyperBounds {
+        noise_variance: (1.0, 0.1),
+        ..HyperBounds::default()
+    };
+    let message = failure(&inputs, &fixture.mean, &FitSettings { bounds, ..settings });
+    assert!(message.contains("noise_variance is 1"), "{message}");
+    let message = Matrix::new("outputs", 4, vec![0.0; 7])
+        .unwrap_err()
+        .to_string();
+    assert!(message.starts_with("outputs has 7 values"), "{message}");
+}
