@@ -389,6 +389,57 @@ mod tests {
     }
 
     #[test]
+    fn bowls_that_lean_against_faces_of_the_box_meet_the_optimality_conditions() {
+        // A = B^T B + 0.1 I with B from a fixed sequence; the bowl's own lowest point is outside.
+        const SIZE: usize = 8;
+        let mut state = 1_u64;
+        let mut draw = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 33) as f64 / f64::from(1_u32 << 31) * 2.0 - 1.0
+        };
+        let (mut held, mut evaluations) = (0, 0);
+        for _ in 0..40 {
+            let b: Vec<[f64; SIZE]> = (0..SIZE).map(|_| std::array::from_fn(|_| draw())).collect();
+            let target: [f64; SIZE] = std::array::from_fn(|_| 3.0 * draw());
+            let bowl = |x: &[f64]| {
+                let e: Vec<f64> = x.iter().zip(&target).map(|(x, t)| x - t).collect();
+                let be: Vec<f64> = b.iter().map(|row| dot(row, &e)).collect();
+                let column = |i: usize| b.iter().zip(&be).map(|(row, be)| row[i] * be).sum::<f64>();
+                let gradient: Vec<f64> = (0..SIZE).map(|i| column(i) + 0.1 * e[i]).collect();
+                Some((0.5 * dot(&e, &gradient), gradient))
+            };
+            let settings = Settings {
+                value_tolerance: 0.0,
+                ..Settings::default()
+            };
+            let found = minimise(bowl, &[0.0; SIZE], &[-1.0; SIZE], &[1.0; SIZE], &settings);
+            let found = found.unwrap();
+            let (_, gradient) = bowl(&found.point).unwrap();
+            for (x, g) in found.point.iter().zip(gradient) {
+                held += usize::from(x.abs() == 1.0);
+                let optimal = g.abs() < 1e-5 || (*x == 1.0 && g < 0.0) || (*x == -1.0 && g > 0.0);
+                assert!(optimal, "slope {g} at {x}, {:?}", found.ending);
+            }
+            evaluations += found.evaluations;
+        }
+        assert!(held > 40, "only {held} variables ended on a face");
+        assert!(evaluations < 40 * 15, "{evaluations} evaluations");
+    }
+
+    #[test]
+    fn long_even_slope_is_crossed_by_doubling_the_step() {
+        let cone = |x: &[f64]| {
+            let height = (1.0 + x[0] * x[0]).sqrt();
+            Some((height, vec![x[0] / height]))
+        };
+        let found = minimise(cone, &[1000.0], &[-1e4], &[1e4], &Settings::default()).unwrap();
+        assert!(found.point[0].abs() < 1e-3, "{:?}", found.point);
+        assert!(found.evaluations < 50, "{} evaluations", found.evaluations);
+    }
+
+    #[test]
     fn holes_in_the_function_are_walked_around() {
         // ln x exists only above 0; the first steps jump below.
         let barrier = |x: &[f64]| (x[0] > 0.0).then(|| (x[0] - x[0].ln(), vec![1.0 - 1.0 / x[0]]));

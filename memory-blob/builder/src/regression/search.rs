@@ -41,10 +41,7 @@ pub(super) fn search(
         .map(|start| climb(subset, start, &settings.search))
         .collect();
     let mut evaluations = ends.iter().flatten().map(|end| end.evaluations).sum();
-    let best = ends
-        .into_iter()
-        .flatten()
-        .reduce(|a, b| if b.value < a.value { b } else { a });
+    let best = lowest(ends);
     // Without any end no start had a value: the factor of all samples will say so, with the reason.
     let mut point = best.map_or(first, |end| end.point);
     if settings.polish > 0 && whole.rows() > subset.rows() {
@@ -62,6 +59,12 @@ pub(super) fn search(
         }
     }
     (Kernel::from_logarithms(&point), evaluations)
+}
+
+/// The lowest end, the earliest of equal ones.
+fn lowest(ends: Vec<Option<lbfgs::Minimum>>) -> Option<lbfgs::Minimum> {
+    let found = ends.into_iter().flatten();
+    found.reduce(|a, b| if b.value < a.value { b } else { a })
 }
 
 /// The point with a noise at least 100 times its lower bound. Where the noise has all but vanished
@@ -141,4 +144,38 @@ pub(super) fn draw_subset(rows: usize, settings: &FitSettings) -> Vec<usize> {
         order.sort_unstable();
     }
     order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lowest_end_is_kept_and_the_earliest_of_equal_ones() {
+        let end = |value, at| {
+            Some(lbfgs::Minimum {
+                point: vec![at],
+                value,
+                evaluations: 1,
+                ending: lbfgs::Ending::Value,
+            })
+        };
+        let ends = vec![
+            None,
+            end(2.0, 0.0),
+            end(-1.0, 1.0),
+            end(-1.0, 2.0),
+            end(0.0, 3.0),
+        ];
+        assert_eq!(lowest(ends).unwrap().point, [1.0]);
+        assert!(lowest(vec![None, None]).is_none());
+    }
+
+    #[test]
+    fn only_a_vanished_noise_is_lifted() {
+        let (lower, _) = box_of(1, &HyperBounds::default());
+        let lifted = lift_noise(&[0.0, 0.0, lower[2]], &lower);
+        assert!((lifted[2].exp() - 1e-4).abs() < 1e-12);
+        assert_eq!(lift_noise(&[0.3, -1.0, -2.0], &lower), [0.3, -1.0, -2.0]);
+    }
 }

@@ -212,34 +212,35 @@ fn gradient_matches_finite_differences() {
 
 #[test]
 fn gradient_matches_finite_differences_with_jitter() {
-    // Every sample twice and next to no noise: only the jitter makes the covariance positive
-    // definite.
+    // Inputs that come twice with different outputs, and a noise a little below zero: only a jitter
+    // makes the covariance positive definite, and the likelihood hangs on it.
     let fixture = Fixture::read();
-    let twice = |rows: &[Vec<f64>]| matrix(&[&rows[..8], &rows[..8]].concat());
-    let samples = Likelihood::new(&twice(&fixture.inputs), &twice(&fixture.outputs)).unwrap();
+    let twice = matrix(&[&fixture.inputs[..8], &fixture.inputs[..8]].concat());
+    let samples = Likelihood::new(&twice, &matrix(&fixture.outputs[..16])).unwrap();
     let kernel = Kernel {
-        length_scales: vec![40.0; 3],
-        signal_variance: 1e4,
-        noise_variance: 1e-14,
+        noise_variance: -1e-5,
+        ..fixture.kernel()
     };
-    let columns = inputs::Inputs::new(&twice(&fixture.inputs)).scaled(&kernel);
-    let covariance = columns.covariance(kernel.signal_variance);
+    let covariance = inputs::Inputs::new(&twice)
+        .scaled(&kernel)
+        .covariance(kernel.signal_variance);
     let factor = likelihood::Factor::new(&covariance, &kernel).unwrap();
-    assert!(factor.jitter > 0.0);
-    let (value, gradient) = samples.value_and_gradient(&kernel).unwrap();
-    assert!(value.is_finite() && gradient.iter().all(|g| g.is_finite()));
-    // scaling signal, noise and jitter together by c is the same as scaling the outputs: the jitter
-    // must follow phi_o
-    let (n, step) = (3, 1e-4);
-    let moved = |shift: f64| {
-        let mut logarithms = kernel.logarithms();
-        logarithms[n] += shift;
-        samples
-            .value(&Kernel::from_logarithms(&logarithms))
-            .unwrap()
+    assert_eq!(factor.jitter, 1e-4 * kernel.signal_variance);
+    let (_, gradient) = samples.value_and_gradient(&kernel).unwrap();
+    let value = |shift: f64| {
+        let signal_variance = kernel.signal_variance * (2.0 * shift).exp();
+        let moved = Kernel {
+            signal_variance,
+            ..kernel.clone()
+        };
+        samples.value(&moved).unwrap()
     };
-    let difference = (moved(step) - moved(-step)) / (2.0 * step);
-    assert_close(gradient[n], difference, 1e-3);
+    let difference = (value(1e-5) - value(-1e-5)) / 2e-5;
+    assert!(
+        (gradient[3] / difference - 1.0).abs() < 1e-5,
+        "{} {difference}",
+        gradient[3]
+    );
 }
 
 #[test]
@@ -401,6 +402,26 @@ fn polishing_on_all_samples_raises_their_likelihood_within_its_budget() {
     let (rough, polished) = (with(0), with(20));
     assert!(polished.log_marginal_likelihood > rough.log_marginal_likelihood + 1.0);
     assert!(polished.evaluations <= rough.evaluations + 20);
+}
+
+#[test]
+fn noise_that_vanished_on_the_subset_comes_back_by_polishing() {
+    let fixture = Fixture::read();
+    let with = |polish| {
+        fixture.fit(&FitSettings {
+            polish,
+            seed: 1,
+            subset: 10,
+            ..fixture.settings()
+        })
+    };
+    let (rough, polished) = (with(0), with(40));
+    assert!(rough.noise_variance < 1.1e-6, "{}", rough.noise_variance);
+    assert!(
+        polished.noise_variance > 1e-3,
+        "{}",
+        polished.noise_variance
+    );
 }
 
 #[test]
