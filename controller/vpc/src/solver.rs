@@ -69,6 +69,11 @@ impl Status {
     pub fn is_success(self) -> bool {
         matches!(self, Self::Converged | Self::Stalled)
     }
+
+    /// Whether the plan violates no constraint.
+    pub fn is_feasible(self) -> bool {
+        self.is_success() || self == Self::IterationLimit
+    }
 }
 
 /// The solution of one cycle's problem.
@@ -90,6 +95,20 @@ pub struct Solution {
     pub violation_px: f64,
     /// Worst predicted violation at the first step, px.
     pub next_violation_px: f64,
+}
+
+impl Solution {
+    /// The solution of a problem that has none: the zero twist.
+    const NONE: Self = Self {
+        plan: [0.0; MAX_VARIABLES],
+        status: Status::NumericalFailure,
+        iterations: 0,
+        qp_iterations: 0,
+        cost: f64::INFINITY,
+        merit: f64::INFINITY,
+        violation_px: f64::INFINITY,
+        next_violation_px: f64::INFINITY,
+    };
 }
 
 /// What a plan leads to.
@@ -142,6 +161,25 @@ impl Solver {
         self.outcome(problem, plan).map(|outcome| outcome.cost)
     }
 
+    /// Solves the problem from each start in turn until one solution violates nothing; otherwise returns the one
+    /// that violates least. Counts the work of all.
+    pub fn solve_from(&mut self, problem: &Problem<'_>, starts: &[Plan]) -> Solution {
+        let mut best: Option<Solution> = None;
+        let (mut iterations, mut qp_iterations) = (0, 0);
+        for start in starts {
+            let found = self.solve(problem, start);
+            iterations += found.iterations;
+            qp_iterations += found.qp_iterations;
+            if best.is_none_or(|best| found.violation_px < best.violation_px) {
+                best = Some(found);
+            }
+            if found.status.is_feasible() {
+                break;
+            }
+        }
+        Solution { iterations, qp_iterations, ..best.unwrap_or(Solution::NONE) }
+    }
+
     /// Solves the problem from the warm start `warm`.
     pub fn solve(&mut self, problem: &Problem<'_>, warm: &Plan) -> Solution {
         let n = self.preview.variables();
@@ -149,16 +187,7 @@ impl Solver {
         let mut plan = clamped(warm, n, problem.task);
         let mut rho = penalty(problem, self.preview.np());
         let mut raises = 0;
-        let mut solution = Solution {
-            plan: [0.0; MAX_VARIABLES],
-            status: Status::NumericalFailure,
-            iterations: 0,
-            qp_iterations: 0,
-            cost: f64::INFINITY,
-            merit: f64::INFINITY,
-            violation_px: f64::INFINITY,
-            next_violation_px: f64::INFINITY,
-        };
+        let mut solution = Solution::NONE;
         let start = match self.outcome(problem, &plan) {
             Some(start) => Some(start),
             None => {

@@ -1,5 +1,17 @@
-//! To come.
+//! Builds a memory of motion off line: the paper's two algorithms, adaptive sampling, and regression.
+//!
+//! [`build`] draws starts and collects the trajectories that [`trajectory`] finds step by step with [`solution`];
+//! starts that the controller leaves stuck go to [`planner`]. [`store`] keeps samples and way points, [`subsample`]
+//! chooses those that [`regression`] is fitted to, and [`memory`] writes the file.
 
+pub mod build;
 pub mod lbfgs;
 pub mod mixture;
+pub mod planner;
 pub mod regression;
+pub mod settings;
+pub mod solution;
+pub mod start;
+pub mod store;
+pub mod subsample;
+pub mod trajectory;

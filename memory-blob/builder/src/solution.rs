@@ -1,0 +1,87 @@
+//! One step of a trajectory: the paper's FIND SOLUTION.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use vpc::prediction::{Origin, Plan};
+use vpc::recall::{self, Recall};
+use vpc::solver::{Problem, Solver};
+use vpc::{MAX_VARIABLES, Points, Strategy, Task, Twist, cost};
+
+use crate::settings::BuildSettings;
+use crate::store::Store;
+
+/// Random directions tried after the predefined ones.
+const RANDOM_DIRECTIONS: usize = 10;
+/// Predefined directions: each component of the camera velocity, both ways.
+const PREDEFINED_DIRECTIONS: usize = 12;
+
+/// Finds commands; owns the solver's workspace.
+pub struct Finder<'a> {
+    /// The task.
+    pub task: &'a Task,
+    /// The settings of the builder.
+    pub settings: &'a BuildSettings,
+    solver: Box<Solver>,
+}
+
+impl<'a> Finder<'a> {
+    /// A finder with a solver of its own.
+    pub fn new(task: &'a Task, settings: &'a BuildSettings) -> Self {
+        let solver = Box::new(Solver::new(settings.np, 1, settings.effort()));
+        Self { task, settings, solver }
+    }
+
+    /// The next command from the features `points`: guided by the memory where features are close to an occlusion
+    /// (`store` is given once it holds enough trajectories), else from the `previous` command; and where that gives
+    /// no success, from 12 predefined and 10 random directions. `None` where every start fails.
+    ///
+    /// Source: paper, the second algorithm.
+    pub fn find(
+        &mut self,
+        points: &Points,
+        previous: &Twist,
+        store: Option<&Store>,
+        rng: &mut ChaCha8Rng,
+    ) -> Option<Twist> {
+        let close = recall::clearance(self.task, points) < self.settings.trigger_px;
+        let recalled = store
+            .filter(|_| close)
+            .and_then(|store| recall::query(self.task, Strategy::Knn { k: 1 }, store, points));
+        let first = match recalled {
+            Some(Recall { twist, way_point }) => self.solve(points, &way_point, &twist),
+            None => self.solve(points, &self.task.goal.clone(), previous),
+        };
+        let mut random = ChaCha8Rng::from_rng(rng);
+        first.or_else(|| {
+            let goal = self.task.goal.clone();
+            let predefined = (0..PREDEFINED_DIRECTIONS).map(|k| self.direction(k)).collect::<Vec<_>>();
+            let random = (0..RANDOM_DIRECTIONS).map(|_| self.random_direction(&mut random)).collect::<Vec<_>>();
+            predefined.iter().chain(&random).find_map(|start| self.solve(points, &goal, start))
+        })
+    }
+
+    /// Solves one problem from `warm` towards `target`; `None` where the solution violates a constraint or did not
+    /// converge.
+    pub fn solve(&mut self, points: &Points, target: &Points, warm: &Twist) -> Option<Twist> {
+        let origin = Origin::new(self.task, BuildSettings::MODEL, points);
+        let problem = Problem {
+            task: self.task,
+            origin: &origin,
+            target,
+            r_share: cost::r_share(self.task, points, target),
+            margin: 0.0,
+        };
+        let plan: Plan = std::array::from_fn(|k| if k < 6 { warm[k] } else { 0.0 });
+        let solution = self.solver.solve_from(&problem, &[plan, [0.0; MAX_VARIABLES]]);
+        solution.status.is_feasible().then(|| std::array::from_fn(|k| solution.plan[k]))
+    }
+
+    fn direction(&self, k: usize) -> Twist {
+        let sign = if k.is_multiple_of(2) { 1.0 } else { -1.0 };
+        std::array::from_fn(|i| if i == k / 2 { sign * self.task.limits[i] } else { 0.0 })
+    }
+
+    fn random_direction(&self, rng: &mut ChaCha8Rng) -> Twist {
+        std::array::from_fn(|i| self.task.limits[i] * (2.0 * rng.random::<f64>() - 1.0))
+    }
+}

@@ -1,0 +1,153 @@
+//! Random starts: poses of the object in the camera frame, drawn from the scene's region.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use scene::{Pose, Scene};
+use vpc::{Points, Task, constraint, features};
+
+use crate::mixture::Mixture;
+
+/// Draws before a region is given up as having no valid start.
+const MAX_DRAWS: usize = 100_000;
+
+/// The scene's region holds no valid start.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "starts: none of {MAX_DRAWS} draws from the region is clear of image border and occlusions and far enough from \
+     the goal; allowed: a region, `clearance_px` and `min_error_px` that leave room"
+)]
+pub struct NoStart;
+
+/// A number uniformly between `low` and `high`.
+pub(crate) fn uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
+    low + (high - low) * rng.random::<f64>()
+}
+
+/// A pose drawn uniformly from the region: a tilt about the image axes first, then a roll about the optical axis.
+pub fn draw(scene: &Scene, rng: &mut ChaCha8Rng) -> Pose {
+    let region = &scene.starts;
+    let translation =
+        std::array::from_fn(|k| uniform(rng, region.translation_min[k], region.translation_max[k]));
+    let tilt = Vector3::new(
+        uniform(rng, -region.tilt_max, region.tilt_max),
+        uniform(rng, -region.tilt_max, region.tilt_max),
+        0.0,
+    );
+    let roll = Vector3::new(0.0, 0.0, uniform(rng, -region.roll_max, region.roll_max));
+    let rotation = Rotation3::new(roll) * Rotation3::new(tilt);
+    Pose { translation, rotation: rotation.scaled_axis().into() }
+}
+
+/// The features of a start, where it meets the scene's conditions: every point clear of border and occlusions, and
+/// far enough from the goal.
+pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Points> {
+    let region = &scene.starts;
+    let points = task.features_at(pose)?;
+    let clear = points.iter().all(|&pixel| {
+        constraint::least_clearance(task, pixel).min(constraint::border_clearance(task, pixel))
+            >= region.clearance_px
+    });
+    let mean: f64 = points
+        .iter()
+        .zip(&task.goal)
+        .map(|(s, t)| (s[0] - t[0]).hypot(s[1] - t[1]))
+        .sum::<f64>()
+        / points.len() as f64;
+    // The camera must see the front of the pattern.
+    let facing = orientation(&points) == orientation(&task.goal);
+    (clear && facing && mean >= region.min_error_px).then_some(points)
+}
+
+/// A valid start: from the failures' mixture where one is given, else from the whole region.
+///
+/// # Errors
+/// [`NoStart`] where the region holds none.
+pub fn valid(
+    scene: &Scene,
+    task: &Task,
+    near: Option<&Mixture>,
+    rng: &mut ChaCha8Rng,
+) -> Result<Pose, NoStart> {
+    for _ in 0..MAX_DRAWS {
+        let pose = match near {
+            Some(mixture) => pose_of(mixture.sample(rng)),
+            None => draw(scene, rng),
+        };
+        if inside(scene, &pose) && features_if_valid(scene, task, &pose).is_some() {
+            return Ok(pose);
+        }
+    }
+    if near.is_some() { valid(scene, task, None, rng) } else { Err(NoStart) }
+}
+
+/// A pose as the point of R^6 that mixtures are fitted to.
+pub fn coordinates(pose: &Pose) -> [f64; 6] {
+    std::array::from_fn(|k| if k < 3 { pose.translation[k] } else { pose.rotation[k - 3] })
+}
+
+fn pose_of(x: [f64; 6]) -> Pose {
+    Pose { translation: [x[0], x[1], x[2]], rotation: [x[3], x[4], x[5]] }
+}
+
+/// Whether a pose lies in the region (a mixture reaches beyond it).
+fn inside(scene: &Scene, pose: &Pose) -> bool {
+    let region = &scene.starts;
+    let placed = (0..3).all(|k| {
+        (region.translation_min[k]..=region.translation_max[k]).contains(&pose.translation[k])
+    });
+    // R = Rz(roll) R(tilt), tilt about an axis in the image plane: the third row of R holds the tilt alone.
+    let r: Matrix3<f64> = Rotation3::new(Vector3::from(pose.rotation)).into_inner();
+    let angle = r[(2, 2)].clamp(-1.0, 1.0).acos();
+    let axis = Vector3::new(r[(2, 1)], -r[(2, 0)], 0.0);
+    let tilt = axis.try_normalize(1e-12).map_or(Vector3::zeros(), |axis| axis * angle);
+    let roll = (Rotation3::from_matrix_unchecked(r) * Rotation3::new(-tilt)).scaled_axis().z;
+    placed
+        && tilt.x.abs() <= region.tilt_max + 1e-9
+        && tilt.y.abs() <= region.tilt_max + 1e-9
+        && roll.abs() <= region.roll_max + 1e-9
+}
+
+/// Whether the polygon of the points turns left or right.
+fn orientation(points: &[[f64; 2]]) -> bool {
+    let next = points.iter().cycle().skip(1);
+    points.iter().zip(next).map(|(p, q)| p[0] * q[1] - q[0] * p[1]).sum::<f64>() > 0.0
+}
+
+/// Largest distance between corresponding points, px: how far an image has moved.
+pub fn image_motion(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
+    a.iter().zip(b).map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1])).fold(0.0, f64::max)
+}
+
+/// Largest component of s - s*, px.
+pub fn error(task: &Task, points: &[[f64; 2]]) -> f64 {
+    features::largest_error(points, &task.goal)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+
+    #[test]
+    fn every_drawn_pose_is_in_its_region_and_a_foreign_one_is_not() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for _ in 0..1000 {
+            assert!(inside(&scene, &draw(&scene, &mut rng)));
+        }
+        let tilted = Pose { translation: [0.0, 0.0, 0.8], rotation: [0.8, 0.0, 0.0] };
+        assert!(!inside(&scene, &tilted));
+    }
+
+    #[test]
+    fn the_papers_fixed_starts_are_valid_ones() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let task = Task::new(&scene).unwrap();
+        let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "sim").unwrap();
+        let valid =
+            starts.iter().filter(|p| inside(&scene, p) && features_if_valid(&scene, &task, p).is_some());
+        // The distance to an ellipse is first-order here, so a start at the very border may differ.
+        assert!(valid.count() >= 98);
+    }
+}

@@ -1,0 +1,141 @@
+//! One trajectory from a start to the goal.
+
+use nalgebra::Vector3;
+use rand_chacha::ChaCha8Rng;
+use scene::{Pose, Scene};
+use vpc::motion::{self, Motion};
+use vpc::{Points, Task, Twist, camera, constraint};
+
+use crate::planner;
+use crate::solution::Finder;
+use crate::start::{error, image_motion};
+use crate::store::{Store, Trajectory};
+
+/// Periods without motion after which a trajectory counts as stuck.
+const STUCK_PERIODS: usize = 6;
+/// Image motion below which a period counts as one without motion: share of the motion that the camera's linear limit
+/// gives the pattern at its goal.
+const STILL: f64 = 2e-3;
+/// Constraint violation that an exact step may show after the solver's tolerance, px.
+const TOLERATED_PX: f64 = 1.0;
+
+/// Why a start gave no trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Failure {
+    /// The features stopped moving short of the goal.
+    Stuck,
+    /// No start of the solver gave a feasible command.
+    NoSolution,
+    /// A feature went into an occlusion or out of the image.
+    Violation,
+    /// The scene's time ran out.
+    TimeOut,
+}
+
+/// The camera, simulated exactly: the points of the pattern in its frame.
+#[derive(Clone)]
+pub(crate) struct Camera {
+    points: Vec<Vector3<f64>>,
+}
+
+impl Camera {
+    pub(crate) fn at(task: &Task, pose: &Pose) -> Self {
+        let rotation = motion::rotation(pose.rotation);
+        let translation = Vector3::from(pose.translation);
+        let place = |p: &[f64; 3]| rotation * Vector3::from(*p) + translation;
+        Self { points: task.pattern.iter().map(place).collect() }
+    }
+
+    pub(crate) fn features(&self, task: &Task) -> Option<Points> {
+        self.points.iter().map(|x| camera::project(&task.camera, (*x).into())).collect()
+    }
+
+    pub(crate) fn advance(&mut self, task: &Task, twist: &Twist) {
+        let motion = Motion::of_camera(twist, task.ts);
+        self.points.iter_mut().for_each(|x| *x = motion.apply(x));
+    }
+}
+
+/// Runs from a start to the goal, step by step; `command` gives the next command from features and last command.
+///
+/// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not failed").
+pub(crate) fn run(
+    scene: &Scene,
+    task: &Task,
+    start: &Pose,
+    mut command: impl FnMut(&Points, &Twist) -> Option<Twist>,
+) -> Result<Trajectory, Failure> {
+    let periods = (scene.success.time_s * scene.camera.rate_hz) as usize;
+    let fastest = scene.limits.linear * task.ts * task.camera.fx / scene.goal.translation[2];
+    let still = STILL * fastest;
+    let mut camera = Camera::at(task, start);
+    let mut trajectory = Trajectory { features: Vec::new(), twists: Vec::new() };
+    let (mut twist, mut rest) = ([0.0; 6], 0);
+    for _ in 0..=periods {
+        let points = camera.features(task).ok_or(Failure::Violation)?;
+        if !is_visible(task, &points) {
+            return Err(Failure::Violation);
+        }
+        let moved = trajectory.features.last().map_or(f64::INFINITY, |last| image_motion(last, &points));
+        rest = if moved < still { rest + 1 } else { 0 };
+        trajectory.features.push(points.to_vec());
+        // Half of what counts as arrived, so that the end of a trajectory lies inside it.
+        if error(task, &points) < 0.5 * scene.success.convergence_px {
+            return Ok(trajectory);
+        }
+        if rest >= STUCK_PERIODS {
+            return Err(Failure::Stuck);
+        }
+        twist = command(&points, &twist).ok_or(Failure::NoSolution)?;
+        trajectory.twists.push(twist);
+        camera.advance(task, &twist);
+    }
+    Err(Failure::TimeOut)
+}
+
+/// A trajectory by the paper's algorithms, guided by `store` where it is given; where that fails and the settings
+/// allow it, along a path that the planner finds.
+pub fn generate(
+    scene: &Scene,
+    finder: &mut Finder<'_>,
+    start: &Pose,
+    store: Option<&Store>,
+    rng: &mut ChaCha8Rng,
+) -> Result<Trajectory, Failure> {
+    let task = finder.task;
+    let found = run(scene, task, start, |points, previous| finder.find(points, previous, store, rng));
+    match found {
+        Err(failure) if finder.settings.planner => {
+            planner::path(scene, task, start, rng)
+                .and_then(|path| follow(scene, finder, start, &path))
+                .ok_or(failure)
+        }
+        other => other,
+    }
+}
+
+/// Tracks a path of features by the controller: the way point runs ahead of the features by a distance that is
+/// halved until the trajectory gets through.
+fn follow(scene: &Scene, finder: &mut Finder<'_>, start: &Pose, path: &[Points]) -> Option<Trajectory> {
+    let task = finder.task;
+    [0.15, 0.08, 0.04, 0.02].iter().find_map(|share| {
+        let ahead = share * task.camera.width;
+        let mut next = 0;
+        run(scene, task, start, |points, previous| {
+            while next < path.len() && image_motion(points, &path[next]) < ahead {
+                next += 1;
+            }
+            let target = path.get(next).unwrap_or(&task.goal).clone();
+            finder.solve(points, &target, previous)
+        })
+        .ok()
+    })
+}
+
+/// Whether every point is inside the image and outside the occlusions.
+fn is_visible(task: &Task, points: &Points) -> bool {
+    points.iter().all(|&pixel| {
+        constraint::least_clearance(task, pixel) > -TOLERATED_PX
+            && constraint::border_clearance(task, pixel) > -TOLERATED_PX
+    })
+}
