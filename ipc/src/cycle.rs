@@ -1,0 +1,324 @@
+//! What one cycle of the controller did, and how long it took.
+
+use core::mem::{offset_of, size_of};
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::MAX_POINTS;
+use crate::message::{self, Invalid, Message, Qos, Stamp, codes};
+
+codes! {
+    /// What starts a cycle.
+    ClockMode {
+        /// An absolute grid in time.
+        Fixed = 0 => "fixed",
+        /// Each new features message.
+        Lockstep = 1 => "lockstep",
+    }
+}
+
+codes! {
+    /// Why a cycle sent the zero twist.
+    Hold {
+        /// It did not: the law's twist was sent.
+        None = 0 => "none",
+        /// No features have come yet.
+        NoFeatures = 1 => "no features",
+        /// The latest features are older than the stale limit.
+        Stale = 2 => "stale features",
+        /// A message was refused on reception: count or numbers.
+        Invalid = 3 => "invalid message",
+        /// A point was not visible.
+        Hidden = 4 => "hidden point",
+        /// The count of points is not the pattern's.
+        Count = 5 => "wrong count",
+        /// A point is not finite.
+        NotFinite = 6 => "not finite",
+        /// A point lies outside the image.
+        OffImage = 7 => "off image",
+        /// The shared memory failed.
+        Transport = 8 => "transport",
+        /// The law gave a twist that is not finite or beyond the limits.
+        BadTwist = 9 => "bad twist",
+    }
+}
+
+codes! {
+    /// How the solver ended.
+    SolverStatus {
+        /// It did not run.
+        Idle = 0 => "idle",
+        /// Optimal to the tolerance, no constraint violated.
+        Converged = 1 => "converged",
+        /// Feasible, but the iterations ran out.
+        IterationLimit = 2 => "iteration limit",
+        /// No further decrease.
+        Stalled = 3 => "stalled",
+        /// The best plan violates a constraint.
+        Infeasible = 4 => "infeasible",
+        /// No plan could be computed.
+        NumericalFailure = 5 => "numerical failure",
+    }
+}
+
+codes! {
+    /// Strategy of the law.
+    StrategyCode {
+        /// Warm start from the previous cycle.
+        Previous = 0 => "previous",
+        /// k nearest neighbours of the memory.
+        Knn = 1 => "knn",
+        /// Gaussian-process regression over the memory.
+        Gpr = 2 => "gpr",
+        /// Classic image-based visual servoing.
+        Ibvs = 3 => "ibvs",
+    }
+}
+
+/// Telemetry of one cycle; service `vpc/cycles`. Numbers of the law are NaN where it did not run.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
+#[type_name("vpc/CycleRecord/1")]
+pub struct CycleRecord {
+    /// Head; `data_ns` is when the cycle woke up.
+    pub stamp: Stamp,
+    /// Number of the cycle, from 1.
+    pub cycle: u64,
+    /// A [`ClockMode`] code.
+    pub clock: u32,
+    /// A [`SolverStatus`] code.
+    pub status: u32,
+    /// Wake-up after the release, ns; 0 in lockstep.
+    pub wake_latency_ns: u64,
+    /// Time taken by receiving and the gate, ns.
+    pub receive_ns: u64,
+    /// Time taken by the law, ns.
+    pub step_ns: u64,
+    /// Time taken by sending, ns.
+    pub send_ns: u64,
+    /// Releases missed since the start.
+    pub overruns: u64,
+    /// Sequence number of the features used; 0 where none were.
+    pub features_sequence: u64,
+    /// Age of the features used when the cycle woke up, from the middle of the exposure, ns.
+    pub features_age_ns: u64,
+    /// Records lost since the start because the recorder was slower than the loop.
+    pub lost_records: u64,
+    /// Points in `points`, 0 to 8.
+    pub count: u32,
+    /// Points in `way_point`: 0 where the goal is tracked.
+    pub way_point_count: u32,
+    /// 1 where the memory was asked, else 0.
+    pub recalled: u32,
+    /// A [`StrategyCode`].
+    pub strategy: u32,
+    /// Neighbours averaged by k-NN; 0 for other strategies.
+    pub neighbours: u32,
+    /// Steps previewed.
+    pub np: u32,
+    /// Iterations of the solver.
+    pub iterations: u32,
+    /// Active-set changes in its quadratic programs.
+    pub qp_iterations: u32,
+    /// A [`Hold`] code.
+    pub hold: u32,
+    /// A [`crate::TwistState`] code.
+    pub state: u32,
+    /// Features used, u1 v1 u2 v2 ..., px.
+    pub points: [f64; 2 * MAX_POINTS],
+    /// Way point tracked instead of the goal, u1 v1 u2 v2 ..., px.
+    pub way_point: [f64; 2 * MAX_POINTS],
+    /// Camera twist that was sent, camera frame, m/s and rad/s.
+    pub twist: [f64; 6],
+    /// The paper's running cost of the command that was sent.
+    pub cost: f64,
+    /// Worst violation predicted over the window, px.
+    pub violation_px: f64,
+    /// Least clearance of a feature from an occlusion, px; infinite in a scene without any.
+    pub clearance_px: f64,
+    /// Largest component of s - s*, px.
+    pub error_px: f64,
+}
+
+const _: () = {
+    assert!(size_of::<CycleRecord>() == 480);
+    assert!(offset_of!(CycleRecord, cycle) == 24);
+    assert!(offset_of!(CycleRecord, clock) == 32);
+    assert!(offset_of!(CycleRecord, status) == 36);
+    assert!(offset_of!(CycleRecord, wake_latency_ns) == 40);
+    assert!(offset_of!(CycleRecord, receive_ns) == 48);
+    assert!(offset_of!(CycleRecord, step_ns) == 56);
+    assert!(offset_of!(CycleRecord, send_ns) == 64);
+    assert!(offset_of!(CycleRecord, overruns) == 72);
+    assert!(offset_of!(CycleRecord, features_sequence) == 80);
+    assert!(offset_of!(CycleRecord, features_age_ns) == 88);
+    assert!(offset_of!(CycleRecord, lost_records) == 96);
+    assert!(offset_of!(CycleRecord, count) == 104);
+    assert!(offset_of!(CycleRecord, way_point_count) == 108);
+    assert!(offset_of!(CycleRecord, recalled) == 112);
+    assert!(offset_of!(CycleRecord, strategy) == 116);
+    assert!(offset_of!(CycleRecord, neighbours) == 120);
+    assert!(offset_of!(CycleRecord, np) == 124);
+    assert!(offset_of!(CycleRecord, iterations) == 128);
+    assert!(offset_of!(CycleRecord, qp_iterations) == 132);
+    assert!(offset_of!(CycleRecord, hold) == 136);
+    assert!(offset_of!(CycleRecord, state) == 140);
+    assert!(offset_of!(CycleRecord, points) == 144);
+    assert!(offset_of!(CycleRecord, way_point) == 272);
+    assert!(offset_of!(CycleRecord, twist) == 400);
+    assert!(offset_of!(CycleRecord, cost) == 448);
+    assert!(offset_of!(CycleRecord, violation_px) == 456);
+    assert!(offset_of!(CycleRecord, clearance_px) == 464);
+    assert!(offset_of!(CycleRecord, error_px) == 472);
+};
+
+impl Default for CycleRecord {
+    /// A cycle in which nothing happened.
+    fn default() -> Self {
+        Self {
+            stamp: Stamp::default(),
+            cycle: 0,
+            clock: ClockMode::Fixed.code(),
+            status: SolverStatus::Idle.code(),
+            wake_latency_ns: 0,
+            receive_ns: 0,
+            step_ns: 0,
+            send_ns: 0,
+            overruns: 0,
+            features_sequence: 0,
+            features_age_ns: 0,
+            lost_records: 0,
+            count: 0,
+            way_point_count: 0,
+            recalled: 0,
+            strategy: StrategyCode::Previous.code(),
+            neighbours: 0,
+            np: 0,
+            iterations: 0,
+            qp_iterations: 0,
+            hold: Hold::None.code(),
+            state: crate::TwistState::Stopped.code(),
+            points: [0.0; 2 * MAX_POINTS],
+            way_point: [0.0; 2 * MAX_POINTS],
+            twist: [0.0; 6],
+            cost: f64::NAN,
+            violation_px: f64::NAN,
+            clearance_px: f64::NAN,
+            error_px: f64::NAN,
+        }
+    }
+}
+
+impl CycleRecord {
+    /// Cause of the zero twist; `None` where the code is unknown, which reception refuses.
+    pub fn hold(&self) -> Option<Hold> {
+        Hold::from_code(self.hold)
+    }
+
+    /// The features used (u, v), px.
+    pub fn pairs(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        pairs(&self.points, self.count)
+    }
+
+    /// The way point (u, v), px; empty where the goal is tracked.
+    pub fn way_point_pairs(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        pairs(&self.way_point, self.way_point_count)
+    }
+}
+
+fn pairs(stacked: &[f64], count: u32) -> impl Iterator<Item = [f64; 2]> + '_ {
+    let count = (count as usize).min(MAX_POINTS);
+    stacked.chunks_exact(2).take(count).map(|p| [p[0], p[1]])
+}
+
+impl Message for CycleRecord {
+    const SERVICE: &'static str = "vpc/cycles";
+    /// A buffer for recorders: half a minute at 30 Hz, a good part of a second in lockstep.
+    const QOS: Qos = Qos {
+        history: 0,
+        buffer: 1024,
+        subscribers: 8,
+    };
+
+    fn stamp(&self) -> &Stamp {
+        &self.stamp
+    }
+
+    fn stamp_mut(&mut self) -> &mut Stamp {
+        &mut self.stamp
+    }
+
+    fn check(&self) -> Result<(), Invalid> {
+        let service = Self::SERVICE;
+        message::check_stamp(service, &self.stamp)?;
+        for (field, found, known) in [
+            (
+                "clock",
+                self.clock,
+                ClockMode::from_code(self.clock).is_some(),
+            ),
+            (
+                "status",
+                self.status,
+                SolverStatus::from_code(self.status).is_some(),
+            ),
+            (
+                "strategy",
+                self.strategy,
+                StrategyCode::from_code(self.strategy).is_some(),
+            ),
+            ("hold", self.hold, Hold::from_code(self.hold).is_some()),
+            (
+                "state",
+                self.state,
+                crate::TwistState::from_code(self.state).is_some(),
+            ),
+        ] {
+            if !known {
+                return Err(Invalid::Code {
+                    service,
+                    field,
+                    found,
+                });
+            }
+        }
+        message::check_count(service, "count", self.count, 0..=MAX_POINTS)?;
+        message::check_count(
+            service,
+            "way_point_count",
+            self.way_point_count,
+            0..=MAX_POINTS,
+        )?;
+        message::check_finite(service, "twist", &self.twist)
+    }
+
+    fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
+        &factories.cycles
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_cycle_is_valid_and_unknown_codes_are_not() {
+        let mut record = CycleRecord::default();
+        record.stamp.sequence = 1;
+        assert_eq!(record.check(), Ok(()));
+        record.hold = 1000;
+        let message = record.check().unwrap_err().to_string();
+        assert!(message.starts_with("vpc/cycles: hold = 1000"), "{message}");
+    }
+
+    #[test]
+    fn a_way_point_has_as_many_points_as_it_says() {
+        let mut record = CycleRecord::default();
+        record.way_point[0] = 3.0;
+        assert_eq!(record.way_point_pairs().count(), 0);
+        record.way_point_count = 1;
+        assert!(record.way_point_pairs().eq([[3.0, 0.0]]));
+        record.way_point_count = 4000;
+        assert_eq!(record.way_point_pairs().count(), 8);
+    }
+}

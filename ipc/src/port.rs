@@ -1,0 +1,363 @@
+//! Typed ports: one message type each, sequence numbers, time stamps, checks; no heap once a connection stands.
+
+use std::ops::Deref;
+use std::rc::Rc;
+
+use iceoryx2::port::publisher::PublisherCreateError;
+use iceoryx2::port::subscriber::SubscriberCreateError;
+use iceoryx2::port::update_connections::{ConnectionFailure, UpdateConnections};
+use iceoryx2::port::{LoanError, SendError};
+use iceoryx2::service::ipc::Service;
+
+use crate::domain::{JoinError, Shared};
+use crate::message::{Invalid, Message, Stamp};
+
+/// Why a port could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The service has its one publisher.
+    #[error(
+        "{service}: another publisher is at work in domain {domain}; allowed: one (stop the other, or use another domain)"
+    )]
+    Taken {
+        /// The service.
+        service: &'static str,
+        /// The domain's directory.
+        domain: String,
+    },
+    /// The service has all the subscribers that it takes.
+    #[error("{service}: {most} subscribers are at work; allowed: {most}")]
+    Full {
+        /// The service.
+        service: &'static str,
+        /// Most subscribers.
+        most: usize,
+    },
+    /// iceoryx2 refused the publisher.
+    #[error("{service}: no publisher: {source}")]
+    Publisher {
+        /// The service.
+        service: &'static str,
+        /// Its reason.
+        source: PublisherCreateError,
+    },
+    /// iceoryx2 refused the subscriber.
+    #[error("{service}: no subscriber: {source}")]
+    Subscriber {
+        /// The service.
+        service: &'static str,
+        /// Its reason.
+        source: SubscriberCreateError,
+    },
+    /// The domain is being left.
+    #[error("{service}: the domain is being left")]
+    Left {
+        /// The service.
+        service: &'static str,
+    },
+    /// The guard of the domain.
+    #[error(transparent)]
+    Guard(#[from] JoinError),
+}
+
+/// Why a message was not published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PublishError {
+    /// No room for the message.
+    #[error("{service}: no room for a message: {source}")]
+    Loan {
+        /// The service.
+        service: &'static str,
+        /// iceoryx2's reason.
+        source: LoanError,
+    },
+    /// Not delivered.
+    #[error("{service}: not delivered: {source}")]
+    Send {
+        /// The service.
+        service: &'static str,
+        /// iceoryx2's reason.
+        source: SendError,
+    },
+}
+
+/// Why nothing could be received.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ReceiveError {
+    /// A message came and was refused.
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    /// The connection failed.
+    #[error("{service}: cannot receive: {source}")]
+    Transport {
+        /// The service.
+        service: &'static str,
+        /// iceoryx2's reason.
+        source: iceoryx2::port::ReceiveError,
+    },
+}
+
+/// What became of a message that was published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sent {
+    /// Its sequence number.
+    pub sequence: u64,
+    /// Its time of publication, CLOCK_MONOTONIC, ns.
+    pub published_ns: u64,
+    /// Subscribers that it was delivered to.
+    pub receivers: usize,
+}
+
+/// The one publisher of a service.
+#[derive(Debug)]
+pub struct Publisher<T: Message> {
+    // Ports before the domain: fields are dropped in this order.
+    port: iceoryx2::port::publisher::Publisher<Service, T, ()>,
+    sequence: u64,
+    _domain: Rc<Shared>,
+}
+
+impl<T: Message> Publisher<T> {
+    pub(crate) fn open(domain: &Rc<Shared>) -> Result<Self, OpenError> {
+        let service = T::SERVICE;
+        let _startup = domain.startup()?;
+        let create = || -> Result<_, OpenError> {
+            let builder = domain.factory::<T>()?.publisher_builder();
+            let port = builder.max_loaned_samples(1).create();
+            port.map_err(|source| match source {
+                PublisherCreateError::ExceedsMaxSupportedPublishers => OpenError::Taken {
+                    service,
+                    domain: domain.directory(),
+                },
+                _ => OpenError::Publisher { service, source },
+            })
+        };
+        let port = match create() {
+            // The other one may have been killed since we joined.
+            Err(OpenError::Taken { .. }) => {
+                domain.bury_the_dead();
+                create()?
+            }
+            result => result?,
+        };
+        Ok(Self {
+            port,
+            sequence: 0,
+            _domain: Rc::clone(domain),
+        })
+    }
+
+    /// Publishes a copy of `message` under the next sequence number and the present time; the rest, `data_ns`
+    /// included, is as given.
+    ///
+    /// # Errors
+    /// [`PublishError`]; the sequence number is used up, so that the loss shows as a gap.
+    pub fn publish(&mut self, message: &T) -> Result<Sent, PublishError> {
+        self.sequence += 1;
+        let mut stamped = *message;
+        let stamp = stamped.stamp_mut();
+        stamp.sequence = self.sequence;
+        stamp.published_ns = crate::now_ns();
+        self.publish_verbatim(&stamped)
+    }
+
+    /// Publishes a message with the stamp that it carries: for replay, and for playing faults.
+    ///
+    /// # Errors
+    /// [`PublishError`].
+    pub fn publish_verbatim(&mut self, message: &T) -> Result<Sent, PublishError> {
+        let service = T::SERVICE;
+        let sample = self
+            .port
+            .loan_uninit()
+            .map_err(|source| PublishError::Loan { service, source })?;
+        let receivers = sample
+            .write_payload(*message)
+            .send()
+            .map_err(|source| PublishError::Send { service, source })?;
+        let Stamp {
+            sequence,
+            published_ns,
+            ..
+        } = *message.stamp();
+        Ok(Sent {
+            sequence,
+            published_ns,
+            receivers,
+        })
+    }
+
+    /// Uses up a sequence number without publishing: a frame that the camera took and lost.
+    pub fn skip(&mut self) {
+        self.sequence += 1;
+    }
+
+    /// Looks for subscribers that came since the last message, and hands them the history of the service. Publishing
+    /// does it too; who waits for an answer before publishing again must do it while waiting.
+    ///
+    /// # Errors
+    /// [`PublishError::Send`] where a connection cannot be made.
+    pub fn refresh(&mut self) -> Result<(), PublishError> {
+        self.port
+            .update_connections()
+            .map_err(|source: ConnectionFailure| PublishError::Send {
+                service: T::SERVICE,
+                source: source.into(),
+            })
+    }
+}
+
+/// Where a message stands in the sequence of its service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// The first one that this subscriber sees.
+    First,
+    /// The successor of the one before.
+    Next,
+    /// Some between were missed or overwritten.
+    Gap {
+        /// How many.
+        missed: u64,
+    },
+    /// The same one again, by the history of the service.
+    Repeated,
+    /// The publisher started again.
+    Restarted,
+}
+
+impl Order {
+    /// Where `stamp` stands after `last`.
+    fn after(last: Option<Stamp>, stamp: &Stamp) -> Self {
+        let Some(last) = last else { return Self::First };
+        match stamp.sequence.checked_sub(last.sequence) {
+            None => Self::Restarted,
+            Some(0) if stamp.published_ns == last.published_ns => Self::Repeated,
+            Some(0) => Self::Restarted,
+            Some(1) => Self::Next,
+            Some(n) => Self::Gap { missed: n - 1 },
+        }
+    }
+}
+
+/// A received message that passed its checks, and where it stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Received<T> {
+    /// The message.
+    pub message: T,
+    /// Where it stands in the sequence.
+    pub order: Order,
+}
+
+impl<T> Deref for Received<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.message
+    }
+}
+
+/// A subscriber of a service.
+#[derive(Debug)]
+pub struct Subscriber<T: Message> {
+    port: iceoryx2::port::subscriber::Subscriber<Service, T, ()>,
+    buffer: usize,
+    last: Option<Stamp>,
+    _domain: Rc<Shared>,
+}
+
+impl<T: Message> Subscriber<T> {
+    pub(crate) fn open(domain: &Rc<Shared>, buffer: usize) -> Result<Self, OpenError> {
+        let service = T::SERVICE;
+        let _startup = domain.startup()?;
+        let create = || -> Result<_, OpenError> {
+            let builder = domain.factory::<T>()?.subscriber_builder();
+            let port = builder.buffer_size(buffer).create();
+            port.map_err(|source| match source {
+                SubscriberCreateError::ExceedsMaxSupportedSubscribers => OpenError::Full {
+                    service,
+                    most: T::QOS.subscribers,
+                },
+                _ => OpenError::Subscriber { service, source },
+            })
+        };
+        let port = match create() {
+            Err(OpenError::Full { .. }) => {
+                domain.bury_the_dead();
+                create()?
+            }
+            result => result?,
+        };
+        Ok(Self {
+            port,
+            buffer,
+            last: None,
+            _domain: Rc::clone(domain),
+        })
+    }
+
+    /// The newest message since the last call; `None` where there is none. Older ones are thrown away, and count as
+    /// a gap.
+    ///
+    /// # Errors
+    /// [`ReceiveError::Invalid`] where the newest message is refused.
+    pub fn latest(&mut self) -> Result<Option<Received<T>>, ReceiveError> {
+        let mut newest = None;
+        // Bounded: a publisher may be faster than this loop.
+        for _ in 0..=self.buffer {
+            match self.take()? {
+                Some(message) => newest = Some(message),
+                None => break,
+            }
+        }
+        newest.map(|message| self.accept(message)).transpose()
+    }
+
+    /// The oldest message still in the buffer; `None` where there is none. For recorders, which want every message.
+    ///
+    /// # Errors
+    /// As [`Subscriber::latest`].
+    pub fn next(&mut self) -> Result<Option<Received<T>>, ReceiveError> {
+        let message = self.take()?;
+        message.map(|message| self.accept(message)).transpose()
+    }
+
+    fn take(&self) -> Result<Option<T>, ReceiveError> {
+        match self.port.receive() {
+            Ok(sample) => Ok(sample.map(|sample| *sample)),
+            Err(source) => Err(ReceiveError::Transport {
+                service: T::SERVICE,
+                source,
+            }),
+        }
+    }
+
+    fn accept(&mut self, message: T) -> Result<Received<T>, ReceiveError> {
+        let order = Order::after(self.last, message.stamp());
+        self.last = Some(*message.stamp());
+        message.check()?;
+        Ok(Received { message, order })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_repeats_and_restarts_are_told_apart() {
+        let stamp = |sequence, published_ns| Stamp {
+            sequence,
+            published_ns,
+            data_ns: 0,
+        };
+        let after = |sequence, published_ns| {
+            Order::after(Some(stamp(5, 500)), &stamp(sequence, published_ns))
+        };
+        assert_eq!(Order::after(None, &stamp(5, 500)), Order::First);
+        assert_eq!(after(6, 600), Order::Next);
+        assert_eq!(after(9, 600), Order::Gap { missed: 3 });
+        assert_eq!(after(5, 500), Order::Repeated);
+        assert_eq!(after(5, 900), Order::Restarted);
+        assert_eq!(after(1, 600), Order::Restarted);
+    }
+}

@@ -1,0 +1,487 @@
+//! The promises of the contract, over real shared memory and with real processes. One executable: each that links
+//! iceoryx2 costs up to a minute of build. Peers that are killed are this same executable, started again.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::io::{BufRead, BufReader};
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use ipc::{
+    CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Observer, OpenError, Order,
+    ReceiveError, RecorderPort, RobotState, TwistCommand, TwistState,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Kills at random moments of a start-up; each costs a few ms.
+const START_UP_KILLS: u32 = 200;
+/// Kills of a working publisher.
+const STEADY_KILLS: u32 = 10;
+/// Messages of the allocation test.
+const MESSAGES: u64 = 10_000;
+
+/// Counts the allocations of each thread.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    // A thread that is ending has no counter any more, and nobody asks for it.
+    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+}
+
+// SAFETY: every call goes to the system allocator unchanged; counting touches a thread-local cell without a
+// destructor, which does not allocate.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn allocations() -> u64 {
+    ALLOCATIONS.with(Cell::get)
+}
+
+fn square(offset: f64) -> Features {
+    let (a, b) = (100.0 + offset, 200.0 + offset);
+    Features::new(&[[a, a], [b, a], [b, b], [a, b]], ipc::now_ns())
+}
+
+/// A domain's directory. When the test ends, joining and leaving clears away what killed peers left in /dev/shm.
+struct Directory(tempfile::TempDir);
+
+impl Directory {
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        let _ = Domain::join(self.path());
+    }
+}
+
+fn directory() -> Directory {
+    Directory(tempfile::tempdir().unwrap())
+}
+
+/// Starts this executable as a peer that plays `role` in the domain.
+fn peer(role: &str, directory: &Path) -> Child {
+    Command::new(std::env::current_exe().unwrap())
+        .args([
+            "--exact",
+            "play_a_peer",
+            "--ignored",
+            "--nocapture",
+            "--test-threads=1",
+        ])
+        .env("VPC_TEST_ROLE", role)
+        .env("VPC_TEST_DOMAIN", directory)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+/// Waits until the peer says that it works.
+fn working(peer: &mut Child) {
+    let lines = BufReader::new(peer.stdout.take().unwrap()).lines();
+    let said = lines
+        .map_while(Result::ok)
+        .any(|line| line.contains("working"));
+    assert!(said, "the peer ended before it worked");
+}
+
+/// Kills the peer as `kill -9` does.
+fn kill(mut peer: Child) {
+    peer.kill().unwrap();
+    peer.wait().unwrap();
+}
+
+/// Calls `attempt` until it gives something; panics after ten seconds.
+fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_secs(10) {
+        if let Some(value) = attempt() {
+            return value;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    panic!("{what}: did not happen");
+}
+
+#[test]
+#[ignore = "not a test: the other process of the tests that kill one"]
+fn play_a_peer() {
+    let role = std::env::var("VPC_TEST_ROLE").unwrap();
+    let directory = std::env::var("VPC_TEST_DOMAIN").unwrap();
+    let domain = Domain::join(Path::new(&directory)).unwrap();
+    match role.as_str() {
+        "camera" => {
+            let mut camera = CameraPorts::open(&domain).unwrap();
+            println!("working");
+            loop {
+                camera.features.publish(&square(0.0)).unwrap();
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        "echo" => {
+            let mut controller = ControllerPorts::open(&domain).unwrap();
+            println!("working");
+            loop {
+                if let Some(features) = controller.features.latest().unwrap() {
+                    let twist = TwistCommand::answer(&features, [0.0; 6], TwistState::Moving);
+                    controller.twist.publish(&twist).unwrap();
+                }
+                std::thread::sleep(Duration::from_micros(50));
+            }
+        }
+        other => panic!("no role {other}"),
+    }
+}
+
+#[test]
+fn every_message_goes_round() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut recorder = RecorderPort::open(&domain).unwrap();
+    let mut observer = Observer::open(&domain).unwrap();
+    assert_eq!(controller.features.latest().unwrap(), None);
+
+    let mut features = square(0.5);
+    features.exposure_ns = 5_000_000;
+    let sent = camera.features.publish(&features).unwrap();
+    assert_eq!((sent.sequence, sent.receivers), (1, 2));
+    let received = controller.features.latest().unwrap().unwrap();
+    assert_eq!(
+        (received.points, received.exposure_ns),
+        (features.points, 5_000_000)
+    );
+    assert_eq!(received.stamp.data_ns, features.stamp.data_ns);
+    assert_eq!(
+        (received.stamp.published_ns, received.order),
+        (sent.published_ns, Order::First)
+    );
+    assert_eq!(controller.features.latest().unwrap(), None);
+
+    let command = TwistCommand::answer(
+        &received,
+        [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+        TwistState::Arrived,
+    );
+    controller
+        .twist
+        .publish(&command.valid_for_ns(1_000_000_000))
+        .unwrap();
+    let answer = camera.twist.latest().unwrap().unwrap();
+    assert!(answer.answers(sent.sequence, sent.published_ns) && answer.is_valid_at(ipc::now_ns()));
+    assert_eq!(
+        (answer.twist, answer.state()),
+        (command.twist, Some(TwistState::Arrived))
+    );
+
+    let state = RobotState::free_camera([0.1, 0.2, 0.3], [0.4, 0.5, 0.6], 7);
+    camera.robot.publish(&state).unwrap();
+    let record = CycleRecord {
+        hold: Hold::Stale.code(),
+        ..CycleRecord::default()
+    };
+    recorder.cycles.publish(&record).unwrap();
+    assert_eq!(
+        observer.robot.next().unwrap().unwrap().rotation,
+        state.rotation
+    );
+    assert_eq!(
+        observer.cycles.next().unwrap().unwrap().hold(),
+        Some(Hold::Stale)
+    );
+    assert_eq!(
+        observer.features.next().unwrap().unwrap().message,
+        received.message
+    );
+    assert_eq!(
+        observer.twist.next().unwrap().unwrap().message,
+        answer.message
+    );
+}
+
+#[test]
+fn the_controller_sees_the_newest_message_and_the_observer_all() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut observer = Observer::open(&domain).unwrap();
+    for k in 0..10 {
+        camera.features.publish(&square(f64::from(k))).unwrap();
+    }
+    let newest = controller.features.latest().unwrap().unwrap();
+    assert_eq!((newest.stamp.sequence, newest.points[0]), (10, 109.0));
+    for k in 1..=10 {
+        assert_eq!(observer.features.next().unwrap().unwrap().stamp.sequence, k);
+    }
+    camera.features.skip();
+    camera.features.skip();
+    camera.features.publish(&square(0.0)).unwrap();
+    let order = controller.features.latest().unwrap().unwrap().order;
+    assert_eq!(order, Order::Gap { missed: 2 });
+}
+
+#[test]
+fn a_second_publisher_is_refused_and_may_come_when_the_first_has_left() {
+    let directory = directory();
+    let first = Domain::join(directory.path()).unwrap();
+    let second = Domain::join(directory.path()).unwrap();
+    let controller = ControllerPorts::open(&first).unwrap();
+    let error = ControllerPorts::open(&second).unwrap_err();
+    assert!(
+        matches!(
+            error,
+            OpenError::Taken {
+                service: "vpc/twist",
+                ..
+            }
+        ),
+        "{error}"
+    );
+    let words = error.to_string();
+    assert!(
+        words.contains("another publisher") && words.contains("allowed: one"),
+        "{words}"
+    );
+    drop(controller);
+    ControllerPorts::open(&second).unwrap();
+}
+
+#[test]
+fn domains_do_not_meet() {
+    let (here, there) = (directory(), directory());
+    let (here, there) = (
+        Domain::join(here.path()).unwrap(),
+        Domain::join(there.path()).unwrap(),
+    );
+    let mut camera = CameraPorts::open(&here).unwrap();
+    let mut controller = ControllerPorts::open(&there).unwrap();
+    assert_eq!(camera.features.publish(&square(0.0)).unwrap().receivers, 0);
+    assert_eq!(controller.features.latest().unwrap(), None);
+}
+
+#[test]
+fn a_late_controller_gets_the_message_that_the_camera_waits_on() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let sent = camera.features.publish(&square(0.0)).unwrap();
+    assert_eq!(sent.receivers, 0);
+    let mut echo = peer("echo", directory.path());
+    working(&mut echo);
+    let answer = camera
+        .wait_for_answer(&sent, Duration::from_secs(10))
+        .unwrap();
+    assert!(answer.is_some_and(|answer| answer.features_sequence == 1));
+    kill(echo);
+}
+
+#[test]
+fn bad_messages_are_refused_on_reception() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut refusal = |features: &Features| {
+        camera.features.publish(features).unwrap();
+        let error = controller.features.latest().unwrap_err();
+        assert!(matches!(error, ReceiveError::Invalid(_)));
+        error.to_string()
+    };
+    let mut nan = square(0.0);
+    nan.points[3] = f64::NAN;
+    assert!(refusal(&nan).contains("points[3] = NaN"));
+    let none = Features::new(&[], 0);
+    assert!(refusal(&none).contains("count = 0; allowed: 1 to 8"));
+    let many = Features::new(&[[1.0, 1.0]; 9], 0);
+    assert!(refusal(&many).contains("count = 9; allowed: 1 to 8"));
+    // The next good one is taken, and is no gap: refused messages count as seen.
+    camera.features.publish(&square(0.0)).unwrap();
+    assert_eq!(
+        controller.features.latest().unwrap().unwrap().order,
+        Order::Next
+    );
+}
+
+#[test]
+fn a_killed_camera_comes_back() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    for round in 0..STEADY_KILLS {
+        let mut camera = peer("camera", directory.path());
+        working(&mut camera);
+        let seen = eventually("features", || controller.features.latest().unwrap());
+        let expected = if round == 0 {
+            Order::First
+        } else {
+            Order::Restarted
+        };
+        // The first sight of the new camera may come after some of its messages.
+        assert!(
+            seen.order == expected || seen.stamp.sequence > 1,
+            "{seen:?}"
+        );
+        kill(camera);
+        while controller.features.latest().unwrap().is_some() {}
+    }
+}
+
+#[test]
+fn a_killed_controller_comes_back() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    for _ in 0..STEADY_KILLS {
+        let mut echo = peer("echo", directory.path());
+        working(&mut echo);
+        for _ in 0..20 {
+            let sent = camera.features.publish(&square(0.0)).unwrap();
+            let answer = camera
+                .wait_for_answer(&sent, Duration::from_secs(10))
+                .unwrap();
+            assert!(answer.is_some());
+        }
+        kill(echo);
+    }
+}
+
+/// Kills peers at random moments of their start-up; afterwards one must still be able to work.
+/// Returns the camera that met it.
+fn kill_at_start_up(directory: &Path, seed: u64) -> CameraPorts {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    // From the start of the process to well after its first message.
+    let start = Instant::now();
+    let mut first = peer("echo", directory);
+    working(&mut first);
+    let duration = start.elapsed();
+    kill(first);
+    for _ in 0..START_UP_KILLS {
+        let echo = peer("echo", directory);
+        std::thread::sleep(duration.mul_f64(random.random_range(0.0..1.2)));
+        kill(echo);
+    }
+    let mut last = peer("echo", directory);
+    working(&mut last);
+    let domain = Domain::join(directory).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let sent = camera.features.publish(&square(0.0)).unwrap();
+    let answer = camera
+        .wait_for_answer(&sent, Duration::from_secs(10))
+        .unwrap();
+    assert!(answer.is_some());
+    kill(last);
+    camera
+}
+
+#[test]
+fn kills_during_start_up_do_no_harm_to_who_comes_next() {
+    let directory = directory();
+    kill_at_start_up(directory.path(), 1);
+}
+
+#[test]
+fn kills_during_start_up_do_no_harm_to_who_is_there() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut observer = Observer::open(&domain).unwrap();
+    let _camera = kill_at_start_up(directory.path(), 2);
+    let seen = eventually("features", || observer.features.next().unwrap());
+    assert_eq!(seen.stamp.sequence, 1);
+    eventually("the answer", || observer.twist.next().unwrap());
+}
+
+#[test]
+fn nothing_is_left_when_the_last_one_has_left() {
+    let directory = directory();
+    let left = || {
+        let path = directory.path().canonicalize().unwrap();
+        let hash = path
+            .as_os_str()
+            .as_bytes()
+            .iter()
+            .fold(0xcbf2_9ce4_8422_2325_u64, |h, &b| {
+                (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
+            });
+        let prefix = format!("vpc_{hash:016x}_");
+        let files = std::fs::read_dir("/dev/shm").unwrap();
+        let ours = files.filter(|file| {
+            let name = file.as_ref().unwrap().file_name();
+            name.as_bytes().starts_with(prefix.as_bytes())
+        });
+        ours.count()
+    };
+    let first = Domain::join(directory.path()).unwrap();
+    let camera = CameraPorts::open(&first).unwrap();
+    let second = Domain::join(directory.path()).unwrap();
+    assert!(left() > 4);
+    drop((camera, first));
+    assert!(left() > 4);
+    drop(second);
+    assert_eq!(left(), 0);
+    assert!(!directory.path().join("iox2").exists());
+}
+
+#[test]
+fn sending_and_receiving_never_allocate() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut recorder = RecorderPort::open(&domain).unwrap();
+    let mut observer = Observer::open(&domain).unwrap();
+    let mut round = |k: u64| {
+        camera.features.publish(&square(k as f64 / 1e3)).unwrap();
+        camera
+            .robot
+            .publish(&RobotState::free_camera([0.0; 3], [0.0; 3], k))
+            .unwrap();
+        let features = controller.features.latest().unwrap().unwrap();
+        let twist = TwistCommand::answer(&features, [0.1; 6], TwistState::Moving);
+        controller.twist.publish(&twist).unwrap();
+        assert_eq!(camera.twist.latest().unwrap().unwrap().features_sequence, k);
+        recorder.cycles.publish(&CycleRecord::default()).unwrap();
+        if k % 8 == 0 {
+            while observer.cycles.next().unwrap().is_some() {}
+            observer.features.latest().unwrap().unwrap();
+        }
+    };
+    // Connections are made, and allocate, with the first message.
+    (1..=8).for_each(&mut round);
+    let before = allocations();
+    (9..=MESSAGES).for_each(&mut round);
+    assert_eq!(allocations() - before, 0);
+    // The counter counts.
+    drop(std::hint::black_box(Box::new(1)));
+    assert_eq!(allocations() - before, 1);
+}
