@@ -85,8 +85,13 @@ pub enum PublishError {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ReceiveError {
     /// A message came and was refused.
-    #[error(transparent)]
-    Invalid(#[from] Invalid),
+    #[error("{invalid}")]
+    Invalid {
+        /// What is wrong with it.
+        invalid: Invalid,
+        /// Its head, so that it can be answered.
+        stamp: Stamp,
+    },
     /// The connection failed.
     #[error("{service}: cannot receive: {source}")]
     Transport {
@@ -316,7 +321,7 @@ impl<T: Message> Subscriber<T> {
     ///
     /// # Errors
     /// As [`Subscriber::latest`].
-    pub fn next(&mut self) -> Result<Option<Received<T>>, ReceiveError> {
+    pub fn oldest(&mut self) -> Result<Option<Received<T>>, ReceiveError> {
         let message = self.take()?;
         message.map(|message| self.accept(message)).transpose()
     }
@@ -334,8 +339,13 @@ impl<T: Message> Subscriber<T> {
     fn accept(&mut self, message: T) -> Result<Received<T>, ReceiveError> {
         let order = Order::after(self.last, message.stamp());
         self.last = Some(*message.stamp());
-        message.check()?;
-        Ok(Received { message, order })
+        match message.check() {
+            Ok(()) => Ok(Received { message, order }),
+            Err(invalid) => Err(ReceiveError::Invalid {
+                invalid,
+                stamp: *message.stamp(),
+            }),
+        }
     }
 }
 

@@ -114,7 +114,7 @@ impl RecorderPort {
 }
 
 /// Somebody who watches; each port keeps as many messages as the service allows. Read them with
-/// [`Subscriber::next`] (all of them) or [`Subscriber::latest`].
+/// [`Subscriber::oldest`] (all of them) or [`Subscriber::latest`].
 #[derive(Debug)]
 pub struct Observer {
     /// What the camera saw.
