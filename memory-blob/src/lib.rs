@@ -1,1 +1,46 @@
-//! To come.
+//! A memory of motion: its file, its checks, and its queries.
+//!
+//! The core (`no_std`, no heap) is what the control cycle touches: [`Memory`], a borrowed view with [`Samples`]
+//! (k-nearest neighbours) and [`Gpr`] (Gaussian-process regression). With the feature `file` (default) come
+//! [`Contents`] (what a writer fills in) and [`MemoryFile`] (what a reader opens, verified, sealed and mapped).
+//! The format is described in `FORMAT.md`.
+#![cfg_attr(not(feature = "file"), no_std)]
+#![deny(unsafe_code)]
+
+mod exp;
+mod gpr;
+mod query;
+mod samples;
+mod view;
+
+#[cfg(feature = "file")]
+mod contents;
+#[cfg(feature = "file")]
+mod file;
+#[cfg(feature = "file")]
+mod format;
+#[cfg(feature = "file")]
+mod order;
+#[cfg(feature = "file")]
+mod report;
+#[cfg(feature = "file")]
+mod sealed;
+
+pub use gpr::Gpr;
+pub use query::QueryError;
+pub use samples::{BLOCK, BLOCKS_PER_GROUP, Nearest, Samples};
+pub use view::{Memory, Scaling};
+
+#[cfg(feature = "file")]
+pub use contents::{Contents, Regression, WriteError};
+#[cfg(feature = "file")]
+pub use file::{MemoryFile, OpenError};
+#[cfg(feature = "file")]
+pub use report::Report;
+
+/// Most entries of an input x = (s, area, angle): eight points.
+pub const MAX_INPUTS: usize = 18;
+/// Most entries of an output y = (v, way point): eight points.
+pub const MAX_OUTPUTS: usize = 22;
+/// Most neighbours that a query averages.
+pub const MAX_NEIGHBOURS: usize = 64;

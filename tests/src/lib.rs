@@ -1,1 +1,6 @@
-//! To come.
+//! What the programs `demo` and `table` and the system tests share: closed-loop runs against an exact camera, and
+//! what they add up to.
+
+pub mod row;
+pub mod run;
+pub mod spec;

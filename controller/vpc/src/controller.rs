@@ -168,7 +168,9 @@ impl Controller {
         };
         // From where the features are, standing still is feasible unless a constraint is already violated: a second
         // start that leads out of every trap of the first.
-        let solution = self.solver.solve_from(&problem, &[warm, [0.0; MAX_VARIABLES]]);
+        let solution = self
+            .solver
+            .solve_from(&problem, &[warm, [0.0; MAX_VARIABLES]]);
         step.twist = limit::command(&mut self.solver, &problem, &solution);
         step.status = solution.status;
         step.iterations = solution.iterations;

@@ -60,6 +60,20 @@ pub trait MotionMemory {
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
 }
 
+impl MotionMemory for memory_blob::Memory<'_> {
+    fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool {
+        match strategy {
+            Strategy::Knn { k } => self
+                .samples()
+                .is_some_and(|samples| samples.nearest(input, k, output).is_ok()),
+            Strategy::Gpr => self
+                .gpr()
+                .is_some_and(|gpr| gpr.mean(input, output).is_ok()),
+            Strategy::Previous | Strategy::Ibvs => false,
+        }
+    }
+}
+
 /// Asks the memory. `None` where it has no answer, or one that is not finite.
 pub fn query(
     task: &Task,

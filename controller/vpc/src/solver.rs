@@ -177,7 +177,11 @@ impl Solver {
                 break;
             }
         }
-        Solution { iterations, qp_iterations, ..best.unwrap_or(Solution::NONE) }
+        Solution {
+            iterations,
+            qp_iterations,
+            ..best.unwrap_or(Solution::NONE)
+        }
     }
 
     /// Solves the problem from the warm start `warm`.

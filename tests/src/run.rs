@@ -1,0 +1,123 @@
+//! One closed-loop run: the law against the emulator's exact camera, judged by the emulator's referee.
+
+use std::time::Instant;
+
+use hw_sim::{FreeCamera, Referee, Verdict};
+use scene::{Pose, Scene};
+use serde::Serialize;
+use vpc::{Controller, Measurement, MotionMemory};
+
+/// What happened in a run.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// Whether the goal was reached in time without a violation.
+    pub success: bool,
+    /// Why not.
+    pub reason: Option<Reason>,
+    /// Cycles until the run was decided.
+    pub steps: usize,
+    /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
+    pub cost: f64,
+    /// Time of each cycle of the law until the run was decided, us.
+    pub cycles_us: Vec<f64>,
+    /// Iterations of the solver in those cycles.
+    pub iterations: u64,
+    /// Cycles whose solver ended without convergence.
+    pub not_converged: u64,
+    /// What was seen and sent, until the run was decided.
+    pub history: Vec<Moment>,
+}
+
+/// Why a run failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// A feature went too deep into an occlusion or out of the image.
+    Violation,
+    /// The scene's time ran out before the features arrived.
+    NotConverged,
+    /// A point of the pattern came behind the camera.
+    LostSight,
+}
+
+/// One cycle of a run.
+#[derive(Clone, Debug)]
+pub struct Moment {
+    /// True features, px.
+    pub features: Vec<[f64; 2]>,
+    /// Twist sent.
+    pub twist: [f64; 6],
+    /// Way point tracked, px.
+    pub way_point: Option<Vec<[f64; 2]>>,
+}
+
+/// Runs the law from a start for the scene's time. The run is decided when the features arrive, when a constraint is
+/// violated, or when time is up; a run that arrived goes on regulating, watched, so that the mean cost of every run
+/// is taken over the same time.
+pub fn run(
+    scene: &Scene,
+    controller: &mut Controller,
+    memory: Option<&dyn MotionMemory>,
+    start: &Pose,
+) -> Run {
+    controller.reset();
+    let ts = scene.sampling_time();
+    let periods = (scene.success.time_s * scene.camera.rate_hz).round() as usize;
+    let np = controller.settings().np as f64;
+    let mut camera = FreeCamera::new(scene, start);
+    let mut referee = Referee::new(scene);
+    let mut run = Run {
+        success: false,
+        reason: Some(Reason::NotConverged),
+        steps: periods,
+        cost: 0.0,
+        cycles_us: Vec::new(),
+        iterations: 0,
+        not_converged: 0,
+        history: Vec::new(),
+    };
+    let (mut cost, mut cycles) = (0.0, 0.0_f64);
+    for k in 0..periods {
+        let Ok(features) = camera.features() else {
+            return failed(run, Reason::LostSight, k, cost, cycles);
+        };
+        match referee.judge(&features, k as f64 * ts) {
+            Verdict::Violation { .. } => return failed(run, Reason::Violation, k, cost, cycles),
+            Verdict::LostSight => return failed(run, Reason::LostSight, k, cost, cycles),
+            Verdict::Arrived if !run.success => {
+                (run.success, run.reason, run.steps) = (true, None, k);
+            }
+            Verdict::Arrived | Verdict::Running | Verdict::TimeOut => {}
+        }
+        let measurement = Measurement::from_points(&features);
+        let begin = Instant::now();
+        let step = controller.step(&measurement, memory);
+        let elapsed = begin.elapsed().as_secs_f64() * 1e6;
+        // A refusal means the zero twist, as in the daemon.
+        let twist = step.as_ref().map_or([0.0; 6], |step| step.twist);
+        cycles += 1.0;
+        if let Ok(step) = step {
+            cost += step.cost / np;
+            if !run.success {
+                run.cycles_us.push(elapsed);
+                run.iterations += u64::from(step.iterations);
+                run.not_converged += u64::from(!step.status.is_success());
+                run.history.push(Moment {
+                    features: features.to_vec(),
+                    twist,
+                    way_point: step.way_point.map(|points| points.to_vec()),
+                });
+            }
+        }
+        camera.advance(&twist, ts);
+    }
+    run.cost = cost / cycles.max(1.0);
+    run
+}
+
+fn failed(mut run: Run, reason: Reason, steps: usize, cost: f64, cycles: f64) -> Run {
+    (run.success, run.reason) = (false, Some(reason));
+    run.steps = steps;
+    run.cost = cost / cycles.max(1.0);
+    run
+}
