@@ -41,7 +41,13 @@ impl Progress {
     /// Nothing done yet.
     pub fn new() -> Self {
         let (trajectories, failures) = (Vec::new(), Vec::new());
-        Self { trajectories, failures, tried: 0, batches: 0, causes: [0; 4] }
+        Self {
+            trajectories,
+            failures,
+            tried: 0,
+            batches: 0,
+            causes: [0; 4],
+        }
     }
 }
 
@@ -87,7 +93,10 @@ pub fn collect(
 ) -> Result<Progress, BuildError> {
     let task = Task::new(scene).map_err(BuildError::Task)?;
     let mut store = Store::new(&task);
-    progress.trajectories.iter().for_each(|t| store.add(&task, settings, t));
+    progress
+        .trajectories
+        .iter()
+        .for_each(|t| store.add(&task, settings, t));
     let mut barren = 0;
     while progress.trajectories.len() < settings.trajectories && !stop.load(Ordering::Relaxed) {
         let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
@@ -124,7 +133,11 @@ pub fn collect(
             }
         }
         progress.batches += 1;
-        barren = if progress.trajectories.len() == before { barren + 1 } else { 0 };
+        barren = if progress.trajectories.len() == before {
+            barren + 1
+        } else {
+            0
+        };
         if barren == HOPELESS_BATCHES {
             let (tried, found) = (progress.tried, progress.trajectories.len());
             return Err(BuildError::Hopeless { tried, found });
@@ -147,7 +160,13 @@ fn draw_starts(
         && !progress.failures.is_empty();
     let latest = progress.failures.len().saturating_sub(REMEMBERED_FAILURES);
     let mixture = adapting
-        .then(|| Mixture::fit(&progress.failures[latest..], &MixtureSettings::default(), settings.seed))
+        .then(|| {
+            Mixture::fit(
+                &progress.failures[latest..],
+                &MixtureSettings::default(),
+                settings.seed,
+            )
+        })
         .and_then(Result::ok);
     (0..settings.batch)
         .map(|_| {

@@ -6,6 +6,7 @@
 
 pub mod build;
 pub mod lbfgs;
+pub mod memory;
 pub mod mixture;
 pub mod planner;
 pub mod regression;

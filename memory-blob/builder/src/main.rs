@@ -1,2 +1,312 @@
-//! To come.
-fn main() {}
+//! `vpc-memory`: builds, inspects, verifies and refits memories of motion.
+
+use std::fs;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use clap::{Args, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
+use memory_blob::{MemoryFile, Report};
+use memory_builder::build::{self, Progress};
+use memory_builder::memory;
+use memory_builder::settings::{BuildSettings, WayPoint};
+use scene::Scene;
+use serde::{Deserialize, Serialize};
+use vpc::Task;
+
+/// Builds, inspects, verifies and refits memories of motion for vpcd.
+#[derive(Parser)]
+#[command(name = "vpc-memory", version, about, long_about = None)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Build a memory for a scene: solve it from many random starts and fit the regression.
+    ///
+    /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from there and ends with
+    /// the same file. The same seed gives the same file whatever the number of threads.
+    Build(Build),
+    /// Say what is in a memory.
+    Inspect {
+        /// The memory.
+        file: PathBuf,
+    },
+    /// Verify every part of a memory, and that it was built for a scene where one is given.
+    Verify {
+        /// The memory.
+        file: PathBuf,
+        /// Scene file that the memory must belong to.
+        #[arg(long)]
+        scene: Option<PathBuf>,
+    },
+    /// Fit the regression again from the samples stored in a memory.
+    Fit {
+        /// The memory to read.
+        file: PathBuf,
+        /// Its scene.
+        #[arg(long)]
+        scene: PathBuf,
+        /// The memory to write.
+        #[arg(short, long)]
+        output: PathBuf,
+        #[command(flatten)]
+        overrides: Overrides,
+    },
+}
+
+#[derive(Args)]
+struct Build {
+    /// Scene file (TOML).
+    scene: PathBuf,
+    /// The memory to write.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Threads; all cores by default.
+    #[arg(long)]
+    threads: Option<usize>,
+    #[command(flatten)]
+    overrides: Overrides,
+}
+
+/// Settings: the paper's values, then those of the file, then those of the flags.
+#[derive(Args)]
+struct Overrides {
+    /// Settings file (TOML); `vpc-memory inspect` shows every key under provenance.
+    #[arg(long)]
+    settings: Option<PathBuf>,
+    /// Successful trajectories to collect [default: 900].
+    #[arg(long)]
+    trajectories: Option<usize>,
+    /// Steps previewed by the solver [default: 10].
+    #[arg(long)]
+    np: Option<usize>,
+    /// Most iterations of the solver [default: 100].
+    #[arg(long)]
+    iterations: Option<u32>,
+    /// Optimality precision of the solver [default: 1e-9].
+    #[arg(long)]
+    tolerance: Option<f64>,
+    /// Way points this many control periods ahead, as in the paper, instead of the last features in sight.
+    #[arg(long)]
+    way_point_samples: Option<usize>,
+    /// Do without the planner in pose space: the paper's two algorithms only.
+    #[arg(long)]
+    no_planner: bool,
+    /// Samples kept for regression [default: 800].
+    #[arg(long)]
+    gpr_samples: Option<usize>,
+    /// Store the factor for predictive variances.
+    #[arg(long)]
+    variance: bool,
+    /// Seed of every random choice [default: 1].
+    #[arg(long)]
+    seed: Option<u64>,
+}
+
+impl Overrides {
+    fn settings(&self) -> anyhow::Result<BuildSettings> {
+        let mut settings: BuildSettings = match &self.settings {
+            Some(path) => {
+                let text = fs::read_to_string(path)
+                    .with_context(|| format!("{}: cannot read the settings", path.display()))?;
+                toml::from_str(&text).with_context(|| path.display().to_string())?
+            }
+            None => BuildSettings::default(),
+        };
+        settings.trajectories = self.trajectories.unwrap_or(settings.trajectories);
+        settings.np = self.np.unwrap_or(settings.np);
+        settings.iterations = self.iterations.unwrap_or(settings.iterations);
+        settings.tolerance = self.tolerance.unwrap_or(settings.tolerance);
+        settings.way_point = self
+            .way_point_samples
+            .map_or(settings.way_point, WayPoint::Samples);
+        settings.planner &= !self.no_planner;
+        settings.regression.samples = self.gpr_samples.unwrap_or(settings.regression.samples);
+        settings.regression.variance |= self.variance;
+        settings.seed = self.seed.unwrap_or(settings.seed);
+        settings.check()?;
+        Ok(settings)
+    }
+}
+
+/// What a Ctrl-C leaves behind.
+#[derive(Serialize, Deserialize)]
+struct Partial {
+    task: String,
+    settings: BuildSettings,
+    progress: Progress,
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Build(build) => run_build(&build),
+        Command::Inspect { file } => {
+            open(&file, None).map(|file| print(&Report::of(&file).to_string()))
+        }
+        Command::Verify { file, scene } => run_verify(&file, scene.as_deref()),
+        Command::Fit {
+            file,
+            scene,
+            output,
+            overrides,
+        } => run_fit(&file, &scene, &output, &overrides),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("vpc-memory: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Prints, and does not mind a reader that went away.
+fn print(text: &str) {
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}
+
+fn open(path: &Path, scene: Option<&Scene>) -> anyhow::Result<MemoryFile> {
+    let task = scene.map(Scene::fingerprint);
+    Ok(MemoryFile::open(
+        path,
+        task.as_ref().map(scene::Fingerprint::bytes),
+    )?)
+}
+
+fn run_verify(path: &Path, scene: Option<&Path>) -> anyhow::Result<()> {
+    let scene = scene.map(Scene::read).transpose()?;
+    let file = open(path, scene.as_ref())?;
+    let fits = if scene.is_some() {
+        ", built for this scene"
+    } else {
+        ""
+    };
+    print(&format!(
+        "{}: intact, {} bytes{fits}\n",
+        path.display(),
+        file.size()
+    ));
+    Ok(())
+}
+
+fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> anyhow::Result<()> {
+    let scene = Scene::read(scene)?;
+    let settings = overrides.settings()?;
+    let task = Task::new(&scene)?;
+    let contents = open(input, Some(&scene))?.contents();
+    memory::refit(&scene, &task, &settings, &contents)?.write(output)?;
+    print(&Report::of(&open(output, Some(&scene))?).to_string());
+    Ok(())
+}
+
+fn run_build(build: &Build) -> anyhow::Result<()> {
+    let settings = build.overrides.settings()?;
+    let scene = Scene::read(&build.scene)?;
+    let task = Task::new(&scene).with_context(|| build.scene.display().to_string())?;
+    if let Some(threads) = build.threads {
+        if !(1..=1024).contains(&threads) {
+            bail!("--threads = {threads}; allowed: 1 to 1024");
+        }
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build_global()?;
+    }
+    let mut partial_path = build.output.as_os_str().to_owned();
+    partial_path.push(".partial");
+    let partial_path = PathBuf::from(partial_path);
+    let begun = resume(&partial_path, &scene, &settings)?;
+
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop))?;
+        signal_hook::flag::register(signal, Arc::clone(&stop))?;
+    }
+    let bar = progress_bar(settings.trajectories, begun.trajectories.len());
+    let clock = Instant::now();
+    let progress = build::collect(&scene, &settings, begun, &stop, |progress| {
+        bar.set_position(progress.trajectories.len() as u64);
+        let found = progress.trajectories.len() as f64;
+        bar.set_message(format!(
+            "{:.0} % of {} starts",
+            100.0 * found / progress.tried as f64,
+            progress.tried
+        ));
+    })?;
+    bar.finish_and_clear();
+    if stop.load(Ordering::Relaxed) && progress.trajectories.len() < settings.trajectories {
+        let found = progress.trajectories.len();
+        let task = scene.fingerprint().to_string();
+        let text = serde_json::to_vec(&Partial {
+            task,
+            settings,
+            progress,
+        })?;
+        fs::write(&partial_path, text).with_context(|| partial_path.display().to_string())?;
+        eprintln!(
+            "vpc-memory: stopped at {found} trajectories; the same command goes on from {}",
+            partial_path.display()
+        );
+        std::process::exit(130);
+    }
+    let collected = clock.elapsed();
+    let contents = memory::contents(&scene, &task, &settings, &progress)?;
+    contents.write(&build.output)?;
+    if partial_path.exists() {
+        fs::remove_file(&partial_path).with_context(|| partial_path.display().to_string())?;
+    }
+    let file = open(&build.output, Some(&scene))?;
+    print(&format!(
+        "{}: {} bytes; {} trajectories of {} starts in {:.1} s, regression in {:.1} s\n{}",
+        build.output.display(),
+        file.size(),
+        progress.trajectories.len(),
+        progress.tried,
+        collected.as_secs_f64(),
+        (clock.elapsed() - collected).as_secs_f64(),
+        Report::of(&file),
+    ));
+    Ok(())
+}
+
+/// The progress that an interrupted build left, where it was of the same scene and settings.
+fn resume(path: &Path, scene: &Scene, settings: &BuildSettings) -> anyhow::Result<Progress> {
+    if !path.exists() {
+        return Ok(Progress::new());
+    }
+    let text = fs::read(path).with_context(|| path.display().to_string())?;
+    let partial: Partial = serde_json::from_slice(&text).with_context(|| {
+        format!(
+            "{}: not the state of a build; remove it to begin anew",
+            path.display()
+        )
+    })?;
+    if partial.task != scene.fingerprint().to_string() || partial.settings != *settings {
+        bail!(
+            "{}: the state of a build with another scene or other settings; allowed: the same ones; remove it to begin anew",
+            path.display()
+        );
+    }
+    Ok(partial.progress)
+}
+
+fn progress_bar(total: usize, begun: usize) -> ProgressBar {
+    let bar = if std::io::stderr().is_terminal() {
+        ProgressBar::new(total as u64)
+    } else {
+        ProgressBar::hidden()
+    };
+    let style = "{bar:40.cyan/blue} {pos}/{len} trajectories, {per_sec}, ETA {eta}, {msg}";
+    bar.set_style(
+        ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar()),
+    );
+    bar.set_position(begun as u64);
+    bar
+}

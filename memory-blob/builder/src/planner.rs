@@ -41,13 +41,17 @@ impl Node {
     }
 
     fn pose(&self) -> Pose {
-        Pose { translation: self.translation.into(), rotation: self.rotation.scaled_axis().into() }
+        Pose {
+            translation: self.translation.into(),
+            rotation: self.rotation.scaled_axis().into(),
+        }
     }
 
     /// Translation in units of the mean depth plus rotation in rad: both as image motion over the focal length.
     fn distance(&self, other: &Self) -> f64 {
         let depth = 0.5 * (self.translation.z + other.translation.z);
-        (self.translation - other.translation).norm() / depth + self.rotation.angle_to(&other.rotation)
+        (self.translation - other.translation).norm() / depth
+            + self.rotation.angle_to(&other.rotation)
     }
 
     /// The pose at `share` of the way to `other`.
@@ -83,8 +87,12 @@ impl Space<'_> {
     fn motion(&self, a: &Node, b: &Node) -> Option<Vec<Points>> {
         let (first, last) = (self.task.features_at(&a.pose())?, self.features(b)?);
         let resolution = RESOLUTION * self.task.camera.width;
-        let count = (1.5 * image_motion(&first, &last) / resolution).ceil().max(1.0) as usize;
-        (1..=count).map(|i| self.features(&a.towards(b, i as f64 / count as f64))).collect()
+        let count = (1.5 * image_motion(&first, &last) / resolution)
+            .ceil()
+            .max(1.0) as usize;
+        (1..=count)
+            .map(|i| self.features(&a.towards(b, i as f64 / count as f64)))
+            .collect()
     }
 }
 
@@ -96,7 +104,10 @@ struct Tree {
 impl Tree {
     fn nearest(&self, target: &Node) -> usize {
         let by_distance = |&a: &usize, &b: &usize| {
-            self.nodes[a].0.distance(target).total_cmp(&self.nodes[b].0.distance(target))
+            self.nodes[a]
+                .0
+                .distance(target)
+                .total_cmp(&self.nodes[b].0.distance(target))
         };
         (0..self.nodes.len()).min_by(by_distance).unwrap_or(0)
     }
@@ -107,7 +118,11 @@ impl Tree {
         let from = self.nodes[parent].0;
         let distance = from.distance(target);
         let reaches = distance <= EXTENSION;
-        let node = if reaches { *target } else { from.towards(target, EXTENSION / distance) };
+        let node = if reaches {
+            *target
+        } else {
+            from.towards(target, EXTENSION / distance)
+        };
         space.motion(&from, &node)?;
         self.nodes.push((node, parent));
         Some((self.nodes.len() - 1, reaches))
@@ -131,20 +146,30 @@ pub fn path(scene: &Scene, task: &Task, start: &Pose, rng: &mut ChaCha8Rng) -> O
         let points = task.features_at(&node.pose())?;
         points
             .iter()
-            .map(|&p| constraint::border_clearance(task, p).min(constraint::least_clearance(task, p)))
+            .map(|&p| {
+                constraint::border_clearance(task, p).min(constraint::least_clearance(task, p))
+            })
             .min_by(f64::total_cmp)
     };
-    let clearance = (CLEARANCE * task.camera.width).min(clear(&root)?).min(clear(&goal)?);
+    let clearance = (CLEARANCE * task.camera.width)
+        .min(clear(&root)?)
+        .min(clear(&goal)?);
     let space = Space { task, clearance };
-    let length = |path: &[Node]| path.windows(2).map(|pair| pair[0].distance(&pair[1])).sum::<f64>();
+    let length = |path: &[Node]| {
+        path.windows(2)
+            .map(|pair| pair[0].distance(&pair[1]))
+            .sum::<f64>()
+    };
     let shortest = (0..ATTEMPTS)
         .filter_map(|_| {
             let path = connect(scene, &space, &root, &goal, rng)?;
             Some(shorten(&space, path, rng))
         })
         .min_by(|a, b| length(a).total_cmp(&length(b)))?;
-    let pieces: Option<Vec<Vec<Points>>> =
-        shortest.windows(2).map(|pair| space.motion(&pair[0], &pair[1])).collect();
+    let pieces: Option<Vec<Vec<Points>>> = shortest
+        .windows(2)
+        .map(|pair| space.motion(&pair[0], &pair[1]))
+        .collect();
     Some(pieces?.concat())
 }
 
@@ -155,7 +180,14 @@ fn connect(
     goal: &Node,
     rng: &mut ChaCha8Rng,
 ) -> Option<Vec<Node>> {
-    let mut trees = [Tree { nodes: vec![(*start, 0)] }, Tree { nodes: vec![(*goal, 0)] }];
+    let mut trees = [
+        Tree {
+            nodes: vec![(*start, 0)],
+        },
+        Tree {
+            nodes: vec![(*goal, 0)],
+        },
+    ];
     let mut side = 0;
     for _ in 0..10 * MAX_NODES {
         if trees[0].nodes.len() + trees[1].nodes.len() > MAX_NODES {
@@ -193,16 +225,26 @@ fn shorten(space: &Space<'_>, mut path: Vec<Node>, rng: &mut ChaCha8Rng) -> Vec<
         }
         // Two random places on the path: a piece, and how far along it.
         let pieces = path.len() - 1;
-        let mut places =
-            [(); 2].map(|()| (rng.random_range(0..pieces as u64) as usize, rng.random::<f64>()));
+        let mut places = [(); 2].map(|()| {
+            (
+                rng.random_range(0..pieces as u64) as usize,
+                rng.random::<f64>(),
+            )
+        });
         places.sort_by(|a, b| (a.0 as f64 + a.1).total_cmp(&(b.0 as f64 + b.1)));
         let [(i, s), (j, t)] = places;
-        let (a, b) = (path[i].towards(&path[i + 1], s), path[j].towards(&path[j + 1], t));
+        let (a, b) = (
+            path[i].towards(&path[i + 1], s),
+            path[j].towards(&path[j + 1], t),
+        );
         let between: f64 = if i == j {
             continue;
         } else {
             a.distance(&path[i + 1])
-                + path[i + 1..=j].windows(2).map(|pair| pair[0].distance(&pair[1])).sum::<f64>()
+                + path[i + 1..=j]
+                    .windows(2)
+                    .map(|pair| pair[0].distance(&pair[1]))
+                    .sum::<f64>()
                 + path[j].distance(&b)
         };
         if a.distance(&b) < between - 1e-9 && space.motion(&a, &b).is_some() {

@@ -61,6 +61,8 @@ pub struct RegressionSettings {
     pub likelihood_samples: usize,
     /// Seeded restarts of the likelihood maximisation.
     pub restarts: usize,
+    /// Evaluations of the likelihood on all kept samples that improve on the subset's best.
+    pub polish: usize,
     /// Whether the factor for predictive variances is stored (8 bytes for each pair of samples).
     pub variance: bool,
 }
@@ -88,7 +90,14 @@ impl Default for BuildSettings {
 
 impl Default for RegressionSettings {
     fn default() -> Self {
-        Self { samples: 800, zone: 2.0, likelihood_samples: 400, restarts: 3, variance: false }
+        Self {
+            samples: 800,
+            zone: 2.0,
+            likelihood_samples: 400,
+            restarts: 3,
+            polish: 0,
+            variance: false,
+        }
     }
 }
 
@@ -114,36 +123,87 @@ impl BuildSettings {
             if (low..=high).contains(&value) {
                 Ok(())
             } else {
-                Err(SettingError { name, value: value.to_string(), allowed })
+                Err(SettingError {
+                    name,
+                    value: value.to_string(),
+                    allowed,
+                })
             }
         };
         let r = &self.regression;
-        range("trajectories", self.trajectories as f64, 1.0, 1e5, "1 to 100000")?;
+        range(
+            "trajectories",
+            self.trajectories as f64,
+            1.0,
+            1e5,
+            "1 to 100000",
+        )?;
         range("np", self.np as f64, 1.0, vpc::MAX_NP as f64, "1 to 40")?;
-        range("iterations", f64::from(self.iterations), 1.0, 1000.0, "1 to 1000")?;
+        range(
+            "iterations",
+            f64::from(self.iterations),
+            1.0,
+            1000.0,
+            "1 to 1000",
+        )?;
         range("tolerance", self.tolerance, 1e-15, 1.0, "1e-15 to 1")?;
         range("trigger_px", self.trigger_px, 0.0, 1e4, "0 to 1e4 px")?;
         range("adapt_after", self.adapt_after, 0.0, 1.0, "0 to 1")?;
         range("adapt_share", self.adapt_share, 0.0, 1.0, "0 to 1")?;
         range("batch", self.batch as f64, 1.0, 4096.0, "1 to 4096")?;
-        range("sample_spacing", self.sample_spacing, 0.0, 1.0, "0 to 1 (share of the image width)")?;
-        range("regression.samples", r.samples as f64, 2.0, 2e4, "2 to 20000")?;
+        range(
+            "sample_spacing",
+            self.sample_spacing,
+            0.0,
+            1.0,
+            "0 to 1 (share of the image width)",
+        )?;
+        range(
+            "regression.samples",
+            r.samples as f64,
+            2.0,
+            2e4,
+            "2 to 20000",
+        )?;
         range("regression.zone", r.zone, 1.0, 1e6, "1 to 1e6")?;
-        range("regression.likelihood_samples", r.likelihood_samples as f64, 2.0, 4000.0, "2 to 4000")?;
-        range("regression.restarts", r.restarts as f64, 1.0, 100.0, "1 to 100")?;
+        range(
+            "regression.likelihood_samples",
+            r.likelihood_samples as f64,
+            2.0,
+            4000.0,
+            "2 to 4000",
+        )?;
+        range(
+            "regression.restarts",
+            r.restarts as f64,
+            1.0,
+            100.0,
+            "1 to 100",
+        )?;
         match self.way_point {
-            WayPoint::Samples(ahead) => {
-                range("way_point.samples", ahead as f64, 1.0, 1e4, "1 to 10000 control periods")
-            }
-            WayPoint::Sight(share) => {
-                range("way_point.sight", share, 1e-3, 1.0, "0.001 to 1 (share of the image width)")
-            }
+            WayPoint::Samples(ahead) => range(
+                "way_point.samples",
+                ahead as f64,
+                1.0,
+                1e4,
+                "1 to 10000 control periods",
+            ),
+            WayPoint::Sight(share) => range(
+                "way_point.sight",
+                share,
+                1e-3,
+                1.0,
+                "0.001 to 1 (share of the image width)",
+            ),
         }
     }
 
     /// The solver's effort.
     pub fn effort(&self) -> Effort {
-        Effort { max_iterations: self.iterations, tolerance: self.tolerance }
+        Effort {
+            max_iterations: self.iterations,
+            tolerance: self.tolerance,
+        }
     }
 
     /// The model that previews use: exact, since the builder knows the pattern.
@@ -158,12 +218,18 @@ mod tests {
     fn the_defaults_are_the_papers_and_valid() {
         let settings = BuildSettings::default();
         assert_eq!(settings.check(), Ok(()));
-        assert_eq!((settings.trajectories, settings.np, settings.iterations), (900, 10, 100));
+        assert_eq!(
+            (settings.trajectories, settings.np, settings.iterations),
+            (900, 10, 100)
+        );
     }
 
     #[test]
     fn a_setting_out_of_range_is_named() {
-        let settings = BuildSettings { tolerance: f64::NAN, ..Default::default() };
+        let settings = BuildSettings {
+            tolerance: f64::NAN,
+            ..Default::default()
+        };
         let message = settings.check().unwrap_err().to_string();
         assert_eq!(message, "tolerance = NaN; allowed: 1e-15 to 1");
     }

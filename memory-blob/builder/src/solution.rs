@@ -28,7 +28,11 @@ impl<'a> Finder<'a> {
     /// A finder with a solver of its own.
     pub fn new(task: &'a Task, settings: &'a BuildSettings) -> Self {
         let solver = Box::new(Solver::new(settings.np, 1, settings.effort()));
-        Self { task, settings, solver }
+        Self {
+            task,
+            settings,
+            solver,
+        }
     }
 
     /// The next command from the features `points`: guided by the memory where features are close to an occlusion
@@ -54,9 +58,16 @@ impl<'a> Finder<'a> {
         let mut random = ChaCha8Rng::from_rng(rng);
         first.or_else(|| {
             let goal = self.task.goal.clone();
-            let predefined = (0..PREDEFINED_DIRECTIONS).map(|k| self.direction(k)).collect::<Vec<_>>();
-            let random = (0..RANDOM_DIRECTIONS).map(|_| self.random_direction(&mut random)).collect::<Vec<_>>();
-            predefined.iter().chain(&random).find_map(|start| self.solve(points, &goal, start))
+            let predefined = (0..PREDEFINED_DIRECTIONS)
+                .map(|k| self.direction(k))
+                .collect::<Vec<_>>();
+            let random = (0..RANDOM_DIRECTIONS)
+                .map(|_| self.random_direction(&mut random))
+                .collect::<Vec<_>>();
+            predefined
+                .iter()
+                .chain(&random)
+                .find_map(|start| self.solve(points, &goal, start))
         })
     }
 
@@ -72,13 +83,24 @@ impl<'a> Finder<'a> {
             margin: 0.0,
         };
         let plan: Plan = std::array::from_fn(|k| if k < 6 { warm[k] } else { 0.0 });
-        let solution = self.solver.solve_from(&problem, &[plan, [0.0; MAX_VARIABLES]]);
-        solution.status.is_feasible().then(|| std::array::from_fn(|k| solution.plan[k]))
+        let solution = self
+            .solver
+            .solve_from(&problem, &[plan, [0.0; MAX_VARIABLES]]);
+        solution
+            .status
+            .is_feasible()
+            .then(|| std::array::from_fn(|k| solution.plan[k]))
     }
 
     fn direction(&self, k: usize) -> Twist {
         let sign = if k.is_multiple_of(2) { 1.0 } else { -1.0 };
-        std::array::from_fn(|i| if i == k / 2 { sign * self.task.limits[i] } else { 0.0 })
+        std::array::from_fn(|i| {
+            if i == k / 2 {
+                sign * self.task.limits[i]
+            } else {
+                0.0
+            }
+        })
     }
 
     fn random_direction(&self, rng: &mut ChaCha8Rng) -> Twist {

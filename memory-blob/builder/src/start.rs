@@ -36,7 +36,10 @@ pub fn draw(scene: &Scene, rng: &mut ChaCha8Rng) -> Pose {
     );
     let roll = Vector3::new(0.0, 0.0, uniform(rng, -region.roll_max, region.roll_max));
     let rotation = Rotation3::new(roll) * Rotation3::new(tilt);
-    Pose { translation, rotation: rotation.scaled_axis().into() }
+    Pose {
+        translation,
+        rotation: rotation.scaled_axis().into(),
+    }
 }
 
 /// The features of a start, where it meets the scene's conditions: every point clear of border and occlusions, and
@@ -78,16 +81,29 @@ pub fn valid(
             return Ok(pose);
         }
     }
-    if near.is_some() { valid(scene, task, None, rng) } else { Err(NoStart) }
+    if near.is_some() {
+        valid(scene, task, None, rng)
+    } else {
+        Err(NoStart)
+    }
 }
 
 /// A pose as the point of R^6 that mixtures are fitted to.
 pub fn coordinates(pose: &Pose) -> [f64; 6] {
-    std::array::from_fn(|k| if k < 3 { pose.translation[k] } else { pose.rotation[k - 3] })
+    std::array::from_fn(|k| {
+        if k < 3 {
+            pose.translation[k]
+        } else {
+            pose.rotation[k - 3]
+        }
+    })
 }
 
 fn pose_of(x: [f64; 6]) -> Pose {
-    Pose { translation: [x[0], x[1], x[2]], rotation: [x[3], x[4], x[5]] }
+    Pose {
+        translation: [x[0], x[1], x[2]],
+        rotation: [x[3], x[4], x[5]],
+    }
 }
 
 /// Whether a pose lies in the region (a mixture reaches beyond it).
@@ -100,8 +116,12 @@ fn inside(scene: &Scene, pose: &Pose) -> bool {
     let r: Matrix3<f64> = Rotation3::new(Vector3::from(pose.rotation)).into_inner();
     let angle = r[(2, 2)].clamp(-1.0, 1.0).acos();
     let axis = Vector3::new(r[(2, 1)], -r[(2, 0)], 0.0);
-    let tilt = axis.try_normalize(1e-12).map_or(Vector3::zeros(), |axis| axis * angle);
-    let roll = (Rotation3::from_matrix_unchecked(r) * Rotation3::new(-tilt)).scaled_axis().z;
+    let tilt = axis
+        .try_normalize(1e-12)
+        .map_or(Vector3::zeros(), |axis| axis * angle);
+    let roll = (Rotation3::from_matrix_unchecked(r) * Rotation3::new(-tilt))
+        .scaled_axis()
+        .z;
     placed
         && tilt.x.abs() <= region.tilt_max + 1e-9
         && tilt.y.abs() <= region.tilt_max + 1e-9
@@ -111,12 +131,20 @@ fn inside(scene: &Scene, pose: &Pose) -> bool {
 /// Whether the polygon of the points turns left or right.
 fn orientation(points: &[[f64; 2]]) -> bool {
     let next = points.iter().cycle().skip(1);
-    points.iter().zip(next).map(|(p, q)| p[0] * q[1] - q[0] * p[1]).sum::<f64>() > 0.0
+    points
+        .iter()
+        .zip(next)
+        .map(|(p, q)| p[0] * q[1] - q[0] * p[1])
+        .sum::<f64>()
+        > 0.0
 }
 
 /// Largest distance between corresponding points, px: how far an image has moved.
 pub fn image_motion(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
-    a.iter().zip(b).map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1])).fold(0.0, f64::max)
+    a.iter()
+        .zip(b)
+        .map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]))
+        .fold(0.0, f64::max)
 }
 
 /// Largest component of s - s*, px.
@@ -136,7 +164,10 @@ mod tests {
         for _ in 0..1000 {
             assert!(inside(&scene, &draw(&scene, &mut rng)));
         }
-        let tilted = Pose { translation: [0.0, 0.0, 0.8], rotation: [0.8, 0.0, 0.0] };
+        let tilted = Pose {
+            translation: [0.0, 0.0, 0.8],
+            rotation: [0.8, 0.0, 0.0],
+        };
         assert!(!inside(&scene, &tilted));
     }
 
@@ -145,8 +176,9 @@ mod tests {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let task = Task::new(&scene).unwrap();
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "sim").unwrap();
-        let valid =
-            starts.iter().filter(|p| inside(&scene, p) && features_if_valid(&scene, &task, p).is_some());
+        let valid = starts
+            .iter()
+            .filter(|p| inside(&scene, p) && features_if_valid(&scene, &task, p).is_some());
         // The distance to an ellipse is first-order here, so a start at the very border may differ.
         assert!(valid.count() >= 98);
     }

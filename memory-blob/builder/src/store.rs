@@ -44,7 +44,10 @@ pub struct Store {
 impl Store {
     /// An empty store for a task.
     pub fn new(task: &Task) -> Self {
-        Self { scale: input_scale(task), ..Self::default() }
+        Self {
+            scale: input_scale(task),
+            ..Self::default()
+        }
     }
 
     /// Trajectories stored.
@@ -71,7 +74,8 @@ impl Store {
             let pixels = way_point.iter().flatten().copied();
             let features: Points = points.iter().copied().collect();
             self.inputs.push(task.recall_input(&features).to_vec());
-            self.outputs.push(twist.iter().copied().chain(pixels).collect());
+            self.outputs
+                .push(twist.iter().copied().chain(pixels).collect());
             self.trajectory.push(self.trajectories);
             self.step.push(j);
         }
@@ -79,7 +83,11 @@ impl Store {
     }
 
     fn distance(&self, a: &[f64], b: &[f64]) -> f64 {
-        a.iter().zip(b).zip(&self.scale).map(|((a, b), s)| ((a - b) / s) * ((a - b) / s)).sum()
+        a.iter()
+            .zip(b)
+            .zip(&self.scale)
+            .map(|((a, b), s)| ((a - b) / s) * ((a - b) / s))
+            .sum()
     }
 }
 
@@ -109,7 +117,11 @@ fn in_sight(task: &Task, far: f64, trajectory: &Trajectory, j: usize) -> Vec<[f6
         }
         seen = j + there + 1;
     }
-    if seen >= last { task.goal.to_vec() } else { trajectory.features[seen].clone() }
+    if seen >= last {
+        task.goal.to_vec()
+    } else {
+        trajectory.features[seen].clone()
+    }
 }
 
 /// Whether no occlusion stops a point on its straight way from `a` to `b`.
@@ -134,12 +146,16 @@ fn input_scale(task: &Task) -> Vec<f64> {
     let width = task.camera.width;
     let size = task.goal_area.sqrt();
     let points = std::iter::repeat_n(width, 2 * task.goal.len());
-    points.chain([2.0 * task.goal_area * width / size, width / size]).collect()
+    points
+        .chain([2.0 * task.goal_area * width / size, width / size])
+        .collect()
 }
 
 impl MotionMemory for Store {
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool {
-        let Strategy::Knn { k: 1 } = strategy else { return false };
+        let Strategy::Knn { k: 1 } = strategy else {
+            return false;
+        };
         debug_assert!(input.len() <= MAX_INPUTS);
         let nearest = self
             .inputs

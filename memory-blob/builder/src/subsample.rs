@@ -14,11 +14,15 @@ pub fn indices(task: &Task, settings: &BuildSettings, store: &Store) -> Vec<usiz
     let reach = settings.regression.zone * settings.trigger_px;
     let points = 2 * task.goal.len();
     let in_zone = |input: &Vec<f64>| {
-        let pixels: Vec<[f64; 2]> = input[..points].chunks_exact(2).map(|p| [p[0], p[1]]).collect();
+        let pixels: Vec<[f64; 2]> = input[..points]
+            .chunks_exact(2)
+            .map(|p| [p[0], p[1]])
+            .collect();
         recall::clearance(task, &pixels) < reach
     };
-    let zone: Vec<usize> =
-        (0..store.inputs.len()).filter(|&i| in_zone(&store.inputs[i])).collect();
+    let zone: Vec<usize> = (0..store.inputs.len())
+        .filter(|&i| in_zone(&store.inputs[i]))
+        .collect();
     let from = if zone.len() >= wanted.min(store.inputs.len()) {
         zone
     } else {

@@ -43,11 +43,16 @@ impl Camera {
         let rotation = motion::rotation(pose.rotation);
         let translation = Vector3::from(pose.translation);
         let place = |p: &[f64; 3]| rotation * Vector3::from(*p) + translation;
-        Self { points: task.pattern.iter().map(place).collect() }
+        Self {
+            points: task.pattern.iter().map(place).collect(),
+        }
     }
 
     pub(crate) fn features(&self, task: &Task) -> Option<Points> {
-        self.points.iter().map(|x| camera::project(&task.camera, (*x).into())).collect()
+        self.points
+            .iter()
+            .map(|x| camera::project(&task.camera, (*x).into()))
+            .collect()
     }
 
     pub(crate) fn advance(&mut self, task: &Task, twist: &Twist) {
@@ -69,14 +74,20 @@ pub(crate) fn run(
     let fastest = scene.limits.linear * task.ts * task.camera.fx / scene.goal.translation[2];
     let still = STILL * fastest;
     let mut camera = Camera::at(task, start);
-    let mut trajectory = Trajectory { features: Vec::new(), twists: Vec::new() };
+    let mut trajectory = Trajectory {
+        features: Vec::new(),
+        twists: Vec::new(),
+    };
     let (mut twist, mut rest) = ([0.0; 6], 0);
     for _ in 0..=periods {
         let points = camera.features(task).ok_or(Failure::Violation)?;
         if !is_visible(task, &points) {
             return Err(Failure::Violation);
         }
-        let moved = trajectory.features.last().map_or(f64::INFINITY, |last| image_motion(last, &points));
+        let moved = trajectory
+            .features
+            .last()
+            .map_or(f64::INFINITY, |last| image_motion(last, &points));
         rest = if moved < still { rest + 1 } else { 0 };
         trajectory.features.push(points.to_vec());
         // Half of what counts as arrived, so that the end of a trajectory lies inside it.
@@ -103,20 +114,25 @@ pub fn generate(
     rng: &mut ChaCha8Rng,
 ) -> Result<Trajectory, Failure> {
     let task = finder.task;
-    let found = run(scene, task, start, |points, previous| finder.find(points, previous, store, rng));
+    let found = run(scene, task, start, |points, previous| {
+        finder.find(points, previous, store, rng)
+    });
     match found {
-        Err(failure) if finder.settings.planner => {
-            planner::path(scene, task, start, rng)
-                .and_then(|path| follow(scene, finder, start, &path))
-                .ok_or(failure)
-        }
+        Err(failure) if finder.settings.planner => planner::path(scene, task, start, rng)
+            .and_then(|path| follow(scene, finder, start, &path))
+            .ok_or(failure),
         other => other,
     }
 }
 
 /// Tracks a path of features by the controller: the way point runs ahead of the features by a distance that is
 /// halved until the trajectory gets through.
-fn follow(scene: &Scene, finder: &mut Finder<'_>, start: &Pose, path: &[Points]) -> Option<Trajectory> {
+fn follow(
+    scene: &Scene,
+    finder: &mut Finder<'_>,
+    start: &Pose,
+    path: &[Points],
+) -> Option<Trajectory> {
     let task = finder.task;
     [0.15, 0.08, 0.04, 0.02].iter().find_map(|share| {
         let ahead = share * task.camera.width;
