@@ -18,7 +18,10 @@ pub fn covers(part: &Part, pixel: [f64; 2]) -> bool {
 /// By symmetry the closest border point lies in the pixel's quadrant. The border is taken by its direction from the
 /// centre, theta in [0, pi/2], at the radius ((cos/h_u)^p + (sin/h_v)^p)^(-1/p): sampled, then refined about the best.
 pub fn border_distance(part: &Part, pixel: [f64; 2]) -> f64 {
-    let offset = [(pixel[0] - part.center[0]).abs(), (pixel[1] - part.center[1]).abs()];
+    let offset = [
+        (pixel[0] - part.center[0]).abs(),
+        (pixel[1] - part.center[1]).abs(),
+    ];
     let distance = |theta: f64| {
         // Equal steps in the direction of the scaled part, so that slender parts are sampled as densely.
         let (u, v) = (theta.cos(), theta.sin());

@@ -86,7 +86,11 @@ impl Referee {
         for (point, &pixel) in points.iter().enumerate() {
             if !pixel.iter().all(|x| x.is_finite()) {
                 let place = Place::OutsideImage;
-                return Verdict::Violation { point, depth_px: f64::INFINITY, place };
+                return Verdict::Violation {
+                    point,
+                    depth_px: f64::INFINITY,
+                    place,
+                };
             }
             let (clearance, place) = self.clearance(pixel);
             self.least_clearance = self.least_clearance.min(clearance);

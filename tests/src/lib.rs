@@ -1,6 +1,7 @@
 //! What the programs `demo` and `table` and the system tests share: closed-loop runs against an exact camera, and
 //! what they add up to.
 
+pub mod pictures;
 pub mod row;
 pub mod run;
 pub mod spec;

@@ -48,10 +48,18 @@ impl CycleTime {
         times.sort_by(f64::total_cmp);
         let at = |share: f64| {
             let index = (share * times.len() as f64) as usize;
-            times.get(index.min(times.len().saturating_sub(1))).copied().unwrap_or(0.0)
+            times
+                .get(index.min(times.len().saturating_sub(1)))
+                .copied()
+                .unwrap_or(0.0)
         };
         let mean = times.iter().sum::<f64>() / times.len().max(1) as f64;
-        Self { mean, p50: at(0.5), p99: at(0.99), max: at(1.0) }
+        Self {
+            mean,
+            p50: at(0.5),
+            p99: at(0.99),
+            max: at(1.0),
+        }
     }
 }
 
@@ -59,13 +67,22 @@ impl Row {
     /// The row of a strategy's runs.
     pub fn of(spec: Spec, runs: &[Run]) -> Self {
         let count = runs.len().max(1) as f64;
-        let cycles: Vec<f64> = runs.iter().flat_map(|run| run.cycles_us.iter().copied()).collect();
+        let cycles: Vec<f64> = runs
+            .iter()
+            .flat_map(|run| run.cycles_us.iter().copied())
+            .collect();
         let per_cycle = |total: u64| total as f64 / cycles.len().max(1) as f64;
         let successes = runs.iter().filter(|run| run.success).count();
         let because = |reasons: &[Reason]| {
-            runs.iter().filter(|run| run.reason.is_some_and(|r| reasons.contains(&r))).count()
+            runs.iter()
+                .filter(|run| run.reason.is_some_and(|r| reasons.contains(&r)))
+                .count()
         };
-        let steps: usize = runs.iter().filter(|run| run.success).map(|run| run.steps).sum();
+        let steps: usize = runs
+            .iter()
+            .filter(|run| run.success)
+            .map(|run| run.steps)
+            .sum();
         Self {
             strategy: spec.strategy.to_string(),
             np: spec.np,

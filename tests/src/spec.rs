@@ -17,7 +17,11 @@ pub struct Spec {
 impl Spec {
     /// The settings of the law: the paper's on-line settings with this strategy and window.
     pub fn settings(&self) -> Settings {
-        Settings { strategy: self.strategy, np: self.np, ..Settings::default() }
+        Settings {
+            strategy: self.strategy,
+            np: self.np,
+            ..Settings::default()
+        }
     }
 }
 
@@ -32,10 +36,14 @@ impl FromStr for Spec {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (strategy, np) = text.trim().split_once(':').unwrap_or((text.trim(), "3"));
-        let strategy = strategy.parse().map_err(|e| format!("strategy `{strategy}`; {e}"))?;
+        let strategy = strategy
+            .parse()
+            .map_err(|e| format!("strategy `{strategy}`; {e}"))?;
         match np.parse() {
             Ok(np) if (1..=MAX_NP).contains(&np) => Ok(Self { strategy, np }),
-            _ => Err(format!("preview window `{np}` of `{text}`; allowed: 1 to {MAX_NP}")),
+            _ => Err(format!(
+                "preview window `{np}` of `{text}`; allowed: 1 to {MAX_NP}"
+            )),
         }
     }
 }
@@ -54,7 +62,17 @@ mod tests {
 
     #[test]
     fn a_bad_spec_is_named() {
-        assert!("gpr:41".parse::<Spec>().unwrap_err().contains("`41` of `gpr:41`; allowed: 1 to 40"));
-        assert!("magic:3".parse::<Spec>().unwrap_err().contains("`magic`; allowed: previous"));
+        assert!(
+            "gpr:41"
+                .parse::<Spec>()
+                .unwrap_err()
+                .contains("`41` of `gpr:41`; allowed: 1 to 40")
+        );
+        assert!(
+            "magic:3"
+                .parse::<Spec>()
+                .unwrap_err()
+                .contains("`magic`; allowed: previous")
+        );
     }
 }
