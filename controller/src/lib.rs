@@ -1,1 +1,21 @@
-//! To come.
+//! `vpcd`, the daemon: configuration, clock, the real-time cycle, telemetry, shutdown. The law itself is the crate
+//! `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions: `README.md`).
+//!
+//! A cycle is *Wake -> Receive -> Step -> Send -> Slack*; its modules in that order:
+//! [`clock`] (when), [`gate`] (whether the features can be trusted), [`law`] (what to command), [`cycle`] (the loop
+//! itself), [`telemetry`] (what an ordinary thread makes of the records).
+#![deny(unsafe_code)]
+
+pub mod arguments;
+pub mod clock;
+pub mod config;
+pub mod cycle;
+pub mod daemon;
+pub mod exit;
+pub mod gate;
+pub mod histogram;
+pub mod law;
+pub mod log;
+pub mod realtime;
+pub mod shutdown;
+pub mod telemetry;

@@ -326,6 +326,20 @@ impl<T: Message> Subscriber<T> {
         message.map(|message| self.accept(message)).transpose()
     }
 
+    /// Connects to a publisher that came since the last call. Receiving does it too; who wants the last messages of a
+    /// publisher that may end soon connects while it lives.
+    ///
+    /// # Errors
+    /// [`ReceiveError::Transport`] where the connection cannot be made.
+    pub fn refresh(&mut self) -> Result<(), ReceiveError> {
+        self.port
+            .update_connections()
+            .map_err(|source| ReceiveError::Transport {
+                service: T::SERVICE,
+                source: source.into(),
+            })
+    }
+
     fn take(&self) -> Result<Option<T>, ReceiveError> {
         match self.port.receive() {
             Ok(sample) => Ok(sample.map(|sample| *sample)),

@@ -13,10 +13,13 @@ pub struct CameraPorts {
     pub features: Publisher<Features>,
     /// Out: where it is.
     pub robot: Publisher<RobotState>,
-    /// In: the latest command.
+    /// In: commands; the last few are kept, so that the answer of the last cycle of a run is not lost to the zero
+    /// twist that ends it. Read the newest with [`Subscriber::latest`].
     pub twist: Subscriber<TwistCommand>,
 }
 
+/// Commands that a camera keeps.
+const COMMANDS: usize = 4;
 /// Rounds of polling that only yield, before polling sleeps.
 const YIELDS: u32 = 200;
 /// Sleep between two polls.
@@ -30,7 +33,7 @@ impl CameraPorts {
     pub fn open(domain: &Domain) -> Result<Self, OpenError> {
         Ok(Self {
             // The subscriber first: no answer to the first features may be missed.
-            twist: domain.subscriber(1)?,
+            twist: domain.subscriber(COMMANDS)?,
             features: domain.publisher()?,
             robot: domain.publisher()?,
         })
@@ -50,11 +53,14 @@ impl CameraPorts {
         let end = crate::now_ns().saturating_add(patience);
         let mut polls = 0;
         loop {
-            match self.twist.latest()? {
-                Some(twist) if twist.answers(sent.sequence, sent.published_ns) => {
-                    return Ok(Some(twist));
+            for _ in 0..COMMANDS {
+                match self.twist.oldest()? {
+                    Some(twist) if twist.answers(sent.sequence, sent.published_ns) => {
+                        return Ok(Some(twist));
+                    }
+                    Some(_) => (),
+                    None => break,
                 }
-                _ => (),
             }
             if crate::now_ns() >= end {
                 return Ok(None);

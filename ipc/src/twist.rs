@@ -60,13 +60,18 @@ const _: () = {
 impl TwistCommand {
     /// The answer to some features, valid for ever (lockstep); see [`TwistCommand::valid_for_ns`].
     pub fn answer(features: &Features, twist: [f64; 6], state: TwistState) -> Self {
+        Self::answer_to(&features.stamp, twist, state)
+    }
+
+    /// The answer to the features message with this head.
+    pub fn answer_to(features: &Stamp, twist: [f64; 6], state: TwistState) -> Self {
         Self {
             stamp: Stamp {
-                data_ns: features.stamp.data_ns,
+                data_ns: features.data_ns,
                 ..Stamp::default()
             },
-            features_sequence: features.stamp.sequence,
-            features_published_ns: features.stamp.published_ns,
+            features_sequence: features.sequence,
+            features_published_ns: features.published_ns,
             valid_until_ns: u64::MAX,
             state: state.code(),
             reserved: 0,
@@ -76,15 +81,7 @@ impl TwistCommand {
 
     /// The zero twist that answers nothing: at start-up, at shutdown, and while no features come.
     pub fn zero(state: TwistState) -> Self {
-        Self {
-            stamp: Stamp::default(),
-            features_sequence: 0,
-            features_published_ns: 0,
-            valid_until_ns: u64::MAX,
-            state: state.code(),
-            reserved: 0,
-            twist: [0.0; 6],
-        }
+        Self::answer_to(&Stamp::default(), [0.0; 6], state)
     }
 
     /// The same command, valid from now for this long, ns.

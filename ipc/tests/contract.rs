@@ -474,7 +474,7 @@ fn sending_and_receiving_never_allocate() {
         controller.twist.publish(&twist).unwrap();
         assert_eq!(camera.twist.latest().unwrap().unwrap().features_sequence, k);
         recorder.cycles.publish(&CycleRecord::default()).unwrap();
-        if k % 8 == 0 {
+        if k.is_multiple_of(8) {
             while observer.cycles.oldest().unwrap().is_some() {}
             observer.features.latest().unwrap().unwrap();
         }

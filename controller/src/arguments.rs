@@ -1,0 +1,53 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::Parser;
+
+/// Real-time visual predictive controller: image features in, camera twist out, through shared memory.
+///
+/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 64 command line; 65 scene or memory wrong, or memory built
+/// for another task; 66 file missing; 69 shared memory not available or another vpcd at work; 70 failure of vpcd;
+/// 78 configuration.
+#[derive(Clone, Debug, Default, Parser)]
+#[command(name = "vpcd", version, max_term_width = 100)]
+pub struct Arguments {
+    /// Configuration file (TOML); paths in it are relative to its directory. Without it every key has its default
+    /// and --scene must be given. The documented default ships as controller/vpcd.toml.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+
+    /// Scene file, instead of `scene` in the configuration.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+
+    /// Memory of motion, instead of `memory` in the configuration.
+    #[arg(long, value_name = "FILE")]
+    pub memory: Option<PathBuf>,
+
+    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr, ibvs; instead of `law.strategy`.
+    #[arg(long, value_name = "NAME")]
+    pub strategy: Option<String>,
+
+    /// Steps previewed, 1 to 40, instead of `law.np`.
+    #[arg(long, value_name = "STEPS")]
+    pub np: Option<i64>,
+
+    /// fixed (a grid in time at the scene's rate) or lockstep (one step for each features message), instead of
+    /// `cycle.clock`.
+    #[arg(long, value_name = "MODE")]
+    pub clock: Option<String>,
+
+    /// Directory of the shared-memory domain, the same for everybody who is to meet; instead of `ipc.domain`.
+    /// [default: /tmp/vpc-<uid>]
+    #[arg(long, value_name = "DIR")]
+    pub domain: Option<PathBuf>,
+
+    /// Stop after so many cycles.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub cycles: Option<u64>,
+
+    /// Check configuration, scene and memory, say what would run, and exit.
+    #[arg(long)]
+    pub check_only: bool,
+}

@@ -1,0 +1,523 @@
+//! Configuration: TOML into raw numbers, flags over it, then checked into a [`Config`] whose existence means that it
+//! is valid.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+
+use ipc::ClockMode;
+use serde::Deserialize;
+use vpc::{Model, Settings, Strategy};
+
+use crate::arguments::Arguments;
+use crate::exit::Exit;
+
+/// A valid configuration.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Config {
+    /// Scene file.
+    pub scene: PathBuf,
+    /// Memory of motion; present where the strategy needs one.
+    pub memory: Option<PathBuf>,
+    /// Settings of the law, checked.
+    pub settings: Settings,
+    /// What starts a cycle.
+    pub clock: ClockMode,
+    /// Periods without a new features message after which the zero twist is sent.
+    pub stale_periods: f64,
+    /// Directory of the shared-memory domain.
+    pub domain: PathBuf,
+    /// SCHED_FIFO priority, 1 to 99; `None`: an ordinary thread.
+    pub priority: Option<i32>,
+    /// Filter of the log.
+    pub log_level: String,
+    /// Whether log lines are JSON.
+    pub log_json: bool,
+}
+
+/// Why a configuration was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file could not be read.
+    #[error("{path}: cannot read the configuration: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// It is not the TOML of a configuration: wrong syntax, an unknown key, a wrong type.
+    #[error("{path}: {message}")]
+    Syntax {
+        /// The file.
+        path: String,
+        /// Line, column, and what was expected.
+        message: String,
+    },
+    /// A key without a default is missing.
+    #[error("{path}: {key} is missing; allowed: {allowed}")]
+    Missing {
+        /// The file, or the command line.
+        path: String,
+        /// The key.
+        key: &'static str,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// A value is out of its range.
+    #[error("{path}: {key} = {value}; allowed: {allowed}")]
+    Value {
+        /// The file, or the command line.
+        path: String,
+        /// The key with its table, or the flag.
+        key: String,
+        /// What was found.
+        value: String,
+        /// What is allowed.
+        allowed: String,
+    },
+}
+
+impl ConfigError {
+    /// The exit code that it asks for.
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Read { .. } => Exit::NoInput,
+            Self::Value { path, .. } | Self::Missing { path, .. } if path == COMMAND_LINE => {
+                Exit::Usage
+            }
+            _ => Exit::Config,
+        }
+    }
+}
+
+/// Stands for a file in messages about flags.
+const COMMAND_LINE: &str = "command line";
+
+#[derive(Deserialize, Default)]
+#[serde(deny_unknown_fields, default)]
+struct Raw {
+    scene: Option<PathBuf>,
+    memory: Option<PathBuf>,
+    law: RawLaw,
+    cycle: RawCycle,
+    ipc: RawIpc,
+    realtime: RawRealtime,
+    log: RawLog,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct RawLaw {
+    strategy: String,
+    np: i64,
+    nc: i64,
+    iterations: i64,
+    tolerance: f64,
+    model: String,
+    trigger_px: f64,
+    release: f64,
+    margin_px: f64,
+    lambda: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct RawCycle {
+    clock: String,
+    stale_periods: f64,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(deny_unknown_fields, default)]
+struct RawIpc {
+    domain: Option<PathBuf>,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(deny_unknown_fields, default)]
+struct RawRealtime {
+    priority: Option<i64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct RawLog {
+    level: String,
+    format: String,
+}
+
+impl Default for RawLaw {
+    fn default() -> Self {
+        let settings = Settings::default();
+        Self {
+            strategy: settings.strategy.to_string(),
+            np: settings.np as i64,
+            nc: settings.nc as i64,
+            iterations: i64::from(settings.effort.max_iterations),
+            tolerance: settings.effort.tolerance,
+            model: model_name(settings.model).to_owned(),
+            trigger_px: settings.trigger_px,
+            release: settings.release,
+            margin_px: settings.margin_px,
+            lambda: settings.lambda,
+        }
+    }
+}
+
+impl Default for RawCycle {
+    fn default() -> Self {
+        Self {
+            clock: "fixed".to_owned(),
+            stale_periods: 3.0,
+        }
+    }
+}
+
+impl Default for RawLog {
+    fn default() -> Self {
+        Self {
+            level: "info".to_owned(),
+            format: "text".to_owned(),
+        }
+    }
+}
+
+/// The word of a model in configuration files.
+fn model_name(model: Model) -> &'static str {
+    match model {
+        Model::TargetDepth => "target-depth",
+        Model::AreaDepth => "area-depth",
+        Model::Pose => "pose",
+    }
+}
+
+impl Config {
+    /// Reads the file that the command line names, lays the flags over it, and checks the whole.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names file or flag, key, value and what is allowed.
+    pub fn read(arguments: &Arguments) -> Result<Self, ConfigError> {
+        match &arguments.config {
+            Some(file) => {
+                let path = file.display().to_string();
+                let text = std::fs::read_to_string(file).map_err(|source| ConfigError::Read {
+                    path: path.clone(),
+                    source,
+                })?;
+                let directory = file.parent().unwrap_or(Path::new(""));
+                Self::parse(&text, &path, directory, arguments)
+            }
+            None => Self::parse("", COMMAND_LINE, Path::new(""), arguments),
+        }
+    }
+
+    /// Checks the text of a configuration with flags over it; `path` is for messages, and paths in the text are
+    /// relative to `directory`.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn parse(
+        text: &str,
+        path: &str,
+        directory: &Path,
+        arguments: &Arguments,
+    ) -> Result<Self, ConfigError> {
+        let mut raw: Raw = toml::from_str(text).map_err(|e| ConfigError::Syntax {
+            path: path.to_owned(),
+            message: e.to_string().trim_end().to_owned(),
+        })?;
+        let under = |file: &mut Option<PathBuf>| {
+            if let Some(file) = file {
+                *file = directory.join(&*file);
+            }
+        };
+        under(&mut raw.scene);
+        under(&mut raw.memory);
+        under(&mut raw.ipc.domain);
+        let checker = Checker { path, arguments };
+        checker.lay_flags_over(&mut raw);
+        checker.config(raw)
+    }
+}
+
+/// Turns raw tables into checked ones; every refusal names where the value came from.
+struct Checker<'a> {
+    path: &'a str,
+    arguments: &'a Arguments,
+}
+
+impl Checker<'_> {
+    fn lay_flags_over(&self, raw: &mut Raw) {
+        let flags = self.arguments.clone();
+        raw.scene = flags.scene.or(raw.scene.take());
+        raw.memory = flags.memory.or(raw.memory.take());
+        raw.ipc.domain = flags.domain.or(raw.ipc.domain.take());
+        if let Some(strategy) = flags.strategy {
+            raw.law.strategy = strategy;
+        }
+        if let Some(np) = flags.np {
+            raw.law.np = np;
+        }
+        if let Some(clock) = flags.clock {
+            raw.cycle.clock = clock;
+        }
+    }
+
+    fn refuse(&self, key: &str, value: impl Display, allowed: &str) -> ConfigError {
+        let flag = match key {
+            "law.strategy" if self.arguments.strategy.is_some() => Some("--strategy"),
+            "law.np" if self.arguments.np.is_some() => Some("--np"),
+            "cycle.clock" if self.arguments.clock.is_some() => Some("--clock"),
+            _ => None,
+        };
+        ConfigError::Value {
+            path: flag.map_or(self.path, |_| COMMAND_LINE).to_owned(),
+            key: flag.unwrap_or(key).to_owned(),
+            value: value.to_string(),
+            allowed: allowed.to_owned(),
+        }
+    }
+
+    fn config(&self, raw: Raw) -> Result<Config, ConfigError> {
+        let settings = self.settings(&raw.law)?;
+        let scene = raw.scene.ok_or(ConfigError::Missing {
+            path: self.path.to_owned(),
+            key: "scene",
+            allowed: "a scene file, by the key `scene` or the flag --scene",
+        })?;
+        if settings.strategy.needs_memory() && raw.memory.is_none() {
+            return Err(ConfigError::Missing {
+                path: self.path.to_owned(),
+                key: "memory",
+                allowed: "a memory of motion for the strategies knn and gpr, by the key `memory` or the flag --memory",
+            });
+        }
+        let stale = raw.cycle.stale_periods;
+        if !(1.0..=1000.0).contains(&stale) {
+            return Err(self.refuse("cycle.stale_periods", stale, "1 to 1000 periods"));
+        }
+        let priority = raw.realtime.priority.map(|priority| {
+            i32::try_from(priority)
+                .ok()
+                .filter(|priority| (1..=99).contains(priority))
+                .ok_or_else(|| self.refuse("realtime.priority", priority, "1 to 99"))
+        });
+        Ok(Config {
+            scene,
+            memory: raw.memory.filter(|_| settings.strategy.needs_memory()),
+            settings,
+            clock: self.clock(&raw.cycle)?,
+            stale_periods: stale,
+            domain: raw.ipc.domain.unwrap_or_else(ipc::default_directory),
+            priority: priority.transpose()?,
+            log_level: self.log_level(raw.log.level)?,
+            log_json: self.log_json(&raw.log.format)?,
+        })
+    }
+
+    fn clock(&self, raw: &RawCycle) -> Result<ClockMode, ConfigError> {
+        match raw.clock.as_str() {
+            "fixed" => Ok(ClockMode::Fixed),
+            "lockstep" => Ok(ClockMode::Lockstep),
+            other => Err(self.refuse("cycle.clock", other, "fixed, lockstep")),
+        }
+    }
+
+    fn log_level(&self, level: String) -> Result<String, ConfigError> {
+        match level.as_str() {
+            "off" | "error" | "warn" | "info" | "debug" | "trace" => Ok(level),
+            other => {
+                let allowed = "off, error, warn, info, debug, trace";
+                Err(self.refuse("log.level", other, allowed))
+            }
+        }
+    }
+
+    fn log_json(&self, format: &str) -> Result<bool, ConfigError> {
+        match format {
+            "text" => Ok(false),
+            "json" => Ok(true),
+            other => Err(self.refuse("log.format", other, "text, json")),
+        }
+    }
+
+    /// The law's own check knows the ranges; here its names become keys.
+    fn settings(&self, raw: &RawLaw) -> Result<Settings, ConfigError> {
+        let strategy: Strategy = raw
+            .strategy
+            .parse()
+            .map_err(|_| self.refuse("law.strategy", &raw.strategy, STRATEGIES))?;
+        let model = match raw.model.as_str() {
+            "target-depth" => Model::TargetDepth,
+            "area-depth" => Model::AreaDepth,
+            "pose" => Model::Pose,
+            other => {
+                return Err(self.refuse("law.model", other, "target-depth, area-depth, pose"));
+            }
+        };
+        let count = |key: &str, value: i64, most: i64, allowed: &str| {
+            if (1..=most).contains(&value) {
+                Ok(value)
+            } else {
+                Err(self.refuse(key, value, allowed))
+            }
+        };
+        let (np, nc) = (vpc::MAX_NP as i64, vpc::MAX_NC as i64);
+        let mut settings = Settings::default();
+        settings.strategy = strategy;
+        settings.model = model;
+        settings.np = count("law.np", raw.np, np, "1 to 40")? as usize;
+        settings.nc = count("law.nc", raw.nc, nc.min(raw.np), "1 to 4, at most np")? as usize;
+        settings.effort.max_iterations =
+            count("law.iterations", raw.iterations, 1000, "1 to 1000")? as u32;
+        settings.effort.tolerance = raw.tolerance;
+        settings.trigger_px = raw.trigger_px;
+        settings.release = raw.release;
+        settings.margin_px = raw.margin_px;
+        settings.lambda = raw.lambda;
+        match settings.check() {
+            Ok(()) => Ok(settings),
+            Err(vpc::SettingsError::Range {
+                name,
+                value,
+                allowed,
+            }) => Err(self.refuse(&format!("law.{name}"), value, allowed)),
+            Err(other) => Err(self.refuse("law", other, "what the scene's task allows")),
+        }
+    }
+}
+
+const STRATEGIES: &str = "previous, knn, knn2 to knn64, gpr, ibvs";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str, arguments: &Arguments) -> Result<Config, ConfigError> {
+        Config::parse(text, "/etc/v.toml", Path::new("/etc"), arguments)
+    }
+
+    fn refused(text: &str) -> String {
+        let error = parse(text, &Arguments::default()).unwrap_err();
+        assert_eq!(error.exit(), Exit::Config);
+        error.to_string()
+    }
+
+    #[test]
+    fn an_empty_file_with_a_scene_is_the_default() {
+        let config = parse("scene = 's.toml'", &Arguments::default()).unwrap();
+        assert_eq!(config.scene, Path::new("/etc/s.toml"));
+        assert_eq!(config.settings, Settings::default());
+        assert_eq!(
+            (config.clock, config.stale_periods),
+            (ClockMode::Fixed, 3.0)
+        );
+        assert_eq!(config.domain, ipc::default_directory());
+    }
+
+    #[test]
+    fn flags_win_and_their_paths_are_their_own() {
+        let flags = Arguments {
+            scene: Some("other.toml".into()),
+            strategy: Some("ibvs".into()),
+            np: Some(30),
+            clock: Some("lockstep".into()),
+            ..Arguments::default()
+        };
+        let config = parse("scene = 's.toml'\n[law]\nnp = 5", &flags).unwrap();
+        assert_eq!(config.scene, Path::new("other.toml"));
+        assert_eq!(
+            (config.settings.np, config.settings.strategy),
+            (30, Strategy::Ibvs)
+        );
+        assert_eq!(config.clock, ClockMode::Lockstep);
+    }
+
+    #[test]
+    fn a_refusal_names_file_key_value_and_range() {
+        for (text, words) in [
+            (
+                "[law]\nnp = 41",
+                "/etc/v.toml: law.np = 41; allowed: 1 to 40",
+            ),
+            ("[law]\nnp = -3", "law.np = -3; allowed: 1 to 40"),
+            ("[law]\nnc = 4", "law.nc = 4; allowed: 1 to 4, at most np"),
+            (
+                "[law]\ntolerance = nan",
+                "law.tolerance = NaN; allowed: 1e-15 to 1",
+            ),
+            (
+                "[law]\ntrigger_px = -1.0",
+                "law.trigger_px = -1; allowed: 0 to 1e4 px",
+            ),
+            (
+                "[law]\nstrategy = 'knn65'",
+                "law.strategy = knn65; allowed: previous, knn",
+            ),
+            (
+                "[law]\nmodel = 'guess'",
+                "law.model = guess; allowed: target-depth",
+            ),
+            (
+                "[cycle]\nclock = 'sun'",
+                "cycle.clock = sun; allowed: fixed, lockstep",
+            ),
+            (
+                "[cycle]\nstale_periods = 0.5",
+                "cycle.stale_periods = 0.5; allowed: 1 to 1000",
+            ),
+            (
+                "[realtime]\npriority = 100",
+                "realtime.priority = 100; allowed: 1 to 99",
+            ),
+            ("[log]\nlevel = 'loud'", "log.level = loud; allowed: off"),
+            (
+                "[log]\nformat = 'xml'",
+                "log.format = xml; allowed: text, json",
+            ),
+            (
+                "[law]\nstrategy = 'gpr'",
+                "/etc/v.toml: memory is missing; allowed: a memory",
+            ),
+        ] {
+            let message = refused(&format!("scene = 's.toml'\n{text}"));
+            assert!(message.contains(words), "{message}\nlacks {words}");
+        }
+        assert!(refused("").contains("/etc/v.toml: scene is missing"));
+    }
+
+    #[test]
+    fn an_unknown_key_and_a_wrong_type_are_shown_in_their_line() {
+        let message = refused("scene = 's.toml'\n[law]\nnpp = 3");
+        assert!(
+            message.contains("line 3") && message.contains("unknown field `npp`"),
+            "{message}"
+        );
+        let message = refused("scene = 's.toml'\n[law]\nnp = 'three'");
+        assert!(
+            message.contains("line 3") && message.contains("invalid type"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn a_wrong_flag_is_an_error_of_usage() {
+        let flags = Arguments {
+            np: Some(0),
+            ..Arguments::default()
+        };
+        let error = parse("scene = 's.toml'", &flags).unwrap_err();
+        assert_eq!(error.exit(), Exit::Usage);
+        assert_eq!(
+            error.to_string(),
+            "command line: --np = 0; allowed: 1 to 40"
+        );
+    }
+
+    #[test]
+    fn a_memory_that_no_strategy_asks_for_is_not_opened() {
+        let config = parse("scene = 's'\nmemory = 'm'", &Arguments::default()).unwrap();
+        assert_eq!(config.memory, None);
+    }
+}

@@ -1,0 +1,210 @@
+//! The loop: Wake -> Receive -> Step -> Send -> Slack. Nothing here allocates, logs, or waits without a bound.
+
+use ipc::{
+    ClockMode, ControllerPorts, CycleRecord, Features, Hold, PublishError, Stamp, TwistCommand,
+    TwistState, now_ns,
+};
+use rtrb::Producer;
+
+use crate::clock::{Grid, sleep_until};
+use crate::gate::{Gate, Input, Verdict};
+use crate::law::{self, Decision, Law};
+
+/// Rounds of polling in lockstep that only yield, before polling sleeps.
+const YIELDS: u32 = 100;
+/// Sleep between two polls in lockstep, ns.
+const POLL_NS: u64 = 20_000;
+/// Longest wait in lockstep before the stop flag is looked at, ns.
+const WAIT_NS: u64 = 5_000_000;
+
+/// How the loop runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// What starts a cycle.
+    pub clock: ClockMode,
+    /// The period of the fixed clock, ns; lockstep does not look at it.
+    pub period_ns: u64,
+    /// Periods without news after which the zero twist is sent.
+    pub stale_periods: f64,
+    /// Whether the thread runs under SCHED_FIFO, where polling must sleep at once.
+    pub realtime: bool,
+}
+
+/// The loop with all it owns. It shares nothing with other threads but the queue of records.
+pub struct Cycle {
+    pace: Pace,
+    ports: ControllerPorts,
+    law: Law,
+    gate: Gate,
+    grid: Grid,
+    records: Producer<CycleRecord>,
+    /// What stays the same in each record.
+    blank: CycleRecord,
+    count: u64,
+    lost: u64,
+    /// The last command of the law, for cycles without news.
+    standing: (Stamp, Decision),
+}
+
+impl Cycle {
+    /// A loop that starts now.
+    pub fn new(
+        pace: Pace,
+        ports: ControllerPorts,
+        law: Law,
+        records: Producer<CycleRecord>,
+    ) -> Self {
+        let stale_ns = match pace.clock {
+            ClockMode::Fixed => Some(stale_ns(&pace)),
+            ClockMode::Lockstep => None,
+        };
+        let mut blank = CycleRecord {
+            clock: pace.clock.code(),
+            ..CycleRecord::default()
+        };
+        law.describe(&mut blank);
+        Self {
+            pace,
+            ports,
+            law,
+            gate: Gate::new(stale_ns),
+            grid: Grid::new(now_ns(), pace.period_ns),
+            records,
+            blank,
+            count: 0,
+            lost: 0,
+            standing: (Stamp::default(), law::held(Hold::NoFeatures)),
+        }
+    }
+
+    /// Cycles so far.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// One cycle. In lockstep `Ok(None)` where no message came within a few milliseconds.
+    ///
+    /// # Errors
+    /// [`PublishError`] where the command could not be sent; the camera then stops by its validity.
+    pub fn run(&mut self) -> Result<Option<CycleRecord>, PublishError> {
+        let mut record = self.blank;
+        // Wake, Receive.
+        let (woken_ns, input) = match self.pace.clock {
+            ClockMode::Fixed => self.release(&mut record),
+            ClockMode::Lockstep => match self.poll() {
+                Some(found) => found,
+                None => return Ok(None),
+            },
+        };
+        let verdict = self.gate.judge(&input, now_ns());
+        let received_ns = now_ns();
+        // Step.
+        let (answered, decision) = self.decide(verdict, &mut record);
+        let stepped_ns = now_ns();
+        // Send.
+        let sent = self.send(&answered, &decision);
+        let sent_ns = now_ns();
+        // Slack.
+        self.count += 1;
+        record.cycle = self.count;
+        record.stamp.data_ns = woken_ns;
+        record.receive_ns = received_ns.saturating_sub(woken_ns);
+        record.step_ns = stepped_ns.saturating_sub(received_ns);
+        record.send_ns = sent_ns.saturating_sub(stepped_ns);
+        record.features_sequence = answered.sequence;
+        record.features_age_ns = match answered.sequence {
+            0 => 0,
+            _ => woken_ns.saturating_sub(answered.data_ns),
+        };
+        record.twist = decision.twist;
+        record.state = decision.state.code();
+        record.hold = decision.hold.code();
+        if self.pace.clock == ClockMode::Fixed {
+            self.grid.advance(now_ns());
+        }
+        record.overruns = self.grid.missed();
+        record.lost_records = self.lost;
+        if self.records.push(record).is_err() {
+            self.lost += 1;
+        }
+        sent.map(|()| Some(record))
+    }
+
+    /// Sends the zero twist that ends a run, whatever came before.
+    ///
+    /// # Errors
+    /// [`PublishError`] where it could not be sent.
+    pub fn stop(&mut self) -> Result<(), PublishError> {
+        let command = TwistCommand::zero(TwistState::Stopped);
+        self.ports.twist.publish(&command).map(|_| ())
+    }
+
+    /// Fixed clock: waits for the next release, and takes the latest message.
+    fn release(&mut self, record: &mut CycleRecord) -> (u64, Input) {
+        let release_ns = self.grid.next_ns();
+        sleep_until(release_ns);
+        let woken_ns = now_ns();
+        record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
+        (woken_ns, self.ports.features.latest())
+    }
+
+    /// Lockstep: polls for a message. A repeated one was answered already.
+    fn poll(&mut self) -> Option<(u64, Input)> {
+        let end_ns = now_ns() + WAIT_NS;
+        let mut polls = if self.pace.realtime { YIELDS } else { 0 };
+        loop {
+            let woken_ns = now_ns();
+            match self.ports.features.latest() {
+                Ok(None) => (),
+                Ok(Some(received)) if received.order == ipc::Order::Repeated => (),
+                input => return Some((woken_ns, input)),
+            }
+            if woken_ns >= end_ns {
+                return None;
+            }
+            if polls < YIELDS {
+                polls += 1;
+                std::thread::yield_now();
+            } else {
+                sleep_until(now_ns() + POLL_NS);
+            }
+        }
+    }
+
+    /// What to command, and the head of the message that it answers.
+    fn decide(&mut self, verdict: Verdict, record: &mut CycleRecord) -> (Stamp, Decision) {
+        match verdict {
+            Verdict::Step { features, link } => {
+                show(&features, record);
+                let decision = self.law.step(&features, link, record);
+                if decision.hold != Hold::None {
+                    self.gate.hold(decision.hold);
+                }
+                self.standing = (features.stamp, decision);
+                self.standing
+            }
+            Verdict::Repeat => self.standing,
+            Verdict::Hold(cause, stamp) => (stamp, law::held(cause)),
+        }
+    }
+
+    fn send(&mut self, answered: &Stamp, decision: &Decision) -> Result<(), PublishError> {
+        let command = TwistCommand::answer_to(answered, decision.twist, decision.state);
+        let command = match self.pace.clock {
+            ClockMode::Fixed => command.valid_for_ns(stale_ns(&self.pace)),
+            ClockMode::Lockstep => command,
+        };
+        self.ports.twist.publish(&command).map(|_| ())
+    }
+}
+
+/// Age from which on features and commands are stale, ns.
+fn stale_ns(pace: &Pace) -> u64 {
+    (pace.stale_periods * pace.period_ns as f64) as u64
+}
+
+/// Copies the features into the record.
+fn show(features: &Features, record: &mut CycleRecord) {
+    record.count = features.count;
+    record.points = features.points;
+}

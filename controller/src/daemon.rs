@@ -1,0 +1,170 @@
+//! The daemon from its command line to its exit code.
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::Parser;
+use ipc::{ClockMode, ControllerPorts, Domain};
+
+use crate::arguments::Arguments;
+use crate::config::{Config, ConfigError};
+use crate::cycle::{Cycle, Pace};
+use crate::exit::Exit;
+use crate::law::{Law, LawError};
+use crate::shutdown::Stop;
+use crate::telemetry::{self, RecorderError};
+use crate::{log, realtime};
+
+/// Failures to send in a row after which the daemon gives up: a broken segment does not mend itself.
+const MOST_FAILURES: u32 = 30;
+
+/// Why the daemon ended other than by being asked to.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Scene, memory or law.
+    #[error(transparent)]
+    Law(#[from] LawError),
+    /// The domain.
+    #[error(transparent)]
+    Join(#[from] ipc::JoinError),
+    /// The ports.
+    #[error(transparent)]
+    Open(#[from] ipc::OpenError),
+    /// The recorder.
+    #[error(transparent)]
+    Recorder(#[from] RecorderError),
+    /// The signal handlers.
+    #[error("signal handlers: {0}")]
+    Signals(std::io::Error),
+    /// Commands cannot be sent.
+    #[error("{most} commands in a row could not be sent; the last: {source}")]
+    Send {
+        /// How many.
+        most: u32,
+        /// The last failure.
+        source: ipc::PublishError,
+    },
+}
+
+impl Failure {
+    /// The exit code that it asks for.
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Config(error) => error.exit(),
+            Self::Law(error) => error.exit(),
+            Self::Join(_) | Self::Open(_) => Exit::Unavailable,
+            Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
+            Self::Recorder(_) | Self::Signals(_) | Self::Send { .. } => Exit::Software,
+        }
+    }
+}
+
+/// The program: runs until it is asked to stop. Messages about failures go to standard error.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let arguments = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Help and version are no errors; clap writes them to standard output.
+            let exit = if error.use_stderr() {
+                Exit::Usage
+            } else {
+                Exit::Ok
+            };
+            let _ = error.print();
+            return exit.into();
+        }
+    };
+    match run(&arguments) {
+        Ok(()) => Exit::Ok.into(),
+        Err(failure) => {
+            eprintln!("vpcd: {failure}");
+            failure.exit().into()
+        }
+    }
+}
+
+/// Checks everything, then runs the loop in this thread.
+///
+/// # Errors
+/// [`Failure`] names what is wrong.
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let config = Config::read(arguments)?;
+    let law = Law::open(&config.scene, config.memory.as_deref(), config.settings)?;
+    if arguments.check_only {
+        println!("{}", describe(&config, &law));
+        return Ok(());
+    }
+    log::start(&config);
+    let stop = Stop::by_signals().map_err(Failure::Signals)?;
+    let domain = Domain::join(&config.domain)?;
+    let ports = ControllerPorts::open(&domain)?;
+    let (records, queue) = rtrb::RingBuffer::new(telemetry::QUEUE);
+    let recorder = telemetry::start(&config.domain, queue)?;
+    tracing::info!("{}", describe(&config, &law));
+    match config.priority {
+        Some(priority) => realtime::enter(priority),
+        None => realtime::precise_sleep(),
+    }
+    let mut cycle = Cycle::new(pace(&config, &law), ports, law, records);
+    let outcome = turn(&mut cycle, &stop, arguments.cycles);
+    // Whatever happened, the last word is zero.
+    let stopped = cycle.stop();
+    drop(cycle);
+    if let Ok(summary) = recorder.join() {
+        summary.tell();
+    }
+    outcome?;
+    stopped.map_err(|source| Failure::Send { most: 1, source })
+}
+
+/// Runs cycles until asked to stop.
+fn turn(cycle: &mut Cycle, stop: &Stop, most: Option<u64>) -> Result<(), Failure> {
+    let mut failures = 0;
+    while !stop.is_asked() && most.is_none_or(|most| cycle.count() < most) {
+        match cycle.run() {
+            Ok(_) => failures = 0,
+            Err(source) => {
+                failures += 1;
+                if failures >= MOST_FAILURES {
+                    return Err(Failure::Send {
+                        most: failures,
+                        source,
+                    });
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn pace(config: &Config, law: &Law) -> Pace {
+    Pace {
+        clock: config.clock,
+        period_ns: (law.scene().sampling_time() * 1e9) as u64,
+        stale_periods: config.stale_periods,
+        realtime: config.priority.is_some(),
+    }
+}
+
+/// What runs, in one line.
+fn describe(config: &Config, law: &Law) -> String {
+    let settings = law.settings();
+    let memory = match (&config.memory, law.memory()) {
+        (Some(path), Some(memory)) => format!("{} ({} bytes)", path.display(), memory.size()),
+        _ => "none".to_owned(),
+    };
+    let clock = match config.clock {
+        ClockMode::Fixed => format!("fixed at {} Hz", law.scene().camera.rate_hz),
+        ClockMode::Lockstep => "lockstep".to_owned(),
+    };
+    format!(
+        "scene {}, strategy {}, np {}, memory {memory}, clock {clock}, domain {}",
+        config.scene.display(),
+        settings.strategy,
+        settings.np,
+        config.domain.display(),
+    )
+}

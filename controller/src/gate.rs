@@ -1,0 +1,238 @@
+//! The gate: which features may reach the law, and what to do without. Pure; the time is an argument.
+//!
+//! It knows messages: their order, their age, whether all points were visible. The law's own gate then checks the
+//! numbers against the scene.
+
+use ipc::{Features, Hold, Order, ReceiveError, Received, Stamp};
+
+/// What a cycle received.
+pub type Input = Result<Option<Received<Features>>, ReceiveError>;
+
+/// What a cycle is to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Verdict {
+    /// Run the law on these features.
+    Step {
+        /// The features.
+        features: Features,
+        /// What they are to the ones before.
+        link: Link,
+    },
+    /// Nothing new, and the last command is still good: send it again.
+    Repeat,
+    /// Send the zero twist, as the answer to the message with this head.
+    Hold(Hold, Stamp),
+}
+
+/// What features are to those of the law's previous step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// One period later, with the law's command in force.
+    Next,
+    /// Frames are missing between, or the command was not in force all the time: the prediction means nothing.
+    Broken,
+    /// A new run: nothing of before means anything.
+    New,
+}
+
+/// The gate.
+#[derive(Clone, Copy, Debug)]
+pub struct Gate {
+    stale_ns: Option<u64>,
+    last: Stamp,
+    standing: Standing,
+    gap: bool,
+}
+
+/// What became of the last message.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Standing {
+    Good,
+    Held(Hold),
+}
+
+impl Gate {
+    /// A gate that holds when no message came for `stale_ns`; `None` in lockstep, where time does not pass.
+    pub fn new(stale_ns: Option<u64>) -> Self {
+        Self {
+            stale_ns,
+            last: Stamp::default(),
+            standing: Standing::Held(Hold::NoFeatures),
+            gap: true,
+        }
+    }
+
+    /// Judges what was received by `now_ns` (CLOCK_MONOTONIC).
+    pub fn judge(&mut self, input: &Input, now_ns: u64) -> Verdict {
+        match input {
+            Ok(Some(received)) if received.order != Order::Repeated => self.fresh(received, now_ns),
+            Ok(_) => self.nothing(now_ns),
+            Err(ReceiveError::Invalid { stamp, .. }) => {
+                self.last = *stamp;
+                self.hold(Hold::Invalid)
+            }
+            Err(ReceiveError::Transport { .. }) => self.hold(Hold::Transport),
+        }
+    }
+
+    /// Holds until the next good message, and tells the law then that there was a gap: for refusals by the law, too.
+    pub fn hold(&mut self, cause: Hold) -> Verdict {
+        self.standing = Standing::Held(cause);
+        self.gap = true;
+        Verdict::Hold(cause, self.last)
+    }
+
+    fn fresh(&mut self, received: &Received<Features>, now_ns: u64) -> Verdict {
+        let features = received.message;
+        self.last = features.stamp;
+        if self.is_stale(now_ns) {
+            return self.hold(Hold::Stale);
+        }
+        if !features.all_visible() {
+            return self.hold(Hold::Hidden);
+        }
+        let link = match received.order {
+            Order::First | Order::Restarted => Link::New,
+            Order::Next if !self.gap => Link::Next,
+            _ => Link::Broken,
+        };
+        self.gap = false;
+        self.standing = Standing::Good;
+        Verdict::Step { features, link }
+    }
+
+    fn nothing(&mut self, now_ns: u64) -> Verdict {
+        match self.standing {
+            Standing::Held(cause) => Verdict::Hold(cause, self.last),
+            Standing::Good if self.is_stale(now_ns) => self.hold(Hold::Stale),
+            Standing::Good => {
+                // The next features are more than one period away from the law's last ones.
+                self.gap = true;
+                Verdict::Repeat
+            }
+        }
+    }
+
+    /// Age is silence, from publication on: a camera with a long but steady latency is not stale.
+    fn is_stale(&self, now_ns: u64) -> bool {
+        self.stale_ns
+            .is_some_and(|limit| now_ns.saturating_sub(self.last.published_ns) > limit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: u64 = 100;
+
+    fn message(sequence: u64, published_ns: u64) -> Features {
+        let mut features = Features::new(&[[1.0, 2.0]; 4], published_ns);
+        features.stamp.sequence = sequence;
+        features.stamp.published_ns = published_ns;
+        features
+    }
+
+    fn came(sequence: u64, published_ns: u64, order: Order) -> Input {
+        Ok(Some(Received {
+            message: message(sequence, published_ns),
+            order,
+        }))
+    }
+
+    fn link(verdict: Verdict) -> Option<Link> {
+        match verdict {
+            Verdict::Step { link, .. } => Some(link),
+            _ => None,
+        }
+    }
+
+    fn cause(verdict: Verdict) -> Option<Hold> {
+        match verdict {
+            Verdict::Hold(cause, _) => Some(cause),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn before_the_first_message_there_is_nothing_to_do_but_hold() {
+        let mut gate = Gate::new(Some(LIMIT));
+        assert_eq!(cause(gate.judge(&Ok(None), 0)), Some(Hold::NoFeatures));
+    }
+
+    #[test]
+    fn steady_messages_are_linked_and_a_gap_breaks_the_link_once() {
+        let mut gate = Gate::new(Some(LIMIT));
+        let mut judge = |input: Input, now| link(gate.judge(&input, now));
+        assert_eq!(judge(came(1, 0, Order::First), 1), Some(Link::New));
+        assert_eq!(judge(came(2, 30, Order::Next), 31), Some(Link::Next));
+        assert_eq!(
+            judge(came(4, 90, Order::Gap { missed: 1 }), 91),
+            Some(Link::Broken)
+        );
+        assert_eq!(judge(came(5, 120, Order::Next), 121), Some(Link::Next));
+        assert_eq!(judge(came(1, 150, Order::Restarted), 151), Some(Link::New));
+    }
+
+    #[test]
+    fn without_news_the_command_is_repeated_until_it_is_stale() {
+        let mut gate = Gate::new(Some(LIMIT));
+        gate.judge(&came(1, 0, Order::First), 1);
+        assert_eq!(gate.judge(&Ok(None), 50), Verdict::Repeat);
+        assert_eq!(gate.judge(&Ok(None), 100), Verdict::Repeat);
+        assert_eq!(cause(gate.judge(&Ok(None), 101)), Some(Hold::Stale));
+        // Good features end it, and the law is told of the gap.
+        assert_eq!(
+            link(gate.judge(&came(2, 200, Order::Next), 201)),
+            Some(Link::Broken)
+        );
+    }
+
+    #[test]
+    fn a_message_from_long_ago_is_stale_when_it_comes() {
+        let mut gate = Gate::new(Some(LIMIT));
+        assert_eq!(
+            cause(gate.judge(&came(1, 0, Order::First), 500)),
+            Some(Hold::Stale)
+        );
+        let mut lockstep = Gate::new(None);
+        assert_eq!(
+            link(lockstep.judge(&came(1, 0, Order::First), 500)),
+            Some(Link::New)
+        );
+    }
+
+    #[test]
+    fn a_repeated_message_is_no_news() {
+        let mut gate = Gate::new(Some(LIMIT));
+        gate.judge(&came(1, 0, Order::First), 1);
+        assert_eq!(gate.judge(&came(1, 0, Order::Repeated), 2), Verdict::Repeat);
+    }
+
+    #[test]
+    fn a_bad_message_holds_until_a_good_one_comes() {
+        let mut gate = Gate::new(Some(LIMIT));
+        gate.judge(&came(1, 0, Order::First), 1);
+        let invalid = message(0, 30).stamp;
+        let refused = Err(ReceiveError::Invalid {
+            invalid: ipc::Message::check(&message(0, 30)).unwrap_err(),
+            stamp: invalid,
+        });
+        assert_eq!(
+            gate.judge(&refused, 31),
+            Verdict::Hold(Hold::Invalid, invalid)
+        );
+        assert_eq!(cause(gate.judge(&Ok(None), 32)), Some(Hold::Invalid));
+        let mut hidden = message(2, 60);
+        hidden.visible = 0b0111;
+        let hidden = Ok(Some(Received {
+            message: hidden,
+            order: Order::Next,
+        }));
+        assert_eq!(cause(gate.judge(&hidden, 61)), Some(Hold::Hidden));
+        assert_eq!(
+            link(gate.judge(&came(3, 90, Order::Next), 91)),
+            Some(Link::Broken)
+        );
+    }
+}

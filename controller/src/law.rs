@@ -1,0 +1,316 @@
+//! The law with what it needs: scene, settings, memory. Opened at start-up, stepped in the loop.
+
+use std::path::Path;
+
+use ipc::{CycleRecord, Features, Hold, SolverStatus, StrategyCode, TwistState};
+use memory_blob::{MemoryFile, OpenError};
+use scene::{Scene, SceneError};
+use vpc::{Measurement, MotionMemory, Refusal, Settings, SettingsError, Strategy};
+
+use crate::exit::Exit;
+use crate::gate::Link;
+
+/// Rounding that a command may have beyond the limits, as a share of them.
+const ROUNDING: f64 = 1e-9;
+
+/// Stack for setting up the law: the controller (some 600 KB) passes through several frames on its way to the heap.
+const SETUP_STACK: usize = 16 << 20;
+
+/// Why the law could not be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum LawError {
+    /// The scene file.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The scene and the settings do not give a task.
+    #[error("{path}: {source}")]
+    Task {
+        /// The scene file.
+        path: String,
+        /// The law's reason.
+        source: SettingsError,
+    },
+    /// The thread that sets up the law.
+    #[error("no thread to set up the law: {0}")]
+    Thread(std::io::Error),
+    /// The memory file.
+    #[error(transparent)]
+    Memory(#[from] OpenError),
+    /// The memory lacks what the strategy asks for.
+    #[error(
+        "{path}: no {lacking} in this memory; allowed: a memory with one for the strategy {strategy}"
+    )]
+    Lacking {
+        /// The memory file.
+        path: String,
+        /// What is lacking.
+        lacking: &'static str,
+        /// The strategy.
+        strategy: Strategy,
+    },
+}
+
+impl LawError {
+    /// The exit code that it asks for.
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Scene(SceneError::Read { .. }) | Self::Memory(OpenError::Read { .. }) => {
+                Exit::NoInput
+            }
+            Self::Thread(_) => Exit::Software,
+            _ => Exit::Data,
+        }
+    }
+}
+
+/// The law, ready to run.
+pub struct Law {
+    // The controller is large and stays where it is.
+    controller: Box<vpc::Controller>,
+    memory: Option<MemoryFile>,
+    scene: Scene,
+}
+
+/// What the law decided about some features.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decision {
+    /// Camera twist to send; zero where held.
+    pub twist: [f64; 6],
+    /// What the controller is about.
+    pub state: TwistState,
+    /// Why it is zero.
+    pub hold: Hold,
+}
+
+impl Law {
+    /// Opens scene and memory, and sets up the law. The memory is verified, and refused if it was built for another
+    /// task.
+    ///
+    /// # Errors
+    /// [`LawError`] names the file and what is wrong.
+    pub fn open(scene: &Path, memory: Option<&Path>, settings: Settings) -> Result<Self, LawError> {
+        let path = scene.display().to_string();
+        let scene = Scene::read(scene)?;
+        let controller = boxed(&scene, settings)
+            .map_err(LawError::Thread)?
+            .map_err(|source| LawError::Task { path, source })?;
+        let memory = match memory {
+            Some(file) => Some(open_memory(file, &scene, settings.strategy)?),
+            None => None,
+        };
+        Ok(Self {
+            controller,
+            memory,
+            scene,
+        })
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The memory, where the strategy has one.
+    pub fn memory(&self) -> Option<&MemoryFile> {
+        self.memory.as_ref()
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        self.controller.settings()
+    }
+
+    /// One step: features in, decision out, and what there is to tell about it in `record`. Never allocates.
+    pub fn step(&mut self, features: &Features, link: Link, record: &mut CycleRecord) -> Decision {
+        match link {
+            Link::Next => (),
+            Link::Broken => self.controller.skip_mismatch(),
+            Link::New => self.controller.reset(),
+        }
+        let mut measurement = Measurement::from_points(&[]);
+        measurement.points.extend(features.pairs());
+        let view = self.memory.as_ref().map(MemoryFile::view);
+        let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
+        let step = match self.controller.step(&measurement, memory) {
+            Ok(step) => step,
+            Err(refusal) => return held(refused(refusal)),
+        };
+        tell(&step, record);
+        if !self.is_within_limits(&step.twist) {
+            return held(Hold::BadTwist);
+        }
+        let arrived = step.error_px < self.scene.success.convergence_px;
+        Decision {
+            twist: step.twist,
+            state: if arrived {
+                TwistState::Arrived
+            } else {
+                TwistState::Moving
+            },
+            hold: Hold::None,
+        }
+    }
+
+    /// What stays the same in the record of each cycle.
+    pub fn describe(&self, record: &mut CycleRecord) {
+        let settings = self.controller.settings();
+        record.np = settings.np as u32;
+        (record.strategy, record.neighbours) = match settings.strategy {
+            Strategy::Previous => (StrategyCode::Previous.code(), 0),
+            Strategy::Knn { k } => (StrategyCode::Knn.code(), k as u32),
+            Strategy::Gpr => (StrategyCode::Gpr.code(), 0),
+            Strategy::Ibvs => (StrategyCode::Ibvs.code(), 0),
+        };
+    }
+
+    /// The last look at a command before it goes out, independent of the law. A NaN is not within.
+    fn is_within_limits(&self, twist: &[f64; 6]) -> bool {
+        let limits = &self.scene.limits;
+        let within = |v: &f64, limit: f64| v.abs() <= limit * (1.0 + ROUNDING);
+        twist[..3].iter().all(|v| within(v, limits.linear))
+            && twist[3..].iter().all(|w| within(w, limits.angular))
+    }
+}
+
+/// The decision to hold.
+pub fn held(hold: Hold) -> Decision {
+    Decision {
+        twist: [0.0; 6],
+        state: TwistState::Holding,
+        hold,
+    }
+}
+
+/// Sets up the controller in a thread with room for it, whatever stack the caller has.
+fn boxed(
+    scene: &Scene,
+    settings: Settings,
+) -> std::io::Result<Result<Box<vpc::Controller>, SettingsError>> {
+    std::thread::scope(|threads| {
+        std::thread::Builder::new()
+            .stack_size(SETUP_STACK)
+            .spawn_scoped(threads, || {
+                vpc::Controller::new(scene, settings).map(Box::new)
+            })?
+            .join()
+            .map_err(|_| std::io::Error::other("it panicked"))
+    })
+}
+
+fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryFile, LawError> {
+    let memory = MemoryFile::open(file, Some(scene.fingerprint().bytes()))?;
+    let view = memory.view();
+    let lacking = match strategy {
+        Strategy::Knn { .. } if view.samples().is_none() => Some("samples"),
+        Strategy::Gpr if view.gpr().is_none() => Some("regression"),
+        _ => None,
+    };
+    match lacking {
+        Some(lacking) => Err(LawError::Lacking {
+            path: file.display().to_string(),
+            lacking,
+            strategy,
+        }),
+        None => Ok(memory),
+    }
+}
+
+/// The contract's word for a refusal.
+fn refused(refusal: Refusal) -> Hold {
+    match refusal {
+        Refusal::Count { .. } => Hold::Count,
+        Refusal::NotFinite { .. } => Hold::NotFinite,
+        Refusal::OffImage { .. } => Hold::OffImage,
+    }
+}
+
+/// Copies what the law tells about a step.
+fn tell(step: &vpc::Step, record: &mut CycleRecord) {
+    record.status = match step.status {
+        vpc::Status::Converged => SolverStatus::Converged,
+        vpc::Status::IterationLimit => SolverStatus::IterationLimit,
+        vpc::Status::Stalled => SolverStatus::Stalled,
+        vpc::Status::Infeasible => SolverStatus::Infeasible,
+        vpc::Status::NumericalFailure => SolverStatus::NumericalFailure,
+    }
+    .code();
+    record.recalled = u32::from(step.recalled);
+    record.iterations = step.iterations;
+    record.qp_iterations = step.qp_iterations;
+    record.cost = step.cost;
+    record.violation_px = step.violation_px;
+    record.clearance_px = step.clearance_px;
+    record.error_px = step.error_px;
+    if let Some(way_point) = &step.way_point {
+        record.way_point_count = way_point.len() as u32;
+        let pairs = record.way_point.chunks_exact_mut(2);
+        pairs
+            .zip(way_point)
+            .for_each(|(to, from)| to.copy_from_slice(from));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn law() -> Law {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        Law {
+            controller: boxed(&scene, Settings::default()).unwrap().unwrap(),
+            memory: None,
+            scene,
+        }
+    }
+
+    fn features(law: &Law, offset: f64) -> Features {
+        let goal = law.controller.task().goal.clone();
+        let points: Vec<_> = goal.iter().map(|p| [p[0] + offset, p[1]]).collect();
+        Features::new(&points, 0)
+    }
+
+    #[test]
+    fn on_the_way_it_moves_and_at_the_goal_it_has_arrived() {
+        let mut law = law();
+        let mut record = CycleRecord::default();
+        let (far, near) = (features(&law, 60.0), features(&law, 0.0));
+        let decision = law.step(&far, Link::New, &mut record);
+        assert_eq!(
+            (decision.state, decision.hold),
+            (TwistState::Moving, Hold::None)
+        );
+        assert!(decision.twist.iter().any(|v| v.abs() > 1e-3));
+        assert!((record.error_px - 60.0).abs() < 1e-6 && record.cost > 0.0);
+        let decision = law.step(&near, Link::New, &mut record);
+        assert_eq!(decision.state, TwistState::Arrived);
+    }
+
+    #[test]
+    fn what_the_law_refuses_is_held_with_its_cause() {
+        let mut law = law();
+        let mut off = features(&law, 0.0);
+        off.points[0] = 1e6;
+        let mut nan = features(&law, 0.0);
+        nan.points[1] = f64::NAN;
+        let mut five = features(&law, 0.0);
+        five.count = 5;
+        for (bad, cause) in [
+            (off, Hold::OffImage),
+            (nan, Hold::NotFinite),
+            (five, Hold::Count),
+        ] {
+            let decision = law.step(&bad, Link::Next, &mut CycleRecord::default());
+            assert_eq!(decision, held(cause));
+        }
+    }
+
+    #[test]
+    fn a_command_beyond_the_limits_or_not_finite_is_not_within() {
+        let law = law();
+        let limits = law.scene().limits;
+        let linear = |v| law.is_within_limits(&[v, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert!(linear(limits.linear) && linear(-limits.linear));
+        assert!(!linear(limits.linear * 1.01) && !linear(f64::NAN) && !linear(f64::INFINITY));
+        assert!(!law.is_within_limits(&[0.0, 0.0, 0.0, 0.0, 0.0, -1.01 * limits.angular]));
+    }
+}

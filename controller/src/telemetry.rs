@@ -1,0 +1,185 @@
+//! The ordinary thread: takes records from the loop by a wait-free queue, publishes them, and writes the log.
+
+use std::path::Path;
+use std::sync::mpsc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use ipc::{CycleRecord, Domain, Hold, JoinError, OpenError, RecorderPort, TwistState};
+use rtrb::Consumer;
+use tracing::{debug, info, warn};
+
+use crate::histogram::Histogram;
+
+/// Pause between two looks at the queue.
+const PAUSE: Duration = Duration::from_millis(5);
+/// Records that the queue holds: many pauses' worth of lockstep cycles.
+pub const QUEUE: usize = 8192;
+
+/// Why the recorder could not start.
+#[derive(Debug, thiserror::Error)]
+pub enum RecorderError {
+    /// The domain.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// The port.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The thread.
+    #[error("the recorder's thread did not start: {0}")]
+    Thread(#[from] std::io::Error),
+    /// The thread ended before it was ready.
+    #[error("the recorder's thread ended before it was ready")]
+    Gone,
+}
+
+/// Starts the recorder, which ends when the loop lets go of its end of the queue and the queue is empty. It joins the
+/// domain for itself: shared-memory ports stay in their thread.
+///
+/// # Errors
+/// [`RecorderError`].
+pub fn start(
+    domain: &Path,
+    records: Consumer<CycleRecord>,
+) -> Result<JoinHandle<Summary>, RecorderError> {
+    let (ready, is_ready) = mpsc::channel();
+    let domain = domain.to_owned();
+    let thread = std::thread::Builder::new()
+        .name("recorder".to_owned())
+        .spawn(move || {
+            let port = Domain::join(&domain)
+                .map_err(RecorderError::from)
+                .and_then(|domain| Ok(RecorderPort::open(&domain)?));
+            match port {
+                Ok(port) => {
+                    // The starter waits for it.
+                    let _ = ready.send(Ok(()));
+                    record(port, records)
+                }
+                Err(error) => {
+                    let _ = ready.send(Err(error));
+                    Summary::default()
+                }
+            }
+        })?;
+    is_ready.recv().map_err(|_| RecorderError::Gone)??;
+    Ok(thread)
+}
+
+fn record(mut port: RecorderPort, mut records: Consumer<CycleRecord>) -> Summary {
+    let mut summary = Summary::default();
+    loop {
+        // In this order: what was pushed before the loop let go is still taken.
+        let last_round = records.is_abandoned();
+        while let Ok(record) = records.pop() {
+            if let Err(error) = port.cycles.publish(&record) {
+                debug!(%error, "telemetry not published");
+            }
+            summary.add(&record);
+        }
+        if last_round {
+            return summary;
+        }
+        std::thread::sleep(PAUSE);
+    }
+}
+
+/// What the records of a run amount to; tells the log when something changes.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    cycles: u64,
+    held: u64,
+    overruns: u64,
+    lost: u64,
+    busy: Histogram,
+    wake: Histogram,
+    state: u32,
+    hold: u32,
+}
+
+impl Default for Summary {
+    fn default() -> Self {
+        Self {
+            cycles: 0,
+            held: 0,
+            overruns: 0,
+            lost: 0,
+            busy: Histogram::default(),
+            wake: Histogram::default(),
+            state: TwistState::Stopped.code(),
+            hold: Hold::None.code(),
+        }
+    }
+}
+
+impl Summary {
+    fn add(&mut self, record: &CycleRecord) {
+        self.cycles += 1;
+        self.held += u64::from(record.hold != Hold::None.code());
+        self.busy
+            .add(record.receive_ns + record.step_ns + record.send_ns);
+        self.wake.add(record.wake_latency_ns);
+        self.tell_changes(record);
+        (self.state, self.hold) = (record.state, record.hold);
+        (self.overruns, self.lost) = (record.overruns, record.lost_records);
+    }
+
+    fn tell_changes(&self, record: &CycleRecord) {
+        let cycle = record.cycle;
+        if record.state != self.state || record.hold != self.hold {
+            match (
+                TwistState::from_code(record.state),
+                Hold::from_code(record.hold),
+            ) {
+                (Some(TwistState::Holding), Some(cause)) => {
+                    let features = record.features_sequence;
+                    warn!(cycle, features, %cause, "holding: zero twist");
+                }
+                (Some(state), _) => {
+                    let error_px = record.error_px;
+                    info!(cycle, %state, error_px, "now");
+                }
+                (None, _) => (),
+            }
+        }
+        if record.overruns > self.overruns {
+            let missed = record.overruns - self.overruns;
+            let (receive_ns, step_ns, send_ns) =
+                (record.receive_ns, record.step_ns, record.send_ns);
+            let wake_ns = record.wake_latency_ns;
+            warn!(
+                cycle,
+                missed, wake_ns, receive_ns, step_ns, send_ns, "overrun"
+            );
+        }
+        if record.lost_records > self.lost {
+            let lost = record.lost_records - self.lost;
+            warn!(
+                cycle,
+                lost, "telemetry lost: the recorder is slower than the loop"
+            );
+        }
+    }
+
+    /// Cycles counted.
+    pub fn cycles(&self) -> u64 {
+        self.cycles
+    }
+
+    /// Writes the end of a run to the log.
+    pub fn tell(&self) {
+        let us = |ns: u64| ns as f64 / 1e3;
+        let (busy, wake) = (&self.busy, &self.wake);
+        info!(
+            cycles = self.cycles,
+            held = self.held,
+            overruns = self.overruns,
+            lost_records = self.lost,
+            busy_p50_us = us(busy.quantile(0.5)),
+            busy_p99_us = us(busy.quantile(0.99)),
+            busy_max_us = us(busy.max_ns()),
+            wake_p99_us = us(wake.quantile(0.99)),
+            "stopped"
+        );
+    }
+}

@@ -1,0 +1,175 @@
+//! The loop never touches the heap: the real one, in its thread, with a counting allocator.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use controller::cycle::{Cycle, Pace};
+use controller::law::Law;
+use controller::telemetry;
+use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use vpc::{Settings, Strategy};
+
+use crate::fixture::{Place, scene_file, square, write_memory};
+
+/// Cycles counted.
+const CYCLES: u64 = 10_000;
+/// Cycles before: connections are made with the first messages, and that allocates.
+const WARM_UP: u64 = 100;
+
+/// Counts the allocations of each thread.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    // A thread that is ending has no counter any more, and nobody asks for it.
+    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+}
+
+// SAFETY: every call goes to the system allocator unchanged; counting touches a thread-local cell without a
+// destructor, which does not allocate.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // A release in the loop is as bad as an allocation.
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// What a run of the loop came to.
+#[derive(Debug, Default)]
+struct Tally {
+    allocations: u64,
+    stepped: u64,
+    recalled: u64,
+    recorded: u64,
+}
+
+/// Runs the loop for [`CYCLES`] cycles beside a camera that shows random features.
+fn run(strategy: Strategy, clock: ClockMode) -> Tally {
+    let place = Place::new();
+    let scene = scene::Scene::read(&scene_file()).unwrap();
+    let memory = place.path("m.vpcmem");
+    write_memory(&scene, &memory, &mut ChaCha8Rng::seed_from_u64(1));
+    let settings = Settings {
+        strategy,
+        ..Settings::default()
+    };
+    let law = Law::open(&scene_file(), Some(&memory), settings).unwrap();
+    let pace = Pace {
+        clock,
+        period_ns: 100_000,
+        stale_periods: 50.0,
+        realtime: false,
+    };
+
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let done = AtomicBool::new(false);
+    std::thread::scope(|threads| {
+        let looping = threads.spawn(|| {
+            let domain = Domain::join(&place.domain()).unwrap();
+            let ports = ControllerPorts::open(&domain).unwrap();
+            let (records, queue) = rtrb::RingBuffer::new(telemetry::QUEUE);
+            let recorder = telemetry::start(&place.domain(), queue).unwrap();
+            let mut cycle = Cycle::new(pace, ports, law, records);
+            let mut tally = Tally::default();
+            while cycle.count() < WARM_UP + CYCLES {
+                let before = ALLOCATIONS.with(Cell::get);
+                let record = cycle.run().unwrap();
+                let allocations = ALLOCATIONS.with(Cell::get) - before;
+                if cycle.count() > WARM_UP {
+                    tally.allocations += allocations;
+                    let Some(record) = record else { continue };
+                    tally.stepped += u64::from(record.status != 0);
+                    tally.recalled += u64::from(record.recalled);
+                }
+            }
+            cycle.stop().unwrap();
+            done.store(true, Ordering::Relaxed);
+            drop(cycle);
+            tally.recorded = recorder.join().unwrap().cycles();
+            tally
+        });
+        let mut random = ChaCha8Rng::seed_from_u64(2);
+        while !done.load(Ordering::Relaxed) {
+            let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
+            let sent = camera.features.publish(&features).unwrap();
+            match clock {
+                ClockMode::Lockstep => {
+                    // The loop ends without an answer to the last message.
+                    let _ = camera
+                        .wait_for_answer(&sent, Duration::from_millis(200))
+                        .unwrap();
+                }
+                ClockMode::Fixed => std::thread::sleep(Duration::from_micros(100)),
+            }
+        }
+        looping.join().unwrap()
+    })
+}
+
+fn check(strategy: Strategy, clock: ClockMode) {
+    let tally = run(strategy, clock);
+    assert_eq!(tally.allocations, 0, "{strategy} {clock}: {tally:?}");
+    // The law ran, and the memory was asked: zero is not for want of work.
+    let least = match clock {
+        ClockMode::Lockstep => CYCLES,
+        ClockMode::Fixed => CYCLES / 20,
+    };
+    assert!(tally.stepped >= least, "{strategy} {clock}: {tally:?}");
+    assert_eq!(
+        tally.recalled > least / 20,
+        strategy.needs_memory(),
+        "{strategy} {clock}: {tally:?}"
+    );
+    assert!(tally.recorded > CYCLES / 2, "{strategy} {clock}: {tally:?}");
+}
+
+#[test]
+fn the_counter_counts() {
+    let before = ALLOCATIONS.with(Cell::get);
+    drop(std::hint::black_box(Box::new(1)));
+    assert_eq!(ALLOCATIONS.with(Cell::get) - before, 2);
+}
+
+#[test]
+fn lockstep_never_allocates() {
+    for strategy in [
+        Strategy::Previous,
+        Strategy::Knn { k: 5 },
+        Strategy::Gpr,
+        Strategy::Ibvs,
+    ] {
+        check(strategy, ClockMode::Lockstep);
+    }
+}
+
+#[test]
+fn the_fixed_clock_never_allocates() {
+    for strategy in [Strategy::Previous, Strategy::Knn { k: 1 }, Strategy::Gpr] {
+        check(strategy, ClockMode::Fixed);
+    }
+}

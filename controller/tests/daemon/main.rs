@@ -1,0 +1,6 @@
+//! The daemon over real shared memory. One executable: each that links iceoryx2 costs up to a minute of build.
+
+mod allocation;
+mod fixture;
+mod process;
+mod refusal;

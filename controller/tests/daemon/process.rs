@@ -1,0 +1,299 @@
+//! The whole daemon as its peers see it.
+
+use std::process::Child;
+use std::time::Duration;
+
+use ipc::{CameraPorts, Domain, Features, Hold, Observer, Order, TwistCommand, TwistState};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scene::Scene;
+
+use crate::fixture::{Place, end_of, ended, eventually, scene_file, square, vpcd_in};
+
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// A camera that shows random features, and the daemon.
+struct Bench {
+    scene: Scene,
+    camera: CameraPorts,
+    observer: Observer,
+    random: ChaCha8Rng,
+    // Last: it clears away what is left of the domain.
+    place: Place,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let place = Place::new();
+        let domain = Domain::join(&place.domain()).unwrap();
+        Self {
+            scene: Scene::read(&scene_file()).unwrap(),
+            camera: CameraPorts::open(&domain).unwrap(),
+            observer: Observer::open(&domain).unwrap(),
+            random: ChaCha8Rng::seed_from_u64(1),
+            place,
+        }
+    }
+
+    fn start(&self, arguments: &[&str]) -> Child {
+        let mut command = vpcd_in(&self.place);
+        command.args(arguments);
+        command.spawn().unwrap()
+    }
+
+    fn features(&mut self) -> Features {
+        Features::new(&square(&self.scene, &mut self.random), ipc::now_ns())
+    }
+
+    fn ask(&mut self, features: &Features) -> TwistCommand {
+        let sent = self.camera.features.publish(features).unwrap();
+        let answer = self.camera.wait_for_answer(&sent, PATIENCE).unwrap();
+        answer.expect("an answer in time").message
+    }
+
+    /// Connects to the daemon, which is at work: what it says later is then kept, even after its end.
+    fn attach(&mut self) {
+        self.observer.twist.refresh().unwrap();
+        self.observer.cycles.refresh().unwrap();
+    }
+
+    fn last_command(&mut self) -> TwistCommand {
+        let newest = self.observer.twist.latest().unwrap();
+        newest.expect("a command").message
+    }
+}
+
+fn terminate(child: &Child) {
+    let pid = rustix::process::Pid::from_child(child);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+}
+
+#[test]
+fn lockstep_answers_each_message_exactly_once_and_says_what_it_did() {
+    let mut bench = Bench::new();
+    let daemon = bench.start(&["--clock", "lockstep", "--cycles", "50"]);
+    for k in 1..=50 {
+        let features = bench.features();
+        let answer = bench.ask(&features);
+        assert_eq!((answer.features_sequence, answer.stamp.sequence), (k, k));
+        bench.attach();
+        assert_eq!(answer.state(), Some(TwistState::Moving));
+        assert!(answer.twist.iter().any(|v| *v != 0.0));
+        let limits = bench.scene.limits;
+        assert!(
+            answer.twist[..3]
+                .iter()
+                .all(|v| v.abs() <= limits.linear * 1.000_001)
+        );
+        assert!(
+            answer.twist[3..]
+                .iter()
+                .all(|w| w.abs() <= limits.angular * 1.000_001)
+        );
+    }
+    let (code, log) = end_of(daemon);
+    assert_eq!(code, 0, "{log}");
+    assert!(
+        log.contains("stopped") && log.contains("cycles=50"),
+        "{log}"
+    );
+    // The last word is zero, and answers nothing.
+    let last = bench.last_command();
+    assert_eq!(
+        (last.features_sequence, last.state()),
+        (0, Some(TwistState::Stopped))
+    );
+    assert_eq!(last.twist, [0.0; 6]);
+    for k in 1..=50 {
+        let record = bench
+            .observer
+            .cycles
+            .oldest()
+            .unwrap()
+            .expect("a record of each cycle");
+        assert_eq!(
+            (record.cycle, record.features_sequence, record.count),
+            (k, k, 4)
+        );
+        assert!(record.error_px > 0.0 && record.step_ns > 0 && record.hold() == Some(Hold::None));
+    }
+    assert_eq!(bench.observer.cycles.oldest().unwrap(), None);
+}
+
+#[test]
+fn bad_features_are_answered_with_zero_and_good_ones_go_on() {
+    let mut bench = Bench::new();
+    let daemon = bench.start(&["--clock", "lockstep"]);
+    let mut nan = bench.features();
+    nan.points[2] = f64::NAN;
+    let mut hidden = bench.features();
+    hidden.visible = 0b0001;
+    let mut off = bench.features();
+    off.points[0] = -500.0;
+    let three = Features::new(
+        &[[100.0, 100.0], [200.0, 100.0], [200.0, 200.0]],
+        ipc::now_ns(),
+    );
+    let nine = Features::new(&[[100.0, 100.0]; 9], ipc::now_ns());
+    let bad = [
+        (nan, Hold::Invalid),
+        (hidden, Hold::Hidden),
+        (off, Hold::OffImage),
+        (three, Hold::Count),
+        (nine, Hold::Invalid),
+    ];
+    for (bad, cause) in bad {
+        let answer = bench.ask(&bad);
+        assert_eq!(
+            (answer.state(), answer.twist),
+            (Some(TwistState::Holding), [0.0; 6]),
+            "{cause}"
+        );
+        let record = eventually("a record", || bench.observer.cycles.latest().unwrap());
+        assert_eq!(record.hold(), Some(cause));
+        let good = bench.features();
+        let answer = bench.ask(&good);
+        assert_eq!(answer.state(), Some(TwistState::Moving), "{cause}");
+        eventually("a record", || bench.observer.cycles.latest().unwrap());
+    }
+    terminate(&daemon);
+    let (code, log) = end_of(daemon);
+    assert_eq!(code, 0, "{log}");
+    for words in [
+        "invalid message",
+        "hidden point",
+        "off image",
+        "wrong count",
+    ] {
+        assert!(log.contains(words), "{log}\nlacks: {words}");
+    }
+}
+
+#[test]
+fn a_silent_camera_is_met_with_zero() {
+    let mut bench = Bench::new();
+    let daemon = bench.start(&["--clock", "fixed"]);
+    // The twist of a live camera moves.
+    eventually("a moving twist", || {
+        let features = bench.features();
+        bench.camera.features.publish(&features).unwrap();
+        let twist = bench.camera.twist.latest().unwrap()?;
+        (twist.state() == Some(TwistState::Moving) && twist.is_valid_at(ipc::now_ns()))
+            .then_some(())
+    });
+    // Silence: the daemon goes on sending, and what it sends is zero.
+    let held = eventually("a hold", || {
+        let twist = bench.camera.twist.latest().unwrap()?;
+        (twist.state() == Some(TwistState::Holding)).then_some(twist)
+    });
+    assert_eq!(held.twist, [0.0; 6]);
+    let next = eventually("another command", || bench.camera.twist.latest().unwrap());
+    assert_eq!(
+        (next.state(), next.twist),
+        (Some(TwistState::Holding), [0.0; 6])
+    );
+    terminate(&daemon);
+    let (code, log) = end_of(daemon);
+    assert_eq!(code, 0, "{log}");
+    assert!(log.contains("stale features"), "{log}");
+}
+
+#[test]
+fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
+    let mut bench = Bench::new();
+    let daemon = bench.start(&[]);
+    let first = eventually("a command", || bench.camera.twist.latest().unwrap());
+    assert_eq!(
+        (first.twist, first.state()),
+        ([0.0; 6], Some(TwistState::Holding))
+    );
+    assert_eq!(first.features_sequence, 0);
+    bench.attach();
+    terminate(&daemon);
+    let (code, log) = end_of(daemon);
+    assert_eq!(code, 0, "{log}");
+    assert_eq!(bench.last_command().state(), Some(TwistState::Stopped));
+}
+
+#[test]
+fn a_second_daemon_is_69_and_the_first_goes_on() {
+    let mut bench = Bench::new();
+    let mut first = bench.start(&["--clock", "lockstep"]);
+    let features = bench.features();
+    bench.ask(&features);
+    let mut second = vpcd_in(&bench.place);
+    second.args(["--clock", "lockstep"]);
+    let (code, message) = ended(second);
+    assert_eq!(code, 69, "{message}");
+    assert!(
+        message.contains("vpc/twist: another publisher is at work"),
+        "{message}"
+    );
+    let features = bench.features();
+    assert_eq!(bench.ask(&features).stamp.sequence, 2);
+    first.kill().unwrap();
+    first.wait().unwrap();
+}
+
+#[test]
+fn a_killed_daemon_is_replaced() {
+    let mut bench = Bench::new();
+    for round in 0..3 {
+        let mut daemon = bench.start(&["--clock", "lockstep"]);
+        for k in 1..=5 {
+            let features = bench.features();
+            // A new daemon counts its commands from 1; the first one may answer the features of the round before.
+            let answer = bench.ask(&features);
+            assert!(answer.stamp.sequence >= k, "round {round}: {answer:?}");
+        }
+        daemon.kill().unwrap();
+        daemon.wait().unwrap();
+    }
+    while bench.observer.twist.oldest().unwrap().is_some() {}
+}
+
+#[test]
+fn a_restarted_camera_is_a_new_run() {
+    let place = Place::new();
+    let scene = Scene::read(&scene_file()).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut command = vpcd_in(&place);
+    let mut daemon = command.args(["--clock", "lockstep"]).spawn().unwrap();
+    let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
+    let answers: Vec<_> = (0..3)
+        .map(|_| {
+            let domain = Domain::join(&place.domain()).unwrap();
+            let mut camera = CameraPorts::open(&domain).unwrap();
+            let sent = camera.features.publish(&features).unwrap();
+            let answer = camera
+                .wait_for_answer(&sent, PATIENCE)
+                .unwrap()
+                .expect("an answer");
+            assert_eq!((sent.sequence, answer.features_sequence), (1, 1));
+            assert!(matches!(answer.order, Order::First | Order::Gap { .. }));
+            answer.twist
+        })
+        .collect();
+    // The same features in a new run give the same twist: nothing of the run before is left.
+    assert_eq!(answers[0], answers[1]);
+    assert_eq!(answers[0], answers[2]);
+    daemon.kill().unwrap();
+    daemon.wait().unwrap();
+}
+
+#[test]
+fn without_permission_real_time_is_degraded_with_a_loud_warning() {
+    let bench = Bench::new();
+    let text = format!(
+        "scene = '{}'\n[realtime]\npriority = 10\n",
+        scene_file().display()
+    );
+    let config = bench.place.file("v.toml", text);
+    let mut command = vpcd_in(&bench.place);
+    command.arg("--config").arg(config).args(["--cycles", "3"]);
+    let (code, log) = ended(command);
+    assert_eq!(code, 0, "{log}");
+    let permitted = rustix::process::geteuid().is_root();
+    assert!(permitted || log.matches("DEGRADED").count() >= 1, "{log}");
+    assert!(log.contains("cycles=3"), "{log}");
+}
