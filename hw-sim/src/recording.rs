@@ -1,1 +1,107 @@
-//! recording
+//! What happened, one JSON line a frame.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use scene::Scene;
+use serde::{Deserialize, Serialize};
+
+/// The first line of a recording.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Head {
+    /// Version of the emulator.
+    pub hw_sim: String,
+    /// Scene file.
+    pub scene: String,
+    /// Fingerprint of the task.
+    pub task: String,
+    /// Features at the goal, px.
+    pub goal: Vec<[f64; 2]>,
+}
+
+/// A frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Seconds since the start.
+    pub time_s: f64,
+    /// Object in the camera frame: translation, m.
+    pub translation: [f64; 3],
+    /// Object in the camera frame: rotation vector, rad.
+    pub rotation: [f64; 3],
+    /// True features, px.
+    pub features: Vec<[f64; 2]>,
+    /// Delivered features, px; none where the frame was lost or is under way.
+    pub measured: Option<Vec<[f64; 2]>>,
+    /// Twist that moved the camera after this frame (m/s, rad/s; camera frame).
+    pub twist: [f64; 6],
+    /// Sequence number of the features that the twist answered; 0 where none.
+    pub answered: u64,
+    /// Whether the camera was held because no valid command was there.
+    pub stale: bool,
+}
+
+/// A file of records.
+#[derive(Debug)]
+pub struct Recorder {
+    file: BufWriter<File>,
+}
+
+impl Recorder {
+    /// Begins a recording.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    pub fn create(
+        path: &Path,
+        scene: &Scene,
+        scene_file: &str,
+        goal: &[[f64; 2]],
+    ) -> std::io::Result<Self> {
+        let mut recorder = Self {
+            file: BufWriter::new(File::create(path)?),
+        };
+        recorder.line(&Head {
+            hw_sim: env!("CARGO_PKG_VERSION").to_owned(),
+            scene: scene_file.to_owned(),
+            task: scene.fingerprint().to_string(),
+            goal: goal.to_vec(),
+        })?;
+        Ok(recorder)
+    }
+
+    /// Adds a record.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    pub fn add(&mut self, record: &Record) -> std::io::Result<()> {
+        self.line(record)
+    }
+
+    /// Writes everything out.
+    ///
+    /// # Errors
+    /// Where the file cannot be written.
+    pub fn finish(mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+
+    fn line(&mut self, value: &impl Serialize) -> std::io::Result<()> {
+        serde_json::to_writer(&mut self.file, value)?;
+        self.file.write_all(b"\n")
+    }
+}
+
+/// Reads a recording back.
+///
+/// # Errors
+/// Where the file cannot be read, or a line is not a record.
+pub fn read(path: &Path) -> std::io::Result<(Head, Vec<Record>)> {
+    let text = std::fs::read_to_string(path)?;
+    let mut lines = text.lines();
+    let head = serde_json::from_str(lines.next().unwrap_or(""))?;
+    let records = lines
+        .map(|line| Ok(serde_json::from_str(line)?))
+        .collect::<std::io::Result<_>>()?;
+    Ok((head, records))
+}

@@ -1,0 +1,48 @@
+//! `hw-sim`: the emulator as a process.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::Parser;
+use hw_sim::config::{Arguments, Config};
+use hw_sim::emulator;
+
+const USAGE: u8 = 64;
+const UNAVAILABLE: u8 = 69;
+
+fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Help and version are not errors.
+            let code = if error.use_stderr() { USAGE } else { 0 };
+            let _ = error.print();
+            return ExitCode::from(code);
+        }
+    };
+    let config = match Config::load(&arguments) {
+        Ok(config) => config,
+        Err(error) => {
+            eprintln!("hw-sim: {error}");
+            return ExitCode::from(error.exit_code());
+        }
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        if let Err(error) = signal_hook::flag::register(signal, Arc::clone(&stop)) {
+            eprintln!("hw-sim: signal {signal}: {error}");
+            return ExitCode::from(UNAVAILABLE);
+        }
+    }
+    match emulator::run(&config, &stop) {
+        Ok(outcome) => {
+            println!("{}", serde_json::json!(outcome));
+            ExitCode::from(u8::from(outcome.verdict != "arrived"))
+        }
+        Err(error) => {
+            eprintln!("hw-sim: {error:#}");
+            ExitCode::from(UNAVAILABLE)
+        }
+    }
+}
