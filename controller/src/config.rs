@@ -364,18 +364,24 @@ impl Checker<'_> {
             }
         };
         let (np, nc) = (vpc::MAX_NP as i64, vpc::MAX_NC as i64);
-        let mut settings = Settings::default();
-        settings.strategy = strategy;
-        settings.model = model;
-        settings.np = count("law.np", raw.np, np, "1 to 40")? as usize;
-        settings.nc = count("law.nc", raw.nc, nc.min(raw.np), "1 to 4, at most np")? as usize;
-        settings.effort.max_iterations =
-            count("law.iterations", raw.iterations, 1000, "1 to 1000")? as u32;
-        settings.effort.tolerance = raw.tolerance;
-        settings.trigger_px = raw.trigger_px;
-        settings.release = raw.release;
-        settings.margin_px = raw.margin_px;
-        settings.lambda = raw.lambda;
+        let iterations = count("law.iterations", raw.iterations, 1000, "1 to 1000")?;
+        // The rest: a setting that the law may gain has its default until it gets a key here.
+        #[allow(clippy::needless_update)]
+        let settings = Settings {
+            strategy,
+            np: count("law.np", raw.np, np, "1 to 40")? as usize,
+            nc: count("law.nc", raw.nc, nc.min(raw.np), "1 to 4, at most np")? as usize,
+            effort: vpc::solver::Effort {
+                max_iterations: iterations as u32,
+                tolerance: raw.tolerance,
+            },
+            model,
+            trigger_px: raw.trigger_px,
+            release: raw.release,
+            margin_px: raw.margin_px,
+            lambda: raw.lambda,
+            ..Settings::default()
+        };
         match settings.check() {
             Ok(()) => Ok(settings),
             Err(vpc::SettingsError::Range {
