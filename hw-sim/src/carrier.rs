@@ -54,7 +54,8 @@ impl FreeFlying {
                 0.0
             }
         });
-        let limited = (0..6).any(|k| !(command[k].abs() <= limit(k) * (1.0 + 1e-9)));
+        let within = |k: usize| command[k].abs() <= limit(k) * (1.0 + 1e-9);
+        let limited = !(0..6).all(within);
         Executed { twist, limited }
     }
 }

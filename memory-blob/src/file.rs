@@ -329,7 +329,8 @@ impl MemoryFile {
                 asked.map_err(|e| format!("probe {i} of {what}: {e}"))?;
                 let expected = &self.tensor(&format!("probes.{what}"))[i * p8..];
                 for (found, expected) in answer.iter().zip(expected) {
-                    if !((found - expected).abs() <= PROBE_TOLERANCE * (1.0 + expected.abs())) {
+                    let tolerance = PROBE_TOLERANCE * (1.0 + expected.abs());
+                    if (found - expected).abs() > tolerance {
                         return Err(format!(
                             "probe {i} of {what}: answer {found}; allowed: {expected}"
                         ));

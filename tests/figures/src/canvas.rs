@@ -1,0 +1,144 @@
+//! A canvas: SVG elements in px, from the top left corner.
+
+use std::fmt::Write;
+
+/// Colours of features, in the order of the pattern; distinguishable to the colour-blind (Okabe and Ito).
+pub(crate) const FEATURES: [&str; 8] = [
+    "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6d31", "#555555",
+];
+
+/// An SVG drawing under construction.
+#[derive(Clone, Debug)]
+pub struct Canvas {
+    width: f64,
+    height: f64,
+    body: String,
+}
+
+impl Canvas {
+    /// An empty canvas of this size, px.
+    pub fn new(width: f64, height: f64) -> Self {
+        Self {
+            width,
+            height,
+            body: String::new(),
+        }
+    }
+
+    /// Width and height, px.
+    pub fn size(&self) -> (f64, f64) {
+        (self.width, self.height)
+    }
+
+    /// The SVG document.
+    pub fn svg(&self) -> String {
+        let (w, h) = (self.width, self.height);
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}\" height=\"{h}\" viewBox=\"0 0 {w} {h}\" \
+             font-family=\"DejaVu Sans, sans-serif\">\n<rect width=\"{w}\" height=\"{h}\" fill=\"#ffffff\"/>\n{}</svg>\n",
+            self.body
+        )
+    }
+
+    /// Adds an element; formatting into a string cannot fail.
+    pub(crate) fn element(&mut self, element: std::fmt::Arguments<'_>) {
+        let _ = writeln!(self.body, "{element}");
+    }
+
+    /// Puts another canvas at (x, y).
+    pub(crate) fn inset(&mut self, x: f64, y: f64, canvas: &Self) {
+        self.element(format_args!(
+            "<g transform=\"translate({x:.2} {y:.2})\">\n{}</g>",
+            canvas.body
+        ));
+    }
+
+    pub(crate) fn text(&mut self, x: f64, y: f64, size: f64, anchor: &str, text: &str) {
+        let text = text
+            .replace('&', "&amp;")
+            .replace('<', "&lt;")
+            .replace('>', "&gt;");
+        self.element(format_args!(
+            "<text x=\"{x:.2}\" y=\"{y:.2}\" font-size=\"{size}\" text-anchor=\"{anchor}\" fill=\"#222222\">{text}</text>"
+        ));
+    }
+
+    pub(crate) fn line(&mut self, a: [f64; 2], b: [f64; 2], style: &str) {
+        self.element(format_args!(
+            "<line x1=\"{:.2}\" y1=\"{:.2}\" x2=\"{:.2}\" y2=\"{:.2}\" {style}/>",
+            a[0], a[1], b[0], b[1]
+        ));
+    }
+
+    pub(crate) fn polyline(&mut self, points: impl Iterator<Item = [f64; 2]>, style: &str) {
+        let mut list = String::new();
+        points.for_each(|[x, y]| {
+            let _ = write!(list, "{x:.2},{y:.2} ");
+        });
+        self.element(format_args!(
+            "<polyline points=\"{}\" fill=\"none\" {style}/>",
+            list.trim_end()
+        ));
+    }
+
+    pub(crate) fn circle(&mut self, [x, y]: [f64; 2], radius: f64, style: &str) {
+        self.element(format_args!(
+            "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{radius}\" {style}/>"
+        ));
+    }
+
+    pub(crate) fn cross(&mut self, [x, y]: [f64; 2], arm: f64, style: &str) {
+        self.element(format_args!(
+            "<path d=\"M{:.2} {:.2}L{:.2} {:.2}M{:.2} {:.2}L{:.2} {:.2}\" {style}/>",
+            x - arm,
+            y - arm,
+            x + arm,
+            y + arm,
+            x - arm,
+            y + arm,
+            x + arm,
+            y - arm
+        ));
+    }
+}
+
+/// Round numbers, about `count` of them, between two values.
+pub(crate) fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
+    let raw = (high - low) / count as f64;
+    if !(raw.is_finite() && raw > 0.0) {
+        return vec![low];
+    }
+    let power = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0]
+        .into_iter()
+        .map(|m| m * power)
+        .find(|s| *s >= raw)
+        .unwrap_or(raw);
+    let first = (low / step - 1e-9).ceil() as i64;
+    let last = (high / step + 1e-9).floor() as i64;
+    (first..=last).map(|i| i as f64 * step).collect()
+}
+
+/// A number as a tick shows it.
+pub(crate) fn label(x: f64) -> String {
+    let text = format!("{x:.3}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" {
+        "0".to_owned()
+    } else {
+        text.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_and_inside() {
+        assert_eq!(ticks(0.0, 1024.0, 5), [0.0, 500.0, 1000.0]);
+        assert_eq!(ticks(-0.5, 0.5, 4).len(), 3);
+        assert_eq!(label(-0.0), "0");
+        assert_eq!(label(0.250), "0.25");
+    }
+}

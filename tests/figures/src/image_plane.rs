@@ -1,0 +1,162 @@
+//! The image plane: paths of the features among the occlusions.
+
+use std::fmt::Write;
+
+use scene::{Part, Scene};
+
+use crate::canvas::{Canvas, label, ticks};
+use crate::{FigureError, Points};
+use std::path::{Path, PathBuf};
+
+/// Longest side of the image in the drawing, px.
+const SIDE: f64 = 360.0;
+/// Left, top, right, bottom of the frame.
+const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 44.0];
+const BLUE: &str = "#1f4fd8";
+const RED: &str = "#d81f1f";
+
+/// Feature paths on the image plane, as in the paper: big blue dots at the start, small ones at each cycle, red
+/// circles at the target, red crosses at way points, occlusions shaded.
+#[derive(Clone, Debug)]
+pub struct ImagePlane<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Features of each cycle, px; the first are the start.
+    pub path: Vec<Points>,
+    /// Features at the goal, px.
+    pub goal: Points,
+    /// Way points tracked, px.
+    pub way_points: Vec<Points>,
+    /// Title.
+    pub title: String,
+}
+
+impl ImagePlane<'_> {
+    /// The drawing.
+    pub fn canvas(&self) -> Canvas {
+        let frame = Frame::new(self.scene);
+        let mut canvas = frame.begin(self.scene, &self.title);
+        let marks = format!("stroke=\"{RED}\" stroke-width=\"1.3\" opacity=\"0.75\"");
+        for points in &self.way_points {
+            points
+                .iter()
+                .for_each(|p| canvas.cross(frame.at(*p), 2.6, &marks));
+        }
+        for i in 0..self.goal.len() {
+            let path = self
+                .path
+                .iter()
+                .filter_map(|points| points.get(i))
+                .map(|p| frame.at(*p));
+            canvas.polyline(
+                path.clone(),
+                &format!("stroke=\"{BLUE}\" stroke-width=\"0.8\" opacity=\"0.5\""),
+            );
+            path.for_each(|p| canvas.circle(p, 1.5, &format!("fill=\"{BLUE}\"")));
+        }
+        if let Some(start) = self.path.first() {
+            start
+                .iter()
+                .for_each(|p| canvas.circle(frame.at(*p), 4.5, &format!("fill=\"{BLUE}\"")));
+        }
+        for p in &self.goal {
+            let style = format!("fill=\"none\" stroke=\"{RED}\" stroke-width=\"2\"");
+            canvas.circle(frame.at(*p), 5.0, &style);
+        }
+        canvas
+    }
+
+    /// Writes `path`.svg and `path`.png.
+    ///
+    /// # Errors
+    /// [`FigureError`] names the file.
+    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
+        self.canvas().write(path)
+    }
+}
+
+/// From image px to drawing px, with equal scales and v downwards.
+pub(crate) struct Frame {
+    scale: f64,
+    width: f64,
+    height: f64,
+}
+
+impl Frame {
+    pub(crate) fn new(scene: &Scene) -> Self {
+        let scale = SIDE / scene.camera.width.max(scene.camera.height);
+        Self {
+            scale,
+            width: scale * scene.camera.width,
+            height: scale * scene.camera.height,
+        }
+    }
+
+    pub(crate) fn at(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        [MARGIN[0] + self.scale * u, MARGIN[1] + self.scale * v]
+    }
+
+    /// A canvas with axes and occlusions.
+    pub(crate) fn begin(&self, scene: &Scene, title: &str) -> Canvas {
+        let (w, h) = (self.width, self.height);
+        let mut canvas = Canvas::new(w + MARGIN[0] + MARGIN[2], h + MARGIN[1] + MARGIN[3]);
+        let clip = format!("image-{w:.0}x{h:.0}");
+        canvas.element(format_args!(
+            "<clipPath id=\"{clip}\"><rect x=\"{}\" y=\"{}\" width=\"{w:.2}\" height=\"{h:.2}\"/></clipPath>",
+            MARGIN[0], MARGIN[1]
+        ));
+        for part in scene.parts() {
+            let outline = self.outline(part);
+            canvas.element(format_args!(
+                "<path d=\"{outline}\" fill=\"#b9bdc4\" clip-path=\"url(#{clip})\"/>"
+            ));
+        }
+        let axis = "stroke=\"#222222\" stroke-width=\"1\"";
+        canvas.element(format_args!(
+            "<rect x=\"{}\" y=\"{}\" width=\"{w:.2}\" height=\"{h:.2}\" fill=\"none\" {axis}/>",
+            MARGIN[0], MARGIN[1]
+        ));
+        for u in ticks(0.0, scene.camera.width, 5) {
+            let [x, _] = self.at([u, 0.0]);
+            let y = MARGIN[1] + h;
+            canvas.line([x, y], [x, y + 4.0], axis);
+            canvas.text(x, y + 15.0, 10.0, "middle", &label(u));
+        }
+        for v in ticks(0.0, scene.camera.height, 5) {
+            let [_, y] = self.at([0.0, v]);
+            canvas.line([MARGIN[0] - 4.0, y], [MARGIN[0], y], axis);
+            canvas.text(MARGIN[0] - 7.0, y + 3.5, 10.0, "end", &label(v));
+        }
+        canvas.text(
+            MARGIN[0] + w / 2.0,
+            MARGIN[1] + h + 32.0,
+            11.0,
+            "middle",
+            "u (px)",
+        );
+        let (x, y) = (14.0, MARGIN[1] + h / 2.0);
+        canvas.element(format_args!(
+            "<text x=\"{x}\" y=\"{y:.2}\" font-size=\"11\" text-anchor=\"middle\" fill=\"#222222\" \
+             transform=\"rotate(-90 {x} {y:.2})\">v (px)</text>"
+        ));
+        canvas.text(MARGIN[0] + w / 2.0, 19.0, 12.0, "middle", title);
+        canvas
+    }
+
+    /// The border of a part: |x|^p + |y|^p = 1, by its direction from the centre.
+    fn outline(&self, part: &Part) -> String {
+        const STEPS: usize = 240;
+        let mut path = String::new();
+        for i in 0..STEPS {
+            let theta = std::f64::consts::TAU * i as f64 / STEPS as f64;
+            let (c, s) = (theta.cos(), theta.sin());
+            let radius = (c.abs().powf(part.p) + s.abs().powf(part.p)).powf(-1.0 / part.p);
+            let [x, y] = self.at([
+                part.center[0] + part.half[0] * radius * c,
+                part.center[1] + part.half[1] * radius * s,
+            ]);
+            let _ = write!(path, "{}{x:.2} {y:.2}", if i == 0 { "M" } else { "L" });
+        }
+        path + "Z"
+    }
+}

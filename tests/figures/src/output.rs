@@ -1,0 +1,111 @@
+//! A canvas as files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use resvg::tiny_skia::{Pixmap, Transform};
+use resvg::usvg::{Options, Tree, fontdb};
+
+use crate::Canvas;
+
+/// Pixels of the PNG for one px of the drawing.
+const SCALE: f32 = 2.0;
+
+/// Why a figure was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum FigureError {
+    /// A file could not be written.
+    #[error("{path}: cannot write the figure: {source}")]
+    Write {
+        /// The file.
+        path: String,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// The drawing could not be made into pixels.
+    #[error("{path}: cannot draw the figure: {reason}")]
+    Draw {
+        /// The file.
+        path: String,
+        /// What failed.
+        reason: String,
+    },
+}
+
+impl Canvas {
+    /// Writes `path`.svg and `path`.png and returns both paths.
+    ///
+    /// # Errors
+    /// [`FigureError`] names the file.
+    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
+        let with = |extension: &str| {
+            let mut name = path.as_os_str().to_owned();
+            name.push(extension);
+            PathBuf::from(name)
+        };
+        let files = [with(".svg"), with(".png")];
+        let save = |file: &Path, bytes: &[u8]| {
+            file.parent()
+                .map_or(Ok(()), fs::create_dir_all)
+                .and_then(|()| fs::write(file, bytes))
+                .map_err(|source| FigureError::Write {
+                    path: file.display().to_string(),
+                    source,
+                })
+        };
+        let svg = self.svg();
+        save(&files[0], svg.as_bytes())?;
+        let png = png(&svg).map_err(|reason| FigureError::Draw {
+            path: files[1].display().to_string(),
+            reason,
+        })?;
+        save(&files[1], &png)?;
+        Ok(files)
+    }
+}
+
+fn png(svg: &str) -> Result<Vec<u8>, String> {
+    let mut fonts = fontdb::Database::new();
+    fonts.load_font_data(dejavu::sans::regular().to_vec());
+    let options = Options {
+        font_family: "DejaVu Sans".to_owned(),
+        fontdb: Arc::new(fonts),
+        ..Options::default()
+    };
+    let tree = Tree::from_str(svg, &options).map_err(|e| e.to_string())?;
+    let size = tree.size().to_int_size().scale_by(SCALE).ok_or("no size")?;
+    let mut pixels = Pixmap::new(size.width(), size.height()).ok_or("no pixels")?;
+    resvg::render(
+        &tree,
+        Transform::from_scale(SCALE, SCALE),
+        &mut pixels.as_mut(),
+    );
+    pixels.encode_png().map_err(|e| e.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_canvas_becomes_an_svg_and_a_png_of_twice_its_size_the_same_each_time() {
+        let mut canvas = Canvas::new(100.0, 50.0);
+        canvas.text(50.0, 25.0, 10.0, "middle", "a < b & c");
+        let directory = std::env::temp_dir().join(format!("figures-{}", std::process::id()));
+        let [svg, image] = canvas.write(&directory.join("one")).unwrap();
+        assert!(
+            fs::read_to_string(svg)
+                .unwrap()
+                .contains("a &lt; b &amp; c")
+        );
+        let bytes = fs::read(image).unwrap();
+        assert_eq!(&bytes[1..4], b"PNG");
+        assert_eq!(bytes[16..24], [0, 0, 0, 200, 0, 0, 0, 100]);
+        assert_eq!(bytes, png(&canvas.svg()).unwrap());
+        // The font is there: without it the picture would be white.
+        let blank = png(&Canvas::new(100.0, 50.0).svg()).unwrap();
+        assert_ne!(bytes, blank);
+        fs::remove_dir_all(directory).unwrap();
+    }
+}

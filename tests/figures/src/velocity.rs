@@ -1,0 +1,130 @@
+//! Velocity commands over time.
+
+use std::path::{Path, PathBuf};
+
+use scene::Limits;
+
+use crate::FigureError;
+use crate::canvas::{Canvas, FEATURES, label, ticks};
+
+const WIDTH: f64 = 426.0;
+const PANEL: f64 = 120.0;
+const MARGIN: [f64; 4] = [52.0, 26.0, 14.0, 40.0];
+const GAP: f64 = 16.0;
+
+/// The camera twist over time: linear components above, angular ones below, limits dashed.
+#[derive(Clone, Debug)]
+pub struct Velocity {
+    /// Time between two commands, s.
+    pub period_s: f64,
+    /// Commands (vx vy vz m/s, wx wy wz rad/s).
+    pub twists: Vec<[f64; 6]>,
+    /// Limits of each component.
+    pub limits: Limits,
+    /// Title.
+    pub title: String,
+}
+
+impl Velocity {
+    /// The drawing.
+    pub fn canvas(&self) -> Canvas {
+        let mut canvas = Canvas::new(WIDTH, MARGIN[1] + 2.0 * PANEL + GAP + MARGIN[3]);
+        canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &self.title);
+        self.panel(
+            &mut canvas,
+            MARGIN[1],
+            0,
+            self.limits.linear,
+            "m/s",
+            ["vx", "vy", "vz"],
+        );
+        let below = MARGIN[1] + PANEL + GAP;
+        self.panel(
+            &mut canvas,
+            below,
+            3,
+            self.limits.angular,
+            "rad/s",
+            ["wx", "wy", "wz"],
+        );
+        let end = self.end();
+        let y = below + PANEL;
+        for t in ticks(0.0, end, 6) {
+            let x = self.x(t);
+            canvas.line([x, y], [x, y + 4.0], "stroke=\"#222222\"");
+            canvas.text(x, y + 15.0, 10.0, "middle", &label(t));
+        }
+        canvas.text(
+            (MARGIN[0] + WIDTH - MARGIN[2]) / 2.0,
+            y + 31.0,
+            11.0,
+            "middle",
+            "time (s)",
+        );
+        canvas
+    }
+
+    /// Writes `path`.svg and `path`.png.
+    ///
+    /// # Errors
+    /// [`FigureError`] names the file.
+    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
+        self.canvas().write(path)
+    }
+
+    fn end(&self) -> f64 {
+        (self.period_s * self.twists.len() as f64).max(self.period_s)
+    }
+
+    fn x(&self, t: f64) -> f64 {
+        MARGIN[0] + (WIDTH - MARGIN[0] - MARGIN[2]) * t / self.end()
+    }
+
+    fn panel(
+        &self,
+        canvas: &mut Canvas,
+        top: f64,
+        first: usize,
+        limit: f64,
+        unit: &str,
+        names: [&str; 3],
+    ) {
+        let range = 1.15 * limit;
+        let y = |value: f64| top + PANEL * (0.5 - 0.5 * value.clamp(-range, range) / range);
+        let (left, right) = (MARGIN[0], WIDTH - MARGIN[2]);
+        for value in ticks(-limit, limit, 4) {
+            canvas.line([left, y(value)], [right, y(value)], "stroke=\"#e4e6ea\"");
+            canvas.text(left - 7.0, y(value) + 3.5, 10.0, "end", &label(value));
+        }
+        for value in [-limit, limit] {
+            let style = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
+            canvas.line([left, y(value)], [right, y(value)], style);
+        }
+        for (k, name) in names.iter().enumerate() {
+            let colour = FEATURES[k];
+            // A command holds for its period: stairs.
+            let stairs = self.twists.iter().enumerate().flat_map(|(i, twist)| {
+                let value = y(twist[first + k]);
+                let t = self.period_s * i as f64;
+                [[self.x(t), value], [self.x(t + self.period_s), value]]
+            });
+            canvas.polyline(stairs, &format!("stroke=\"{colour}\" stroke-width=\"1.5\""));
+            let x = right - 112.0 + 38.0 * k as f64;
+            canvas.line(
+                [x, top + 9.0],
+                [x + 12.0, top + 9.0],
+                &format!("stroke=\"{colour}\" stroke-width=\"2\""),
+            );
+            canvas.text(x + 15.0, top + 12.5, 10.0, "start", name);
+        }
+        canvas.element(format_args!(
+            "<rect x=\"{left}\" y=\"{top}\" width=\"{}\" height=\"{PANEL}\" fill=\"none\" stroke=\"#222222\"/>",
+            right - left
+        ));
+        let middle = top + PANEL / 2.0;
+        canvas.element(format_args!(
+            "<text x=\"13\" y=\"{middle:.2}\" font-size=\"11\" text-anchor=\"middle\" fill=\"#222222\" \
+             transform=\"rotate(-90 13 {middle:.2})\">{unit}</text>"
+        ));
+    }
+}
