@@ -39,7 +39,7 @@ pub struct Arguments {
     pub clock: Option<String>,
 
     /// Directory of the shared-memory domain, the same for everybody who is to meet; instead of `ipc.domain`.
-    /// [default: /tmp/vpc-<uid>]
+    /// [default: /tmp/vpc-UID]
     #[arg(long, value_name = "DIR")]
     pub domain: Option<PathBuf>,
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::mpsc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ipc::{CycleRecord, Domain, Hold, JoinError, OpenError, RecorderPort, TwistState};
 use rtrb::Consumer;
@@ -13,6 +13,8 @@ use crate::histogram::Histogram;
 
 /// Pause between two looks at the queue.
 const PAUSE: Duration = Duration::from_millis(5);
+/// Time between two sweeps for what killed peers left unfinished, which could hang the loop.
+const SWEEP: Duration = Duration::from_secs(1);
 /// Records that the queue holds: many pauses' worth of lockstep cycles.
 pub const QUEUE: usize = 8192;
 
@@ -47,14 +49,14 @@ pub fn start(
     let thread = std::thread::Builder::new()
         .name("recorder".to_owned())
         .spawn(move || {
-            let port = Domain::join(&domain)
+            let opened = Domain::join(&domain)
                 .map_err(RecorderError::from)
-                .and_then(|domain| Ok(RecorderPort::open(&domain)?));
-            match port {
-                Ok(port) => {
+                .and_then(|domain| Ok((RecorderPort::open(&domain)?, domain)));
+            match opened {
+                Ok((port, domain)) => {
                     // The starter waits for it.
                     let _ = ready.send(Ok(()));
-                    record(port, records)
+                    record(port, records, &domain)
                 }
                 Err(error) => {
                     let _ = ready.send(Err(error));
@@ -66,9 +68,14 @@ pub fn start(
     Ok(thread)
 }
 
-fn record(mut port: RecorderPort, mut records: Consumer<CycleRecord>) -> Summary {
+fn record(mut port: RecorderPort, mut records: Consumer<CycleRecord>, domain: &Domain) -> Summary {
     let mut summary = Summary::default();
+    let mut swept = Instant::now();
     loop {
+        if swept.elapsed() >= SWEEP {
+            domain.sweep();
+            swept = Instant::now();
+        }
         // In this order: what was pushed before the loop let go is still taken.
         let last_round = records.is_abandoned();
         while let Ok(record) = records.pop() {

@@ -203,6 +203,7 @@ class Domain:
         except BlockingIOError:
             pass
         fcntl.flock(self._member, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        self._remove_unborn(prefix)
 
         iox2.set_log_level(iox2.LogLevel.Error)
         config = iox2.config.default()
@@ -228,6 +229,29 @@ class Domain:
             .open_or_create()
             for name, (message, history, buffer) in SERVICES.items()
         }
+
+    @staticmethod
+    def _remove_unborn(prefix):
+        """Removes shared memory that a killed process created and never gave a size: iceoryx2 would wait for it."""
+
+        def empty():
+            for entry in os.scandir("/dev/shm"):
+                try:
+                    if entry.name.startswith(prefix) and entry.stat().st_size == 0:
+                        yield entry
+                except FileNotFoundError:
+                    pass
+
+        for _ in range(120):
+            young = False
+            for entry in list(empty()):
+                if time.time() - entry.stat().st_mtime >= 0.3:
+                    os.unlink(entry.path)
+                else:
+                    young = True
+            if not young:
+                return
+            time.sleep(0.005)
 
     def _prefix(self):
         value = 0xCBF29CE484222325

@@ -1,9 +1,11 @@
 //! A domain: one set of the four services, in a directory of its own.
 
+use std::fs::DirEntry;
 use std::io;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::time::Duration;
 
 use iceoryx2::node::{Node, NodeBuilder, NodeCreationFailure};
 use iceoryx2::prelude::{Config, FileName, LogLevel, SemanticString, SignalHandlingMode};
@@ -22,6 +24,10 @@ use crate::{CycleRecord, Features, RobotState, TwistCommand};
 const MAX_NODES: usize = 32;
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
+
+/// Age from which on shared memory without a size is taken for the work of a killed process: giving it one is the next
+/// thing that its creator does.
+const UNBORN: Duration = Duration::from_millis(300);
 
 /// One opened service.
 pub type Factory<T> = PortFactory<Service, T, ()>;
@@ -153,6 +159,7 @@ impl Domain {
         let path = guard.directory().display().to_string();
         let config = configuration(guard.directory())
             .ok_or_else(|| JoinError::Path { path: path.clone() })?;
+        remove_unborn(guard.directory());
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -181,6 +188,13 @@ impl Domain {
     /// The directory, canonical.
     pub fn directory(&self) -> &Path {
         self.shared.guard.directory()
+    }
+
+    /// Removes shared memory that a killed process created and never gave a size. iceoryx2 0.9.3, run by root, waits
+    /// for such a size without an end, also in peers that only receive; joining removes it, and whoever has an
+    /// ordinary thread calls this once a second, so that its loop is freed even if nobody joins. Does not wait.
+    pub fn sweep(&self) {
+        unborn(self.directory());
     }
 
     /// The one publisher of `T`.
@@ -218,6 +232,7 @@ impl Shared {
 
     /// Clears away participants that were killed.
     pub(crate) fn bury_the_dead(&self) {
+        remove_unborn(self.guard.directory());
         Node::<Service>::try_cleanup_dead_nodes(&self.config);
     }
 }
@@ -295,21 +310,52 @@ fn prefix(directory: &Path) -> String {
 
 /// Removes what the dead left: our root, and our files in shared memory. Only for who is alone in the domain.
 fn wipe(directory: &Path) -> io::Result<()> {
-    match std::fs::remove_dir_all(directory.join("iox2")) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => (),
-    }
+    let gone = |result: io::Result<()>| match result {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    };
+    gone(std::fs::remove_dir_all(directory.join("iox2")))?;
+    ours(directory)?.try_for_each(|entry| gone(std::fs::remove_file(entry.path())))
+}
+
+/// Our files in shared memory.
+fn ours(directory: &Path) -> io::Result<impl Iterator<Item = DirEntry>> {
     let prefix = prefix(directory);
-    for entry in std::fs::read_dir(SHARED_MEMORY)? {
-        let entry = entry?;
-        if entry.file_name().as_bytes().starts_with(prefix.as_bytes()) {
-            match std::fs::remove_file(entry.path()) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-                _ => (),
+    let entries = std::fs::read_dir(SHARED_MEMORY)?.filter_map(Result::ok);
+    Ok(entries.filter(move |entry| entry.file_name().as_bytes().starts_with(prefix.as_bytes())))
+}
+
+/// Removes shared memory without a size that is old enough to have been left by a killed process; tells how many are
+/// too young to say.
+fn unborn(directory: &Path) -> usize {
+    let Ok(entries) = ours(directory) else {
+        return 0;
+    };
+    entries
+        .filter(|entry| {
+            let Ok(found) = entry.metadata() else {
+                return false;
+            };
+            let age = found.modified().ok().and_then(|at| at.elapsed().ok());
+            let is_old = age.is_some_and(|age| age >= UNBORN);
+            if found.len() == 0 && is_old {
+                // Somebody else may have been faster.
+                let _ = std::fs::remove_file(entry.path());
             }
+            found.len() == 0 && !is_old
+        })
+        .count()
+}
+
+/// Waits until it is clear what is unborn, and removes it. Next to always there is nothing to wait for.
+fn remove_unborn(directory: &Path) {
+    let pause = Duration::from_millis(5);
+    for _ in 0..2 * UNBORN.as_millis() / pause.as_millis() {
+        if unborn(directory) == 0 {
+            return;
         }
+        std::thread::sleep(pause);
     }
-    Ok(())
 }
 
 #[cfg(test)]

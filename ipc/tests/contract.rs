@@ -424,19 +424,41 @@ fn kills_during_start_up_do_no_harm_to_who_is_there() {
     eventually("the answer", || observer.twist.oldest().unwrap());
 }
 
+/// Start of the names of a domain's files in /dev/shm.
+fn prefix(directory: &Directory) -> String {
+    let path = directory.path().canonicalize().unwrap();
+    let bytes = path.as_os_str().as_bytes().iter();
+    let hash = bytes.fold(0xcbf2_9ce4_8422_2325_u64, |h, &b| {
+        (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
+    });
+    format!("vpc_{hash:016x}_")
+}
+
+#[test]
+fn shared_memory_that_was_never_finished_is_removed() {
+    let directory = directory();
+    let here = Domain::join(directory.path()).unwrap();
+    let unborn = Path::new("/dev/shm").join(format!("{}0_0.connection", prefix(&directory)));
+    let plant = || drop(std::fs::File::create(&unborn).unwrap());
+    // By who joins, although somebody is there.
+    plant();
+    let _there = Domain::join(directory.path()).unwrap();
+    assert!(!unborn.exists());
+    // By who sweeps, but not while it may be somebody's work in progress.
+    plant();
+    here.sweep();
+    assert!(unborn.exists());
+    eventually("removal", || {
+        here.sweep();
+        (!unborn.exists()).then_some(())
+    });
+}
+
 #[test]
 fn nothing_is_left_when_the_last_one_has_left() {
     let directory = directory();
+    let prefix = prefix(&directory);
     let left = || {
-        let path = directory.path().canonicalize().unwrap();
-        let hash = path
-            .as_os_str()
-            .as_bytes()
-            .iter()
-            .fold(0xcbf2_9ce4_8422_2325_u64, |h, &b| {
-                (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
-            });
-        let prefix = format!("vpc_{hash:016x}_");
         let files = std::fs::read_dir("/dev/shm").unwrap();
         let ours = files.filter(|file| {
             let name = file.as_ref().unwrap().file_name();

@@ -35,10 +35,10 @@ impl Bench {
         }
     }
 
-    fn start(&self, arguments: &[&str]) -> Child {
+    fn start(&self, arguments: &[&str]) -> Running {
         let mut command = vpcd_in(&self.place);
         command.args(arguments);
-        command.spawn().unwrap()
+        Running(Some(command.spawn().unwrap()))
     }
 
     fn features(&mut self) -> Features {
@@ -60,6 +60,30 @@ impl Bench {
     fn last_command(&mut self) -> TwistCommand {
         let newest = self.observer.twist.latest().unwrap();
         newest.expect("a command").message
+    }
+}
+
+/// The daemon at work; killed when the test ends first.
+struct Running(Option<Child>);
+
+impl Running {
+    fn terminated(mut self) -> (i32, String) {
+        let child = self.0.take().unwrap();
+        terminate(&child);
+        end_of(child)
+    }
+
+    fn ended(mut self) -> (i32, String) {
+        end_of(self.0.take().unwrap())
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some(child) = &mut self.0 {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
     }
 }
 
@@ -91,7 +115,7 @@ fn lockstep_answers_each_message_exactly_once_and_says_what_it_did() {
                 .all(|w| w.abs() <= limits.angular * 1.000_001)
         );
     }
-    let (code, log) = end_of(daemon);
+    let (code, log) = daemon.ended();
     assert_eq!(code, 0, "{log}");
     assert!(
         log.contains("stopped") && log.contains("cycles=50"),
@@ -156,8 +180,7 @@ fn bad_features_are_answered_with_zero_and_good_ones_go_on() {
         assert_eq!(answer.state(), Some(TwistState::Moving), "{cause}");
         eventually("a record", || bench.observer.cycles.latest().unwrap());
     }
-    terminate(&daemon);
-    let (code, log) = end_of(daemon);
+    let (code, log) = daemon.terminated();
     assert_eq!(code, 0, "{log}");
     for words in [
         "invalid message",
@@ -192,8 +215,7 @@ fn a_silent_camera_is_met_with_zero() {
         (next.state(), next.twist),
         (Some(TwistState::Holding), [0.0; 6])
     );
-    terminate(&daemon);
-    let (code, log) = end_of(daemon);
+    let (code, log) = daemon.terminated();
     assert_eq!(code, 0, "{log}");
     assert!(log.contains("stale features"), "{log}");
 }
@@ -209,8 +231,7 @@ fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
     );
     assert_eq!(first.features_sequence, 0);
     bench.attach();
-    terminate(&daemon);
-    let (code, log) = end_of(daemon);
+    let (code, log) = daemon.terminated();
     assert_eq!(code, 0, "{log}");
     assert_eq!(bench.last_command().state(), Some(TwistState::Stopped));
 }
@@ -218,7 +239,7 @@ fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
 #[test]
 fn a_second_daemon_is_69_and_the_first_goes_on() {
     let mut bench = Bench::new();
-    let mut first = bench.start(&["--clock", "lockstep"]);
+    let first = bench.start(&["--clock", "lockstep"]);
     let features = bench.features();
     bench.ask(&features);
     let mut second = vpcd_in(&bench.place);
@@ -231,23 +252,21 @@ fn a_second_daemon_is_69_and_the_first_goes_on() {
     );
     let features = bench.features();
     assert_eq!(bench.ask(&features).stamp.sequence, 2);
-    first.kill().unwrap();
-    first.wait().unwrap();
+    drop(first);
 }
 
 #[test]
 fn a_killed_daemon_is_replaced() {
     let mut bench = Bench::new();
     for round in 0..3 {
-        let mut daemon = bench.start(&["--clock", "lockstep"]);
+        let daemon = bench.start(&["--clock", "lockstep"]);
         for k in 1..=5 {
             let features = bench.features();
             // A new daemon counts its commands from 1; the first one may answer the features of the round before.
             let answer = bench.ask(&features);
             assert!(answer.stamp.sequence >= k, "round {round}: {answer:?}");
         }
-        daemon.kill().unwrap();
-        daemon.wait().unwrap();
+        drop(daemon);
     }
     while bench.observer.twist.oldest().unwrap().is_some() {}
 }
@@ -258,7 +277,8 @@ fn a_restarted_camera_is_a_new_run() {
     let scene = Scene::read(&scene_file()).unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut command = vpcd_in(&place);
-    let mut daemon = command.args(["--clock", "lockstep"]).spawn().unwrap();
+    command.args(["--clock", "lockstep"]);
+    let daemon = Running(Some(command.spawn().unwrap()));
     let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
     let answers: Vec<_> = (0..3)
         .map(|_| {
@@ -277,8 +297,7 @@ fn a_restarted_camera_is_a_new_run() {
     // The same features in a new run give the same twist: nothing of the run before is left.
     assert_eq!(answers[0], answers[1]);
     assert_eq!(answers[0], answers[2]);
-    daemon.kill().unwrap();
-    daemon.wait().unwrap();
+    drop(daemon);
 }
 
 #[test]
