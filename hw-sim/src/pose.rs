@@ -34,7 +34,7 @@ impl RigidPose {
     /// The pose after the camera has moved with the constant twist (m/s, rad/s; camera frame) for `dt` seconds.
     ///
     /// In its own moving frame the camera travels along a screw: after `dt` its new frame is turned by
-    /// C = exp([w] dt) and displaced by d = (integral of exp([w] s) ds) v, both in the old frame. Points therefore
+    /// C = exp(w dt) and displaced by d = (integral of exp(w s) ds) v, both in the old frame. Points therefore
     /// change to C^T (X - d).
     pub fn seen_after(&self, twist: &[f64; 6], dt: f64) -> Self {
         let v = Vector3::new(twist[0], twist[1], twist[2]);

@@ -7,6 +7,7 @@ use crate::view::Scaling;
 use crate::{MAX_INPUTS, QueryError};
 
 /// Outputs summed together: rows of Lambda are padded to a multiple of this.
+#[cfg(feature = "file")]
 pub(crate) const OUTPUT_LANES: usize = 8;
 /// Outputs after padding, at most.
 const MAX_PADDED: usize = 24;

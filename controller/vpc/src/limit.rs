@@ -1,8 +1,8 @@
 //! The last word before a command leaves: finite, inside the velocity box, and not worse than standing still.
 
 use crate::prediction::Plan;
-use crate::solver::{Problem, Solution, Solver};
-use crate::{DOF, MAX_VARIABLES, Twist};
+use crate::solver::{Problem, Solution, Solver, worst_violation};
+use crate::{DOF, Twist};
 
 /// Halvings towards standing still before the command is zero.
 const HALVINGS: usize = 6;
@@ -12,12 +12,7 @@ const SLACK: f64 = 0.25;
 /// The first command of a solution, slowed down until its first step violates no constraint more than standing
 /// still does, and clamped to the limits. A command that cannot be made so is zero.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
-    let standing = solver.next_violation(problem, &[0.0; MAX_VARIABLES]);
-    let allowed = if standing.is_finite() {
-        standing + SLACK
-    } else {
-        SLACK
-    };
+    let allowed = worst_violation(problem, &problem.origin.points) + SLACK;
     let mut plan = solution.plan;
     let mut violation = solution.next_violation_px;
     for _ in 0..HALVINGS {

@@ -169,10 +169,27 @@ impl Preview {
     /// the arm may do: the caller treats the plan as impossible.
     #[must_use]
     pub fn run(&mut self, task: &Task, origin: &Origin, plan: &Plan) -> bool {
+        self.predict::<true>(task, origin, plan)
+    }
+
+    /// As [`Preview::run`] without derivatives: those of an earlier plan stay behind.
+    #[must_use]
+    pub fn look(&mut self, task: &Task, origin: &Origin, plan: &Plan) -> bool {
+        self.predict::<false>(task, origin, plan)
+    }
+
+    fn predict<const GRADIENTS: bool>(
+        &mut self,
+        task: &Task,
+        origin: &Origin,
+        plan: &Plan,
+    ) -> bool {
         self.count = origin.points.len();
         match &origin.knowledge {
-            Knowledge::Depths(depths) => self.run_depths(task, &origin.points, depths, plan),
-            Knowledge::Space(points) => self.run_space(task, points, plan),
+            Knowledge::Depths(depths) => {
+                self.run_depths::<GRADIENTS>(task, &origin.points, depths, plan)
+            }
+            Knowledge::Space(points) => self.run_space::<GRADIENTS>(task, points, plan),
         }
     }
 
@@ -180,7 +197,13 @@ impl Preview {
         core::array::from_fn(|k| plan[DOF * block + k])
     }
 
-    fn run_depths(&mut self, task: &Task, points: &Points, depths: &[f64], plan: &Plan) -> bool {
+    fn run_depths<const GRADIENTS: bool>(
+        &mut self,
+        task: &Task,
+        points: &Points,
+        depths: &[f64],
+        plan: &Plan,
+    ) -> bool {
         let (ts, n) = (task.ts, self.variables());
         for (i, (&point, &z)) in points.iter().zip(depths).enumerate() {
             let mut p = camera::normalise(&task.camera, point);
@@ -189,18 +212,23 @@ impl Preview {
                 let block = self.block(j);
                 let v = Self::command(plan, block);
                 let (velocity, slope) = interaction::flow(p, z, &v);
-                let matrix = interaction::of_point(p, z);
-                let [gx, gy] = gradient;
-                for k in 0..n {
-                    gradient[0][k] = gx[k] + ts * (slope[0][0] * gx[k] + slope[0][1] * gy[k]);
-                    gradient[1][k] = gy[k] + ts * (slope[1][0] * gx[k] + slope[1][1] * gy[k]);
-                }
-                for k in 0..DOF {
-                    gradient[0][DOF * block + k] += ts * matrix[0][k];
-                    gradient[1][DOF * block + k] += ts * matrix[1][k];
+                if GRADIENTS {
+                    let matrix = interaction::of_point(p, z);
+                    for k in 0..n {
+                        let (x, y) = (gradient[0][k], gradient[1][k]);
+                        gradient[0][k] = x + ts * (slope[0][0] * x + slope[0][1] * y);
+                        gradient[1][k] = y + ts * (slope[1][0] * x + slope[1][1] * y);
+                    }
+                    for k in 0..DOF {
+                        gradient[0][DOF * block + k] += ts * matrix[0][k];
+                        gradient[1][DOF * block + k] += ts * matrix[1][k];
+                    }
                 }
                 p = [p[0] + ts * velocity[0], p[1] + ts * velocity[1]];
                 self.points[j][i] = camera::pixel(&task.camera, p);
+                if !GRADIENTS {
+                    continue;
+                }
                 for k in 0..n {
                     self.gradients[j][i][0][k] = task.camera.fx * gradient[0][k];
                     self.gradients[j][i][1][k] = task.camera.fy * gradient[1][k];
@@ -210,11 +238,18 @@ impl Preview {
         true
     }
 
-    fn run_space(&mut self, task: &Task, points: &[Vector3<f64>], plan: &Plan) -> bool {
+    fn run_space<const GRADIENTS: bool>(
+        &mut self,
+        task: &Task,
+        points: &[Vector3<f64>],
+        plan: &Plan,
+    ) -> bool {
         let n = self.variables();
-        let motions: [Motion; crate::MAX_NC] = core::array::from_fn(|block| {
-            Motion::of_camera(&Self::command(plan, block.min(self.nc - 1)), task.ts)
-        });
+        let first = Motion::of_camera(&Self::command(plan, 0), task.ts);
+        let mut motions = [first; crate::MAX_NC];
+        for (block, motion) in motions.iter_mut().enumerate().take(self.nc).skip(1) {
+            *motion = Motion::of_camera(&Self::command(plan, block), task.ts);
+        }
         for (i, &start) in points.iter().enumerate() {
             let mut x = start;
             let mut gradient = [[0.0; MAX_VARIABLES]; 3];
@@ -225,21 +260,26 @@ impl Preview {
                 if x.z <= 1e-6 {
                     return false;
                 }
-                let own = motion.derivative(&x);
-                let r = &motion.rotation;
-                let [gx, gy, gz] = gradient;
-                for (row, g) in gradient.iter_mut().enumerate() {
-                    let (a, b, c) = (r[(row, 0)], r[(row, 1)], r[(row, 2)]);
-                    for k in 0..n {
-                        g[k] = a * gx[k] + b * gy[k] + c * gz[k];
-                    }
-                    for k in 0..DOF {
-                        g[DOF * block + k] += own[row][k];
-                    }
-                }
                 let iz = 1.0 / x.z;
                 let (a, b) = (x.x * iz, x.y * iz);
                 self.points[j][i] = camera::pixel(&task.camera, [a, b]);
+                if !GRADIENTS {
+                    continue;
+                }
+                let own = motion.derivative(&x);
+                let r = &motion.rotation;
+                for k in 0..n {
+                    let g = [gradient[0][k], gradient[1][k], gradient[2][k]];
+                    for row in 0..3 {
+                        gradient[row][k] =
+                            r[(row, 0)] * g[0] + r[(row, 1)] * g[1] + r[(row, 2)] * g[2];
+                    }
+                }
+                for row in 0..3 {
+                    for k in 0..DOF {
+                        gradient[row][DOF * block + k] += own[row][k];
+                    }
+                }
                 let (fx, fy) = (task.camera.fx * iz, task.camera.fy * iz);
                 for k in 0..n {
                     self.gradients[j][i][0][k] = fx * (gradient[0][k] - a * gradient[2][k]);

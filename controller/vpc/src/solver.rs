@@ -156,9 +156,19 @@ impl Solver {
         &self.preview
     }
 
-    /// Cost of a plan, with every violation found; `None` where the plan brings a point behind the camera.
+    /// Cost of a plan; `None` where the plan brings a point behind the camera.
     pub fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
-        self.outcome(problem, plan).map(|outcome| outcome.cost)
+        self.preview
+            .look(problem.task, problem.origin, plan)
+            .then(|| {
+                cost::value(
+                    problem.task,
+                    &self.preview,
+                    plan,
+                    problem.target,
+                    problem.r_share,
+                )
+            })
     }
 
     /// Solves the problem from each start in turn until one solution violates nothing; otherwise returns the one
@@ -296,6 +306,12 @@ impl Solver {
         if !self.preview.run(task, problem.origin, plan) {
             return None;
         }
+        self.sum_up(problem, plan)
+    }
+
+    /// Cost and violations of the previewed plan.
+    fn sum_up(&self, problem: &Problem<'_>, plan: &Plan) -> Option<Outcome> {
+        let task = problem.task;
         let cost = cost::value(task, &self.preview, plan, problem.target, problem.r_share);
         let mut outcome = Outcome {
             cost,
@@ -318,9 +334,19 @@ impl Solver {
 
     /// The worst violation of the first step under a plan, px; infinite where the plan is impossible.
     pub fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
-        self.outcome(problem, plan)
-            .map_or(f64::INFINITY, |outcome| outcome.next)
+        let possible = self.preview.look(problem.task, problem.origin, plan);
+        if possible {
+            worst_violation(problem, self.preview.step(0))
+        } else {
+            f64::INFINITY
+        }
     }
+}
+
+/// The worst violation among some points, px: that of standing still, for the measured ones.
+pub fn worst_violation(problem: &Problem<'_>, points: &[[f64; 2]]) -> f64 {
+    let violation = |&pixel: &[f64; 2]| constraint::violation(problem.task, pixel, problem.margin);
+    points.iter().map(violation).fold(0.0, f64::max)
 }
 
 /// The plan inside the velocity box; entries past `n` and non-finite ones are zero.
