@@ -1,26 +1,12 @@
 //! The promises of the file: exact round trips, exact queries, and the refusal of everything that is not intact.
 
+mod synthetic;
+
 use std::path::{Path, PathBuf};
 
 use memory_blob::{Contents, MemoryFile, OpenError, Regression};
 use serde_json::Map;
-
-/// A small generator, so that the tests need no crate.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn row(&mut self, length: usize, size: f64) -> Vec<f64> {
-        (0..length).map(|_| size * (self.next() - 0.5)).collect()
-    }
-}
+use synthetic::Random;
 
 fn contents(count: usize, regression: bool) -> Contents {
     let mut random = Random(11);
