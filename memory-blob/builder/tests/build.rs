@@ -1,0 +1,79 @@
+//! The same seed gives the same memory: whatever the number of threads, and however often it was interrupted.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use memory_builder::build::{Progress, collect};
+use memory_builder::memory;
+use memory_builder::settings::BuildSettings;
+use scene::Scene;
+use vpc::Task;
+
+fn settings() -> BuildSettings {
+    BuildSettings {
+        trajectories: 16,
+        iterations: 30,
+        guide_after: 6,
+        batch: 6,
+        ..BuildSettings::default()
+    }
+}
+
+fn scene() -> Scene {
+    Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap()
+}
+
+fn built(threads: usize) -> Progress {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .unwrap();
+    let never = AtomicBool::new(false);
+    pool.install(|| collect(&scene(), &settings(), Progress::new(), &never, |_| ()).unwrap())
+}
+
+#[test]
+fn one_thread_and_three_build_the_same_memory() {
+    let (one, three) = (built(1), built(3));
+    assert_eq!(one, three);
+    assert_eq!(one.trajectories.len(), 16);
+
+    let task = Task::new(&scene()).unwrap();
+    let contents = |progress| memory::contents(&scene(), &task, &settings(), progress).unwrap();
+    assert_eq!(contents(&one), contents(&three));
+}
+
+#[test]
+fn an_interrupted_build_goes_on_to_the_same_memory() {
+    let whole = built(2);
+    let mut progress = Progress::new();
+    let mut interruptions = 0;
+    while progress.trajectories.len() < settings().trajectories {
+        let stop = AtomicBool::new(false);
+        let after_a_batch = |_: &Progress| stop.store(true, Ordering::Relaxed);
+        // Through the text of the partial file, as after a Ctrl-C.
+        let text = serde_json::to_string(&progress).unwrap();
+        let resumed = serde_json::from_str(&text).unwrap();
+        progress = collect(&scene(), &settings(), resumed, &stop, after_a_batch).unwrap();
+        interruptions += 1;
+    }
+    assert!(interruptions >= 2);
+    assert_eq!(progress, whole);
+}
+
+#[test]
+fn every_trajectory_ends_at_the_goal_inside_the_limits() {
+    let task = Task::new(&scene()).unwrap();
+    for trajectory in built(2).trajectories {
+        let last = trajectory.features.last().unwrap();
+        let error = vpc::features::largest_error(last, &task.goal);
+        assert!(error < scene().success.convergence_px);
+        for twist in &trajectory.twists {
+            assert!(
+                twist
+                    .iter()
+                    .zip(&task.limits)
+                    .all(|(v, limit)| v.abs() <= *limit)
+            );
+        }
+    }
+}
