@@ -70,7 +70,9 @@ fn neighbours_without_structure(bencher: Bencher, k: usize) {
     let file = opened(&format!("noise-{k}"), &contents);
     let (samples, mut y) = (file.view().samples().unwrap(), [0.0; OUTPUTS]);
     let mut random = Random(78);
-    let queries: Vec<_> = (0..QUERIES).map(|_| random.row(INPUTS, 500.0)).collect();
+    let queries: Vec<_> = (0..QUERIES)
+        .map(|_| synthetic::noisy_input(&mut random))
+        .collect();
     each(bencher, &queries, |x| {
         samples.nearest(x, k, &mut y).unwrap().distance()
     });

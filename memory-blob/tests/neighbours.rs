@@ -57,7 +57,7 @@ fn every_count_of_samples_round_a_block_is_searched_to_the_end() {
         let file = opened(&format!("count-{count}"), &contents);
         let mut random = Random(8);
         for _ in 0..20 {
-            let query = random.row(INPUTS, 700.0);
+            let query = synthetic::noisy_input(&mut random);
             for k in [1, count.min(MAX_NEIGHBOURS)] {
                 compare(&contents, &file, &query, k);
             }

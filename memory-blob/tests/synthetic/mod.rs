@@ -81,21 +81,32 @@ pub fn trajectories(count: usize, seed: u64) -> Contents {
     contents(x, y)
 }
 
-/// Samples without any structure: the hardest case for a search.
+/// Inputs without any structure, one unit wide in every scaled coordinate, so that none decides distances alone.
+pub fn noisy_input(random: &mut Random) -> Vec<f64> {
+    (0..INPUTS)
+        .map(|k| scale(k) * (random.next() - 0.5))
+        .collect()
+}
+
+/// Samples at such inputs: the hardest case for a search.
 pub fn noise(count: usize, seed: u64) -> Contents {
     let mut random = Random(seed);
-    let x = (0..count).map(|_| random.row(INPUTS, 500.0)).collect();
+    let x = (0..count).map(|_| noisy_input(&mut random)).collect();
     let y = (0..count).map(|_| random.row(OUTPUTS, 10.0)).collect();
     contents(x, y)
 }
 
-fn contents(x: Vec<Vec<f64>>, y: Vec<Vec<f64>>) -> Contents {
-    let count = x.len() as u32;
-    let scale = |k| match k {
+/// Scale of an input: of an image coordinate, the area or the angle.
+fn scale(k: usize) -> f64 {
+    match k {
         8 => 10_000.0,
         9 => 1.0,
         _ => 300.0,
-    };
+    }
+}
+
+fn contents(x: Vec<Vec<f64>>, y: Vec<Vec<f64>>) -> Contents {
+    let count = x.len() as u32;
     let provenance: Map<String, Value> = [("tool".to_owned(), json!("synthetic numbers"))]
         .into_iter()
         .collect();
