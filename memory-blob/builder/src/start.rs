@@ -181,10 +181,8 @@ mod tests {
             .iter()
             .filter(|p| features_if_valid(&scene, &task, p).is_some())
             .count();
-        // The distance to an ellipse is first-order here, so a start at its very border may differ.
-        assert!(
-            inside == 100 && visible >= 95,
-            "{inside} inside the region, {visible} visible"
-        );
+        // Five of the fixed starts (27, 37, 42, 72, 99) are refused: the first-order clearance falls short near the
+        // corners of p-norm parts, by up to 12 px here, so that the builder draws more strictly than the scene asks.
+        assert_eq!((inside, visible), (100, 95));
     }
 }
