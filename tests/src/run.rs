@@ -18,7 +18,7 @@ pub struct Run {
     pub steps: usize,
     /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
     pub cost: f64,
-    /// Time of each cycle of the law until the run was decided, us.
+    /// Time of each cycle of the law until the run was decided, us: filled by [`time`].
     pub cycles_us: Vec<f64>,
     /// Iterations of the solver in those cycles.
     pub iterations: u64,
@@ -90,29 +90,75 @@ pub fn run(
             Verdict::Arrived | Verdict::Running | Verdict::TimeOut => {}
         }
         let measurement = Measurement::from_points(&features);
-        let begin = Instant::now();
         let step = controller.step(&measurement, memory);
-        let elapsed = begin.elapsed().as_secs_f64() * 1e6;
         // A refusal means the zero twist, as in the daemon.
         let twist = step.as_ref().map_or([0.0; 6], |step| step.twist);
         cycles += 1.0;
+        if !run.success {
+            run.history.push(Moment {
+                features: features.to_vec(),
+                twist,
+                way_point: step
+                    .as_ref()
+                    .ok()
+                    .and_then(|step| Some(step.way_point.as_ref()?.to_vec())),
+            });
+        }
         if let Ok(step) = step {
             cost += step.cost / np;
             if !run.success {
-                run.cycles_us.push(elapsed);
                 run.iterations += u64::from(step.iterations);
                 run.not_converged += u64::from(!step.status.is_success());
-                run.history.push(Moment {
-                    features: features.to_vec(),
-                    twist,
-                    way_point: step.way_point.map(|points| points.to_vec()),
-                });
             }
         }
         camera.advance(&twist, ts);
     }
     run.cost = cost / cycles.max(1.0);
     run
+}
+
+/// Replays the cycles of a run through the law `repeats` times and notes the median time of each: other work on the
+/// machine disturbs a cycle here and there, not most repeats of the same one. The caches are warm.
+///
+/// # Errors
+/// [`NotRepeatable`] where a replay commands another twist than the run did, which the law never may.
+pub fn time(
+    run: &mut Run,
+    controller: &mut Controller,
+    memory: Option<&dyn MotionMemory>,
+    repeats: usize,
+) -> Result<(), NotRepeatable> {
+    let mut times = vec![Vec::with_capacity(repeats); run.history.len()];
+    for _ in 0..repeats {
+        controller.reset();
+        for (cycle, (moment, times)) in run.history.iter().zip(&mut times).enumerate() {
+            let measurement = Measurement::from_points(&moment.features);
+            let begin = Instant::now();
+            let step = controller.step(&measurement, memory);
+            times.push(begin.elapsed().as_secs_f64() * 1e6);
+            if step.map_or([0.0; 6], |step| step.twist) != moment.twist {
+                return Err(NotRepeatable { cycle });
+            }
+        }
+    }
+    run.cycles_us = times
+        .into_iter()
+        .filter_map(|mut times| {
+            times.sort_by(f64::total_cmp);
+            times.get(times.len() / 2).copied()
+        })
+        .collect();
+    Ok(())
+}
+
+/// A replay that differs from its run.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error(
+    "cycle {cycle}: the replay commands another twist than the run; allowed: the same, bit for bit"
+)]
+pub struct NotRepeatable {
+    /// The first cycle that differs.
+    pub cycle: usize,
 }
 
 fn failed(mut run: Run, reason: Reason, steps: usize, cost: f64, cycles: f64) -> Run {

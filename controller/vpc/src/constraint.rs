@@ -38,14 +38,16 @@ pub fn clearance(part: &Part, [u, v]: [f64; 2]) -> Clearance {
         };
     }
     // Scaled by the largest entry, no power overflows or vanishes.
+    let exponent = Exponent::of(part.p);
     let ratio = [size[0] / largest, size[1] / largest];
-    let powers = [power(ratio[0], part.p), power(ratio[1], part.p)];
-    let norm = largest * root(powers[0] + powers[1], part.p);
-    // d||d||_p / d offset_k = sign (|offset_k| / norm)^(p-1) = sign powers_k / ratio_k / (sum)^((p-1)/p)
-    let share = [size[0] / norm, size[1] / norm];
+    let powers = [exponent.power(ratio[0]), exponent.power(ratio[1])];
+    let sum = powers[0] + powers[1];
+    let root = exponent.root(sum);
+    let norm = largest * root;
+    // d||d||_p / d offset_k = sign (|offset_k| / norm)^(p-1) = sign ratio_k^(p-1) / sum^((p-1)/p)
     let slope = |k: usize| {
-        let steep = if share[k] > 0.0 {
-            power(share[k], part.p) / share[k]
+        let steep = if ratio[k] > 0.0 {
+            powers[k] / ratio[k] * root / sum
         } else {
             0.0
         };
@@ -113,10 +115,25 @@ pub fn violation(task: &Task, pixel: [f64; 2], margin: f64) -> f64 {
 
 /// The least clearance of a pixel from any occlusion, px; infinite without occlusions.
 pub fn least_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
-    task.parts
-        .iter()
-        .map(|part| clearance(part, pixel).distance)
-        .fold(f64::INFINITY, f64::min)
+    task.parts.iter().fold(f64::INFINITY, |least, part| {
+        if at_least(part, pixel) < least {
+            least.min(clearance(part, pixel).distance)
+        } else {
+            least
+        }
+    })
+}
+
+/// A cheap lower bound of the clearance of a pixel from a part; none inside the part's bounding box. The p-norm is at
+/// least the largest entry of the offset, and no entry of its gradient by the offset is above 1.
+fn at_least(part: &Part, [u, v]: [f64; 2]) -> f64 {
+    let largest =
+        ((u - part.center[0]).abs() / part.half[0]).max((v - part.center[1]).abs() / part.half[1]);
+    if largest <= 1.0 {
+        return f64::NEG_INFINITY;
+    }
+    let short = part.half[0].min(part.half[1]);
+    (largest - 1.0) * core::f64::consts::FRAC_1_SQRT_2 * short
 }
 
 /// The least clearance of a pixel from the image border, px.
@@ -127,28 +144,37 @@ pub fn border_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// x^p for x in [0, 1]; the powers of two that scenes use cost only products.
-fn power(x: f64, p: f64) -> f64 {
-    match squarings(p) {
-        Some(count) => (0..count).fold(x, |x, _| x * x),
-        None => pow(x, p),
-    }
+/// The exponent p: for the powers of two that scenes use, powers cost only products and roots only square roots.
+#[derive(Clone, Copy)]
+enum Exponent {
+    PowerOfTwo(u32),
+    Any(f64),
 }
 
-/// x^(1/p), by square roots where p is a power of two.
-fn root(x: f64, p: f64) -> f64 {
-    match squarings(p) {
-        Some(count) => (0..count).fold(x, |x, _| sqrt(x)),
-        None => pow(x, 1.0 / p),
+impl Exponent {
+    fn of(p: f64) -> Self {
+        const POWERS: [f64; 7] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
+        match POWERS.iter().position(|power| *power == p) {
+            Some(squarings) => Self::PowerOfTwo(squarings as u32),
+            None => Self::Any(p),
+        }
     }
-}
 
-fn squarings(p: f64) -> Option<u32> {
-    const POWERS: [f64; 7] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
-    POWERS
-        .iter()
-        .position(|power| *power == p)
-        .map(|count| count as u32)
+    /// x^p for x in [0, 1].
+    fn power(self, x: f64) -> f64 {
+        match self {
+            Self::PowerOfTwo(squarings) => (0..squarings).fold(x, |x, _| x * x),
+            Self::Any(p) => pow(x, p),
+        }
+    }
+
+    /// x^(1/p).
+    fn root(self, x: f64) -> f64 {
+        match self {
+            Self::PowerOfTwo(squarings) => (0..squarings).fold(x, |x, _| sqrt(x)),
+            Self::Any(p) => pow(x, 1.0 / p),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -203,6 +229,20 @@ mod tests {
         assert!((clearance(&part(8.0), [150.0, 50.0]).distance - 10.0).abs() < 1e-9);
         assert!((clearance(&part(8.0), [100.0, 25.0]).distance - 5.0).abs() < 1e-9);
         assert!((clearance(&part(2.0), [100.0, 60.0]).distance + 10.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_cheap_bound_is_never_above_the_clearance() {
+        for p in [1.0, 1.3, 2.0, 3.0, 8.0, 64.0] {
+            let part = part(p);
+            for i in 0..40 {
+                for j in 0..40 {
+                    let pixel = [f64::from(i) * 5.0, f64::from(j) * 3.0 - 10.0];
+                    let exact = clearance(&part, pixel).distance;
+                    assert!(at_least(&part, pixel) <= exact + 1e-9, "{p} {pixel:?}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -20,7 +20,7 @@ pub struct Controller {
     settings: Settings,
     off_image_px: f64,
     solver: Solver,
-    one_step: Preview,
+    one_step: Preview<DOF>,
     trigger: Trigger,
     previous: Plan,
     predicted: Option<Points>,
@@ -62,7 +62,7 @@ impl Controller {
             task: Task::new(scene)?,
             off_image_px: scene.success.violation_px,
             solver: Solver::new(settings.np, settings.nc, settings.effort),
-            one_step: Preview::new(1, 1),
+            one_step: Preview::new(1),
             trigger: Trigger::new(settings.trigger_px, settings.release),
             previous: [0.0; MAX_VARIABLES],
             predicted: None,
@@ -198,7 +198,7 @@ impl Controller {
 
     /// Remembers where the features should be one sampling time after `twist`.
     fn predict(&mut self, origin: &Origin, twist: &Twist) {
-        let possible = self.one_step.run(&self.task, origin, &repeated(twist));
+        let possible = self.one_step.look(&self.task, origin, twist);
         self.predicted = possible.then(|| self.one_step.step(0).iter().copied().collect());
     }
 

@@ -3,36 +3,25 @@
 //! Source: paper, Eq. (cost): every previewed step weighs the image error by Q, every command but the last step's
 //! by R.
 
+use crate::Points;
 use crate::features;
-use crate::prediction::{Plan, Preview};
+use crate::prediction::Preview;
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Points};
 
 /// R has its full value at this mean distance from what is tracked, as a share of the image width, and decreases
 /// with the square of the distance below it: then neither term takes over on the way to the target, and R vanishes
 /// with the error as in the paper.
 pub const FULL_R_DISTANCE: f64 = 0.25;
 
-/// A quadratic expansion: cost, gradient and Gauss-Newton Hessian (upper left `n x n`).
+/// A quadratic expansion: cost, gradient and Gauss-Newton Hessian in the `N` variables of the plan.
 #[derive(Clone, Debug)]
-pub struct Expansion {
+pub struct Expansion<const N: usize> {
     /// Value of the cost.
     pub value: f64,
     /// Its gradient.
-    pub gradient: Plan,
+    pub gradient: [f64; N],
     /// Its Gauss-Newton Hessian, row by row; symmetric and positive definite.
-    pub hessian: [[f64; MAX_VARIABLES]; MAX_VARIABLES],
-}
-
-impl Expansion {
-    /// An empty expansion, to be filled by [`expand`].
-    pub const fn empty() -> Self {
-        Self {
-            value: 0.0,
-            gradient: [0.0; MAX_VARIABLES],
-            hessian: [[0.0; MAX_VARIABLES]; MAX_VARIABLES],
-        }
-    }
+    pub hessian: [[f64; N]; N],
 }
 
 /// The schedule of R: the share of R that applies at the root mean square distance between the features and what
@@ -43,72 +32,70 @@ pub fn r_share(task: &Task, points: &[[f64; 2]], target: &[[f64; 2]]) -> f64 {
 }
 
 /// The cost of a preview: sum over the steps of k_q |target - s_j|^2, and over all but the last of v_j^T R v_j.
-pub fn value(task: &Task, preview: &Preview, plan: &Plan, target: &Points, r_share: f64) -> f64 {
+pub fn value<const N: usize>(
+    task: &Task,
+    preview: &Preview<N>,
+    plan: &[f64; N],
+    target: &Points,
+    r_share: f64,
+) -> f64 {
     let error: f64 = (0..preview.np())
         .flat_map(|j| preview.step(j).iter().zip(target))
         .map(|(s, t)| (s[0] - t[0]) * (s[0] - t[0]) + (s[1] - t[1]) * (s[1] - t[1]))
         .sum();
     let effort: f64 = (0..preview.np() - 1)
         .map(|j| {
-            let block = DOF * preview.block(j);
-            task.cost
-                .r
-                .iter()
-                .enumerate()
-                .map(|(k, r)| r * plan[block + k] * plan[block + k])
-                .sum::<f64>()
+            let command = &plan[preview.offset(j)..];
+            let weighted = task.cost.r.iter().zip(command).map(|(r, v)| r * v * v);
+            weighted.sum::<f64>()
         })
         .sum();
     task.cost.k_q * error + r_share * effort
 }
 
-/// Fills the expansion of the cost about a previewed plan.
-pub fn expand(
-    task: &Task,
-    preview: &Preview,
-    plan: &Plan,
-    target: &Points,
-    r_share: f64,
-    expansion: &mut Expansion,
-) {
-    let n = preview.variables();
-    let two_q = 2.0 * task.cost.k_q;
-    expansion.value = value(task, preview, plan, target, r_share);
-    expansion.gradient = [0.0; MAX_VARIABLES];
-    expansion
-        .hessian
-        .iter_mut()
-        .take(n)
-        .for_each(|row| *row = [0.0; MAX_VARIABLES]);
-
-    for (i, (_, point)) in preview.previewed().enumerate() {
-        let target = target[i % target.len()];
-        for c in 0..2 {
-            let slope = &point.gradient[c];
-            let pull = two_q * (point.pixel[c] - target[c]);
-            for a in 0..n {
-                expansion.gradient[a] += pull * slope[a];
-                let weighted = two_q * slope[a];
-                for b in a..n {
-                    expansion.hessian[a][b] += weighted * slope[b];
+impl<const N: usize> Expansion<N> {
+    /// The expansion of the cost about a previewed plan.
+    pub fn about(
+        task: &Task,
+        preview: &Preview<N>,
+        plan: &[f64; N],
+        target: &Points,
+        r_share: f64,
+    ) -> Self {
+        let two_q = 2.0 * task.cost.k_q;
+        let (mut gradient, mut hessian) = ([0.0; N], [[0.0; N]; N]);
+        for step in preview.steps() {
+            for (point, target) in step.zip(target) {
+                for c in 0..2 {
+                    let slope = &point.gradient[c];
+                    let pull = two_q * (point.pixel[c] - target[c]);
+                    for a in 0..N {
+                        gradient[a] += pull * slope[a];
+                        let weighted = two_q * slope[a];
+                        for b in 0..N {
+                            hessian[a][b] += weighted * slope[b];
+                        }
+                    }
                 }
             }
         }
-    }
-    for j in 0..preview.np() - 1 {
-        let block = DOF * preview.block(j);
-        for (k, r) in task.cost.r.iter().enumerate() {
-            expansion.gradient[block + k] += 2.0 * r_share * r * plan[block + k];
-            expansion.hessian[block + k][block + k] += 2.0 * r_share * r;
+        for j in 0..preview.np() - 1 {
+            let offset = preview.offset(j);
+            for (k, r) in task.cost.r.iter().enumerate() {
+                gradient[offset + k] += 2.0 * r_share * r * plan[offset + k];
+                hessian[offset + k][offset + k] += 2.0 * r_share * r;
+            }
         }
-    }
-    // A floor far below every real curvature keeps the Hessian positive definite where R has vanished and a
-    // direction moves no feature.
-    let trace: f64 = (0..n).map(|a| expansion.hessian[a][a]).sum();
-    for a in 0..n {
-        expansion.hessian[a][a] += 1e-9 * trace / n as f64 + f64::MIN_POSITIVE;
-        for b in 0..a {
-            expansion.hessian[a][b] = expansion.hessian[b][a];
+        // A floor far below every real curvature keeps the Hessian positive definite where R has vanished and a
+        // direction moves no feature.
+        let trace: f64 = (0..N).map(|a| hessian[a][a]).sum();
+        for a in 0..N {
+            hessian[a][a] += 1e-9 * trace / N as f64 + f64::MIN_POSITIVE;
+        }
+        Self {
+            value: value(task, preview, plan, target, r_share),
+            gradient,
+            hessian,
         }
     }
 }
@@ -127,17 +114,11 @@ mod tests {
         };
         let points = task.features_at(&pose).unwrap();
         let origin = Origin::new(&task, Model::Pose, &points);
-        let mut preview = Box::new(Preview::new(7, 2));
-        let mut plan = [0.0; MAX_VARIABLES];
-        plan.iter_mut()
-            .take(12)
-            .enumerate()
-            .for_each(|(k, x)| *x = 0.2 * libm::cos(k as f64));
-        let mut at = |plan: &Plan| {
+        let mut preview = Box::new(Preview::<12>::new(7));
+        let plan: [f64; 12] = core::array::from_fn(|k| 0.2 * libm::cos(k as f64));
+        let mut at = |plan: &[f64; 12]| {
             assert!(preview.run(&task, &origin, plan));
-            let mut expansion = Expansion::empty();
-            expand(&task, &preview, plan, &task.goal, 0.7, &mut expansion);
-            expansion
+            Expansion::about(&task, &preview, plan, &task.goal, 0.7)
         };
         let exact = at(&plan);
         for k in 0..12 {

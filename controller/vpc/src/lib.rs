@@ -51,6 +51,7 @@ pub mod qp;
 pub mod recall;
 pub mod settings;
 pub mod solver;
+mod sqp;
 pub mod task;
 
 pub use controller::{Controller, Step};

@@ -10,26 +10,60 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::Twist;
 
-/// A rigid motion over one sampling time, with what is needed for its derivative.
+/// A rigid motion over one sampling time.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion {
     /// Rotation R.
     pub rotation: Matrix3<f64>,
     /// Translation t, m.
     pub translation: Vector3<f64>,
-    /// Left Jacobian of SO(3), the diagonal block.
-    jacobian: Matrix3<f64>,
-    /// Upper right block of the left Jacobian of SE(3).
-    coupling: Matrix3<f64>,
-    /// Sampling time, s.
-    ts: f64,
 }
 
 impl Motion {
+    /// No motion.
+    pub const REST: Self = Self {
+        rotation: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+        translation: Vector3::new(0.0, 0.0, 0.0),
+    };
+
     /// The motion of a fixed point in the camera frame while the camera moves at `v` for `ts` seconds.
     pub fn of_camera(v: &Twist, ts: f64) -> Self {
-        let rho = Vector3::new(v[0], v[1], v[2]) * -ts;
-        let phi = Vector3::new(v[3], v[4], v[5]) * -ts;
+        let (rho, phi) = exponent(v, ts);
+        let series = Coefficients::at(phi.norm_squared());
+        let f = phi.cross_matrix();
+        let ff = f * f;
+        let jacobian = Matrix3::identity() + f * series.versine + ff * series.sine_gap;
+        Self {
+            rotation: Matrix3::identity() + f * series.sine + ff * series.versine,
+            translation: jacobian * rho,
+        }
+    }
+
+    /// Where the point `x` (camera frame, m) is after the motion.
+    pub fn apply(&self, x: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * x + self.translation
+    }
+}
+
+/// How a motion changes with the camera velocity: the left Jacobian of SE(3), times -ts.
+#[derive(Clone, Copy, Debug)]
+pub struct Sensitivity {
+    /// The diagonal block: the left Jacobian of SO(3), times -ts.
+    linear: Matrix3<f64>,
+    /// The block above it, times -ts.
+    coupling: Matrix3<f64>,
+}
+
+impl Sensitivity {
+    /// That of no motion in no time.
+    pub const REST: Self = Self {
+        linear: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        coupling: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    };
+
+    /// The sensitivity of [`Motion::of_camera`].
+    pub fn of_camera(v: &Twist, ts: f64) -> Self {
+        let (rho, phi) = exponent(v, ts);
         let series = Coefficients::at(phi.norm_squared());
         let (f, r) = (phi.cross_matrix(), rho.cross_matrix());
         let (ff, fr, rf) = (f * f, f * r, r * f);
@@ -40,34 +74,33 @@ impl Motion {
             + (f * fr + rf * f - frf * 3.0) * series.cosine_gap
             + (frf * f + f * frf) * series.mixed;
         Self {
-            rotation: Matrix3::identity() + f * series.sine + ff * series.versine,
-            translation: jacobian * rho,
-            jacobian,
-            coupling,
-            ts,
+            linear: jacobian * -ts,
+            coupling: coupling * -ts,
         }
     }
 
-    /// Where the point `x` (camera frame, m) is after the motion.
-    pub fn apply(&self, x: &Vector3<f64>) -> Vector3<f64> {
-        self.rotation * x + self.translation
-    }
-
     /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu, omega).
-    pub fn derivative(&self, moved: &Vector3<f64>) -> [Twist; 3] {
+    pub fn at(&self, moved: &Vector3<f64>) -> [Twist; 3] {
         // d(exp(tau) X) = [I, -[X']x] J_l d tau, and d tau = -ts d v.
-        let linear = self.jacobian * -self.ts;
-        let angular = (self.coupling - moved.cross_matrix() * self.jacobian) * -self.ts;
+        let angular = self.coupling - moved.cross_matrix() * self.linear;
         core::array::from_fn(|i| {
             core::array::from_fn(|j| {
                 if j < 3 {
-                    linear[(i, j)]
+                    self.linear[(i, j)]
                 } else {
                     angular[(i, j - 3)]
                 }
             })
         })
     }
+}
+
+/// tau = -ts v, its translation and its rotation.
+fn exponent(v: &Twist, ts: f64) -> (Vector3<f64>, Vector3<f64>) {
+    (
+        Vector3::new(v[0], v[1], v[2]) * -ts,
+        Vector3::new(v[3], v[4], v[5]) * -ts,
+    )
 }
 
 /// Coefficients of the exponential and of the left Jacobian at the angle theta.
@@ -201,8 +234,8 @@ mod tests {
         for ts in [1.0 / 30.0, 1.0] {
             let v = [0.3, -0.2, 0.4, 0.7, -0.9, 1.1];
             let x = Vector3::new(0.1, 0.2, 0.8);
-            let motion = Motion::of_camera(&v, ts);
-            let exact = motion.derivative(&motion.apply(&x));
+            let moved = Motion::of_camera(&v, ts).apply(&x);
+            let exact = Sensitivity::of_camera(&v, ts).at(&moved);
             for j in 0..6 {
                 let h = 1e-6;
                 let (mut plus, mut minus) = (v, v);

@@ -7,8 +7,10 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use crate::MAX_POINTS;
 use crate::motion::rotation;
 
-/// Gauss-Newton steps after the homography; it converges quadratically for small residuals.
+/// Most Gauss-Newton steps after the homography; it converges quadratically for small residuals.
 const REFINEMENTS: usize = 4;
+/// A step shorter than this (m and rad together) ends the refinement: far below what a pixel tells.
+const REFINED: f64 = 1e-10;
 
 /// The pose of the pattern in the camera frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +35,11 @@ impl Estimate {
 pub fn estimate(pattern: &[[f64; 3]], image: &[[f64; 2]]) -> Option<Estimate> {
     let mut pose = from_homography(pattern, image)?;
     for _ in 0..REFINEMENTS {
-        pose = refine(pattern, image, &pose)?;
+        let (refined, step) = refine(pattern, image, &pose)?;
+        pose = refined;
+        if step < REFINED {
+            break;
+        }
     }
     let in_front = pattern.iter().all(|p| pose.apply(p).z > 1e-6);
     (in_front && pose.residual.is_finite()).then_some(pose)
@@ -79,8 +85,8 @@ fn from_homography(pattern: &[[f64; 3]], image: &[[f64; 2]]) -> Option<Estimate>
     })
 }
 
-/// One Gauss-Newton step on the reprojection error, perturbing the pose on its left.
-fn refine(pattern: &[[f64; 3]], image: &[[f64; 2]], pose: &Estimate) -> Option<Estimate> {
+/// One Gauss-Newton step on the reprojection error, perturbing the pose on its left; and its length.
+fn refine(pattern: &[[f64; 3]], image: &[[f64; 2]], pose: &Estimate) -> Option<(Estimate, f64)> {
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();
     let mut squares = 0.0;
@@ -100,11 +106,12 @@ fn refine(pattern: &[[f64; 3]], image: &[[f64; 2]], pose: &Estimate) -> Option<E
     }
     let step = normal.cholesky()?.solve(&right);
     let turn = rotation([step[3], step[4], step[5]]);
-    Some(Estimate {
+    let refined = Estimate {
         rotation: turn * pose.rotation,
         translation: turn * pose.translation + Vector3::new(step[0], step[1], step[2]),
         residual: sqrt(squares / pattern.len() as f64),
-    })
+    };
+    Some((refined, step.norm()))
 }
 
 /// The points of the pattern in the camera frame, m, at an estimated pose.

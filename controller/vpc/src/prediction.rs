@@ -6,7 +6,7 @@ use heapless::Vec;
 use libm::sqrt;
 use nalgebra::Vector3;
 
-use crate::motion::Motion;
+use crate::motion::{Motion, Sensitivity};
 use crate::task::Task;
 use crate::{
     DOF, MAX_NP, MAX_POINTS, MAX_VARIABLES, Points, Twist, camera, features, interaction, pose,
@@ -85,38 +85,35 @@ fn space(task: &Task, points: &Points) -> Option<Knowledge> {
 /// A plan: `nc` camera velocities; the last one holds to the end of the window. Only the first `6 nc` entries count.
 pub type Plan = [f64; MAX_VARIABLES];
 
-/// Derivative of one feature component with respect to the plan.
-pub type Gradient = [f64; MAX_VARIABLES];
-
-/// The previewed features and their derivatives with respect to the plan.
+/// The previewed features and their derivatives with respect to the first `N = 6 nc` entries of the plan.
 #[derive(Clone, Debug)]
-pub struct Preview {
+pub struct Preview<const N: usize> {
     np: usize,
-    nc: usize,
     count: usize,
     points: [[[f64; 2]; MAX_POINTS]; MAX_NP],
-    gradients: [[[Gradient; 2]; MAX_POINTS]; MAX_NP],
+    gradients: [[[[f64; N]; 2]; MAX_POINTS]; MAX_NP],
 }
 
 /// A previewed point: its pixel and the derivative of each component with respect to the plan.
 #[derive(Clone, Copy, Debug)]
-pub struct Previewed<'a> {
+pub struct Previewed<'a, const N: usize> {
     /// Where it is, px.
     pub pixel: [f64; 2],
     /// Derivatives of u and v.
-    pub gradient: &'a [Gradient; 2],
+    pub gradient: &'a [[f64; N]; 2],
 }
 
-impl Preview {
-    /// A preview of `np` steps (1 to [`MAX_NP`]) and `nc` free commands (1 to [`crate::MAX_NC`], at most `np`).
-    pub fn new(np: usize, nc: usize) -> Self {
-        let np = np.clamp(1, MAX_NP);
+impl<const N: usize> Preview<N> {
+    /// Free commands.
+    const NC: usize = N / DOF;
+
+    /// A preview of `np` steps (1 to [`MAX_NP`]).
+    pub fn new(np: usize) -> Self {
         Self {
-            np,
-            nc: nc.clamp(1, crate::MAX_NC.min(np)),
+            np: np.clamp(1, MAX_NP),
             count: 0,
             points: [[[0.0; 2]; MAX_POINTS]; MAX_NP],
-            gradients: [[[[0.0; MAX_VARIABLES]; 2]; MAX_POINTS]; MAX_NP],
+            gradients: [[[[0.0; N]; 2]; MAX_POINTS]; MAX_NP],
         }
     }
 
@@ -125,19 +122,9 @@ impl Preview {
         self.np
     }
 
-    /// Free commands.
-    pub fn nc(&self) -> usize {
-        self.nc
-    }
-
-    /// Variables of the plan: 6 nc.
-    pub fn variables(&self) -> usize {
-        DOF * self.nc
-    }
-
-    /// The command of step `j` (0 to np - 1) in a plan.
-    pub fn block(&self, j: usize) -> usize {
-        j.min(self.nc - 1)
+    /// Where the command of step `j` (0 to np - 1) begins in the plan.
+    pub fn offset(&self, j: usize) -> usize {
+        DOF * j.min(Self::NC - 1)
     }
 
     /// The previewed points of step `j` (0 is one sampling time ahead), px.
@@ -148,33 +135,25 @@ impl Preview {
             .unwrap_or(&[])
     }
 
-    /// Every previewed point with its step.
-    pub fn previewed(&self) -> impl Iterator<Item = (usize, Previewed<'_>)> {
-        let steps = self
-            .points
-            .iter()
-            .zip(&self.gradients)
-            .take(self.np)
-            .enumerate();
-        steps.flat_map(move |(j, (points, gradients))| {
-            points
-                .iter()
-                .zip(gradients)
-                .take(self.count)
-                .map(move |(&pixel, gradient)| (j, Previewed { pixel, gradient }))
+    /// The previewed points of every step, with their derivatives, step by step.
+    pub fn steps(&self) -> impl Iterator<Item = impl Iterator<Item = Previewed<'_, N>>> {
+        let steps = self.points.iter().zip(&self.gradients).take(self.np);
+        steps.map(|(points, gradients)| {
+            let points = points.iter().zip(gradients).take(self.count);
+            points.map(|(&pixel, gradient)| Previewed { pixel, gradient })
         })
     }
 
     /// Predicts the features under `plan`. `false` where a point would come behind the camera, which no command of
     /// the arm may do: the caller treats the plan as impossible.
     #[must_use]
-    pub fn run(&mut self, task: &Task, origin: &Origin, plan: &Plan) -> bool {
+    pub fn run(&mut self, task: &Task, origin: &Origin, plan: &[f64; N]) -> bool {
         self.predict::<true>(task, origin, plan)
     }
 
     /// As [`Preview::run`] without derivatives: those of an earlier plan stay behind.
     #[must_use]
-    pub fn look(&mut self, task: &Task, origin: &Origin, plan: &Plan) -> bool {
+    pub fn look(&mut self, task: &Task, origin: &Origin, plan: &[f64; N]) -> bool {
         self.predict::<false>(task, origin, plan)
     }
 
@@ -182,7 +161,7 @@ impl Preview {
         &mut self,
         task: &Task,
         origin: &Origin,
-        plan: &Plan,
+        plan: &[f64; N],
     ) -> bool {
         self.count = origin.points.len();
         match &origin.knowledge {
@@ -193,8 +172,8 @@ impl Preview {
         }
     }
 
-    fn command(plan: &Plan, block: usize) -> Twist {
-        core::array::from_fn(|k| plan[DOF * block + k])
+    fn command(plan: &[f64; N], offset: usize) -> Twist {
+        core::array::from_fn(|k| plan[offset + k])
     }
 
     fn run_depths<const GRADIENTS: bool>(
@@ -202,36 +181,34 @@ impl Preview {
         task: &Task,
         points: &Points,
         depths: &[f64],
-        plan: &Plan,
+        plan: &[f64; N],
     ) -> bool {
-        let (ts, n) = (task.ts, self.variables());
+        let ts = task.ts;
         for (i, (&point, &z)) in points.iter().zip(depths).enumerate() {
             let mut p = camera::normalise(&task.camera, point);
-            let mut gradient = [[0.0; MAX_VARIABLES]; 2];
+            let mut gradient = [[0.0; N]; 2];
             for j in 0..self.np {
-                let block = self.block(j);
-                let v = Self::command(plan, block);
+                let offset = self.offset(j);
+                let v = Self::command(plan, offset);
                 let (velocity, slope) = interaction::flow(p, z, &v);
                 if GRADIENTS {
                     let matrix = interaction::of_point(p, z);
-                    for k in 0..n {
+                    for k in 0..N {
                         let (x, y) = (gradient[0][k], gradient[1][k]);
                         gradient[0][k] = x + ts * (slope[0][0] * x + slope[0][1] * y);
                         gradient[1][k] = y + ts * (slope[1][0] * x + slope[1][1] * y);
                     }
                     for k in 0..DOF {
-                        gradient[0][DOF * block + k] += ts * matrix[0][k];
-                        gradient[1][DOF * block + k] += ts * matrix[1][k];
+                        gradient[0][offset + k] += ts * matrix[0][k];
+                        gradient[1][offset + k] += ts * matrix[1][k];
                     }
                 }
                 p = [p[0] + ts * velocity[0], p[1] + ts * velocity[1]];
                 self.points[j][i] = camera::pixel(&task.camera, p);
-                if !GRADIENTS {
-                    continue;
-                }
-                for k in 0..n {
-                    self.gradients[j][i][0][k] = task.camera.fx * gradient[0][k];
-                    self.gradients[j][i][1][k] = task.camera.fy * gradient[1][k];
+                if GRADIENTS {
+                    let [u, v] = &mut self.gradients[j][i];
+                    *u = gradient[0].map(|g| task.camera.fx * g);
+                    *v = gradient[1].map(|g| task.camera.fy * g);
                 }
             }
         }
@@ -242,20 +219,23 @@ impl Preview {
         &mut self,
         task: &Task,
         points: &[Vector3<f64>],
-        plan: &Plan,
+        plan: &[f64; N],
     ) -> bool {
-        let n = self.variables();
-        let first = Motion::of_camera(&Self::command(plan, 0), task.ts);
-        let mut motions = [first; crate::MAX_NC];
-        for (block, motion) in motions.iter_mut().enumerate().take(self.nc).skip(1) {
-            *motion = Motion::of_camera(&Self::command(plan, block), task.ts);
+        let mut motions = [Motion::REST; crate::MAX_NC];
+        let mut sensitivities = [Sensitivity::REST; crate::MAX_NC];
+        for block in 0..Self::NC {
+            let v = Self::command(plan, DOF * block);
+            motions[block] = Motion::of_camera(&v, task.ts);
+            if GRADIENTS {
+                sensitivities[block] = Sensitivity::of_camera(&v, task.ts);
+            }
         }
         for (i, &start) in points.iter().enumerate() {
             let mut x = start;
-            let mut gradient = [[0.0; MAX_VARIABLES]; 3];
+            let mut gradient = [[0.0; N]; 3];
             for j in 0..self.np {
-                let block = self.block(j);
-                let motion = &motions[block];
+                let offset = self.offset(j);
+                let motion = &motions[offset / DOF];
                 x = motion.apply(&x);
                 if x.z <= 1e-6 {
                     return false;
@@ -266,9 +246,9 @@ impl Preview {
                 if !GRADIENTS {
                     continue;
                 }
-                let own = motion.derivative(&x);
+                let own = sensitivities[offset / DOF].at(&x);
                 let r = &motion.rotation;
-                for k in 0..n {
+                for k in 0..N {
                     let g = [gradient[0][k], gradient[1][k], gradient[2][k]];
                     for row in 0..3 {
                         gradient[row][k] =
@@ -277,13 +257,14 @@ impl Preview {
                 }
                 for row in 0..3 {
                     for k in 0..DOF {
-                        gradient[row][DOF * block + k] += own[row][k];
+                        gradient[row][offset + k] += own[row][k];
                     }
                 }
                 let (fx, fy) = (task.camera.fx * iz, task.camera.fy * iz);
-                for k in 0..n {
-                    self.gradients[j][i][0][k] = fx * (gradient[0][k] - a * gradient[2][k]);
-                    self.gradients[j][i][1][k] = fy * (gradient[1][k] - b * gradient[2][k]);
+                let [u, v] = &mut self.gradients[j][i];
+                for k in 0..N {
+                    u[k] = fx * (gradient[0][k] - a * gradient[2][k]);
+                    v[k] = fy * (gradient[1][k] - b * gradient[2][k]);
                 }
             }
         }
@@ -313,34 +294,36 @@ mod tests {
         let measured = points(&task);
         for model in [Model::TargetDepth, Model::AreaDepth, Model::Pose] {
             let origin = Origin::new(&task, model, &measured);
-            for (np, nc) in [(1, 1), (3, 1), (12, 3), (30, 1)] {
-                let mut plan = [0.0; MAX_VARIABLES];
-                plan.iter_mut()
-                    .enumerate()
-                    .for_each(|(k, x)| *x = 0.3 * libm::sin(1.0 + k as f64));
-                let mut exact = Box::new(Preview::new(np, nc));
-                assert!(exact.run(&task, &origin, &plan));
-                let mut other = Box::new(Preview::new(np, nc));
-                for k in 0..exact.variables() {
-                    let h = 1e-6;
-                    let mut shifted = |h: f64| {
-                        let mut moved = plan;
-                        moved[k] += h;
-                        assert!(other.run(&task, &origin, &moved));
-                        other.step(np - 1).to_vec()
-                    };
-                    let (plus, minus) = (shifted(h), shifted(-h));
-                    for i in 0..4 {
-                        for c in 0..2 {
-                            let numeric = (plus[i][c] - minus[i][c]) / (2.0 * h);
-                            let analytic = exact.gradients[np - 1][i][c][k];
-                            let scale = 1.0 + analytic.abs();
-                            assert!(
-                                (numeric - analytic).abs() < 1e-6 * scale,
-                                "{model:?} {np} {k}"
-                            );
-                        }
-                    }
+            gradients_match::<6>(&task, &origin, 1);
+            gradients_match::<6>(&task, &origin, 3);
+            gradients_match::<18>(&task, &origin, 12);
+            gradients_match::<6>(&task, &origin, 30);
+        }
+    }
+
+    fn gradients_match<const N: usize>(task: &Task, origin: &Origin, np: usize) {
+        let plan: [f64; N] = core::array::from_fn(|k| 0.3 * libm::sin(1.0 + k as f64));
+        let mut exact = Box::new(Preview::<N>::new(np));
+        assert!(exact.run(task, origin, &plan));
+        let mut other = Box::new(Preview::<N>::new(np));
+        for k in 0..N {
+            let h = 1e-6;
+            let mut shifted = |h: f64| {
+                let mut moved = plan;
+                moved[k] += h;
+                assert!(other.look(task, origin, &moved));
+                other.step(np - 1).to_vec()
+            };
+            let (plus, minus) = (shifted(h), shifted(-h));
+            for i in 0..4 {
+                for c in 0..2 {
+                    let numeric = (plus[i][c] - minus[i][c]) / (2.0 * h);
+                    let analytic = exact.gradients[np - 1][i][c][k];
+                    let scale = 1.0 + analytic.abs();
+                    assert!(
+                        (numeric - analytic).abs() < 1e-6 * scale,
+                        "{origin:?} {np} {k}"
+                    );
                 }
             }
         }
@@ -356,10 +339,8 @@ mod tests {
         let measured = task.features_at(&start).unwrap();
         let origin = Origin::new(&task, Model::Pose, &measured);
         let v = [0.2, -0.1, 0.3, 0.4, -0.5, 0.9];
-        let mut plan = [0.0; MAX_VARIABLES];
-        plan[..6].copy_from_slice(&v);
-        let mut preview = Box::new(Preview::new(20, 1));
-        assert!(preview.run(&task, &origin, &plan));
+        let mut preview = Box::new(Preview::<6>::new(20));
+        assert!(preview.run(&task, &origin, &v));
         let motion = Motion::of_camera(&v, 20.0 * task.ts);
         let rotation = crate::motion::rotation(start.rotation);
         for (i, p) in task.pattern.iter().enumerate() {

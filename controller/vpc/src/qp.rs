@@ -7,47 +7,67 @@
 //! violated, its pull rho a_i joins the linear term, and from then on it counts as violated when it is satisfied.
 //! Bounds never yield, so the answer is inside them whatever the rows ask for, and the program always has a solution.
 //!
+//! The number of variables is part of the type: every inner loop has a fixed length.
+//!
 //! Source: D. Goldfarb and A. Idnani, "A numerically stable dual method for solving strictly convex quadratic
 //! programs", Math. Programming 27 (1983); the cap on multipliers is ours.
 
 use libm::sqrt;
 
-use crate::MAX_VARIABLES;
-use crate::prediction::Plan;
-
 /// Most elastic rows.
 pub const MAX_ROWS: usize = 1536;
 
-/// A row a^T d + c >= 0 in px: the linearised clearance of one previewed point from one constraint.
-#[derive(Clone, Copy, Debug)]
-pub struct Row {
-    /// Gradient with respect to the plan.
-    pub gradient: Plan,
-    /// Clearance at d = 0, px.
-    pub clearance: f64,
+/// A quadratic function of `N` variables, and their bounds.
+#[derive(Clone, Debug)]
+pub struct Quadratic<const N: usize> {
+    /// H, symmetric and positive definite, row by row.
+    pub hessian: [[f64; N]; N],
+    /// g.
+    pub gradient: [f64; N],
+    /// Lower bounds of d.
+    pub lower: [f64; N],
+    /// Upper bounds of d.
+    pub upper: [f64; N],
 }
 
-/// The rows of a program, in a store of fixed size.
+impl<const N: usize> Quadratic<N> {
+    /// 1/2 d^T H d + g^T d.
+    pub fn change(&self, d: &[f64; N]) -> f64 {
+        let curve: f64 = (0..N).map(|i| d[i] * dot(&self.hessian[i], d)).sum();
+        0.5 * curve + dot(&self.gradient, d)
+    }
+}
+
+/// The elastic rows a^T d + c >= 0 of a program, in a store of fixed size: the linearised clearances (px) of
+/// previewed points.
 #[derive(Clone, Debug)]
-pub struct Rows {
-    rows: [Row; MAX_ROWS],
-    /// Turned rows have yielded.
-    yielded: [bool; MAX_ROWS],
+pub struct Rows<const N: usize> {
+    gradients: [[f64; N]; MAX_ROWS],
+    clearances: [f64; MAX_ROWS],
+    /// -1 for a row that has yielded: it is violated when it is satisfied. Else 1.
+    signs: [f64; MAX_ROWS],
     len: usize,
 }
 
-impl Rows {
+impl<const N: usize> Rows<N> {
     /// No rows.
     pub const fn new() -> Self {
-        let row = Row {
-            gradient: [0.0; MAX_VARIABLES],
-            clearance: 0.0,
-        };
         Self {
-            rows: [row; MAX_ROWS],
-            yielded: [false; MAX_ROWS],
+            gradients: [[0.0; N]; MAX_ROWS],
+            clearances: [0.0; MAX_ROWS],
+            signs: [1.0; MAX_ROWS],
             len: 0,
         }
+    }
+
+    /// How many rows there are.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there is no row.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
     }
 
     /// Forgets all rows.
@@ -55,23 +75,26 @@ impl Rows {
         self.len = 0;
     }
 
-    /// Adds a row; `false` where the store is full.
-    pub fn push(&mut self, row: Row) -> bool {
-        let Some(slot) = self.rows.get_mut(self.len) else {
+    /// Adds the row of a gradient and the clearance at d = 0 (px); `false` where the store is full.
+    pub fn push(&mut self, gradient: [f64; N], clearance: f64) -> bool {
+        if self.len == MAX_ROWS {
             return false;
-        };
-        *slot = row;
+        }
+        self.gradients[self.len] = gradient;
+        self.clearances[self.len] = clearance;
+        self.signs[self.len] = 1.0;
         self.len += 1;
         true
     }
 
-    /// The rows.
-    pub fn as_slice(&self) -> &[Row] {
-        self.rows.get(..self.len).unwrap_or(&[])
+    /// The sum of all violations that the rows predict for `d`, px.
+    pub fn violation(&self, d: &[f64; N]) -> f64 {
+        let rows = self.gradients.iter().zip(&self.clearances).take(self.len);
+        rows.map(|(a, c)| (-(dot(a, d) + c)).max(0.0)).sum()
     }
 }
 
-impl Default for Rows {
+impl<const N: usize> Default for Rows<N> {
     fn default() -> Self {
         Self::new()
     }
@@ -88,9 +111,11 @@ pub enum QpStatus {
     NumericalFailure,
 }
 
-/// What a solved program reports.
+/// The answer to a program.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct QpReport {
+pub struct Answer<const N: usize> {
+    /// d.
+    pub step: [f64; N],
     /// How it ended.
     pub status: QpStatus,
     /// Changes of the active set.
@@ -99,7 +124,6 @@ pub struct QpReport {
     pub yielded: u32,
 }
 
-/// Index of a constraint: bounds first, then rows.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Constraint {
     Lower(usize),
@@ -107,87 +131,73 @@ enum Constraint {
     Row(usize),
 }
 
-/// The workspace of the method, for up to [`MAX_VARIABLES`] variables.
+/// The workspace of the method.
 #[derive(Clone)]
-pub struct QuadraticProgram {
-    n: usize,
+pub struct ActiveSet<const N: usize> {
     /// Columns of J = L^{-T} Q, one a row of the array.
-    columns: [Plan; MAX_VARIABLES],
+    columns: [[f64; N]; N],
     /// R, upper triangular, stored by columns.
-    triangle: [Plan; MAX_VARIABLES],
-    active: [Constraint; MAX_VARIABLES],
-    multipliers: Plan,
+    triangle: [[f64; N]; N],
+    active: [Constraint; N],
+    multipliers: [f64; N],
     count: usize,
 }
 
-impl QuadraticProgram {
+impl<const N: usize> ActiveSet<N> {
     /// An empty workspace.
     pub const fn new() -> Self {
         Self {
-            n: 0,
-            columns: [[0.0; MAX_VARIABLES]; MAX_VARIABLES],
-            triangle: [[0.0; MAX_VARIABLES]; MAX_VARIABLES],
-            active: [Constraint::Lower(0); MAX_VARIABLES],
-            multipliers: [0.0; MAX_VARIABLES],
+            columns: [[0.0; N]; N],
+            triangle: [[0.0; N]; N],
+            active: [Constraint::Lower(0); N],
+            multipliers: [0.0; N],
             count: 0,
         }
     }
 
-    /// Solves the program in the first `n` variables; the answer is written to `d`. `rho` caps the multipliers of
-    /// the rows (cost per px); at most `limit` changes of the active set are made.
-    #[allow(clippy::too_many_arguments)] // the program *is* these eight things
+    /// Solves a program. `rho` caps the multipliers of the rows (cost per px); at most `limit` changes of the active
+    /// set are made.
     pub fn solve(
         &mut self,
-        n: usize,
-        hessian: &[[f64; MAX_VARIABLES]; MAX_VARIABLES],
-        gradient: &Plan,
-        lower: &Plan,
-        upper: &Plan,
-        rows: &mut Rows,
+        quadratic: &Quadratic<N>,
+        rows: &mut Rows<N>,
         rho: f64,
         limit: u32,
-        d: &mut Plan,
-    ) -> QpReport {
-        self.n = n.min(MAX_VARIABLES);
+    ) -> Answer<N> {
         self.count = 0;
-        *d = [0.0; MAX_VARIABLES];
-        rows.yielded
-            .iter_mut()
-            .take(rows.len)
-            .for_each(|yielded| *yielded = false);
-        let mut report = QpReport {
-            status: QpStatus::Solved,
+        rows.signs[..rows.len].fill(1.0);
+        let mut answer = Answer {
+            step: [0.0; N],
+            status: QpStatus::NumericalFailure,
             iterations: 0,
             yielded: 0,
         };
-        if !self.factorise(hessian) {
-            report.status = QpStatus::NumericalFailure;
-            return report;
+        if !self.factorise(&quadratic.hessian) {
+            return answer;
         }
-        self.unconstrained(gradient, d);
+        let mut d = self.unconstrained(&quadratic.gradient);
+        answer.status = QpStatus::Solved;
 
-        'outer: while let Some((constraint, mut slack)) = self.most_violated(lower, upper, rows, d)
-        {
-            let normal = self.normal(constraint, rows);
-            let cap = if matches!(constraint, Constraint::Row(_)) {
-                rho
-            } else {
-                f64::INFINITY
+        'outer: while let Some((constraint, mut slack)) = self.most_violated(quadratic, rows, &d) {
+            let normal = normal(constraint, rows);
+            let cap = match constraint {
+                Constraint::Row(_) => rho,
+                Constraint::Lower(_) | Constraint::Upper(_) => f64::INFINITY,
             };
             let mut multiplier = 0.0;
             loop {
-                if report.iterations >= limit {
-                    report.status = QpStatus::IterationLimit;
+                if answer.iterations >= limit {
+                    answer.status = QpStatus::IterationLimit;
                     break 'outer;
                 }
-                report.iterations += 1;
+                answer.iterations += 1;
                 let (direction, projection, exchange) = self.directions(&normal);
-                let curvature: f64 = dot(&direction, &normal, self.n);
-                let scale = dot(&projection, &projection, self.n);
+                let curvature = dot(&direction, &normal);
+                let independent = curvature > 1e-12 * dot(&projection, &projection);
 
                 // The longest dual step: to the constraint itself, to its cap, or until an active multiplier
                 // leaves [0, rho].
-                let full = if curvature > 1e-12 * scale {
+                let full = if independent {
                     -slack / curvature
                 } else {
                     f64::INFINITY
@@ -210,12 +220,12 @@ impl QuadraticProgram {
                 }
                 if !step.is_finite() {
                     // The bounds contradict each other, or a number is not finite.
-                    report.status = QpStatus::NumericalFailure;
+                    answer.status = QpStatus::NumericalFailure;
                     break 'outer;
                 }
 
-                if curvature > 1e-12 * scale {
-                    for i in 0..self.n {
+                if independent {
+                    for i in 0..N {
                         d[i] += step * direction[i];
                     }
                     slack += step * curvature;
@@ -228,20 +238,20 @@ impl QuadraticProgram {
                 match leaving {
                     Some((k, yields)) => {
                         if yields && let Constraint::Row(i) = self.active[k] {
-                            rows.yielded[i] = !rows.yielded[i];
+                            rows.signs[i] = -rows.signs[i];
                         }
                         self.remove(k);
                     }
                     None if step < full => {
                         // Its own cap: the constraint turns around without becoming active.
                         if let Constraint::Row(i) = constraint {
-                            rows.yielded[i] = !rows.yielded[i];
+                            rows.signs[i] = -rows.signs[i];
                         }
                         continue 'outer;
                     }
                     None => {
                         if !self.add(constraint, &projection, multiplier) {
-                            report.status = QpStatus::IterationLimit;
+                            answer.status = QpStatus::IterationLimit;
                             break 'outer;
                         }
                         continue 'outer;
@@ -250,131 +260,111 @@ impl QuadraticProgram {
             }
         }
 
-        for i in 0..self.n {
-            if !d[i].is_finite() {
-                *d = [0.0; MAX_VARIABLES];
-                report.status = QpStatus::NumericalFailure;
-                break;
-            }
-            d[i] = d[i].max(lower[i]).min(upper[i]);
+        if d.iter().all(|x| x.is_finite()) {
+            answer.step =
+                core::array::from_fn(|i| d[i].max(quadratic.lower[i]).min(quadratic.upper[i]));
+        } else {
+            answer.status = QpStatus::NumericalFailure;
         }
-        report.yielded = rows
-            .yielded
-            .iter()
-            .take(rows.len)
-            .filter(|yielded| **yielded)
-            .count() as u32;
-        report
+        let signs = rows.signs.iter().take(rows.len);
+        answer.yielded = signs.filter(|sign| **sign < 0.0).count() as u32;
+        answer
     }
 
     /// J = L^{-T} from the Cholesky factor of the Hessian; `false` where it is not positive definite.
-    fn factorise(&mut self, hessian: &[[f64; MAX_VARIABLES]; MAX_VARIABLES]) -> bool {
-        let n = self.n;
-        let mut factor = [[0.0; MAX_VARIABLES]; MAX_VARIABLES];
-        for i in 0..n {
+    fn factorise(&mut self, hessian: &[[f64; N]; N]) -> bool {
+        let mut factor = [[0.0; N]; N];
+        let mut inverse = [0.0; N];
+        for i in 0..N {
             for j in 0..=i {
-                let sum = hessian[i][j] - dot(&factor[i], &factor[j], j);
+                let mut sum = hessian[i][j];
+                for k in 0..j {
+                    sum -= factor[i][k] * factor[j][k];
+                }
                 if i == j {
                     if !(sum > 0.0 && sum.is_finite()) {
                         return false;
                     }
                     factor[i][i] = sqrt(sum);
+                    inverse[i] = 1.0 / factor[i][i];
                 } else {
-                    factor[i][j] = sum / factor[j][j];
+                    factor[i][j] = sum * inverse[j];
                 }
             }
         }
-        // Column k of L^{-T} is row k of L^{-1}, transposed: solve L X = I row by row.
-        for k in 0..n {
-            self.columns[k] = [0.0; MAX_VARIABLES];
-        }
-        for c in 0..n {
-            for i in c..n {
-                let mut sum = if i == c { 1.0 } else { 0.0 };
-                for k in c..i {
-                    sum -= factor[i][k] * self.columns[k][c];
+        // Column k of L^{-T} is row k of L^{-1}: solve L X = I, row by row.
+        self.columns = [[0.0; N]; N];
+        for i in 0..N {
+            let mut row = [0.0; N];
+            row[i] = 1.0;
+            for k in 0..i {
+                for c in 0..=k {
+                    row[c] -= factor[i][k] * self.columns[k][c];
                 }
-                self.columns[i][c] = sum / factor[i][i];
             }
+            self.columns[i] = row.map(|x| x * inverse[i]);
         }
         true
     }
 
     /// d = -H^{-1} g = -J J^T g.
-    fn unconstrained(&self, gradient: &Plan, d: &mut Plan) {
-        for column in self.columns.iter().take(self.n) {
-            let share = dot(column, gradient, self.n);
-            for i in 0..self.n {
+    fn unconstrained(&self, gradient: &[f64; N]) -> [f64; N] {
+        let mut d = [0.0; N];
+        for column in &self.columns {
+            let share = dot(column, gradient);
+            for i in 0..N {
                 d[i] -= share * column[i];
             }
         }
-    }
-
-    fn normal(&self, constraint: Constraint, rows: &Rows) -> Plan {
-        let mut normal = [0.0; MAX_VARIABLES];
-        match constraint {
-            Constraint::Lower(i) => normal[i] = 1.0,
-            Constraint::Upper(i) => normal[i] = -1.0,
-            Constraint::Row(i) if rows.yielded[i] => {
-                rows.rows[i]
-                    .gradient
-                    .iter()
-                    .zip(&mut normal)
-                    .for_each(|(a, n)| *n = -a);
-            }
-            Constraint::Row(i) => normal = rows.rows[i].gradient,
-        }
-        normal
+        d
     }
 
     /// The constraint that is violated most, relative to the tolerance of its kind, with its slack.
     fn most_violated(
         &self,
-        lower: &Plan,
-        upper: &Plan,
-        rows: &Rows,
-        d: &Plan,
+        quadratic: &Quadratic<N>,
+        rows: &Rows<N>,
+        d: &[f64; N],
     ) -> Option<(Constraint, f64)> {
         // Bounds are in m/s and rad/s, rows in px.
         const BOUND: f64 = 1e-12;
         const ROW: f64 = 1e-7;
         let mut worst = None;
-        let mut most = 1.0;
-        let mut consider = |constraint: Constraint, slack: f64, tolerance: f64| {
-            if -slack / tolerance > most && !self.active[..self.count].contains(&constraint) {
-                most = -slack / tolerance;
+        let mut least = -BOUND;
+        let mut consider = |constraint: Constraint, slack: f64, least: &mut f64| {
+            if slack < *least && !self.active[..self.count].contains(&constraint) {
+                *least = slack;
                 worst = Some((constraint, slack));
             }
         };
-        for i in 0..self.n {
-            consider(Constraint::Lower(i), d[i] - lower[i], BOUND);
-            consider(Constraint::Upper(i), upper[i] - d[i], BOUND);
+        for i in 0..N {
+            consider(Constraint::Lower(i), d[i] - quadratic.lower[i], &mut least);
+            consider(Constraint::Upper(i), quadratic.upper[i] - d[i], &mut least);
         }
-        for (i, (row, yielded)) in rows.as_slice().iter().zip(&rows.yielded).enumerate() {
-            let value = dot(&row.gradient, d, self.n) + row.clearance;
-            consider(
-                Constraint::Row(i),
-                if *yielded { -value } else { value },
-                ROW,
-            );
+        least *= ROW / BOUND;
+        let rows = rows
+            .gradients
+            .iter()
+            .zip(&rows.clearances)
+            .zip(&rows.signs)
+            .take(rows.len);
+        for (i, ((gradient, clearance), sign)) in rows.enumerate() {
+            let slack = sign * (dot(gradient, d) + clearance);
+            consider(Constraint::Row(i), slack, &mut least);
         }
         worst
     }
 
     /// The primal direction z = J_2 J_2^T n, the projection J^T n, and the change of active multipliers R^{-1} J_1^T n.
-    fn directions(&self, normal: &Plan) -> (Plan, Plan, Plan) {
-        let n = self.n;
-        let mut projection = [0.0; MAX_VARIABLES];
-        let mut direction = [0.0; MAX_VARIABLES];
-        for k in 0..n {
-            projection[k] = dot(&self.columns[k], normal, n);
-        }
-        for k in self.count..n {
-            for i in 0..n {
+    fn directions(&self, normal: &[f64; N]) -> ([f64; N], [f64; N], [f64; N]) {
+        let projection: [f64; N] = core::array::from_fn(|k| dot(&self.columns[k], normal));
+        let mut direction = [0.0; N];
+        for k in self.count..N {
+            for i in 0..N {
                 direction[i] += projection[k] * self.columns[k][i];
             }
         }
-        let mut exchange = [0.0; MAX_VARIABLES];
+        let mut exchange = [0.0; N];
         for k in (0..self.count).rev() {
             let mut sum = projection[k];
             for l in k + 1..self.count {
@@ -386,27 +376,25 @@ impl QuadraticProgram {
     }
 
     /// Makes a constraint active; `false` where its normal depends on the active ones.
-    fn add(&mut self, constraint: Constraint, projection: &Plan, multiplier: f64) -> bool {
-        let (n, count) = (self.n, self.count);
-        if count >= n {
+    fn add(&mut self, constraint: Constraint, projection: &[f64; N], multiplier: f64) -> bool {
+        let count = self.count;
+        if count >= N {
             return false;
         }
         let mut d = *projection;
-        for j in (count + 1..n).rev() {
+        for j in (count + 1..N).rev() {
             let (a, b) = (d[j - 1], d[j]);
             if b == 0.0 {
                 continue;
             }
             let length = sqrt(a * a + b * b);
-            let (c, s) = (a / length, b / length);
-            d[j - 1] = length;
-            d[j] = 0.0;
-            self.rotate_columns(j - 1, j, c, s);
+            (d[j - 1], d[j]) = (length, 0.0);
+            self.rotate_columns(j - 1, j, a / length, b / length);
         }
         if d[count].abs() < 1e-14 {
             return false;
         }
-        self.triangle[count] = [0.0; MAX_VARIABLES];
+        self.triangle[count] = [0.0; N];
         self.triangle[count][..=count].copy_from_slice(&d[..=count]);
         self.active[count] = constraint;
         self.multipliers[count] = multiplier;
@@ -440,7 +428,7 @@ impl QuadraticProgram {
     }
 
     fn rotate_columns(&mut self, i: usize, j: usize, c: f64, s: f64) {
-        for k in 0..self.n {
+        for k in 0..N {
             let (x, y) = (self.columns[i][k], self.columns[j][k]);
             self.columns[i][k] = c * x + s * y;
             self.columns[j][k] = c * y - s * x;
@@ -448,14 +436,29 @@ impl QuadraticProgram {
     }
 }
 
-impl Default for QuadraticProgram {
+impl<const N: usize> Default for ActiveSet<N> {
     fn default() -> Self {
         Self::new()
     }
 }
 
-fn dot(a: &Plan, b: &Plan, n: usize) -> f64 {
-    a.iter().zip(b).take(n).map(|(x, y)| x * y).sum()
+/// The inward normal of a constraint; that of a yielded row points outward.
+fn normal<const N: usize>(constraint: Constraint, rows: &Rows<N>) -> [f64; N] {
+    let mut normal = [0.0; N];
+    match constraint {
+        Constraint::Lower(i) => normal[i] = 1.0,
+        Constraint::Upper(i) => normal[i] = -1.0,
+        Constraint::Row(i) => normal = rows.gradients[i].map(|a| rows.signs[i] * a),
+    }
+    normal
+}
+
+fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    let mut sum = 0.0;
+    for k in 0..N {
+        sum += a[k] * b[k];
+    }
+    sum
 }
 
 #[cfg(test)]
@@ -475,133 +478,104 @@ mod tests {
         }
     }
 
-    struct Problem {
-        hessian: [[f64; MAX_VARIABLES]; MAX_VARIABLES],
-        gradient: Plan,
-        rows: Box<Rows>,
-        bound: f64,
+    struct Problem<const N: usize> {
+        quadratic: Quadratic<N>,
+        rows: Box<Rows<N>>,
         rho: f64,
     }
 
-    impl Problem {
-        fn random(random: &mut Random, n: usize, rows: usize) -> Self {
-            let mut hessian = [[0.0; MAX_VARIABLES]; MAX_VARIABLES];
-            let mut gradient = [0.0; MAX_VARIABLES];
-            for _ in 0..2 * n {
-                let a: Vec<f64> = (0..n).map(|_| random.next()).collect();
-                for i in 0..n {
-                    for j in 0..n {
+    impl<const N: usize> Problem<N> {
+        fn random(random: &mut Random, rows: usize) -> Self {
+            let mut hessian = [[0.0; N]; N];
+            for _ in 0..2 * N {
+                let a: [f64; N] = core::array::from_fn(|_| random.next());
+                for i in 0..N {
+                    for j in 0..N {
                         hessian[i][j] += a[i] * a[j];
                     }
                 }
             }
-            gradient
-                .iter_mut()
-                .take(n)
-                .for_each(|g| *g = 5.0 * random.next());
+            let gradient = core::array::from_fn(|_| 5.0 * random.next());
             let mut store = Box::new(Rows::new());
             for _ in 0..rows {
-                let mut gradient = [0.0; MAX_VARIABLES];
-                gradient.iter_mut().take(n).for_each(|g| *g = random.next());
-                store.push(Row {
-                    gradient,
-                    clearance: random.next(),
-                });
+                store.push(core::array::from_fn(|_| random.next()), random.next());
             }
-            let rho = 4.0 * (1.0 + random.next());
             Self {
-                hessian,
-                gradient,
+                quadratic: Quadratic {
+                    hessian,
+                    gradient,
+                    lower: [-0.8; N],
+                    upper: [0.8; N],
+                },
                 rows: store,
-                bound: 0.8,
-                rho,
+                rho: 4.0 * (1.0 + random.next()),
             }
         }
 
-        fn solve(&mut self, n: usize) -> (Plan, QpReport) {
-            let mut d = [0.0; MAX_VARIABLES];
-            let (lower, upper) = ([-self.bound; MAX_VARIABLES], [self.bound; MAX_VARIABLES]);
-            let mut program = Box::new(QuadraticProgram::new());
-            let report = program.solve(
-                n,
-                &self.hessian,
-                &self.gradient,
-                &lower,
-                &upper,
-                &mut self.rows,
-                self.rho,
-                500,
-                &mut d,
-            );
-            (d, report)
+        fn solve(&mut self) -> Answer<N> {
+            ActiveSet::new().solve(&self.quadratic, &mut self.rows, self.rho, 500)
         }
 
-        fn value(&self, n: usize, d: &Plan) -> f64 {
-            let curve: f64 = (0..n)
-                .map(|i| 0.5 * d[i] * dot(&self.hessian[i], d, n))
-                .sum();
-            let penalty: f64 = self
-                .rows
-                .as_slice()
-                .iter()
-                .map(|row| (-(dot(&row.gradient, d, n) + row.clearance)).max(0.0))
-                .sum();
-            curve + dot(&self.gradient, d, n) + self.rho * penalty
+        fn value(&self, d: &[f64; N]) -> f64 {
+            self.quadratic.change(d) + self.rho * self.rows.violation(d)
+        }
+    }
+
+    fn no_direction_improves<const N: usize>(random: &mut Random, rows: usize) {
+        let mut problem = Problem::<N>::random(random, rows);
+        let answer = problem.solve();
+        assert_eq!(
+            answer.status,
+            QpStatus::Solved,
+            "{N} variables, {rows} rows"
+        );
+        let best = problem.value(&answer.step);
+        for _ in 0..60 {
+            let length = 10f64.powf(-4.0 * random.next().abs());
+            let other = answer
+                .step
+                .map(|x| (x + length * random.next()).clamp(-0.8, 0.8));
+            let value = problem.value(&other);
+            assert!(
+                value >= best - 1e-7 * (1.0 + best.abs()),
+                "{N} variables, {rows} rows: {value} < {best}"
+            );
         }
     }
 
     #[test]
     fn no_direction_improves_the_answer_of_random_programs() {
         let mut random = Random(7);
-        for trial in 0..400 {
-            let n = [1, 3, 6, 12, 24][trial % 5];
-            let mut problem = Problem::random(&mut random, n, [0, 4, 20, 60][trial % 4]);
-            let (d, report) = problem.solve(n);
-            assert_eq!(report.status, QpStatus::Solved, "trial {trial}");
-            let best = problem.value(n, &d);
-            for _ in 0..60 {
-                let mut other = d;
-                let length = 10f64.powf(-4.0 * random.next().abs());
-                for x in other.iter_mut().take(n) {
-                    *x = (*x + length * random.next()).clamp(-problem.bound, problem.bound);
-                }
-                let value = problem.value(n, &other);
-                assert!(
-                    value >= best - 1e-7 * (1.0 + best.abs()),
-                    "trial {trial}: {value} < {best}"
-                );
+        for _ in 0..20 {
+            for rows in [0, 4, 20, 60] {
+                no_direction_improves::<1>(&mut random, rows);
+                no_direction_improves::<3>(&mut random, rows);
+                no_direction_improves::<6>(&mut random, rows);
+                no_direction_improves::<12>(&mut random, rows);
+                no_direction_improves::<24>(&mut random, rows);
             }
         }
     }
 
     #[test]
     fn contradicting_rows_yield_and_the_answer_stays_in_the_bounds() {
-        let mut problem = Problem::random(&mut Random(3), 6, 0);
-        let (mut plus, mut minus) = ([0.0; MAX_VARIABLES], [0.0; MAX_VARIABLES]);
-        plus[0] = 1.0;
-        minus[0] = -1.0;
-        problem.rows.push(Row {
-            gradient: plus,
-            clearance: -1.0,
-        });
-        problem.rows.push(Row {
-            gradient: minus,
-            clearance: -1.0,
-        });
-        let (d, report) = problem.solve(6);
-        assert_eq!(report.status, QpStatus::Solved);
-        assert!(report.yielded >= 1);
-        assert!(d.iter().all(|x| x.abs() <= 0.8));
+        let mut problem = Problem::<6>::random(&mut Random(3), 0);
+        problem.rows.push([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], -1.0);
+        problem.rows.push([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0], -1.0);
+        let answer = problem.solve();
+        assert_eq!(answer.status, QpStatus::Solved);
+        assert!(answer.yielded >= 1);
+        assert!(answer.step.iter().all(|x| x.abs() <= 0.8));
     }
 
     #[test]
     fn a_bad_hessian_is_a_numerical_failure() {
-        let mut problem = Problem::random(&mut Random(5), 6, 4);
-        problem.hessian[2][2] = f64::NAN;
-        let (d, report) = problem.solve(6);
+        let mut problem = Problem::<6>::random(&mut Random(5), 4);
+        problem.quadratic.hessian[2][2] = f64::NAN;
+        let answer = problem.solve();
         assert_eq!(
-            (report.status, d),
-            (QpStatus::NumericalFailure, [0.0; MAX_VARIABLES])
+            (answer.status, answer.step),
+            (QpStatus::NumericalFailure, [0.0; 6])
         );
     }
 }

@@ -1,29 +1,16 @@
-//! Bounded sequential quadratic programming: the paper's optimal-control problem in a few microseconds.
+//! The paper's optimal-control problem and its solution, in a few microseconds.
 //!
-//! Each iteration expands the cost (Gauss-Newton) and the clearances about the present plan, solves the elastic
-//! quadratic program of [`crate::qp`], and searches along its step for a sufficient decrease of the exact-penalty
-//! merit *cost + rho x violation*. Iterations, active-set changes and line-search trials are all bounded, so the work
-//! of a cycle is.
+//! Each iteration of sequential quadratic programming expands the cost (Gauss-Newton) and the clearances about the
+//! present plan, solves the elastic quadratic program of [`crate::qp`], and searches along its step for a sufficient
+//! decrease of the exact-penalty merit *cost + rho x violation*. Iterations, active-set changes and line-search trials
+//! are all bounded, so the work of a cycle is.
 //!
 //! Source: paper, Eq. (vpc); J. Nocedal and S. Wright, "Numerical Optimization", Ch. 18 (S l1 QP).
 
-use crate::constraint::{self, Clearance};
-use crate::cost::{self, Expansion};
-use crate::prediction::{Origin, Plan, Preview, Previewed};
-use crate::qp::{MAX_ROWS, QpStatus, QuadraticProgram, Row, Rows};
+use crate::prediction::{Origin, Plan};
+use crate::sqp::Sqp;
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Points};
-
-/// Halvings of a step before the line search gives up.
-const MAX_HALVINGS: usize = 8;
-/// Share of the predicted decrease that a step must achieve.
-const SUFFICIENT_DECREASE: f64 = 1e-4;
-/// Most times that one solution raises rho tenfold.
-const MAX_RAISES: u32 = 4;
-/// Violations below this are not counted as such, px.
-const FEASIBLE: f64 = 0.05;
-/// Active-set changes allowed a quadratic program, per variable.
-const QP_CHANGES_PER_VARIABLE: u32 = 12;
+use crate::{DOF, MAX_VARIABLES, Points, constraint};
 
 /// How far to look for a solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,6 +34,14 @@ pub struct Problem<'a> {
     pub r_share: f64,
     /// Extra clearance kept from every border, px.
     pub margin: f64,
+}
+
+impl Problem<'_> {
+    /// The worst violation among some points, px: that of standing still, for the measured ones.
+    pub fn worst_violation(&self, points: &[[f64; 2]]) -> f64 {
+        let violation = |&pixel: &[f64; 2]| constraint::violation(self.task, pixel, self.margin);
+        points.iter().map(violation).fold(0.0, f64::max)
+    }
 }
 
 /// How a solution ended.
@@ -99,7 +94,7 @@ pub struct Solution {
 
 impl Solution {
     /// The solution of a problem that has none: the zero twist.
-    const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         plan: [0.0; MAX_VARIABLES],
         status: Status::NumericalFailure,
         iterations: 0,
@@ -111,64 +106,56 @@ impl Solution {
     };
 }
 
-/// What a plan leads to.
-#[derive(Clone, Copy, Debug)]
-struct Outcome {
-    cost: f64,
-    /// Sum of all violations, px.
-    total: f64,
-    /// Greatest violation, px.
-    worst: f64,
-    /// Greatest violation at the first step, px.
-    next: f64,
-}
-
-impl Outcome {
-    fn merit(&self, rho: f64) -> f64 {
-        self.cost + rho * self.total
-    }
-}
-
-/// The solver with its workspace; about half a megabyte, made once.
+/// The solver with its workspace; up to half a megabyte, made once.
 #[derive(Clone)]
-pub struct Solver {
-    preview: Preview,
-    expansion: Expansion,
-    rows: Rows,
-    program: QuadraticProgram,
-    effort: Effort,
+pub struct Solver(Window);
+
+/// The workspace for each number of free commands.
+#[derive(Clone)]
+#[allow(clippy::large_enum_variant)] // made once; without a heap there is nowhere else to put it
+enum Window {
+    One(Sqp<DOF>),
+    Two(Sqp<{ 2 * DOF }>),
+    Three(Sqp<{ 3 * DOF }>),
+    Four(Sqp<{ 4 * DOF }>),
+}
+
+/// Calls a method of the workspace, whatever its number of variables.
+macro_rules! window {
+    ($solver:expr, $method:ident($($argument:expr),*)) => {
+        match &mut $solver.0 {
+            Window::One(sqp) => sqp.$method($($argument),*),
+            Window::Two(sqp) => sqp.$method($($argument),*),
+            Window::Three(sqp) => sqp.$method($($argument),*),
+            Window::Four(sqp) => sqp.$method($($argument),*),
+        }
+    };
 }
 
 impl Solver {
-    /// A solver for a window of `np` steps and `nc` free commands.
+    /// A solver for a window of `np` steps (1 to [`crate::MAX_NP`]) and `nc` free commands (1 to [`crate::MAX_NC`]).
     pub fn new(np: usize, nc: usize, effort: Effort) -> Self {
-        Self {
-            preview: Preview::new(np, nc),
-            expansion: Expansion::empty(),
-            rows: Rows::new(),
-            program: QuadraticProgram::new(),
-            effort,
-        }
-    }
-
-    /// The preview of the plan that was looked at last.
-    pub fn preview(&self) -> &Preview {
-        &self.preview
+        Self(match nc {
+            0 | 1 => Window::One(Sqp::new(np, effort)),
+            2 => Window::Two(Sqp::new(np, effort)),
+            3 => Window::Three(Sqp::new(np, effort)),
+            _ => Window::Four(Sqp::new(np, effort)),
+        })
     }
 
     /// Cost of a plan; `None` where the plan brings a point behind the camera.
     pub fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
-        self.preview
-            .look(problem.task, problem.origin, plan)
-            .then(|| {
-                cost::value(
-                    problem.task,
-                    &self.preview,
-                    plan,
-                    problem.target,
-                    problem.r_share,
-                )
-            })
+        window!(self, evaluate(problem, plan))
+    }
+
+    /// The worst violation of the first step under a plan, px; infinite where the plan is impossible.
+    pub fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
+        window!(self, next_violation(problem, plan))
+    }
+
+    /// Solves the problem from the warm start `warm`.
+    pub fn solve(&mut self, problem: &Problem<'_>, warm: &Plan) -> Solution {
+        window!(self, solve(problem, warm))
     }
 
     /// Solves the problem from each start in turn until one solution violates nothing; otherwise returns the one
@@ -193,255 +180,4 @@ impl Solver {
             ..best.unwrap_or(Solution::NONE)
         }
     }
-
-    /// Solves the problem from the warm start `warm`.
-    pub fn solve(&mut self, problem: &Problem<'_>, warm: &Plan) -> Solution {
-        let n = self.preview.variables();
-        let limits = &problem.task.limits;
-        let mut plan = clamped(warm, n, problem.task);
-        let mut rho = penalty(problem, self.preview.np());
-        let mut raises = 0;
-        let mut solution = Solution::NONE;
-        let start = match self.outcome(problem, &plan) {
-            Some(start) => Some(start),
-            None => {
-                plan = [0.0; MAX_VARIABLES];
-                self.outcome(problem, &plan)
-            }
-        };
-        let Some(mut here) = start else {
-            return solution;
-        };
-        let mut status = Status::IterationLimit;
-
-        while solution.iterations < self.effort.max_iterations {
-            solution.iterations += 1;
-            let Self {
-                preview,
-                expansion,
-                rows,
-                program,
-                ..
-            } = self;
-            cost::expand(
-                problem.task,
-                preview,
-                &plan,
-                problem.target,
-                problem.r_share,
-                expansion,
-            );
-            collect_rows(problem, preview, &plan, rows);
-            let (mut lower, mut upper) = ([0.0; MAX_VARIABLES], [0.0; MAX_VARIABLES]);
-            for k in 0..n {
-                lower[k] = -limits[k % DOF] - plan[k];
-                upper[k] = limits[k % DOF] - plan[k];
-            }
-            let mut step = [0.0; MAX_VARIABLES];
-            let report = loop {
-                let limit = QP_CHANGES_PER_VARIABLE * n as u32;
-                let report = program.solve(
-                    n,
-                    &expansion.hessian,
-                    &expansion.gradient,
-                    &lower,
-                    &upper,
-                    rows,
-                    rho,
-                    limit,
-                    &mut step,
-                );
-                solution.qp_iterations += report.iterations;
-                // A row that yields says that rho is below its multiplier, or that the rows contradict each other.
-                if report.yielded == 0 || raises == MAX_RAISES {
-                    break report;
-                }
-                rho *= 10.0;
-                raises += 1;
-            };
-            if report.status == QpStatus::NumericalFailure {
-                status = Status::NumericalFailure;
-                break;
-            }
-
-            let merit = here.merit(rho);
-            let decrease = merit - model_merit(expansion, rows, &step, n, rho);
-            if decrease <= self.effort.tolerance * (1e-6 + merit.abs()) {
-                status = Status::Converged;
-                break;
-            }
-            let mut share = 1.0;
-            let mut accepted = false;
-            for _ in 0..MAX_HALVINGS {
-                let trial = core::array::from_fn(|k| plan[k] + share * step[k]);
-                if let Some(there) = self.outcome(problem, &trial)
-                    && there.merit(rho) <= merit - SUFFICIENT_DECREASE * share * decrease
-                {
-                    (plan, here, accepted) = (trial, there, true);
-                    break;
-                }
-                share *= 0.5;
-            }
-            if !accepted {
-                status = Status::Stalled;
-                break;
-            }
-        }
-
-        if status != Status::NumericalFailure && here.worst > problem.margin.max(0.0) + FEASIBLE {
-            status = Status::Infeasible;
-        }
-        solution.plan = clamped(&plan, n, problem.task);
-        solution.status = status;
-        solution.cost = here.cost;
-        solution.merit = here.merit(rho);
-        solution.violation_px = here.worst;
-        solution.next_violation_px = here.next;
-        solution
-    }
-
-    /// Previews `plan` and sums up cost and violations.
-    fn outcome(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<Outcome> {
-        let task = problem.task;
-        if !self.preview.run(task, problem.origin, plan) {
-            return None;
-        }
-        self.sum_up(problem, plan)
-    }
-
-    /// Cost and violations of the previewed plan.
-    fn sum_up(&self, problem: &Problem<'_>, plan: &Plan) -> Option<Outcome> {
-        let task = problem.task;
-        let cost = cost::value(task, &self.preview, plan, problem.target, problem.r_share);
-        let mut outcome = Outcome {
-            cost,
-            total: 0.0,
-            worst: 0.0,
-            next: 0.0,
-        };
-        for j in 0..self.preview.np() {
-            for &pixel in self.preview.step(j) {
-                let violation = constraint::violation(task, pixel, problem.margin);
-                outcome.total += violation;
-                outcome.worst = outcome.worst.max(violation);
-                if j == 0 {
-                    outcome.next = outcome.next.max(violation);
-                }
-            }
-        }
-        outcome.merit(1.0).is_finite().then_some(outcome)
-    }
-
-    /// The worst violation of the first step under a plan, px; infinite where the plan is impossible.
-    pub fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
-        let possible = self.preview.look(problem.task, problem.origin, plan);
-        if possible {
-            worst_violation(problem, self.preview.step(0))
-        } else {
-            f64::INFINITY
-        }
-    }
-}
-
-/// The worst violation among some points, px: that of standing still, for the measured ones.
-pub fn worst_violation(problem: &Problem<'_>, points: &[[f64; 2]]) -> f64 {
-    let violation = |&pixel: &[f64; 2]| constraint::violation(problem.task, pixel, problem.margin);
-    points.iter().map(violation).fold(0.0, f64::max)
-}
-
-/// The plan inside the velocity box; entries past `n` and non-finite ones are zero.
-fn clamped(plan: &Plan, n: usize, task: &Task) -> Plan {
-    core::array::from_fn(|k| {
-        let limit = task.limits[k % DOF];
-        if k < n && plan[k].is_finite() {
-            plan[k].clamp(-limit, limit)
-        } else {
-            0.0
-        }
-    })
-}
-
-/// Where the penalty weight starts: a multiplier balances the pull of the image errors on the features, so ten times
-/// the sum of all pulls (at least as if each error were 1 % of the image width) is above it unless the geometry is
-/// extreme; then a row yields and rho is raised.
-fn penalty(problem: &Problem<'_>, np: usize) -> f64 {
-    let task = problem.task;
-    let floor = 0.01 * task.camera.width;
-    let pull: f64 = problem
-        .origin
-        .points
-        .iter()
-        .zip(problem.target)
-        .map(|(s, t)| 2.0 * task.cost.k_q * libm::hypot(s[0] - t[0], s[1] - t[1]).max(floor))
-        .sum();
-    10.0 * pull * np as f64
-}
-
-/// The rows that the step may reach: a point's linearised clearance cannot be used up inside the velocity box
-/// otherwise. Rows past the store's end belong to the last steps of the window, which the next cycles see again.
-fn collect_rows(problem: &Problem<'_>, preview: &Preview, plan: &Plan, rows: &mut Rows) {
-    rows.clear();
-    let task = problem.task;
-    let n = preview.variables();
-    let mut range = [0.0; MAX_VARIABLES];
-    for k in 0..n {
-        range[k] = task.limits[k % DOF] + plan[k].abs();
-    }
-    for (_, point) in preview.previewed() {
-        let reach: [f64; 2] = core::array::from_fn(|c| {
-            point.gradient[c]
-                .iter()
-                .zip(&range)
-                .take(n)
-                .map(|(g, r)| g.abs() * r)
-                .sum()
-        });
-        let mut add = |clearance: Clearance| {
-            let clear = clearance.distance - problem.margin;
-            let [a, b] = clearance.normal;
-            if clear < a.abs() * reach[0] + b.abs() * reach[1] && rows.as_slice().len() < MAX_ROWS {
-                rows.push(row(&point, clearance.normal, clear, n));
-            }
-        };
-        constraint::border(&task.camera, point.pixel)
-            .into_iter()
-            .for_each(&mut add);
-        for part in &task.parts {
-            let gap = [
-                (point.pixel[0] - part.center[0]).abs() - part.half[0] - problem.margin,
-                (point.pixel[1] - part.center[1]).abs() - part.half[1] - problem.margin,
-            ];
-            if gap[0] < reach[0] && gap[1] < reach[1] {
-                add(constraint::clearance(part, point.pixel));
-            }
-        }
-    }
-}
-
-fn row(point: &Previewed<'_>, normal: [f64; 2], clearance: f64, n: usize) -> Row {
-    let mut gradient = [0.0; MAX_VARIABLES];
-    for k in 0..n {
-        gradient[k] = normal[0] * point.gradient[0][k] + normal[1] * point.gradient[1][k];
-    }
-    Row {
-        gradient,
-        clearance,
-    }
-}
-
-/// The merit that the quadratic model and the linearised rows predict for a step.
-fn model_merit(expansion: &Expansion, rows: &Rows, step: &Plan, n: usize, rho: f64) -> f64 {
-    let dot = |a: &Plan| -> f64 { a.iter().zip(step).take(n).map(|(a, s)| a * s).sum() };
-    let curve: f64 = step
-        .iter()
-        .zip(&expansion.hessian)
-        .take(n)
-        .map(|(s, row)| 0.5 * s * dot(row))
-        .sum();
-    let violation: f64 = rows
-        .as_slice()
-        .iter()
-        .map(|row| (-(dot(&row.gradient) + row.clearance)).max(0.0))
-        .sum();
-    expansion.value + dot(&expansion.gradient) + curve + rho * violation
 }

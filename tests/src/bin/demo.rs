@@ -15,7 +15,7 @@ use memory_blob::MemoryFile;
 use scene::{Scene, read_starts};
 use system_tests::pictures;
 use system_tests::row::{Row, markdown};
-use system_tests::run::run;
+use system_tests::run::{run, time};
 use system_tests::spec::Spec;
 use vpc::{Controller, MotionMemory, Task};
 
@@ -199,12 +199,9 @@ fn compare(
     for text in ["previous:3", "knn:3", "gpr:3"] {
         let spec: Spec = text.parse().map_err(anyhow::Error::msg)?;
         let mut controller = Box::new(Controller::new(scene, spec.settings())?);
-        let result = run(
-            scene,
-            &mut controller,
-            Some(&view as &dyn MotionMemory),
-            start,
-        );
+        let memory = Some(&view as &dyn MotionMemory);
+        let mut result = run(scene, &mut controller, memory, start);
+        time(&mut result, &mut controller, memory, 5)?;
         rows.push(Row::of(spec, std::slice::from_ref(&result)));
         runs.push((text.to_owned(), result));
     }

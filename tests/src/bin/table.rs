@@ -16,7 +16,7 @@ use memory_builder::settings::BuildSettings;
 use scene::{Scene, read_starts};
 use serde::Serialize;
 use system_tests::row::{Row, markdown};
-use system_tests::run::{Reason, Run, run};
+use system_tests::run::{Reason, Run, run, time};
 use system_tests::spec::Spec;
 use vpc::{Controller, MotionMemory, Task};
 
@@ -43,6 +43,9 @@ struct Cli {
         default_value = "previous:3,previous:30,knn:3,gpr:3"
     )]
     strategies: Vec<Spec>,
+    /// Times each cycle as the median of this many replays.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
+    repeats: u16,
     /// Writes rows and runs to this file.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -106,7 +109,8 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
         for (start, pose) in starts.iter().enumerate() {
             bar.set_message(format!("{spec}, start {start}"));
             let view = view.as_ref().map(|view| view as &dyn MotionMemory);
-            let result = run(&scene, &mut controller, view, pose);
+            let mut result = run(&scene, &mut controller, view, pose);
+            time(&mut result, &mut controller, view, usize::from(cli.repeats))?;
             records.push(Record {
                 start,
                 strategy: spec.strategy.to_string(),

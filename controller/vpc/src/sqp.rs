@@ -1,0 +1,281 @@
+//! The method: sequential quadratic programming in `N` variables, one solution at a time.
+
+use crate::constraint::{self, Clearance};
+use crate::cost::{self, Expansion};
+use crate::prediction::{Plan, Preview};
+use crate::qp::{ActiveSet, MAX_ROWS, QpStatus, Quadratic, Rows};
+use crate::solver::{Effort, Problem, Solution, Status};
+use crate::task::Task;
+use crate::{DOF, MAX_VARIABLES};
+
+/// Halvings of a step before the line search gives up.
+const MAX_HALVINGS: usize = 8;
+/// Share of the predicted decrease that a step must achieve.
+const SUFFICIENT_DECREASE: f64 = 1e-4;
+/// Most times that one solution raises rho tenfold.
+const MAX_RAISES: u32 = 4;
+/// Violations below this are not counted as such, px.
+const FEASIBLE: f64 = 0.05;
+/// Active-set changes allowed a quadratic program, per variable.
+const QP_CHANGES_PER_VARIABLE: u32 = 12;
+
+/// What a plan leads to.
+#[derive(Clone, Copy, Debug)]
+struct Outcome {
+    cost: f64,
+    /// Sum of all violations, px.
+    total: f64,
+    /// Greatest violation, px.
+    worst: f64,
+    /// Greatest violation at the first step, px.
+    next: f64,
+}
+
+impl Outcome {
+    fn merit(&self, rho: f64) -> f64 {
+        self.cost + rho * self.total
+    }
+}
+
+/// The method's workspace for `N = 6 nc` variables.
+#[derive(Clone)]
+pub(crate) struct Sqp<const N: usize> {
+    preview: Preview<N>,
+    rows: Rows<N>,
+    program: ActiveSet<N>,
+    effort: Effort,
+}
+
+impl<const N: usize> Sqp<N> {
+    pub(crate) fn new(np: usize, effort: Effort) -> Self {
+        Self {
+            preview: Preview::new(np),
+            rows: Rows::new(),
+            program: ActiveSet::new(),
+            effort,
+        }
+    }
+
+    /// Cost of a plan; `None` where the plan brings a point behind the camera.
+    pub(crate) fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
+        let plan = head(plan);
+        let (task, target) = (problem.task, problem.target);
+        let possible = self.preview.look(task, problem.origin, &plan);
+        possible.then(|| cost::value(task, &self.preview, &plan, target, problem.r_share))
+    }
+
+    /// The worst violation of the first step under a plan, px; infinite where the plan is impossible.
+    pub(crate) fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
+        let possible = self.preview.look(problem.task, problem.origin, &head(plan));
+        if possible {
+            problem.worst_violation(self.preview.step(0))
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    /// Solves the problem from the warm start `warm`.
+    pub(crate) fn solve(&mut self, problem: &Problem<'_>, warm: &Plan) -> Solution {
+        let mut plan: [f64; N] = clamped(&head(warm), problem.task);
+        let mut rho = penalty(problem, self.preview.np());
+        let mut raises = 0;
+        let mut solution = Solution::NONE;
+        let mut outcome = self.outcome(problem, &plan);
+        if outcome.is_none() {
+            plan = [0.0; N];
+            outcome = self.outcome(problem, &plan);
+        }
+        let Some(mut here) = outcome else {
+            return solution;
+        };
+        let mut status = Status::IterationLimit;
+
+        while solution.iterations < self.effort.max_iterations {
+            solution.iterations += 1;
+            let Expansion {
+                value,
+                gradient,
+                hessian,
+            } = Expansion::about(
+                problem.task,
+                &self.preview,
+                &plan,
+                problem.target,
+                problem.r_share,
+            );
+            let limits = &problem.task.limits;
+            let quadratic = Quadratic {
+                hessian,
+                gradient,
+                lower: core::array::from_fn(|k| -limits[k % DOF] - plan[k]),
+                upper: core::array::from_fn(|k| limits[k % DOF] - plan[k]),
+            };
+            collect(problem, &self.preview, &quadratic, &mut self.rows);
+            let answer = loop {
+                let limit = QP_CHANGES_PER_VARIABLE * N as u32;
+                let answer = self.program.solve(&quadratic, &mut self.rows, rho, limit);
+                solution.qp_iterations += answer.iterations;
+                // A row that yields says that rho is below its multiplier, or that the rows contradict each other.
+                if answer.yielded == 0 || raises == MAX_RAISES {
+                    break answer;
+                }
+                rho *= 10.0;
+                raises += 1;
+            };
+            if answer.status == QpStatus::NumericalFailure {
+                status = Status::NumericalFailure;
+                break;
+            }
+
+            let step = answer.step;
+            let merit = here.merit(rho);
+            let predicted = value + quadratic.change(&step) + rho * self.rows.violation(&step);
+            let decrease = merit - predicted;
+            if decrease <= self.effort.tolerance * (1e-6 + merit.abs()) {
+                status = Status::Converged;
+                break;
+            }
+            let mut share = 1.0;
+            let mut accepted = false;
+            for _ in 0..MAX_HALVINGS {
+                let trial = core::array::from_fn(|k| plan[k] + share * step[k]);
+                if let Some(there) = self.outcome(problem, &trial)
+                    && there.merit(rho) <= merit - SUFFICIENT_DECREASE * share * decrease
+                {
+                    (plan, here, accepted) = (trial, there, true);
+                    break;
+                }
+                share *= 0.5;
+            }
+            if !accepted {
+                status = Status::Stalled;
+                break;
+            }
+        }
+
+        if status != Status::NumericalFailure && here.worst > problem.margin.max(0.0) + FEASIBLE {
+            status = Status::Infeasible;
+        }
+        let plan = clamped(&plan, problem.task);
+        solution.plan[..N].copy_from_slice(&plan);
+        solution.status = status;
+        solution.cost = here.cost;
+        solution.merit = here.merit(rho);
+        solution.violation_px = here.worst;
+        solution.next_violation_px = here.next;
+        solution
+    }
+
+    /// Previews `plan` and sums up cost and violations; `None` where it is impossible.
+    fn outcome(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> Option<Outcome> {
+        let task = problem.task;
+        if !self.preview.run(task, problem.origin, plan) {
+            return None;
+        }
+        let (target, r_share) = (problem.target, problem.r_share);
+        let mut outcome = Outcome {
+            cost: cost::value(task, &self.preview, plan, target, r_share),
+            total: 0.0,
+            worst: 0.0,
+            next: 0.0,
+        };
+        for j in 0..self.preview.np() {
+            for &pixel in self.preview.step(j) {
+                let violation = constraint::violation(task, pixel, problem.margin);
+                outcome.total += violation;
+                outcome.worst = outcome.worst.max(violation);
+            }
+            if j == 0 {
+                outcome.next = outcome.worst;
+            }
+        }
+        outcome.merit(1.0).is_finite().then_some(outcome)
+    }
+}
+
+/// The entries of a plan that count.
+fn head<const N: usize>(plan: &Plan) -> [f64; N] {
+    const { assert!(N <= MAX_VARIABLES) };
+    core::array::from_fn(|k| plan[k])
+}
+
+/// The plan inside the velocity box; entries that are not finite are zero.
+fn clamped<const N: usize>(plan: &[f64; N], task: &Task) -> [f64; N] {
+    core::array::from_fn(|k| {
+        let limit = task.limits[k % DOF];
+        if plan[k].is_finite() {
+            plan[k].clamp(-limit, limit)
+        } else {
+            0.0
+        }
+    })
+}
+
+/// Where the penalty weight starts: a multiplier balances the pull of the image errors on the features, so ten times
+/// the sum of all pulls (at least as if each error were 1 % of the image width) is above it unless the geometry is
+/// extreme; then a row yields and rho is raised.
+fn penalty(problem: &Problem<'_>, np: usize) -> f64 {
+    let task = problem.task;
+    let floor = 0.01 * task.camera.width;
+    let pull: f64 = problem
+        .origin
+        .points
+        .iter()
+        .zip(problem.target)
+        .map(|(s, t)| 2.0 * task.cost.k_q * libm::hypot(s[0] - t[0], s[1] - t[1]).max(floor))
+        .sum();
+    10.0 * pull * np as f64
+}
+
+/// Collects the rows that a step inside its bounds can reach: no other linearised clearance can be used up. Rows past
+/// the store's end belong to the last steps of the window, which the next cycles see again.
+fn collect<const N: usize>(
+    problem: &Problem<'_>,
+    preview: &Preview<N>,
+    bounds: &Quadratic<N>,
+    rows: &mut Rows<N>,
+) {
+    rows.clear();
+    let (task, margin) = (problem.task, problem.margin);
+    for point in preview.steps().flatten() {
+        // The box that the linearised point cannot leave.
+        let (mut low, mut high) = (point.pixel, point.pixel);
+        for c in 0..2 {
+            for k in 0..N {
+                let slope = point.gradient[c][k];
+                let (a, b) = (slope * bounds.lower[k], slope * bounds.upper[k]);
+                low[c] += a.min(b);
+                high[c] += a.max(b);
+            }
+        }
+        let mut add = |clearance: Clearance| {
+            if rows.len() < MAX_ROWS {
+                let [a, b] = clearance.normal;
+                let [u, v] = point.gradient;
+                rows.push(
+                    core::array::from_fn(|k| a * u[k] + b * v[k]),
+                    clearance.distance - margin,
+                );
+            }
+        };
+        let [left, top, right, bottom] = constraint::border(&task.camera, point.pixel);
+        let size = [task.camera.width, task.camera.height];
+        for (c, near, far) in [(0, left, right), (1, top, bottom)] {
+            if low[c] < margin {
+                add(near);
+            }
+            if high[c] > size[c] - margin {
+                add(far);
+            }
+        }
+        for part in &task.parts {
+            let reached = (0..2).all(|c| {
+                let half = part.half[c] + margin;
+                high[c] > part.center[c] - half && low[c] < part.center[c] + half
+            });
+            if reached {
+                add(constraint::clearance(part, point.pixel));
+            }
+        }
+    }
+}
