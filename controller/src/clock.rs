@@ -1,5 +1,6 @@
 //! When a cycle starts: a grid of absolute releases, or each new features message.
 
+use rustix::io::Errno;
 use rustix::thread::clock_nanosleep_absolute;
 use rustix::thread::{ClockId, Timespec};
 
@@ -47,14 +48,14 @@ impl Grid {
     }
 }
 
-/// Sleeps until an instant of CLOCK_MONOTONIC, or until a signal comes.
+/// Sleeps until an instant of CLOCK_MONOTONIC, through signals: a cycle never starts before its release.
 pub fn sleep_until(deadline_ns: u64) {
     let deadline = Timespec {
         tv_sec: (deadline_ns / 1_000_000_000) as i64,
         tv_nsec: (deadline_ns % 1_000_000_000) as _,
     };
-    // Interrupted by a signal: the caller looks at the clock and at the stop flag anyway.
-    let _ = clock_nanosleep_absolute(ClockId::Monotonic, &deadline);
+    // Any other error than an interruption: not to sleep is the better choice; the grid counts what was missed.
+    while clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(Errno::INTR) {}
 }
 
 #[cfg(test)]

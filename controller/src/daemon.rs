@@ -2,6 +2,7 @@
 
 use std::ffi::OsString;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::Parser;
 use ipc::{ClockMode, ControllerPorts, Domain};
@@ -10,8 +11,10 @@ use crate::arguments::Arguments;
 use crate::config::{Config, ConfigError};
 use crate::cycle::{Cycle, Pace};
 use crate::exit::Exit;
+use crate::instance::{Instance, InstanceError};
 use crate::law::{Law, LawError};
-use crate::shutdown::Stop;
+use crate::service::{Progress, Service, ServiceError, Talk};
+use crate::shutdown::{Hangup, Stop};
 use crate::telemetry::{self, RecorderError};
 use crate::{log, realtime};
 
@@ -30,6 +33,12 @@ pub enum Failure {
     /// The domain.
     #[error(transparent)]
     Join(#[from] ipc::JoinError),
+    /// Another daemon at work.
+    #[error(transparent)]
+    Instance(#[from] InstanceError),
+    /// The environment of a service.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
     /// The ports.
     #[error(transparent)]
     Open(#[from] ipc::OpenError),
@@ -55,7 +64,8 @@ impl Failure {
         match self {
             Self::Config(error) => error.exit(),
             Self::Law(error) => error.exit(),
-            Self::Join(_) | Self::Open(_) => Exit::Unavailable,
+            Self::Join(_) | Self::Instance(_) | Self::Open(_) => Exit::Unavailable,
+            Self::Service(_) => Exit::Config,
             Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
             Self::Recorder(_) | Self::Signals(_) | Self::Send { .. } => Exit::Software,
         }
@@ -80,7 +90,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     match run(&arguments) {
         Ok(()) => Exit::Ok.into(),
         Err(failure) => {
-            eprintln!("vpcd: {failure}");
+            log::complain(&failure.to_string());
+            if let Ok(service) = Service::by_environment(Duration::ZERO) {
+                service.leave(&failure.to_string());
+            }
             failure.exit().into()
         }
     }
@@ -91,41 +104,58 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 /// # Errors
 /// [`Failure`] names what is wrong.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    // First of all: a hang-up while the memory is read must not kill.
+    let stop = Stop::by_signals().map_err(Failure::Signals)?;
+    let hangup = Hangup::by_signal().map_err(Failure::Signals)?;
     let config = Config::read(arguments)?;
     let law = Law::open(&config.scene, config.memory.as_deref(), config.settings)?;
     if arguments.check_only {
         println!("{}", describe(&config, &law));
         return Ok(());
     }
+    let period = Duration::from_nanos(pace(&config, &law).period_ns);
+    let service = Service::by_environment(period)?;
     log::start(&config);
-    let stop = Stop::by_signals().map_err(Failure::Signals)?;
     let domain = Domain::join(&config.domain)?;
+    let instance = Instance::claim(domain.directory())?;
     let ports = ControllerPorts::open(&domain)?;
     let (records, queue) = rtrb::RingBuffer::new(telemetry::QUEUE);
-    let recorder = telemetry::start(&config.domain, queue)?;
+    let progress = Progress::default();
+    let talk = Talk::new(service, period, progress.clone(), stop.clone(), hangup);
+    let recorder = telemetry::start(&config.domain, queue, talk)?;
     tracing::info!("{}", describe(&config, &law));
     match config.priority {
         Some(priority) => realtime::enter(priority),
         None => realtime::precise_sleep(),
     }
     let mut cycle = Cycle::new(pace(&config, &law), ports, law, records);
-    let outcome = turn(&mut cycle, &stop, arguments.cycles);
+    let outcome = turn(&mut cycle, &stop, &progress, arguments.cycles);
     // Whatever happened, the last word is zero.
     let stopped = cycle.stop();
     drop(cycle);
     if let Ok(summary) = recorder.join() {
         summary.tell();
     }
+    // The ports are closed: the next one may come.
+    drop(instance);
     outcome?;
     stopped.map_err(|source| Failure::Send { most: 1, source })
 }
 
 /// Runs cycles until asked to stop.
-fn turn(cycle: &mut Cycle, stop: &Stop, most: Option<u64>) -> Result<(), Failure> {
+fn turn(
+    cycle: &mut Cycle,
+    stop: &Stop,
+    progress: &Progress,
+    most: Option<u64>,
+) -> Result<(), Failure> {
     let mut failures = 0;
     while !stop.is_asked() && most.is_none_or(|most| cycle.count() < most) {
         match cycle.run() {
-            Ok(_) => failures = 0,
+            Ok(_) => {
+                failures = 0;
+                progress.advance();
+            }
             Err(source) => {
                 failures += 1;
                 if failures >= MOST_FAILURES {

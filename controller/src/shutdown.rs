@@ -1,10 +1,10 @@
-//! Signals that end the daemon.
+//! Signals: SIGTERM and SIGINT end the daemon, SIGHUP is noted.
 
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
 /// Set once the daemon is to stop.
@@ -12,15 +12,14 @@ use signal_hook::flag;
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// A stop flag that SIGTERM and SIGINT set; the second signal ends the process at once.
+    /// A stop flag that SIGTERM and SIGINT set. Further ones change nothing: an impatient operator must not cut a
+    /// controlled stop short. What does not end by them ends by SIGQUIT or SIGKILL.
     ///
     /// # Errors
     /// Where the operating system refuses the handlers.
     pub fn by_signals() -> io::Result<Self> {
         let stop = Self::default();
         for signal in [SIGTERM, SIGINT] {
-            // In this order: the first signal only arms the second handler.
-            flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&stop.0))?;
             flag::register(signal, Arc::clone(&stop.0))?;
         }
         Ok(stop)
@@ -34,5 +33,26 @@ impl Stop {
     /// Whether to stop. Relaxed: nothing else is handed over with the flag.
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Set by SIGHUP, which would otherwise kill the daemon.
+#[derive(Clone, Debug, Default)]
+pub struct Hangup(Arc<AtomicBool>);
+
+impl Hangup {
+    /// A flag that SIGHUP sets.
+    ///
+    /// # Errors
+    /// Where the operating system refuses the handler.
+    pub fn by_signal() -> io::Result<Self> {
+        let hangup = Self::default();
+        flag::register(SIGHUP, Arc::clone(&hangup.0))?;
+        Ok(hangup)
+    }
+
+    /// Whether the signal came since the last call.
+    pub fn take(&self) -> bool {
+        self.0.swap(false, Ordering::Relaxed)
     }
 }

@@ -10,6 +10,7 @@ use rtrb::Consumer;
 use tracing::{debug, info, warn};
 
 use crate::histogram::Histogram;
+use crate::service::Talk;
 
 /// Pause between two looks at the queue.
 const PAUSE: Duration = Duration::from_millis(5);
@@ -36,13 +37,14 @@ pub enum RecorderError {
 }
 
 /// Starts the recorder, which ends when the loop lets go of its end of the queue and the queue is empty. It joins the
-/// domain for itself: shared-memory ports stay in their thread.
+/// domain for itself: shared-memory ports stay in their thread. It also does the talking with the service manager.
 ///
 /// # Errors
 /// [`RecorderError`].
 pub fn start(
     domain: &Path,
     records: Consumer<CycleRecord>,
+    talk: Talk,
 ) -> Result<JoinHandle<Summary>, RecorderError> {
     let (ready, is_ready) = mpsc::channel();
     let domain = domain.to_owned();
@@ -56,7 +58,7 @@ pub fn start(
                 Ok((port, domain)) => {
                     // The starter waits for it.
                     let _ = ready.send(Ok(()));
-                    record(port, records, &domain)
+                    record(port, records, &domain, talk)
                 }
                 Err(error) => {
                     let _ = ready.send(Err(error));
@@ -68,7 +70,12 @@ pub fn start(
     Ok(thread)
 }
 
-fn record(mut port: RecorderPort, mut records: Consumer<CycleRecord>, domain: &Domain) -> Summary {
+fn record(
+    mut port: RecorderPort,
+    mut records: Consumer<CycleRecord>,
+    domain: &Domain,
+    mut talk: Talk,
+) -> Summary {
     let mut summary = Summary::default();
     let mut swept = Instant::now();
     loop {
@@ -85,8 +92,10 @@ fn record(mut port: RecorderPort, mut records: Consumer<CycleRecord>, domain: &D
             summary.add(&record);
         }
         if last_round {
+            talk.end(|| summary.status());
             return summary;
         }
+        talk.tend(|| summary.status());
         std::thread::sleep(PAUSE);
     }
 }
@@ -102,6 +111,7 @@ pub struct Summary {
     wake: Histogram,
     state: u32,
     hold: u32,
+    error_px: f64,
 }
 
 impl Default for Summary {
@@ -115,6 +125,7 @@ impl Default for Summary {
             wake: Histogram::default(),
             state: TwistState::Stopped.code(),
             hold: Hold::None.code(),
+            error_px: 0.0,
         }
     }
 }
@@ -128,6 +139,7 @@ impl Summary {
         self.wake.add(record.wake_latency_ns);
         self.tell_changes(record);
         (self.state, self.hold) = (record.state, record.hold);
+        self.error_px = record.error_px;
         (self.overruns, self.lost) = (record.overruns, record.lost_records);
     }
 
@@ -140,11 +152,11 @@ impl Summary {
             ) {
                 (Some(TwistState::Holding), Some(cause)) => {
                     let features = record.features_sequence;
-                    warn!(cycle, features, %cause, "holding: zero twist");
+                    warn!(cycle, features, %cause, "holding, zero twist: {cause}");
                 }
                 (Some(state), _) => {
                     let error_px = record.error_px;
-                    info!(cycle, %state, error_px, "now");
+                    info!(cycle, %state, error_px, "now {state}");
                 }
                 (None, _) => (),
             }
@@ -156,14 +168,14 @@ impl Summary {
             let wake_ns = record.wake_latency_ns;
             warn!(
                 cycle,
-                missed, wake_ns, receive_ns, step_ns, send_ns, "overrun"
+                missed, wake_ns, receive_ns, step_ns, send_ns, "overrun: {missed} releases missed"
             );
         }
         if record.lost_records > self.lost {
             let lost = record.lost_records - self.lost;
             warn!(
                 cycle,
-                lost, "telemetry lost: the recorder is slower than the loop"
+                lost, "{lost} records of telemetry lost: the recorder is slower than the loop"
             );
         }
     }
@@ -171,6 +183,23 @@ impl Summary {
     /// Cycles counted.
     pub fn cycles(&self) -> u64 {
         self.cycles
+    }
+
+    /// State and counters in one line, for the service manager.
+    pub fn status(&self) -> String {
+        let state = match (
+            TwistState::from_code(self.state),
+            Hold::from_code(self.hold),
+        ) {
+            _ if self.cycles == 0 => "starting".to_owned(),
+            (Some(TwistState::Holding), Some(cause)) => format!("holding, zero twist: {cause}"),
+            (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
+            (None, _) => "unknown".to_owned(),
+        };
+        format!(
+            "{state}; {} cycles, {} held, {} overruns, {} records lost",
+            self.cycles, self.held, self.overruns, self.lost
+        )
     }
 
     /// Writes the end of a run to the log.

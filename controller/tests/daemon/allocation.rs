@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use controller::cycle::{Cycle, Pace};
 use controller::law::Law;
+use controller::service::Talk;
 use controller::telemetry;
 use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features};
 use rand::SeedableRng;
@@ -93,7 +94,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             let domain = Domain::join(&place.domain()).unwrap();
             let ports = ControllerPorts::open(&domain).unwrap();
             let (records, queue) = rtrb::RingBuffer::new(telemetry::QUEUE);
-            let recorder = telemetry::start(&place.domain(), queue).unwrap();
+            let recorder = telemetry::start(&place.domain(), queue, Talk::default()).unwrap();
             let mut cycle = Cycle::new(pace, ports, law, records);
             let mut tally = Tally::default();
             while cycle.count() < WARM_UP + CYCLES {

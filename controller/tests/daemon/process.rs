@@ -246,8 +246,9 @@ fn a_second_daemon_is_69_and_the_first_goes_on() {
     second.args(["--clock", "lockstep"]);
     let (code, message) = ended(second);
     assert_eq!(code, 69, "{message}");
+    let holder = first.0.as_ref().map(Child::id).unwrap();
     assert!(
-        message.contains("vpc/twist: another publisher is at work"),
+        message.contains(&format!("another vpcd is at work, process {holder};")),
         "{message}"
     );
     let features = bench.features();

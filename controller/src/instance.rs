@@ -1,0 +1,129 @@
+//! One daemon a domain: a locked file that names the process which serves it.
+//!
+//! The contract of shared memory lets one publisher of twists into a domain, and so keeps a second daemon out as well;
+//! but it cannot say who the first one is.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+/// Name of the file in the domain's directory.
+pub const FILE: &str = "vpcd.pid";
+
+/// Why the domain could not be claimed.
+#[derive(Debug, thiserror::Error)]
+pub enum InstanceError {
+    /// Another daemon has it.
+    #[error(
+        "domain {directory}: another vpcd is at work, process {holder}; end it (it may be stopped), or use another domain"
+    )]
+    Taken {
+        /// The domain's directory.
+        directory: String,
+        /// Its process id, or why that is not known.
+        holder: String,
+    },
+    /// The file cannot be used.
+    #[error("{path}: cannot claim the domain: {source}")]
+    File {
+        /// The file.
+        path: String,
+        /// The operating system's reason.
+        source: io::Error,
+    },
+}
+
+/// The claim to a domain. The kernel ends it with the process, however that ends.
+#[derive(Debug)]
+pub struct Instance {
+    file: File,
+}
+
+impl Instance {
+    /// Claims the domain in this directory, which exists, for the calling process.
+    ///
+    /// # Errors
+    /// [`InstanceError::Taken`] names the process that has it.
+    pub fn claim(directory: &Path) -> Result<Self, InstanceError> {
+        let path = directory.join(FILE);
+        let trouble = |source| InstanceError::File {
+            path: path.display().to_string(),
+            source,
+        };
+        let mut file = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .read(true)
+            .write(true)
+            .mode(0o600)
+            .open(&path)
+            .map_err(trouble)?;
+        match file.try_lock() {
+            Ok(()) => (),
+            Err(TryLockError::WouldBlock) => {
+                return Err(InstanceError::Taken {
+                    directory: directory.display().to_string(),
+                    holder: holder(&mut file),
+                });
+            }
+            Err(TryLockError::Error(source)) => return Err(trouble(source)),
+        }
+        // What a killed predecessor wrote goes first.
+        file.set_len(0)
+            .and_then(|()| writeln!(file, "{}", std::process::id()))
+            .map_err(trouble)?;
+        Ok(Self { file })
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        // The file stays, since removing it could race with who locks it; empty, it names nobody.
+        let _ = self.file.set_len(0);
+    }
+}
+
+fn holder(file: &mut File) -> String {
+    let mut text = String::new();
+    match file.take(32).read_to_string(&mut text) {
+        Ok(_) if !text.trim().is_empty() => text.trim().to_owned(),
+        _ => "unknown (it is just starting)".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_claimed_domain_names_its_process_until_the_claim_is_dropped() {
+        let directory = tempfile::tempdir().unwrap();
+        let first = Instance::claim(directory.path()).unwrap();
+        let message = Instance::claim(directory.path()).unwrap_err().to_string();
+        let us = format!("process {};", std::process::id());
+        assert!(message.contains(&us), "{message}");
+        drop(first);
+        Instance::claim(directory.path()).unwrap();
+        let left = std::fs::read_to_string(directory.path().join(FILE)).unwrap();
+        assert_eq!(left, "");
+    }
+
+    #[test]
+    fn what_a_killed_daemon_wrote_is_replaced() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join(FILE);
+        std::fs::write(&file, "99999999999\n").unwrap();
+        let _claim = Instance::claim(directory.path()).unwrap();
+        let written = std::fs::read_to_string(&file).unwrap();
+        assert_eq!(written, format!("{}\n", std::process::id()));
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_used_is_named() {
+        let directory = tempfile::tempdir().unwrap();
+        std::fs::create_dir(directory.path().join(FILE)).unwrap();
+        let error = Instance::claim(directory.path()).unwrap_err();
+        assert!(error.to_string().contains(FILE), "{error}");
+    }
+}

@@ -1,0 +1,489 @@
+//! The talk with the service manager: readiness, status and watchdog, after `sd_notify(3)`.
+//!
+//! The ordinary thread does all the talking; the loop only counts its turns in [`Progress`]. A watchdog message goes
+//! out on no other occasion than a look of the ordinary thread that finds the loop moved since the look before. So it
+//! stops at once when either of the two hangs, and the loop pays one atomic addition for it.
+
+use std::ffi::OsString;
+use std::fmt::Display;
+use std::io;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use tracing::{error, info, warn};
+
+use crate::shutdown::{Hangup, Stop};
+
+/// Time between two status lines.
+const STATUS: Duration = Duration::from_secs(1);
+/// Watchdog messages in a watchdog interval: each may be late by more than half of it.
+const FEEDS: u32 = 4;
+/// Periods of the loop that the shortest watchdog interval must hold.
+const LEAST_PERIODS: u32 = 4;
+/// Shortest stillness of the loop that the log tells.
+const STILL: Duration = Duration::from_millis(500);
+
+/// Why the service manager cannot be talked to.
+#[derive(Debug, thiserror::Error)]
+pub enum ServiceError {
+    /// A variable of the environment is malformed.
+    #[error("environment: {name} = {value}; allowed: {allowed}")]
+    Value {
+        /// The variable.
+        name: &'static str,
+        /// What was found.
+        value: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// No socket could be made.
+    #[error("NOTIFY_SOCKET: {0}")]
+    Socket(#[from] io::Error),
+}
+
+/// Turns that the loop has made. The loop adds, the ordinary thread reads.
+#[derive(Clone, Debug, Default)]
+pub struct Progress(Arc<AtomicU64>);
+
+impl Progress {
+    /// One more turn. Neither allocates nor waits.
+    pub fn advance(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Turns so far. Relaxed: nothing else is handed over with the count.
+    pub fn count(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// What the environment says about the service manager.
+#[derive(Debug, Default)]
+pub struct Service {
+    line: Option<Line>,
+    watchdog: Option<Duration>,
+}
+
+impl Service {
+    /// Reads `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. Where there is no service manager, nobody is told
+    /// anything.
+    ///
+    /// # Errors
+    /// [`ServiceError`] names a malformed variable, or a watchdog interval that a loop with this period cannot meet.
+    pub fn by_environment(period: Duration) -> Result<Self, ServiceError> {
+        Self::parse(|name| std::env::var_os(name), std::process::id(), period)
+    }
+
+    fn parse(
+        variable: impl Fn(&str) -> Option<OsString>,
+        pid: u32,
+        period: Duration,
+    ) -> Result<Self, ServiceError> {
+        let line = variable("NOTIFY_SOCKET")
+            .map(|name| Line::to(&name))
+            .transpose()?;
+        let number = |name: &'static str| {
+            variable(name)
+                .map(|value| {
+                    let number = value.to_str().and_then(|text| text.parse::<u64>().ok());
+                    number.filter(|number| *number > 0).ok_or_else(|| {
+                        refuse(name, value.to_string_lossy(), "a whole number from 1 on")
+                    })
+                })
+                .transpose()
+        };
+        let interval = number("WATCHDOG_USEC")?.map(Duration::from_micros);
+        // The variables are inherited: the watchdog may be meant for the process that started us.
+        let is_for_us = number("WATCHDOG_PID")?.is_none_or(|meant| meant == u64::from(pid));
+        let watchdog = interval.filter(|_| is_for_us && line.is_some());
+        let least = LEAST_PERIODS * period;
+        if let Some(short) = watchdog.filter(|interval| *interval < least) {
+            let allowed = format!(
+                "{} on, which is {LEAST_PERIODS} periods of the loop (WatchdogSec= in the unit)",
+                least.as_micros()
+            );
+            return Err(refuse("WATCHDOG_USEC", short.as_micros(), &allowed));
+        }
+        Ok(Self { line, watchdog })
+    }
+
+    /// Leaves a failure behind as the status that `systemctl status` shows of a daemon that ended.
+    pub fn leave(&self, failure: &str) {
+        if let Some(line) = &self.line {
+            // The exit code and standard error tell it as well.
+            let _ = line.say(&format!("STATUS={}", one_line(failure)));
+        }
+    }
+}
+
+fn refuse(name: &'static str, value: impl Display, allowed: &str) -> ServiceError {
+    ServiceError::Value {
+        name,
+        value: value.to_string(),
+        allowed: allowed.to_owned(),
+    }
+}
+
+/// A line feed would begin another message.
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// The socket of the service manager. Never waits: a manager that does not read must not stop us.
+#[derive(Debug)]
+struct Line {
+    socket: UnixDatagram,
+    manager: SocketAddr,
+}
+
+impl Line {
+    fn to(name: &OsString) -> Result<Self, ServiceError> {
+        let manager = match name.as_bytes() {
+            [b'@', rest @ ..] if !rest.is_empty() => SocketAddr::from_abstract_name(rest),
+            [b'/', _, ..] => SocketAddr::from_pathname(Path::new(name)),
+            _ => Err(io::Error::from(io::ErrorKind::InvalidInput)),
+        };
+        let allowed = "an absolute path, or @ and an abstract name, at most 107 bytes";
+        let manager =
+            manager.map_err(|_| refuse("NOTIFY_SOCKET", name.to_string_lossy(), allowed))?;
+        let socket = UnixDatagram::unbound()?;
+        socket.set_nonblocking(true)?;
+        Ok(Self { socket, manager })
+    }
+
+    fn say(&self, message: &str) -> io::Result<()> {
+        // Not connected: a manager that restarted has a new socket under the old name.
+        let sent = self.socket.send_to_addr(message.as_bytes(), &self.manager);
+        sent.map(|_| ())
+    }
+}
+
+/// What is to be said now.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Due {
+    ready: bool,
+    status: bool,
+    watchdog: bool,
+    stopping: bool,
+}
+
+/// What has been said and seen; pure, so that tests move the clock by hand.
+#[derive(Debug)]
+struct Agenda {
+    /// Time between two watchdog messages.
+    feed: Option<Duration>,
+    is_ready: bool,
+    is_stopping: bool,
+    fed: Option<Instant>,
+    told: Option<Instant>,
+    count: u64,
+    moved: Instant,
+}
+
+impl Agenda {
+    fn new(watchdog: Option<Duration>, now: Instant) -> Self {
+        Self {
+            feed: watchdog.map(|interval| interval / FEEDS),
+            is_ready: false,
+            is_stopping: false,
+            fed: None,
+            told: None,
+            count: 0,
+            moved: now,
+        }
+    }
+
+    fn look(&mut self, now: Instant, count: u64, stop: bool) -> Due {
+        let has_moved = count != self.count;
+        if has_moved {
+            (self.count, self.moved) = (count, now);
+        }
+        let is_old = |last: Option<Instant>, most: Duration| {
+            last.is_none_or(|last| now.saturating_duration_since(last) >= most)
+        };
+        Due {
+            ready: has_moved && !self.is_ready,
+            watchdog: has_moved && self.feed.is_some_and(|feed| is_old(self.fed, feed)),
+            status: is_old(self.told, STATUS),
+            stopping: stop && !self.is_stopping,
+        }
+    }
+
+    /// What is due has reached the manager.
+    fn done(&mut self, now: Instant, due: Due) {
+        self.is_ready |= due.ready;
+        self.is_stopping |= due.stopping;
+        if due.watchdog {
+            self.fed = Some(now);
+        }
+        if due.status {
+            self.told = Some(now);
+        }
+    }
+
+    /// How long the loop has been standing still, if for longer than is normal.
+    fn stillness(&self, now: Instant, most: Duration) -> Option<Duration> {
+        let still = now.saturating_duration_since(self.moved);
+        (still >= most).then_some(still)
+    }
+}
+
+/// The ordinary thread's side of the talk, and its answer to signals.
+#[derive(Debug)]
+pub struct Talk {
+    line: Option<Line>,
+    agenda: Agenda,
+    /// Stillness that is told.
+    most_still: Duration,
+    is_still: bool,
+    is_cut: bool,
+    progress: Progress,
+    stop: Stop,
+    hangup: Hangup,
+}
+
+impl Default for Talk {
+    /// A talk with nobody, about nothing.
+    fn default() -> Self {
+        Self::new(
+            Service::default(),
+            Duration::ZERO,
+            Progress::default(),
+            Stop::default(),
+            Hangup::default(),
+        )
+    }
+}
+
+impl Talk {
+    /// A talk about a loop of this period that counts in `progress` and ends by `stop`.
+    pub fn new(
+        service: Service,
+        period: Duration,
+        progress: Progress,
+        stop: Stop,
+        hangup: Hangup,
+    ) -> Self {
+        Self {
+            line: service.line,
+            agenda: Agenda::new(service.watchdog, Instant::now()),
+            most_still: STILL.max(LEAST_PERIODS * period),
+            is_still: false,
+            is_cut: false,
+            progress,
+            stop,
+            hangup,
+        }
+    }
+
+    /// One look at the loop, every few milliseconds; says what is due. `status` is asked once a second.
+    pub fn tend(&mut self, status: impl FnOnce() -> String) {
+        if self.hangup.take() {
+            info!(
+                "SIGHUP: nothing to do; the configuration is read at the start only (restart to apply it)"
+            );
+        }
+        self.say_due(status, self.stop.is_asked());
+        self.tell_stillness();
+    }
+
+    /// The last word, when the loop has ended for whatever reason.
+    pub fn end(&mut self, status: impl FnOnce() -> String) {
+        self.agenda.told = None;
+        self.say_due(status, true);
+    }
+
+    fn say_due(&mut self, status: impl FnOnce() -> String, stop: bool) {
+        let now = Instant::now();
+        let due = self.agenda.look(now, self.progress.count(), stop);
+        let Some(line) = &self.line else {
+            return;
+        };
+        let mut message = String::new();
+        for (is_due, word) in [
+            (due.ready, "READY=1\n"),
+            (due.stopping, "STOPPING=1\n"),
+            (due.watchdog, "WATCHDOG=1\n"),
+        ] {
+            if is_due {
+                message.push_str(word);
+            }
+        }
+        if due.status {
+            let still = match self.agenda.stillness(now, self.most_still) {
+                Some(still) => format!("LOOP STANDS STILL for {:.1} s; ", still.as_secs_f64()),
+                None => String::new(),
+            };
+            message.push_str(&format!("STATUS={still}{}\n", one_line(&status())));
+        }
+        if message.is_empty() {
+            return;
+        }
+        match line.say(&message) {
+            Ok(()) => {
+                self.agenda.done(now, due);
+                self.is_cut = false;
+            }
+            // Said again at the next occasion.
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => (),
+            Err(error) if !self.is_cut => {
+                warn!(%error, "the service manager does not listen at NOTIFY_SOCKET: {error}");
+                self.is_cut = true;
+            }
+            Err(_) => (),
+        }
+    }
+
+    fn tell_stillness(&mut self) {
+        let still = self.agenda.stillness(Instant::now(), self.most_still);
+        if still.is_some() != self.is_still {
+            self.is_still = still.is_some();
+            let cycle = self.agenda.count;
+            match still {
+                Some(_) => error!(
+                    cycle,
+                    "the loop stands still; the watchdog is no longer fed"
+                ),
+                None => warn!(cycle, "the loop moves again"),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: Duration = Duration::from_millis(33);
+
+    fn parse(variables: &[(&str, &str)]) -> Result<Service, ServiceError> {
+        let variable = |name: &str| {
+            let found = variables.iter().find(|(key, _)| *key == name)?;
+            Some(OsString::from(found.1))
+        };
+        Service::parse(variable, 7, PERIOD)
+    }
+
+    #[test]
+    fn without_a_manager_there_is_nobody_to_tell() {
+        let service = parse(&[("WATCHDOG_USEC", "1000000")]).unwrap();
+        assert!(service.line.is_none() && service.watchdog.is_none());
+    }
+
+    #[test]
+    fn the_watchdog_of_another_process_is_not_fed() {
+        let of = |pid| {
+            let base = [("NOTIFY_SOCKET", "@vpc"), ("WATCHDOG_USEC", "2000000")];
+            let service = parse(&[base[0], base[1], ("WATCHDOG_PID", pid)]).unwrap();
+            service.watchdog
+        };
+        assert_eq!(of("7"), Some(Duration::from_secs(2)));
+        assert_eq!(of("8"), None);
+    }
+
+    #[test]
+    fn a_malformed_variable_is_named_with_its_value_and_what_is_allowed() {
+        let socket = ("NOTIFY_SOCKET", "/run/notify");
+        let long = format!("/{}", "x".repeat(200));
+        for (variables, words) in [
+            (
+                vec![("NOTIFY_SOCKET", "run/notify")],
+                "NOTIFY_SOCKET = run/notify; allowed: an absolute",
+            ),
+            (
+                vec![("NOTIFY_SOCKET", "")],
+                "NOTIFY_SOCKET = ; allowed: an absolute",
+            ),
+            (
+                vec![("NOTIFY_SOCKET", "vsock:2:1")],
+                "NOTIFY_SOCKET = vsock:2:1; allowed",
+            ),
+            (vec![("NOTIFY_SOCKET", &*long)], "at most 107 bytes"),
+            (
+                vec![socket, ("WATCHDOG_USEC", "2s")],
+                "WATCHDOG_USEC = 2s; allowed: a whole number",
+            ),
+            (
+                vec![socket, ("WATCHDOG_USEC", "0")],
+                "WATCHDOG_USEC = 0; allowed",
+            ),
+            (
+                vec![socket, ("WATCHDOG_USEC", "-5")],
+                "WATCHDOG_USEC = -5; allowed",
+            ),
+            (
+                vec![("WATCHDOG_PID", "me")],
+                "WATCHDOG_PID = me; allowed: a whole number",
+            ),
+            (
+                vec![socket, ("WATCHDOG_USEC", "131999")],
+                "WATCHDOG_USEC = 131999; allowed: 132000 on",
+            ),
+        ] {
+            let message = parse(&variables).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}\nlacks {words}");
+        }
+    }
+
+    #[test]
+    fn ready_is_said_once_and_not_before_the_loop_has_moved() {
+        let start = Instant::now();
+        let mut agenda = Agenda::new(None, start);
+        assert!(!agenda.look(start, 0, false).ready);
+        let due = agenda.look(start + PERIOD, 1, false);
+        assert!(due.ready && !due.watchdog);
+        agenda.done(start + PERIOD, due);
+        assert!(!agenda.look(start + 2 * PERIOD, 2, false).ready);
+    }
+
+    #[test]
+    fn what_did_not_reach_the_manager_is_said_again() {
+        let start = Instant::now();
+        let mut agenda = Agenda::new(None, start);
+        assert!(agenda.look(start, 1, true).ready);
+        let due = agenda.look(start + PERIOD, 2, true);
+        assert!(due.ready && due.stopping && due.status);
+    }
+
+    #[test]
+    fn a_loop_that_stands_still_is_never_fed_for() {
+        let start = Instant::now();
+        let interval = Duration::from_secs(2);
+        let mut agenda = Agenda::new(Some(interval), start);
+        let mut fed = Vec::new();
+        let mut now = start;
+        // Looks every 5 ms; the loop counts to 60, one each 33 ms, and hangs at 1.98 s.
+        for look in 0..2000_u32 {
+            now = start + look * Duration::from_millis(5);
+            let due = agenda.look(now, u64::from(look * 5 / 33).min(60), false);
+            if due.watchdog {
+                fed.push(now - start);
+            }
+            agenda.done(now, due);
+        }
+        let hang = 60 * PERIOD;
+        assert!(
+            fed.iter().all(|at| *at <= hang + Duration::from_millis(5)),
+            "{fed:?}"
+        );
+        let widest = fed.windows(2).map(|pair| pair[1] - pair[0]).max();
+        assert!(fed.len() == 4 && widest <= Some(interval / 2), "{fed:?}");
+        assert_eq!(
+            agenda.stillness(now, STILL).map(|still| still.as_secs()),
+            Some(8)
+        );
+    }
+
+    #[test]
+    fn a_status_is_one_line() {
+        assert_eq!(
+            one_line("v.toml:\n  | np = x\nWATCHDOG=1"),
+            "v.toml: | np = x WATCHDOG=1"
+        );
+    }
+}
