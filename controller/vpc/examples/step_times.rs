@@ -1,0 +1,152 @@
+//! What a whole cycle costs: `cargo run --release -p vpc --example step_times`.
+//!
+//! Steers an exact camera from the first fixed starts of the paper's scene, with every strategy, and records what it
+//! saw. The recording is then replayed: the time of a cycle is the median over the replays, so that other work on
+//! the machine, which disturbs a cycle here and there, is not taken for the law's.
+
+use std::hint::black_box;
+use std::path::Path;
+use std::time::Instant;
+
+use memory_blob::MemoryFile;
+use nalgebra::Vector3;
+use scene::{Pose, Scene};
+use vpc::motion::{Motion, rotation};
+use vpc::{Controller, Measurement, MotionMemory, Settings, Strategy, camera};
+
+const STARTS: usize = 25;
+const REPLAYS: usize = 7;
+const MEMORY: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../memory-blob/default/paper-sim.vpcmem"
+);
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml")?;
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "paper-sim-starts.csv")?;
+    let file = MemoryFile::open(Path::new(MEMORY), Some(scene.fingerprint().bytes()))?;
+    println!(
+        "strategy | Np | cycles | asked memory | iterations | p50 us | p99 us | max us | once: p50 | p99"
+    );
+    for strategy in [Strategy::Previous, Strategy::Knn { k: 3 }, Strategy::Gpr] {
+        for np in [3, 30] {
+            let settings = Settings {
+                strategy,
+                np,
+                ..Settings::default()
+            };
+            let mut controller = Box::new(Controller::new(&scene, settings)?);
+            let mut cycles = Cycles::default();
+            for start in starts.iter().take(STARTS) {
+                cycles.run(&scene, &mut controller, &file.view(), start);
+            }
+            cycles.print(strategy, np);
+        }
+    }
+    Ok(())
+}
+
+/// The cycles of some runs.
+#[derive(Default)]
+struct Cycles {
+    /// Median time of each over the replays, us.
+    median_us: Vec<f64>,
+    /// Time of each in the first pass, us.
+    once_us: Vec<f64>,
+    recalled: usize,
+    iterations: u64,
+}
+
+impl Cycles {
+    /// Runs the law from a start until it arrives or the scene's time is up, and replays what it saw.
+    fn run(
+        &mut self,
+        scene: &Scene,
+        controller: &mut Controller,
+        memory: &dyn MotionMemory,
+        start: &Pose,
+    ) {
+        controller.reset();
+        let mut points = placed(scene, start);
+        let mut seen = Vec::new();
+        let periods = (scene.success.time_s * scene.camera.rate_hz) as usize;
+        for _ in 0..periods {
+            let Some(pixels) = pixels(scene, &points) else {
+                break;
+            };
+            let measurement = Measurement::from_points(&pixels);
+            let begin = Instant::now();
+            let step = controller.step(black_box(&measurement), Some(memory));
+            self.once_us.push(begin.elapsed().as_secs_f64() * 1e6);
+            seen.push(measurement);
+            let Ok(step) = step else {
+                break;
+            };
+            self.recalled += usize::from(step.recalled);
+            self.iterations += u64::from(step.iterations);
+            if step.error_px <= scene.success.convergence_px {
+                break;
+            }
+            let motion = Motion::of_camera(&step.twist, scene.sampling_time());
+            points.iter_mut().for_each(|x| *x = motion.apply(x));
+        }
+        self.replay(controller, memory, &seen);
+    }
+
+    fn replay(
+        &mut self,
+        controller: &mut Controller,
+        memory: &dyn MotionMemory,
+        seen: &[Measurement],
+    ) {
+        let mut times = vec![Vec::with_capacity(REPLAYS); seen.len()];
+        for _ in 0..REPLAYS {
+            controller.reset();
+            for (measurement, times) in seen.iter().zip(&mut times) {
+                let begin = Instant::now();
+                let _ = black_box(controller.step(black_box(measurement), Some(memory)));
+                times.push(begin.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+        self.median_us
+            .extend(times.iter_mut().map(|times| quantile(times, 0.5)));
+    }
+
+    fn print(&mut self, strategy: Strategy, np: usize) {
+        let count = self.median_us.len();
+        println!(
+            "{:<8} | {np:>2} | {count:>6} | {:>10.1} % | {:>10.2} | {:>6.1} | {:>6.1} | {:>6.1} | {:>9.1} | {:>.1}",
+            strategy.to_string(),
+            100.0 * self.recalled as f64 / count as f64,
+            self.iterations as f64 / count as f64,
+            quantile(&mut self.median_us, 0.5),
+            quantile(&mut self.median_us, 0.99),
+            quantile(&mut self.median_us, 1.0),
+            quantile(&mut self.once_us, 0.5),
+            quantile(&mut self.once_us, 0.99),
+        );
+    }
+}
+
+/// The pattern's points in the camera frame, m.
+fn placed(scene: &Scene, pose: &Pose) -> Vec<Vector3<f64>> {
+    let turn = rotation(pose.rotation);
+    let place = |p: &[f64; 3]| turn * Vector3::from(*p) + Vector3::from(pose.translation);
+    scene.pattern.iter().map(place).collect()
+}
+
+/// What an exact camera sees; `None` where a point is behind it.
+fn pixels(scene: &Scene, points: &[Vector3<f64>]) -> Option<Vec<[f64; 2]>> {
+    let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into());
+    points.iter().map(see).collect()
+}
+
+/// The smallest entry that this share of all does not exceed.
+fn quantile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let rank = (share * values.len() as f64).ceil() as usize;
+    values
+        .get(rank.clamp(1, values.len().max(1)) - 1)
+        .copied()
+        .unwrap_or(f64::NAN)
+}
