@@ -1,0 +1,10 @@
+//! The daemon under a service manager: what it says to it, what the units promise, and a real systemd in a namespace.
+//! This executable does not link iceoryx2: it meets the daemon as a process.
+
+mod fixture;
+mod instance;
+mod namespace;
+mod notify;
+mod permission;
+mod signal;
+mod unit;

@@ -1,0 +1,306 @@
+//! What the daemon says to a service manager, heard at a socket of our own.
+
+use std::io::ErrorKind;
+use std::os::unix::net::UnixDatagram;
+use std::time::Duration;
+
+use rustix::process::Signal;
+
+use crate::fixture::{Frozen, Manager, Place, count, ended, scene_file, vpcd};
+
+/// 15 periods of the loop.
+const WATCHDOG: Duration = Duration::from_millis(500);
+
+/// Cycles that a status line counts.
+fn cycles(status: &str) -> u64 {
+    let (before, _) = status.split_once(" cycles").unwrap();
+    let (_, number) = before.rsplit_once(' ').unwrap();
+    number.parse().unwrap()
+}
+
+#[test]
+fn ready_comes_once_and_only_after_the_loop_has_made_a_cycle() {
+    let place = Place::new();
+    // Half a second to the first release of the grid.
+    let text = std::fs::read_to_string(scene_file()).unwrap();
+    let slow = text.replace("rate_hz = 30.0", "rate_hz = 2.0");
+    assert_ne!(slow, text);
+    let scene = place.file("slow.toml", slow);
+    let manager = Manager::new(&place);
+    let mut command = vpcd();
+    command
+        .arg("--scene")
+        .arg(scene)
+        .arg("--domain")
+        .arg(place.domain());
+    let daemon = manager.manage(command, None);
+    let first = manager.next();
+    assert_eq!(
+        first,
+        "STATUS=starting; 0 cycles, 0 held, 0 overruns, 0 records lost\n"
+    );
+    let mut messages = manager.until("READY=1");
+    messages.extend(manager.until("STATUS=holding"));
+    messages.extend(manager.until("STATUS=holding"));
+    assert_eq!(count(&messages, "READY=1"), 1, "{messages:?}");
+    let (code, log) = daemon.terminated();
+    assert_eq!(code, 0, "{log}");
+}
+
+#[test]
+fn the_status_tells_state_and_counters_and_the_end_is_announced_once() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let daemon = manager.manage(place.vpcd(), None);
+    manager.until("READY=1");
+    let statuses: Vec<_> = (0..3)
+        .map(|_| manager.until("STATUS=").pop().unwrap())
+        .collect();
+    for status in &statuses {
+        assert!(
+            status.starts_with("STATUS=holding, zero twist: no features; "),
+            "{status}"
+        );
+        assert!(
+            status.ends_with(" held, 0 overruns, 0 records lost\n")
+                || !status.contains(" 0 overruns"),
+            "{status}"
+        );
+    }
+    assert!(
+        cycles(&statuses[0]) < cycles(&statuses[1]) && cycles(&statuses[1]) < cycles(&statuses[2])
+    );
+    let (code, log) = daemon.terminated();
+    assert_eq!(code, 0, "{log}");
+    let last = manager.drain();
+    assert_eq!(count(&last, "STOPPING=1"), 1, "{last:?}");
+    assert_eq!(count(&last, "READY=1"), 0, "{last:?}");
+}
+
+#[test]
+fn a_run_that_ends_by_itself_is_announced_as_well() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let mut command = place.vpcd();
+    command.args(["--cycles", "5"]);
+    let (code, log) = manager.manage(command, None).ended();
+    assert_eq!(code, 0, "{log}");
+    let messages = manager.drain();
+    assert_eq!(count(&messages, "READY=1"), 1, "{messages:?}");
+    assert_eq!(count(&messages, "STOPPING=1"), 1, "{messages:?}");
+}
+
+#[test]
+fn in_lockstep_a_loop_that_waits_for_a_camera_is_ready_and_alive() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let mut command = place.vpcd();
+    command.args(["--clock", "lockstep"]);
+    let _daemon = manager.manage(command, Some(WATCHDOG));
+    manager.until("READY=1");
+    manager.until("WATCHDOG=1");
+}
+
+#[test]
+fn the_watchdog_is_fed_more_than_twice_in_each_interval() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let _daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
+    manager.until("READY=1");
+    manager.until("STATUS=");
+    // Two status lines later two seconds are over, which are four intervals.
+    let mut messages = manager.until("STATUS=");
+    messages.extend(manager.until("STATUS="));
+    let fed = count(&messages, "WATCHDOG=1");
+    assert!((8..=17).contains(&fed), "{messages:?}");
+}
+
+#[test]
+fn without_a_watchdog_nothing_is_fed() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let _daemon = manager.manage(place.vpcd(), None);
+    let mut messages = manager.until("READY=1");
+    messages.extend(manager.until("STATUS=holding"));
+    assert_eq!(count(&messages, "WATCHDOG=1"), 0, "{messages:?}");
+}
+
+#[test]
+fn a_loop_that_hangs_is_no_longer_fed_for_and_the_status_says_so() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
+    manager.until("READY=1");
+    manager.until("WATCHDOG=1");
+    let frozen = Frozen::freeze(daemon.thread("vpcd"));
+    manager.drain();
+    // The ordinary thread goes on talking, for two intervals and more; it may have had one feed left to send.
+    let mut messages = manager.until("STATUS=LOOP STANDS STILL");
+    messages.extend(manager.until("STATUS=LOOP STANDS STILL"));
+    let fed = count(&messages, "WATCHDOG=1");
+    assert!(
+        fed == 0 || (fed == 1 && messages[0].contains("WATCHDOG=1")),
+        "{messages:?}"
+    );
+    drop(frozen);
+    manager.until("WATCHDOG=1");
+    let (code, log) = daemon.terminated();
+    assert_eq!(code, 0, "{log}");
+    assert!(
+        log.contains("the loop stands still") && log.contains("the loop moves again"),
+        "{log}"
+    );
+}
+
+#[test]
+fn an_ordinary_thread_that_hangs_does_not_feed_while_the_loop_goes_on() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
+    manager.until("READY=1");
+    manager.until("WATCHDOG=1");
+    let (looping, recorder) = (daemon.thread("vpcd"), daemon.thread("recorder"));
+    let frozen = Frozen::freeze(recorder);
+    manager.drain();
+    let before = daemon.sleeps(looping);
+    assert_eq!(manager.within(3 * WATCHDOG), None);
+    let after = daemon.sleeps(looping);
+    assert!(
+        after > before + 10,
+        "the loop stood as well: {before}, {after}"
+    );
+    drop(frozen);
+    manager.until("WATCHDOG=1");
+}
+
+#[test]
+fn a_stopped_process_does_not_feed() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
+    manager.until("READY=1");
+    manager.until("WATCHDOG=1");
+    daemon.signal(Signal::STOP);
+    std::thread::sleep(WATCHDOG / 4);
+    manager.drain();
+    assert_eq!(manager.within(2 * WATCHDOG), None);
+    daemon.signal(Signal::CONT);
+    manager.until("WATCHDOG=1");
+}
+
+#[test]
+fn the_watchdog_of_another_process_is_not_ours_to_feed() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let mut command = place.vpcd();
+    command.env("WATCHDOG_PID", "1");
+    let _daemon = manager.manage(command, Some(WATCHDOG));
+    let mut messages = manager.until("READY=1");
+    messages.extend(manager.until("STATUS=holding"));
+    assert_eq!(count(&messages, "WATCHDOG=1"), 0, "{messages:?}");
+}
+
+#[test]
+fn a_manager_that_does_not_listen_delays_nothing_and_hears_it_later() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    // Fill its queue.
+    let talker = UnixDatagram::unbound().unwrap();
+    talker.set_nonblocking(true).unwrap();
+    let full = loop {
+        if let Err(error) = talker.send_to(b"X=1", place.path("notify")) {
+            break error;
+        }
+    };
+    assert_eq!(full.kind(), ErrorKind::WouldBlock);
+    let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
+    let looping = daemon.thread("vpcd");
+    let recorder = daemon.thread("recorder");
+    let before = (daemon.sleeps(looping), daemon.sleeps(recorder));
+    std::thread::sleep(2 * WATCHDOG);
+    assert!(daemon.sleeps(looping) > before.0 + 10);
+    assert!(daemon.sleeps(recorder) > before.1 + 10);
+    manager.until("READY=1");
+}
+
+#[test]
+fn a_manager_that_is_not_there_is_a_warning() {
+    let place = Place::new();
+    let mut command = place.vpcd();
+    command
+        .args(["--cycles", "10"])
+        .env("NOTIFY_SOCKET", place.path("nobody"));
+    let (code, log) = ended(command);
+    assert_eq!(code, 0, "{log}");
+    assert_eq!(
+        log.matches("does not listen at NOTIFY_SOCKET").count(),
+        1,
+        "{log}"
+    );
+}
+
+#[test]
+fn without_a_manager_nobody_is_told() {
+    let place = Place::new();
+    let mut command = place.vpcd();
+    command
+        .args(["--cycles", "10"])
+        .env("WATCHDOG_USEC", "500000");
+    let (code, log) = ended(command);
+    assert_eq!(code, 0, "{log}");
+    assert!(!log.contains("NOTIFY_SOCKET"), "{log}");
+}
+
+#[test]
+fn a_malformed_environment_is_78_and_named() {
+    let place = Place::new();
+    for (name, value, words) in [
+        (
+            "NOTIFY_SOCKET",
+            "somewhere",
+            "NOTIFY_SOCKET = somewhere; allowed: an absolute path",
+        ),
+        (
+            "WATCHDOG_USEC",
+            "2s",
+            "WATCHDOG_USEC = 2s; allowed: a whole number from 1 on",
+        ),
+        (
+            "WATCHDOG_USEC",
+            "1000",
+            "WATCHDOG_USEC = 1000; allowed: 133333",
+        ),
+        (
+            "WATCHDOG_PID",
+            "-1",
+            "WATCHDOG_PID = -1; allowed: a whole number from 1 on",
+        ),
+    ] {
+        let mut command = place.vpcd();
+        command.args(["--cycles", "1"]);
+        command
+            .env("NOTIFY_SOCKET", "@vpcd-test-nobody")
+            .env(name, value);
+        let (code, message) = ended(command);
+        assert_eq!(code, 78, "{message}");
+        assert!(message.contains(words), "{message}\nlacks {words}");
+    }
+}
+
+#[test]
+fn a_failure_is_left_behind_as_the_status() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let config = place.file("v.toml", "scene = 's.toml'\n[law]\nnpp = 3\n");
+    let mut command = place.vpcd();
+    command.arg("--config").arg(config);
+    let (code, message) = manager.manage(command, None).ended();
+    assert_eq!(code, 78, "{message}");
+    let said = manager.drain();
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert!(
+        said[0].starts_with("STATUS=") && said[0].contains("unknown field `npp`"),
+        "{said:?}"
+    );
+    assert_eq!(said[0].lines().count(), 1, "{said:?}");
+}

@@ -1,0 +1,82 @@
+//! Signals: a hang-up is noted, a second request to stop does no harm, and no signal hastens the loop.
+
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+
+use crate::fixture::{Frozen, Manager, Place, Running, eventually};
+
+/// Whether a signal to the process waits to be taken.
+fn is_pending(pid: u32) -> bool {
+    let text = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let line = text
+        .lines()
+        .find(|line| line.starts_with("ShdPnd:"))
+        .unwrap();
+    line.trim_start_matches("ShdPnd:")
+        .trim()
+        .chars()
+        .any(|digit| digit != '0')
+}
+
+#[test]
+fn a_hang_up_is_noted_and_the_loop_goes_on() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let daemon = manager.manage(place.vpcd(), None);
+    manager.until("READY=1");
+    daemon.signal(Signal::HUP);
+    manager.until("STATUS=holding");
+    manager.until("STATUS=holding");
+    let (code, log) = daemon.terminated();
+    assert_eq!(code, 0, "{log}");
+    assert_eq!(log.matches("SIGHUP: nothing to do").count(), 1, "{log}");
+}
+
+#[test]
+fn further_requests_to_stop_do_not_cut_the_stop_short() {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let daemon = manager.manage(place.vpcd(), None);
+    manager.until("READY=1");
+    // The loop stands, so that the stop takes as long as we please.
+    let frozen = Frozen::freeze(daemon.thread("vpcd"));
+    daemon.signal(Signal::TERM);
+    manager.until("STOPPING=1");
+    for signal in [Signal::TERM, Signal::INT, Signal::TERM] {
+        daemon.signal(signal);
+        eventually("the signal is taken", || {
+            (!is_pending(daemon.pid())).then_some(())
+        });
+    }
+    manager.until("STATUS=");
+    drop(frozen);
+    let (code, log) = daemon.ended();
+    assert_eq!(code, 0, "{log}");
+    assert!(log.contains("stopped"), "{log}");
+}
+
+#[test]
+fn signals_do_not_hasten_the_loop() {
+    let place = Place::new();
+    let mut command = place.vpcd();
+    command.args(["--cycles", "20"]);
+    let daemon = Running::start(command);
+    daemon.thread("recorder");
+    let start = Instant::now();
+    // Twenty cycles are two thirds of a second; only too early an end is wrong.
+    while start.elapsed() < Duration::from_millis(550) {
+        daemon.signal(Signal::HUP);
+        let path = format!("/proc/{}/stat", daemon.pid());
+        let state = std::fs::read_to_string(path).unwrap();
+        assert!(
+            !state.contains(") Z "),
+            "twenty cycles in {:?}",
+            start.elapsed()
+        );
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let (code, log) = daemon.ended();
+    assert_eq!(code, 0, "{log}");
+    assert!(log.contains("cycles=20"), "{log}");
+}

@@ -1,0 +1,174 @@
+//! The files that are installed: units, user, directories, configuration.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use controller::exit::Exit;
+
+use crate::fixture::{Place, ended, root, vpcd};
+
+fn installed(name: &str) -> String {
+    let path = root().join("controller/systemd").join(name);
+    std::fs::read_to_string(path).unwrap()
+}
+
+/// Values of a directive.
+fn values<'a>(unit: &'a str, directive: &str) -> Vec<&'a str> {
+    let lines = unit.lines().filter_map(|line| line.split_once('='));
+    lines
+        .filter(|(key, _)| *key == directive)
+        .map(|(_, value)| value)
+        .collect()
+}
+
+/// The unit with a program that exists.
+fn placed(place: &Place, name: &str, text: &str) -> PathBuf {
+    let line = text
+        .lines()
+        .find(|line| line.starts_with("ExecStart="))
+        .unwrap();
+    let start = format!("ExecStart={}", env!("CARGO_BIN_EXE_vpcd"));
+    place.file(name, text.replace(line, &start))
+}
+
+/// Runs systemd-analyze; None, said plainly, where there is none.
+fn analyze(arguments: &[&str], unit: &Path) -> Option<(bool, String)> {
+    let output = Command::new("systemd-analyze")
+        .args(arguments)
+        .arg(unit)
+        .output();
+    let Ok(output) = output else {
+        eprintln!("NOT RUN: systemd-analyze is not installed");
+        return None;
+    };
+    let text = [output.stdout, output.stderr].concat();
+    Some((output.status.success(), String::from_utf8(text).unwrap()))
+}
+
+#[test]
+fn systemd_finds_nothing_wrong_with_the_units() {
+    let place = Place::new();
+    for name in ["vpcd.service", "hw-sim.service"] {
+        // The second one names the first.
+        placed(&place, "vpcd.service", &installed("vpcd.service"));
+        let unit = placed(&place, name, &installed(name));
+        let Some((is_right, text)) = analyze(&["verify", "--man=no"], &unit) else {
+            return;
+        };
+        // An unknown directive is but a warning to systemd, and is not obeyed.
+        assert!(is_right && text.is_empty(), "{name}: {text}");
+    }
+    let misspelt = installed("vpcd.service").replace("WatchdogSec=", "WatchdogSeconds=");
+    let unit = placed(&place, "misspelt.service", &misspelt);
+    let (_, text) = analyze(&["verify", "--man=no"], &unit).unwrap();
+    assert!(text.contains("WatchdogSeconds"), "{text}");
+}
+
+#[test]
+fn the_units_are_as_exposed_as_they_must_be_and_no_more() {
+    let place = Place::new();
+    for name in ["vpcd.service", "hw-sim.service"] {
+        let unit = placed(&place, name, &installed(name));
+        // In tenths; 0.8 and 0.7 were seen.
+        let arguments = ["security", "--offline=true", "--threshold=10", "--no-pager"];
+        let Some((is_within, text)) = analyze(&arguments, &unit) else {
+            return;
+        };
+        assert!(is_within, "{text}");
+    }
+}
+
+#[test]
+fn what_a_restart_does_not_mend_is_not_restarted() {
+    let unit = installed("vpcd.service");
+    let listed: Vec<u8> = values(&unit, "RestartPreventExitStatus")
+        .iter()
+        .flat_map(|codes| codes.split_whitespace())
+        .map(|code| code.parse().unwrap())
+        .collect();
+    let lasting = [Exit::Usage, Exit::Data, Exit::NoInput, Exit::Config];
+    assert_eq!(listed, lasting.map(|exit| exit as u8));
+    assert_eq!(values(&unit, "Restart"), ["on-failure"]);
+}
+
+#[test]
+fn both_units_share_user_and_directory_and_leave_it_to_each_other() {
+    let (vpcd, emulator) = (installed("vpcd.service"), installed("hw-sim.service"));
+    for (directive, value) in [
+        ("User", "vpcd"),
+        ("RuntimeDirectory", "vpcd"),
+        ("RuntimeDirectoryMode", "0700"),
+        ("RuntimeDirectoryPreserve", "yes"),
+        ("RemoveIPC", "no"),
+        ("UMask", "0077"),
+    ] {
+        assert_eq!(values(&vpcd, directive), [value], "vpcd: {directive}");
+        assert_eq!(values(&emulator, directive), [value], "hw-sim: {directive}");
+    }
+    assert!(installed("vpcd.tmpfile").contains("d /run/vpcd 0700 vpcd vpcd"));
+    assert!(installed("vpcd.sysusers").contains("u vpcd "));
+}
+
+#[test]
+fn the_default_configuration_runs_as_installed_and_fits_the_unit() {
+    let place = Place::new();
+    let root = root();
+    let text = installed("vpcd.toml");
+    let scenes = root.join("ipc/scene/scenes/");
+    let memory = root.join("memory-blob/default/");
+    let here = text
+        .replace("/usr/share/vpcd/scenes/", &format!("{}/", scenes.display()))
+        .replace("/usr/share/vpcd/", &format!("{}/", memory.display()));
+    let config = place.file("vpcd.toml", here);
+    let mut command = vpcd();
+    command.arg("--check-only").arg("--config").arg(config);
+    command.stdout(std::process::Stdio::piped());
+    let output = command.output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert!(
+        said.contains("strategy gpr") && said.contains("domain /run/vpcd"),
+        "{said}"
+    );
+    // The priority is permitted.
+    let priority: u32 = values(&text, "priority ").concat().trim().parse().unwrap();
+    let limit: u32 = values(&installed("vpcd.service"), "LimitRTPRIO")
+        .concat()
+        .parse()
+        .unwrap();
+    assert!(priority <= limit);
+}
+
+#[test]
+fn a_journal_that_is_not_ours_is_not_written_to() {
+    let place = Place::new();
+    let mut command = place.vpcd();
+    // Inherited from a service that redirected its standard error.
+    command.args(["--cycles", "2"]).env("JOURNAL_STREAM", "1:1");
+    let (code, log) = ended(command);
+    assert_eq!(code, 0, "{log}");
+    assert!(log.contains("cycles=2"), "{log}");
+}
+
+#[test]
+fn where_there_is_no_journald_the_log_falls_back_to_standard_error() {
+    use std::os::unix::fs::MetadataExt;
+    if Path::new("/run/systemd/journal/socket").exists() {
+        eprintln!("NOT RUN: this machine has a journald");
+        return;
+    }
+    let place = Place::new();
+    let path = place.file("log", "");
+    let file = std::fs::File::options().append(true).open(&path).unwrap();
+    let found = file.metadata().unwrap();
+    let mut command = place.vpcd();
+    command.args(["--cycles", "2"]).stderr(file);
+    command.env("JOURNAL_STREAM", format!("{}:{}", found.dev(), found.ino()));
+    assert!(command.status().unwrap().success());
+    let log = std::fs::read_to_string(&path).unwrap();
+    assert!(log.contains("cycles=2"), "{log}");
+}
