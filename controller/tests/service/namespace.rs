@@ -290,6 +290,7 @@ fn a_real_systemd_starts_restarts_and_stops_it() {
     starts_ready_and_confined(&machine);
     is_nobody_elses(&machine);
     writes_to_the_journal(&machine);
+    writes_to_standard_error_where_that_is_not_the_journal(&machine);
     outlives_a_hang_up(&machine);
     is_restarted_after_a_kill_and_after_hangs(&machine);
     serves_the_emulator(&machine);
@@ -372,6 +373,13 @@ fn writes_to_the_journal(machine: &Machine) {
         (&"4".into(), &"1".into()),
         "{entry}"
     );
+}
+
+/// `JOURNAL_STREAM` may be inherited from a service that redirected its standard error.
+fn writes_to_standard_error_where_that_is_not_the_journal(machine: &Machine) {
+    let line = "vpcd --scene /usr/share/vpcd/scenes/paper-sim.toml --domain /tmp/other --cycles 2";
+    let log = machine.must(&format!("JOURNAL_STREAM=1:1 {line} 2>&1"));
+    assert!(log.contains("cycles=2"), "{log}");
 }
 
 fn outlives_a_hang_up(machine: &Machine) {

@@ -144,17 +144,6 @@ fn the_default_configuration_runs_as_installed_and_fits_the_unit() {
 }
 
 #[test]
-fn a_journal_that_is_not_ours_is_not_written_to() {
-    let place = Place::new();
-    let mut command = place.vpcd();
-    // Inherited from a service that redirected its standard error.
-    command.args(["--cycles", "2"]).env("JOURNAL_STREAM", "1:1");
-    let (code, log) = ended(command);
-    assert_eq!(code, 0, "{log}");
-    assert!(log.contains("cycles=2"), "{log}");
-}
-
-#[test]
 fn where_there_is_no_journald_the_log_falls_back_to_standard_error() {
     use std::os::unix::fs::MetadataExt;
     if Path::new("/run/systemd/journal/socket").exists() {
