@@ -5,6 +5,7 @@
 //! chooses those that [`regression`] is fitted to, and [`memory`] writes the file.
 
 pub mod build;
+pub mod clearance;
 pub mod lbfgs;
 pub mod memory;
 pub mod mixture;

@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
 use vpc::{Points, Task, constraint, features};
 
+use crate::clearance;
 use crate::mixture::Mixture;
 
 /// Draws before a region is given up as having no valid start.
@@ -48,8 +49,9 @@ pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Poin
     let region = &scene.starts;
     let points = task.features_at(pose)?;
     let clear = points.iter().all(|&pixel| {
-        constraint::least_clearance(task, pixel).min(constraint::border_clearance(task, pixel))
-            >= region.clearance_px
+        let distance = clearance::of_pixel(scene, pixel);
+        distance > 0.0
+            && distance.min(constraint::border_clearance(task, pixel)) >= region.clearance_px
     });
     let mean: f64 = points
         .iter()
@@ -172,17 +174,48 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_fixed_starts_are_valid_ones() {
+    fn the_fixed_starts_are_valid_but_two_that_are_too_near_to_an_occlusion() {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let task = Task::new(&scene).unwrap();
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "sim").unwrap();
-        let inside = starts.iter().filter(|p| inside(&scene, p)).count();
-        let visible = starts
-            .iter()
-            .filter(|p| features_if_valid(&scene, &task, p).is_some())
-            .count();
-        // Five of the fixed starts (27, 37, 42, 72, 99) are refused: the first-order clearance falls short near the
-        // corners of p-norm parts, by up to 12 px here, so that the builder draws more strictly than the scene asks.
-        assert_eq!((inside, visible), (100, 95));
+        assert_eq!(starts.len(), 100);
+        let mut refused = Vec::new();
+        for (i, start) in starts.iter().enumerate() {
+            assert!(inside(&scene, start), "start {i}");
+            if features_if_valid(&scene, &task, start).is_none() {
+                let points = task.features_at(start).unwrap();
+                let distances = points.iter().map(|&p| clearance::of_pixel(&scene, p));
+                refused.push((i, distances.fold(f64::INFINITY, f64::min)));
+            }
+        }
+        // Below the middle of the lowest bar and of the bar at the top, where every measure of distance agrees: the
+        // list does not keep the scene's 20 px there.
+        let [(27, lowest), (99, top)] = refused[..] else {
+            panic!("{refused:?}")
+        };
+        assert!((lowest - 7.6447).abs() < 1e-4 && (top - 8.5235).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_start_is_valid_from_the_scenes_clearance_of_an_occlusion_on() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let task = Task::new(&scene).unwrap();
+        // One corner beside the spot on the right, a circle about (850, 560) of radius 75 px; the others in the open.
+        let beside = |distance: f64| {
+            let (u, v) = (850.0 - 75.0 - distance, 560.0);
+            let pose = Pose {
+                translation: [
+                    (u - 512.0) / 800.0 * 1.2 - 0.15,
+                    (v - 512.0) / 800.0 * 1.2 + 0.15,
+                    1.2,
+                ],
+                rotation: [0.0; 3],
+            };
+            features_if_valid(&scene, &task, &pose).is_some()
+        };
+        assert_eq!(
+            [-10.0, 0.1, 19.9, 20.1].map(beside),
+            [false, false, false, true]
+        );
     }
 }
