@@ -18,15 +18,31 @@ mod view;
 #[cfg(feature = "file")]
 mod contents;
 #[cfg(feature = "file")]
+mod draft;
+#[cfg(feature = "file")]
 mod file;
 #[cfg(feature = "file")]
 mod format;
 #[cfg(feature = "file")]
+mod header;
+#[cfg(feature = "file")]
+mod layout;
+#[cfg(feature = "file")]
+mod numbers;
+#[cfg(feature = "file")]
 mod order;
+#[cfg(feature = "file")]
+mod probe;
+#[cfg(feature = "file")]
+mod replace;
 #[cfg(feature = "file")]
 mod report;
 #[cfg(feature = "file")]
 mod sealed;
+#[cfg(feature = "file")]
+mod tensors;
+#[cfg(feature = "file")]
+mod unpack;
 
 pub use gpr::Gpr;
 pub use query::QueryError;
