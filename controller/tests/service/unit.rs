@@ -5,7 +5,7 @@ use std::process::Command;
 
 use controller::exit::Exit;
 
-use crate::fixture::{Place, ended, root, vpcd};
+use crate::fixture::{Place, root, vpcd};
 
 fn installed(name: &str) -> String {
     let path = root().join("controller/systemd").join(name);
