@@ -26,6 +26,7 @@ FAR = 1e150  # fills rows of no sample; far from every query, and finite when sq
 LANES = 8  # rows of the process in a block
 TWIST = 6  # entries of an output before the way point
 PROBES = 8
+SCHEMA = "2"
 
 
 def up(count, of):
@@ -46,8 +47,8 @@ class Memory:
         self.tensors = load_file(path)
         with safe_open(path, "numpy") as file:
             self.metadata = file.metadata()
-        if self.metadata.get("format") != "vpc-memory" or self.metadata.get("schema") != "1":
-            raise SystemExit(f"{path}: format and schema are not vpc-memory, 1")
+        if self.metadata.get("format") != "vpc-memory" or self.metadata.get("schema") not in ("1", SCHEMA):
+            raise SystemExit(f"{path}: format and schema are not vpc-memory, 1 or {SCHEMA}")
         n, p, count = (int(self.metadata[key]) for key in ("inputs", "outputs", "samples"))
         self.offset, self.scale = self.tensors["scaling"][:, :n]
         self.x = self.tensors["samples.x"].transpose(0, 2, 1).reshape(-1, n)[:count]
@@ -115,6 +116,7 @@ def process_tensors(process, x, mean, size, with_factor):
         "gpr.lambda": padded(process.alpha_ * size, (blocks * LANES, p8), 0.0),
         "gpr.length_scale": padded(lengths, (n8,), 1.0),
         "gpr.mean": padded(mean, (p8,), 0.0),
+        "gpr.output_scale": padded(size, (p8,), 1.0),
     }
     if with_factor:
         packed = process.L_[numpy.tril_indices(count)]
@@ -168,11 +170,12 @@ def main():
     tensors |= process_tensors(process, x, mean, size, not arguments.no_variance)
     tensors |= probes(memory, process, mean, size, numpy.random.default_rng(arguments.seed))
 
-    kept = ("format", "schema", "task", "inputs", "outputs", "samples")
+    kept = ("format", "task", "inputs", "outputs", "samples")
     metadata = {key: memory.metadata[key] for key in kept}
     provenance = json.loads(memory.metadata.get("provenance", "{}"))
     provenance["refit"] = {"tool": f"fit_gpr.py, scikit-learn {sklearn.__version__}", "seed": arguments.seed}
     metadata |= {
+        "schema": SCHEMA,
         "gpr_samples": str(len(x)),
         "kernel": "rbf",
         "signal_variance": repr(float(process.kernel_.k1.k1.constant_value)),

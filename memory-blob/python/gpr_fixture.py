@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes ../fixtures/gpr.json: what scikit-learn predicts for one given kernel, mean and latent deviation.
+"""Writes ../fixtures/gpr.json: what scikit-learn predicts for one given kernel, mean and latent deviation of each output.
 
     python3 -m venv venv && venv/bin/pip install -r requirements.txt
     venv/bin/python gpr_fixture.py
@@ -55,7 +55,7 @@ def main():
         "noise_variance": noise,
         "queries": queries.tolist(),
         "mean": (mean + size * predicted).tolist(),
-        "deviation": latent_deviation.tolist(),
+        "deviation": (latent_deviation[:, None] * size).tolist(),
     }
     path = pathlib.Path(__file__).resolve().parent.parent / "fixtures" / "gpr.json"
     path.write_text(json.dumps(document) + "\n")

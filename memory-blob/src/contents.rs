@@ -40,14 +40,17 @@ pub struct Regression {
     pub x: Vec<Vec<f64>>,
     /// One length scale an input, in scaled units, above zero.
     pub length_scale: Vec<f64>,
-    /// phi_o^2.
+    /// phi_o^2, in squared output scales.
     pub signal_variance: f64,
-    /// phi_s.
+    /// phi_s, in squared output scales.
     pub noise_variance: f64,
     /// m, one value an output, in its units.
     pub mean: Vec<f64>,
     /// (K + phi_s I)^{-1} (Y - m), one row for each row of `x`.
     pub lambda: Vec<Vec<f64>>,
+    /// What each output less its mean was divided by where the kernel's variances were chosen, in its units, above
+    /// zero; variances need it. Files of schema 1 have none.
+    pub output_scale: Option<Vec<f64>>,
     /// Packed lower rows of the Cholesky factor of K + phi_s I, for variances.
     pub cholesky: Option<Vec<f64>>,
 }

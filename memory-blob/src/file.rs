@@ -35,7 +35,11 @@ pub enum OpenError {
         what: String,
     },
     /// The file has another schema.
-    #[error("{path}: schema {found}; allowed: {}", format::SCHEMA)]
+    #[error(
+        "{path}: schema {found}; allowed: {} or {}",
+        format::SCHEMA_WITHOUT_SCALES,
+        format::SCHEMA
+    )]
     Schema {
         /// The file.
         path: String,
@@ -87,7 +91,7 @@ impl MemoryFile {
         };
         let header = Header::parse(&bytes).map_err(corrupt)?;
         let schema = header.text("schema").map_err(corrupt)?;
-        if schema != format::SCHEMA {
+        if ![format::SCHEMA, format::SCHEMA_WITHOUT_SCALES].contains(&schema) {
             return Err(OpenError::Schema {
                 path: name,
                 found: schema.to_owned(),
@@ -159,6 +163,10 @@ impl MemoryFile {
             x: self.tensor("gpr.x"),
             lambda: self.tensor("gpr.lambda"),
             mean: self.tensor("gpr.mean"),
+            output_scale: self
+                .tensor("gpr.output_scale")
+                .get(..l.outputs)
+                .unwrap_or(&[]),
             cholesky: self.tensor("gpr.cholesky"),
         });
         Memory {

@@ -6,8 +6,10 @@ use sha2::{Digest, Sha256};
 
 /// Value of the metadata key `format`.
 pub(crate) const FORMAT: &str = "vpc-memory";
-/// Value of the metadata key `schema`.
-pub(crate) const SCHEMA: &str = "1";
+/// Value of the metadata key `schema` in files that we write.
+pub(crate) const SCHEMA: &str = "2";
+/// The schema before, which has no output scales, and so no variances: still read.
+pub(crate) const SCHEMA_WITHOUT_SCALES: &str = "1";
 /// Largest header, bytes.
 pub(crate) const MAX_HEADER: usize = 64 * 1024;
 /// Alignment of tensors in our files and in sealed memory, bytes.

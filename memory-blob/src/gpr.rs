@@ -27,11 +27,13 @@ pub struct Gpr<'a> {
     pub(crate) lambda: &'a [f64],
     /// Constant mean of each output, padded.
     pub(crate) mean: &'a [f64],
+    /// One for each output, in its units; empty where the file has none.
+    pub(crate) output_scale: &'a [f64],
     /// Packed lower rows of the Cholesky factor of K + phi_s I; empty where the file has none.
     pub(crate) cholesky: &'a [f64],
 }
 
-impl Gpr<'_> {
+impl<'a> Gpr<'a> {
     /// Number of samples that the process is conditioned on.
     pub fn len(&self) -> usize {
         self.count
@@ -49,7 +51,13 @@ impl Gpr<'_> {
 
     /// Whether variances can be asked for.
     pub fn has_variance(&self) -> bool {
-        !self.cholesky.is_empty()
+        !self.cholesky.is_empty() && !self.output_scale.is_empty()
+    }
+
+    /// What the variances of the kernel are in squares of, one number an output, in its units (m/s, rad/s, px);
+    /// `None` in a file of schema 1.
+    pub fn output_scale(&self) -> Option<&'a [f64]> {
+        Some(self.output_scale).filter(|scale| !scale.is_empty())
     }
 
     /// Writes the mean at a raw input.
@@ -77,20 +85,25 @@ impl Gpr<'_> {
         Ok(())
     }
 
-    /// The latent predictive variance at a raw input, k(x, x) - |L^{-1} k(X, x)|^2, in squared output scales.
-    /// `scratch` holds [`Gpr::len`] numbers.
+    /// Writes the latent predictive variance of each output at a raw input, in its squared units: the noise is not in
+    /// it. One kernel serves all outputs, so they share k(x, x) - |L^{-1} k(X, x)|^2 and differ by their squared
+    /// scales. `scratch` holds [`Gpr::len`] numbers.
     ///
     /// # Errors
-    /// [`QueryError`] where a length or an entry is wrong, or the file holds no factor.
-    pub fn variance(&self, input: &[f64], scratch: &mut [f64]) -> Result<f64, QueryError> {
+    /// [`QueryError`] where a length or an entry is wrong, or the file holds no factor or no output scales.
+    pub fn variance(
+        &self,
+        input: &[f64],
+        scratch: &mut [f64],
+        output: &mut [f64],
+    ) -> Result<(), QueryError> {
         if !self.has_variance() {
             return Err(QueryError::NoVariance);
         }
-        if scratch.len() != self.count {
-            return Err(QueryError::OutputLength {
-                found: scratch.len(),
-                expected: self.count,
-            });
+        for (found, expected) in [(scratch.len(), self.count), (output.len(), self.outputs)] {
+            if found != expected {
+                return Err(QueryError::OutputLength { found, expected });
+            }
         }
         let query = self.query(input)?;
         for (block, kernel) in scratch.chunks_mut(LANES).enumerate() {
@@ -109,7 +122,11 @@ impl Gpr<'_> {
             square += scratch[i] * scratch[i];
             begin += i + 1;
         }
-        Ok((self.signal_variance - square).max(0.0))
+        let shared = (self.signal_variance - square).max(0.0);
+        for (variance, scale) in output.iter_mut().zip(self.output_scale) {
+            *variance = shared * scale * scale;
+        }
+        Ok(())
     }
 
     fn query(&self, input: &[f64]) -> Result<[f64; MAX_INPUTS], QueryError> {

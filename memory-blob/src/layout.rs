@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::exp::LANES;
-use crate::format::round_up;
+use crate::format::{self, round_up};
 use crate::gpr::OUTPUT_LANES;
 use crate::header::Header;
 use crate::samples::{BLOCK, BLOCKS_PER_GROUP};
@@ -104,7 +104,13 @@ impl Layout {
             expected.insert("gpr.length_scale", vec![n8]);
             expected.insert("gpr.mean", vec![p8]);
             expected.insert("probes.gpr", vec![probes, p8]);
-            if header.tensors.contains_key("gpr.cholesky") {
+            let has = |name| header.tensors.contains_key(name);
+            if header.text("schema")? == format::SCHEMA
+                && (has("gpr.output_scale") || has("gpr.cholesky"))
+            {
+                expected.insert("gpr.output_scale", vec![p8]);
+            }
+            if has("gpr.cholesky") {
                 expected.insert("gpr.cholesky", vec![round_up(m * (m + 1) / 2, 8)]);
             }
         }

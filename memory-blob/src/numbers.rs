@@ -21,6 +21,7 @@ impl MemoryFile {
         let view = self.view();
         if let Some(gpr) = view.gpr() {
             positive("gpr.length_scale", gpr.length_scale)?;
+            positive("gpr.output_scale", gpr.output_scale)?;
             let diagonal: Vec<f64> = (0..if gpr.has_variance() { gpr.count } else { 0 })
                 .map(|i| gpr.cholesky[i * (i + 3) / 2])
                 .collect();

@@ -42,6 +42,7 @@ impl Draft {
             x: self.tensor("gpr.x"),
             lambda: self.tensor("gpr.lambda"),
             mean: self.tensor("gpr.mean"),
+            output_scale: &[],
             cholesky: &[],
         });
         let memory = Memory {

@@ -59,7 +59,7 @@ impl fmt::Display for QueryError {
                 write!(f, "neighbours: {found}; allowed: 1 to {most}")
             }
             Self::NoVariance => f.write_str(
-                "variance: the memory holds no Cholesky factor; build it with variances",
+                "variance: the memory holds no Cholesky factor with output scales; build or fit it with `--variance`",
             ),
         }
     }

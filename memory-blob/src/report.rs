@@ -45,6 +45,9 @@ impl Report {
                 lines.push(("length scales", format!("{:.4?}", r.length_scale)));
                 lines.push(("signal variance", format!("{:.6}", r.signal_variance)));
                 lines.push(("noise variance", format!("{:.6}", r.noise_variance)));
+                if let Some(scale) = &r.output_scale {
+                    lines.push(("output scales", format!("{scale:.4?}")));
+                }
                 let variance = if r.cholesky.is_some() {
                     "stored"
                 } else {

@@ -80,6 +80,10 @@ pub(crate) fn of_process(contents: &Contents, r: &Regression) -> Tensors {
     let rows = r.lambda.iter().flat_map(|row| padded(row, p8, 0.0));
     let lambda = padded(&rows.collect::<Vec<_>>(), blocks * LANES * p8, 0.0);
     let lengths = padded(&r.length_scale, n8, 1.0);
+    let output_scale = r
+        .output_scale
+        .as_ref()
+        .map(|scale| ("gpr.output_scale", vec![p8], padded(scale, p8, 1.0)));
     let cholesky = r.cholesky.as_ref().map(|factor| {
         let length = round_up(factor.len(), 8);
         ("gpr.cholesky", vec![length], padded(factor, length, 0.0))
@@ -90,6 +94,7 @@ pub(crate) fn of_process(contents: &Contents, r: &Regression) -> Tensors {
         ("gpr.length_scale", vec![n8], lengths),
         ("gpr.mean", vec![p8], padded(&r.mean, p8, 0.0)),
     ])
+    .chain(named(output_scale))
     .chain(named(cholesky))
     .collect()
 }

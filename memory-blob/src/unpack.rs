@@ -45,6 +45,7 @@ impl MemoryFile {
                 .take(l.gpr_samples)
                 .map(|row| row[..l.outputs].to_vec())
                 .collect(),
+            output_scale: gpr.output_scale().map(<[f64]>::to_vec),
             cholesky: gpr
                 .has_variance()
                 .then(|| gpr.cholesky[..l.gpr_samples * (l.gpr_samples + 1) / 2].to_vec()),

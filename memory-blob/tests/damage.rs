@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::PathBuf;
 
-use memory_blob::{MemoryFile, OpenError};
+use memory_blob::{MemoryFile, OpenError, QueryError};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use synthetic::{Random, regression, trajectories};
@@ -135,6 +135,8 @@ fn numbers_out_of_range_are_named() {
     assert!(scale.contains("scale: 0; allowed"), "{scale}");
     let length = refused("length", |f| f.data("gpr.length_scale")[2] = -1.0);
     assert!(length.contains("gpr.length_scale: -1"), "{length}");
+    let output = refused("output", |f| f.data("gpr.output_scale")[1] = 0.0);
+    assert!(output.contains("gpr.output_scale: 0"), "{output}");
     let factor = refused("factor", |f| f.data("gpr.cholesky")[2] = 0.0);
     assert!(factor.contains("gpr.cholesky: diagonal"), "{factor}");
 }
@@ -173,12 +175,59 @@ fn counts_that_do_not_fit_the_tensors_are_refused() {
 #[test]
 fn another_schema_and_a_missing_file_are_errors_of_their_own() {
     let mut forgery = Forgery::new();
-    forgery.say("schema", "2");
+    forgery.say("schema", "3");
     let error = forgery.open("schema").unwrap_err();
     assert!(matches!(error, OpenError::Schema { .. }), "{error}");
     let error = MemoryFile::open(&place("missing"), None).unwrap_err();
     assert!(matches!(error, OpenError::Read { .. }), "{error}");
     assert!(error.to_string().contains("damage-missing"), "{error}");
+}
+
+#[test]
+fn a_file_of_schema_1_answers_as_before_and_has_no_variances() {
+    let query = [300.0; 10];
+    let mean = |file: &MemoryFile| {
+        let mut y = vec![0.0; 14];
+        file.view().gpr().unwrap().mean(&query, &mut y).unwrap();
+        y
+    };
+    let new = Forgery::new().open("schema-2").unwrap();
+    assert!(new.view().gpr().unwrap().has_variance());
+    let mut forgery = Forgery::new();
+    forgery.say("schema", "1");
+    forgery.tensors.remove("gpr.output_scale");
+    let old = forgery.open("schema-1").unwrap();
+    assert_eq!(mean(&old), mean(&new));
+    let gpr = old.view().gpr().unwrap();
+    let asked = gpr.variance(&query, &mut [0.0; 30], &mut [0.0; 14]);
+    assert_eq!(asked, Err(QueryError::NoVariance));
+    // What is read from it can be written again: without the factor, which says nothing without scales.
+    let contents = old.contents();
+    let path = place("schema-1-again");
+    contents.write(&path).unwrap();
+    assert_eq!(
+        MemoryFile::open(&path, None).unwrap().contents().y,
+        contents.y
+    );
+}
+
+#[test]
+fn output_scales_are_asked_for_with_a_factor_and_have_no_place_in_schema_1() {
+    let missing = refused("no-scale", |f| {
+        f.tensors.remove("gpr.output_scale");
+    });
+    assert!(missing.contains("gpr.output_scale is missing"), "{missing}");
+    let early = refused("early-scale", |f| f.say("schema", "1"));
+    assert!(early.contains("tensor gpr.output_scale"), "{early}");
+    let mut contents = trajectories(100, 1);
+    let mut process = regression(&contents, 30, true);
+    process.output_scale = None;
+    contents.regression = Some(process);
+    let error = contents.write(&place("never")).unwrap_err().to_string();
+    assert!(
+        error.contains("regression.output_scale is missing"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -19,6 +19,7 @@ fn contents(count: usize, regression: bool) -> Contents {
         noise_variance: 0.01,
         mean: random.row(14, 5.0),
         lambda: (0..37).map(|_| random.row(14, 2.0)).collect(),
+        output_scale: Some((1..=14).map(f64::from).collect()),
         cholesky: None,
     });
     Contents {
@@ -67,6 +68,7 @@ fn a_round_trip_gives_everything_back() {
     let (before, after) = (before.regression.unwrap(), after.regression.unwrap());
     assert!(close(&before.x, &after.x));
     assert_eq!((before.lambda, before.mean), (after.lambda, after.mean));
+    assert_eq!(before.output_scale, after.output_scale);
 }
 
 #[test]
@@ -223,7 +225,7 @@ fn bad_queries_are_errors() {
     assert!(samples.nearest(&good, 41, &mut y).is_err());
     assert!(gpr.mean(&nan, &mut y).is_err());
     assert!(
-        gpr.variance(&good, &mut y)
+        gpr.variance(&good, &mut [0.0; 37], &mut y)
             .unwrap_err()
             .to_string()
             .contains("no Cholesky factor")

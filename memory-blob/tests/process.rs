@@ -110,6 +110,7 @@ fn contents(fixture: &Fixture) -> Contents {
             noise_variance: noise,
             mean,
             lambda,
+            output_scale: Some(fixture.row("output_size")),
             cholesky: Some(factor),
         }),
         provenance: Map::new(),
@@ -132,7 +133,7 @@ fn mean_and_variance_are_those_of_scikit_learn() {
     let fixture = Fixture::read();
     let file = opened("fixture", &contents(&fixture));
     let gpr = file.view().gpr().unwrap();
-    let (means, deviations) = (fixture.rows("mean"), fixture.row("deviation"));
+    let (means, deviations) = (fixture.rows("mean"), fixture.rows("deviation"));
     let (mut y, mut scratch) = (vec![0.0; gpr.outputs()], vec![0.0; gpr.len()]);
     let queries = fixture.rows("queries");
     assert_eq!(queries.len(), 20);
@@ -141,8 +142,11 @@ fn mean_and_variance_are_those_of_scikit_learn() {
         for (found, expected) in y.iter().zip(mean) {
             assert!((found - expected).abs() < 1e-8, "{found} {expected}");
         }
-        let found = gpr.variance(query, &mut scratch).unwrap().sqrt();
-        assert!((found - deviation).abs() < 1e-8, "{found} {deviation}");
+        gpr.variance(query, &mut scratch, &mut y).unwrap();
+        for (found, expected) in y.iter().zip(deviation) {
+            let found = found.sqrt();
+            assert!((found - expected).abs() < 1e-8, "{found} {expected}");
+        }
     }
 }
 
@@ -158,8 +162,10 @@ fn far_from_all_samples_the_mean_is_the_constant_and_the_variance_that_of_the_si
         gpr.mean(&[x; 10], &mut y).unwrap();
         // The exponential ends at that of -700, 1e-304.
         assert!(y.iter().zip(&r.mean).all(|(y, m)| (y - m).abs() < 1e-300));
-        let variance = gpr.variance(&[x; 10], &mut scratch).unwrap();
-        assert_eq!(variance, r.signal_variance);
+        gpr.variance(&[x; 10], &mut scratch, &mut y).unwrap();
+        for (variance, scale) in y.iter().zip(r.output_scale.iter().flatten()) {
+            assert_eq!(*variance, r.signal_variance * scale * scale);
+        }
     }
 }
 
@@ -177,6 +183,7 @@ fn every_width_of_outputs_and_every_count_of_samples_is_the_formula() {
                 noise_variance: 0.1,
                 mean: random.row(p, 3.0),
                 lambda: (0..count).map(|_| random.row(p, 3.0)).collect(),
+                output_scale: None,
                 cholesky: None,
             };
             let file = opened(

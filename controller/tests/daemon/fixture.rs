@@ -89,6 +89,7 @@ pub fn write_memory(scene: &Scene, path: &Path, random: &mut impl Rng) {
         noise_variance: 1e-3,
         mean: answer(random),
         lambda: vec![vec![1e-3; outputs]; 100],
+        output_scale: None,
         cholesky: None,
     };
     let contents = Contents {

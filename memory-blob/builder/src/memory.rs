@@ -96,6 +96,7 @@ fn fit(
             .chunks(width)
             .map(<[f64]>::to_vec)
             .collect(),
+        output_scale: Some(fitted.output_scales),
         cholesky: settings.regression.variance.then_some(fitted.cholesky),
     })
 }

@@ -77,3 +77,44 @@ fn every_trajectory_ends_at_the_goal_inside_the_limits() {
         }
     }
 }
+
+#[test]
+fn variances_are_in_the_units_of_the_outputs() {
+    let task = Task::new(&scene()).unwrap();
+    let mut settings = settings();
+    settings.regression.variance = true;
+    settings.regression.samples = 100;
+    let contents = memory::contents(&scene(), &task, &settings, &built(2)).unwrap();
+    let process = contents.regression.as_ref().unwrap();
+    let scales = process.output_scale.as_ref().unwrap();
+
+    // What the outputs were divided by: the root mean square of y - m over the samples of the process.
+    let output_of = |x| &contents.y[contents.x.iter().position(|other| other == x).unwrap()];
+    for (o, scale) in scales.iter().enumerate() {
+        let square = |x| (output_of(x)[o] - process.mean[o]).powi(2);
+        let mean = process.x.iter().map(square).sum::<f64>() / process.x.len() as f64;
+        assert!(
+            (scale - mean.sqrt()).abs() < 1e-9 * scale,
+            "output {o}: {scale}"
+        );
+    }
+
+    let name = format!("variance-{}.vpcmem", std::process::id());
+    let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    contents.write(&path).unwrap();
+    let file = memory_blob::MemoryFile::open(&path, None).unwrap();
+    std::fs::remove_file(path).unwrap();
+    let gpr = file.view().gpr().unwrap();
+    let (mut scratch, mut variance) = (vec![0.0; gpr.len()], vec![0.0; gpr.outputs()]);
+    // At a sample little is left to learn but the noise; far away everything.
+    gpr.variance(&process.x[0], &mut scratch, &mut variance)
+        .unwrap();
+    for (variance, scale) in variance.iter().zip(scales) {
+        assert!(*variance <= 1.01 * process.noise_variance * scale * scale);
+    }
+    gpr.variance(&[1e6; 10], &mut scratch, &mut variance)
+        .unwrap();
+    for (variance, scale) in variance.iter().zip(scales) {
+        assert!((variance / (process.signal_variance * scale * scale) - 1.0).abs() < 1e-12);
+    }
+}

@@ -95,6 +95,25 @@ impl Contents {
                 return wrong(what, value.to_string(), "a finite number above 0".into());
             }
         }
+        match &r.output_scale {
+            Some(scale)
+                if scale.len() != p || scale.iter().any(|s| !(s.is_finite() && *s > 0.0)) =>
+            {
+                return wrong(
+                    "regression.output_scale",
+                    format!("{scale:?}"),
+                    format!("{p} finite numbers above 0"),
+                );
+            }
+            None if r.cholesky.is_some() => {
+                return wrong(
+                    "regression.output_scale",
+                    "missing".into(),
+                    "one number an output, where there is a factor for variances".into(),
+                );
+            }
+            _ => {}
+        }
         match &r.cholesky {
             Some(c) if c.len() != m * (m + 1) / 2 || c.iter().any(|x| !x.is_finite()) => {
                 let allowed = format!("{} finite numbers", m * (m + 1) / 2);
