@@ -13,6 +13,8 @@ mount -t proc proc /proc
 mount -t tmpfs -o mode=755 tmpfs /run
 mount -t tmpfs -o mode=755 tmpfs /var/log
 mount -t tmpfs -o mode=1777 tmpfs /dev/shm
+# The machine's kernel log is none of its journal's business.
+mount --bind /dev/null /dev/kmsg
 for tree in usr etc; do
     mkdir -p "$stage/work/$tree"
     mount -t overlay overlay -o "lowerdir=/$tree,upperdir=$stage/$tree,workdir=$stage/work/$tree" "/$tree"

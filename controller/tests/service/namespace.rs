@@ -11,7 +11,7 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-use crate::fixture::{Frozen, Place, eventually, is_root, root, thread};
+use crate::fixture::{Frozen, Place, eventually, is_root, root, spin, thread};
 
 /// What a minimal boot takes from the machine.
 const STOCK: [&str; 3] = [
@@ -298,8 +298,10 @@ fn a_real_systemd_starts_restarts_and_stops_it() {
     writes_to_the_journal(&machine);
     writes_to_standard_error_where_that_is_not_the_journal(&machine);
     outlives_a_hang_up(&machine);
+    lives_longer_than_the_watchdog(&machine);
     is_restarted_after_a_kill_and_after_hangs(&machine);
     serves_the_emulator(&machine);
+    is_restarted_after_an_endless_loop(&machine);
     stops_cleanly(&machine);
     a_wrong_configuration_is_not_restarted(&machine);
 }
@@ -388,6 +390,17 @@ fn writes_to_standard_error_where_that_is_not_the_journal(machine: &Machine) {
     assert!(log.contains("cycles=2"), "{log}");
 }
 
+/// Who works is not taken for hung: it lives for longer than the watchdog's two seconds.
+fn lives_longer_than_the_watchdog(machine: &Machine) {
+    eventually("75 cycles", || {
+        let text = machine.show("StatusText");
+        let (before, _) = text.split_once(" cycles")?;
+        let cycles: u64 = before.rsplit(' ').next()?.parse().ok()?;
+        (cycles >= 75).then_some(())
+    });
+    assert_eq!(machine.show("NRestarts"), "0");
+}
+
 fn outlives_a_hang_up(machine: &Machine) {
     let before = machine.show("MainPID");
     machine.must("systemctl kill --signal=HUP vpcd");
@@ -416,6 +429,20 @@ fn is_restarted_after_a_kill_and_after_hangs(machine: &Machine) {
     let log = machine.must("journalctl --no-pager --unit=vpcd");
     assert_eq!(log.matches("Watchdog timeout").count(), 2, "{log}");
     assert!(log.contains("the loop stands still"), "{log}");
+}
+
+/// Under SCHED_FIFO an endless loop would keep a core to itself; the kernel ends it before the watchdog has to.
+fn is_restarted_after_an_endless_loop(machine: &Machine) {
+    if !spin(thread(machine.daemon(), "vpcd")) {
+        eprintln!("NOT RUN: an endless loop: unknown processor");
+        return;
+    }
+    eventually("a restart", || {
+        (machine.show("NRestarts") == "4").then_some(())
+    });
+    machine.restarted("4");
+    let log = machine.must("journalctl --no-pager --unit=vpcd");
+    assert!(log.contains("status=24/XCPU"), "{log}");
 }
 
 fn serves_the_emulator(machine: &Machine) {
