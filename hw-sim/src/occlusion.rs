@@ -56,14 +56,28 @@ pub fn signed_distance(part: &Part, pixel: [f64; 2]) -> f64 {
     }
 }
 
-/// Signed distance of a pixel from an occlusion, px. Outside the union it is exact. Inside, the depth is that of the
-/// deepest part that covers the pixel: a lower bound of the way out of the union, exact where parts do not overlap.
-pub fn distance(occlusion: &Occlusion, pixel: [f64; 2]) -> f64 {
-    occlusion
-        .parts
-        .iter()
-        .map(|part| signed_distance(part, pixel))
-        .fold(f64::INFINITY, f64::min)
+/// Signed distance of a pixel from an occlusion, px, where it is below `bound`; else some number at or above it.
+/// Outside the union it is exact. Inside, the depth is that of the deepest part that covers the pixel: a lower bound
+/// of the way out of the union, exact where parts do not overlap.
+pub fn distance_below(occlusion: &Occlusion, pixel: [f64; 2], bound: f64) -> f64 {
+    occlusion.parts.iter().fold(bound, |least, part| {
+        if box_distance(part, pixel) < least {
+            least.min(signed_distance(part, pixel))
+        } else {
+            least
+        }
+    })
+}
+
+/// A lower bound of the signed distance of a pixel from a part, px: that from its bounding box, and none inside it.
+fn box_distance(part: &Part, pixel: [f64; 2]) -> f64 {
+    let gap = |k: usize| ((pixel[k] - part.center[k]).abs() - part.half[k]).max(0.0);
+    let inside = gap(0) == 0.0 && gap(1) == 0.0;
+    if inside {
+        f64::NEG_INFINITY
+    } else {
+        gap(0).hypot(gap(1))
+    }
 }
 
 #[cfg(test)]

@@ -113,7 +113,8 @@ impl Referee {
         }
     }
 
-    /// The least signed distance of a pixel, and from what.
+    /// The signed distance of a pixel from the border or from the occlusion nearest to it, where that is nearer than
+    /// any point before.
     fn clearance(&self, [u, v]: [f64; 2]) -> (f64, Place) {
         let camera = &self.scene.camera;
         // Euclidean outside a corner, straight elsewhere.
@@ -127,16 +128,16 @@ impl Referee {
         } else {
             inside
         };
-        let occlusions = self.scene.occlusions.iter().map(|occlusion| {
-            (
-                occlusion::distance(occlusion, [u, v]),
-                Place::Occlusion(occlusion.name.clone()),
-            )
-        });
-        occlusions
-            .min_by(|a, b| a.0.total_cmp(&b.0))
-            .filter(|(distance, _)| *distance < border)
-            .unwrap_or((border, Place::OutsideImage))
+        // What is no nearer than anything seen so far decides nothing.
+        let mut nearest = (border, Place::OutsideImage);
+        for occlusion in &self.scene.occlusions {
+            let bound = nearest.0.min(self.least_clearance);
+            let distance = occlusion::distance_below(occlusion, [u, v], bound);
+            if distance < bound {
+                nearest = (distance, Place::Occlusion(occlusion.name.clone()));
+            }
+        }
+        nearest
     }
 }
 

@@ -22,9 +22,10 @@ pub struct Clearance {
 
 /// The clearance of pixel (u, v) from a part: (||d||_p - 1) / |gradient|.
 pub fn clearance(part: &Part, [u, v]: [f64; 2]) -> Clearance {
+    let inverse = [1.0 / part.half[0], 1.0 / part.half[1]];
     let offset = [
-        (u - part.center[0]) / part.half[0],
-        (v - part.center[1]) / part.half[1],
+        (u - part.center[0]) * inverse[0],
+        (v - part.center[1]) * inverse[1],
     ];
     let size = [offset[0].abs(), offset[1].abs()];
     let largest = size[0].max(size[1]);
@@ -39,25 +40,21 @@ pub fn clearance(part: &Part, [u, v]: [f64; 2]) -> Clearance {
     }
     // Scaled by the largest entry, no power overflows or vanishes.
     let exponent = Exponent::of(part.p);
-    let ratio = [size[0] / largest, size[1] / largest];
-    let powers = [exponent.power(ratio[0]), exponent.power(ratio[1])];
-    let sum = powers[0] + powers[1];
+    let scale = 1.0 / largest;
+    let [(power_u, slope_u), (power_v, slope_v)] = size.map(|size| exponent.power(size * scale));
+    let sum = power_u + power_v;
     let root = exponent.root(sum);
     let norm = largest * root;
     // d||d||_p / d offset_k = sign (|offset_k| / norm)^(p-1) = sign ratio_k^(p-1) / sum^((p-1)/p)
-    let slope = |k: usize| {
-        let steep = if ratio[k] > 0.0 {
-            powers[k] / ratio[k] * root / sum
-        } else {
-            0.0
-        };
-        steep * offset[k].signum() / part.half[k]
-    };
-    let gradient = [slope(0), slope(1)];
-    let length = sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1]);
+    let steep = root / sum;
+    let gradient = [
+        steep * slope_u * offset[0].signum() * inverse[0],
+        steep * slope_v * offset[1].signum() * inverse[1],
+    ];
+    let flat = 1.0 / sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1]);
     Clearance {
-        distance: (norm - 1.0) / length,
-        normal: [gradient[0] / length, gradient[1] / length],
+        distance: (norm - 1.0) * flat,
+        normal: [gradient[0] * flat, gradient[1] * flat],
     }
 }
 
@@ -160,11 +157,14 @@ impl Exponent {
         }
     }
 
-    /// x^p for x in [0, 1].
-    fn power(self, x: f64) -> f64 {
+    /// x^p and x^(p-1) for x in [0, 1]; zeros at 0, the middle of the kink where p = 1.
+    fn power(self, x: f64) -> (f64, f64) {
         match self {
-            Self::PowerOfTwo(squarings) => (0..squarings).fold(x, |x, _| x * x),
-            Self::Any(p) => pow(x, p),
+            _ if x == 0.0 => (0.0, 0.0),
+            Self::PowerOfTwo(squarings) => (0..squarings).fold((x, 1.0), |(square, below), _| {
+                (square * square, below * square)
+            }),
+            Self::Any(p) => (pow(x, p), pow(x, p - 1.0)),
         }
     }
 

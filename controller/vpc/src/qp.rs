@@ -16,6 +16,13 @@ use libm::sqrt;
 
 /// Most elastic rows.
 pub const MAX_ROWS: usize = 1536;
+/// Most violated rows that are kept in sight between two looks at all rows: with a long window there are hundreds,
+/// and only a few decide.
+const MAX_SUSPECTS: usize = 24;
+/// A bound is violated beyond this, m/s or rad/s.
+const BOUND_TOLERANCE: f64 = 1e-12;
+/// A row is violated beyond this, px.
+const ROW_TOLERANCE: f64 = 1e-7;
 
 /// A quadratic function of `N` variables, and their bounds.
 #[derive(Clone, Debug)]
@@ -87,6 +94,11 @@ impl<const N: usize> Rows<N> {
         true
     }
 
+    /// What row `i` leaves free at `d`, px; negative where it is violated, or satisfied although it has yielded.
+    fn slack(&self, i: usize, d: &[f64; N]) -> f64 {
+        self.signs[i] * (dot(&self.gradients[i], d) + self.clearances[i])
+    }
+
     /// The sum of all violations that the rows predict for `d`, px.
     pub fn violation(&self, d: &[f64; N]) -> f64 {
         let rows = self.gradients.iter().zip(&self.clearances).take(self.len);
@@ -141,6 +153,9 @@ pub struct ActiveSet<const N: usize> {
     active: [Constraint; N],
     multipliers: [f64; N],
     count: usize,
+    /// Rows that were violated most when all were last looked at, the worst first.
+    suspects: [(usize, f64); MAX_SUSPECTS],
+    suspected: usize,
 }
 
 impl<const N: usize> ActiveSet<N> {
@@ -152,6 +167,8 @@ impl<const N: usize> ActiveSet<N> {
             active: [Constraint::Lower(0); N],
             multipliers: [0.0; N],
             count: 0,
+            suspects: [(0, 0.0); MAX_SUSPECTS],
+            suspected: 0,
         }
     }
 
@@ -164,7 +181,7 @@ impl<const N: usize> ActiveSet<N> {
         rho: f64,
         limit: u32,
     ) -> Answer<N> {
-        self.count = 0;
+        (self.count, self.suspected) = (0, 0);
         rows.signs[..rows.len].fill(1.0);
         let mut answer = Answer {
             step: [0.0; N],
@@ -178,7 +195,7 @@ impl<const N: usize> ActiveSet<N> {
         let mut d = self.unconstrained(&quadratic.gradient);
         answer.status = QpStatus::Solved;
 
-        'outer: while let Some((constraint, mut slack)) = self.most_violated(quadratic, rows, &d) {
+        'outer: while let Some((constraint, mut slack)) = self.violated(quadratic, rows, &d) {
             let normal = normal(constraint, rows);
             let cap = match constraint {
                 Constraint::Row(_) => rho,
@@ -319,40 +336,73 @@ impl<const N: usize> ActiveSet<N> {
         d
     }
 
-    /// The constraint that is violated most, relative to the tolerance of its kind, with its slack.
-    fn most_violated(
-        &self,
+    /// A constraint that is violated by much, with its slack: the worst bound, else the worst suspect, else, where no
+    /// suspect is violated any more, the worst of all rows.
+    fn violated(
+        &mut self,
         quadratic: &Quadratic<N>,
         rows: &Rows<N>,
         d: &[f64; N],
     ) -> Option<(Constraint, f64)> {
-        // Bounds are in m/s and rad/s, rows in px.
-        const BOUND: f64 = 1e-12;
-        const ROW: f64 = 1e-7;
         let mut worst = None;
-        let mut least = -BOUND;
-        let mut consider = |constraint: Constraint, slack: f64, least: &mut f64| {
-            if slack < *least && !self.active[..self.count].contains(&constraint) {
-                *least = slack;
-                worst = Some((constraint, slack));
-            }
-        };
+        let mut least = -BOUND_TOLERANCE;
         for i in 0..N {
-            consider(Constraint::Lower(i), d[i] - quadratic.lower[i], &mut least);
-            consider(Constraint::Upper(i), quadratic.upper[i] - d[i], &mut least);
+            for (constraint, slack) in [
+                (Constraint::Lower(i), d[i] - quadratic.lower[i]),
+                (Constraint::Upper(i), quadratic.upper[i] - d[i]),
+            ] {
+                if slack < least && !self.is_active(constraint) {
+                    least = slack;
+                    worst = Some((constraint, slack));
+                }
+            }
         }
-        least *= ROW / BOUND;
-        let rows = rows
-            .gradients
-            .iter()
-            .zip(&rows.clearances)
-            .zip(&rows.signs)
-            .take(rows.len);
-        for (i, ((gradient, clearance), sign)) in rows.enumerate() {
-            let slack = sign * (dot(gradient, d) + clearance);
-            consider(Constraint::Row(i), slack, &mut least);
+        if worst.is_some() {
+            return worst;
+        }
+        self.suspect(rows, d).or_else(|| {
+            self.look_at_all(rows, d);
+            self.suspect(rows, d)
+        })
+    }
+
+    /// The suspect that is violated most.
+    fn suspect(&self, rows: &Rows<N>, d: &[f64; N]) -> Option<(Constraint, f64)> {
+        let mut worst = None;
+        let mut least = -ROW_TOLERANCE;
+        for &(i, _) in self.suspects.iter().take(self.suspected) {
+            let slack = rows.slack(i, d);
+            if slack < least && !self.is_active(Constraint::Row(i)) {
+                least = slack;
+                worst = Some((Constraint::Row(i), slack));
+            }
         }
         worst
+    }
+
+    /// Makes suspects of the rows that are violated most.
+    fn look_at_all(&mut self, rows: &Rows<N>, d: &[f64; N]) {
+        self.suspected = 0;
+        let mut least = -ROW_TOLERANCE;
+        for i in 0..rows.len {
+            let slack = rows.slack(i, d);
+            if slack < least && !self.is_active(Constraint::Row(i)) {
+                let mut place = self.suspected.min(MAX_SUSPECTS - 1);
+                while place > 0 && self.suspects[place - 1].1 > slack {
+                    self.suspects[place] = self.suspects[place - 1];
+                    place -= 1;
+                }
+                self.suspects[place] = (i, slack);
+                self.suspected = (self.suspected + 1).min(MAX_SUSPECTS);
+                if self.suspected == MAX_SUSPECTS {
+                    least = self.suspects[MAX_SUSPECTS - 1].1;
+                }
+            }
+        }
+    }
+
+    fn is_active(&self, constraint: Constraint) -> bool {
+        self.active[..self.count].contains(&constraint)
     }
 
     /// The primal direction z = J_2 J_2^T n, the projection J^T n, and the change of active multipliers R^{-1} J_1^T n.

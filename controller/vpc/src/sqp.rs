@@ -12,8 +12,11 @@ use crate::{DOF, MAX_VARIABLES};
 const MAX_HALVINGS: usize = 8;
 /// Share of the predicted decrease that a step must achieve.
 const SUFFICIENT_DECREASE: f64 = 1e-4;
-/// Most times that one solution raises rho tenfold.
-const MAX_RAISES: u32 = 4;
+/// Most times that one solution raises rho: one raise this large tells a weight that was too small from rows that
+/// contradict each other.
+const MAX_RAISES: u32 = 1;
+/// What a raise multiplies rho by.
+const RAISE: f64 = 1e3;
 /// Violations below this are not counted as such, px.
 const FEASIBLE: f64 = 0.05;
 /// Active-set changes allowed a quadratic program, per variable.
@@ -119,7 +122,7 @@ impl<const N: usize> Sqp<N> {
                 if answer.yielded == 0 || raises == MAX_RAISES {
                     break answer;
                 }
-                rho *= 10.0;
+                rho *= RAISE;
                 raises += 1;
             };
             if answer.status == QpStatus::NumericalFailure {
