@@ -2,7 +2,7 @@
 """A free-flying camera that plays the emulator's part: publishes features, integrates the twists that come back.
 
     vpcd --scene ipc/scene/scenes/paper-sim.toml --clock lockstep &
-    pip install iceoryx2==0.9.3 numpy
+    pip install -r ipc/python/requirements.txt
     python3 ipc/python/camera.py --scene ipc/scene/scenes/paper-sim.toml
 
 Needs Python 3.11 or later. Exit code 0 where the goal was reached.

@@ -1,6 +1,8 @@
 //! The promises of the contract, over real shared memory and with real processes. One executable: each that links
 //! iceoryx2 costs up to a minute of build. Peers that are killed are this same executable, started again.
 
+mod python;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::io::{BufRead, BufReader};

@@ -1,0 +1,328 @@
+//! The client in Python (`ipc/python`) against this crate: the same layouts, the same guard, real messages both ways,
+//! and its camera driven to the goal. Needs python3 and, the first time, the network: without them it says so and does
+//! nothing, or fails where `VPC_REQUIRE_PYTHON` is set.
+
+use std::fmt::Write as _;
+use std::io::{Read, Write as _};
+use std::mem::{align_of, offset_of, size_of};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use ipc::{
+    ControllerPorts, CycleRecord, Domain, Features, Message, Observer, RecorderPort, RobotMode,
+    RobotState, Stamp, TwistCommand, TwistState,
+};
+
+use super::{directory, eventually};
+
+/// Steps in which the camera is driven to its goal.
+const STEPS: u32 = 30;
+
+/// A process that ends with its owner.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn sources(within: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(within)
+}
+
+/// Runs a command to its end; its last line of complaint where it fails.
+fn run(command: &mut Command) -> Result<Output, String> {
+    let output = command.output().map_err(|error| error.to_string())?;
+    if output.status.success() {
+        return Ok(output);
+    }
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    let last = complaint.lines().rfind(|line| !line.trim().is_empty());
+    Err(last.unwrap_or("no reason given").to_owned())
+}
+
+/// A virtual environment with the client's requirements, made the first time; why there is none.
+fn environment() -> Result<PathBuf, String> {
+    run(Command::new("python3").args(["-c", "import tomllib, venv"]))
+        .map_err(|reason| format!("python3 from 3.11 on is missing: {reason}"))?;
+    let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-client");
+    let python = place.join("bin/python");
+    let complete = "import numpy, importlib.metadata as m; assert m.version('iceoryx2') == '0.9.3'";
+    if run(Command::new(&python).args(["-c", complete])).is_ok() {
+        return Ok(python);
+    }
+    run(Command::new("python3")
+        .args(["-m", "venv", "--clear"])
+        .arg(&place))
+    .map_err(|reason| format!("no virtual environment: {reason}"))?;
+    let requirements = sources("python/requirements.txt");
+    run(Command::new(&python)
+        .args([
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+        ])
+        .args([
+            "--only-binary",
+            ":all:",
+            "--timeout",
+            "10",
+            "--retries",
+            "1",
+            "-r",
+        ])
+        .arg(requirements))
+    .map_err(|reason| format!("pip cannot install the client's requirements: {reason}"))?;
+    Ok(python)
+}
+
+/// A script of the tree, ready to run.
+fn script(python: &Path, within: &str) -> Command {
+    let mut command = Command::new(python);
+    command
+        .arg(sources(within))
+        .env("PYTHONPATH", sources("python"))
+        .env("PYTHONDONTWRITEBYTECODE", "1");
+    command
+}
+
+/// Size of a field.
+fn size_of_field<T, F>(_: impl Fn(&T) -> &F) -> usize {
+    size_of::<F>()
+}
+
+/// A line for the service of each message, and lines for the layout of each message and its fields, as peer.py has
+/// them.
+macro_rules! layout {
+    ($($message:ident { $($field:ident)* })*) => {{
+        let mut lines = String::new();
+        $(
+            let (size, align) = (size_of::<$message>(), align_of::<$message>());
+            let _ = writeln!(lines, "{} {size} {align}", stringify!($message));
+            $(
+                let size = size_of_field(|message: &$message| &message.$field);
+                let offset = offset_of!($message, $field);
+                let names = concat!(stringify!($message), ".", stringify!($field));
+                let _ = writeln!(lines, "{names} {offset} {size}");
+            )*
+        )*
+        lines
+    }};
+}
+
+fn service<T: Message>(lines: &mut String, name: &str) {
+    let (history, buffer) = (T::QOS.history, T::QOS.buffer);
+    let _ = writeln!(lines, "{} vpc/{name}/1 {history} {buffer}", T::SERVICE);
+}
+
+fn layouts_agree(python: &Path) {
+    let output = run(script(python, "tests/python/peer.py").arg("layout")).unwrap();
+    let theirs = String::from_utf8(output.stdout).unwrap();
+    let mut ours = String::new();
+    service::<Features>(&mut ours, "Features");
+    service::<TwistCommand>(&mut ours, "TwistCommand");
+    service::<RobotState>(&mut ours, "RobotState");
+    service::<CycleRecord>(&mut ours, "CycleRecord");
+    ours += &layout! {
+        Stamp { sequence published_ns data_ns }
+        Features { stamp exposure_ns count visible points }
+        TwistCommand {
+            stamp features_sequence features_published_ns valid_until_ns state reserved twist
+        }
+        RobotState {
+            stamp features_sequence mode faults translation rotation twist joints reserved q dq room
+        }
+        CycleRecord {
+            stamp cycle clock status wake_latency_ns receive_ns step_ns send_ns overruns
+            features_sequence features_age_ns lost_records count way_point_count recalled strategy
+            neighbours np iterations qp_iterations hold state points way_point twist cost
+            violation_px clearance_px error_px
+        }
+    };
+    for (theirs, ours) in theirs.lines().zip(ours.lines()) {
+        assert_eq!(theirs, ours, "Python first, then Rust");
+    }
+    assert_eq!(theirs.lines().count(), ours.lines().count());
+}
+
+/// The numbers of a printed line that begins with `head`.
+fn numbers(text: &str, head: &str) -> Vec<f64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(head));
+    line.unwrap_or_else(|| panic!("no line `{head}` in: {text}"))
+        .split_whitespace()
+        .map(|word| word.parse().unwrap())
+        .collect()
+}
+
+fn messages_go_both_ways(python: &Path) {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut recorder = RecorderPort::open(&domain).unwrap();
+    let mut observer = Observer::open(&domain).unwrap();
+    let begun = ipc::now_ns();
+    let mut peer = script(python, "tests/python/peer.py");
+    peer.arg("exchange").arg(directory.path());
+    let mut peer = Running(peer.stdout(Stdio::piped()).spawn().unwrap());
+
+    let features = eventually("features from Python", || {
+        controller.features.latest().unwrap()
+    });
+    let expected = [
+        [0.1, 2.25],
+        [640.5, -3.75],
+        [1e-3, 4.0],
+        [5.0, 6.0],
+        [7.0, 1.0 / 3.0],
+    ];
+    assert!(features.pairs().eq(expected), "{features:?}");
+    let stamp = features.stamp;
+    assert_eq!(
+        (stamp.sequence, stamp.data_ns, features.visible),
+        (1, 123_456_789, 0b11111)
+    );
+    // One clock for both languages.
+    assert!((begun..=ipc::now_ns()).contains(&stamp.published_ns));
+
+    let state = eventually("a state from Python", || observer.robot.oldest().unwrap());
+    assert_eq!((state.stamp.data_ns, state.features_sequence), (77, 5));
+    assert_eq!(
+        (state.mode, state.faults, state.joints),
+        (RobotMode::Moving.code(), 2, 7)
+    );
+    let counted = |offset: usize, numbers: &[f64]| {
+        let mut counted = numbers.iter().enumerate();
+        counted.all(|(i, x)| *x == offset as f64 + i as f64 / 8.0)
+    };
+    assert!(counted(
+        offset_of!(RobotState, translation),
+        &state.translation
+    ));
+    assert!(counted(offset_of!(RobotState, rotation), &state.rotation));
+    assert!(counted(offset_of!(RobotState, twist), &state.twist));
+    assert!(counted(offset_of!(RobotState, q), &state.q));
+    assert!(counted(offset_of!(RobotState, dq), &state.dq));
+    assert!(counted(offset_of!(RobotState, room), &state.room));
+
+    let twist = [0.1, -0.2, 1.0 / 3.0, 1e-9, -0.5, f64::MIN_POSITIVE];
+    // An answer to something else first: the client must pass over it.
+    let other = Stamp {
+        published_ns: stamp.published_ns - 1,
+        ..stamp
+    };
+    let wrong = TwistCommand::answer_to(&other, [9.0; 6], TwistState::Holding);
+    controller.twist.publish(&wrong).unwrap();
+    let answer = TwistCommand::answer(&features, twist, TwistState::Arrived);
+    controller.twist.publish(&answer).unwrap();
+    let record = CycleRecord {
+        cycle: 1 << 52,
+        lost_records: 3,
+        np: 30,
+        state: TwistState::Moving.code(),
+        points: std::array::from_fn(|i| i as f64 / 7.0),
+        way_point: std::array::from_fn(|i| 500.0 + i as f64),
+        twist,
+        cost: 1234.5,
+        violation_px: -0.25,
+        clearance_px: 1e300,
+        error_px: 1e-300,
+        ..CycleRecord::default()
+    };
+    recorder.cycles.publish(&record).unwrap();
+
+    let mut text = String::new();
+    let mut output = peer.0.stdout.take().unwrap();
+    output.read_to_string(&mut text).unwrap();
+    assert!(peer.0.wait().unwrap().success(), "{text}");
+    let arrived = f64::from(TwistState::Arrived.code());
+    assert_eq!(numbers(&text, "twist"), [&[arrived][..], &twist].concat());
+    let moving = f64::from(TwistState::Moving.code());
+    let numbers_of_record = [
+        &[(1u64 << 52) as f64, 3.0, 30.0, moving][..],
+        &record.points,
+        &record.way_point,
+        &twist,
+        &[1234.5, -0.25, 1e300, 1e-300],
+    ];
+    assert_eq!(numbers(&text, "cycle"), numbers_of_record.concat());
+}
+
+/// Drives the camera of camera.py from a start (object in the camera frame, m and rotation vector in rad) by one twist,
+/// held for a second; returns what it says, and the first point at each step, px.
+fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64; 2]>) {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut camera = script(python, "python/camera.py");
+    camera
+        .arg("--scene")
+        .arg(sources("scene/scenes/paper-sim.toml"));
+    camera.arg("--domain").arg(directory.path());
+    // One more than are needed: with a wrong twist it says so instead of waiting for an answer for ever.
+    camera.args(["--steps", &(STEPS + 1).to_string(), "--start"]);
+    camera.args(start.map(|x| x.to_string()));
+    let mut camera = Running(camera.stdout(Stdio::piped()).spawn().unwrap());
+    let mut seen = Vec::new();
+    while camera.0.try_wait().unwrap().is_none() {
+        if let Some(features) = controller.features.latest().unwrap() {
+            seen.extend(features.pairs().next());
+            let answer = TwistCommand::answer(&features, twist, TwistState::Moving);
+            controller.twist.publish(&answer).unwrap();
+        }
+        std::thread::sleep(std::time::Duration::from_micros(100));
+    }
+    let mut text = String::new();
+    let mut output = camera.0.stdout.take().unwrap();
+    output.read_to_string(&mut text).unwrap();
+    (text, seen)
+}
+
+fn the_camera_can_be_driven(python: &Path) {
+    let arrives = format!("{STEPS} steps, final error 0.0");
+    // Straight to the goal, which is at 0.6 m: the first point of the pattern is at (-0.15, -0.15) m.
+    let (text, seen) = driven(
+        python,
+        [0.2, 0.0, 0.7, 0.0, 0.0, 0.0],
+        [0.2, 0.0, 0.1, 0.0, 0.0, 0.0],
+    );
+    assert!(text.starts_with(&arrives), "{text}");
+    assert_eq!(seen.len(), STEPS as usize);
+    for (k, point) in seen.iter().enumerate() {
+        let left = 1.0 - k as f64 / f64::from(STEPS);
+        let depth = 0.6 + 0.1 * left;
+        let expected = [
+            512.0 + 800.0 * (0.2 * left - 0.15) / depth,
+            512.0 - 800.0 * 0.15 / depth,
+        ];
+        let off = (point[0] - expected[0]).hypot(point[1] - expected[1]);
+        assert!(off < 1e-9, "step {k}: {point:?}, {expected:?}");
+    }
+    // Rolling on the way.
+    let (text, _) = driven(
+        python,
+        [0.0, 0.0, 0.7, 0.0, 0.0, 0.5],
+        [0.0, 0.0, 0.1, 0.0, 0.0, 0.5],
+    );
+    assert!(text.starts_with(&arrives), "{text}");
+}
+
+#[test]
+fn the_client_in_python_agrees() {
+    match environment() {
+        Ok(python) => {
+            layouts_agree(&python);
+            messages_go_both_ways(&python);
+            the_camera_can_be_driven(&python);
+        }
+        Err(reason) if std::env::var_os("VPC_REQUIRE_PYTHON").is_some() => panic!("{reason}"),
+        Err(reason) => {
+            // Past the capture of the test harness: a test that did nothing must not look like one that passed.
+            let message = format!("the_client_in_python_agrees: skipped: {reason}\n");
+            let _ = std::io::stderr().write_all(message.as_bytes());
+        }
+    }
+}
