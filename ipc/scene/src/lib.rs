@@ -5,6 +5,8 @@
 //! holds the words and their checks, and **no mathematics**: controller and emulator each bring their own, so that
 //! one mistake cannot hide on both sides.
 //!
+//! The crate's `README.md` tells the decisions that surprise.
+//!
 //! Without the feature `file` the crate is `no_std` and never allocates, so that the control law can use it.
 //!
 //! ```
@@ -35,7 +37,7 @@ pub use model::{
 #[cfg(feature = "file")]
 pub use file::SceneError;
 #[cfg(feature = "file")]
-pub use starts::{StartsError, parse_starts, read_starts};
+pub use starts::{StartsError, parse_starts, read_starts, starts_csv};
 
 /// The text of `scenes/paper-sim.toml`: the simulated experiment of the paper.
 pub const PAPER_SIM: &str = include_str!("../scenes/paper-sim.toml");

@@ -57,6 +57,18 @@ pub fn read_starts(path: &Path) -> Result<Vec<Pose>, StartsError> {
     parse_starts(&text, &name)
 }
 
+/// The text of a file of starts, which [`parse_starts`] reads back to the bit.
+pub fn starts_csv(starts: &[Pose]) -> String {
+    let rows = starts.iter().map(|start| {
+        let [tx, ty, tz] = start.translation;
+        let [rx, ry, rz] = start.rotation;
+        format!("{tx},{ty},{tz},{rx},{ry},{rz}\n")
+    });
+    std::iter::once("tx,ty,tz,rx,ry,rz\n".to_owned())
+        .chain(rows)
+        .collect()
+}
+
 /// Parses the text of a file of starts; `path` is for messages.
 ///
 /// # Errors
@@ -116,6 +128,13 @@ pub fn parse_starts(text: &str, path: &str) -> Result<Vec<Pose>, StartsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let starts = parse_starts(crate::PAPER_SIM_STARTS, "starts").unwrap();
+        let again = parse_starts(&starts_csv(&starts), "again").unwrap();
+        assert_eq!(starts, again);
+    }
 
     #[test]
     fn the_papers_starts_are_a_hundred_each() {

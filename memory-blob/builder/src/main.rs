@@ -13,8 +13,10 @@ use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::{MemoryFile, Report};
 use memory_builder::build::{self, Progress};
-use memory_builder::memory;
 use memory_builder::settings::{BuildSettings, WayPoint};
+use memory_builder::{memory, start};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
 use vpc::Task;
@@ -46,6 +48,21 @@ enum Command {
         /// Scene file that the memory must belong to.
         #[arg(long)]
         scene: Option<PathBuf>,
+    },
+    /// Draw valid start poses from the scene's region, for `cargo table`; another seed than the build's gives starts
+    /// that the memory has not seen.
+    Starts {
+        /// Scene file (TOML).
+        scene: PathBuf,
+        /// The file to write (CSV: tx,ty,tz,rx,ry,rz).
+        #[arg(short, long)]
+        output: PathBuf,
+        /// How many.
+        #[arg(long, default_value_t = 100)]
+        count: usize,
+        /// Seed.
+        #[arg(long, default_value_t = 1000)]
+        seed: u64,
     },
     /// Fit the regression again from the samples stored in a memory.
     Fit {
@@ -152,6 +169,12 @@ fn main() -> ExitCode {
             open(&file, None).map(|file| print(&Report::of(&file).to_string()))
         }
         Command::Verify { file, scene } => run_verify(&file, scene.as_deref()),
+        Command::Starts {
+            scene,
+            output,
+            count,
+            seed,
+        } => run_starts(&scene, &output, count, seed),
         Command::Fit {
             file,
             scene,
@@ -195,6 +218,17 @@ fn run_verify(path: &Path, scene: Option<&Path>) -> anyhow::Result<()> {
         file.size()
     ));
     Ok(())
+}
+
+fn run_starts(scene: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
+    let scene = Scene::read(scene)?;
+    let task = Task::new(&scene)?;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let starts = (0..count)
+        .map(|_| start::valid(&scene, &task, None, &mut rng))
+        .collect::<Result<Vec<_>, _>>()?;
+    fs::write(output, scene::starts_csv(&starts))
+        .with_context(|| format!("{}: cannot write", output.display()))
 }
 
 fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> anyhow::Result<()> {
