@@ -43,7 +43,8 @@ pub struct Subproblem {
 /// Where SciPy started, and what it found from there alone.
 #[derive(Deserialize)]
 pub struct Start {
-    name: String,
+    /// "zero", "unconstrained" (the answer where features may be anywhere), "random 0" to "random 3".
+    pub name: String,
     /// The start.
     pub v: Twist,
     /// Cost of the answer; `None` where it is not feasible.
@@ -86,7 +87,7 @@ impl Fixture {
 }
 
 impl Subproblem {
-    /// The start of this name: "zero", "unconstrained" (the answer where features may be anywhere), "random 0" ...
+    /// The start of this name.
     pub fn start(&self, name: &str) -> &Start {
         self.starts.iter().find(|s| s.name == name).unwrap()
     }
