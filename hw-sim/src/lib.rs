@@ -4,7 +4,7 @@
 //! mistake cannot hide on both sides. The pure parts, which the table uses in process: [`pose`] (exact rigid motion),
 //! [`FreeCamera`] (projection), [`occlusion`] (Euclidean distances), [`Referee`]. The process around them: [`config`],
 //! [`carrier`] (what executes a twist; a robot slots in here), [`sensor`] (noise, delay, dropped frames),
-//! [`recording`], and [`emulator`], the loop.
+//! [`recording`], and [`emulator`], the loop. Decisions that surprise stand in the crate's `README.md`.
 #![forbid(unsafe_code)]
 
 pub mod carrier;

@@ -2,7 +2,8 @@
 //!
 //! [`build`] draws starts and collects the trajectories that [`trajectory`] finds step by step with [`solution`];
 //! starts that the controller leaves stuck go to [`planner`]. [`store`] keeps samples and way points, [`subsample`]
-//! chooses those that [`regression`] is fitted to, and [`memory`] writes the file.
+//! chooses those that [`regression`] is fitted to, and [`memory`] writes the file. Decisions, promises and times stand in
+//! the crate's `README.md`.
 
 pub mod build;
 pub mod clearance;

@@ -3,7 +3,8 @@
 //! The pictures are an image plane with equal axes and v downwards, translucent p-norm shapes, and markers; no
 //! charting library that was tried draws those, so this crate writes the SVG itself ([`Canvas`], one small module) and
 //! `resvg` with the DejaVu font (bundled by the crate `dejavu`, so that every machine draws the same bytes) makes the
-//! PNG. There is no projection here: goals come in as pixels.
+//! PNG. There is no projection here: goals come in as pixels. Decisions stand in the crate's
+//! `README.md`.
 #![forbid(unsafe_code)]
 
 mod canvas;
