@@ -94,6 +94,11 @@ impl<const N: usize> Rows<N> {
         true
     }
 
+    /// Row `i` from now on has this clearance (px) at `d`: its gradient stays, what it left out of the curvature comes in.
+    pub fn correct(&mut self, i: usize, clearance: f64, d: &[f64; N]) {
+        self.clearances[i] = clearance - dot(&self.gradients[i], d);
+    }
+
     /// What row `i` leaves free at `d`, px; negative where it is violated, or satisfied although it has yielded.
     fn slack(&self, i: usize, d: &[f64; N]) -> f64 {
         self.signs[i] * (dot(&self.gradients[i], d) + self.clearances[i])

@@ -17,6 +17,8 @@ const SUFFICIENT_DECREASE: f64 = 1e-4;
 const MAX_RAISES: u32 = 1;
 /// What a raise multiplies rho by.
 const RAISE: f64 = 1e3;
+/// Most second-order corrections of a step that the curvature of the clearances spoils.
+const MAX_CORRECTIONS: usize = 2;
 /// Violations below this are not counted as such, px.
 const FEASIBLE: f64 = 0.05;
 /// Active-set changes allowed a quadratic program, per variable.
@@ -40,11 +42,29 @@ impl Outcome {
     }
 }
 
+/// A point of a previewed step, and which of its clearances: sides 0 to 3 as in [`constraint::border`], then parts.
+#[derive(Clone, Copy, Debug)]
+struct Source {
+    step: u8,
+    point: u8,
+    side: u8,
+}
+
+impl Source {
+    const NONE: Self = Self {
+        step: 0,
+        point: 0,
+        side: 0,
+    };
+}
+
 /// The method's workspace for `N = 6 nc` variables.
 #[derive(Clone)]
 pub(crate) struct Sqp<const N: usize> {
     preview: Preview<N>,
     rows: Rows<N>,
+    /// What each row is the clearance of.
+    sources: [Source; MAX_ROWS],
     program: ActiveSet<N>,
     effort: Effort,
 }
@@ -54,6 +74,7 @@ impl<const N: usize> Sqp<N> {
         Self {
             preview: Preview::new(np),
             rows: Rows::new(),
+            sources: [Source::NONE; MAX_ROWS],
             program: ActiveSet::new(),
             effort,
         }
@@ -113,7 +134,13 @@ impl<const N: usize> Sqp<N> {
                 lower: core::array::from_fn(|k| -limits[k % DOF] - plan[k]),
                 upper: core::array::from_fn(|k| limits[k % DOF] - plan[k]),
             };
-            collect(problem, &self.preview, &quadratic, &mut self.rows);
+            collect(
+                problem,
+                &self.preview,
+                &quadratic,
+                &mut self.rows,
+                &mut self.sources,
+            );
             let answer = loop {
                 let limit = QP_CHANGES_PER_VARIABLE * N as u32;
                 let answer = self.program.solve(&quadratic, &mut self.rows, rho, limit);
@@ -138,8 +165,35 @@ impl<const N: usize> Sqp<N> {
                 status = Status::Converged;
                 break;
             }
-            let mut share = 1.0;
             let mut accepted = false;
+            // A step along a curved border is spoilt by what its linear rows leave out: rows that pass through the
+            // clearances found there mend it.
+            let mut corrected = step;
+            for correction in 0..=MAX_CORRECTIONS {
+                let trial = core::array::from_fn(|k| plan[k] + corrected[k]);
+                let Some(there) = self.outcome(problem, &trial) else {
+                    break;
+                };
+                if there.merit(rho) <= merit - SUFFICIENT_DECREASE * decrease {
+                    (plan, here, accepted) = (trial, there, true);
+                    break;
+                }
+                if correction == MAX_CORRECTIONS || there.total <= here.total {
+                    break;
+                }
+                self.correct(problem, &corrected);
+                let limit = QP_CHANGES_PER_VARIABLE * N as u32;
+                let answer = self.program.solve(&quadratic, &mut self.rows, rho, limit);
+                solution.qp_iterations += answer.iterations;
+                if answer.status == QpStatus::NumericalFailure {
+                    break;
+                }
+                corrected = answer.step;
+            }
+            if accepted {
+                continue;
+            }
+            let mut share = 0.5;
             for _ in 0..MAX_HALVINGS {
                 let trial = core::array::from_fn(|k| plan[k] + share * step[k]);
                 if let Some(there) = self.outcome(problem, &trial)
@@ -167,6 +221,20 @@ impl<const N: usize> Sqp<N> {
         solution.violation_px = here.worst;
         solution.next_violation_px = here.next;
         solution
+    }
+
+    /// Gives every row the clearance of the previewed plan, which is `step` away from where it was made.
+    fn correct(&mut self, problem: &Problem<'_>, step: &[f64; N]) {
+        let task = problem.task;
+        for (i, source) in self.sources.iter().enumerate().take(self.rows.len()) {
+            let pixel = self.preview.step(source.step.into())[usize::from(source.point)];
+            let clearance = match usize::from(source.side) {
+                side @ 0..4 => constraint::border(&task.camera, pixel)[side],
+                side => constraint::clearance(&task.parts[side - 4], pixel),
+            };
+            self.rows
+                .correct(i, clearance.distance - problem.margin, step);
+        }
     }
 
     /// Previews `plan` and sums up cost and violations; `None` where it is impossible.
@@ -237,10 +305,14 @@ fn collect<const N: usize>(
     preview: &Preview<N>,
     bounds: &Quadratic<N>,
     rows: &mut Rows<N>,
+    sources: &mut [Source; MAX_ROWS],
 ) {
     rows.clear();
     let (task, margin) = (problem.task, problem.margin);
-    for point in preview.steps().flatten() {
+    let numbered = preview.steps().enumerate();
+    let numbered =
+        numbered.flat_map(|(j, step)| step.enumerate().map(move |(i, point)| (j, i, point)));
+    for (j, i, point) in numbered {
         // The box that the linearised point cannot leave.
         let (mut low, mut high) = (point.pixel, point.pixel);
         for c in 0..2 {
@@ -251,8 +323,13 @@ fn collect<const N: usize>(
                 high[c] += a.max(b);
             }
         }
-        let mut add = |clearance: Clearance| {
+        let mut add = |side: usize, clearance: Clearance| {
             if rows.len() < MAX_ROWS {
+                sources[rows.len()] = Source {
+                    step: j as u8,
+                    point: i as u8,
+                    side: side as u8,
+                };
                 let [a, b] = clearance.normal;
                 let [u, v] = point.gradient;
                 rows.push(
@@ -265,19 +342,19 @@ fn collect<const N: usize>(
         let size = [task.camera.width, task.camera.height];
         for (c, near, far) in [(0, left, right), (1, top, bottom)] {
             if low[c] < margin {
-                add(near);
+                add(c, near);
             }
             if high[c] > size[c] - margin {
-                add(far);
+                add(c + 2, far);
             }
         }
-        for part in &task.parts {
+        for (index, part) in task.parts.iter().enumerate() {
             let reached = (0..2).all(|c| {
                 let half = part.half[c] + margin;
                 high[c] > part.center[c] - half && low[c] < part.center[c] + half
             });
             if reached {
-                add(constraint::clearance(part, point.pixel));
+                add(4 + index, constraint::clearance(part, point.pixel));
             }
         }
     }
