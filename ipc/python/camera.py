@@ -15,7 +15,6 @@ import tomllib
 import contract
 import numpy as np
 
-STATES = ("stopped", "moving", "arrived", "holding")
 
 
 def rotation(vector):
@@ -93,7 +92,7 @@ def main():
     else:
         step = arguments.steps
     error = np.abs(camera.pixels() - wanted).max()
-    print(f"{step} steps, final error {error:.3f} px (threshold {threshold} px), controller {STATES[state]}")
+    print(f"{step} steps, final error {error:.3f} px (threshold {threshold} px), controller {contract.STATES[state]}")
     return 0 if error < threshold else 1
 
 

@@ -1,4 +1,4 @@
-"""The contract of CONTRACT.md in Python: message types, the guard of a domain, the four services.
+"""The contract of CONTRACT.md in Python: message types, the guard of a domain, the services.
 
 Needs the wheel `iceoryx2==0.9.3`, the same version as the daemon's. `camera.py` beside this file is the example.
 """
@@ -12,7 +12,19 @@ import time
 import iceoryx2 as iox2
 
 MAX_POINTS = 8
-STOPPED, MOVING, ARRIVED, HOLDING = range(4)
+STATES = ("stopped", "moving", "arrived", "holding", "braking", "disarmed")
+STOPPED, MOVING, ARRIVED, HOLDING, BRAKING, DISARMED = range(6)
+ACTIONS = ("status", "arm", "disarm", "stop", "strategy", "record")
+STRATEGIES = ("previous", "knn", "gpr", "ibvs")
+OUTCOMES = (
+    "done",
+    "refused: no good features are coming",
+    "refused: the robot is not ready",
+    "refused: still braking",
+    "refused: no memory of motion for this strategy",
+    "refused: neighbours out of range",
+    "refused: shutting down",
+)
 PATIENCE_S = 10.0
 
 
@@ -134,21 +146,50 @@ class CycleRecord(ctypes.Structure):
         return "vpc/CycleRecord/1"
 
 
+class Request(ctypes.Structure):
+    """What an operator asks of the controller; service vpc/requests."""
+
+    _fields_ = [("stamp", Stamp), ("id", ctypes.c_uint64)] + [
+        (name, ctypes.c_uint32) for name in ("action", "strategy", "neighbours", "reserved")
+    ]
+
+    @staticmethod
+    def type_name():
+        return "vpc/Request/1"
+
+
+class Reply(ctypes.Structure):
+    """The controller's answer; service vpc/replies."""
+
+    _fields_ = [("stamp", Stamp), ("id", ctypes.c_uint64)] + [
+        (name, ctypes.c_uint32)
+        for name in ("action", "outcome", "state", "hold", "strategy", "neighbours")
+    ]
+
+    @staticmethod
+    def type_name():
+        return "vpc/Reply/1"
+
+
 for _message, _size in (
     (Features, 168),
     (TwistCommand, 104),
     (RobotState, 320),
     (CycleRecord, 480),
+    (Request, 48),
+    (Reply, 56),
 ):
     if ctypes.sizeof(_message) != _size:
         raise ImportError(f"{_message.__name__}: {ctypes.sizeof(_message)} bytes; allowed: {_size}")
 
-# Service: message, history, buffer.
+# Service: message, history, buffer, subscribers, publishers.
 SERVICES = {
-    "vpc/features": (Features, 1, 64),
-    "vpc/twist": (TwistCommand, 0, 64),
-    "vpc/robot": (RobotState, 1, 64),
-    "vpc/cycles": (CycleRecord, 0, 1024),
+    "vpc/features": (Features, 1, 64, 8, 1),
+    "vpc/twist": (TwistCommand, 0, 64, 8, 1),
+    "vpc/robot": (RobotState, 1, 64, 8, 1),
+    "vpc/cycles": (CycleRecord, 0, 1024, 8, 1),
+    "vpc/requests": (Request, 0, 16, 4, 8),
+    "vpc/replies": (Reply, 0, 64, 16, 1),
 }
 
 
@@ -219,15 +260,15 @@ class Domain:
         self.services = {
             name: self.node.service_builder(iox2.ServiceName.new(name))
             .publish_subscribe(message)
-            .max_publishers(1)
-            .max_subscribers(8)
+            .max_publishers(publishers)
+            .max_subscribers(subscribers)
             .max_nodes(32)
             .history_size(history)
             .subscriber_max_buffer_size(buffer)
             .subscriber_max_borrowed_samples(1)
             .enable_safe_overflow(True)
             .open_or_create()
-            for name, (message, history, buffer) in SERVICES.items()
+            for name, (message, history, buffer, subscribers, publishers) in SERVICES.items()
         }
 
     @staticmethod
@@ -306,3 +347,35 @@ class CameraPorts:
             # A controller that comes late gets the message by the history of the service.
             self._features.update_connections()
             time.sleep(20e-6)
+
+
+class OperatorPorts:
+    """Asks the controller: arm, disarm, stop, another strategy, status."""
+
+    def __init__(self, domain):
+        self._replies = domain.subscriber("vpc/replies", 64)
+        self._requests = domain.publisher("vpc/requests")
+        self._sequence = 0
+
+    def ask(self, action, strategy=None, neighbours=0, patience_s=1.0):
+        """Sends a request (a name of ACTIONS; for "strategy" a name of STRATEGIES) and returns the Reply to it."""
+        self._sequence += 1
+        message = Request()
+        message.stamp.sequence, message.stamp.published_ns = self._sequence, now_ns()
+        message.id = int.from_bytes(os.urandom(8), "little")
+        message.action = ACTIONS.index(action)
+        message.strategy = 0 if strategy is None else STRATEGIES.index(strategy)
+        message.neighbours = neighbours
+        self._requests.send_copy(message)
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            sample = self._replies.receive()
+            if sample is not None:
+                reply = Reply.from_buffer_copy(sample.payload().contents)
+                del sample
+                if reply.id == message.id:
+                    return reply
+                continue
+            self._requests.update_connections()
+            time.sleep(1e-3)
+        raise TimeoutError(f"no reply to {action} within {patience_s} s; does vpcd run?")

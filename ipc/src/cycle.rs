@@ -18,7 +18,7 @@ codes! {
 }
 
 codes! {
-    /// Why a cycle sent the zero twist.
+    /// Why a cycle did not send the law's twist.
     Hold {
         /// It did not: the law's twist was sent.
         None = 0 => "none",
@@ -40,6 +40,24 @@ codes! {
         Transport = 8 => "transport",
         /// The law gave a twist that is not finite or beyond the limits.
         BadTwist = 9 => "bad twist",
+        /// Features came in the wrong order: older than those before, from the same camera.
+        Order = 10 => "features out of order",
+        /// Features bear the time of the future, or the clock jumped.
+        Clock = 11 => "clock anomaly",
+        /// The solver failed several cycles in a row.
+        Solver = 12 => "solver failure",
+        /// The robot reports a fault or a reflex.
+        RobotFault = 13 => "robot fault",
+        /// The robot's state was coming and fell silent.
+        RobotLost = 14 => "robot silent",
+        /// Several releases in a row were missed.
+        Overruns = 15 => "overruns",
+        /// Nobody has armed the controller yet.
+        NotArmed = 16 => "not armed",
+        /// An operator disarmed or stopped it.
+        Operator = 17 => "operator",
+        /// The daemon is shutting down.
+        Shutdown = 18 => "shutdown",
     }
 }
 
@@ -238,6 +256,7 @@ impl Message for CycleRecord {
         history: 0,
         buffer: 1024,
         subscribers: 8,
+        publishers: 1,
     };
 
     fn stamp(&self) -> &Stamp {
@@ -274,13 +293,7 @@ impl Message for CycleRecord {
                 crate::TwistState::from_code(self.state).is_some(),
             ),
         ] {
-            if !known {
-                return Err(Invalid::Code {
-                    service,
-                    field,
-                    found,
-                });
-            }
+            message::check_code(service, field, found, known)?;
         }
         message::check_count(service, "count", self.count, 0..=MAX_POINTS)?;
         message::check_count(

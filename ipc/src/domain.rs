@@ -18,7 +18,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use crate::guard::{Guard, Startup};
 use crate::message::Message;
 use crate::port::{OpenError, Publisher, Subscriber};
-use crate::{CycleRecord, Features, RobotState, TwistCommand};
+use crate::{CycleRecord, Features, Reply, Request, RobotState, TwistCommand};
 
 /// Most processes in one domain.
 const MAX_NODES: usize = 32;
@@ -32,13 +32,15 @@ const UNBORN: Duration = Duration::from_millis(300);
 /// One opened service.
 pub type Factory<T> = PortFactory<Service, T, ()>;
 
-/// The four services. Everybody opens all of them, so that each exists from the first participant to the last.
+/// The services. Everybody opens all of them, so that each exists from the first participant to the last.
 #[derive(Debug)]
 pub struct Factories {
     pub(crate) features: Factory<Features>,
     pub(crate) twist: Factory<TwistCommand>,
     pub(crate) robot: Factory<RobotState>,
     pub(crate) cycles: Factory<CycleRecord>,
+    pub(crate) requests: Factory<Request>,
+    pub(crate) replies: Factory<Reply>,
 }
 
 /// Why a domain could not be joined.
@@ -173,6 +175,8 @@ impl Domain {
             twist: open(&node, &path)?,
             robot: open(&node, &path)?,
             cycles: open(&node, &path)?,
+            requests: open(&node, &path)?,
+            replies: open(&node, &path)?,
         };
         let shared = Shared {
             factories: Some(factories),
@@ -268,7 +272,7 @@ fn open<T: Message>(node: &Node<Service>, path: &str) -> Result<Factory<T>, Join
         .map_err(|_| refuse(Error::SystemInFlux))?;
     node.service_builder(&name)
         .publish_subscribe::<T>()
-        .max_publishers(1)
+        .max_publishers(T::QOS.publishers)
         .max_subscribers(T::QOS.subscribers)
         .max_nodes(MAX_NODES)
         .history_size(T::QOS.history)

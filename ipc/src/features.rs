@@ -85,6 +85,7 @@ impl Message for Features {
         history: 1,
         buffer: 64,
         subscribers: 8,
+        publishers: 1,
     };
 
     fn stamp(&self) -> &Stamp {

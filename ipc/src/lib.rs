@@ -48,6 +48,7 @@ mod domain;
 mod features;
 mod guard;
 mod message;
+mod operator;
 mod port;
 mod robot;
 mod role;
@@ -58,11 +59,12 @@ pub use cycle::{ClockMode, CycleRecord, Hold, SolverStatus, StrategyCode};
 pub use domain::{Domain, JoinError, default_directory};
 pub use features::Features;
 pub use message::{Invalid, Message, Qos, Stamp};
+pub use operator::{Action, Outcome, Reply, Request};
 pub use port::{
     OpenError, Order, PublishError, Publisher, ReceiveError, Received, Sent, Subscriber,
 };
 pub use robot::{RobotFaults, RobotMode, RobotState};
-pub use role::{CameraPorts, ControllerPorts, Observer, RecorderPort};
+pub use role::{AskError, CameraPorts, ControllerPorts, Observer, OperatorPorts, RecorderPort};
 pub use twist::{TwistCommand, TwistState};
 
 /// Most points that one message carries.

@@ -36,9 +36,11 @@ pub struct Qos {
     pub buffer: usize,
     /// Most subscribers.
     pub subscribers: usize,
+    /// Most publishers: one, but where several operators may ask.
+    pub publishers: usize,
 }
 
-/// A message of the contract. Implemented by the four messages of this crate only.
+/// A message of the contract. Implemented by the messages of this crate only.
 pub trait Message: ZeroCopySend + Copy + Debug + Sized + 'static {
     /// Name of the service that carries it.
     const SERVICE: &'static str;
@@ -149,6 +151,23 @@ pub(crate) fn check_count(
         found,
         least: *range.start() as u32,
         most: *range.end() as u32,
+    })
+}
+
+/// Checks that a code is one that the contract knows.
+pub(crate) fn check_code(
+    service: &'static str,
+    field: &'static str,
+    found: u32,
+    known: bool,
+) -> Result<(), Invalid> {
+    if known {
+        return Ok(());
+    }
+    Err(Invalid::Code {
+        service,
+        field,
+        found,
     })
 }
 

@@ -17,13 +17,15 @@ use crate::message::{Invalid, Message, Stamp};
 pub enum OpenError {
     /// The service has its one publisher.
     #[error(
-        "{service}: another publisher is at work in domain {domain}; allowed: one (stop the other, or use another domain; if there is none, stop every process of this domain)"
+        "{service}: another publisher is at work in domain {domain}; allowed: {most} (stop the other, or use another domain; if there is none, stop every process of this domain)"
     )]
     Taken {
         /// The service.
         service: &'static str,
         /// The domain's directory.
         domain: String,
+        /// Most publishers.
+        most: usize,
     },
     /// The service has all the subscribers that it takes.
     #[error("{service}: {most} subscribers are at work; allowed: {most}")]
@@ -133,6 +135,7 @@ impl<T: Message> Publisher<T> {
                 PublisherCreateError::ExceedsMaxSupportedPublishers => OpenError::Taken {
                     service,
                     domain: domain.directory(),
+                    most: T::QOS.publishers,
                 },
                 _ => OpenError::Publisher { service, source },
             })

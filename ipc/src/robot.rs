@@ -130,6 +130,7 @@ impl Message for RobotState {
         history: 1,
         buffer: 64,
         subscribers: 8,
+        publishers: 1,
     };
 
     fn stamp(&self) -> &Stamp {

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use crate::domain::Domain;
-use crate::port::{OpenError, Publisher, ReceiveError, Received, Sent, Subscriber};
-use crate::{CycleRecord, Features, Message, RobotState, TwistCommand};
+use crate::port::{OpenError, PublishError, Publisher, ReceiveError, Received, Sent, Subscriber};
+use crate::{CycleRecord, Features, Message, Reply, Request, RobotState, TwistCommand};
 
 /// The camera and the robot that carries it: publishes features and state, executes twists.
 #[derive(Debug)]
@@ -82,6 +82,12 @@ impl CameraPorts {
 pub struct ControllerPorts {
     /// In: the latest features.
     pub features: Subscriber<Features>,
+    /// In: where the robot is and how it does.
+    pub robot: Subscriber<RobotState>,
+    /// In: what operators ask for; take them one by one with [`Subscriber::oldest`].
+    pub requests: Subscriber<Request>,
+    /// Out: the answers to them.
+    pub replies: Publisher<Reply>,
     /// Out: the command.
     pub twist: Publisher<TwistCommand>,
 }
@@ -95,7 +101,10 @@ impl ControllerPorts {
         Ok(Self {
             // The publisher first: a second controller is refused before it takes anything.
             twist: domain.publisher()?,
+            replies: domain.publisher()?,
             features: domain.subscriber(1)?,
+            robot: domain.subscriber(1)?,
+            requests: domain.subscriber(Request::QOS.buffer)?,
         })
     }
 }
@@ -146,4 +155,66 @@ impl Observer {
             cycles: domain.subscriber(CycleRecord::QOS.buffer)?,
         })
     }
+}
+
+/// Somebody who commands the controller: asks, and waits for the answer.
+#[derive(Debug)]
+pub struct OperatorPorts {
+    /// Out: requests.
+    pub requests: Publisher<Request>,
+    /// In: the answers to them, and to those of other operators.
+    pub replies: Subscriber<Reply>,
+}
+
+impl OperatorPorts {
+    /// Opens the ports.
+    ///
+    /// # Errors
+    /// [`OpenError::Taken`] where as many operators as the service allows are at work.
+    pub fn open(domain: &Domain) -> Result<Self, OpenError> {
+        Ok(Self {
+            replies: domain.subscriber(Reply::QOS.buffer)?,
+            requests: domain.publisher()?,
+        })
+    }
+
+    /// Sends a request and waits for its answer, at most `patience`; `None` when none came: no controller is at work,
+    /// or it hangs. The request's id must be one that no other operator uses: a random number.
+    ///
+    /// # Errors
+    /// [`AskError`] where it cannot be sent, or the answer is not of the contract.
+    pub fn ask(
+        &mut self,
+        request: &Request,
+        patience: Duration,
+    ) -> Result<Option<Reply>, AskError> {
+        self.requests.publish(request)?;
+        let patience = u64::try_from(patience.as_nanos()).unwrap_or(u64::MAX);
+        let end = crate::now_ns().saturating_add(patience);
+        while crate::now_ns() < end {
+            while let Some(reply) = self.replies.oldest()? {
+                if reply.id == request.id {
+                    return Ok(Some(reply.message));
+                }
+            }
+            // A controller that came since then has not seen the request, and will not: there is no history.
+            self.requests.refresh()?;
+            std::thread::sleep(ANSWER_POLL);
+        }
+        Ok(None)
+    }
+}
+
+/// Sleep between two looks for an answer.
+const ANSWER_POLL: Duration = Duration::from_millis(1);
+
+/// Why an operator could not ask.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum AskError {
+    /// The request was not sent.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+    /// The answers cannot be received.
+    #[error(transparent)]
+    Receive(#[from] ReceiveError),
 }

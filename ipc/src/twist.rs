@@ -18,6 +18,10 @@ codes! {
         Arrived = 2 => "arrived",
         /// Features are missing, stale or refused; the twist is zero until good ones come.
         Holding = 3 => "holding",
+        /// Slowing down to zero, at the deceleration of the configuration.
+        Braking = 4 => "braking",
+        /// The twist is zero until an operator arms the controller.
+        Disarmed = 5 => "disarmed",
     }
 }
 
@@ -113,6 +117,7 @@ impl Message for TwistCommand {
         history: 0,
         buffer: 64,
         subscribers: 8,
+        publishers: 1,
     };
 
     fn stamp(&self) -> &Stamp {
@@ -125,13 +130,7 @@ impl Message for TwistCommand {
 
     fn check(&self) -> Result<(), Invalid> {
         message::check_stamp(Self::SERVICE, &self.stamp)?;
-        if self.state().is_none() {
-            return Err(Invalid::Code {
-                service: Self::SERVICE,
-                field: "state",
-                found: self.state,
-            });
-        }
+        message::check_code(Self::SERVICE, "state", self.state, self.state().is_some())?;
         message::check_finite(Self::SERVICE, "twist", &self.twist)
     }
 

@@ -277,7 +277,7 @@ fn a_second_publisher_is_refused_and_may_come_when_the_first_has_left() {
     );
     let words = error.to_string();
     assert!(
-        words.contains("another publisher") && words.contains("allowed: one"),
+        words.contains("another publisher") && words.contains("allowed: 1"),
         "{words}"
     );
     drop(controller);

@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 use ipc::{
-    ControllerPorts, CycleRecord, Domain, Features, Message, Observer, RecorderPort, RobotMode,
-    RobotState, Stamp, TwistCommand, TwistState,
+    Action, ControllerPorts, CycleRecord, Domain, Features, Hold, Message, Observer, Outcome, Qos,
+    RecorderPort, Reply, Request, RobotMode, RobotState, Stamp, StrategyCode, TwistCommand,
+    TwistState,
 };
 
 use super::{directory, eventually};
@@ -115,8 +116,17 @@ macro_rules! layout {
 }
 
 fn service<T: Message>(lines: &mut String, name: &str) {
-    let (history, buffer) = (T::QOS.history, T::QOS.buffer);
-    let _ = writeln!(lines, "{} vpc/{name}/1 {history} {buffer}", T::SERVICE);
+    let Qos {
+        history,
+        buffer,
+        subscribers,
+        publishers,
+    } = T::QOS;
+    let service = T::SERVICE;
+    let _ = writeln!(
+        lines,
+        "{service} vpc/{name}/1 {history} {buffer} {subscribers} {publishers}"
+    );
 }
 
 fn layouts_agree(python: &Path) {
@@ -127,6 +137,8 @@ fn layouts_agree(python: &Path) {
     service::<TwistCommand>(&mut ours, "TwistCommand");
     service::<RobotState>(&mut ours, "RobotState");
     service::<CycleRecord>(&mut ours, "CycleRecord");
+    service::<Request>(&mut ours, "Request");
+    service::<Reply>(&mut ours, "Reply");
     ours += &layout! {
         Stamp { sequence published_ns data_ns }
         Features { stamp exposure_ns count visible points }
@@ -142,6 +154,8 @@ fn layouts_agree(python: &Path) {
             neighbours np iterations qp_iterations hold state points way_point twist cost
             violation_px clearance_px error_px
         }
+        Request { stamp id action strategy neighbours reserved }
+        Reply { stamp id action outcome state hold strategy neighbours }
     };
     for (theirs, ours) in theirs.lines().zip(ours.lines()) {
         assert_eq!(theirs, ours, "Python first, then Rust");
@@ -234,6 +248,32 @@ fn messages_go_both_ways(python: &Path) {
     };
     recorder.cycles.publish(&record).unwrap();
 
+    let request = eventually("a request from Python", || {
+        controller.requests.oldest().unwrap()
+    });
+    assert_eq!(request.action(), Some(Action::Strategy));
+    let knn = StrategyCode::Knn.code();
+    assert_eq!((request.strategy, request.neighbours), (knn, 5));
+    // To somebody else first: it must be passed over.
+    let reply = Reply {
+        stamp: Stamp::default(),
+        id: !request.id,
+        action: request.action,
+        outcome: Outcome::Done.code(),
+        state: TwistState::Moving.code(),
+        hold: Hold::None.code(),
+        strategy: StrategyCode::Gpr.code(),
+        neighbours: 0,
+    };
+    controller.replies.publish(&reply).unwrap();
+    let mut reply = Reply {
+        id: request.id,
+        outcome: Outcome::NoMemory.code(),
+        ..reply
+    };
+    reply.stamp.data_ns = 99;
+    controller.replies.publish(&reply).unwrap();
+
     let mut text = String::new();
     let mut output = peer.0.stdout.take().unwrap();
     output.read_to_string(&mut text).unwrap();
@@ -249,6 +289,10 @@ fn messages_go_both_ways(python: &Path) {
         &[1234.5, -0.25, 1e300, 1e-300],
     ];
     assert_eq!(numbers(&text, "cycle"), numbers_of_record.concat());
+    assert_eq!(
+        numbers(&text, "reply"),
+        [99.0, 4.0, 4.0, 1.0, 0.0, 2.0, 0.0]
+    );
 }
 
 /// Drives the camera of camera.py from a start (object in the camera frame, m and rotation vector in rad) by one twist,

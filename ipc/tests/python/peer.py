@@ -8,9 +8,9 @@ import contract
 
 def layout():
     """Every message as `name size alignment`, its fields as `name.field offset size`, services with their queues."""
-    for service, (message, history, buffer) in contract.SERVICES.items():
-        print(service, message.type_name(), history, buffer)
-    for message in (contract.Stamp, *(message for message, _, _ in contract.SERVICES.values())):
+    for service, (message, *queues) in contract.SERVICES.items():
+        print(service, message.type_name(), *queues)
+    for message in (contract.Stamp, *(message for message, *_ in contract.SERVICES.values())):
         print(message.__name__, ctypes.sizeof(message), ctypes.alignment(message))
         for name, _ in message._fields_:
             field = getattr(message, name)
@@ -42,6 +42,10 @@ def exchange(directory):
     print("cycle", record.cycle, record.lost_records, record.np, record.state, end=" ")
     print(*map(repr, [*record.points, *record.way_point, *record.twist]), end=" ")
     print(repr(record.cost), repr(record.violation_px), repr(record.clearance_px), repr(record.error_px))
+
+    reply = contract.OperatorPorts(domain).ask("strategy", "knn", 5, patience_s=contract.PATIENCE_S)
+    print("reply", reply.stamp.data_ns, reply.action, reply.outcome, reply.state, reply.hold, reply.strategy, end=" ")
+    print(reply.neighbours, flush=True)
 
 
 if __name__ == "__main__":
