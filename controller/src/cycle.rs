@@ -55,7 +55,7 @@ impl Cycle {
         records: Producer<CycleRecord>,
     ) -> Self {
         let stale_ns = match pace.clock {
-            ClockMode::Fixed => Some(stale_ns(&pace)),
+            ClockMode::Fixed | ClockMode::Phase => Some(stale_ns(&pace)),
             ClockMode::Lockstep => None,
         };
         let mut blank = CycleRecord {
@@ -90,7 +90,7 @@ impl Cycle {
         let mut record = self.blank;
         // Wake, Receive.
         let (woken_ns, input) = match self.pace.clock {
-            ClockMode::Fixed => self.release(&mut record),
+            ClockMode::Fixed | ClockMode::Phase => self.release(&mut record),
             ClockMode::Lockstep => match self.poll() {
                 Some(found) => found,
                 None => return Ok(None),
@@ -119,7 +119,7 @@ impl Cycle {
         record.twist = decision.twist;
         record.state = decision.state.code();
         record.hold = decision.hold.code();
-        if self.pace.clock == ClockMode::Fixed {
+        if self.pace.clock != ClockMode::Lockstep {
             self.grid.advance(now_ns());
         }
         record.overruns = self.grid.missed();
@@ -191,7 +191,7 @@ impl Cycle {
     fn send(&mut self, answered: &Stamp, decision: &Decision) -> Result<(), PublishError> {
         let command = TwistCommand::answer_to(answered, decision.twist, decision.state);
         let command = match self.pace.clock {
-            ClockMode::Fixed => command.valid_for_ns(stale_ns(&self.pace)),
+            ClockMode::Fixed | ClockMode::Phase => command.valid_for_ns(stale_ns(&self.pace)),
             ClockMode::Lockstep => command,
         };
         self.ports.twist.publish(&command).map(|_| ())

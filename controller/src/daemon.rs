@@ -188,6 +188,7 @@ fn describe(config: &Config, law: &Law) -> String {
     };
     let clock = match config.clock {
         ClockMode::Fixed => format!("fixed at {} Hz", law.scene().camera.rate_hz),
+        ClockMode::Phase => format!("phase at {} Hz", law.scene().camera.rate_hz),
         ClockMode::Lockstep => "lockstep".to_owned(),
     };
     format!(

@@ -139,11 +139,17 @@ class CycleRecord(ctypes.Structure):
             ("twist", ctypes.c_double * 6),
         ]
         + [(name, ctypes.c_double) for name in ("cost", "violation_px", "clearance_px", "error_px")]
+        + [("realtime", ctypes.c_uint32), ("phase", ctypes.c_uint32), ("phase_error_ns", ctypes.c_int64)]
+        + [
+            (name, ctypes.c_uint32)
+            for name in ("minor_faults", "major_faults", "blocked", "allocations")
+        ]
+        + [("room", ctypes.c_uint64 * 4)]
     )
 
     @staticmethod
     def type_name():
-        return "vpc/CycleRecord/1"
+        return "vpc/CycleRecord/2"
 
 
 class Request(ctypes.Structure):
@@ -175,7 +181,7 @@ for _message, _size in (
     (Features, 168),
     (TwistCommand, 104),
     (RobotState, 320),
-    (CycleRecord, 480),
+    (CycleRecord, 544),
     (Request, 48),
     (Reply, 56),
 ):

@@ -14,6 +14,50 @@ codes! {
         Fixed = 0 => "fixed",
         /// Each new features message.
         Lockstep = 1 => "lockstep",
+        /// A grid in time that keeps the nominal rate and follows the camera's phase.
+        Phase = 2 => "phase",
+    }
+}
+
+codes! {
+    /// What the grid of releases has to do with the camera's frames.
+    PhaseCode {
+        /// Nothing: the clock is another one, or no frames come.
+        Free = 0 => "free",
+        /// It is on the way to the camera's phase.
+        Seeking = 1 => "seeking",
+        /// It follows it.
+        Locked = 2 => "locked",
+    }
+}
+
+/// How real the real time of the loop's thread is: a sum of bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RealTime(pub u32);
+
+impl RealTime {
+    /// Real time was asked for.
+    pub const ASKED: Self = Self(1);
+    /// ... and the thread has no SCHED_FIFO.
+    pub const NO_FIFO: Self = Self(2);
+    /// ... and the thread is not on its processor.
+    pub const NO_CPU: Self = Self(4);
+    /// ... and memory is not locked.
+    pub const NO_LOCK: Self = Self(8);
+
+    /// These bits and those.
+    pub const fn with(self, bits: Self) -> Self {
+        Self(self.0 | bits.0)
+    }
+
+    /// Whether all of these bits are set.
+    pub const fn has(self, bits: Self) -> bool {
+        self.0 & bits.0 == bits.0
+    }
+
+    /// Whether something that was asked for is missing.
+    pub const fn is_degraded(self) -> bool {
+        self.0 & !Self::ASKED.0 != 0
     }
 }
 
@@ -96,7 +140,7 @@ codes! {
 /// Telemetry of one cycle; service `vpc/cycles`. Numbers of the law are NaN where it did not run.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
-#[type_name("vpc/CycleRecord/1")]
+#[type_name("vpc/CycleRecord/2")]
 pub struct CycleRecord {
     /// Head; `data_ns` is when the cycle woke up.
     pub stamp: Stamp,
@@ -156,10 +200,26 @@ pub struct CycleRecord {
     pub clearance_px: f64,
     /// Largest component of s - s*, px.
     pub error_px: f64,
+    /// [`RealTime`] bits.
+    pub realtime: u32,
+    /// A [`PhaseCode`].
+    pub phase: u32,
+    /// This release after the one that the camera's phase asks for, ns; 0 while the grid is free.
+    pub phase_error_ns: i64,
+    /// Page faults of the loop's thread from wake to send that were served without a disk.
+    pub minor_faults: u32,
+    /// ... that waited for a disk.
+    pub major_faults: u32,
+    /// Times that the loop's thread gave up its processor from wake to send, because a call blocked.
+    pub blocked: u32,
+    /// Calls of the heap by the loop's thread from wake to send, where the allocator counts them.
+    pub allocations: u32,
+    /// Zero: room to grow.
+    pub room: [u64; 4],
 }
 
 const _: () = {
-    assert!(size_of::<CycleRecord>() == 480);
+    assert!(size_of::<CycleRecord>() == 544);
     assert!(offset_of!(CycleRecord, cycle) == 24);
     assert!(offset_of!(CycleRecord, clock) == 32);
     assert!(offset_of!(CycleRecord, status) == 36);
@@ -188,6 +248,14 @@ const _: () = {
     assert!(offset_of!(CycleRecord, violation_px) == 456);
     assert!(offset_of!(CycleRecord, clearance_px) == 464);
     assert!(offset_of!(CycleRecord, error_px) == 472);
+    assert!(offset_of!(CycleRecord, realtime) == 480);
+    assert!(offset_of!(CycleRecord, phase) == 484);
+    assert!(offset_of!(CycleRecord, phase_error_ns) == 488);
+    assert!(offset_of!(CycleRecord, minor_faults) == 496);
+    assert!(offset_of!(CycleRecord, major_faults) == 500);
+    assert!(offset_of!(CycleRecord, blocked) == 504);
+    assert!(offset_of!(CycleRecord, allocations) == 508);
+    assert!(offset_of!(CycleRecord, room) == 512);
 };
 
 impl Default for CycleRecord {
@@ -223,6 +291,14 @@ impl Default for CycleRecord {
             violation_px: f64::NAN,
             clearance_px: f64::NAN,
             error_px: f64::NAN,
+            realtime: 0,
+            phase: PhaseCode::Free.code(),
+            phase_error_ns: 0,
+            minor_faults: 0,
+            major_faults: 0,
+            blocked: 0,
+            allocations: 0,
+            room: [0; 4],
         }
     }
 }
@@ -292,6 +368,11 @@ impl Message for CycleRecord {
                 self.state,
                 crate::TwistState::from_code(self.state).is_some(),
             ),
+            (
+                "phase",
+                self.phase,
+                PhaseCode::from_code(self.phase).is_some(),
+            ),
         ] {
             message::check_code(service, field, found, known)?;
         }
@@ -322,6 +403,13 @@ mod tests {
         record.hold = 1000;
         let message = record.check().unwrap_err().to_string();
         assert!(message.starts_with("vpc/cycles: hold = 1000"), "{message}");
+    }
+
+    #[test]
+    fn real_time_is_degraded_by_what_was_asked_for_and_is_missing() {
+        assert!(!RealTime::default().is_degraded() && !RealTime::ASKED.is_degraded());
+        let bits = RealTime::ASKED.with(RealTime::NO_LOCK);
+        assert!(bits.is_degraded() && bits.has(RealTime::NO_LOCK) && !bits.has(RealTime::NO_CPU));
     }
 
     #[test]

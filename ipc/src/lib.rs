@@ -55,7 +55,7 @@ mod role;
 mod twist;
 
 pub use clock::now_ns;
-pub use cycle::{ClockMode, CycleRecord, Hold, SolverStatus, StrategyCode};
+pub use cycle::{ClockMode, CycleRecord, Hold, PhaseCode, RealTime, SolverStatus, StrategyCode};
 pub use domain::{Domain, JoinError, default_directory};
 pub use features::Features;
 pub use message::{Invalid, Message, Qos, Stamp};

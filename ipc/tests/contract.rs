@@ -3,8 +3,6 @@
 
 mod python;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::io::{BufRead, BufReader};
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
@@ -25,45 +23,8 @@ const STEADY_KILLS: u32 = 10;
 /// Messages of the allocation test.
 const MESSAGES: u64 = 10_000;
 
-/// Counts the allocations of each thread.
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    // A thread that is ending has no counter any more, and nobody asks for it.
-    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
-}
-
-// SAFETY: every call goes to the system allocator unchanged; counting touches a thread-local cell without a
-// destructor, which does not allocate.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promises.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-fn allocations() -> u64 {
-    ALLOCATIONS.with(Cell::get)
-}
+static ALLOCATOR: heap_meter::Meter = heap_meter::Meter;
 
 fn square(offset: f64) -> Features {
     let (a, b) = (100.0 + offset, 200.0 + offset);
@@ -521,10 +482,10 @@ fn sending_and_receiving_never_allocate() {
     };
     // Connections are made, and allocate, with the first message.
     (1..=8).for_each(&mut round);
-    let before = allocations();
+    let before = heap_meter::calls();
     (9..=MESSAGES).for_each(&mut round);
-    assert_eq!(allocations() - before, 0);
+    assert_eq!(heap_meter::calls() - before, 0);
     // The counter counts.
     drop(std::hint::black_box(Box::new(1)));
-    assert_eq!(allocations() - before, 1);
+    assert_eq!(heap_meter::calls() - before, 2);
 }

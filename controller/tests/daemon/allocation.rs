@@ -1,7 +1,5 @@
 //! The loop never touches the heap: the real one, in its thread, with a counting allocator.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -21,43 +19,8 @@ const CYCLES: u64 = 10_000;
 /// Cycles before: connections are made with the first messages, and that allocates.
 const WARM_UP: u64 = 100;
 
-/// Counts the allocations of each thread.
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    // A thread that is ending has no counter any more, and nobody asks for it.
-    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
-}
-
-// SAFETY: every call goes to the system allocator unchanged; counting touches a thread-local cell without a
-// destructor, which does not allocate.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // A release in the loop is as bad as an allocation.
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: heap_meter::Meter = heap_meter::Meter;
 
 /// What a run of the loop came to.
 #[derive(Debug, Default)]
@@ -98,9 +61,9 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             let mut cycle = Cycle::new(pace, ports, law, records);
             let mut tally = Tally::default();
             while cycle.count() < WARM_UP + CYCLES {
-                let before = ALLOCATIONS.with(Cell::get);
+                let before = heap_meter::calls();
                 let record = cycle.run().unwrap();
-                let allocations = ALLOCATIONS.with(Cell::get) - before;
+                let allocations = heap_meter::calls() - before;
                 if cycle.count() > WARM_UP {
                     tally.allocations += allocations;
                     let Some(record) = record else { continue };
@@ -125,7 +88,9 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
                         .wait_for_answer(&sent, Duration::from_millis(200))
                         .unwrap();
                 }
-                ClockMode::Fixed => std::thread::sleep(Duration::from_micros(100)),
+                ClockMode::Fixed | ClockMode::Phase => {
+                    std::thread::sleep(Duration::from_micros(100))
+                }
             }
         }
         looping.join().unwrap()
@@ -138,7 +103,7 @@ fn check(strategy: Strategy, clock: ClockMode) {
     // The law ran, and the memory was asked: zero is not for want of work.
     let least = match clock {
         ClockMode::Lockstep => CYCLES,
-        ClockMode::Fixed => CYCLES / 20,
+        ClockMode::Fixed | ClockMode::Phase => CYCLES / 20,
     };
     assert!(tally.stepped >= least, "{strategy} {clock}: {tally:?}");
     assert_eq!(
@@ -151,9 +116,9 @@ fn check(strategy: Strategy, clock: ClockMode) {
 
 #[test]
 fn the_counter_counts() {
-    let before = ALLOCATIONS.with(Cell::get);
+    let before = heap_meter::calls();
     drop(std::hint::black_box(Box::new(1)));
-    assert_eq!(ALLOCATIONS.with(Cell::get) - before, 2);
+    assert_eq!(heap_meter::calls() - before, 2);
 }
 
 #[test]

@@ -125,7 +125,7 @@ fn service<T: Message>(lines: &mut String, name: &str) {
     let service = T::SERVICE;
     let _ = writeln!(
         lines,
-        "{service} vpc/{name}/1 {history} {buffer} {subscribers} {publishers}"
+        "{service} vpc/{name} {history} {buffer} {subscribers} {publishers}"
     );
 }
 
@@ -133,12 +133,12 @@ fn layouts_agree(python: &Path) {
     let output = run(script(python, "tests/python/peer.py").arg("layout")).unwrap();
     let theirs = String::from_utf8(output.stdout).unwrap();
     let mut ours = String::new();
-    service::<Features>(&mut ours, "Features");
-    service::<TwistCommand>(&mut ours, "TwistCommand");
-    service::<RobotState>(&mut ours, "RobotState");
-    service::<CycleRecord>(&mut ours, "CycleRecord");
-    service::<Request>(&mut ours, "Request");
-    service::<Reply>(&mut ours, "Reply");
+    service::<Features>(&mut ours, "Features/1");
+    service::<TwistCommand>(&mut ours, "TwistCommand/1");
+    service::<RobotState>(&mut ours, "RobotState/1");
+    service::<CycleRecord>(&mut ours, "CycleRecord/2");
+    service::<Request>(&mut ours, "Request/1");
+    service::<Reply>(&mut ours, "Reply/1");
     ours += &layout! {
         Stamp { sequence published_ns data_ns }
         Features { stamp exposure_ns count visible points }
@@ -152,7 +152,8 @@ fn layouts_agree(python: &Path) {
             stamp cycle clock status wake_latency_ns receive_ns step_ns send_ns overruns
             features_sequence features_age_ns lost_records count way_point_count recalled strategy
             neighbours np iterations qp_iterations hold state points way_point twist cost
-            violation_px clearance_px error_px
+            violation_px clearance_px error_px realtime phase phase_error_ns minor_faults
+            major_faults blocked allocations room
         }
         Request { stamp id action strategy neighbours reserved }
         Reply { stamp id action outcome state hold strategy neighbours }
