@@ -1,0 +1,230 @@
+//! Where the arm's frames are, and how they move with the joints.
+//!
+//! Frames: O the base; F the flange; EE the end effector, fixed to the flange.
+//! Source: Franka Emika, "Robot and interface specifications", table of DH parameters (Craig's convention).
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+
+use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, SMatrix, SVector, Translation3, Vector3};
+
+/// Joints of the arm.
+pub const JOINTS: usize = 7;
+
+/// One number a joint, base to flange: rad, rad/s, rad/s^2 or rad/s^3.
+pub type Joints = SVector<f64, JOINTS>;
+
+/// A velocity (vx vy vz in m/s, wx wy wz in rad/s) of a frame's origin, along the axes that the context names; also its
+/// first two derivatives.
+pub type Twist = SVector<f64, 6>;
+
+/// Rows as a [`Twist`], a column for each joint.
+pub type Jacobian = SMatrix<f64, 6, JOINTS>;
+
+/// Where a frame is in another: x_other = R x + t, m.
+pub type Pose = IsometryMatrix3<f64>;
+
+/// A line of the table: a (m), d (m), and the twist alpha as its cosine and sine, which are exact in the table's
+/// quarter turns.
+struct Link {
+    a: f64,
+    d: f64,
+    cos: f64,
+    sin: f64,
+}
+
+const fn link(a: f64, d: f64, cos: f64, sin: f64) -> Link {
+    Link { a, d, cos, sin }
+}
+
+/// Joint 1 to joint 7.
+const LINKS: [Link; JOINTS] = [
+    link(0.0, 0.333, 1.0, 0.0),
+    link(0.0, 0.0, 0.0, -1.0),
+    link(0.0, 0.316, 0.0, 1.0),
+    link(0.0825, 0.0, 0.0, 1.0),
+    link(-0.0825, 0.384, 0.0, -1.0),
+    link(0.0, 0.0, 0.0, 1.0),
+    link(0.088, 0.0, 0.0, 1.0),
+];
+
+/// From joint 7 to the flange, along the axis of joint 7, m.
+const FLANGE: f64 = 0.107;
+
+/// The ready position that Franka's examples start from, rad.
+pub const READY: [f64; JOINTS] = [
+    0.0,
+    -FRAC_PI_4,
+    0.0,
+    -3.0 * FRAC_PI_4,
+    0.0,
+    FRAC_PI_2,
+    FRAC_PI_4,
+];
+
+/// The arm as a chain of frames from the base to the end effector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Chain {
+    flange_from_ee: Pose,
+}
+
+/// The end effector and its Jacobian at some joint positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Posture {
+    /// O_T_EE, the end effector in the base.
+    pub pose: Pose,
+    /// From joint velocities to the velocity of the end effector's origin along base axes.
+    pub jacobian: Jacobian,
+}
+
+impl Default for Chain {
+    /// The end effector is the flange.
+    fn default() -> Self {
+        Self::new(Pose::identity())
+    }
+}
+
+impl Chain {
+    /// An arm with this end effector in its flange (F_T_EE).
+    pub const fn new(flange_from_ee: Pose) -> Self {
+        Self { flange_from_ee }
+    }
+
+    /// F_T_EE, the end effector in the flange.
+    pub fn flange_from_ee(&self) -> &Pose {
+        &self.flange_from_ee
+    }
+
+    /// O_T_F, the flange in the base.
+    pub fn flange(&self, q: &Joints) -> Pose {
+        self.follow(q, |_, _, _| ())
+    }
+
+    /// O_T_EE, the end effector in the base.
+    pub fn pose(&self, q: &Joints) -> Pose {
+        self.flange(q) * self.flange_from_ee
+    }
+
+    /// The end effector with its Jacobian.
+    pub fn posture(&self, q: &Joints) -> Posture {
+        let mut axes = [Vector3::zeros(); JOINTS];
+        let mut origins = [Vector3::zeros(); JOINTS];
+        let flange = self.follow(q, |joint, rotation, origin| {
+            axes[joint] = rotation.column(2).into();
+            origins[joint] = *origin;
+        });
+        let pose = flange * self.flange_from_ee;
+        let mut jacobian = Jacobian::zeros();
+        for joint in 0..JOINTS {
+            let lever = pose.translation.vector - origins[joint];
+            let linear = axes[joint].cross(&lever);
+            jacobian.fixed_view_mut::<3, 1>(0, joint).copy_from(&linear);
+            jacobian
+                .fixed_view_mut::<3, 1>(3, joint)
+                .copy_from(&axes[joint]);
+        }
+        Posture { pose, jacobian }
+    }
+
+    /// Walks from the base to the flange, which it returns, and shows each joint's frame (rotation, origin) on the way.
+    fn follow(
+        &self,
+        q: &Joints,
+        mut show: impl FnMut(usize, &Matrix3<f64>, &Vector3<f64>),
+    ) -> Pose {
+        let mut rotation = Matrix3::identity();
+        let mut origin = Vector3::zeros();
+        for (joint, link) in LINKS.iter().enumerate() {
+            let (s, c) = q[joint].sin_cos();
+            origin += rotation * Vector3::new(link.a, -link.sin * link.d, link.cos * link.d);
+            rotation *= Matrix3::new(
+                c,
+                -s,
+                0.0,
+                s * link.cos,
+                c * link.cos,
+                -link.sin,
+                s * link.sin,
+                c * link.sin,
+                link.cos,
+            );
+            show(joint, &rotation, &origin);
+        }
+        origin += rotation.column(2) * FLANGE;
+        Pose::from_parts(
+            Translation3::from(origin),
+            Rotation3::from_matrix_unchecked(rotation),
+        )
+    }
+}
+
+/// The error from `actual` to `wanted`, as the twist (base axes) that mends it in one second.
+pub fn difference(wanted: &Pose, actual: &Pose) -> Twist {
+    let linear = wanted.translation.vector - actual.translation.vector;
+    let angular = logarithm(&(wanted.rotation * actual.rotation.inverse()));
+    Twist::new(
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
+    )
+}
+
+/// The rotation vector, rad. nalgebra's own takes the angle from its cosine alone, which knows small angles to 1e-8
+/// only; near half a turn, where the sine says nothing of the axis, its way is the better one.
+fn logarithm(rotation: &Rotation3<f64>) -> Vector3<f64> {
+    let m = rotation.matrix();
+    let sine = Vector3::new(
+        m[(2, 1)] - m[(1, 2)],
+        m[(0, 2)] - m[(2, 0)],
+        m[(1, 0)] - m[(0, 1)],
+    ) * 0.5;
+    let (s, c) = (sine.norm(), 0.5 * (m.trace() - 1.0));
+    if c < -0.99 {
+        rotation.scaled_axis()
+    } else if s < 1e-12 {
+        sine
+    } else {
+        sine * (s.atan2(c) / s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ready_position_is_where_the_data_sheet_has_it() {
+        let flange = Chain::default().flange(&Joints::from(READY));
+        let expected = Vector3::new(0.306_890_566, 0.0, 0.590_282_1);
+        assert!((flange.translation.vector - expected).norm() < 1e-6);
+        // The flange points down, its x axis forward.
+        assert!((flange.rotation * Vector3::z() + Vector3::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_difference_of_any_size_mends_itself() {
+        for angle in [0.0, 1e-13, 1e-9, 1e-3, 1.0, 3.0, 3.13] {
+            let vector = Vector3::new(0.6, 0.0, -0.8) * angle;
+            let wanted = Pose::from_parts(Translation3::new(0.1, 0.2, 0.3), Rotation3::new(vector));
+            let error = difference(&wanted, &Pose::identity());
+            let expected = Twist::new(0.1, 0.2, 0.3, vector.x, vector.y, vector.z);
+            assert!((error - expected).norm() < 1e-9 * (1e-6 + angle), "{angle}");
+        }
+    }
+
+    #[test]
+    fn the_jacobian_is_the_derivative_of_the_pose() {
+        let ee = Pose::from_parts(
+            Translation3::new(0.05, -0.03, 0.1),
+            Rotation3::new(Vector3::new(0.3, -0.2, 0.5)),
+        );
+        let chain = Chain::new(ee);
+        let q = Joints::from([0.3, -0.6, 0.4, -1.9, 0.7, 1.4, -0.9]);
+        let jacobian = chain.posture(&q).jacobian;
+        let h = 1e-6;
+        for joint in 0..JOINTS {
+            let mut step = Joints::zeros();
+            step[joint] = h;
+            let numeric =
+                difference(&chain.pose(&(q + step)), &chain.pose(&(q - step))) / (2.0 * h);
+            assert!((numeric - jacobian.column(joint)).norm() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! The camera on the flange, and what its motion is at the flange.
+
+use nalgebra::{Rotation3, Vector3};
+
+use crate::kinematics::{Pose, Twist};
+
+/// The hand-eye mounting: a camera (x right, y down, z forward) fixed to the flange.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mount {
+    /// F_T_C, the camera in the flange.
+    pub flange_from_camera: Pose,
+}
+
+impl Mount {
+    /// O_T_C, the camera in the base, from the flange in the base.
+    pub fn camera(&self, base_from_flange: &Pose) -> Pose {
+        base_from_flange * self.flange_from_camera
+    }
+
+    /// The flange in the base that puts the camera at `base_from_camera`.
+    pub fn flange(&self, base_from_camera: &Pose) -> Pose {
+        base_from_camera * self.flange_from_camera.inverse()
+    }
+
+    /// Velocity of the flange's origin along base axes while the camera's origin moves at `twist` along camera axes.
+    pub fn to_base(&self, base_from_flange: &Rotation3<f64>, twist: &Twist) -> Twist {
+        let base_from_camera = base_from_flange * self.flange_from_camera.rotation;
+        let (linear, angular) = split(twist);
+        let angular = base_from_camera * angular;
+        let lever = base_from_flange * self.flange_from_camera.translation.vector;
+        join(
+            &(base_from_camera * linear - angular.cross(&lever)),
+            &angular,
+        )
+    }
+
+    /// The inverse of [`Self::to_base`]: the camera's velocity along camera axes.
+    pub fn to_camera(&self, base_from_flange: &Rotation3<f64>, twist: &Twist) -> Twist {
+        let camera_from_base = (base_from_flange * self.flange_from_camera.rotation).inverse();
+        let (linear, angular) = split(twist);
+        let lever = base_from_flange * self.flange_from_camera.translation.vector;
+        let linear = linear + angular.cross(&lever);
+        join(&(camera_from_base * linear), &(camera_from_base * angular))
+    }
+}
+
+/// Linear and angular part.
+pub(crate) fn split(twist: &Twist) -> (Vector3<f64>, Vector3<f64>) {
+    (
+        twist.fixed_rows::<3>(0).into(),
+        twist.fixed_rows::<3>(3).into(),
+    )
+}
+
+fn join(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Twist {
+    Twist::new(
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Translation3;
+
+    use super::*;
+    use crate::kinematics::{Chain, Joints, difference};
+
+    fn mount() -> Mount {
+        Mount {
+            flange_from_camera: Pose::from_parts(
+                Translation3::new(0.07, -0.04, 0.05),
+                Rotation3::new(Vector3::new(0.1, -0.2, 0.8)),
+            ),
+        }
+    }
+
+    const POSITIONS: [f64; 7] = [0.4, -0.5, 0.2, -2.0, 0.3, 1.7, 0.6];
+
+    #[test]
+    fn the_camera_moves_as_told_when_the_joints_move_the_flange_so() {
+        let (chain, mount) = (Chain::default(), mount());
+        let q = Joints::from(POSITIONS);
+        let dq = Joints::from([0.3, -0.2, 0.5, 0.1, -0.4, 0.6, -0.7]);
+        let posture = chain.posture(&q);
+        let twist = mount.to_camera(&posture.pose.rotation, &(posture.jacobian * dq));
+        let h = 1e-6;
+        let before = mount.camera(&chain.flange(&(q - dq * h)));
+        let after = mount.camera(&chain.flange(&(q + dq * h)));
+        let camera = mount.camera(&posture.pose).rotation;
+        let (linear, angular) = split(&(difference(&after, &before) / (2.0 * h)));
+        let numeric = join(&(camera.inverse() * linear), &(camera.inverse() * angular));
+        assert!((numeric - twist).norm() < 1e-9);
+    }
+
+    #[test]
+    fn there_and_back_is_the_same_motion_and_the_same_place() {
+        let mount = mount();
+        let flange = Chain::default().flange(&Joints::from(POSITIONS));
+        let twist = Twist::new(0.1, -0.2, 0.3, 0.4, -0.5, 0.6);
+        let back = mount.to_camera(&flange.rotation, &mount.to_base(&flange.rotation, &twist));
+        assert!((back - twist).norm() < 1e-14);
+        let there = mount.flange(&mount.camera(&flange));
+        assert!(difference(&there, &flange).norm() < 1e-12);
+    }
+}
