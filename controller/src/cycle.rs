@@ -1,14 +1,14 @@
 //! The loop: Wake -> Receive -> Step -> Send -> Slack. Nothing here allocates, logs, or waits without a bound.
 
 use ipc::{
-    ClockMode, ControllerPorts, CycleRecord, Features, Hold, PublishError, Stamp, TwistCommand,
-    TwistState, now_ns,
+    ClockMode, ControllerPorts, CycleRecord, PublishError, TwistCommand, TwistState, now_ns,
 };
 use rtrb::Producer;
 
 use crate::clock::{Grid, sleep_until};
-use crate::gate::{Gate, Input, Verdict};
-use crate::law::{self, Decision, Law};
+use crate::gate::Input;
+use crate::law::Law;
+use crate::pilot::{Answer, Inputs, Pilot};
 
 /// Rounds of polling in lockstep that only yield, before polling sleeps.
 const YIELDS: u32 = 100;
@@ -34,16 +34,13 @@ pub struct Pace {
 pub struct Cycle {
     pace: Pace,
     ports: ControllerPorts,
-    law: Law,
-    gate: Gate,
+    pilot: Pilot,
     grid: Grid,
     records: Producer<CycleRecord>,
     /// What stays the same in each record.
     blank: CycleRecord,
     count: u64,
     lost: u64,
-    /// The last command of the law, for cycles without news.
-    standing: (Stamp, Decision),
 }
 
 impl Cycle {
@@ -62,18 +59,17 @@ impl Cycle {
             clock: pace.clock.code(),
             ..CycleRecord::default()
         };
-        law.describe(&mut blank);
+        let pilot = Pilot::new(law, stale_ns);
+        pilot.describe(&mut blank);
         Self {
             pace,
             ports,
-            law,
-            gate: Gate::new(stale_ns),
+            pilot,
             grid: Grid::new(now_ns(), pace.period_ns),
             records,
             blank,
             count: 0,
             lost: 0,
-            standing: (Stamp::default(), law::held(Hold::NoFeatures)),
         }
     }
 
@@ -89,20 +85,23 @@ impl Cycle {
     pub fn run(&mut self) -> Result<Option<CycleRecord>, PublishError> {
         let mut record = self.blank;
         // Wake, Receive.
-        let (woken_ns, input) = match self.pace.clock {
+        let (woken_ns, features) = match self.pace.clock {
             ClockMode::Fixed | ClockMode::Phase => self.release(&mut record),
             ClockMode::Lockstep => match self.poll() {
                 Some(found) => found,
                 None => return Ok(None),
             },
         };
-        let verdict = self.gate.judge(&input, now_ns());
         let received_ns = now_ns();
         // Step.
-        let (answered, decision) = self.decide(verdict, &mut record);
+        let inputs = Inputs {
+            now_ns: received_ns,
+            features,
+        };
+        let answer = self.pilot.decide(&inputs, &mut record);
         let stepped_ns = now_ns();
         // Send.
-        let sent = self.send(&answered, &decision);
+        let sent = self.send(&answer);
         let sent_ns = now_ns();
         // Slack.
         self.count += 1;
@@ -111,14 +110,10 @@ impl Cycle {
         record.receive_ns = received_ns.saturating_sub(woken_ns);
         record.step_ns = stepped_ns.saturating_sub(received_ns);
         record.send_ns = sent_ns.saturating_sub(stepped_ns);
-        record.features_sequence = answered.sequence;
-        record.features_age_ns = match answered.sequence {
+        record.features_age_ns = match answer.stamp.sequence {
             0 => 0,
-            _ => woken_ns.saturating_sub(answered.data_ns),
+            _ => woken_ns.saturating_sub(answer.stamp.data_ns),
         };
-        record.twist = decision.twist;
-        record.state = decision.state.code();
-        record.hold = decision.hold.code();
         if self.pace.clock != ClockMode::Lockstep {
             self.grid.advance(now_ns());
         }
@@ -145,7 +140,7 @@ impl Cycle {
         sleep_until(release_ns);
         let woken_ns = now_ns();
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
-        (woken_ns, self.ports.features.latest())
+        (woken_ns, self.ports.features.latest().into())
     }
 
     /// Lockstep: polls for a message. A repeated one was answered already.
@@ -154,9 +149,9 @@ impl Cycle {
         let mut polls = if self.pace.realtime { YIELDS } else { 0 };
         loop {
             let woken_ns = now_ns();
-            match self.ports.features.latest() {
-                Ok(None) => (),
-                Ok(Some(received)) if received.order == ipc::Order::Repeated => (),
+            match self.ports.features.latest().into() {
+                Input::Nothing => (),
+                Input::Message(received) if received.order == ipc::Order::Repeated => (),
                 input => return Some((woken_ns, input)),
             }
             if woken_ns >= end_ns {
@@ -171,25 +166,9 @@ impl Cycle {
         }
     }
 
-    /// What to command, and the head of the message that it answers.
-    fn decide(&mut self, verdict: Verdict, record: &mut CycleRecord) -> (Stamp, Decision) {
-        match verdict {
-            Verdict::Step { features, link } => {
-                show(&features, record);
-                let decision = self.law.step(&features, link, record);
-                if decision.hold != Hold::None {
-                    self.gate.hold(decision.hold);
-                }
-                self.standing = (features.stamp, decision);
-                self.standing
-            }
-            Verdict::Repeat => self.standing,
-            Verdict::Hold(cause, stamp) => (stamp, law::held(cause)),
-        }
-    }
-
-    fn send(&mut self, answered: &Stamp, decision: &Decision) -> Result<(), PublishError> {
-        let command = TwistCommand::answer_to(answered, decision.twist, decision.state);
+    fn send(&mut self, answer: &Answer) -> Result<(), PublishError> {
+        let decision = &answer.decision;
+        let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state);
         let command = match self.pace.clock {
             ClockMode::Fixed | ClockMode::Phase => command.valid_for_ns(stale_ns(&self.pace)),
             ClockMode::Lockstep => command,
@@ -201,10 +180,4 @@ impl Cycle {
 /// Age from which on features and commands are stale, ns.
 fn stale_ns(pace: &Pace) -> u64 {
     (pace.stale_periods * pace.period_ns as f64) as u64
-}
-
-/// Copies the features into the record.
-fn show(features: &Features, record: &mut CycleRecord) {
-    record.count = features.count;
-    record.points = features.points;
 }

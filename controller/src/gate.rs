@@ -5,8 +5,29 @@
 
 use ipc::{Features, Hold, Order, ReceiveError, Received, Stamp};
 
-/// What a cycle received.
-pub type Input = Result<Option<Received<Features>>, ReceiveError>;
+/// What a cycle received, as far as it matters to what is done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Input {
+    /// A message, and where it stands in the sequence.
+    Message(Received<Features>),
+    /// Nothing.
+    Nothing,
+    /// A message with this head that did not pass its checks.
+    Refused(Stamp),
+    /// The connection failed.
+    Failed,
+}
+
+impl From<Result<Option<Received<Features>>, ReceiveError>> for Input {
+    fn from(received: Result<Option<Received<Features>>, ReceiveError>) -> Self {
+        match received {
+            Ok(Some(received)) => Self::Message(received),
+            Ok(None) => Self::Nothing,
+            Err(ReceiveError::Invalid { stamp, .. }) => Self::Refused(stamp),
+            Err(ReceiveError::Transport { .. }) => Self::Failed,
+        }
+    }
+}
 
 /// What a cycle is to do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,13 +86,15 @@ impl Gate {
     /// Judges what was received by `now_ns` (CLOCK_MONOTONIC).
     pub fn judge(&mut self, input: &Input, now_ns: u64) -> Verdict {
         match input {
-            Ok(Some(received)) if received.order != Order::Repeated => self.fresh(received, now_ns),
-            Ok(_) => self.nothing(now_ns),
-            Err(ReceiveError::Invalid { stamp, .. }) => {
+            Input::Message(received) if received.order != Order::Repeated => {
+                self.fresh(received, now_ns)
+            }
+            Input::Message(_) | Input::Nothing => self.nothing(now_ns),
+            Input::Refused(stamp) => {
                 self.last = *stamp;
                 self.hold(Hold::Invalid)
             }
-            Err(ReceiveError::Transport { .. }) => self.hold(Hold::Transport),
+            Input::Failed => self.hold(Hold::Transport),
         }
     }
 
@@ -134,10 +157,10 @@ mod tests {
     }
 
     fn came(sequence: u64, published_ns: u64, order: Order) -> Input {
-        Ok(Some(Received {
+        Input::Message(Received {
             message: message(sequence, published_ns),
             order,
-        }))
+        })
     }
 
     fn link(verdict: Verdict) -> Option<Link> {
@@ -157,7 +180,10 @@ mod tests {
     #[test]
     fn before_the_first_message_there_is_nothing_to_do_but_hold() {
         let mut gate = Gate::new(Some(LIMIT));
-        assert_eq!(cause(gate.judge(&Ok(None), 0)), Some(Hold::NoFeatures));
+        assert_eq!(
+            cause(gate.judge(&Input::Nothing, 0)),
+            Some(Hold::NoFeatures)
+        );
     }
 
     #[test]
@@ -178,9 +204,9 @@ mod tests {
     fn without_news_the_command_is_repeated_until_it_is_stale() {
         let mut gate = Gate::new(Some(LIMIT));
         gate.judge(&came(1, 0, Order::First), 1);
-        assert_eq!(gate.judge(&Ok(None), 50), Verdict::Repeat);
-        assert_eq!(gate.judge(&Ok(None), 100), Verdict::Repeat);
-        assert_eq!(cause(gate.judge(&Ok(None), 101)), Some(Hold::Stale));
+        assert_eq!(gate.judge(&Input::Nothing, 50), Verdict::Repeat);
+        assert_eq!(gate.judge(&Input::Nothing, 100), Verdict::Repeat);
+        assert_eq!(cause(gate.judge(&Input::Nothing, 101)), Some(Hold::Stale));
         // Good features end it, and the law is told of the gap.
         assert_eq!(
             link(gate.judge(&came(2, 200, Order::Next), 201)),
@@ -214,21 +240,21 @@ mod tests {
         let mut gate = Gate::new(Some(LIMIT));
         gate.judge(&came(1, 0, Order::First), 1);
         let invalid = message(0, 30).stamp;
-        let refused = Err(ReceiveError::Invalid {
+        let refused = Input::from(Err(ReceiveError::Invalid {
             invalid: ipc::Message::check(&message(0, 30)).unwrap_err(),
             stamp: invalid,
-        });
+        }));
         assert_eq!(
             gate.judge(&refused, 31),
             Verdict::Hold(Hold::Invalid, invalid)
         );
-        assert_eq!(cause(gate.judge(&Ok(None), 32)), Some(Hold::Invalid));
+        assert_eq!(cause(gate.judge(&Input::Nothing, 32)), Some(Hold::Invalid));
         let mut hidden = message(2, 60);
         hidden.visible = 0b0111;
-        let hidden = Ok(Some(Received {
+        let hidden = Input::Message(Received {
             message: hidden,
             order: Order::Next,
-        }));
+        });
         assert_eq!(cause(gate.judge(&hidden, 61)), Some(Hold::Hidden));
         assert_eq!(
             link(gate.judge(&came(3, 90, Order::Next), 91)),

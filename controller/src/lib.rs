@@ -2,8 +2,8 @@
 //! `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions: `README.md`).
 //!
 //! A cycle is *Wake -> Receive -> Step -> Send -> Slack*; its modules in that order:
-//! [`clock`] (when), [`gate`] (whether the features can be trusted), [`law`] (what to command), [`cycle`] (the loop
-//! itself), [`telemetry`] (what an ordinary thread makes of the records).
+//! [`clock`] (when), [`gate`] (whether the features can be trusted), [`law`] (what to command), [`pilot`] (both, as a
+//! pure function), [`cycle`] (the loop itself), [`telemetry`] (what an ordinary thread makes of the records).
 #![deny(unsafe_code)]
 
 pub mod arguments;
@@ -17,6 +17,7 @@ pub mod histogram;
 pub mod instance;
 pub mod law;
 pub mod log;
+pub mod pilot;
 pub mod realtime;
 pub mod service;
 pub mod shutdown;
