@@ -16,14 +16,14 @@ use crate::{DOF, MAX_VARIABLES, Points, Twist, ibvs, limit};
 /// once and kept in place.
 #[derive(Clone)]
 pub struct Controller {
-    task: Task,
-    settings: Settings,
-    off_image_px: f64,
-    solver: Solver,
-    one_step: Preview<DOF>,
-    trigger: Trigger,
-    previous: Plan,
-    predicted: Option<Points>,
+    pub(crate) task: Task,
+    pub(crate) settings: Settings,
+    pub(crate) off_image_px: f64,
+    pub(crate) solver: Solver,
+    pub(crate) one_step: Preview<DOF>,
+    pub(crate) trigger: Trigger,
+    pub(crate) previous: Plan,
+    pub(crate) predicted: Option<Points>,
 }
 
 /// What one cycle decided.

@@ -53,6 +53,7 @@ pub mod recall;
 pub mod settings;
 pub mod solver;
 mod sqp;
+pub mod state;
 pub mod task;
 
 pub use controller::{Controller, Step};
@@ -63,6 +64,7 @@ pub use prediction::Model;
 pub use recall::MotionMemory;
 pub use settings::{Settings, SettingsError, Strategy};
 pub use solver::Status;
+pub use state::State;
 pub use task::{Task, TaskError};
 
 /// Most points of a pattern.

@@ -37,6 +37,16 @@ impl Trigger {
         self.close = false;
     }
 
+    /// Whether features are close.
+    pub fn is_close(&self) -> bool {
+        self.close
+    }
+
+    /// Goes on from another trigger's [`Trigger::is_close`].
+    pub fn set_close(&mut self, close: bool) {
+        self.close = close;
+    }
+
     /// Takes the clearance of the nearest feature (px) and tells whether the memory is asked.
     pub fn update(&mut self, clearance: f64) -> bool {
         self.close = clearance < if self.close { self.off } else { self.on };

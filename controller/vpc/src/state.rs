@@ -1,0 +1,142 @@
+//! What one cycle of the law leaves to the next, as plain data.
+
+use crate::controller::Controller;
+use crate::prediction::Plan;
+use crate::settings::Strategy;
+use crate::{MAX_POINTS, MAX_VARIABLES, Points};
+
+/// All that a [`Controller`] remembers from one cycle to the next: put into another controller of the same task and
+/// settings it gives the same commands from there on, bit for bit. Solver and previews are workspace, written before
+/// they are read, and no part of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// The strategy at work, which an operator may change.
+    pub strategy: Strategy,
+    /// Whether features are near an occlusion, by the trigger with its hysteresis.
+    pub near: bool,
+    /// The last plan, vx vy vz wx wy wz of each free command, m/s and rad/s, camera frame; the rest is zero.
+    pub previous: Plan,
+    /// Points in `predicted`, 0 to 8; 0 where there is no prediction.
+    pub count: u32,
+    /// Where the features should be in the next cycle (u, v), px; the rest is zero.
+    pub predicted: [[f64; 2]; MAX_POINTS],
+}
+
+impl State {
+    /// What a controller has before its first cycle.
+    pub const fn new(strategy: Strategy) -> Self {
+        Self {
+            strategy,
+            near: false,
+            previous: [0.0; MAX_VARIABLES],
+            count: 0,
+            predicted: [[0.0; 2]; MAX_POINTS],
+        }
+    }
+
+    pub(crate) fn predict(&mut self, points: &Points) {
+        self.predicted = [[0.0; 2]; MAX_POINTS];
+        self.count = points.len() as u32;
+        for (to, from) in self.predicted.iter_mut().zip(points) {
+            *to = *from;
+        }
+    }
+
+    pub(crate) fn prediction(&self) -> Option<Points> {
+        let count = self.count as usize;
+        (count > 0).then(|| self.predicted.iter().copied().take(count).collect())
+    }
+}
+
+impl Controller {
+    /// What this cycle left to the next. A copy; never allocates.
+    pub fn state(&self) -> State {
+        // Field by field: who adds one must say here whether the next cycle depends on it.
+        let Self {
+            task: _,
+            settings,
+            off_image_px: _,
+            solver: _,
+            one_step: _,
+            trigger,
+            previous,
+            predicted,
+        } = self;
+        let mut state = State {
+            near: trigger.is_close(),
+            previous: *previous,
+            ..State::new(settings.strategy)
+        };
+        if let Some(points) = predicted {
+            state.predict(points);
+        }
+        state
+    }
+
+    /// Goes on from a state of this controller, or of another one of the same task and settings.
+    pub fn restore(&mut self, state: &State) {
+        self.settings.strategy = state.strategy;
+        self.trigger.set_close(state.near);
+        self.previous = state.previous;
+        self.predicted = state.prediction();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Measurement, Settings};
+
+    /// A drifting square that passes the occlusions of the scene.
+    fn view(k: usize) -> Measurement {
+        let (u, v) = (400.0 + 3.0 * k as f64, 350.0 + 1.7 * k as f64);
+        Measurement::from_points(&[[u, v], [u + 90.0, v], [u + 90.0, v + 95.0], [u, v + 90.0]])
+    }
+
+    #[test]
+    fn a_restored_controller_goes_on_with_the_same_bits() {
+        let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        for nc in [1, 3] {
+            let settings = Settings {
+                nc,
+                ..Settings::default()
+            };
+            let mut first = Box::new(Controller::new(&scene, settings).unwrap());
+            let mut second = Box::new(Controller::new(&scene, settings).unwrap());
+            for k in 0..150 {
+                // The second one has another past: what is not in the state must not matter.
+                let _ = second.step(&view(300 - k), None);
+                second.restore(&first.state());
+                assert_eq!(second.state(), first.state());
+                let (a, b) = (first.step(&view(k), None), second.step(&view(k), None));
+                let (a, b) = (a.unwrap(), b.unwrap());
+                assert_eq!(a.twist.map(f64::to_bits), b.twist.map(f64::to_bits), "{k}");
+                assert_eq!((a, first.state()), (b, second.state()), "{k}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_part_of_the_state_matters() {
+        let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let mut law = Box::new(Controller::new(&scene, Settings::default()).unwrap());
+        for k in 0..20 {
+            law.step(&view(k), None).unwrap();
+        }
+        let state = law.state();
+        assert_eq!(state.count, 4);
+        let mut after = |change: fn(&mut State)| {
+            let mut changed = state;
+            change(&mut changed);
+            law.restore(&changed);
+            let step = law.step(&view(20), None).unwrap();
+            (step, law.state())
+        };
+        let same = after(|_| ());
+        assert_eq!(same, after(|_| ()));
+        assert_ne!(same, after(|state| state.count = 0));
+        assert_ne!(same, after(|state| state.predicted[1][0] += 1.0));
+        assert_ne!(same, after(|state| state.strategy = Strategy::Ibvs));
+        assert_ne!(same, after(|state| state.previous = [0.3; MAX_VARIABLES]));
+    }
+}
