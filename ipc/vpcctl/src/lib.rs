@@ -1,0 +1,82 @@
+//! `vpcctl`: watch and command the daemon `vpcd` through shared memory.
+//!
+//! A pure client: it knows the contract (`ipc`) and the scene file (`scene`), and nothing of the daemon's code. Tour,
+//! exit codes and decisions: `README.md` beside this crate.
+#![forbid(unsafe_code)]
+
+pub mod arguments;
+pub mod exit;
+pub mod output;
+pub mod phase;
+pub mod presence;
+pub mod request;
+pub mod status;
+pub mod view;
+pub mod watcher;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+use ipc::{Action, Request};
+
+use arguments::{Arguments, Command, RequestArguments};
+use exit::{Exit, Failure};
+
+/// Runs the command line; a failure is one line on standard error.
+pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let arguments = match Arguments::try_parse_from(line) {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Nothing better can be done where even this cannot be written.
+            let _ = error.print();
+            return match error.kind() {
+                ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => Exit::Ok.into(),
+                _ => Exit::Usage.into(),
+            };
+        }
+    };
+    match run(&arguments) {
+        Ok(exit) => exit.into(),
+        Err(failure) => {
+            eprintln!("vpcctl: {failure}");
+            failure.exit().into()
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<Exit, Failure> {
+    let directory = arguments.directory();
+    let ask = |request: Request, with: &RequestArguments| -> Result<Exit, Failure> {
+        let reply = request::send(&directory, &request, with.timeout)?;
+        let (line, exit) = request::verdict(&reply);
+        output::write(&line)?;
+        Ok(exit)
+    };
+    match &arguments.command {
+        Command::Status(with) => {
+            let status = status::look(&directory, with.watch)?;
+            let text = match with.json {
+                true => serde_json::to_string_pretty(&status).map_err(std::io::Error::from)? + "\n",
+                false => status.text(output::colours()),
+            };
+            output::write(&text)?;
+            Ok(status.exit())
+        }
+        Command::Arm(with) => ask(request::plain(Action::Arm), with),
+        Command::Disarm(with) => ask(request::plain(Action::Disarm), with),
+        Command::Stop(with) => ask(request::plain(Action::Stop), with),
+        Command::Flight(with) => ask(request::plain(Action::Record), with),
+        Command::Strategy(with) => match with.choice() {
+            Ok(choice) => ask(
+                request::strategy(choice.strategy, choice.neighbours),
+                &with.request,
+            ),
+            Err(message) => {
+                eprintln!("vpcctl: {message}");
+                Ok(Exit::Usage)
+            }
+        },
+    }
+}

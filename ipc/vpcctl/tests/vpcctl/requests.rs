@@ -1,0 +1,131 @@
+//! `arm`, `disarm`, `stop`, `strategy`, `flight`.
+
+use ipc::{CycleRecord, Domain, Observer};
+
+use crate::stand_in::{Manner, StandIn};
+use crate::{stderr, stdout, vpcctl};
+
+#[test]
+fn arm_strategy_flight_and_disarm_are_answered_with_their_outcome() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let ask = |words: &[&str]| {
+        let output = vpcctl(directory.path(), words);
+        (stdout(&output), output.status.code())
+    };
+    assert_eq!(
+        ask(&["arm"]),
+        ("arm: done; moving, strategy previous\n".into(), Some(0))
+    );
+    assert_eq!(
+        ask(&["strategy", "knn", "--neighbours", "5"]),
+        ("strategy: done; moving, strategy knn5\n".into(), Some(0))
+    );
+    assert_eq!(
+        ask(&["flight"]),
+        ("record: done; moving, strategy knn5\n".into(), Some(0))
+    );
+    assert_eq!(
+        ask(&["disarm"]),
+        (
+            "disarm: done; disarmed (operator), strategy knn5\n".into(),
+            Some(0)
+        )
+    );
+}
+
+#[test]
+fn a_refusal_has_an_exit_code_of_its_own() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let output = vpcctl(directory.path(), &["strategy", "gpr"]);
+    assert_eq!(output.status.code(), Some(2));
+    let line = stdout(&output);
+    assert!(
+        line.starts_with("strategy: refused: no memory of motion"),
+        "{line}"
+    );
+}
+
+#[test]
+fn stop_needs_no_observers_place() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut observers = Vec::new();
+    while let Ok(observer) = Observer::open(&domain) {
+        observers.push(observer);
+    }
+    assert!(observers.len() > 1);
+    let mut recorders = Vec::new();
+    while let Ok(recorder) = domain.subscriber::<CycleRecord>(1) {
+        recorders.push(recorder);
+    }
+    // Status does without, too: it has the daemon's word.
+    let status = vpcctl(directory.path(), &["status", "--watch", "0.1"]);
+    assert_eq!(status.status.code(), Some(5), "{}", stderr(&status));
+    let text = stdout(&status);
+    assert!(
+        text.contains("vpc/cycles: all subscribers' places are taken"),
+        "{text}"
+    );
+    let output = vpcctl(directory.path(), &["stop"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(
+        stdout(&output),
+        "stop: done; disarmed (operator), strategy previous\n"
+    );
+}
+
+#[test]
+fn a_daemon_that_does_not_answer_is_told_from_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let ask = || vpcctl(directory.path(), &["stop", "--timeout", "0.3"]);
+    let nobody = ask();
+    assert_eq!(nobody.status.code(), Some(3), "{}", stderr(&nobody));
+    let manner = Manner {
+        answers: false,
+        cycles: true,
+    };
+    let _daemon = StandIn::start(directory.path(), manner);
+    let deaf = ask();
+    assert_eq!(deaf.status.code(), Some(4), "{}", stderr(&deaf));
+    let process = format!("process {} did not answer", std::process::id());
+    assert!(stderr(&deaf).contains(&process), "{}", stderr(&deaf));
+}
+
+#[test]
+fn stop_reaches_a_daemon_that_starts_while_it_waits() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_owned();
+    let stop = std::thread::spawn(move || vpcctl(&path, &["stop", "--timeout", "20"]));
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    let _daemon = StandIn::sound(directory.path());
+    let output = stop.join().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+}
+
+#[test]
+fn nothing_is_created_where_no_domain_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let missing = directory.path().join("missing");
+    for words in [["status"].as_slice(), &["stop"], &["arm"]] {
+        let output = vpcctl(&missing, words);
+        assert_eq!(output.status.code(), Some(3), "{words:?}");
+        assert!(stderr(&output).contains("no vpcd is at work"));
+    }
+    assert!(!missing.exists());
+}
+
+#[test]
+fn a_wrong_command_line_has_vpcds_exit_code() {
+    let directory = tempfile::tempdir().unwrap();
+    for words in [
+        ["dance"].as_slice(),
+        &["strategy", "gpr", "--neighbours", "3"],
+    ] {
+        let output = vpcctl(directory.path(), words);
+        assert_eq!(output.status.code(), Some(64), "{words:?}");
+        assert!(!stderr(&output).is_empty());
+    }
+}

@@ -1,0 +1,180 @@
+//! A stand-in for the daemon: answers requests and publishes records of cycles, in a thread of its own.
+
+use std::fs::File;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use ipc::{Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RecorderPort, Reply};
+use ipc::{Request, SolverStatus, Stamp, StrategyCode, TwistState};
+
+/// Period of its loop.
+const PERIOD: Duration = Duration::from_millis(10);
+
+/// The thread; it ends when this is dropped.
+pub struct StandIn {
+    end: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    /// The lock on the file that names the daemon's process.
+    _claim: File,
+}
+
+/// What it does.
+#[derive(Clone, Copy)]
+pub struct Manner {
+    /// Whether it answers requests.
+    pub answers: bool,
+    /// Whether its cycles go on.
+    pub cycles: bool,
+}
+
+impl StandIn {
+    /// Starts it in this directory, which exists; returns when its ports are open.
+    pub fn start(directory: &Path, manner: Manner) -> Self {
+        let path = directory.join("vpcd.pid");
+        std::fs::write(&path, format!("{}\n", std::process::id())).unwrap();
+        let claim = File::open(&path).unwrap();
+        claim.lock().unwrap();
+        let end = Arc::new(AtomicBool::new(false));
+        let (ready, opened) = mpsc::channel();
+        let thread = {
+            let (directory, end) = (directory.to_owned(), Arc::clone(&end));
+            std::thread::spawn(move || {
+                let domain = Domain::join(&directory).unwrap();
+                let mut ports = ControllerPorts::open(&domain).unwrap();
+                let mut recorder = RecorderPort::open(&domain).unwrap();
+                ready.send(()).unwrap();
+                let mut law = Law::default();
+                while !end.load(Ordering::Relaxed) {
+                    std::thread::sleep(PERIOD);
+                    if manner.answers {
+                        while let Ok(Some(request)) = ports.requests.oldest() {
+                            let reply = law.answer(&request.message);
+                            ports.replies.publish(&reply).unwrap();
+                        }
+                    }
+                    if manner.cycles {
+                        recorder.cycles.publish(&law.cycle()).unwrap();
+                    }
+                }
+            })
+        };
+        opened.recv().unwrap();
+        let thread = Some(thread);
+        Self {
+            end,
+            thread,
+            _claim: claim,
+        }
+    }
+
+    /// One that does all that a daemon does.
+    pub fn sound(directory: &Path) -> Self {
+        let manner = Manner {
+            answers: true,
+            cycles: true,
+        };
+        Self::start(directory, manner)
+    }
+}
+
+impl Drop for StandIn {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+/// What it knows.
+struct Law {
+    cycle: u64,
+    state: TwistState,
+    hold: Hold,
+    strategy: StrategyCode,
+    neighbours: u32,
+}
+
+impl Default for Law {
+    fn default() -> Self {
+        Self {
+            cycle: 0,
+            state: TwistState::Disarmed,
+            hold: Hold::NotArmed,
+            strategy: StrategyCode::Previous,
+            neighbours: 0,
+        }
+    }
+}
+
+impl Law {
+    fn answer(&mut self, request: &Request) -> Reply {
+        let strategy = StrategyCode::from_code(request.strategy);
+        let outcome = match (request.action().unwrap(), strategy.unwrap()) {
+            (Action::Strategy, StrategyCode::Gpr) => Outcome::NoMemory,
+            _ => Outcome::Done,
+        };
+        match (request.action().unwrap(), outcome) {
+            (Action::Arm, _) => (self.state, self.hold) = (TwistState::Moving, Hold::None),
+            (Action::Disarm | Action::Stop, _) => {
+                (self.state, self.hold) = (TwistState::Disarmed, Hold::Operator);
+            }
+            (Action::Strategy, Outcome::Done) => {
+                self.strategy = strategy.unwrap();
+                self.neighbours = request.neighbours;
+            }
+            _ => (),
+        }
+        Reply {
+            stamp: Stamp::default(),
+            id: request.id,
+            action: request.action,
+            outcome: outcome.code(),
+            state: self.state.code(),
+            hold: self.hold.code(),
+            strategy: self.strategy.code(),
+            neighbours: self.neighbours,
+        }
+    }
+
+    fn cycle(&mut self) -> CycleRecord {
+        self.cycle += 1;
+        let mut record = CycleRecord {
+            cycle: self.cycle,
+            status: SolverStatus::Converged.code(),
+            wake_latency_ns: 50_000,
+            receive_ns: 2_000,
+            step_ns: 30_000,
+            send_ns: 3_000,
+            overruns: 2,
+            features_sequence: self.cycle,
+            features_age_ns: 33_000_000,
+            count: 4,
+            strategy: self.strategy.code(),
+            neighbours: self.neighbours,
+            np: 3,
+            iterations: 2,
+            hold: self.hold.code(),
+            state: self.state.code(),
+            cost: 12.0,
+            violation_px: 0.0,
+            clearance_px: 25.5,
+            error_px: 120.25,
+            ..CycleRecord::default()
+        };
+        record.stamp.data_ns = ipc::now_ns();
+        for (place, value) in [700.0, 500.0, 900.0, 500.0, 900.0, 700.0, 700.0, 700.0]
+            .iter()
+            .enumerate()
+        {
+            record.points[place] = *value;
+        }
+        if self.state == TwistState::Moving {
+            record.twist = [0.1, -0.2, 0.05, 0.0, 0.3, -0.4];
+        }
+        record
+    }
+}
