@@ -43,6 +43,11 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     pub domain: Option<PathBuf>,
 
+    /// Start armed: the first good features set the camera in motion. Without it (and without `safety.armed`) it stands
+    /// until an operator arms; in lockstep, where no arm moves, it always starts armed.
+    #[arg(long)]
+    pub arm: bool,
+
     /// Stop after so many cycles.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,

@@ -23,8 +23,11 @@ pub struct Config {
     pub settings: Settings,
     /// What starts a cycle.
     pub clock: ClockMode,
-    /// Periods without a new features message after which the zero twist is sent.
+    /// Periods for which the last command may stand without new features; the camera brakes so early that it never
+    /// stands longer.
     pub stale_periods: f64,
+    /// What the supervisor goes by.
+    pub safety: Safety,
     /// Directory of the shared-memory domain.
     pub domain: PathBuf,
     /// SCHED_FIFO priority, 1 to 99; `None`: an ordinary thread.
@@ -33,6 +36,17 @@ pub struct Config {
     pub log_level: String,
     /// Whether log lines are JSON.
     pub log_json: bool,
+}
+
+/// The part of the configuration that the supervisor goes by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Safety {
+    /// Whether the controller starts armed.
+    pub armed: bool,
+    /// Time in which a twist at the limits is braked to zero, s.
+    pub brake_s: f64,
+    /// Time without usable features after which the camera is disarmed, s.
+    pub lost_s: f64,
 }
 
 /// Why a configuration was refused.
@@ -101,6 +115,7 @@ struct Raw {
     memory: Option<PathBuf>,
     law: RawLaw,
     cycle: RawCycle,
+    safety: RawSafety,
     ipc: RawIpc,
     realtime: RawRealtime,
     log: RawLog,
@@ -126,6 +141,14 @@ struct RawLaw {
 struct RawCycle {
     clock: String,
     stale_periods: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct RawSafety {
+    armed: Option<bool>,
+    brake_s: f64,
+    lost_s: f64,
 }
 
 #[derive(Deserialize, Default)]
@@ -170,6 +193,16 @@ impl Default for RawCycle {
         Self {
             clock: "fixed".to_owned(),
             stale_periods: 3.0,
+        }
+    }
+}
+
+impl Default for RawSafety {
+    fn default() -> Self {
+        Self {
+            armed: None,
+            brake_s: 0.15,
+            lost_s: 0.3,
         }
     }
 }
@@ -262,6 +295,9 @@ impl Checker<'_> {
         if let Some(clock) = flags.clock {
             raw.cycle.clock = clock;
         }
+        if flags.arm {
+            raw.safety.armed = Some(true);
+        }
     }
 
     fn refuse(&self, key: &str, value: impl Display, allowed: &str) -> ConfigError {
@@ -294,9 +330,10 @@ impl Checker<'_> {
             });
         }
         let stale = raw.cycle.stale_periods;
-        if !(1.0..=1000.0).contains(&stale) {
-            return Err(self.refuse("cycle.stale_periods", stale, "1 to 1000 periods"));
+        if !(2.0..=1000.0).contains(&stale) {
+            return Err(self.refuse("cycle.stale_periods", stale, "2 to 1000 periods"));
         }
+        let clock = self.clock(&raw.cycle)?;
         let priority = raw.realtime.priority.map(|priority| {
             i32::try_from(priority)
                 .ok()
@@ -305,10 +342,11 @@ impl Checker<'_> {
         });
         Ok(Config {
             scene,
-            memory: raw.memory.filter(|_| settings.strategy.needs_memory()),
+            memory: raw.memory,
             settings,
-            clock: self.clock(&raw.cycle)?,
+            clock,
             stale_periods: stale,
+            safety: self.safety(&raw.safety, clock)?,
             domain: raw.ipc.domain.unwrap_or_else(ipc::default_directory),
             priority: priority.transpose()?,
             log_level: self.log_level(raw.log.level)?,
@@ -322,6 +360,21 @@ impl Checker<'_> {
             "lockstep" => Ok(ClockMode::Lockstep),
             other => Err(self.refuse("cycle.clock", other, "fixed, lockstep")),
         }
+    }
+
+    fn safety(&self, raw: &RawSafety, clock: ClockMode) -> Result<Safety, ConfigError> {
+        if !(0.0..=0.15).contains(&raw.brake_s) {
+            return Err(self.refuse("safety.brake_s", raw.brake_s, "0 to 0.15 s"));
+        }
+        if !(0.1..=10.0).contains(&raw.lost_s) {
+            return Err(self.refuse("safety.lost_s", raw.lost_s, "0.1 to 10 s"));
+        }
+        Ok(Safety {
+            // No arm moves in lockstep, where time waits for the answer.
+            armed: raw.armed.unwrap_or(clock == ClockMode::Lockstep),
+            brake_s: raw.brake_s,
+            lost_s: raw.lost_s,
+        })
     }
 
     fn log_level(&self, level: String) -> Result<String, ConfigError> {
@@ -470,8 +523,16 @@ mod tests {
                 "cycle.clock = sun; allowed: fixed, lockstep",
             ),
             (
-                "[cycle]\nstale_periods = 0.5",
-                "cycle.stale_periods = 0.5; allowed: 1 to 1000",
+                "[cycle]\nstale_periods = 1.5",
+                "cycle.stale_periods = 1.5; allowed: 2 to 1000",
+            ),
+            (
+                "[safety]\nbrake_s = 0.2",
+                "safety.brake_s = 0.2; allowed: 0 to 0.15 s",
+            ),
+            (
+                "[safety]\nlost_s = -inf",
+                "safety.lost_s = -inf; allowed: 0.1 to 10 s",
             ),
             (
                 "[realtime]\npriority = 100",
@@ -522,8 +583,23 @@ mod tests {
     }
 
     #[test]
-    fn a_memory_that_no_strategy_asks_for_is_not_opened() {
-        let config = parse("scene = 's'\nmemory = 'm'", &Arguments::default()).unwrap();
-        assert_eq!(config.memory, None);
+    fn only_lockstep_starts_armed_unless_it_is_asked_for() {
+        let armed = |text: &str, arguments: &Arguments| {
+            let text = format!("scene = 's'\n{text}");
+            parse(&text, arguments).unwrap().safety.armed
+        };
+        let none = Arguments::default();
+        assert!(!armed("", &none));
+        assert!(armed("[cycle]\nclock = 'lockstep'", &none));
+        assert!(!armed(
+            "[cycle]\nclock = 'lockstep'\n[safety]\narmed = false",
+            &none
+        ));
+        assert!(armed("[safety]\narmed = true", &none));
+        let flag = Arguments {
+            arm: true,
+            ..Arguments::default()
+        };
+        assert!(armed("[safety]\narmed = false", &flag));
     }
 }

@@ -1,7 +1,9 @@
 //! The loop: Wake -> Receive -> Step -> Send -> Slack. Nothing here allocates, logs, or waits without a bound.
 
+use heapless::Vec;
 use ipc::{
-    ClockMode, ControllerPorts, CycleRecord, PublishError, TwistCommand, TwistState, now_ns,
+    ClockMode, ControllerPorts, CycleRecord, PublishError, ReceiveError, Reply, TwistCommand,
+    TwistState, now_ns,
 };
 use rtrb::Producer;
 
@@ -9,6 +11,8 @@ use crate::clock::{Grid, sleep_until};
 use crate::gate::Input;
 use crate::law::Law;
 use crate::pilot::{Answer, Inputs, Pilot};
+use crate::shutdown::Stop;
+use crate::supervisor::Rules;
 
 /// Rounds of polling in lockstep that only yield, before polling sleeps.
 const YIELDS: u32 = 100;
@@ -17,6 +21,9 @@ const POLL_NS: u64 = 20_000;
 /// Longest wait in lockstep before the stop flag is looked at, ns.
 const WAIT_NS: u64 = 5_000_000;
 
+/// Most requests of operators taken in a cycle: as many as wait in the queue.
+const REQUESTS: usize = 16;
+
 /// How the loop runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
@@ -24,8 +31,10 @@ pub struct Pace {
     pub clock: ClockMode,
     /// The period of the fixed clock, ns; lockstep does not look at it.
     pub period_ns: u64,
-    /// Periods without news after which the zero twist is sent.
+    /// Periods for which a command may stand without news.
     pub stale_periods: f64,
+    /// What the supervisor goes by.
+    pub rules: Rules,
     /// Whether the thread runs under SCHED_FIFO, where polling must sleep at once.
     pub realtime: bool,
 }
@@ -41,6 +50,9 @@ pub struct Cycle {
     blank: CycleRecord,
     count: u64,
     lost: u64,
+    /// Releases missed until the last cycle.
+    missed: u64,
+    replies: Vec<Reply, REQUESTS>,
 }
 
 impl Cycle {
@@ -52,24 +64,27 @@ impl Cycle {
         records: Producer<CycleRecord>,
     ) -> Self {
         let stale_ns = match pace.clock {
-            ClockMode::Fixed | ClockMode::Phase => Some(stale_ns(&pace)),
+            // Looked at once a period: what would be too old at the next release is too old now.
+            ClockMode::Fixed | ClockMode::Phase => {
+                Some(stale_ns(&pace).saturating_sub(pace.period_ns))
+            }
             ClockMode::Lockstep => None,
         };
-        let mut blank = CycleRecord {
+        let blank = CycleRecord {
             clock: pace.clock.code(),
             ..CycleRecord::default()
         };
-        let pilot = Pilot::new(law, stale_ns);
-        pilot.describe(&mut blank);
         Self {
             pace,
             ports,
-            pilot,
+            pilot: Pilot::new(law, stale_ns, pace.rules),
             grid: Grid::new(now_ns(), pace.period_ns),
             records,
             blank,
             count: 0,
             lost: 0,
+            missed: 0,
+            replies: Vec::new(),
         }
     }
 
@@ -78,32 +93,49 @@ impl Cycle {
         self.count
     }
 
-    /// One cycle. In lockstep `Ok(None)` where no message came within a few milliseconds.
+    /// Whether the last twist was zero.
+    pub fn is_at_rest(&self) -> bool {
+        self.pilot.is_at_rest()
+    }
+
+    /// One cycle; once `stop` is asked for it brakes. In lockstep `Ok(None)` where no message came within a few
+    /// milliseconds.
     ///
     /// # Errors
     /// [`PublishError`] where the command could not be sent; the camera then stops by its validity.
-    pub fn run(&mut self) -> Result<Option<CycleRecord>, PublishError> {
+    pub fn run(&mut self, stop: &Stop) -> Result<Option<CycleRecord>, PublishError> {
         let mut record = self.blank;
         // Wake, Receive.
         let (woken_ns, features) = match self.pace.clock {
             ClockMode::Fixed | ClockMode::Phase => self.release(&mut record),
             ClockMode::Lockstep => match self.poll() {
                 Some(found) => found,
-                None => return Ok(None),
+                None => {
+                    self.take_requests();
+                    self.reply();
+                    return Ok(None);
+                }
             },
         };
+        let robot = self.ports.robot.latest().into();
+        self.take_requests();
         let received_ns = now_ns();
         // Step.
         let inputs = Inputs {
             now_ns: received_ns,
             features,
+            robot,
+            missed: self.grid.missed() - self.missed,
+            shutdown: stop.is_asked(),
         };
+        self.missed = self.grid.missed();
         let answer = self.pilot.decide(&inputs, &mut record);
         let stepped_ns = now_ns();
         // Send.
         let sent = self.send(&answer);
         let sent_ns = now_ns();
         // Slack.
+        self.reply();
         self.count += 1;
         record.cycle = self.count;
         record.stamp.data_ns = woken_ns;
@@ -123,6 +155,16 @@ impl Cycle {
             self.lost += 1;
         }
         sent.map(|()| Some(record))
+    }
+
+    /// Most cycles that braking from the limits to zero takes, and one to begin with; none in lockstep.
+    pub fn braking_cycles(&self) -> u64 {
+        match self.pace.clock {
+            ClockMode::Fixed | ClockMode::Phase => {
+                self.pace.rules.brake_ns.div_ceil(self.pace.period_ns) + 1
+            }
+            ClockMode::Lockstep => 0,
+        }
     }
 
     /// Sends the zero twist that ends a run, whatever came before.
@@ -164,6 +206,30 @@ impl Cycle {
                 sleep_until(now_ns() + POLL_NS);
             }
         }
+    }
+
+    /// Hands the requests of operators to the pilot. Those that break the contract are passed over here; the recorder,
+    /// which reads along, logs them.
+    fn take_requests(&mut self) {
+        for _ in 0..REQUESTS {
+            match self.ports.requests.oldest() {
+                Ok(Some(request)) => {
+                    let reply = self.pilot.request(&request);
+                    // There is room for as many as this loop takes.
+                    let _ = self.replies.push(reply);
+                }
+                Ok(None) | Err(ReceiveError::Transport { .. }) => break,
+                Err(ReceiveError::Invalid { .. }) => (),
+            }
+        }
+    }
+
+    /// Answers the requests. An answer that cannot be sent is missed by the operator, who asks again.
+    fn reply(&mut self) {
+        for reply in &self.replies {
+            let _ = self.ports.replies.publish(reply);
+        }
+        self.replies.clear();
     }
 
     fn send(&mut self, answer: &Answer) -> Result<(), PublishError> {

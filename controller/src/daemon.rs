@@ -15,6 +15,7 @@ use crate::instance::{Instance, InstanceError};
 use crate::law::{Law, LawError};
 use crate::service::{Progress, Service, ServiceError, Talk};
 use crate::shutdown::{Hangup, Stop};
+use crate::supervisor::Rules;
 use crate::telemetry::{self, RecorderError};
 use crate::{log, realtime};
 
@@ -142,7 +143,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     stopped.map_err(|source| Failure::Send { most: 1, source })
 }
 
-/// Runs cycles until asked to stop.
+/// Runs cycles until asked to stop, and then until the camera stands; in lockstep, where nothing moves between
+/// messages, no longer.
 fn turn(
     cycle: &mut Cycle,
     stop: &Stop,
@@ -150,8 +152,15 @@ fn turn(
     most: Option<u64>,
 ) -> Result<(), Failure> {
     let mut failures = 0;
-    while !stop.is_asked() && most.is_none_or(|most| cycle.count() < most) {
-        match cycle.run() {
+    let mut left = cycle.braking_cycles();
+    while most.is_none_or(|most| cycle.count() < most) {
+        if stop.is_asked() {
+            if left == 0 || cycle.is_at_rest() {
+                break;
+            }
+            left -= 1;
+        }
+        match cycle.run(stop) {
             Ok(_) => {
                 failures = 0;
                 progress.advance();
@@ -171,10 +180,28 @@ fn turn(
 }
 
 fn pace(config: &Config, law: &Law) -> Pace {
+    let scene = law.scene();
+    let period_ns = (scene.sampling_time() * 1e9) as u64;
+    let ns = |seconds: f64| (seconds * 1e9) as u64;
+    // Never before the command has gone stale and a brake has had time to begin.
+    let least_ns = ns((config.stale_periods + 2.0) * scene.sampling_time());
+    let (linear, angular) = (scene.limits.linear, scene.limits.angular);
+    let is_lockstep = config.clock == ClockMode::Lockstep;
+    let rules = Rules {
+        limits: [linear, linear, linear, angular, angular, angular],
+        brake_ns: if is_lockstep {
+            0
+        } else {
+            ns(config.safety.brake_s)
+        },
+        lost_ns: (!is_lockstep).then(|| ns(config.safety.lost_s).max(least_ns)),
+        armed: config.safety.armed,
+    };
     Pace {
         clock: config.clock,
-        period_ns: (law.scene().sampling_time() * 1e9) as u64,
+        period_ns,
         stale_periods: config.stale_periods,
+        rules,
         realtime: config.priority.is_some(),
     }
 }
@@ -191,8 +218,13 @@ fn describe(config: &Config, law: &Law) -> String {
         ClockMode::Phase => format!("phase at {} Hz", law.scene().camera.rate_hz),
         ClockMode::Lockstep => "lockstep".to_owned(),
     };
+    let armed = if config.safety.armed {
+        "armed"
+    } else {
+        "disarmed"
+    };
     format!(
-        "scene {}, strategy {}, np {}, memory {memory}, clock {clock}, domain {}",
+        "scene {}, strategy {}, np {}, memory {memory}, clock {clock}, domain {}, {armed}",
         config.scene.display(),
         settings.strategy,
         settings.np,

@@ -7,9 +7,9 @@ use ipc::{Features, Hold, Order, ReceiveError, Received, Stamp};
 
 /// What a cycle received, as far as it matters to what is done.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Input {
+pub enum Input<T = Features> {
     /// A message, and where it stands in the sequence.
-    Message(Received<Features>),
+    Message(Received<T>),
     /// Nothing.
     Nothing,
     /// A message with this head that did not pass its checks.
@@ -18,8 +18,8 @@ pub enum Input {
     Failed,
 }
 
-impl From<Result<Option<Received<Features>>, ReceiveError>> for Input {
-    fn from(received: Result<Option<Received<Features>>, ReceiveError>) -> Self {
+impl<T> From<Result<Option<Received<T>>, ReceiveError>> for Input<T> {
+    fn from(received: Result<Option<Received<T>>, ReceiveError>) -> Self {
         match received {
             Ok(Some(received)) => Self::Message(received),
             Ok(None) => Self::Nothing,
@@ -56,11 +56,17 @@ pub enum Link {
     New,
 }
 
+/// How much later than now features may claim to be published, ns: one clock serves all processes.
+const FUTURE_NS: u64 = 1_000_000;
+
 /// The gate.
 #[derive(Clone, Copy, Debug)]
 pub struct Gate {
     stale_ns: Option<u64>,
     last: Stamp,
+    /// Head of the last message that came in order.
+    believed: Stamp,
+    good_ns: Option<u64>,
     standing: Standing,
     gap: bool,
 }
@@ -73,11 +79,14 @@ enum Standing {
 }
 
 impl Gate {
-    /// A gate that holds when no message came for `stale_ns`; `None` in lockstep, where time does not pass.
+    /// A gate that holds when no message came for `stale_ns`; `None` in lockstep, where time does not pass and stamps
+    /// are not looked at.
     pub fn new(stale_ns: Option<u64>) -> Self {
         Self {
             stale_ns,
             last: Stamp::default(),
+            believed: Stamp::default(),
+            good_ns: None,
             standing: Standing::Held(Hold::NoFeatures),
             gap: true,
         }
@@ -105,9 +114,46 @@ impl Gate {
         Verdict::Hold(cause, self.last)
     }
 
+    /// Tells the law at the next features that its last command was not in force all the time: it was not sent.
+    pub fn mark_gap(&mut self) {
+        self.gap = true;
+    }
+
+    /// Notes that the law could use the features that the gate let pass.
+    pub fn approve(&mut self) {
+        self.good_ns = Some(self.last.published_ns);
+    }
+
+    /// When the last features were published that the law could use, CLOCK_MONOTONIC, ns; `None` before the first.
+    pub fn good_ns(&self) -> Option<u64> {
+        self.good_ns
+    }
+
     fn fresh(&mut self, received: &Received<Features>, now_ns: u64) -> Verdict {
         let features = received.message;
+        let before = self.believed;
         self.last = features.stamp;
+        if self.stale_ns.is_some() {
+            let now = now_ns.saturating_add(FUTURE_NS);
+            let Stamp {
+                published_ns,
+                data_ns,
+                ..
+            } = features.stamp;
+            if published_ns > now || data_ns > now {
+                return self.hold(Hold::Clock);
+            }
+            let is_same_camera = !matches!(received.order, Order::First | Order::Restarted);
+            let is_older = published_ns < before.published_ns || data_ns < before.data_ns;
+            if published_ns < before.published_ns || (is_same_camera && is_older) {
+                return self.hold(Hold::Order);
+            }
+            // A camera that hangs and sends one exposure again and again; 0 is for who does not know the instant.
+            if is_same_camera && data_ns == before.data_ns && data_ns != 0 {
+                return self.hold(Hold::Stale);
+            }
+        }
+        self.believed = features.stamp;
         if self.is_stale(now_ns) {
             return self.hold(Hold::Stale);
         }
@@ -139,7 +185,7 @@ impl Gate {
     /// Age is silence, from publication on: a camera with a long but steady latency is not stale.
     fn is_stale(&self, now_ns: u64) -> bool {
         self.stale_ns
-            .is_some_and(|limit| now_ns.saturating_sub(self.last.published_ns) > limit)
+            .is_some_and(|limit| now_ns.saturating_sub(self.believed.published_ns) > limit)
     }
 }
 
@@ -226,6 +272,66 @@ mod tests {
             link(lockstep.judge(&came(1, 0, Order::First), 500)),
             Some(Link::New)
         );
+    }
+
+    #[test]
+    fn features_from_the_future_are_a_matter_of_the_clock_and_poison_nothing() {
+        let mut gate = Gate::new(Some(LIMIT));
+        gate.judge(&came(1, 10, Order::First), 11);
+        let future = 11 + FUTURE_NS + 1;
+        let verdict = gate.judge(&came(2, future, Order::Next), 11);
+        assert_eq!(cause(verdict), Some(Hold::Clock));
+        let verdict = gate.judge(&came(3, 12, Order::Next), 13);
+        assert_eq!(link(verdict), Some(Link::Broken));
+    }
+
+    #[test]
+    fn older_features_are_out_of_order_from_the_same_camera_or_another() {
+        let mut gate = Gate::new(Some(LIMIT));
+        gate.judge(&came(5, 50, Order::First), 51);
+        for order in [Order::Next, Order::Restarted] {
+            assert_eq!(
+                cause(gate.judge(&came(6, 49, order), 52)),
+                Some(Hold::Order)
+            );
+        }
+        let mut older_exposure = message(7, 53);
+        older_exposure.stamp.data_ns = 49;
+        let received = |message, order| Input::Message(Received { message, order });
+        let verdict = gate.judge(&received(older_exposure, Order::Next), 54);
+        assert_eq!(cause(verdict), Some(Hold::Order));
+        // A camera that starts again has exposures of its own.
+        let verdict = gate.judge(&received(older_exposure, Order::Restarted), 54);
+        assert_eq!(link(verdict), Some(Link::New));
+    }
+
+    #[test]
+    fn one_exposure_sent_again_and_again_is_stale() {
+        let mut gate = Gate::new(Some(LIMIT));
+        gate.judge(&came(1, 0, Order::First), 1);
+        gate.judge(&came(2, 30, Order::Next), 31);
+        let mut frozen = message(3, 60);
+        frozen.stamp.data_ns = 30;
+        let frozen = Input::Message(Received {
+            message: frozen,
+            order: Order::Next,
+        });
+        assert_eq!(cause(gate.judge(&frozen, 61)), Some(Hold::Stale));
+        let mut lockstep = Gate::new(None);
+        lockstep.judge(&came(1, 30, Order::First), 31);
+        assert_eq!(link(lockstep.judge(&frozen, 61)), Some(Link::Next));
+    }
+
+    #[test]
+    fn only_what_the_law_could_use_is_good() {
+        let mut gate = Gate::new(Some(LIMIT));
+        assert_eq!(gate.good_ns(), None);
+        gate.judge(&came(1, 10, Order::First), 11);
+        gate.approve();
+        gate.judge(&came(2, 40, Order::Next), 41);
+        gate.hold(Hold::OffImage);
+        gate.judge(&Input::Nothing, 60);
+        assert_eq!(gate.good_ns(), Some(10));
     }
 
     #[test]

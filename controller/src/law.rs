@@ -120,6 +120,16 @@ impl Law {
         self.controller.settings()
     }
 
+    /// Changes the strategy; `false` where the memory lacks what it needs, or there is none. Nothing changes then.
+    pub fn set_strategy(&mut self, strategy: Strategy) -> bool {
+        let has = match (strategy, &self.memory) {
+            (Strategy::Knn { .. }, Some(memory)) => memory.view().samples().is_some(),
+            (Strategy::Gpr, Some(memory)) => memory.view().gpr().is_some(),
+            (strategy, _) => !strategy.needs_memory(),
+        };
+        has && self.controller.set_strategy(strategy).is_ok()
+    }
+
     /// One step: features in, decision out, and what there is to tell about it in `record`. Never allocates.
     pub fn step(&mut self, features: &Features, link: Link, record: &mut CycleRecord) -> Decision {
         match link {

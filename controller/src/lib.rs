@@ -2,8 +2,8 @@
 //! `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions: `README.md`).
 //!
 //! A cycle is *Wake -> Receive -> Step -> Send -> Slack*; its modules in that order:
-//! [`clock`] (when), [`gate`] (whether the features can be trusted), [`law`] (what to command), [`pilot`] (both, as a
-//! pure function), [`cycle`] (the loop itself), [`telemetry`] (what an ordinary thread makes of the records).
+//! [`clock`] (when), [`gate`] (whether the features can be trusted), [`law`] (what to command), [`supervisor`] (whether
+//! it may go out), [`cycle`] (the loop itself), [`telemetry`] (what an ordinary thread makes of the records).
 #![deny(unsafe_code)]
 
 pub mod arguments;
@@ -19,6 +19,8 @@ pub mod law;
 pub mod log;
 pub mod pilot;
 pub mod realtime;
+pub mod robot;
 pub mod service;
 pub mod shutdown;
+pub mod supervisor;
 pub mod telemetry;

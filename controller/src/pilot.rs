@@ -1,18 +1,30 @@
-//! The decision of a cycle: gate, then law. A function of its inputs and of what earlier cycles left, with no clock
-//! and no port: the loop calls it live, the replay of a flight record calls it again, and both get the same bits.
+//! The decision of a cycle: gate, law, supervisor. A function of its inputs and of what earlier cycles left, with no
+//! clock and no port: the loop calls it live, the replay of a flight record calls it again, and both get the same bits.
 
-use ipc::{CycleRecord, Features, Hold, Stamp};
+use ipc::{
+    Action, CycleRecord, Features, Hold, Outcome, Reply, Request, RobotState, SolverStatus, Stamp,
+    StrategyCode,
+};
+use vpc::Strategy;
 
 use crate::gate::{Gate, Input, Verdict};
 use crate::law::{self, Decision, Law};
+use crate::robot::RobotWatch;
+use crate::supervisor::{Rules, Situation, Supervisor};
 
-/// All that a cycle learns from outside before it decides.
+/// All that a cycle learns from outside before it decides, but for requests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inputs {
     /// When it looked, CLOCK_MONOTONIC, ns.
     pub now_ns: u64,
     /// What came from the camera.
     pub features: Input,
+    /// What came from the robot.
+    pub robot: Input<RobotState>,
+    /// Releases missed just before this cycle.
+    pub missed: u64,
+    /// Whether the daemon is to stop.
+    pub shutdown: bool,
 }
 
 /// What a cycle is to send.
@@ -24,20 +36,24 @@ pub struct Answer {
     pub decision: Decision,
 }
 
-/// Gate and law, with what a cycle leaves to the next.
+/// Gate, law and supervisor, with what a cycle leaves to the next.
 pub struct Pilot {
     gate: Gate,
+    robot: RobotWatch,
     law: Law,
+    supervisor: Supervisor,
     /// The last command of the law, for cycles without news.
     standing: Answer,
 }
 
 impl Pilot {
     /// A pilot before its first cycle; features are stale after `stale_ns` of silence, never in lockstep (`None`).
-    pub fn new(law: Law, stale_ns: Option<u64>) -> Self {
+    pub fn new(law: Law, stale_ns: Option<u64>, rules: Rules) -> Self {
         Self {
             gate: Gate::new(stale_ns),
+            robot: RobotWatch::new(rules.lost_ns),
             law,
+            supervisor: Supervisor::new(rules),
             standing: Answer {
                 stamp: Stamp::default(),
                 decision: law::held(Hold::NoFeatures),
@@ -45,18 +61,73 @@ impl Pilot {
         }
     }
 
-    /// What stays the same in the record of each cycle.
-    pub fn describe(&self, record: &mut CycleRecord) {
-        self.law.describe(record);
+    /// Whether the last twist was zero.
+    pub fn is_at_rest(&self) -> bool {
+        self.supervisor.is_at_rest()
+    }
+
+    /// Takes an operator's request; it counts from the next decision on. The answer lacks its stamp only.
+    pub fn request(&mut self, request: &Request) -> Reply {
+        let outcome = match request.action() {
+            Some(Action::Strategy) => self.change(request),
+            // The recorder, not the pilot, knows about flight records.
+            Some(Action::Record) | None => Outcome::NoRecord,
+            Some(action) => self.supervisor.request(action),
+        };
+        let (state, hold) = self.supervisor.state();
+        let mut told = CycleRecord::default();
+        self.law.describe(&mut told);
+        Reply {
+            stamp: Stamp {
+                data_ns: request.stamp.published_ns,
+                ..Stamp::default()
+            },
+            id: request.id,
+            action: request.action,
+            outcome: outcome.code(),
+            state: state.code(),
+            hold: hold.code(),
+            strategy: told.strategy,
+            neighbours: told.neighbours,
+        }
     }
 
     /// One decision, and in `record` what there is to tell about it: all but times and counts. Never allocates.
     pub fn decide(&mut self, inputs: &Inputs, record: &mut CycleRecord) -> Answer {
-        let answer = match self.gate.judge(&inputs.features, inputs.now_ns) {
+        self.law.describe(record);
+        let proposed = self.propose(inputs, record);
+        let situation = Situation {
+            decision: proposed.decision,
+            good_ns: self.gate.good_ns(),
+            solver_failed: solver_failed(record),
+            missed: inputs.missed,
+            robot: self.robot.look(&inputs.robot, inputs.now_ns),
+            shutdown: inputs.shutdown,
+        };
+        let decision = self.supervisor.supervise(&situation, inputs.now_ns);
+        if decision.twist != proposed.decision.twist {
+            // The law's next prediction would be of a motion that does not happen.
+            self.gate.mark_gap();
+        }
+        record.features_sequence = proposed.stamp.sequence;
+        record.twist = decision.twist;
+        record.state = decision.state.code();
+        record.hold = decision.hold.code();
+        Answer {
+            stamp: proposed.stamp,
+            decision,
+        }
+    }
+
+    /// What gate and law would send.
+    fn propose(&mut self, inputs: &Inputs, record: &mut CycleRecord) -> Answer {
+        match self.gate.judge(&inputs.features, inputs.now_ns) {
             Verdict::Step { features, link } => {
                 show(&features, record);
                 let decision = self.law.step(&features, link, record);
-                if decision.hold != Hold::None {
+                if decision.hold == Hold::None {
+                    self.gate.approve();
+                } else {
                     self.gate.hold(decision.hold);
                 }
                 self.standing = Answer {
@@ -70,12 +141,35 @@ impl Pilot {
                 stamp,
                 decision: law::held(cause),
             },
+        }
+    }
+
+    fn change(&mut self, request: &Request) -> Outcome {
+        let neighbours = request.neighbours as usize;
+        let strategy = match StrategyCode::from_code(request.strategy) {
+            Some(StrategyCode::Knn)
+                if (1..=vpc::settings::MAX_NEIGHBOURS).contains(&neighbours) =>
+            {
+                Strategy::Knn { k: neighbours }
+            }
+            Some(StrategyCode::Previous) if neighbours == 0 => Strategy::Previous,
+            Some(StrategyCode::Gpr) if neighbours == 0 => Strategy::Gpr,
+            Some(StrategyCode::Ibvs) if neighbours == 0 => Strategy::Ibvs,
+            _ => return Outcome::Neighbours,
         };
-        record.features_sequence = answer.stamp.sequence;
-        record.twist = answer.decision.twist;
-        record.state = answer.decision.state.code();
-        record.hold = answer.decision.hold.code();
-        answer
+        if self.law.set_strategy(strategy) {
+            Outcome::Done
+        } else {
+            Outcome::NoMemory
+        }
+    }
+}
+
+/// Whether the law ran, and if, whether its solver failed.
+fn solver_failed(record: &CycleRecord) -> Option<bool> {
+    match SolverStatus::from_code(record.status) {
+        None | Some(SolverStatus::Idle) => None,
+        Some(status) => Some(status == SolverStatus::NumericalFailure),
     }
 }
 

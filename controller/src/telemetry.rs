@@ -5,7 +5,10 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ipc::{CycleRecord, Domain, Hold, JoinError, OpenError, RecorderPort, TwistState};
+use ipc::{
+    Action, CycleRecord, Domain, Hold, JoinError, Message, OpenError, Outcome, ReceiveError,
+    RecorderPort, Reply, Request, TwistState,
+};
 use rtrb::Consumer;
 use tracing::{debug, info, warn};
 
@@ -95,8 +98,40 @@ fn record(
             talk.end(|| summary.status());
             return summary;
         }
+        tell_requests(&mut port);
         talk.tend(|| summary.status());
         std::thread::sleep(PAUSE);
+    }
+}
+
+/// Writes what operators asked, and what they were answered, to the log. The loop, which did the answering, does not
+/// log.
+fn tell_requests(port: &mut RecorderPort) {
+    // As many as a queue holds: a flood must not keep the recorder from its records.
+    for _ in 0..Request::QOS.buffer {
+        match port.requests.oldest() {
+            Ok(None) => break,
+            Ok(Some(_)) => (),
+            Err(error @ ReceiveError::Invalid { .. }) => {
+                warn!(%error, "request refused, not answered: {error}");
+            }
+            Err(error @ ReceiveError::Transport { .. }) => {
+                debug!(%error, "requests not received");
+                break;
+            }
+        }
+    }
+    for _ in 0..Reply::QOS.buffer {
+        let Ok(Some(reply)) = port.replies.oldest() else {
+            break;
+        };
+        let id = reply.id;
+        if let (Some(action), Some(outcome)) = (Action::from_code(reply.action), reply.outcome()) {
+            match outcome {
+                Outcome::Done => info!(id, %action, "operator: {action}: {outcome}"),
+                _ => warn!(id, %action, "operator: {action}: {outcome}"),
+            }
+        }
     }
 }
 
@@ -150,9 +185,9 @@ impl Summary {
                 TwistState::from_code(record.state),
                 Hold::from_code(record.hold),
             ) {
-                (Some(TwistState::Holding), Some(cause)) => {
+                (Some(state), Some(cause)) if cause != Hold::None => {
                     let features = record.features_sequence;
-                    warn!(cycle, features, %cause, "holding, zero twist: {cause}");
+                    warn!(cycle, features, %cause, "{state}: {cause}");
                 }
                 (Some(state), _) => {
                     let error_px = record.error_px;
@@ -192,7 +227,7 @@ impl Summary {
             Hold::from_code(self.hold),
         ) {
             _ if self.cycles == 0 => "starting".to_owned(),
-            (Some(TwistState::Holding), Some(cause)) => format!("holding, zero twist: {cause}"),
+            (Some(state), Some(cause)) if cause != Hold::None => format!("{state}: {cause}"),
             (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
             (None, _) => "unknown".to_owned(),
         };

@@ -24,6 +24,7 @@ OUTCOMES = (
     "refused: no memory of motion for this strategy",
     "refused: neighbours out of range",
     "refused: shutting down",
+    "refused: no flight record is kept",
 )
 PATIENCE_S = 10.0
 

@@ -102,6 +102,10 @@ codes! {
         Operator = 17 => "operator",
         /// The daemon is shutting down.
         Shutdown = 18 => "shutdown",
+        /// No usable features came for so long that the camera was disarmed.
+        Lost = 19 => "features lost",
+        /// The loop itself stood still for that long.
+        Standstill = 20 => "standstill of the loop",
     }
 }
 

@@ -43,6 +43,8 @@ codes! {
         Neighbours = 5 => "refused: neighbours out of range",
         /// Refused: the controller is shutting down.
         Shutdown = 6 => "refused: shutting down",
+        /// Refused: the controller keeps no flight record.
+        NoRecord = 7 => "refused: no flight record is kept",
     }
 }
 

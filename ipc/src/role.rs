@@ -109,11 +109,15 @@ impl ControllerPorts {
     }
 }
 
-/// The controller's ordinary thread: publishes telemetry.
+/// The controller's ordinary thread: publishes telemetry, and reads along what operators ask.
 #[derive(Debug)]
 pub struct RecorderPort {
     /// Out: a record of each cycle.
     pub cycles: Publisher<CycleRecord>,
+    /// In: what operators ask for.
+    pub requests: Subscriber<Request>,
+    /// In: what they are answered.
+    pub replies: Subscriber<Reply>,
 }
 
 impl RecorderPort {
@@ -124,6 +128,8 @@ impl RecorderPort {
     pub fn open(domain: &Domain) -> Result<Self, OpenError> {
         Ok(Self {
             cycles: domain.publisher()?,
+            requests: domain.subscriber(Request::QOS.buffer)?,
+            replies: domain.subscriber(Reply::QOS.buffer)?,
         })
     }
 }

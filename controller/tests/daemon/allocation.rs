@@ -6,6 +6,8 @@ use std::time::Duration;
 use controller::cycle::{Cycle, Pace};
 use controller::law::Law;
 use controller::service::Talk;
+use controller::shutdown::Stop;
+use controller::supervisor::Rules;
 use controller::telemetry;
 use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features};
 use rand::SeedableRng;
@@ -46,6 +48,12 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         clock,
         period_ns: 100_000,
         stale_periods: 50.0,
+        rules: Rules {
+            limits: [0.5, 0.5, 0.5, 1.0, 1.0, 1.0],
+            brake_ns: 150_000_000,
+            lost_ns: None,
+            armed: true,
+        },
         realtime: false,
     };
 
@@ -60,9 +68,10 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             let recorder = telemetry::start(&place.domain(), queue, Talk::default()).unwrap();
             let mut cycle = Cycle::new(pace, ports, law, records);
             let mut tally = Tally::default();
+            let never = Stop::default();
             while cycle.count() < WARM_UP + CYCLES {
                 let before = heap_meter::calls();
-                let record = cycle.run().unwrap();
+                let record = cycle.run(&never).unwrap();
                 let allocations = heap_meter::calls() - before;
                 if cycle.count() > WARM_UP {
                     tally.allocations += allocations;

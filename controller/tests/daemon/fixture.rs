@@ -113,14 +113,15 @@ pub fn vpcd() -> Command {
     Command::new(env!("CARGO_BIN_EXE_vpcd"))
 }
 
-/// The daemon in a domain, with the paper's scene.
+/// The daemon in a domain, with the paper's scene, armed.
 pub fn vpcd_in(place: &Place) -> Command {
     let mut command = vpcd();
     command
         .arg("--scene")
         .arg(scene_file())
         .arg("--domain")
-        .arg(place.domain());
+        .arg(place.domain())
+        .arg("--arm");
     command.stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }

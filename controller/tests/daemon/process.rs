@@ -1,14 +1,18 @@
 //! The whole daemon as its peers see it.
 
-use std::process::Child;
+use std::process::{Child, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{CameraPorts, Domain, Features, Hold, Observer, Order, TwistCommand, TwistState};
+use ipc::{
+    Action, CameraPorts, Domain, Features, Hold, Observer, OperatorPorts, Order, Outcome, Request,
+    StrategyCode, TwistCommand, TwistState,
+};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 
-use crate::fixture::{Place, end_of, ended, eventually, scene_file, square, vpcd_in};
+use crate::fixture::{Place, end_of, ended, eventually, scene_file, square, vpcd, vpcd_in};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -205,19 +209,126 @@ fn a_silent_camera_is_met_with_zero() {
             .then_some(())
     });
     // Silence: the daemon goes on sending, and what it sends is zero.
-    let held = eventually("a hold", || {
+    let held = eventually("the end of all motion", || {
         let twist = bench.camera.twist.latest().unwrap()?;
-        (twist.state() == Some(TwistState::Holding)).then_some(twist)
+        (twist.state() == Some(TwistState::Disarmed)).then_some(twist)
     });
     assert_eq!(held.twist, [0.0; 6]);
-    let next = eventually("another command", || bench.camera.twist.latest().unwrap());
-    assert_eq!(
-        (next.state(), next.twist),
-        (Some(TwistState::Holding), [0.0; 6])
-    );
+    // Features alone do not set it in motion again.
+    for _ in 0..5 {
+        let features = bench.features();
+        bench.camera.features.publish(&features).unwrap();
+        let next = eventually("another command", || bench.camera.twist.latest().unwrap());
+        assert_eq!(
+            (next.state(), next.twist),
+            (Some(TwistState::Disarmed), [0.0; 6])
+        );
+    }
     let (code, log) = daemon.terminated();
     assert_eq!(code, 0, "{log}");
-    assert!(log.contains("stale features"), "{log}");
+    for words in ["braking: stale features", "disarmed: features lost"] {
+        assert!(log.contains(words), "{log}\nlacks: {words}");
+    }
+}
+
+#[test]
+fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
+    let place = Place::new();
+    let mut command = vpcd();
+    command.arg("--scene").arg(scene_file());
+    command.arg("--domain").arg(place.domain());
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let daemon = Running(Some(command.spawn().unwrap()));
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut operator = OperatorPorts::open(&domain).unwrap();
+    let id = std::cell::Cell::new(0);
+    let mut ask = |request: fn(u64) -> Request| {
+        // Until the daemon is up there is nobody to hear a request.
+        let reply = eventually("an answer", || {
+            id.set(id.get() + 1);
+            let patience = Duration::from_millis(200);
+            operator.ask(&request(id.get()), patience).unwrap()
+        });
+        (reply.outcome().unwrap(), reply.state().unwrap(), reply)
+    };
+    let arm = |id| Request::new(id, Action::Arm);
+    let first = ask(arm);
+    assert_eq!(
+        (first.0, first.1),
+        (Outcome::NoFeatures, TwistState::Disarmed)
+    );
+    let ended = AtomicBool::new(false);
+    let commands = std::thread::scope(|threads| {
+        // A camera that sends features of its own accord, and notes what it is told.
+        let camera = threads.spawn(|| {
+            let domain = Domain::join(&place.domain()).unwrap();
+            let mut camera = CameraPorts::open(&domain).unwrap();
+            let scene = Scene::read(&scene_file()).unwrap();
+            let mut random = ChaCha8Rng::seed_from_u64(1);
+            let mut commands = Vec::new();
+            while !ended.load(Ordering::Relaxed) {
+                let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
+                camera.features.publish(&features).unwrap();
+                std::thread::sleep(Duration::from_millis(30));
+                while let Some(twist) = camera.twist.oldest().unwrap() {
+                    commands.push(twist.message);
+                }
+            }
+            commands
+        });
+        let status = |id| Request::new(id, Action::Status);
+        let is_moving = |state| matches!(state, TwistState::Moving | TwistState::Arrived);
+        eventually("arming", || (ask(arm).0 == Outcome::Done).then_some(()));
+        eventually("motion", || is_moving(ask(status).1).then_some(()));
+        let gpr = ask(|id| Request::strategy(id, StrategyCode::Gpr, 0));
+        assert_eq!(gpr.0, Outcome::NoMemory);
+        assert_eq!(gpr.2.strategy, StrategyCode::Previous.code());
+        let knn = ask(|id| Request::strategy(id, StrategyCode::Knn, 65));
+        assert_eq!(knn.0, Outcome::Neighbours);
+        let ibvs = ask(|id| Request::strategy(id, StrategyCode::Ibvs, 0));
+        assert_eq!(ibvs.0, Outcome::Done);
+        assert_eq!(ibvs.2.strategy, StrategyCode::Ibvs.code());
+        let disarm = ask(|id| Request::new(id, Action::Disarm));
+        assert_eq!((disarm.0, disarm.1), (Outcome::Done, TwistState::Braking));
+        eventually("rest", || {
+            (ask(status).1 == TwistState::Disarmed).then_some(())
+        });
+        eventually("arming", || (ask(arm).0 == Outcome::Done).then_some(()));
+        eventually("motion", || is_moving(ask(status).1).then_some(()));
+        let stop = ask(|id| Request::new(id, Action::Stop));
+        assert_eq!((stop.0, stop.1), (Outcome::Done, TwistState::Disarmed));
+        ended.store(true, Ordering::Relaxed);
+        camera.join().unwrap()
+    });
+    // What the camera saw: still, moving, braking, still, moving, still at once.
+    let mut states: Vec<_> = commands
+        .iter()
+        .map(|twist| match twist.state().unwrap() {
+            TwistState::Arrived => TwistState::Moving,
+            state => state,
+        })
+        .collect();
+    states.dedup();
+    use TwistState::{Braking, Disarmed, Moving};
+    assert_eq!(
+        states[..6],
+        [Disarmed, Moving, Braking, Disarmed, Moving, Disarmed]
+    );
+    for twist in &commands {
+        let is_still = twist.twist == [0.0; 6];
+        assert_eq!(is_still, twist.state() == Some(Disarmed), "{twist:?}");
+    }
+    let (code, log) = daemon.terminated();
+    assert_eq!(code, 0, "{log}");
+    for words in [
+        "operator: arm: refused: no good features",
+        "operator: arm: done",
+        "operator: strategy: refused: no memory of motion",
+        "operator: stop: done",
+        "disarmed: operator",
+    ] {
+        assert!(log.contains(words), "{log}\nlacks: {words}");
+    }
 }
 
 #[test]

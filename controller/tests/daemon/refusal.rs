@@ -104,7 +104,7 @@ fn a_wrong_configuration_is_78() {
         ),
         (
             "[cycle]\nstale_periods = -1.0",
-            vec!["cycle.stale_periods = -1; allowed: 1 to 1000"],
+            vec!["cycle.stale_periods = -1; allowed: 2 to 1000"],
         ),
         (
             "[law]\nstrategy = 'knn'",

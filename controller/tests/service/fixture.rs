@@ -34,11 +34,11 @@ impl Place {
         self.path("domain")
     }
 
-    /// The daemon in this place's domain, with the paper's scene, and nothing of our own service manager.
+    /// The daemon in this place's domain, with the paper's scene, armed, and nothing of our own service manager.
     pub fn vpcd(&self) -> Command {
         let mut command = vpcd();
         command.arg("--scene").arg(scene_file());
-        command.arg("--domain").arg(self.domain());
+        command.arg("--domain").arg(self.domain()).arg("--arm");
         command
     }
 }

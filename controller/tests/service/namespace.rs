@@ -314,7 +314,7 @@ fn starts_ready_and_confined(machine: &Machine) {
     eventually("a status", || {
         machine
             .show("StatusText")
-            .contains("holding, zero twist: no features")
+            .contains("disarmed: not armed")
             .then_some(())
     });
     let daemon = machine.daemon();
@@ -371,7 +371,7 @@ fn writes_to_the_journal(machine: &Machine) {
         machine
             .journal()
             .into_iter()
-            .find(|entry| entry["MESSAGE"] == "holding, zero twist: no features")
+            .find(|entry| entry["MESSAGE"] == "disarmed: not armed")
     });
     // As an entry of its own with fields, not as a line of standard error.
     assert_eq!(entry["_TRANSPORT"], "journal", "{entry}");

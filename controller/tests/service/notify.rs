@@ -40,8 +40,8 @@ fn ready_comes_once_and_only_after_the_loop_has_made_a_cycle() {
         "STATUS=starting; 0 cycles, 0 held, 0 overruns, 0 records lost\n"
     );
     let mut messages = manager.until("READY=1");
-    messages.extend(manager.until("STATUS=holding"));
-    messages.extend(manager.until("STATUS=holding"));
+    messages.extend(manager.until("STATUS=disarmed"));
+    messages.extend(manager.until("STATUS=disarmed"));
     assert_eq!(count(&messages, "READY=1"), 1, "{messages:?}");
     let (code, log) = daemon.terminated();
     assert_eq!(code, 0, "{log}");
@@ -58,7 +58,7 @@ fn the_status_tells_state_and_counters_and_the_end_is_announced_once() {
         .collect();
     for status in &statuses {
         assert!(
-            status.starts_with("STATUS=holding, zero twist: no features; "),
+            status.starts_with("STATUS=holding: no features; "),
             "{status}"
         );
         assert!(

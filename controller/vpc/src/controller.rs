@@ -80,6 +80,20 @@ impl Controller {
         &self.settings
     }
 
+    /// Changes the strategy from the next cycle on; what earlier cycles left stays.
+    ///
+    /// # Errors
+    /// [`SettingsError`] where the neighbours of k-NN are out of range; nothing changes then.
+    pub fn set_strategy(&mut self, strategy: Strategy) -> Result<(), SettingsError> {
+        let settings = Settings {
+            strategy,
+            ..self.settings
+        };
+        settings.check()?;
+        self.settings = settings;
+        Ok(())
+    }
+
     /// Forgets everything of earlier cycles: for a new run.
     pub fn reset(&mut self) {
         self.trigger.reset();

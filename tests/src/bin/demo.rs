@@ -99,6 +99,7 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
     daemon
         .arg("--config")
         .arg(root.join("controller/vpcd.toml"))
+        .arg("--arm")
         .arg("--scene")
         .arg(&scene_path)
         .arg("--strategy")

@@ -1,0 +1,574 @@
+//! The supervisor: whether the law's twist may go out, and what goes out instead. Pure; the time is an argument.
+//!
+//! Three modes: *armed*, where the law moves the camera; *braking to disarm*; *disarmed*, where the twist is zero until
+//! an operator arms. Each cycle has at most one cause against the law's twist, the gravest of all that hold, and each
+//! cause has one response:
+//!
+//! | Response | Causes, the gravest first |
+//! |---|---|
+//! | zero at once, disarm | operator's stop, robot fault, clock anomaly, a standstill of the loop |
+//! | brake, disarm | shutdown, operator's disarm, robot silent, overruns, bad twist, solver failure, features lost |
+//! | brake, go on with the next good features | features stale, invalid, hidden, miscounted, not finite, off the image, out of order; transport |
+//!
+//! Features are *lost* when none that the law could use came for a while, for whatever reason.
+
+use ipc::{Action, Hold, Outcome, TwistState};
+
+use crate::law::Decision;
+
+/// Cycles in a row with missed releases, or with a solver that failed, after which the camera is stopped.
+const IN_A_ROW: u32 = 3;
+
+/// What the supervisor goes by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rules {
+    /// Largest magnitude of each component of the twist, m/s and rad/s.
+    pub limits: [f64; 6],
+    /// Time in which a twist at the limits is braked to zero, ns; 0: at once.
+    pub brake_ns: u64,
+    /// Time without usable features, or of standstill of the loop, or of silence of a robot that was heard, after
+    /// which the camera is disarmed, ns; `None` in lockstep, where time does not pass.
+    pub lost_ns: Option<u64>,
+    /// Whether it starts armed.
+    pub armed: bool,
+}
+
+/// What a cycle knows, but for the time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Situation {
+    /// What the law, or the gate before it, decided.
+    pub decision: Decision,
+    /// When the last features that the law could use were published, CLOCK_MONOTONIC, ns; `None` before the first.
+    pub good_ns: Option<u64>,
+    /// Whether the law ran in this cycle, and if, whether its solver failed.
+    pub solver_failed: Option<bool>,
+    /// Releases missed just before this cycle.
+    pub missed: u64,
+    /// What is wrong with the robot: [`Hold::RobotFault`] or [`Hold::RobotLost`].
+    pub robot: Option<Hold>,
+    /// Whether the daemon is to stop.
+    pub shutdown: bool,
+}
+
+/// Whether the law moves the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Mode {
+    Armed,
+    /// On the way to disarmed, for this cause.
+    Disarming(Hold),
+    Disarmed(Hold),
+}
+
+/// The state machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Supervisor {
+    rules: Rules,
+    mode: Mode,
+    /// The last cycle: when it was, and what it sent.
+    last: Option<u64>,
+    sent: Decision,
+    /// What the last cycle knew.
+    situation: Option<Situation>,
+    overruns: u32,
+    failures: u32,
+}
+
+/// How a cause is met.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Response {
+    /// Zero at once, and disarm.
+    Stop,
+    /// Brake, and disarm.
+    Disarm,
+    /// Brake, and go on when the cause is gone.
+    Wait,
+}
+
+impl Supervisor {
+    /// A supervisor at rest.
+    pub fn new(rules: Rules) -> Self {
+        Self {
+            rules,
+            mode: if rules.armed {
+                Mode::Armed
+            } else {
+                Mode::Disarmed(Hold::NotArmed)
+            },
+            last: None,
+            sent: still(Hold::NoFeatures, TwistState::Holding),
+            situation: None,
+            overruns: 0,
+            failures: 0,
+        }
+    }
+
+    /// Whether the last twist was zero.
+    pub fn is_at_rest(&self) -> bool {
+        self.sent.twist == [0.0; 6]
+    }
+
+    /// The state, and its cause.
+    pub fn state(&self) -> (TwistState, Hold) {
+        match self.mode {
+            Mode::Disarmed(cause) => (TwistState::Disarmed, cause),
+            Mode::Disarming(cause) => (TwistState::Braking, cause),
+            // Armed since the last cycle: nothing was sent yet.
+            Mode::Armed if self.sent.state == TwistState::Disarmed => {
+                (TwistState::Holding, Hold::None)
+            }
+            Mode::Armed => (self.sent.state, self.sent.hold),
+        }
+    }
+
+    /// What an operator asks for: arm, disarm, stop. It goes by what the last cycle knew, and counts from the next
+    /// cycle on. Other actions are none of the supervisor's business.
+    pub fn request(&mut self, action: Action) -> Outcome {
+        match action {
+            Action::Arm => return self.arm(),
+            Action::Disarm => self.disarm(Hold::Operator),
+            Action::Stop => self.mode = Mode::Disarmed(Hold::Operator),
+            Action::Status | Action::Strategy | Action::Record => (),
+        }
+        Outcome::Done
+    }
+
+    /// What goes out in the cycle of `now_ns` (CLOCK_MONOTONIC): the law's decision, or another instead.
+    pub fn supervise(&mut self, situation: &Situation, now_ns: u64) -> Decision {
+        let elapsed_ns = match self.last.replace(now_ns) {
+            // A clock that goes back tells nothing about the time that went by: brake in one step.
+            Some(last) if now_ns < last => u64::MAX,
+            Some(last) => now_ns - last,
+            None => 0,
+        };
+        self.count(situation);
+        let cause = self.cause(situation, now_ns, elapsed_ns);
+        if let Some(cause) = cause {
+            match response(cause) {
+                Response::Stop => self.mode = Mode::Disarmed(cause),
+                Response::Disarm => self.disarm(cause),
+                Response::Wait => (),
+            }
+        }
+        let decision = match (self.mode, cause) {
+            (Mode::Armed, None) => situation.decision,
+            (Mode::Armed, Some(cause)) => self.braked(cause, TwistState::Holding, elapsed_ns),
+            (Mode::Disarming(cause), _) => self.braked(cause, TwistState::Disarmed, elapsed_ns),
+            (Mode::Disarmed(cause), _) => still(cause, TwistState::Disarmed),
+        };
+        if decision.state == TwistState::Disarmed {
+            self.mode = Mode::Disarmed(decision.hold);
+        }
+        self.sent = decision;
+        self.situation = Some(*situation);
+        decision
+    }
+
+    fn arm(&mut self) -> Outcome {
+        let Some(situation) = self.situation else {
+            return Outcome::NoFeatures;
+        };
+        if situation.shutdown {
+            return Outcome::Shutdown;
+        }
+        match self.mode {
+            Mode::Armed => return Outcome::Done,
+            Mode::Disarming(_) => return Outcome::Braking,
+            Mode::Disarmed(_) => (),
+        }
+        if situation.robot.is_some() {
+            return Outcome::Robot;
+        }
+        if situation.decision.hold != Hold::None {
+            return Outcome::NoFeatures;
+        }
+        (self.overruns, self.failures) = (0, 0);
+        self.mode = Mode::Armed;
+        Outcome::Done
+    }
+
+    /// Towards disarmed. Who is on the way there, or is there, keeps the first cause.
+    fn disarm(&mut self, cause: Hold) {
+        if self.mode == Mode::Armed {
+            self.mode = Mode::Disarming(cause);
+        }
+    }
+
+    fn count(&mut self, situation: &Situation) {
+        self.overruns = match situation.missed {
+            0 => 0,
+            _ => self.overruns.saturating_add(1),
+        };
+        self.failures = match situation.solver_failed {
+            Some(true) => self.failures.saturating_add(1),
+            Some(false) => 0,
+            None => self.failures,
+        };
+    }
+
+    /// The gravest cause against the law's twist.
+    fn cause(&self, situation: &Situation, now_ns: u64, elapsed_ns: u64) -> Option<Hold> {
+        let decided = situation.decision.hold;
+        let beyond = |since: u64| {
+            let limit = self.rules.lost_ns;
+            limit.is_some_and(|limit| now_ns.saturating_sub(since) > limit)
+        };
+        let stood_still = self.rules.lost_ns.is_some_and(|limit| elapsed_ns > limit);
+        let faulty = situation.robot == Some(Hold::RobotFault);
+        // The order of this list is the order of gravity.
+        [
+            (faulty, Hold::RobotFault),
+            (
+                decided == Hold::Clock || elapsed_ns == u64::MAX,
+                Hold::Clock,
+            ),
+            (stood_still, Hold::Standstill),
+            (situation.shutdown, Hold::Shutdown),
+            (situation.robot.is_some(), Hold::RobotLost),
+            (self.overruns >= IN_A_ROW, Hold::Overruns),
+            (decided == Hold::BadTwist, Hold::BadTwist),
+            (self.failures >= IN_A_ROW, Hold::Solver),
+            (situation.good_ns.is_some_and(beyond), Hold::Lost),
+            (decided != Hold::None, decided),
+        ]
+        .into_iter()
+        .find_map(|(holds, cause)| holds.then_some(cause))
+    }
+
+    /// One step of braking: the twist shrinks as a whole, so that the camera stays on its path, at a rate that takes
+    /// one at the limits to zero in the braking time. At zero the state is `after`.
+    fn braked(&self, cause: Hold, after: TwistState, elapsed_ns: u64) -> Decision {
+        let limits = self.rules.limits;
+        let ratios = self.sent.twist.iter().zip(limits);
+        let ratios = ratios.map(|(v, limit)| v.abs() / limit);
+        let speed = ratios.fold(0.0, f64::max);
+        let slower = match self.rules.brake_ns {
+            0 => 0.0,
+            brake_ns => speed - elapsed_ns as f64 / brake_ns as f64,
+        };
+        // Also where the last twist was zero, and for a NaN.
+        if slower.is_nan() || slower <= 0.0 {
+            return still(cause, after);
+        }
+        Decision {
+            twist: self.sent.twist.map(|v| v * (slower / speed)),
+            state: TwistState::Braking,
+            hold: cause,
+        }
+    }
+}
+
+fn still(hold: Hold, state: TwistState) -> Decision {
+    Decision {
+        twist: [0.0; 6],
+        state,
+        hold,
+    }
+}
+
+/// How a cause is met.
+fn response(cause: Hold) -> Response {
+    match cause {
+        Hold::RobotFault | Hold::Clock | Hold::Standstill => Response::Stop,
+        Hold::Shutdown
+        | Hold::Operator
+        | Hold::NotArmed
+        | Hold::RobotLost
+        | Hold::Overruns
+        | Hold::BadTwist
+        | Hold::Solver
+        | Hold::Lost => Response::Disarm,
+        Hold::None
+        | Hold::NoFeatures
+        | Hold::Stale
+        | Hold::Invalid
+        | Hold::Hidden
+        | Hold::Count
+        | Hold::NotFinite
+        | Hold::OffImage
+        | Hold::Transport
+        | Hold::Order => Response::Wait,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+    const PERIOD: u64 = 33 * MS;
+    const FAST: [f64; 6] = [0.1, 0.0, 0.05, 0.0, 0.2, 0.0];
+    const GOOD: Decision = Decision {
+        twist: FAST,
+        state: TwistState::Moving,
+        hold: Hold::None,
+    };
+
+    /// A supervisor whose clock is moved by hand.
+    struct Bench {
+        supervisor: Supervisor,
+        now: u64,
+        situation: Situation,
+    }
+
+    impl Bench {
+        fn new(armed: bool) -> Self {
+            let rules = Rules {
+                limits: [0.1, 0.1, 0.1, 0.4, 0.4, 0.4],
+                brake_ns: 150 * MS,
+                lost_ns: Some(300 * MS),
+                armed,
+            };
+            Self {
+                supervisor: Supervisor::new(rules),
+                now: 1000 * MS,
+                situation: Situation {
+                    decision: GOOD,
+                    good_ns: Some(1000 * MS),
+                    solver_failed: Some(false),
+                    missed: 0,
+                    robot: None,
+                    shutdown: false,
+                },
+            }
+        }
+
+        fn moving() -> Self {
+            let mut bench = Self::new(true);
+            assert_eq!(bench.good(), GOOD);
+            bench
+        }
+
+        /// The next cycle, with good features.
+        fn good(&mut self) -> Decision {
+            self.situation.decision = GOOD;
+            self.situation.good_ns = Some(self.now + PERIOD);
+            self.cycle()
+        }
+
+        /// The next cycle, with this cause against the law.
+        fn bad(&mut self, hold: Hold) -> Decision {
+            self.situation.decision = still(hold, TwistState::Holding);
+            self.cycle()
+        }
+
+        fn cycle(&mut self) -> Decision {
+            self.now += PERIOD;
+            self.supervisor.supervise(&self.situation, self.now)
+        }
+
+        fn ask(&mut self, action: Action) -> Outcome {
+            self.supervisor.request(action)
+        }
+    }
+
+    fn is_still(decision: &Decision) -> bool {
+        decision.twist == [0.0; 6]
+    }
+
+    #[test]
+    fn without_arming_nothing_moves() {
+        let mut bench = Bench::new(false);
+        assert_eq!(bench.ask(Action::Arm), Outcome::NoFeatures);
+        for _ in 0..10 {
+            assert_eq!(bench.good(), still(Hold::NotArmed, TwistState::Disarmed));
+        }
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+        assert_eq!(bench.good(), GOOD);
+    }
+
+    #[test]
+    fn braking_stays_on_the_path_and_within_its_time() {
+        let mut bench = Bench::moving();
+        let mut last = FAST;
+        for _ in 0..4 {
+            let decision = bench.bad(Hold::Hidden);
+            assert_eq!(
+                (decision.state, decision.hold),
+                (TwistState::Braking, Hold::Hidden)
+            );
+            let share = decision.twist[0] / FAST[0];
+            assert!((last[0] - decision.twist[0] - 0.1 * 33.0 / 150.0).abs() < 1e-12);
+            for k in 0..6 {
+                assert!((decision.twist[k] - share * FAST[k]).abs() < 1e-12);
+            }
+            last = decision.twist;
+        }
+        assert_eq!(
+            bench.bad(Hold::Hidden),
+            still(Hold::Hidden, TwistState::Holding)
+        );
+    }
+
+    #[test]
+    fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
+        for cause in [
+            Hold::Stale,
+            Hold::Invalid,
+            Hold::Hidden,
+            Hold::Count,
+            Hold::NotFinite,
+            Hold::OffImage,
+            Hold::Transport,
+            Hold::Order,
+        ] {
+            let mut bench = Bench::moving();
+            assert_eq!(bench.bad(cause).state, TwistState::Braking);
+            assert_eq!(bench.good(), GOOD, "{cause}");
+        }
+    }
+
+    #[test]
+    fn features_that_stay_away_disarm() {
+        let mut bench = Bench::moving();
+        let mut cycles = 0;
+        while bench.bad(Hold::Stale).state != TwistState::Disarmed {
+            cycles += 1;
+        }
+        assert_eq!(cycles, 300 / 33);
+        assert_eq!(bench.good(), still(Hold::Lost, TwistState::Disarmed));
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+        assert_eq!(bench.good(), GOOD);
+    }
+
+    #[test]
+    fn graver_causes_brake_and_disarm() {
+        type Change = fn(&mut Situation);
+        let cases: [(Hold, Change); 5] = [
+            (Hold::Shutdown, |s| s.shutdown = true),
+            (Hold::RobotLost, |s| s.robot = Some(Hold::RobotLost)),
+            (Hold::BadTwist, |s| s.decision.hold = Hold::BadTwist),
+            (Hold::Overruns, |s| s.missed = 1),
+            (Hold::Solver, |s| s.solver_failed = Some(true)),
+        ];
+        for (cause, change) in cases {
+            let mut bench = Bench::moving();
+            let untouched = bench.situation;
+            change(&mut bench.situation);
+            let first = (0..IN_A_ROW)
+                .map(|_| bench.cycle())
+                .find(|d| d.hold != Hold::None);
+            let first = first.unwrap();
+            assert_eq!((first.state, first.hold), (TwistState::Braking, cause));
+            assert!(!is_still(&first));
+            // The cause is gone: it goes on braking, and stays.
+            bench.situation = untouched;
+            for _ in 0..4 {
+                assert_eq!(bench.good().hold, cause);
+            }
+            assert_eq!(bench.good(), still(cause, TwistState::Disarmed));
+            assert!(bench.supervisor.is_at_rest());
+        }
+    }
+
+    #[test]
+    fn one_overrun_or_failure_is_forgiven() {
+        let mut bench = Bench::moving();
+        for _ in 0..5 {
+            for missed in [1, 1, 0] {
+                bench.situation.missed = missed;
+                bench.situation.solver_failed = Some(missed > 0);
+                assert_eq!(bench.good(), GOOD);
+            }
+        }
+    }
+
+    #[test]
+    fn the_gravest_stop_at_once() {
+        let mut bench = Bench::moving();
+        bench.situation.robot = Some(Hold::RobotFault);
+        assert_eq!(bench.good(), still(Hold::RobotFault, TwistState::Disarmed));
+        assert_eq!(bench.ask(Action::Arm), Outcome::Robot);
+        bench.situation.robot = None;
+        bench.good();
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+
+        let mut bench = Bench::moving();
+        assert_eq!(bench.ask(Action::Stop), Outcome::Done);
+        assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+
+        let mut bench = Bench::moving();
+        assert_eq!(
+            bench.bad(Hold::Clock),
+            still(Hold::Clock, TwistState::Disarmed)
+        );
+    }
+
+    #[test]
+    fn a_loop_that_stood_still_starts_no_motion() {
+        let mut bench = Bench::moving();
+        bench.now += 2000 * MS;
+        bench.situation.missed = 60;
+        assert_eq!(bench.good(), still(Hold::Standstill, TwistState::Disarmed));
+        bench.situation.missed = 0;
+        assert_eq!(bench.good(), still(Hold::Standstill, TwistState::Disarmed));
+    }
+
+    #[test]
+    fn a_clock_that_goes_back_stops() {
+        let mut bench = Bench::moving();
+        bench.now -= 2 * PERIOD;
+        assert_eq!(bench.good(), still(Hold::Clock, TwistState::Disarmed));
+    }
+
+    #[test]
+    fn an_operator_brakes_and_arms_again() {
+        let mut bench = Bench::moving();
+        assert_eq!(bench.ask(Action::Disarm), Outcome::Done);
+        let decision = bench.good();
+        assert_eq!(
+            (decision.state, decision.hold),
+            (TwistState::Braking, Hold::Operator)
+        );
+        assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
+        for _ in 0..4 {
+            bench.good();
+        }
+        assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+        assert_eq!(bench.good(), GOOD);
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    }
+
+    #[test]
+    fn who_cannot_see_cannot_be_armed() {
+        let mut bench = Bench::new(false);
+        bench.bad(Hold::NoFeatures);
+        assert_eq!(bench.ask(Action::Arm), Outcome::NoFeatures);
+        bench.situation.shutdown = true;
+        bench.good();
+        assert_eq!(bench.ask(Action::Arm), Outcome::Shutdown);
+    }
+
+    #[test]
+    fn the_gravest_of_several_causes_is_told() {
+        let mut bench = Bench::moving();
+        bench.situation.shutdown = true;
+        bench.situation.robot = Some(Hold::RobotLost);
+        assert_eq!(bench.bad(Hold::Hidden).hold, Hold::Shutdown);
+        bench.situation.robot = Some(Hold::RobotFault);
+        assert_eq!(
+            bench.bad(Hold::Hidden),
+            still(Hold::RobotFault, TwistState::Disarmed)
+        );
+    }
+
+    #[test]
+    fn in_lockstep_braking_takes_no_time() {
+        let rules = Rules {
+            limits: [1.0; 6],
+            brake_ns: 0,
+            lost_ns: None,
+            armed: true,
+        };
+        let mut bench = Bench::moving();
+        bench.supervisor = Supervisor::new(rules);
+        assert_eq!(bench.good(), GOOD);
+        for _ in 0..100 {
+            assert_eq!(
+                bench.bad(Hold::Hidden),
+                still(Hold::Hidden, TwistState::Holding)
+            );
+        }
+        assert_eq!(bench.good(), GOOD);
+    }
+}
