@@ -2,8 +2,9 @@
 //! `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions: `README.md`).
 //!
 //! A cycle is *Wake -> Receive -> Step -> Send -> Slack*; its modules in that order:
-//! [`clock`] (when), [`gate`] (whether the features can be trusted), [`law`] (what to command), [`supervisor`] (whether
-//! it may go out), [`cycle`] (the loop itself), [`telemetry`] (what an ordinary thread makes of the records).
+//! [`clock`] (when), [`pilot`] (the decision, a pure function: [`gate`], whether the features can be trusted, [`law`],
+//! what to command, [`supervisor`], whether it may go out), [`cycle`] (the loop itself), [`telemetry`] (what an ordinary
+//! thread makes of the records).
 #![deny(unsafe_code)]
 
 pub mod arguments;
