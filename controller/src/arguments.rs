@@ -6,9 +6,9 @@ use clap::Parser;
 
 /// Real-time visual predictive controller: image features in, camera twist out, through shared memory.
 ///
-/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 64 command line; 65 scene or memory wrong, or memory built
+/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit; 64 command line; 65 scene or memory wrong, or memory built
 /// for another task; 66 file missing; 69 shared memory not available or another vpcd at work; 70 failure of vpcd;
-/// 78 configuration.
+/// 73 a file cannot be written; 78 configuration.
 #[derive(Clone, Debug, Default, Parser)]
 #[command(name = "vpcd", version, max_term_width = 100)]
 pub struct Arguments {
@@ -33,8 +33,8 @@ pub struct Arguments {
     #[arg(long, value_name = "STEPS")]
     pub np: Option<i64>,
 
-    /// fixed (a grid in time at the scene's rate) or lockstep (one step for each features message), instead of
-    /// `cycle.clock`.
+    /// fixed (a grid in time at the scene's rate), phase (the same, following the camera's frames) or lockstep (one
+    /// step for each features message), instead of `cycle.clock`.
     #[arg(long, value_name = "MODE")]
     pub clock: Option<String>,
 
@@ -51,6 +51,20 @@ pub struct Arguments {
     /// Stop after so many cycles.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,
+
+    /// Write what the run came to into this file when it ends: times of wake-up, reception, law and sending, page
+    /// faults, blocking calls and calls of the heap (JSON).
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+
+    /// Tell what this machine lacks for real time and how to give it, and exit: 0 fit, 1 not. Takes a second; needs
+    /// neither configuration nor scene.
+    #[arg(long)]
+    pub preflight: bool,
+
+    /// With --preflight: as JSON.
+    #[arg(long, requires = "preflight")]
+    pub json: bool,
 
     /// Check configuration, scene and memory, say what would run, and exit.
     #[arg(long)]

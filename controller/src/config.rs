@@ -10,6 +10,7 @@ use vpc::{Model, Settings, Strategy};
 
 use crate::arguments::Arguments;
 use crate::exit::Exit;
+use crate::realtime::Wish;
 
 /// A valid configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,8 +31,10 @@ pub struct Config {
     pub safety: Safety,
     /// Directory of the shared-memory domain.
     pub domain: PathBuf,
-    /// SCHED_FIFO priority, 1 to 99; `None`: an ordinary thread.
-    pub priority: Option<i32>,
+    /// How far after the expected arrival of features the clock `phase` releases a cycle, ns.
+    pub margin_ns: u64,
+    /// What the loop's thread asks for; `None`: an ordinary thread.
+    pub realtime: Option<Wish>,
     /// Filter of the log.
     pub log_level: String,
     /// Whether log lines are JSON.
@@ -141,6 +144,7 @@ struct RawLaw {
 struct RawCycle {
     clock: String,
     stale_periods: f64,
+    margin_ms: f64,
 }
 
 #[derive(Deserialize)]
@@ -161,6 +165,7 @@ struct RawIpc {
 #[serde(deny_unknown_fields, default)]
 struct RawRealtime {
     priority: Option<i64>,
+    cpu: Option<i64>,
 }
 
 #[derive(Deserialize)]
@@ -193,6 +198,7 @@ impl Default for RawCycle {
         Self {
             clock: "fixed".to_owned(),
             stale_periods: 3.0,
+            margin_ms: 1.0,
         }
     }
 }
@@ -334,12 +340,10 @@ impl Checker<'_> {
             return Err(self.refuse("cycle.stale_periods", stale, "2 to 1000 periods"));
         }
         let clock = self.clock(&raw.cycle)?;
-        let priority = raw.realtime.priority.map(|priority| {
-            i32::try_from(priority)
-                .ok()
-                .filter(|priority| (1..=99).contains(priority))
-                .ok_or_else(|| self.refuse("realtime.priority", priority, "1 to 99"))
-        });
+        let margin = raw.cycle.margin_ms;
+        if !(0.0..=20.0).contains(&margin) {
+            return Err(self.refuse("cycle.margin_ms", margin, "0 to 20 ms"));
+        }
         Ok(Config {
             scene,
             memory: raw.memory,
@@ -348,7 +352,8 @@ impl Checker<'_> {
             stale_periods: stale,
             safety: self.safety(&raw.safety, clock)?,
             domain: raw.ipc.domain.unwrap_or_else(ipc::default_directory),
-            priority: priority.transpose()?,
+            margin_ns: (margin * 1e6) as u64,
+            realtime: self.realtime(&raw.realtime)?,
             log_level: self.log_level(raw.log.level)?,
             log_json: self.log_json(&raw.log.format)?,
         })
@@ -357,8 +362,35 @@ impl Checker<'_> {
     fn clock(&self, raw: &RawCycle) -> Result<ClockMode, ConfigError> {
         match raw.clock.as_str() {
             "fixed" => Ok(ClockMode::Fixed),
+            "phase" => Ok(ClockMode::Phase),
             "lockstep" => Ok(ClockMode::Lockstep),
-            other => Err(self.refuse("cycle.clock", other, "fixed, lockstep")),
+            other => Err(self.refuse("cycle.clock", other, "fixed, phase, lockstep")),
+        }
+    }
+
+    fn realtime(&self, raw: &RawRealtime) -> Result<Option<Wish>, ConfigError> {
+        let within = |key: &str, value: i64, least: i64, most: i64| {
+            if (least..=most).contains(&value) {
+                Ok(value)
+            } else {
+                Err(self.refuse(key, value, &format!("{least} to {most}")))
+            }
+        };
+        let cpu = match raw.cpu {
+            Some(cpu) => Some(within("realtime.cpu", cpu, 0, 1023)? as usize),
+            None => None,
+        };
+        match raw.priority {
+            Some(priority) => {
+                let priority = within("realtime.priority", priority, 1, 99)? as i32;
+                Ok(Some(Wish { priority, cpu }))
+            }
+            None if cpu.is_some() => Err(ConfigError::Missing {
+                path: self.path.to_owned(),
+                key: "realtime.priority",
+                allowed: "1 to 99, where realtime.cpu is given",
+            }),
+            None => Ok(None),
         }
     }
 
@@ -520,7 +552,7 @@ mod tests {
             ),
             (
                 "[cycle]\nclock = 'sun'",
-                "cycle.clock = sun; allowed: fixed, lockstep",
+                "cycle.clock = sun; allowed: fixed, phase, lockstep",
             ),
             (
                 "[cycle]\nstale_periods = 1.5",
@@ -537,6 +569,18 @@ mod tests {
             (
                 "[realtime]\npriority = 100",
                 "realtime.priority = 100; allowed: 1 to 99",
+            ),
+            (
+                "[realtime]\ncpu = 1",
+                "realtime.priority is missing; allowed: 1 to 99, where realtime.cpu",
+            ),
+            (
+                "[realtime]\npriority = 80\ncpu = -1",
+                "realtime.cpu = -1; allowed: 0 to 1023",
+            ),
+            (
+                "[cycle]\nmargin_ms = nan",
+                "cycle.margin_ms = NaN; allowed: 0 to 20 ms",
             ),
             ("[log]\nlevel = 'loud'", "log.level = loud; allowed: off"),
             (

@@ -2,8 +2,8 @@
 
 use heapless::Vec;
 use ipc::{
-    ClockMode, ControllerPorts, CycleRecord, PublishError, ReceiveError, Reply, TwistCommand,
-    TwistState, now_ns,
+    ClockMode, ControllerPorts, CycleRecord, PublishError, RealTime, ReceiveError, Reply,
+    TwistCommand, TwistState, now_ns,
 };
 use rtrb::Producer;
 
@@ -13,6 +13,7 @@ use crate::law::Law;
 use crate::pilot::{Answer, Inputs, Pilot};
 use crate::shutdown::Stop;
 use crate::supervisor::Rules;
+use crate::usage::Usage;
 
 /// Rounds of polling in lockstep that only yield, before polling sleeps.
 const YIELDS: u32 = 100;
@@ -35,8 +36,8 @@ pub struct Pace {
     pub stale_periods: f64,
     /// What the supervisor goes by.
     pub rules: Rules,
-    /// Whether the thread runs under SCHED_FIFO, where polling must sleep at once.
-    pub realtime: bool,
+    /// How real the thread's real time is. Under SCHED_FIFO polling only sleeps.
+    pub realtime: RealTime,
 }
 
 /// The loop with all it owns. It shares nothing with other threads but the queue of records.
@@ -53,6 +54,8 @@ pub struct Cycle {
     /// Releases missed until the last cycle.
     missed: u64,
     replies: Vec<Reply, REQUESTS>,
+    /// The thread's counters when it woke up.
+    woken: Usage,
 }
 
 impl Cycle {
@@ -72,6 +75,7 @@ impl Cycle {
         };
         let blank = CycleRecord {
             clock: pace.clock.code(),
+            realtime: pace.realtime.0,
             ..CycleRecord::default()
         };
         Self {
@@ -85,6 +89,7 @@ impl Cycle {
             lost: 0,
             missed: 0,
             replies: Vec::new(),
+            woken: Usage::now(),
         }
     }
 
@@ -134,6 +139,7 @@ impl Cycle {
         // Send.
         let sent = self.send(&answer);
         let sent_ns = now_ns();
+        self.woken.tell(&mut record);
         // Slack.
         self.reply();
         self.count += 1;
@@ -181,6 +187,7 @@ impl Cycle {
         let release_ns = self.grid.next_ns();
         sleep_until(release_ns);
         let woken_ns = now_ns();
+        self.woken = Usage::now();
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
         (woken_ns, self.ports.features.latest().into())
     }
@@ -188,9 +195,12 @@ impl Cycle {
     /// Lockstep: polls for a message. A repeated one was answered already.
     fn poll(&mut self) -> Option<(u64, Input)> {
         let end_ns = now_ns() + WAIT_NS;
-        let mut polls = if self.pace.realtime { YIELDS } else { 0 };
+        let is_fifo =
+            self.pace.realtime.has(RealTime::ASKED) && !self.pace.realtime.has(RealTime::NO_FIFO);
+        let mut polls = if is_fifo { YIELDS } else { 0 };
         loop {
             let woken_ns = now_ns();
+            self.woken = Usage::now();
             match self.ports.features.latest().into() {
                 Input::Nothing => (),
                 Input::Message(received) if received.order == ipc::Order::Repeated => (),

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use ipc::{ClockMode, ControllerPorts, Domain};
+use ipc::{ClockMode, ControllerPorts, Domain, RealTime};
 
 use crate::arguments::Arguments;
 use crate::config::{Config, ConfigError};
@@ -13,14 +13,19 @@ use crate::cycle::{Cycle, Pace};
 use crate::exit::Exit;
 use crate::instance::{Instance, InstanceError};
 use crate::law::{Law, LawError};
+use crate::preflight::Facts;
+use crate::realtime::Wish;
+use crate::report::{Report, ReportError};
 use crate::service::{Progress, Service, ServiceError, Talk};
 use crate::shutdown::{Hangup, Stop};
 use crate::supervisor::Rules;
 use crate::telemetry::{self, RecorderError};
-use crate::{log, realtime};
+use crate::{log, preflight, realtime, stack};
 
 /// Failures to send in a row after which the daemon gives up: a broken segment does not mend itself.
 const MOST_FAILURES: u32 = 30;
+/// Priority that the preflight asks about where no configuration names one.
+const PRIORITY: i32 = 80;
 
 /// Why the daemon ended other than by being asked to.
 #[derive(Debug, thiserror::Error)]
@@ -46,6 +51,9 @@ pub enum Failure {
     /// The recorder.
     #[error(transparent)]
     Recorder(#[from] RecorderError),
+    /// The report.
+    #[error(transparent)]
+    Report(#[from] ReportError),
     /// The signal handlers.
     #[error("signal handlers: {0}")]
     Signals(std::io::Error),
@@ -67,6 +75,7 @@ impl Failure {
             Self::Law(error) => error.exit(),
             Self::Join(_) | Self::Instance(_) | Self::Open(_) => Exit::Unavailable,
             Self::Service(_) => Exit::Config,
+            Self::Report(_) => Exit::CannotCreate,
             Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
             Self::Recorder(_) | Self::Signals(_) | Self::Send { .. } => Exit::Software,
         }
@@ -88,6 +97,9 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             return exit.into();
         }
     };
+    if arguments.preflight {
+        return preflight(&arguments);
+    }
     match run(&arguments) {
         Ok(()) => Exit::Ok.into(),
         Err(failure) => {
@@ -98,6 +110,31 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             failure.exit().into()
         }
     }
+}
+
+/// Tells what the machine lacks for the loop of this configuration; for a usual one where none is given.
+fn preflight(arguments: &Arguments) -> ExitCode {
+    let usual = Wish {
+        priority: PRIORITY,
+        cpu: None,
+    };
+    let wish = match &arguments.config {
+        Some(_) => match Config::read(arguments) {
+            Ok(config) => config.realtime.unwrap_or(usual),
+            Err(error) => {
+                log::complain(&error.to_string());
+                return error.exit().into();
+            }
+        },
+        None => usual,
+    };
+    let found = preflight::judge(&Facts::gather(wish), wish);
+    if arguments.json {
+        println!("{}", serde_json::json!(found));
+    } else {
+        println!("{found}");
+    }
+    if found.fit { Exit::Ok } else { Exit::Unfit }.into()
 }
 
 /// Checks everything, then runs the loop in this thread.
@@ -125,22 +162,40 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let talk = Talk::new(service, period, progress.clone(), stop.clone(), hangup);
     let recorder = telemetry::start(&config.domain, queue, talk)?;
     tracing::info!("{}", describe(&config, &law));
-    match config.priority {
-        Some(priority) => realtime::enter(priority),
-        None => realtime::precise_sleep(),
-    }
-    let mut cycle = Cycle::new(pace(&config, &law), ports, law, records);
+    let realtime = match config.realtime {
+        Some(wish) => realtime::enter(wish),
+        None => {
+            realtime::precise_sleep();
+            RealTime::default()
+        }
+    };
+    let mut pace = pace(&config, &law);
+    pace.realtime = realtime;
+    let mut cycle = Cycle::new(pace, ports, law, records);
     let outcome = turn(&mut cycle, &stop, &progress, arguments.cycles);
     // Whatever happened, the last word is zero.
     let stopped = cycle.stop();
     drop(cycle);
+    let stack_used_bytes = config.realtime.map_or(0, |_| stack::used());
+    let locked_kib = realtime::status_kib("VmLck").unwrap_or(0);
+    let mut reported = Ok(());
     if let Ok(summary) = recorder.join() {
         summary.tell();
+        if let Some(path) = &arguments.report {
+            let report = Report {
+                realtime: realtime.0,
+                stack_used_bytes,
+                locked_kib,
+                ..summary.report()
+            };
+            reported = report.write(path);
+        }
     }
     // The ports are closed: the next one may come.
     drop(instance);
     outcome?;
-    stopped.map_err(|source| Failure::Send { most: 1, source })
+    stopped.map_err(|source| Failure::Send { most: 1, source })?;
+    Ok(reported?)
 }
 
 /// Runs cycles until asked to stop, and then until the camera stands; in lockstep, where nothing moves between
@@ -202,7 +257,7 @@ fn pace(config: &Config, law: &Law) -> Pace {
         period_ns,
         stale_periods: config.stale_periods,
         rules,
-        realtime: config.priority.is_some(),
+        realtime: RealTime::default(),
     }
 }
 

@@ -6,6 +6,8 @@
 pub enum Exit {
     /// Stopped by a signal or after the cycles asked for.
     Ok = 0,
+    /// The preflight found the machine unfit for real time.
+    Unfit = 1,
     /// The command line is wrong.
     Usage = 64,
     /// A scene or a memory is wrong, or the memory was built for another task.
@@ -16,6 +18,8 @@ pub enum Exit {
     Unavailable = 69,
     /// The daemon failed by itself.
     Software = 70,
+    /// A file that was asked for cannot be written.
+    CannotCreate = 73,
     /// The configuration is wrong.
     Config = 78,
 }

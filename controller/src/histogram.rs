@@ -1,5 +1,7 @@
 //! Durations in fixed buckets: eight for each doubling, so that a percentile is right to 13 %.
 
+use crate::report::Percentiles;
+
 /// Buckets for each doubling.
 const PER_OCTAVE: usize = 8;
 /// From 1 ns to 2^40 ns, 18 minutes.
@@ -44,6 +46,16 @@ impl Histogram {
             }
         }
         self.max_ns
+    }
+
+    /// The usual shares, ns.
+    pub fn percentiles(&self) -> Percentiles {
+        Percentiles {
+            p50: self.quantile(0.5),
+            p99: self.quantile(0.99),
+            p999: self.quantile(0.999),
+            max: self.max_ns,
+        }
     }
 
     /// The longest duration, ns.

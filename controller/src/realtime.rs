@@ -1,47 +1,148 @@
-//! Real-time scheduling of the loop's thread, where it is asked for and permitted.
+//! Real-time scheduling of the loop's thread, where it is asked for and permitted: SCHED_FIFO, a processor of its own,
+//! a stack that is already there, locked memory; each read back after it was asked for.
 
+use std::io;
+
+use ipc::RealTime;
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::{Resource, getrlimit};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// Gives the calling thread SCHED_FIFO with this priority and locks the process's memory. Where that is not
-/// permitted the daemon runs all the same, and says so loudly: late cycles are counted, and stale commands stop the
-/// camera.
-pub fn enter(priority: i32) {
-    if let Err(error) = fifo(priority) {
+use crate::stack;
+
+/// Number of the capability to lock any amount of memory, `capabilities(7)`.
+pub(crate) const CAP_IPC_LOCK: u32 = 14;
+/// Number of the capability to schedule as one likes, `capabilities(7)`.
+pub(crate) const CAP_SYS_NICE: u32 = 23;
+
+/// What the loop's thread asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wish {
+    /// SCHED_FIFO priority, 1 to 99.
+    pub priority: i32,
+    /// The processor to stay on, from 0; `None`: any.
+    pub cpu: Option<usize>,
+}
+
+/// Gives the calling thread what it asks for, as far as that is permitted, and reads back what it got. Where something
+/// is missing the daemon runs all the same and says so: once in the log here, and all the time in status and telemetry
+/// by the bits returned. Late cycles are counted, and stale commands stop the camera.
+pub fn enter(wish: Wish) -> RealTime {
+    let mut bits = RealTime::ASKED;
+    let mut lacks = Vec::new();
+    let mut lack = |bit: RealTime, outcome: io::Result<()>, what: &str| {
+        if let Err(error) = outcome {
+            bits = bits.with(bit);
+            lacks.push(format!("{what}: {error}"));
+        }
+    };
+    if let Some(cpu) = wish.cpu {
+        let what = format!("not on processor {cpu} (realtime.cpu; CPUAffinity= in the unit)");
+        lack(RealTime::NO_CPU, pin(cpu), &what);
+    }
+    let what = format!(
+        "no SCHED_FIFO at priority {}, expect wake-ups late by up to 200 ms under load (CAP_SYS_NICE, or LimitRTPRIO= in the unit)",
+        wish.priority
+    );
+    lack(RealTime::NO_FIFO, fifo(wish.priority), &what);
+    let what =
+        "memory is not locked, expect page faults in the loop (LimitMEMLOCK=infinity in the unit)";
+    lack(RealTime::NO_LOCK, lock(), what);
+    // After locking, so that the pages stay.
+    stack::prepare();
+    if bits.is_degraded() {
         tracing::warn!(
-            priority,
-            %error,
-            "DEGRADED: no real-time scheduling; expect wake-ups to be late by up to 200 ms under load \
-             (grant CAP_SYS_NICE, or LimitRTPRIO= in the unit)"
+            bits = bits.0,
+            "DEGRADED, not real time: {}; vpcd --preflight tells what this machine lacks",
+            lacks.join("; ")
         );
     }
-    if let Err(error) = lock() {
-        tracing::warn!(
-            %error,
-            "DEGRADED: memory is not locked; expect page faults in the loop (LimitMEMLOCK=infinity in the unit)"
-        );
+    bits
+}
+
+fn pin(cpu: usize) -> io::Result<()> {
+    let missing = || {
+        io::Error::new(
+            io::ErrorKind::NotFound,
+            "there is no such processor for this process",
+        )
+    };
+    if cpu >= CpuSet::MAX_CPU {
+        return Err(missing());
     }
+    let mut only = CpuSet::new();
+    only.set(cpu);
+    sched_setaffinity(None, &only).map_err(|error| match error {
+        rustix::io::Errno::INVAL => missing(),
+        other => other.into(),
+    })?;
+    let got = sched_getaffinity(None)?;
+    if got.count() == 1 && got.is_set(cpu) {
+        return Ok(());
+    }
+    Err(io::Error::other("the kernel says otherwise"))
 }
 
 #[allow(unsafe_code)]
-fn fifo(priority: i32) -> std::io::Result<()> {
+fn fifo(priority: i32) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: priority,
     };
+    // Threads that this one may start are ordinary ones again.
+    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     // SAFETY: the pointer is to a live value of the right type; 0 names the calling thread.
-    match unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &parameters) } {
-        0 => Ok(()),
-        _ => Err(std::io::Error::last_os_error()),
+    if unsafe { libc::sched_setscheduler(0, policy, &parameters) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    let mut got = libc::sched_param { sched_priority: 0 };
+    // SAFETY: 0 names the calling thread.
+    let policy = unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK;
+    // SAFETY: the pointer is to a live value of the right type, which the call fills.
+    let outcome = unsafe { libc::sched_getparam(0, &mut got) };
+    if outcome == 0 && policy == libc::SCHED_FIFO && got.sched_priority == priority {
+        return Ok(());
+    }
+    Err(io::Error::other("the kernel says otherwise"))
+}
+
+/// All memory, present and future, or none: under a limit, locking the future would make a later mapping (a peer's
+/// segment) fail when the limit is reached, in the middle of a run.
+fn lock() -> io::Result<()> {
+    let limit = getrlimit(Resource::Memlock).current;
+    if let Some(limit) = limit.filter(|_| !has_capability(CAP_IPC_LOCK)) {
+        let message = format!(
+            "the limit is {} KiB, and under a limit none is locked",
+            limit >> 10
+        );
+        return Err(io::Error::new(io::ErrorKind::PermissionDenied, message));
+    }
+    mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)?;
+    match (status_kib("VmLck"), status_kib("VmRSS")) {
+        (Some(locked), Some(resident)) if locked < resident / 2 => Err(io::Error::other(format!(
+            "VmLck is {locked} KiB of {resident} KiB resident"
+        ))),
+        _ => Ok(()),
     }
 }
 
-/// With a limit on locked memory, locking the future too would make later mappings fail: refuse instead.
-fn lock() -> std::io::Result<()> {
-    let limited = getrlimit(Resource::Memlock).current.is_some();
-    if limited && !rustix::process::geteuid().is_root() {
-        return Err(std::io::Error::from(std::io::ErrorKind::PermissionDenied));
-    }
-    Ok(mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)?)
+/// A line of `/proc/self/status`.
+fn status(name: &str) -> Option<String> {
+    let text = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = text
+        .lines()
+        .find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))?;
+    Some(line.trim().to_owned())
+}
+
+/// A size in `/proc/self/status`, KiB.
+pub(crate) fn status_kib(name: &str) -> Option<u64> {
+    status(name)?.split_whitespace().next()?.parse().ok()
+}
+
+/// Whether this process has a capability, by its number.
+pub(crate) fn has_capability(number: u32) -> bool {
+    let set = status("CapEff").and_then(|text| u64::from_str_radix(&text, 16).ok());
+    set.is_some_and(|set| set >> number & 1 == 1)
 }
 
 /// Lets the kernel wake the calling thread as precisely as it can (1 ns of slack instead of 50 us): for polling in

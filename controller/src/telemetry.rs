@@ -6,13 +6,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use ipc::{
-    Action, CycleRecord, Domain, Hold, JoinError, Message, OpenError, Outcome, ReceiveError,
-    RecorderPort, Reply, Request, TwistState,
+    Action, CycleRecord, Domain, Hold, JoinError, Message, OpenError, Outcome, PhaseCode, RealTime,
+    ReceiveError, RecorderPort, Reply, Request, TwistState,
 };
 use rtrb::Consumer;
 use tracing::{debug, info, warn};
 
 use crate::histogram::Histogram;
+use crate::report::Report;
 use crate::service::Talk;
 
 /// Pause between two looks at the queue.
@@ -142,8 +143,18 @@ pub struct Summary {
     held: u64,
     overruns: u64,
     lost: u64,
+    armed: u64,
     busy: Histogram,
     wake: Histogram,
+    receive: Histogram,
+    step: Histogram,
+    send: Histogram,
+    minor_faults: u64,
+    major_faults: u64,
+    blocked: u64,
+    allocations: u64,
+    realtime: RealTime,
+    phase: u32,
     state: u32,
     hold: u32,
     error_px: f64,
@@ -156,8 +167,18 @@ impl Default for Summary {
             held: 0,
             overruns: 0,
             lost: 0,
+            armed: 0,
             busy: Histogram::default(),
             wake: Histogram::default(),
+            receive: Histogram::default(),
+            step: Histogram::default(),
+            send: Histogram::default(),
+            minor_faults: 0,
+            major_faults: 0,
+            blocked: 0,
+            allocations: 0,
+            realtime: RealTime::default(),
+            phase: PhaseCode::Free.code(),
             state: TwistState::Stopped.code(),
             hold: Hold::None.code(),
             error_px: 0.0,
@@ -172,14 +193,37 @@ impl Summary {
         self.busy
             .add(record.receive_ns + record.step_ns + record.send_ns);
         self.wake.add(record.wake_latency_ns);
+        self.receive.add(record.receive_ns);
+        self.step.add(record.step_ns);
+        self.send.add(record.send_ns);
+        self.realtime = RealTime(record.realtime);
+        self.count_costs(record);
         self.tell_changes(record);
+        self.phase = record.phase;
         (self.state, self.hold) = (record.state, record.hold);
         self.error_px = record.error_px;
         (self.overruns, self.lost) = (record.overruns, record.lost_records);
     }
 
+    /// Cycles that steer are to cost nothing but time, once all peers are met.
+    fn count_costs(&mut self, record: &CycleRecord) {
+        self.armed += u64::from(record.hold == Hold::None.code());
+        if record.hold == Hold::None.code() && self.armed > Report::WARM_UP {
+            self.minor_faults += u64::from(record.minor_faults);
+            self.major_faults += u64::from(record.major_faults);
+            self.blocked += u64::from(record.blocked);
+            self.allocations += u64::from(record.allocations);
+        }
+    }
+
     fn tell_changes(&self, record: &CycleRecord) {
         let cycle = record.cycle;
+        if let Some(phase) = PhaseCode::from_code(record.phase)
+            && record.phase != self.phase
+        {
+            let error_us = record.phase_error_ns as f64 / 1e3;
+            info!(cycle, %phase, error_us, "phase of the grid: {phase}");
+        }
         if record.state != self.state || record.hold != self.hold {
             match (
                 TwistState::from_code(record.state),
@@ -231,26 +275,134 @@ impl Summary {
             (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
             (None, _) => "unknown".to_owned(),
         };
+        let degraded = match self.realtime.is_degraded() {
+            true => format!("; NOT REAL TIME: {}", lacks(self.realtime)),
+            false => String::new(),
+        };
+        let phase = match PhaseCode::from_code(self.phase) {
+            Some(PhaseCode::Free) | None => String::new(),
+            Some(phase) => format!(", phase {phase}"),
+        };
         format!(
-            "{state}; {} cycles, {} held, {} overruns, {} records lost",
+            "{state}{phase}{degraded}; {} cycles, {} held, {} overruns, {} records lost",
             self.cycles, self.held, self.overruns, self.lost
         )
     }
 
+    /// The run in numbers, without what only the loop's thread knows.
+    pub fn report(&self) -> Report {
+        Report {
+            cycles: self.cycles,
+            armed: self.armed,
+            overruns: self.overruns,
+            lost_records: self.lost,
+            wake_ns: self.wake.percentiles(),
+            receive_ns: self.receive.percentiles(),
+            step_ns: self.step.percentiles(),
+            send_ns: self.send.percentiles(),
+            busy_ns: self.busy.percentiles(),
+            minor_faults: self.minor_faults,
+            major_faults: self.major_faults,
+            blocked: self.blocked,
+            allocations: self.allocations,
+            realtime: self.realtime.0,
+            ..Report::default()
+        }
+    }
+
     /// Writes the end of a run to the log.
     pub fn tell(&self) {
-        let us = |ns: u64| ns as f64 / 1e3;
-        let (busy, wake) = (&self.busy, &self.wake);
+        for (phase, histogram) in [
+            ("wake", &self.wake),
+            ("receive", &self.receive),
+            ("step", &self.step),
+            ("send", &self.send),
+            ("busy", &self.busy),
+        ] {
+            let us = |ns: u64| ns as f64 / 1e3;
+            let found = histogram.percentiles();
+            let (p50_us, p99_us) = (us(found.p50), us(found.p99));
+            let (p999_us, max_us) = (us(found.p999), us(found.max));
+            info!(phase, p50_us, p99_us, p999_us, max_us, "time of {phase}");
+        }
         info!(
             cycles = self.cycles,
             held = self.held,
             overruns = self.overruns,
             lost_records = self.lost,
-            busy_p50_us = us(busy.quantile(0.5)),
-            busy_p99_us = us(busy.quantile(0.99)),
-            busy_max_us = us(busy.max_ns()),
-            wake_p99_us = us(wake.quantile(0.99)),
+            minor_faults = self.minor_faults,
+            major_faults = self.major_faults,
+            blocked = self.blocked,
+            allocations = self.allocations,
             "stopped"
         );
+    }
+}
+
+/// What real time lacks, in words.
+fn lacks(realtime: RealTime) -> String {
+    [
+        (RealTime::NO_FIFO, "no SCHED_FIFO"),
+        (RealTime::NO_CPU, "not on its processor"),
+        (RealTime::NO_LOCK, "memory not locked"),
+    ]
+    .into_iter()
+    .filter(|(bit, _)| realtime.has(*bit))
+    .map(|(_, words)| words)
+    .collect::<Vec<_>>()
+    .join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(cycle: u64) -> CycleRecord {
+        CycleRecord {
+            cycle,
+            ..CycleRecord::default()
+        }
+    }
+
+    #[test]
+    fn the_status_says_what_real_time_lacks_as_long_as_it_lacks_it() {
+        let mut summary = Summary::default();
+        summary.add(&record(1));
+        assert!(!summary.status().contains("REAL TIME"));
+        let bits = RealTime::ASKED
+            .with(RealTime::NO_FIFO)
+            .with(RealTime::NO_LOCK);
+        for cycle in 2..4 {
+            let realtime = bits.0;
+            summary.add(&CycleRecord {
+                realtime,
+                ..record(cycle)
+            });
+            let status = summary.status();
+            let words = "; NOT REAL TIME: no SCHED_FIFO, memory not locked; ";
+            assert!(status.contains(words), "{status}");
+        }
+    }
+
+    #[test]
+    fn costs_count_in_cycles_that_steer_and_not_while_peers_are_met() {
+        let mut summary = Summary::default();
+        for cycle in 1..=2 * Report::WARM_UP {
+            let mut record = record(cycle);
+            record.hold = match cycle % 2 {
+                0 => Hold::None.code(),
+                _ => Hold::NoFeatures.code(),
+            };
+            (record.minor_faults, record.allocations) = (1, 1);
+            summary.add(&record);
+        }
+        assert_eq!(summary.report().minor_faults, 0);
+        let mut last = record(1000);
+        (last.minor_faults, last.blocked, last.allocations) = (3, 2, 1);
+        summary.add(&last);
+        let report = summary.report();
+        let found = (report.minor_faults, report.blocked, report.allocations);
+        assert_eq!(found, (3, 2, 1));
+        assert_eq!(report.armed, Report::WARM_UP + 1);
     }
 }

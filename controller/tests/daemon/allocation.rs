@@ -54,7 +54,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             lost_ns: None,
             armed: true,
         },
-        realtime: false,
+        realtime: ipc::RealTime::default(),
     };
 
     let domain = Domain::join(&place.domain()).unwrap();

@@ -3,4 +3,5 @@
 mod allocation;
 mod fixture;
 mod process;
+mod realtime;
 mod refusal;

@@ -413,20 +413,3 @@ fn a_restarted_camera_is_a_new_run() {
     assert_eq!(answers[0], answers[2]);
     drop(daemon);
 }
-
-#[test]
-fn without_permission_real_time_is_degraded_with_a_loud_warning() {
-    let bench = Bench::new();
-    let text = format!(
-        "scene = '{}'\n[realtime]\npriority = 10\n",
-        scene_file().display()
-    );
-    let config = bench.place.file("v.toml", text);
-    let mut command = vpcd_in(&bench.place);
-    command.arg("--config").arg(config).args(["--cycles", "3"]);
-    let (code, log) = ended(command);
-    assert_eq!(code, 0, "{log}");
-    let permitted = rustix::process::geteuid().is_root();
-    assert!(permitted || log.matches("DEGRADED").count() >= 1, "{log}");
-    assert!(log.contains("cycles=3"), "{log}");
-}

@@ -48,7 +48,7 @@ fn a_wrong_command_line_is_64() {
     assert_refused(
         run(&["--scene", "s", "--clock", "sun"]),
         64,
-        &["--clock = sun; allowed: fixed, lockstep"],
+        &["--clock = sun; allowed: fixed, phase, lockstep"],
     );
 }
 

@@ -1,0 +1,71 @@
+//! What a stretch of the loop's thread cost beside time: page faults, calls that blocked, calls of the heap.
+
+use ipc::CycleRecord;
+
+/// Counters of the calling thread at one instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Usage {
+    minor_faults: u64,
+    major_faults: u64,
+    blocked: u64,
+    allocations: u64,
+}
+
+impl Usage {
+    /// Reads the counters; one call of the kernel, which neither blocks nor allocates.
+    #[allow(unsafe_code)]
+    pub fn now() -> Self {
+        let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
+        // SAFETY: the pointer is to a live value of the right type. It stays zero where the call fails, and all zeros
+        // are a valid value.
+        let usage = unsafe {
+            libc::getrusage(libc::RUSAGE_THREAD, usage.as_mut_ptr());
+            usage.assume_init()
+        };
+        Self {
+            minor_faults: usage.ru_minflt as u64,
+            major_faults: usage.ru_majflt as u64,
+            blocked: usage.ru_nvcsw as u64,
+            allocations: heap_meter::calls(),
+        }
+    }
+
+    /// Writes what came since `self` into a record.
+    pub fn tell(&self, record: &mut CycleRecord) {
+        let now = Self::now();
+        let since =
+            |now: u64, then: u64| u32::try_from(now.saturating_sub(then)).unwrap_or(u32::MAX);
+        record.minor_faults = since(now.minor_faults, self.minor_faults);
+        record.major_faults = since(now.major_faults, self.major_faults);
+        record.blocked = since(now.blocked, self.blocked);
+        record.allocations = since(now.allocations, self.allocations);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn cost(work: impl FnOnce()) -> CycleRecord {
+        let mut record = CycleRecord::default();
+        let before = Usage::now();
+        work();
+        before.tell(&mut record);
+        record
+    }
+
+    #[test]
+    fn a_sleep_is_seen_to_block() {
+        assert!(cost(|| std::thread::sleep(Duration::from_millis(1))).blocked >= 1);
+    }
+
+    #[test]
+    fn fresh_pages_are_seen_to_fault() {
+        let fresh = cost(|| {
+            let pages = vec![1_u8; 8 << 20];
+            drop(std::hint::black_box(pages));
+        });
+        assert!(fresh.minor_faults >= 2, "{}", fresh.minor_faults);
+    }
+}
