@@ -37,7 +37,13 @@ impl Grid {
     /// Ends the cycle of the present release at `now_ns`: moves on to the first release after it. Tells how many
     /// were missed.
     pub fn advance(&mut self, now_ns: u64) -> u64 {
-        self.next_ns += self.period_ns;
+        self.advance_by(self.period_ns, now_ns)
+    }
+
+    /// The same where the grid moves: the next release comes so long after the present one, ns, and the others a
+    /// period each after that.
+    pub fn advance_by(&mut self, interval_ns: u64, now_ns: u64) -> u64 {
+        self.next_ns += interval_ns;
         let missed = match now_ns.checked_sub(self.next_ns) {
             Some(late) => late / self.period_ns + 1,
             None => 0,
@@ -78,6 +84,18 @@ mod tests {
         assert_eq!((grid.next_ns(), grid.missed()), (50_000, 3));
         assert_eq!(grid.advance(52_000), 0);
         assert_eq!((grid.next_ns(), grid.missed()), (60_000, 3));
+    }
+
+    #[test]
+    fn a_grid_that_moves_keeps_its_period_from_there_on() {
+        let mut grid = Grid::new(0, 10_000);
+        assert_eq!(grid.advance_by(10_200, 11_000), 0);
+        assert_eq!(grid.next_ns(), 20_200);
+        // 30.0 and 40.0 us are missed.
+        assert_eq!(grid.advance_by(9_800, 41_000), 2);
+        assert_eq!(grid.next_ns(), 50_000);
+        assert_eq!(grid.advance(50_500), 0);
+        assert_eq!(grid.next_ns(), 60_000);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use rtrb::Producer;
 use crate::clock::{Grid, sleep_until};
 use crate::gate::Input;
 use crate::law::Law;
+use crate::phase::Phase;
 use crate::pilot::{Answer, Inputs, Pilot};
 use crate::shutdown::Stop;
 use crate::supervisor::Rules;
@@ -36,6 +37,8 @@ pub struct Pace {
     pub stale_periods: f64,
     /// What the supervisor goes by.
     pub rules: Rules,
+    /// Clock `phase`: how far after the expected arrival of features a cycle begins, ns.
+    pub margin_ns: u64,
     /// How real the thread's real time is. Under SCHED_FIFO polling only sleeps.
     pub realtime: RealTime,
 }
@@ -46,6 +49,8 @@ pub struct Cycle {
     ports: ControllerPorts,
     pilot: Pilot,
     grid: Grid,
+    /// What moves the grid, in the clock `phase`.
+    phase: Option<Phase>,
     records: Producer<CycleRecord>,
     /// What stays the same in each record.
     blank: CycleRecord,
@@ -83,6 +88,8 @@ impl Cycle {
             ports,
             pilot: Pilot::new(law, stale_ns, pace.rules),
             grid: Grid::new(now_ns(), pace.period_ns),
+            phase: (pace.clock == ClockMode::Phase)
+                .then(|| Phase::new(pace.period_ns, pace.margin_ns)),
             records,
             blank,
             count: 0,
@@ -153,7 +160,7 @@ impl Cycle {
             _ => woken_ns.saturating_sub(answer.stamp.data_ns),
         };
         if self.pace.clock != ClockMode::Lockstep {
-            self.grid.advance(now_ns());
+            self.advance(&mut record);
         }
         record.overruns = self.grid.missed();
         record.lost_records = self.lost;
@@ -189,7 +196,23 @@ impl Cycle {
         let woken_ns = now_ns();
         self.woken = Usage::now();
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
-        (woken_ns, self.ports.features.latest().into())
+        let features = self.ports.features.latest().into();
+        if let (Some(phase), Input::Message(received)) = (&mut self.phase, &features) {
+            phase.hear(&received.message.stamp);
+        }
+        (woken_ns, features)
+    }
+
+    /// Moves the grid on to the next release.
+    fn advance(&mut self, record: &mut CycleRecord) {
+        let Some(phase) = &mut self.phase else {
+            self.grid.advance(now_ns());
+            return;
+        };
+        let interval_ns = phase.interval_ns(self.grid.next_ns());
+        let (code, error_ns) = phase.standing();
+        (record.phase, record.phase_error_ns) = (code.code(), error_ns);
+        self.grid.advance_by(interval_ns, now_ns());
     }
 
     /// Lockstep: polls for a message. A repeated one was answered already.

@@ -257,6 +257,7 @@ fn pace(config: &Config, law: &Law) -> Pace {
         period_ns,
         stale_periods: config.stale_periods,
         rules,
+        margin_ns: config.margin_ns,
         realtime: RealTime::default(),
     }
 }

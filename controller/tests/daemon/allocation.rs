@@ -54,6 +54,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             lost_ns: None,
             armed: true,
         },
+        margin_ns: 10_000,
         realtime: ipc::RealTime::default(),
     };
 
@@ -147,4 +148,5 @@ fn the_fixed_clock_never_allocates() {
     for strategy in [Strategy::Previous, Strategy::Knn { k: 1 }, Strategy::Gpr] {
         check(strategy, ClockMode::Fixed);
     }
+    check(Strategy::Previous, ClockMode::Phase);
 }
