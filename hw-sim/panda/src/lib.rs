@@ -3,8 +3,28 @@
 #![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod brake;
+pub mod errors;
+pub mod generator;
+pub mod ik;
+pub mod interface;
 pub mod kinematics;
+pub mod limits;
+pub mod mode;
 pub mod mount;
+pub mod placement;
+pub mod ramp;
+pub mod robot;
+pub mod servo;
+pub mod shaper;
+pub mod state;
 
+pub use errors::{Errors, Flag};
+pub use interface::{Command, Motion, MotionKind};
 pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Twist};
+pub use mode::{Mode, RequestError};
 pub use mount::Mount;
+pub use placement::{PlacementError, place};
+pub use robot::{Robot, RobotError, RobotSettings, Walls};
+pub use shaper::{Echo, Shaper, ShaperError, ShaperSettings};
+pub use state::State;

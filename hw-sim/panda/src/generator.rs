@@ -1,0 +1,187 @@
+//! Commands in, desired joints out, each step checked against the tables.
+
+use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::errors::{Errors, Flag};
+use crate::ik::VelocityIk;
+use crate::interface::{Motion, MotionKind};
+use crate::kinematics::{Chain, Joints, Pose, Twist};
+use crate::limits::{Exceeded, PERIOD, Setpoint, cartesian};
+use crate::mount::split;
+
+/// The pose after a body moved at `twist` (its origin, base axes) for `dt` seconds, the linear and the angular
+/// velocity constant along base axes.
+pub(crate) fn moved(pose: &Pose, twist: &Twist, dt: f64) -> Pose {
+    let (linear, angular) = split(twist);
+    Pose::from_parts(
+        Translation3::from(pose.translation.vector + linear * dt),
+        Rotation3::new(angular * dt) * pose.rotation,
+    )
+}
+
+/// A motion under way.
+#[derive(Clone, Copy, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a robot holds one, and the large one is the rule"
+)]
+pub enum Generator {
+    /// Of Cartesian velocities.
+    Cartesian(CartesianGenerator),
+    /// Of joint velocities.
+    Joint(JointGenerator),
+}
+
+impl Generator {
+    /// A motion begins at rest at `q`.
+    pub fn new(kind: MotionKind, chain: Chain, q: &Joints) -> Self {
+        match kind {
+            MotionKind::Cartesian => Self::Cartesian(CartesianGenerator::new(chain, q)),
+            MotionKind::Joint => Self::Joint(JointGenerator {
+                velocity: Joints::zeros(),
+                acceleration: Joints::zeros(),
+            }),
+        }
+    }
+
+    /// What the robot assumes for a command that did not come: constant acceleration.
+    pub fn extrapolation(&self) -> Motion {
+        match self {
+            Self::Cartesian(g) => Motion::Cartesian(g.twist + g.acceleration * PERIOD),
+            Self::Joint(g) => Motion::Joint(g.velocity + g.acceleration * PERIOD),
+        }
+    }
+
+    /// The desired joints after a period of this motion, and what is wrong with them. With errors the step must not be
+    /// taken, and the generator is of no further use. A motion of another kind is the extrapolation.
+    pub fn advance(&mut self, motion: &Motion, from: &Setpoint) -> (Setpoint, Errors) {
+        match (&mut *self, motion) {
+            (Self::Cartesian(g), Motion::Cartesian(twist)) => g.advance(twist, from),
+            (Self::Joint(g), Motion::Joint(dq)) => g.advance(dq, from),
+            _ => {
+                let motion = self.extrapolation();
+                self.advance(&motion, from)
+            }
+        }
+    }
+}
+
+/// Cartesian velocities through inverse kinematics.
+#[derive(Clone, Copy, Debug)]
+pub struct CartesianGenerator {
+    ik: VelocityIk,
+    /// The integral of commands: where the end effector's origin is to be, m, and its orientation, which is held as a
+    /// quaternion because its length is cheaply kept.
+    position: Vector3<f64>,
+    orientation: UnitQuaternion<f64>,
+    twist: Twist,
+    acceleration: Twist,
+}
+
+impl CartesianGenerator {
+    fn new(chain: Chain, q: &Joints) -> Self {
+        let pose = chain.pose(q);
+        Self {
+            ik: VelocityIk::new(chain, q),
+            position: pose.translation.vector,
+            orientation: UnitQuaternion::from_rotation_matrix(&pose.rotation),
+            twist: Twist::zeros(),
+            acceleration: Twist::zeros(),
+        }
+    }
+
+    /// The last commanded velocity, or its extrapolation; base axes.
+    pub fn twist(&self) -> &Twist {
+        &self.twist
+    }
+
+    /// Its difference quotient.
+    pub fn acceleration(&self) -> &Twist {
+        &self.acceleration
+    }
+
+    /// The integral of the commands.
+    pub fn pose(&self) -> Pose {
+        Pose::from_parts(
+            Translation3::from(self.position),
+            self.orientation.to_rotation_matrix(),
+        )
+    }
+
+    fn advance(&mut self, twist: &Twist, from: &Setpoint) -> (Setpoint, Errors) {
+        let acceleration = (twist - self.twist) / PERIOD;
+        let jerk = (acceleration - self.acceleration) / PERIOD;
+        let commanded = cartesian(twist, &acceleration, &jerk);
+        let middle = moved(&self.pose(), twist, 0.5 * PERIOD);
+        let desired = from.after(&self.ik.step(from, twist, &middle));
+        let joints = from.exceeded(&desired);
+
+        let (linear, angular) = split(twist);
+        self.position += linear * PERIOD;
+        self.orientation = UnitQuaternion::new(angular * PERIOD) * self.orientation;
+        self.orientation.renormalize_fast();
+        (self.twist, self.acceleration) = (*twist, acceleration);
+        (desired, cartesian_errors(commanded, joints))
+    }
+}
+
+/// Joint velocities as they are.
+#[derive(Clone, Copy, Debug)]
+pub struct JointGenerator {
+    velocity: Joints,
+    acceleration: Joints,
+}
+
+impl JointGenerator {
+    fn advance(&mut self, dq: &Joints, from: &Setpoint) -> (Setpoint, Errors) {
+        let desired = from.after(dq);
+        let exceeded = from.exceeded(&desired);
+        (self.velocity, self.acceleration) = (*dq, desired.ddq);
+        (desired, joint_errors(exceeded))
+    }
+}
+
+fn cartesian_errors(commanded: Exceeded, joints: Exceeded) -> Errors {
+    use Flag::*;
+    Errors::NONE
+        .with(
+            CartesianMotionGeneratorVelocityLimitsViolation,
+            commanded.velocity,
+        )
+        .with(
+            CartesianMotionGeneratorVelocityDiscontinuity,
+            commanded.acceleration,
+        )
+        .with(
+            CartesianMotionGeneratorAccelerationDiscontinuity,
+            commanded.jerk,
+        )
+        .with(
+            CartesianMotionGeneratorJointPositionLimitsViolation,
+            joints.position,
+        )
+        .with(
+            CartesianMotionGeneratorJointVelocityLimitsViolation,
+            joints.velocity,
+        )
+        .with(
+            CartesianMotionGeneratorJointVelocityDiscontinuity,
+            joints.acceleration,
+        )
+        .with(
+            CartesianMotionGeneratorJointAccelerationDiscontinuity,
+            joints.jerk,
+        )
+}
+
+fn joint_errors(joints: Exceeded) -> Errors {
+    use Flag::*;
+    Errors::NONE
+        .with(JointMotionGeneratorPositionLimitsViolation, joints.position)
+        .with(JointMotionGeneratorVelocityLimitsViolation, joints.velocity)
+        .with(
+            JointMotionGeneratorVelocityDiscontinuity,
+            joints.acceleration,
+        )
+        .with(JointMotionGeneratorAccelerationDiscontinuity, joints.jerk)
+}

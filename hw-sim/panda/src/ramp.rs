@@ -1,0 +1,98 @@
+//! How a velocity gets to another one in the shortest time under bounds on acceleration and jerk.
+//!
+//! Source: J. Han, "From PID to Active Disturbance Rejection Control", IEEE Trans. Ind. Electron. 56(3), 2009, the
+//! discrete time-optimal law of a double integrator. It ends at the target without chatter; it overshoots by less than a
+//! fifth of what one period's jerk makes, unless the acceleration at the beginning forces more.
+
+/// The bounds of a ramp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ramp {
+    /// Greatest acceleration, m/s^2 or rad/s^2, positive.
+    pub acceleration: f64,
+    /// Greatest jerk, m/s^3 or rad/s^3, positive.
+    pub jerk: f64,
+}
+
+impl Ramp {
+    /// Velocity and acceleration after the next period of `dt` seconds on the way to `target`.
+    ///
+    /// The acceleration is the difference quotient of velocities, as the robot computes it, and changes by no more than
+    /// the jerk allows even where it is beyond its bound at the beginning.
+    pub fn step(&self, velocity: f64, acceleration: f64, target: f64, dt: f64) -> (f64, f64) {
+        // The law's integrator adds the old acceleration; ours has added it already.
+        let jerk = self.optimal(velocity - dt * acceleration - target, acceleration, dt);
+        let wanted = (acceleration + jerk * dt).clamp(-self.acceleration, self.acceleration);
+        let most = self.jerk * dt;
+        let next = acceleration + (wanted - acceleration).clamp(-most, most);
+        (velocity + next * dt, next)
+    }
+
+    /// The jerk that brings the error of the velocity and the acceleration to zero soonest.
+    fn optimal(&self, error: f64, acceleration: f64, dt: f64) -> f64 {
+        let d = self.jerk * dt * dt;
+        let a0 = dt * acceleration;
+        let y = error + a0;
+        let a = if y.abs() > d {
+            let curve = (d * (d + 8.0 * y.abs())).sqrt();
+            a0 + y.signum() * 0.5 * (curve - d)
+        } else {
+            a0 + y
+        };
+        -self.jerk * (a / d).clamp(-1.0, 1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    const DT: f64 = 1e-3;
+    const RAMP: Ramp = Ramp {
+        acceleration: 1.2,
+        jerk: 150.0,
+    };
+
+    #[test]
+    fn random_targets_are_followed_within_the_bounds() {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let (mut v, mut a, mut target) = (0.0, 0.0, 0.0);
+        for tick in 0..100_000 {
+            if tick % 33 == 0 {
+                target = random.random_range(-0.05..0.05);
+            }
+            let (next, acceleration) = RAMP.step(v, a, target, DT);
+            assert!(acceleration.abs() <= RAMP.acceleration * (1.0 + 1e-12));
+            assert!((acceleration - a).abs() <= RAMP.jerk * DT * (1.0 + 1e-9));
+            assert!(((next - v) / DT - acceleration).abs() < 1e-9);
+            (v, a) = (next, acceleration);
+        }
+    }
+
+    #[test]
+    fn a_ramp_takes_the_time_that_its_bounds_ask_for_and_hardly_overshoots() {
+        // 0.5 m/s at 1.2 m/s^2, the acceleration built up and taken down in 8 ms each.
+        let (mut v, mut a) = (0.0f64, 0.0f64);
+        let mut ticks = 0;
+        while (0.5 - v).abs() > 1e-12 {
+            (v, a) = RAMP.step(v, a, 0.5, DT);
+            ticks += 1;
+            assert!(v < 0.5 + 0.2 * RAMP.jerk * DT * DT && ticks < 1000);
+        }
+        let shortest: f64 = 0.5 / 1.2 + 1.2 / 150.0;
+        assert!(ticks as f64 * DT < shortest + 4.0 * DT);
+        for _ in 0..100 {
+            (v, a) = RAMP.step(v, a, 0.5, DT);
+        }
+        assert!((v - 0.5).abs() < 1e-12 && a.abs() < 1e-9);
+    }
+
+    #[test]
+    fn up_and_down_are_mirror_images() {
+        let up = RAMP.step(0.01, 0.3, 0.04, DT);
+        let down = RAMP.step(-0.01, -0.3, -0.04, DT);
+        assert_eq!((up.0, up.1), (-down.0, -down.1));
+    }
+}

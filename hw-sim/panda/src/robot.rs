@@ -1,0 +1,409 @@
+//! The robot: stepped once a millisecond with the commands that arrived.
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use crate::brake::brake;
+use crate::errors::{Errors, Flag};
+use crate::generator::Generator;
+use crate::interface::{Command, Interface, MotionKind, Reception};
+use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist};
+use crate::limits::{ELBOW_FLIP, JOINT, ROTATION, Setpoint, TRANSLATION, outside};
+use crate::mode::{Mode, RequestError};
+use crate::mount::split;
+use crate::servo::{Servo, ServoSettings};
+use crate::state::State;
+
+/// A box that the end effector's origin must not leave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Walls {
+    /// Least coordinates in the base, m.
+    pub lower: Vector3<f64>,
+    /// Greatest coordinates in the base, m.
+    pub upper: Vector3<f64>,
+}
+
+impl Walls {
+    fn contain(&self, point: &Vector3<f64>) -> bool {
+        (0..3).all(|k| (self.lower[k]..=self.upper[k]).contains(&point[k]))
+    }
+}
+
+/// What a robot is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobotSettings {
+    /// F_T_EE, the end effector in the flange; the flange itself by default.
+    pub flange_from_ee: Pose,
+    /// How well the joints follow.
+    pub servo: ServoSettings,
+    /// Virtual walls; none by default.
+    pub walls: Option<Walls>,
+    /// How long automatic error recovery takes after the robot has come to rest, ms.
+    pub recovery_ms: u64,
+}
+
+impl Default for RobotSettings {
+    fn default() -> Self {
+        Self {
+            flange_from_ee: Pose::identity(),
+            servo: ServoSettings::default(),
+            walls: None,
+            recovery_ms: 500,
+        }
+    }
+}
+
+/// Why a robot cannot be.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum RobotError {
+    /// A joint outside its range.
+    #[error("joint {joint} is at {value} rad, allowed is {lower} to {upper}")]
+    JointOutside {
+        /// Number of the joint, from 1.
+        joint: usize,
+        /// Its position, rad.
+        value: f64,
+        /// Least position, rad.
+        lower: f64,
+        /// Greatest position, rad.
+        upper: f64,
+    },
+    /// A setting of the servo outside its range.
+    #[error("servo: {key} is {value}, allowed is {allowed}")]
+    Servo {
+        /// The setting.
+        key: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+}
+
+/// A Panda.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    settings: RobotSettings,
+    chain: Chain,
+    mode: Mode,
+    motion: Option<(Generator, Interface)>,
+    desired: Setpoint,
+    servo: Servo,
+    push: Joints,
+    errors: Errors,
+    last_motion_errors: Errors,
+    time: u64,
+    /// Milliseconds of recovery that are left.
+    recovery: u64,
+    state: State,
+}
+
+impl Robot {
+    /// A robot that stands idle at `q` (rad).
+    ///
+    /// # Errors
+    /// A joint outside its range; a setting of the servo outside its range.
+    pub fn new(settings: RobotSettings, q: Joints) -> Result<Self, RobotError> {
+        if let Some(k) = outside(&q) {
+            return Err(RobotError::JointOutside {
+                joint: k + 1,
+                value: q[k],
+                lower: JOINT[k].lower,
+                upper: JOINT[k].upper,
+            });
+        }
+        check_servo(&settings.servo)?;
+        let chain = Chain::new(settings.flange_from_ee);
+        let pose = chain.pose(&q);
+        let zero = Joints::zeros();
+        let state = State {
+            id: 0,
+            time: 0,
+            q,
+            q_d: q,
+            dq: zero,
+            dq_d: zero,
+            ddq_d: zero,
+            o_t_ee: pose,
+            o_t_ee_d: pose,
+            o_t_ee_c: pose,
+            f_t_ee: settings.flange_from_ee,
+            o_dp_ee_d: Twist::zeros(),
+            o_dp_ee_c: Twist::zeros(),
+            o_ddp_ee_c: Twist::zeros(),
+            elbow: elbow(&q),
+            elbow_d: elbow(&q),
+            robot_mode: Mode::Idle,
+            current_errors: Errors::NONE,
+            last_motion_errors: Errors::NONE,
+            control_command_success_rate: 0.0,
+        };
+        Ok(Self {
+            settings,
+            chain,
+            mode: Mode::Idle,
+            motion: None,
+            desired: Setpoint::at_rest(q),
+            servo: Servo::new(settings.servo, q),
+            push: zero,
+            errors: Errors::NONE,
+            last_motion_errors: Errors::NONE,
+            time: 0,
+            recovery: 0,
+            state,
+        })
+    }
+
+    /// The state after the last step.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Begins a motion; the next step expects a command that answers the present state.
+    ///
+    /// # Errors
+    /// The robot is not idle.
+    pub fn start(&mut self, kind: MotionKind) -> Result<(), RequestError> {
+        self.need(Mode::Idle)?;
+        let generator = Generator::new(kind, self.chain, &self.desired.q);
+        self.motion = Some((generator, Interface::new(kind)));
+        self.mode = Mode::Move;
+        self.report();
+        Ok(())
+    }
+
+    /// Ends the motion from outside, as a stop command does: the robot brakes and becomes idle.
+    ///
+    /// # Errors
+    /// No motion runs.
+    pub fn stop(&mut self) -> Result<(), RequestError> {
+        if self.mode != Mode::Move {
+            return Err(RequestError::Mode {
+                mode: self.mode,
+                needed: Mode::Move,
+            });
+        }
+        self.end_motion(Errors::NONE);
+        self.report();
+        Ok(())
+    }
+
+    /// Presses the user's stop: the robot brakes in any mode and refuses motions until it is released.
+    pub fn press_user_stop(&mut self) {
+        if self.motion.is_some() {
+            self.end_motion(Errors::NONE);
+        }
+        self.mode = Mode::UserStopped;
+        self.report();
+    }
+
+    /// Releases the user's stop: idle, or reflex where errors stand.
+    ///
+    /// # Errors
+    /// It was not pressed; the robot still brakes.
+    pub fn release_user_stop(&mut self) -> Result<(), RequestError> {
+        self.need(Mode::UserStopped)?;
+        self.mode = if self.errors.is_empty() {
+            Mode::Idle
+        } else {
+            Mode::Reflex
+        };
+        self.report();
+        Ok(())
+    }
+
+    /// Begins automatic error recovery; idle follows, or reflex again where the cause stands.
+    ///
+    /// # Errors
+    /// The robot is not in reflex, or still brakes.
+    pub fn recover(&mut self) -> Result<(), RequestError> {
+        self.need(Mode::Reflex)?;
+        self.mode = Mode::AutomaticErrorRecovery;
+        self.recovery = self.settings.recovery_ms;
+        self.report();
+        Ok(())
+    }
+
+    /// From now on the surroundings push the joints with these accelerations, rad/s^2.
+    pub fn push(&mut self, acceleration: Joints) {
+        self.push = acceleration;
+    }
+
+    /// One millisecond, with the commands that `arrived` since the last state; returns the new state.
+    pub fn step(&mut self, arrived: &[Command]) -> &State {
+        self.time += 1;
+        match self.motion {
+            Some(_) => self.follow(arrived),
+            None => self.rest(),
+        }
+        self.servo.step(&self.desired, &self.push);
+        self.report();
+        self.watch();
+        &self.state
+    }
+
+    /// Follows the command of this millisecond, or what stands for it.
+    fn follow(&mut self, arrived: &[Command]) {
+        let Some((generator, link)) = &mut self.motion else {
+            return;
+        };
+        let (motion, finished) = match link.receive(self.state.id, arrived) {
+            Reception::Accepted(command) => (command.motion, command.finished),
+            Reception::Lost => (generator.extrapolation(), false),
+            Reception::Aborted => {
+                self.reflex(Flag::CommunicationConstraintsViolation.into());
+                self.desired = brake(&self.desired);
+                return;
+            }
+        };
+        let (desired, errors) = generator.advance(&motion, &self.desired);
+        if !errors.is_empty() {
+            self.reflex(errors);
+            self.desired = brake(&self.desired);
+            return;
+        }
+        self.desired = desired;
+        if finished {
+            self.end_motion(Errors::NONE);
+        }
+    }
+
+    /// Brakes, and goes on to the next mode once at rest.
+    fn rest(&mut self) {
+        self.desired = brake(&self.desired);
+        match self.mode {
+            Mode::Move if self.desired.is_at_rest() => self.mode = Mode::Idle,
+            Mode::AutomaticErrorRecovery if self.recovery > 0 => self.recovery -= 1,
+            Mode::AutomaticErrorRecovery => {
+                // Where the cause stands, `watch` raises it again in this very step.
+                self.errors = Errors::NONE;
+                self.mode = Mode::Idle;
+            }
+            _ => {}
+        }
+    }
+
+    /// Watches what is measured.
+    fn watch(&mut self) {
+        let errors = self.measured_errors();
+        if !errors.is_empty() && self.mode != Mode::AutomaticErrorRecovery {
+            self.reflex(errors);
+            self.report();
+        }
+    }
+
+    fn measured_errors(&self) -> Errors {
+        let (q, dq) = (&self.servo.q, &self.servo.dq);
+        let measured = self.chain.posture(q);
+        let (linear, angular) = split(&(measured.jacobian * dq));
+        let fast = (0..JOINTS).any(|k| dq[k].abs() > JOINT[k].velocity);
+        let walls = self.settings.walls;
+        let beyond = walls.is_some_and(|w| !w.contain(&measured.pose.translation.vector));
+        let fast_ee = linear.norm() > TRANSLATION.velocity || angular.norm() > ROTATION.velocity;
+        Errors::NONE
+            .with(Flag::JointPositionLimitsViolation, outside(q).is_some())
+            .with(Flag::CartesianPositionLimitsViolation, beyond)
+            .with(Flag::JointVelocityViolation, fast)
+            .with(Flag::CartesianVelocityViolation, fast_ee)
+    }
+
+    /// Latches errors and stops; a user's stop stays one.
+    fn reflex(&mut self, errors: Errors) {
+        self.errors = self.errors.union(errors);
+        if self.motion.is_some() {
+            self.end_motion(errors);
+        }
+        if self.mode != Mode::UserStopped {
+            self.mode = Mode::Reflex;
+        }
+    }
+
+    fn end_motion(&mut self, errors: Errors) {
+        self.motion = None;
+        self.last_motion_errors = errors;
+    }
+
+    fn need(&self, needed: Mode) -> Result<(), RequestError> {
+        let mode = self.mode;
+        if mode != needed {
+            Err(RequestError::Mode { mode, needed })
+        } else if !self.desired.is_at_rest() {
+            Err(RequestError::Moving { mode })
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Writes the state anew.
+    fn report(&mut self) {
+        let desired = self.chain.posture(&self.desired.q);
+        let (pose, twist, acceleration) = match &self.motion {
+            Some((Generator::Cartesian(g), _)) => (g.pose(), *g.twist(), *g.acceleration()),
+            _ => (desired.pose, Twist::zeros(), Twist::zeros()),
+        };
+        let state = &mut self.state;
+        state.id = self.time;
+        state.time = self.time;
+        (state.q, state.dq) = (self.servo.q, self.servo.dq);
+        (state.q_d, state.dq_d) = (self.desired.q, self.desired.dq);
+        state.ddq_d = self.desired.ddq;
+        state.o_t_ee = self.chain.pose(&self.servo.q);
+        state.o_t_ee_d = desired.pose;
+        state.o_t_ee_c = pose;
+        state.o_dp_ee_d = desired.jacobian * self.desired.dq;
+        (state.o_dp_ee_c, state.o_ddp_ee_c) = (twist, acceleration);
+        state.elbow = elbow(&self.servo.q);
+        state.elbow_d = elbow(&self.desired.q);
+        state.robot_mode = self.mode;
+        state.current_errors = self.errors;
+        state.last_motion_errors = self.last_motion_errors;
+        state.control_command_success_rate = self
+            .motion
+            .as_ref()
+            .map_or(0.0, |(_, link)| link.success_rate());
+    }
+}
+
+fn elbow(q: &Joints) -> [f64; 2] {
+    let side = if q[3] > ELBOW_FLIP {
+        1.0
+    } else if q[3] < ELBOW_FLIP {
+        -1.0
+    } else {
+        0.0
+    };
+    [q[2], side]
+}
+
+fn check_servo(servo: &ServoSettings) -> Result<(), RobotError> {
+    let rows = [
+        (
+            "bandwidth_hz",
+            servo.bandwidth_hz,
+            servo.bandwidth_hz > 0.0 && servo.bandwidth_hz <= 100.0,
+            "above 0, up to 100 Hz",
+        ),
+        (
+            "damping",
+            servo.damping,
+            servo.damping > 0.0 && servo.damping <= 3.0,
+            "above 0, up to 3",
+        ),
+        (
+            "feedforward",
+            servo.feedforward,
+            (0.0..=1.0).contains(&servo.feedforward),
+            "0 to 1",
+        ),
+    ];
+    for (key, value, good, allowed) in rows {
+        if !good {
+            return Err(RobotError::Servo {
+                key,
+                value,
+                allowed,
+            });
+        }
+    }
+    Ok(())
+}

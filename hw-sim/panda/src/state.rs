@@ -1,0 +1,50 @@
+//! What the robot tells every millisecond: the real state's fields, as far as they are modelled.
+
+use crate::errors::Errors;
+use crate::kinematics::{Joints, Pose, Twist};
+use crate::mode::Mode;
+
+/// The robot at one instant. Names as in `franka::RobotState`, in lower case: `o_t_ee_d` is O_T_EE_d.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// Number that a command must carry to answer this state.
+    pub id: u64,
+    /// Since the robot's start, ms; grows by one a step.
+    pub time: u64,
+    /// Measured joint positions, rad.
+    pub q: Joints,
+    /// Desired joint positions, rad.
+    pub q_d: Joints,
+    /// Measured joint velocities, rad/s.
+    pub dq: Joints,
+    /// Desired joint velocities, rad/s.
+    pub dq_d: Joints,
+    /// Desired joint accelerations, rad/s^2.
+    pub ddq_d: Joints,
+    /// Measured end effector in the base.
+    pub o_t_ee: Pose,
+    /// End effector of the desired joints in the base.
+    pub o_t_ee_d: Pose,
+    /// Integral of the commands, in the base; that of the desired joints where no Cartesian motion runs.
+    pub o_t_ee_c: Pose,
+    /// F_T_EE, the end effector in the flange.
+    pub f_t_ee: Pose,
+    /// Velocity of the end effector's origin along base axes, of the desired joints.
+    pub o_dp_ee_d: Twist,
+    /// The last commanded velocity, or its extrapolation; zero where no Cartesian motion runs.
+    pub o_dp_ee_c: Twist,
+    /// Its difference quotient, m/s^2 and rad/s^2.
+    pub o_ddp_ee_c: Twist,
+    /// Measured elbow: position of joint 3 in rad, and the side (+1, 0, -1) of joint 4 from the flip.
+    pub elbow: [f64; 2],
+    /// Desired elbow.
+    pub elbow_d: [f64; 2],
+    /// Mode.
+    pub robot_mode: Mode,
+    /// Errors that stand.
+    pub current_errors: Errors,
+    /// Errors that ended the last motion.
+    pub last_motion_errors: Errors,
+    /// Share of the last 100 commands that came in time, 0 to 1; 0 where no motion runs.
+    pub control_command_success_rate: f64,
+}
