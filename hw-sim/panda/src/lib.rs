@@ -16,6 +16,7 @@ pub mod placement;
 pub mod ramp;
 pub mod robot;
 pub mod servo;
+pub mod settings;
 pub mod shaper;
 pub mod state;
 
@@ -25,6 +26,7 @@ pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Twist};
 pub use mode::{Mode, RequestError};
 pub use mount::Mount;
 pub use placement::{PlacementError, place};
-pub use robot::{Robot, RobotError, RobotSettings, Walls};
+pub use robot::Robot;
+pub use settings::{RobotError, RobotSettings, Walls};
 pub use shaper::{Echo, Shaper, ShaperError, ShaperSettings};
 pub use state::State;

@@ -1,84 +1,16 @@
 //! The robot: stepped once a millisecond with the commands that arrived.
 
-use nalgebra::Vector3;
-use thiserror::Error;
-
 use crate::brake::brake;
 use crate::errors::{Errors, Flag};
 use crate::generator::Generator;
 use crate::interface::{Command, Interface, MotionKind, Reception};
-use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist};
+use crate::kinematics::{Chain, JOINTS, Joints, Twist};
 use crate::limits::{ELBOW_FLIP, JOINT, ROTATION, Setpoint, TRANSLATION, outside};
 use crate::mode::{Mode, RequestError};
 use crate::mount::split;
-use crate::servo::{Servo, ServoSettings};
+use crate::servo::Servo;
+use crate::settings::{RobotError, RobotSettings};
 use crate::state::State;
-
-/// A box that the end effector's origin must not leave.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Walls {
-    /// Least coordinates in the base, m.
-    pub lower: Vector3<f64>,
-    /// Greatest coordinates in the base, m.
-    pub upper: Vector3<f64>,
-}
-
-impl Walls {
-    fn contain(&self, point: &Vector3<f64>) -> bool {
-        (0..3).all(|k| (self.lower[k]..=self.upper[k]).contains(&point[k]))
-    }
-}
-
-/// What a robot is made of.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RobotSettings {
-    /// F_T_EE, the end effector in the flange; the flange itself by default.
-    pub flange_from_ee: Pose,
-    /// How well the joints follow.
-    pub servo: ServoSettings,
-    /// Virtual walls; none by default.
-    pub walls: Option<Walls>,
-    /// How long automatic error recovery takes after the robot has come to rest, ms.
-    pub recovery_ms: u64,
-}
-
-impl Default for RobotSettings {
-    fn default() -> Self {
-        Self {
-            flange_from_ee: Pose::identity(),
-            servo: ServoSettings::default(),
-            walls: None,
-            recovery_ms: 500,
-        }
-    }
-}
-
-/// Why a robot cannot be.
-#[derive(Clone, Copy, Debug, Error, PartialEq)]
-pub enum RobotError {
-    /// A joint outside its range.
-    #[error("joint {joint} is at {value} rad, allowed is {lower} to {upper}")]
-    JointOutside {
-        /// Number of the joint, from 1.
-        joint: usize,
-        /// Its position, rad.
-        value: f64,
-        /// Least position, rad.
-        lower: f64,
-        /// Greatest position, rad.
-        upper: f64,
-    },
-    /// A setting of the servo outside its range.
-    #[error("servo: {key} is {value}, allowed is {allowed}")]
-    Servo {
-        /// The setting.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-        /// What is allowed.
-        allowed: &'static str,
-    },
-}
 
 /// A Panda.
 #[derive(Clone, Debug)]
@@ -104,15 +36,7 @@ impl Robot {
     /// # Errors
     /// A joint outside its range; a setting of the servo outside its range.
     pub fn new(settings: RobotSettings, q: Joints) -> Result<Self, RobotError> {
-        if let Some(k) = outside(&q) {
-            return Err(RobotError::JointOutside {
-                joint: k + 1,
-                value: q[k],
-                lower: JOINT[k].lower,
-                upper: JOINT[k].upper,
-            });
-        }
-        check_servo(&settings.servo)?;
+        settings.check(&q)?;
         let chain = Chain::new(settings.flange_from_ee);
         let pose = chain.pose(&q);
         let zero = Joints::zeros();
@@ -373,37 +297,4 @@ fn elbow(q: &Joints) -> [f64; 2] {
         0.0
     };
     [q[2], side]
-}
-
-fn check_servo(servo: &ServoSettings) -> Result<(), RobotError> {
-    let rows = [
-        (
-            "bandwidth_hz",
-            servo.bandwidth_hz,
-            servo.bandwidth_hz > 0.0 && servo.bandwidth_hz <= 100.0,
-            "above 0, up to 100 Hz",
-        ),
-        (
-            "damping",
-            servo.damping,
-            servo.damping > 0.0 && servo.damping <= 3.0,
-            "above 0, up to 3",
-        ),
-        (
-            "feedforward",
-            servo.feedforward,
-            (0.0..=1.0).contains(&servo.feedforward),
-            "0 to 1",
-        ),
-    ];
-    for (key, value, good, allowed) in rows {
-        if !good {
-            return Err(RobotError::Servo {
-                key,
-                value,
-                allowed,
-            });
-        }
-    }
-    Ok(())
 }
