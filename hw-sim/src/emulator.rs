@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use ipc::{
-    CameraPorts, Domain, Features, RobotFaults, RobotMode, RobotState, TwistCommand, now_ns,
+    CameraPorts, Domain, Features, RobotFaults, RobotMode, RobotState, TwistCommand, TwistState,
+    now_ns,
 };
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use serde::Serialize;
@@ -17,7 +18,7 @@ use crate::recording::{Record, Recorder};
 use crate::referee::{Place, Referee, Verdict};
 use crate::sensor::Sensor;
 
-/// A camera whose commands are older than this stands still.
+/// A camera whose commands are older than this, or than three periods of a slow camera, stands still.
 const STALE_NS: u64 = 100_000_000;
 /// How long lockstep waits for a controller to come, and for each answer.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -53,6 +54,7 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
     let scene = &config.scene;
     let ts = scene.sampling_time();
     let period_ns = (1e9 * ts) as u64;
+    let stale_ns = STALE_NS.max(3 * period_ns);
     let carrier = Carrier::free_flying(scene.limits);
     let mut camera = FreeCamera::new(scene, &config.start);
     let mut referee = Referee::new(scene);
@@ -80,7 +82,7 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
         least_clearance_px: f64::INFINITY,
         violation: None,
     };
-    // The run begins with the first command, so that a controller may come late.
+    // The run begins with the first command of an armed controller, which may come late.
     let mut begun = false;
     let mut command: Option<TwistCommand> = None;
     let mut release = now_ns();
@@ -150,12 +152,16 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
                 }
             }
         }
-        begun |= command.is_some();
+        begun |= command.is_some_and(|command| command.state() != Some(TwistState::Disarmed));
 
-        let now = now_ns();
+        let next = now_ns() + period_ns;
         let valid = command.filter(|command| match config.clock {
             Clock::Lockstep => true,
-            Clock::Fixed => now.saturating_sub(command.stamp.published_ns) <= STALE_NS,
+            // What would be too old before the next frame is too old now.
+            Clock::Fixed => {
+                let published = command.stamp.published_ns;
+                next <= command.valid_until_ns && next <= published.saturating_add(stale_ns)
+            }
         });
         let executed = carrier.execute(&valid.map_or([0.0; 6], |command| command.twist));
         outcome.stale += u64::from(begun && valid.is_none());

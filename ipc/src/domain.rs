@@ -150,6 +150,14 @@ pub fn default_directory() -> PathBuf {
 }
 
 impl Domain {
+    /// How many files of shared memory a domain has at the moment; it need not be joined for that.
+    ///
+    /// # Errors
+    /// Where the directory does not exist or shared memory cannot be listed.
+    pub fn segments(directory: &Path) -> io::Result<usize> {
+        Ok(ours(&directory.canonicalize()?)?.count())
+    }
+
     /// Joins the domain in `directory`, which is created where it is missing. Clears away what killed participants
     /// left behind.
     ///

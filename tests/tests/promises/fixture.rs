@@ -1,0 +1,262 @@
+//! What the promises share: turns, places, processes, a camera that moves, and a witness of what is commanded.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use ipc::{Action, Domain, Observer, OperatorPorts, Outcome, Request, TwistCommand, TwistState};
+use rustix::process::{Pid, Signal, kill_process};
+
+/// One sampling period of the paper's scene, ns.
+pub const PERIOD_NS: u64 = 33_333_333;
+/// Lateness of a wake-up that is the machine's fault, not the daemon's, ns. Idle, SCHED_FIFO: 0.2 ms.
+pub const WAKE_NS: u64 = 3_000_000;
+
+/// Waits until no other promise is being tested.
+pub fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    // A test that failed leaves nothing half-done behind: its turn is simply over.
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// How often to repeat something: `long` times where `VPC_LONG` is set, else `short` times.
+pub fn repeats(what: &str, short: usize, long: usize) -> usize {
+    if std::env::var_os("VPC_LONG").is_some() {
+        return long;
+    }
+    tell(&format!("{what}: {short} times; VPC_LONG=1: {long}"));
+    short
+}
+
+/// Says something past the capture of the test harness.
+pub fn tell(what: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stderr(), "{what}");
+}
+
+/// The repository's root.
+pub fn root() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+}
+
+/// The scene file of the paper's simulation.
+pub fn scene_file() -> PathBuf {
+    root().join("ipc/scene/scenes/paper-sim.toml")
+}
+
+/// A program of the workspace, built in the profile of the tests.
+pub fn program(name: &str) -> PathBuf {
+    static BINARIES: OnceLock<PathBuf> = OnceLock::new();
+    let binaries = BINARIES.get_or_init(|| {
+        let mut build = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        build.current_dir(root()).args(["build", "--quiet"]);
+        build.args(["-p", "controller", "-p", "hw-sim", "-p", "vpcctl"]);
+        if !cfg!(debug_assertions) {
+            build.arg("--release");
+        }
+        assert!(build.status().unwrap().success(), "the build failed");
+        // target/debug/deps/promises-...: two up are the programs.
+        let tests = std::env::current_exe().unwrap();
+        tests.ancestors().nth(2).unwrap().to_owned()
+    });
+    binaries.join(name)
+}
+
+/// A directory for one test, with a domain in it. When the test ends, joining and leaving clears away what killed
+/// processes left in /dev/shm.
+pub struct Place(tempfile::TempDir);
+
+impl Place {
+    pub fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    pub fn domain(&self) -> PathBuf {
+        self.path("domain")
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub fn file(&self, name: &str, text: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.path(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    /// The daemon in this domain, in real time where that is permitted; `more` is TOML of its configuration.
+    pub fn vpcd(&self, more: &str) -> Command {
+        let scene = scene_file();
+        let scene = scene.display();
+        let text = format!("scene = '{scene}'\n{more}\n[realtime]\npriority = 60\n");
+        let mut command = Command::new(program("vpcd"));
+        command.arg("--config").arg(self.file("vpcd.toml", text));
+        command.arg("--domain").arg(self.domain());
+        command.stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+    }
+
+    /// The camera in this domain, on the start of this number, for longer than any test takes.
+    pub fn hw_sim(&self, start: usize) -> Command {
+        let mut command = Command::new(program("hw-sim"));
+        command.arg("--scene").arg(scene_file());
+        let starts = root().join("ipc/scene/scenes/paper-sim-starts.csv");
+        command.arg("--starts").arg(starts);
+        command.args(["--start", &start.to_string(), "--clock", "fixed"]);
+        command.arg("--domain").arg(self.domain());
+        command.stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        if self.domain().exists() {
+            let _ = Domain::join(&self.domain());
+        }
+    }
+}
+
+/// A process; killed when the test ends first.
+pub struct Running(Option<Child>);
+
+impl Running {
+    pub fn start(mut command: Command) -> Self {
+        Self(Some(command.spawn().unwrap()))
+    }
+
+    pub fn id(&self) -> u32 {
+        self.0.as_ref().unwrap().id()
+    }
+
+    pub fn signal(&self, signal: Signal) {
+        let pid = Pid::from_child(self.0.as_ref().unwrap());
+        kill_process(pid, signal).unwrap();
+    }
+
+    /// Waits for its end: exit code and standard error.
+    pub fn ended(mut self) -> (Option<i32>, String) {
+        let Output { status, stderr, .. } = self.0.take().unwrap().wait_with_output().unwrap();
+        let words = String::from_utf8_lossy(&stderr).into_owned();
+        (status.code(), words)
+    }
+
+    pub fn is_running(&mut self) -> bool {
+        self.0.as_mut().unwrap().try_wait().unwrap().is_none()
+    }
+
+    pub fn kill(mut self) {
+        self.put_down();
+    }
+
+    fn put_down(&mut self) {
+        if let Some(mut child) = self.0.take() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.put_down();
+    }
+}
+
+/// Calls `attempt` until it gives something; panics after ten seconds.
+pub fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_secs(10) {
+        if let Some(value) = attempt() {
+            return value;
+        }
+        std::thread::sleep(Duration::from_micros(500));
+    }
+    panic!("{what}: did not happen");
+}
+
+/// Somebody who watches a domain and can command.
+pub struct Witness {
+    pub observer: Observer,
+    operator: OperatorPorts,
+    asked: u64,
+    _domain: Domain,
+}
+
+impl Witness {
+    pub fn new(place: &Place) -> Self {
+        let domain = Domain::join(&place.domain()).unwrap();
+        Self {
+            observer: Observer::open(&domain).unwrap(),
+            operator: OperatorPorts::open(&domain).unwrap(),
+            asked: 0,
+            _domain: domain,
+        }
+    }
+
+    /// Asks until there is an answer.
+    pub fn ask(&mut self, action: Action) -> Outcome {
+        eventually("an answer", || {
+            self.asked += 1;
+            let request = Request::new(self.asked, action);
+            let reply = self.operator.ask(&request, Duration::from_millis(200));
+            reply.unwrap()?.outcome()
+        })
+    }
+
+    /// Arms, and waits until the camera moves.
+    pub fn set_in_motion(&mut self) {
+        eventually("arming", || {
+            (self.ask(Action::Arm) == Outcome::Done).then_some(())
+        });
+        self.commands();
+        self.until("motion", |twist| twist.state() == Some(TwistState::Moving));
+    }
+
+    /// All commands since the last call.
+    pub fn commands(&mut self) -> Vec<TwistCommand> {
+        std::iter::from_fn(|| self.observer.twist.oldest().unwrap())
+            .map(|twist| twist.message)
+            .collect()
+    }
+
+    /// Commands up to the first one of a kind, with it.
+    pub fn until(
+        &mut self,
+        what: &str,
+        is_it: impl Fn(&TwistCommand) -> bool,
+    ) -> Vec<TwistCommand> {
+        let mut commands = Vec::new();
+        eventually(what, || {
+            let twist = self.observer.twist.oldest().unwrap()?.message;
+            commands.push(twist);
+            is_it(&twist).then_some(())
+        });
+        commands
+    }
+
+    /// When the newest features so far were published, ns.
+    pub fn newest_features_ns(&mut self) -> u64 {
+        let mut newest = 0;
+        while let Some(features) = self.observer.features.oldest().unwrap() {
+            newest = features.stamp.published_ns;
+        }
+        newest
+    }
+}
+
+/// Whether a command asks for no motion.
+pub fn is_still(twist: &TwistCommand) -> bool {
+    twist.twist == [0.0; 6]
+}
+
+/// Asserts that no component of a command is beyond the limits of the paper's scene, and that from one command to the
+/// next the twist grows by no more than the law may.
+pub fn assert_within_limits(twist: &TwistCommand) {
+    for (k, v) in twist.twist.iter().enumerate() {
+        let limit = if k < 3 { 0.5 } else { 1.0 };
+        assert!(v.abs() <= limit * (1.0 + 1e-9), "component {k}: {twist:?}");
+    }
+}

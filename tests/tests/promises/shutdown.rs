@@ -1,0 +1,78 @@
+//! SIGTERM while the camera moves, at any phase of the cycle, once or twice: braking within the limits, zero as the last
+//! word, exit code 0 within half a second.
+
+use std::time::{Duration, Instant};
+
+use ipc::TwistState;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rustix::process::Signal;
+
+use crate::fixture::{
+    PERIOD_NS, Place, Running, Witness, assert_within_limits, eventually, is_still, repeats, turn,
+};
+
+const BAR: Duration = Duration::from_millis(500);
+/// Largest loss of speed, as a share of the limits, in a period: 0.15 s from the limits to zero.
+const STEEPEST: f64 = 1.0 / (0.15 * 30.0);
+
+/// Largest component as a share of its limit.
+fn speed(twist: &[f64; 6]) -> f64 {
+    let share = |(k, v): (usize, &f64)| v.abs() / if k < 3 { 0.5 } else { 1.0 };
+    twist.iter().enumerate().map(share).fold(0.0, f64::max)
+}
+
+#[test]
+fn sigterm_brakes_and_ends_with_zero_in_time() {
+    let _turn = turn();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    for round in 0..repeats("SIGTERM in motion", 10, 100) {
+        let place = Place::new();
+        let mut witness = Witness::new(&place);
+        let daemon = Running::start(place.vpcd(""));
+        let camera = Running::start(place.hw_sim(round % 100));
+        witness.set_in_motion();
+        std::thread::sleep(Duration::from_nanos(random.random_range(0..4 * PERIOD_NS)));
+        witness.commands();
+        let asked = Instant::now();
+        daemon.signal(Signal::TERM);
+        if round % 2 == 1 {
+            std::thread::sleep(Duration::from_nanos(random.random_range(0..PERIOD_NS)));
+            daemon.signal(Signal::TERM);
+        }
+        let (code, log) = daemon.ended();
+        let took = asked.elapsed();
+        assert_eq!(code, Some(0), "round {round}: {log}");
+        assert!(took <= BAR, "round {round}: {took:?}: {log}");
+        camera.kill();
+        let commands = witness.commands();
+        let last = commands.last().expect("a last word");
+        let ending = (last.state(), is_still(last));
+        assert_eq!(ending, (Some(TwistState::Stopped), true), "{commands:?}");
+        for pair in commands.windows(2) {
+            assert_within_limits(&pair[0]);
+            if pair[0].state() == Some(TwistState::Braking) {
+                let lost = speed(&pair[0].twist) - speed(&pair[1].twist);
+                // Each step lasts as long as it lasts; a late one may lose more.
+                let elapsed = pair[1].stamp.published_ns - pair[0].stamp.published_ns;
+                let most = STEEPEST * (elapsed as f64 / PERIOD_NS as f64).max(1.0);
+                assert!(lost <= most * 1.2, "{lost} > {most}: {commands:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn sigterm_without_motion_ends_at_once() {
+    let _turn = turn();
+    let place = Place::new();
+    let mut witness = Witness::new(&place);
+    let daemon = Running::start(place.vpcd(""));
+    eventually("a command", || witness.observer.twist.latest().unwrap());
+    let asked = Instant::now();
+    daemon.signal(Signal::TERM);
+    assert_eq!(daemon.ended().0, Some(0));
+    assert!(asked.elapsed() <= BAR);
+    let last = witness.commands().pop().expect("a last word");
+    assert_eq!(last.state(), Some(TwistState::Stopped));
+}
