@@ -91,8 +91,11 @@ mod tests {
 
     #[test]
     fn up_and_down_are_mirror_images() {
-        let up = RAMP.step(0.01, 0.3, 0.04, DT);
-        let down = RAMP.step(-0.01, -0.3, -0.04, DT);
-        assert_eq!((up.0, up.1), (-down.0, -down.1));
+        let (mut v, mut a, mut w, mut b) = (0.0, 0.0, 0.0, 0.0);
+        for _ in 0..100 {
+            (v, a) = RAMP.step(v, a, 0.04, DT);
+            (w, b) = RAMP.step(w, b, -0.04, DT);
+            assert_eq!((v, a), (-w, -b));
+        }
     }
 }
