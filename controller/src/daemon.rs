@@ -54,6 +54,9 @@ pub enum Failure {
     /// The report.
     #[error(transparent)]
     Report(#[from] ReportError),
+    /// The log.
+    #[error("log: {0}")]
+    Log(std::io::Error),
     /// The signal handlers.
     #[error("signal handlers: {0}")]
     Signals(std::io::Error),
@@ -77,7 +80,9 @@ impl Failure {
             Self::Service(_) => Exit::Config,
             Self::Report(_) => Exit::CannotCreate,
             Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
-            Self::Recorder(_) | Self::Signals(_) | Self::Send { .. } => Exit::Software,
+            Self::Recorder(_) | Self::Log(_) | Self::Signals(_) | Self::Send { .. } => {
+                Exit::Software
+            }
         }
     }
 }
@@ -153,7 +158,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let period = Duration::from_nanos(pace(&config, &law).period_ns);
     let service = Service::by_environment(period)?;
-    log::start(&config);
+    let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
     let instance = Instance::claim(domain.directory())?;
     let ports = ControllerPorts::open(&domain)?;
@@ -186,6 +191,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
                 realtime: realtime.0,
                 stack_used_bytes,
                 locked_kib,
+                lost_lines: log.lost(),
                 ..summary.report()
             };
             reported = report.write(path);

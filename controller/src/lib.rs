@@ -18,6 +18,7 @@ pub mod histogram;
 pub mod instance;
 pub mod law;
 pub mod log;
+pub mod lossy;
 pub mod phase;
 pub mod pilot;
 pub mod preflight;

@@ -1,8 +1,9 @@
 //! The log goes to the journal where standard error is connected to it, and to standard error elsewhere; the loop
 //! itself never logs.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::fstat;
 use tracing_journald::{Priority, PriorityMappings};
 use tracing_subscriber::EnvFilter;
@@ -11,9 +12,32 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::config::Config;
+use crate::lossy::Lossy;
+
+/// The log of this process. When it goes, lines on their way are given a tenth of a second.
+#[derive(Debug)]
+pub struct Log(Option<Lossy>);
+
+impl Log {
+    /// Lines lost so far, because nobody took them; what the journal loses it counts itself.
+    pub fn lost(&self) -> u64 {
+        self.0.as_ref().map_or(0, Lossy::lost)
+    }
+}
+
+impl Drop for Log {
+    fn drop(&mut self) {
+        if let Some(lossy) = &self.0 {
+            lossy.flush();
+        }
+    }
+}
 
 /// Starts logging as configured.
-pub fn start(config: &Config) {
+///
+/// # Errors
+/// Where the writer's thread cannot be started.
+pub fn start(config: &Config) -> std::io::Result<Log> {
     // The level was checked; a filter is never read from the environment.
     let filter = EnvFilter::new(&config.log_level);
     if let Some(journal) = journal() {
@@ -22,24 +46,38 @@ pub fn start(config: &Config) {
             .with(filter)
             .with(journal)
             .try_init();
-        return;
+        return Ok(Log(None));
     }
+    let lossy = Lossy::new(std::io::stderr())?;
     let builder = fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr);
+        .with_writer(lossy.clone());
     let _ = if config.log_json {
         builder.json().try_init()
     } else {
         builder.with_target(false).try_init()
     };
+    Ok(Log(Some(lossy)))
 }
 
-/// Writes a failure to standard error, before or after the log; in the journal with the priority of an error.
+/// Writes a failure to standard error, before or after the log; in the journal with the priority of an error. Who does
+/// not read it does not hold up the end.
 pub fn complain(message: &str) {
     let priority = if is_journal() { "<3>" } else { "" };
-    for line in format!("vpcd: {message}").lines() {
-        eprintln!("{priority}{line}");
+    let lines: String = format!("vpcd: {message}")
+        .lines()
+        .map(|line| format!("{priority}{line}\n"))
+        .collect();
+    let mut error = std::io::stderr();
+    let mut writable = [PollFd::new(&error, PollFlags::OUT)];
+    let patience = Timespec {
+        tv_sec: 0,
+        tv_nsec: 100_000_000,
+    };
+    if poll(&mut writable, Some(&patience)).is_ok_and(|ready| ready > 0) {
+        // There is nobody else to tell that nobody listens.
+        let _ = error.write_all(lines.as_bytes());
     }
 }
 
