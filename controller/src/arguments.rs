@@ -2,16 +2,26 @@
 
 use std::path::PathBuf;
 
-use clap::Parser;
+use clap::{Args, Parser, Subcommand};
 
 /// Real-time visual predictive controller: image features in, camera twist out, through shared memory.
 ///
-/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit; 64 command line; 65 scene or memory wrong, or memory built
+/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or a replay differs; 64
+/// command line; 65 scene, memory or flight record wrong, or memory built
 /// for another task; 66 file missing; 69 shared memory not available or another vpcd at work; 70 failure of vpcd;
 /// 73 a file cannot be written; 78 configuration.
 #[derive(Clone, Debug, Default, Parser)]
-#[command(name = "vpcd", version, max_term_width = 100)]
+#[command(
+    name = "vpcd",
+    version,
+    max_term_width = 100,
+    args_conflicts_with_subcommands = true
+)]
 pub struct Arguments {
+    /// Something else than to control.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+
     /// Configuration file (TOML); paths in it are relative to its directory. Without it every key has its default
     /// and --scene must be given. The documented default ships as controller/vpcd.toml.
     #[arg(long, value_name = "FILE")]
@@ -69,4 +79,38 @@ pub struct Arguments {
     /// Check configuration, scene and memory, say what would run, and exit.
     #[arg(long)]
     pub check_only: bool,
+}
+
+/// What `vpcd` does beside controlling.
+#[derive(Clone, Debug, Subcommand)]
+pub enum Command {
+    /// Repeat the cycles of a flight record and compare every bit: exit code 0 all the same, 1 something differs.
+    ///
+    /// The scene comes from the record, the memory of motion from where it was. 65: the record is damaged, or another
+    /// scene or memory is given than the recorded one; 66: a file is missing.
+    Replay(ReplayArguments),
+}
+
+/// The command line of `vpcd replay`.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ReplayArguments {
+    /// The flight record.
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+
+    /// Scene file, which must be of the recorded task, instead of the one in the record.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+
+    /// Memory of motion, which must be the recorded one, instead of where it was.
+    #[arg(long, value_name = "FILE")]
+    pub memory: Option<PathBuf>,
+
+    /// Only up to this cycle, from the last key frame before it, and tell all of it.
+    #[arg(long, value_name = "N")]
+    pub cycle: Option<u64>,
+
+    /// As JSON.
+    #[arg(long)]
+    pub json: bool,
 }

@@ -39,6 +39,21 @@ pub struct Config {
     pub log_level: String,
     /// Whether log lines are JSON.
     pub log_json: bool,
+    /// The flight record.
+    pub flight: FlightConfig,
+}
+
+/// How the flight record is kept.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlightConfig {
+    /// Where files are written.
+    pub directory: PathBuf,
+    /// Minutes in memory, at the scene's rate.
+    pub minutes: f64,
+    /// Files kept, at least one.
+    pub keep: usize,
+    /// Whether one is written when the daemon ends, too.
+    pub at_exit: bool,
 }
 
 /// The part of the configuration that the supervisor goes by.
@@ -122,6 +137,16 @@ struct Raw {
     ipc: RawIpc,
     realtime: RawRealtime,
     log: RawLog,
+    flight: RawFlight,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct RawFlight {
+    directory: Option<PathBuf>,
+    minutes: f64,
+    keep: i64,
+    at_exit: bool,
 }
 
 #[derive(Deserialize)]
@@ -213,6 +238,17 @@ impl Default for RawSafety {
     }
 }
 
+impl Default for RawFlight {
+    fn default() -> Self {
+        Self {
+            directory: None,
+            minutes: 5.0,
+            keep: 10,
+            at_exit: false,
+        }
+    }
+}
+
 impl Default for RawLog {
     fn default() -> Self {
         Self {
@@ -222,8 +258,15 @@ impl Default for RawLog {
     }
 }
 
+/// The model of a word in configuration files.
+pub(crate) fn model(name: &str) -> Option<Model> {
+    [Model::TargetDepth, Model::AreaDepth, Model::Pose]
+        .into_iter()
+        .find(|model| model_name(*model) == name)
+}
+
 /// The word of a model in configuration files.
-fn model_name(model: Model) -> &'static str {
+pub(crate) fn model_name(model: Model) -> &'static str {
     match model {
         Model::TargetDepth => "target-depth",
         Model::AreaDepth => "area-depth",
@@ -274,6 +317,7 @@ impl Config {
         under(&mut raw.scene);
         under(&mut raw.memory);
         under(&mut raw.ipc.domain);
+        under(&mut raw.flight.directory);
         let checker = Checker { path, arguments };
         checker.lay_flags_over(&mut raw);
         checker.config(raw)
@@ -344,14 +388,16 @@ impl Checker<'_> {
         if !(0.0..=20.0).contains(&margin) {
             return Err(self.refuse("cycle.margin_ms", margin, "0 to 20 ms"));
         }
+        let domain = raw.ipc.domain.unwrap_or_else(ipc::default_directory);
         Ok(Config {
+            flight: self.flight(raw.flight, &domain)?,
             scene,
             memory: raw.memory,
             settings,
             clock,
             stale_periods: stale,
             safety: self.safety(&raw.safety, clock)?,
-            domain: raw.ipc.domain.unwrap_or_else(ipc::default_directory),
+            domain,
             margin_ns: (margin * 1e6) as u64,
             realtime: self.realtime(&raw.realtime)?,
             log_level: self.log_level(raw.log.level)?,
@@ -409,6 +455,28 @@ impl Checker<'_> {
         })
     }
 
+    fn flight(&self, raw: RawFlight, domain: &Path) -> Result<FlightConfig, ConfigError> {
+        if !(0.1..=60.0).contains(&raw.minutes) {
+            return Err(self.refuse("flight.minutes", raw.minutes, "0.1 to 60 min"));
+        }
+        let keep = usize::try_from(raw.keep)
+            .ok()
+            .filter(|keep| (1..=1000).contains(keep))
+            .ok_or_else(|| self.refuse("flight.keep", raw.keep, "1 to 1000 files"))?;
+        // Beside the domain, not in it: the domain is cleared away with its last user.
+        let beside = || {
+            let mut name = domain.as_os_str().to_owned();
+            name.push("-flight");
+            PathBuf::from(name)
+        };
+        Ok(FlightConfig {
+            directory: raw.directory.unwrap_or_else(beside),
+            minutes: raw.minutes,
+            keep,
+            at_exit: raw.at_exit,
+        })
+    }
+
     fn log_level(&self, level: String) -> Result<String, ConfigError> {
         match level.as_str() {
             "off" | "error" | "warn" | "info" | "debug" | "trace" => Ok(level),
@@ -433,14 +501,9 @@ impl Checker<'_> {
             .strategy
             .parse()
             .map_err(|_| self.refuse("law.strategy", &raw.strategy, STRATEGIES))?;
-        let model = match raw.model.as_str() {
-            "target-depth" => Model::TargetDepth,
-            "area-depth" => Model::AreaDepth,
-            "pose" => Model::Pose,
-            other => {
-                return Err(self.refuse("law.model", other, "target-depth, area-depth, pose"));
-            }
-        };
+        let model = model(&raw.model).ok_or_else(|| {
+            self.refuse("law.model", &raw.model, "target-depth, area-depth, pose")
+        })?;
         let count = |key: &str, value: i64, most: i64, allowed: &str| {
             if (1..=most).contains(&value) {
                 Ok(value)
@@ -505,6 +568,18 @@ mod tests {
             (ClockMode::Fixed, 3.0)
         );
         assert_eq!(config.domain, ipc::default_directory());
+    }
+
+    #[test]
+    fn flight_records_lie_beside_the_domain_or_where_the_file_says() {
+        let directory = |text: &str| {
+            let config = parse(text, &Arguments::default()).unwrap();
+            config.flight.directory
+        };
+        let domain = "scene = 's'\n[ipc]\ndomain = '/run/d'\n";
+        assert_eq!(directory(domain), Path::new("/run/d-flight"));
+        let text = format!("{domain}[flight]\ndirectory = 'records'");
+        assert_eq!(directory(&text), Path::new("/etc/records"));
     }
 
     #[test]
@@ -581,6 +656,14 @@ mod tests {
             (
                 "[cycle]\nmargin_ms = nan",
                 "cycle.margin_ms = NaN; allowed: 0 to 20 ms",
+            ),
+            (
+                "[flight]\nminutes = nan",
+                "flight.minutes = NaN; allowed: 0.1 to 60 min",
+            ),
+            (
+                "[flight]\nkeep = 0",
+                "flight.keep = 0; allowed: 1 to 1000 files",
             ),
             ("[log]\nlevel = 'loud'", "log.level = loud; allowed: off"),
             (

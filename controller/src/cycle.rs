@@ -5,9 +5,9 @@ use ipc::{
     ClockMode, ControllerPorts, CycleRecord, PublishError, RealTime, ReceiveError, Reply,
     TwistCommand, TwistState, now_ns,
 };
-use rtrb::Producer;
 
 use crate::clock::{Grid, sleep_until};
+use crate::flight::Tap;
 use crate::gate::Input;
 use crate::law::Law;
 use crate::phase::Phase;
@@ -43,7 +43,7 @@ pub struct Pace {
     pub realtime: RealTime,
 }
 
-/// The loop with all it owns. It shares nothing with other threads but the queue of records.
+/// The loop with all it owns. It shares nothing with other threads but the tap of flight records.
 pub struct Cycle {
     pace: Pace,
     ports: ControllerPorts,
@@ -51,11 +51,10 @@ pub struct Cycle {
     grid: Grid,
     /// What moves the grid, in the clock `phase`.
     phase: Option<Phase>,
-    records: Producer<CycleRecord>,
+    tap: Tap,
     /// What stays the same in each record.
     blank: CycleRecord,
     count: u64,
-    lost: u64,
     /// Releases missed until the last cycle.
     missed: u64,
     replies: Vec<Reply, REQUESTS>,
@@ -65,12 +64,7 @@ pub struct Cycle {
 
 impl Cycle {
     /// A loop that starts now.
-    pub fn new(
-        pace: Pace,
-        ports: ControllerPorts,
-        law: Law,
-        records: Producer<CycleRecord>,
-    ) -> Self {
+    pub fn new(pace: Pace, ports: ControllerPorts, law: Law, mut tap: Tap) -> Self {
         let stale_ns = match pace.clock {
             // Looked at once a period: what would be too old at the next release is too old now.
             ClockMode::Fixed | ClockMode::Phase => {
@@ -83,17 +77,18 @@ impl Cycle {
             realtime: pace.realtime.0,
             ..CycleRecord::default()
         };
+        let pilot = Pilot::new(law, stale_ns, pace.rules);
+        tap.begin(&pilot);
         Self {
             pace,
             ports,
-            pilot: Pilot::new(law, stale_ns, pace.rules),
+            pilot,
             grid: Grid::new(now_ns(), pace.period_ns),
             phase: (pace.clock == ClockMode::Phase)
                 .then(|| Phase::new(pace.period_ns, pace.margin_ns)),
-            records,
+            tap,
             blank,
             count: 0,
-            lost: 0,
             missed: 0,
             replies: Vec::new(),
             woken: Usage::now(),
@@ -163,10 +158,8 @@ impl Cycle {
             self.advance(&mut record);
         }
         record.overruns = self.grid.missed();
-        record.lost_records = self.lost;
-        if self.records.push(record).is_err() {
-            self.lost += 1;
-        }
+        record.lost_records = self.tap.lost();
+        self.tap.cycle(inputs, answer, &record, &self.pilot);
         sent.map(|()| Some(record))
     }
 
@@ -247,7 +240,8 @@ impl Cycle {
         for _ in 0..REQUESTS {
             match self.ports.requests.oldest() {
                 Ok(Some(request)) => {
-                    let reply = self.pilot.request(&request);
+                    let mut reply = self.pilot.request(&request);
+                    self.tap.ask(&request, &mut reply);
                     // There is room for as many as this loop takes.
                     let _ = self.replies.push(reply);
                 }

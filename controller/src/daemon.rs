@@ -7,10 +7,11 @@ use std::time::Duration;
 use clap::Parser;
 use ipc::{ClockMode, ControllerPorts, Domain, RealTime};
 
-use crate::arguments::Arguments;
+use crate::arguments::{Arguments, Command};
 use crate::config::{Config, ConfigError};
 use crate::cycle::{Cycle, Pace};
 use crate::exit::Exit;
+use crate::flight::{self, Recorder};
 use crate::instance::{Instance, InstanceError};
 use crate::law::{Law, LawError};
 use crate::preflight::Facts;
@@ -105,6 +106,9 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     if arguments.preflight {
         return preflight(&arguments);
     }
+    if let Some(Command::Replay(arguments)) = &arguments.command {
+        return flight::command::run(arguments).into();
+    }
     match run(&arguments) {
         Ok(()) => Exit::Ok.into(),
         Err(failure) => {
@@ -139,7 +143,7 @@ fn preflight(arguments: &Arguments) -> ExitCode {
     } else {
         println!("{found}");
     }
-    if found.fit { Exit::Ok } else { Exit::Unfit }.into()
+    if found.fit { Exit::Ok } else { Exit::No }.into()
 }
 
 /// Checks everything, then runs the loop in this thread.
@@ -150,6 +154,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // First of all: a hang-up while the memory is read must not kill.
     let stop = Stop::by_signals().map_err(Failure::Signals)?;
     let hangup = Hangup::by_signal().map_err(Failure::Signals)?;
+    let wish = flight::Wish::by_signal().map_err(Failure::Signals)?;
     let config = Config::read(arguments)?;
     let law = Law::open(&config.scene, config.memory.as_deref(), config.settings)?;
     if arguments.check_only {
@@ -162,10 +167,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let domain = Domain::join(&config.domain)?;
     let instance = Instance::claim(domain.directory())?;
     let ports = ControllerPorts::open(&domain)?;
-    let (records, queue) = rtrb::RingBuffer::new(telemetry::QUEUE);
+    let (tap, tail) = flight::tap::tap(wish);
+    let flight = Recorder::new(&config, &law);
     let progress = Progress::default();
     let talk = Talk::new(service, period, progress.clone(), stop.clone(), hangup);
-    let recorder = telemetry::start(&config.domain, queue, talk)?;
+    let recorder = telemetry::start(&config.domain, tail, talk, flight)?;
     tracing::info!("{}", describe(&config, &law));
     let realtime = match config.realtime {
         Some(wish) => realtime::enter(wish),
@@ -176,7 +182,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let mut pace = pace(&config, &law);
     pace.realtime = realtime;
-    let mut cycle = Cycle::new(pace, ports, law, records);
+    let mut cycle = Cycle::new(pace, ports, law, tap);
     let outcome = turn(&mut cycle, &stop, &progress, arguments.cycles);
     // Whatever happened, the last word is zero.
     let stopped = cycle.stop();

@@ -6,8 +6,8 @@
 pub enum Exit {
     /// Stopped by a signal or after the cycles asked for.
     Ok = 0,
-    /// The preflight found the machine unfit for real time.
-    Unfit = 1,
+    /// The answer is no: the machine is unfit for real time, or a replay differs.
+    No = 1,
     /// The command line is wrong.
     Usage = 64,
     /// A scene or a memory is wrong, or the memory was built for another task.

@@ -59,21 +59,21 @@ pub enum Link {
 /// How much later than now features may claim to be published, ns: one clock serves all processes.
 const FUTURE_NS: u64 = 1_000_000;
 
-/// The gate.
-#[derive(Clone, Copy, Debug)]
+/// The gate. Plain data: a copy goes on as the original does.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gate {
-    stale_ns: Option<u64>,
-    last: Stamp,
+    pub(crate) stale_ns: Option<u64>,
+    pub(crate) last: Stamp,
     /// Head of the last message that came in order.
-    believed: Stamp,
-    good_ns: Option<u64>,
-    standing: Standing,
-    gap: bool,
+    pub(crate) believed: Stamp,
+    pub(crate) good_ns: Option<u64>,
+    pub(crate) standing: Standing,
+    pub(crate) gap: bool,
 }
 
 /// What became of the last message.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Standing {
+pub(crate) enum Standing {
     Good,
     Held(Hold),
 }

@@ -69,6 +69,8 @@ pub struct Law {
     controller: Box<vpc::Controller>,
     memory: Option<MemoryFile>,
     scene: Scene,
+    /// The text of the scene's file.
+    text: String,
 }
 
 /// What the law decided about some features.
@@ -90,7 +92,23 @@ impl Law {
     /// [`LawError`] names the file and what is wrong.
     pub fn open(scene: &Path, memory: Option<&Path>, settings: Settings) -> Result<Self, LawError> {
         let path = scene.display().to_string();
-        let scene = Scene::read(scene)?;
+        match std::fs::read_to_string(scene) {
+            Ok(text) => Self::parse(text, path, memory, settings),
+            Err(source) => Err(SceneError::Read { path, source }.into()),
+        }
+    }
+
+    /// As [`Law::open`], from the text of a scene; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Law::open`].
+    pub fn parse(
+        text: String,
+        path: String,
+        memory: Option<&Path>,
+        settings: Settings,
+    ) -> Result<Self, LawError> {
+        let scene = Scene::parse(&text, &path)?;
         let controller = boxed(&scene, settings)
             .map_err(LawError::Thread)?
             .map_err(|source| LawError::Task { path, source })?;
@@ -102,7 +120,23 @@ impl Law {
             controller,
             memory,
             scene,
+            text,
         })
+    }
+
+    /// What the law leaves to the next step. A copy; never allocates.
+    pub fn state(&self) -> vpc::State {
+        self.controller.state()
+    }
+
+    /// Goes on from a state of this law.
+    pub fn restore(&mut self, state: &vpc::State) {
+        self.controller.restore(state);
+    }
+
+    /// The text of the scene's file.
+    pub fn text(&self) -> &str {
+        &self.text
     }
 
     /// The scene.
@@ -165,12 +199,8 @@ impl Law {
     pub fn describe(&self, record: &mut CycleRecord) {
         let settings = self.controller.settings();
         record.np = settings.np as u32;
-        (record.strategy, record.neighbours) = match settings.strategy {
-            Strategy::Previous => (StrategyCode::Previous.code(), 0),
-            Strategy::Knn { k } => (StrategyCode::Knn.code(), k as u32),
-            Strategy::Gpr => (StrategyCode::Gpr.code(), 0),
-            Strategy::Ibvs => (StrategyCode::Ibvs.code(), 0),
-        };
+        let (strategy, neighbours) = strategy_code(settings.strategy);
+        (record.strategy, record.neighbours) = (strategy.code(), neighbours);
     }
 
     /// The last look at a command before it goes out, independent of the law. A NaN is not within.
@@ -182,8 +212,18 @@ impl Law {
     }
 }
 
+/// The contract's words for a strategy: its code, and the neighbours of k-NN or 0.
+pub fn strategy_code(strategy: Strategy) -> (StrategyCode, u32) {
+    match strategy {
+        Strategy::Previous => (StrategyCode::Previous, 0),
+        Strategy::Knn { k } => (StrategyCode::Knn, k as u32),
+        Strategy::Gpr => (StrategyCode::Gpr, 0),
+        Strategy::Ibvs => (StrategyCode::Ibvs, 0),
+    }
+}
+
 /// The decision to hold.
-pub fn held(hold: Hold) -> Decision {
+pub const fn held(hold: Hold) -> Decision {
     Decision {
         twist: [0.0; 6],
         state: TwistState::Holding,
@@ -270,6 +310,7 @@ mod tests {
             controller: boxed(&scene, Settings::default()).unwrap().unwrap(),
             memory: None,
             scene,
+            text: scene::PAPER_SIM.to_owned(),
         }
     }
 

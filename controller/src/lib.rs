@@ -13,6 +13,7 @@ pub mod config;
 pub mod cycle;
 pub mod daemon;
 pub mod exit;
+pub mod flight;
 pub mod gate;
 pub mod histogram;
 pub mod instance;

@@ -36,6 +36,21 @@ pub struct Answer {
     pub decision: Decision,
 }
 
+/// What a cycle leaves to the next. Plain data.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// The gate.
+    pub gate: Gate,
+    /// What was heard of the robot.
+    pub robot: RobotWatch,
+    /// The law.
+    pub law: vpc::State,
+    /// The supervisor.
+    pub supervisor: Supervisor,
+    /// The last command of the law, for cycles without news.
+    pub standing: Answer,
+}
+
 /// Gate, law and supervisor, with what a cycle leaves to the next.
 pub struct Pilot {
     gate: Gate,
@@ -59,6 +74,39 @@ impl Pilot {
                 decision: law::held(Hold::NoFeatures),
             },
         }
+    }
+
+    /// What the cycles so far leave to the next. A copy; never allocates.
+    pub fn state(&self) -> State {
+        // Field by field: who adds one must say here whether the next cycle depends on it.
+        let Self {
+            gate,
+            robot,
+            law,
+            supervisor,
+            standing,
+        } = self;
+        State {
+            gate: *gate,
+            robot: *robot,
+            law: law.state(),
+            supervisor: *supervisor,
+            standing: *standing,
+        }
+    }
+
+    /// Goes on from a state of this pilot, or of another one with the same scene, memory and settings.
+    pub fn restore(&mut self, state: &State) {
+        self.gate = state.gate;
+        self.robot = state.robot;
+        self.law.restore(&state.law);
+        self.supervisor = state.supervisor;
+        self.standing = state.standing;
+    }
+
+    /// The law.
+    pub fn law(&self) -> &Law {
+        &self.law
     }
 
     /// Whether the last twist was zero.

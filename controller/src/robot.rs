@@ -5,12 +5,12 @@ use ipc::{Hold, RobotFaults, RobotMode, RobotState};
 use crate::gate::Input;
 
 /// What was heard of the robot so far.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotWatch {
-    lost_ns: Option<u64>,
+    pub(crate) lost_ns: Option<u64>,
     /// When the last state was published, CLOCK_MONOTONIC, ns.
-    heard_ns: Option<u64>,
-    at_fault: bool,
+    pub(crate) heard_ns: Option<u64>,
+    pub(crate) at_fault: bool,
 }
 
 impl RobotWatch {

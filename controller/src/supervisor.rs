@@ -52,7 +52,7 @@ pub struct Situation {
 
 /// Whether the law moves the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Mode {
+pub(crate) enum Mode {
     Armed,
     /// On the way to disarmed, for this cause.
     Disarming(Hold),
@@ -62,15 +62,15 @@ enum Mode {
 /// The state machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Supervisor {
-    rules: Rules,
-    mode: Mode,
+    pub(crate) rules: Rules,
+    pub(crate) mode: Mode,
     /// The last cycle: when it was, and what it sent.
-    last: Option<u64>,
-    sent: Decision,
+    pub(crate) last: Option<u64>,
+    pub(crate) sent: Decision,
     /// What the last cycle knew.
-    situation: Option<Situation>,
-    overruns: u32,
-    failures: u32,
+    pub(crate) situation: Option<Situation>,
+    pub(crate) overruns: u32,
+    pub(crate) failures: u32,
 }
 
 /// How a cause is met.
@@ -100,6 +100,11 @@ impl Supervisor {
             overruns: 0,
             failures: 0,
         }
+    }
+
+    /// What it goes by.
+    pub fn rules(&self) -> Rules {
+        self.rules
     }
 
     /// Whether the last twist was zero.

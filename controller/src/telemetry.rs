@@ -1,4 +1,5 @@
-//! The ordinary thread: takes records from the loop by a wait-free queue, publishes them, and writes the log.
+//! The ordinary thread: takes records from the loop by a wait-free queue, publishes them, keeps them as flight record,
+//! and writes the log.
 
 use std::path::Path;
 use std::sync::mpsc;
@@ -9,9 +10,9 @@ use ipc::{
     Action, CycleRecord, Domain, Hold, JoinError, Message, OpenError, Outcome, PhaseCode, RealTime,
     ReceiveError, RecorderPort, Reply, Request, TwistState,
 };
-use rtrb::Consumer;
 use tracing::{debug, info, warn};
 
+use crate::flight::{Recorder, Tail};
 use crate::histogram::Histogram;
 use crate::report::Report;
 use crate::service::Talk;
@@ -20,8 +21,6 @@ use crate::service::Talk;
 const PAUSE: Duration = Duration::from_millis(5);
 /// Time between two sweeps for what killed peers left unfinished, which could hang the loop.
 const SWEEP: Duration = Duration::from_secs(1);
-/// Records that the queue holds: many pauses' worth of lockstep cycles.
-pub const QUEUE: usize = 8192;
 
 /// Why the recorder could not start.
 #[derive(Debug, thiserror::Error)]
@@ -47,8 +46,9 @@ pub enum RecorderError {
 /// [`RecorderError`].
 pub fn start(
     domain: &Path,
-    records: Consumer<CycleRecord>,
+    tail: Tail,
     talk: Talk,
+    flight: Recorder,
 ) -> Result<JoinHandle<Summary>, RecorderError> {
     let (ready, is_ready) = mpsc::channel();
     let domain = domain.to_owned();
@@ -62,7 +62,7 @@ pub fn start(
                 Ok((port, domain)) => {
                     // The starter waits for it.
                     let _ = ready.send(Ok(()));
-                    record(port, records, &domain, talk)
+                    record(port, tail, &domain, talk, flight)
                 }
                 Err(error) => {
                     let _ = ready.send(Err(error));
@@ -76,9 +76,10 @@ pub fn start(
 
 fn record(
     mut port: RecorderPort,
-    mut records: Consumer<CycleRecord>,
+    mut tail: Tail,
     domain: &Domain,
     mut talk: Talk,
+    mut flight: Recorder,
 ) -> Summary {
     let mut summary = Summary::default();
     let mut swept = Instant::now();
@@ -88,14 +89,21 @@ fn record(
             swept = Instant::now();
         }
         // In this order: what was pushed before the loop let go is still taken.
-        let last_round = records.is_abandoned();
-        while let Ok(record) = records.pop() {
-            if let Err(error) = port.cycles.publish(&record) {
+        let last_round = tail.is_abandoned();
+        let wished = tail.wished();
+        while let Some(record) = tail.pop() {
+            if let Err(error) = port.cycles.publish(&record.told) {
                 debug!(%error, "telemetry not published");
             }
-            summary.add(&record);
+            summary.add(&record.told);
+            flight.push(record);
         }
+        while let Some(key) = tail.pop_key() {
+            flight.push_key(key);
+        }
+        flight.tend(wished, Instant::now());
         if last_round {
+            flight.end();
             talk.end(|| summary.status());
             return summary;
         }

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use memmap2::Mmap;
 use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
 
 use crate::format::{self, ALIGNMENT, round_up};
 use crate::header::Header;
@@ -69,6 +70,7 @@ pub struct MemoryFile {
     metadata: BTreeMap<String, String>,
     layout: Layout,
     task: [u8; 32],
+    digest: [u8; 32],
     bytes: usize,
 }
 
@@ -125,6 +127,7 @@ impl MemoryFile {
             metadata: header.metadata,
             layout,
             task: found,
+            digest: Sha256::digest(&bytes).into(),
             bytes: bytes.len(),
         };
         file.verify_numbers().map_err(corrupt)?;
@@ -178,6 +181,11 @@ impl MemoryFile {
     /// Fingerprint of the task that the memory was built for.
     pub fn task(&self) -> &[u8; 32] {
         &self.task
+    }
+
+    /// SHA-256 of the whole file, as it was when it was opened.
+    pub fn digest(&self) -> &[u8; 32] {
+        &self.digest
     }
 
     /// Size of the file, bytes.

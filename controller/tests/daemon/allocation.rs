@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use controller::cycle::{Cycle, Pace};
+use controller::flight;
 use controller::law::Law;
 use controller::service::Talk;
 use controller::shutdown::Stop;
@@ -65,9 +66,10 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         let looping = threads.spawn(|| {
             let domain = Domain::join(&place.domain()).unwrap();
             let ports = ControllerPorts::open(&domain).unwrap();
-            let (records, queue) = rtrb::RingBuffer::new(telemetry::QUEUE);
-            let recorder = telemetry::start(&place.domain(), queue, Talk::default()).unwrap();
-            let mut cycle = Cycle::new(pace, ports, law, records);
+            let (tap, tail) = flight::tap::tap(flight::Wish::default());
+            let ring = flight::Recorder::nowhere(1000);
+            let recorder = telemetry::start(&place.domain(), tail, Talk::default(), ring).unwrap();
+            let mut cycle = Cycle::new(pace, ports, law, tap);
             let mut tally = Tally::default();
             let never = Stop::default();
             while cycle.count() < WARM_UP + CYCLES {

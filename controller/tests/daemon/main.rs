@@ -2,6 +2,8 @@
 
 mod allocation;
 mod fixture;
+mod flight;
 mod process;
 mod realtime;
+mod record;
 mod refusal;

@@ -1,0 +1,193 @@
+//! The directory of flight records: whole files only, and not more than so many.
+
+use std::fs::{self, DirBuilder, File, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+/// How names begin.
+const PREFIX: &str = "vpcd-";
+/// How names of whole files end.
+const SUFFIX: &str = ".flight";
+/// How names of files end while they are written.
+const BESIDE: &str = ".flight.tmp";
+
+/// Why a flight record was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The directory.
+    #[error("{directory}: cannot be used for flight records: {source}")]
+    Directory {
+        /// The directory.
+        directory: String,
+        /// The operating system's reason.
+        source: io::Error,
+    },
+    /// Somebody else's directory: they could take the files away or put others in.
+    #[error("{directory}: belongs to user {found}; allowed: {own}, who runs vpcd")]
+    Owner {
+        /// The directory.
+        directory: String,
+        /// Its owner's id.
+        found: u32,
+        /// The id of the process.
+        own: u32,
+    },
+    /// The file.
+    #[error("{path}: cannot write the flight record: {source}")]
+    Write {
+        /// The file.
+        path: String,
+        /// The operating system's reason.
+        source: io::Error,
+    },
+}
+
+/// A directory that keeps the newest files.
+#[derive(Clone, Debug)]
+pub struct Store {
+    directory: PathBuf,
+    keep: usize,
+}
+
+impl Store {
+    /// A store in this directory, which is made with the first file; it keeps `keep` files, at least one.
+    pub fn new(directory: PathBuf, keep: usize) -> Self {
+        Self {
+            directory,
+            keep: keep.max(1),
+        }
+    }
+
+    /// Writes a file, whole or not at all, readable by this user only, and removes the oldest ones beyond those kept.
+    /// `stamp` orders files by age, `cause` tells them apart: letters, digits and hyphens. May wait for the disk.
+    ///
+    /// # Errors
+    /// [`StoreError`]; nothing is left of the file then.
+    pub fn write(&self, stamp: u64, cause: &str, bytes: &[u8]) -> Result<PathBuf, StoreError> {
+        self.prepare()?;
+        let name = format!("{PREFIX}{stamp:015}-{cause}");
+        let path = self.directory.join(format!("{name}{SUFFIX}"));
+        let beside = self.directory.join(format!("{name}{BESIDE}"));
+        let written = || {
+            let mut file = OpenOptions::new()
+                .write(true)
+                .create_new(true)
+                .mode(0o600)
+                .open(&beside)?;
+            file.write_all(bytes)?;
+            file.sync_all()?;
+            fs::rename(&beside, &path)?;
+            // The directory holds the name.
+            File::open(&self.directory)?.sync_all()
+        };
+        if let Err(source) = written() {
+            let _ = fs::remove_file(&beside);
+            return Err(StoreError::Write {
+                path: path.display().to_string(),
+                source,
+            });
+        }
+        self.prune();
+        Ok(path)
+    }
+
+    /// The files, the oldest first.
+    pub fn files(&self) -> Vec<PathBuf> {
+        self.named(SUFFIX)
+    }
+
+    fn prepare(&self) -> Result<(), StoreError> {
+        let directory = || self.directory.display().to_string();
+        let trouble = |source| StoreError::Directory {
+            directory: directory(),
+            source,
+        };
+        let mut builder = DirBuilder::new();
+        let made = builder.recursive(true).mode(0o700).create(&self.directory);
+        made.map_err(trouble)?;
+        let found = fs::metadata(&self.directory).map_err(trouble)?.uid();
+        let own = rustix::process::geteuid().as_raw();
+        if found != own {
+            return Err(StoreError::Owner {
+                directory: directory(),
+                found,
+                own,
+            });
+        }
+        Ok(())
+    }
+
+    /// What cannot be removed now is removed after the next file, or by its owner.
+    fn prune(&self) {
+        let files = self.files();
+        for file in files.iter().rev().skip(self.keep) {
+            let _ = fs::remove_file(file);
+        }
+        // Left by a daemon that was killed: the store has one writer, and that one is here.
+        for file in self.named(BESIDE) {
+            let _ = fs::remove_file(file);
+        }
+    }
+
+    fn named(&self, suffix: &str) -> Vec<PathBuf> {
+        let Ok(entries) = fs::read_dir(&self.directory) else {
+            return Vec::new();
+        };
+        let is_ours = |path: &Path| {
+            let name = path.file_name().and_then(|name| name.to_str());
+            name.is_some_and(|name| name.starts_with(PREFIX) && name.ends_with(suffix))
+        };
+        let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+        let mut files: Vec<PathBuf> = paths.filter(|path| is_ours(path)).collect();
+        files.sort();
+        files
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_files_are_kept_and_nothing_else_is_touched() {
+        let place = tempfile::tempdir().unwrap();
+        let directory = place.path().join("deep/er");
+        let store = Store::new(directory.clone(), 2);
+        store.write(5, "request", b"five").unwrap();
+        fs::write(directory.join("notes.txt"), "mine").unwrap();
+        fs::write(
+            directory.join("vpcd-000000000000001-fault.flight.tmp"),
+            "torn",
+        )
+        .unwrap();
+        store.write(7, "fault", b"seven").unwrap();
+        let last = store.write(600, "request", b"six hundred").unwrap();
+        assert_eq!(fs::read(&last).unwrap(), b"six hundred");
+        let files = store.files();
+        assert_eq!(files.len(), 2);
+        assert_eq!(fs::read(&files[0]).unwrap(), b"seven");
+        assert_eq!(fs::read_dir(&directory).unwrap().count(), 3);
+        assert_eq!(fs::metadata(&last).unwrap().mode() & 0o777, 0o600);
+    }
+
+    #[test]
+    fn where_nothing_can_be_written_the_path_is_named_and_nothing_is_left() {
+        let place = tempfile::tempdir().unwrap();
+        let taken = place.path().join("taken");
+        fs::write(&taken, "a file").unwrap();
+        let error = Store::new(taken, 2).write(5, "request", b"x").unwrap_err();
+        assert!(
+            error.to_string().contains("/taken: cannot be used"),
+            "{error}"
+        );
+        let store = Store::new(place.path().to_owned(), 2);
+        fs::create_dir_all(place.path().join("vpcd-000000000000005-exit.flight/inside")).unwrap();
+        let error = store.write(5, "exit", b"x").unwrap_err();
+        assert!(
+            error.to_string().contains("-exit.flight: cannot write"),
+            "{error}"
+        );
+        assert!(store.named(BESIDE).is_empty());
+    }
+}

@@ -1,0 +1,286 @@
+//! The flight record of the real daemon: asked for, written, replayed by the real binary.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::time::Duration;
+
+use controller::flight::Flight;
+use ipc::{Action, CameraPorts, Domain, Features, OperatorPorts, Outcome, Request, StrategyCode};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rustix::process::{Pid, Signal, kill_process};
+use scene::Scene;
+use serde_json::Value;
+
+use crate::fixture::{Place, end_of, eventually, scene_file, square, vpcd, vpcd_in, write_memory};
+
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// A daemon in lockstep with a memory, a camera, and an operator.
+struct Bench {
+    scene: Scene,
+    camera: CameraPorts,
+    operator: OperatorPorts,
+    random: ChaCha8Rng,
+    daemon: Option<Child>,
+    place: Place,
+}
+
+impl Bench {
+    fn new(flight: &str) -> Self {
+        let place = Place::new();
+        let scene = Scene::read(&scene_file()).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let memory = place.path("m.vpcmem");
+        write_memory(&scene, &memory, &mut random);
+        let text = format!("[flight]\ndirectory = 'records'\n{flight}");
+        let config = place.file("v.toml", text);
+        let domain = Domain::join(&place.domain()).unwrap();
+        let camera = CameraPorts::open(&domain).unwrap();
+        let operator = OperatorPorts::open(&domain).unwrap();
+        let mut command = vpcd_in(&place);
+        command.arg("--config").arg(config);
+        command.arg("--memory").arg(memory);
+        command.args(["--strategy", "knn3", "--clock", "lockstep"]);
+        Self {
+            scene,
+            camera,
+            operator,
+            random,
+            daemon: Some(command.spawn().unwrap()),
+            place,
+        }
+    }
+
+    fn show(&mut self, change: impl FnOnce(&mut Features)) {
+        let points = square(&self.scene, &mut self.random);
+        let mut features = Features::new(&points, ipc::now_ns());
+        change(&mut features);
+        let sent = self.camera.features.publish(&features).unwrap();
+        let answer = self.camera.wait_for_answer(&sent, PATIENCE).unwrap();
+        answer.expect("an answer in time");
+    }
+
+    fn ask(&mut self, request: &Request) -> Outcome {
+        let reply = self.operator.ask(request, PATIENCE).unwrap();
+        reply.expect("a reply in time").outcome().unwrap()
+    }
+
+    fn signal(&self, signal: Signal) {
+        let daemon = self.daemon.as_ref().unwrap();
+        kill_process(Pid::from_child(daemon), signal).unwrap();
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        let Ok(entries) = std::fs::read_dir(self.place.path("records")) else {
+            return Vec::new();
+        };
+        let paths = entries.map(|entry| entry.unwrap().path());
+        let mut files: Vec<_> = paths
+            .filter(|path| path.extension().is_some_and(|end| end == "flight"))
+            .collect();
+        files.sort();
+        files
+    }
+
+    /// The newest file once there are so many.
+    fn file(&self, count: usize) -> PathBuf {
+        eventually("a flight record", || {
+            let files = self.files();
+            (files.len() == count).then(|| files.last().unwrap().clone())
+        })
+    }
+
+    fn end(&mut self) {
+        self.signal(Signal::TERM);
+        let (code, log) = end_of(self.daemon.take().unwrap());
+        assert_eq!(code, 0, "{log}");
+        assert!(log.contains("flight record written"), "{log}");
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        if let Some(daemon) = &mut self.daemon {
+            let _ = daemon.kill();
+            let _ = daemon.wait();
+        }
+    }
+}
+
+/// Replays with the real binary: exit code, standard output, standard error.
+fn replayed(file: &Path, arguments: &[&str]) -> (i32, String, String) {
+    let mut command: Command = vpcd();
+    let output = command.arg("replay").arg(file).args(arguments).output();
+    let output = output.unwrap();
+    (
+        output.status.code().unwrap(),
+        String::from_utf8(output.stdout).unwrap(),
+        String::from_utf8(output.stderr).unwrap(),
+    )
+}
+
+fn report(file: &Path) -> Value {
+    let (code, text, trouble) = replayed(file, &["--json"]);
+    assert_eq!(code, 0, "{text}{trouble}");
+    serde_json::from_str(&text).unwrap()
+}
+
+#[test]
+fn an_operator_a_signal_a_fault_and_the_end_each_leave_a_record_that_replays() {
+    let mut bench = Bench::new("at_exit = true");
+    for _ in 0..150 {
+        bench.show(|_| ());
+    }
+    let gpr = Request::strategy(6, StrategyCode::Gpr, 0);
+    assert_eq!(bench.ask(&gpr), Outcome::Done);
+    for _ in 0..50 {
+        bench.show(|_| ());
+    }
+    assert_eq!(bench.ask(&Request::new(7, Action::Record)), Outcome::Done);
+    let file = bench.file(1);
+    let told = report(&file);
+    assert_eq!(told["cause"], "request");
+    assert_eq!(told["other_build"], false);
+    assert_eq!(told["report"]["cycles"], 200);
+    assert_eq!(told["report"]["skipped"], 0);
+    // The change of the strategy is in it, and was replayed.
+    let flight = Flight::read(&file).unwrap();
+    let counts: Vec<u32> = flight.records.iter().map(|r| r.asked.count).collect();
+    assert_eq!(counts.iter().sum::<u32>(), 1);
+    assert_eq!(counts[150], 1);
+
+    bench.show(|features| features.visible = 0b0001);
+    let told = report(&bench.file(2));
+    assert_eq!(told["cause"], "fault: hidden point");
+    assert_eq!(told["report"]["last"], 201);
+
+    bench.show(|_| ());
+    bench.signal(Signal::USR1);
+    let file = bench.file(3);
+    assert_eq!(report(&file)["report"]["cycles"], 202);
+
+    bench.end();
+    let told = report(&bench.file(4));
+    assert_eq!(told["cause"], "exit");
+    let (code, text, _) = replayed(&file, &["--cycle", "77"]);
+    assert_eq!(code, 0, "{text}");
+    assert!(
+        text.contains("told.cycle = 77") && text.contains("same: "),
+        "{text}"
+    );
+}
+
+#[test]
+fn the_oldest_records_fall_out_of_memory_and_directory() {
+    // A tenth of a minute is 180 cycles.
+    let mut bench = Bench::new("minutes = 0.1\nkeep = 2");
+    for k in 1..=3 {
+        for _ in 0..150 {
+            bench.show(|_| ());
+        }
+        assert_eq!(bench.ask(&Request::new(k, Action::Record)), Outcome::Done);
+        let last = eventually("the record", || {
+            let newest = bench.files().last().cloned()?;
+            let told = report(&newest);
+            (told["report"]["last"] == 150 * k).then_some(told)
+        });
+        assert!(last["records"].as_u64().unwrap() <= 180);
+    }
+    assert_eq!(bench.files().len(), 2);
+    bench.end();
+}
+
+#[test]
+fn what_is_not_the_same_is_1_and_what_cannot_be_replayed_is_named() {
+    let mut bench = Bench::new("");
+    for _ in 0..40 {
+        bench.show(|_| ());
+    }
+    bench.signal(Signal::USR1);
+    let file = bench.file(1);
+    bench.end();
+
+    // One bit of a twist, with a seal that fits.
+    let mut flight = Flight::read(&file).unwrap();
+    let record = &mut flight.records[20];
+    let twist = &mut record.told.twist[2];
+    *twist = f64::from_bits(twist.to_bits() ^ 1);
+    record.seal = record.computed_seal();
+    let forged = bench.place.file("forged.flight", flight.to_bytes());
+    let (code, text, _) = replayed(&forged, &[]);
+    assert_eq!(code, 1, "{text}");
+    assert!(
+        text.contains("cycle 21: told.twist[2] differs: recorded"),
+        "{text}"
+    );
+    let (code, text, _) = replayed(&forged, &["--json"]);
+    let told: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((code, &told["same"]), (1, &Value::Bool(false)));
+    assert_eq!(told["difference"]["field"], "told.twist[2]");
+    // Before it all is well.
+    assert_eq!(replayed(&forged, &["--cycle", "20"]).0, 0);
+
+    let refused = |file: &Path, arguments: &[&str], exit: i32, words: &[&str]| {
+        let (code, _, trouble) = replayed(file, arguments);
+        assert_eq!(code, exit, "{trouble}");
+        for word in words {
+            assert!(trouble.contains(word), "{trouble}\nlacks: {word}");
+        }
+    };
+    let mut bytes = std::fs::read(&file).unwrap();
+    let at = bytes.len() - 4000;
+    bytes[at] ^= 1;
+    let damaged = bench.place.file("damaged.flight", &bytes);
+    refused(
+        &damaged,
+        &[],
+        65,
+        &["damaged.flight: byte ", "record ", "; allowed: "],
+    );
+    bytes.truncate(at);
+    let short = bench.place.file("short.flight", &bytes);
+    refused(
+        &short,
+        &[],
+        65,
+        &["short.flight: byte ", "the end of the file"],
+    );
+    refused(
+        &bench.place.path("none.flight"),
+        &[],
+        66,
+        &["none.flight", "No such file"],
+    );
+    refused(
+        &file,
+        &["--cycle", "41"],
+        64,
+        &["--cycle = 41; allowed: 1 to 40"],
+    );
+    refused(&file, &["--cycle", "x"], 64, &["--cycle"]);
+    let other_scene = scene_file().with_file_name("paper-robot.toml");
+    let other_scene = other_scene.display().to_string();
+    // Its memory, too, is for the recorded scene.
+    refused(
+        &file,
+        &["--scene", &other_scene],
+        65,
+        &["built for another task"],
+    );
+    let other_memory = bench.place.path("other.vpcmem");
+    write_memory(
+        &bench.scene,
+        &other_memory,
+        &mut ChaCha8Rng::seed_from_u64(9),
+    );
+    let other_memory = other_memory.display().to_string();
+    refused(
+        &file,
+        &["--memory", &other_memory],
+        65,
+        &["other.vpcmem: SHA-256 = "],
+    );
+    std::fs::remove_file(bench.place.path("m.vpcmem")).unwrap();
+    refused(&file, &[], 66, &["m.vpcmem", "No such file"]);
+}
