@@ -1,0 +1,426 @@
+//! One disc, measured from a seed pixel inside it: where it is, and whether all of it is seen.
+
+use std::f64::consts::{PI, TAU};
+
+use crate::homography::{Point, distance};
+use crate::image::Image;
+
+/// Rays from the centre along which the rim is found.
+const RAYS: usize = 48;
+/// How far outside the rim the background is taken, px.
+const RING: f64 = 3.0;
+
+/// What a disc must be like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Rules {
+    /// +1 for bright discs, -1 for dark ones.
+    pub sign: f64,
+    /// Least and greatest mean radius, px.
+    pub radius: [f64; 2],
+    /// Least contrast, levels.
+    pub contrast: f64,
+    /// Greatest distance of the rim from an ellipse, px.
+    pub rim: f64,
+}
+
+/// A disc that is seen whole.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Disc {
+    /// Centroid, px.
+    pub center: Point,
+    /// Mean radius, px.
+    pub radius: f64,
+    /// Signed level of the disc, and of the background about it.
+    pub levels: [f64; 2],
+}
+
+/// An ellipse about a centre by 1 / r^2 = a + b cos 2t + c sin 2t.
+#[derive(Clone, Copy)]
+struct Shape {
+    a: f64,
+    b: f64,
+    c: f64,
+}
+
+impl Shape {
+    fn circle(radius: f64) -> Self {
+        Self {
+            a: 1.0 / (radius * radius),
+            b: 0.0,
+            c: 0.0,
+        }
+    }
+
+    /// The best one through radii on evenly spaced rays.
+    fn through(radii: &[f64; RAYS]) -> Self {
+        let mut shape = Self {
+            a: 0.0,
+            b: 0.0,
+            c: 0.0,
+        };
+        for (ray, radius) in radii.iter().enumerate() {
+            let q = 1.0 / (radius * radius * RAYS as f64);
+            let (sin, cos) = (2.0 * angle(ray)).sin_cos();
+            shape.a += q;
+            shape.b += 2.0 * q * cos;
+            shape.c += 2.0 * q * sin;
+        }
+        shape
+    }
+
+    fn radius(&self, ray: usize) -> f64 {
+        let (sin, cos) = (2.0 * angle(ray)).sin_cos();
+        (self.a + self.b * cos + self.c * sin).max(1e-9).powf(-0.5)
+    }
+
+    /// (x/r)^2 of an offset: 1 on the rim.
+    fn square(&self, x: f64, y: f64) -> f64 {
+        (self.a + self.b) * x * x + (self.a - self.b) * y * y + 2.0 * self.c * x * y
+    }
+
+    /// Least and greatest half axis, px.
+    fn axes(&self) -> [f64; 2] {
+        let d = self.b.hypot(self.c);
+        [(self.a + d).powf(-0.5), (self.a - d).max(1e-9).powf(-0.5)]
+    }
+}
+
+fn angle(ray: usize) -> f64 {
+    TAU * ray as f64 / RAYS as f64
+}
+
+/// An image whose discs are bright.
+struct Signed<'a> {
+    image: &'a Image,
+    sign: f64,
+}
+
+impl Signed<'_> {
+    fn level(&self, u: f64, v: f64) -> Option<f64> {
+        self.image.level(u, v).map(|level| self.sign * level)
+    }
+
+    /// The level on a ray from a centre.
+    fn on_ray(&self, center: Point, ray: usize, radius: f64) -> Option<f64> {
+        let (sin, cos) = angle(ray).sin_cos();
+        self.level(center[0] + radius * cos, center[1] + radius * sin)
+    }
+
+    /// Mean of 3 x 3 pixels.
+    fn smooth(&self, at: Point) -> Option<f64> {
+        let mut sum = 0.0;
+        for k in 0..9 {
+            sum += self.level(
+                at[0] + f64::from(k % 3) - 1.0,
+                at[1] + f64::from(k / 3) - 1.0,
+            )?;
+        }
+        Some(sum / 9.0)
+    }
+
+    /// The median of levels on every ray at a share of the shape's radius, and px beyond.
+    fn median(&self, center: Point, shape: &Shape, share: f64, beyond: f64) -> Option<f64> {
+        let mut levels = [0.0; RAYS];
+        for (ray, level) in levels.iter_mut().enumerate() {
+            *level = self.on_ray(center, ray, share * shape.radius(ray) + beyond)?;
+        }
+        levels.sort_unstable_by(f64::total_cmp);
+        Some(0.5 * (levels[RAYS / 2 - 1] + levels[RAYS / 2]))
+    }
+}
+
+/// Measures the disc around a seed pixel that `threshold` (signed level) separates from the background.
+/// None where there is no disc, or not all of one.
+pub(crate) fn measure(image: &Image, seed: Point, threshold: f64, rules: &Rules) -> Option<Disc> {
+    let image = Signed {
+        image,
+        sign: rules.sign,
+    };
+    let (center, radius) = rough(&image, seed, threshold, rules)?;
+    let mut shape = Shape::circle(radius);
+    let mut center = center;
+    let mut levels = [
+        image.median(center, &shape, 0.5, 0.0)?,
+        image.median(center, &shape, 1.0, RING)?,
+    ];
+    // First the rim's centre, then the centroid of the pixels within the rim.
+    let radii = rim(&image, center, &shape, levels, rules)?;
+    center = rim_center(center, &radii);
+    shape = Shape::through(&rim(&image, center, &shape, levels, rules)?);
+    levels = [
+        image.median(center, &shape, 0.6, 0.0)?,
+        image.median(center, &shape, 1.0, RING)?,
+    ];
+    if levels[0] - levels[1] < rules.contrast {
+        return None;
+    }
+    let (centroid, area, holes) = centroid(&image, center, &shape, levels)?;
+    let radii = rim(&image, centroid, &shape, levels, rules)?;
+    let shape = Shape::through(&radii);
+    let [minor, major] = shape.axes();
+    let radius = (minor * major).sqrt();
+    let whole = (rules.radius[0]..=rules.radius[1]).contains(&radius)
+        && minor > 0.5 * major
+        && holes < 0.02
+        && (area / (PI * minor * major) - 1.0).abs() < 0.03 + 0.3 / radius
+        && (0..RAYS).all(|ray| (radii[ray] - shape.radius(ray)).abs() < rules.rim)
+        && distance(rim_center(centroid, &radii), centroid) < 0.5 * rules.rim
+        && clear(&image, centroid, &shape, levels);
+    whole.then_some(Disc {
+        center: centroid,
+        radius,
+        levels,
+    })
+}
+
+/// Centre and radius by where the level falls below the threshold, right and left, down and up; twice.
+fn rough(image: &Signed, seed: Point, threshold: f64, rules: &Rules) -> Option<(Point, f64)> {
+    // Specks of noise are not worth a look.
+    if image.smooth(seed)? < threshold + 0.2 * rules.contrast {
+        return None;
+    }
+    let reach = 2.0 * rules.radius[1] + 2.0;
+    let mut center = seed;
+    let mut radius = [0.0; 2];
+    for pass in 0..4 {
+        let axis = pass % 2;
+        let end = |step: f64| {
+            let mut at = center;
+            let mut length = 0.0;
+            while length <= reach {
+                at[axis] += step;
+                length += 1.0;
+                if image.level(at[0], at[1])? < threshold {
+                    return Some(at[axis]);
+                }
+            }
+            None
+        };
+        let (upper, lower) = (end(1.0)?, end(-1.0)?);
+        center[axis] = 0.5 * (upper + lower);
+        radius[axis] = 0.5 * (upper - lower - 1.0);
+    }
+    let mean = (radius[0] * radius[1]).max(1.0).sqrt();
+    let plausible = mean > 0.6 * rules.radius[0] && mean < 1.4 * rules.radius[1];
+    plausible.then_some((center, mean))
+}
+
+/// The radius on each ray where the level falls to the half; none where it does not, or not sharply.
+fn rim(
+    image: &Signed,
+    center: Point,
+    shape: &Shape,
+    levels: [f64; 2],
+    rules: &Rules,
+) -> Option<[f64; RAYS]> {
+    const STEP: f64 = 0.5;
+    /// The fall from 80 % to 20 % of the contrast takes at most this, px.
+    const SHARP: f64 = 3.5;
+    let at = |share: f64| levels[1] + share * (levels[0] - levels[1]);
+    let [high, half, low] = [0.8, 0.5, 0.2].map(at);
+    let mut radii = [0.0; RAYS];
+    for (ray, radius) in radii.iter_mut().enumerate() {
+        let about = shape.radius(ray);
+        let mut r = 0.4 * about;
+        let end = 1.6 * about + 3.0;
+        let (mut fell, mut crossed) = (None, None);
+        let mut before = image.on_ray(center, ray, r)?;
+        if before < high {
+            return None;
+        }
+        loop {
+            r += STEP;
+            if r > end || r > 2.0 * rules.radius[1] {
+                return None;
+            }
+            let level = image.on_ray(center, ray, r)?;
+            if level < high && fell.is_none() {
+                fell = Some(r);
+            }
+            if level < half && crossed.is_none() {
+                crossed = Some(r - STEP * (half - level) / (before - level));
+            }
+            if level < low {
+                break;
+            }
+            before = level;
+        }
+        if r - fell? > SHARP {
+            return None;
+        }
+        *radius = crossed?;
+    }
+    Some(radii)
+}
+
+/// The centre of the rim: the radii's first harmonic.
+fn rim_center(center: Point, radii: &[f64; RAYS]) -> Point {
+    let mut shift = [0.0; 2];
+    for (ray, radius) in radii.iter().enumerate() {
+        let (sin, cos) = angle(ray).sin_cos();
+        shift[0] += 2.0 * radius * cos / RAYS as f64;
+        shift[1] += 2.0 * radius * sin / RAYS as f64;
+    }
+    [center[0] + shift[0], center[1] + shift[1]]
+}
+
+/// Centroid and area of the pixels by their share of the contrast, cut off below 15 % and above 85 % so that
+/// neither texture nor noise counts; and the share of the inner pixels that are missing.
+fn centroid(
+    image: &Signed,
+    center: Point,
+    shape: &Shape,
+    levels: [f64; 2],
+) -> Option<(Point, f64, f64)> {
+    let [minor, major] = shape.axes();
+    let reach = major + 3.0;
+    let beyond = (1.0 + 2.0 / minor).powi(2);
+    let within = (1.0 - 2.0 / minor).max(0.0).powi(2);
+    let [from, to] = [center.map(|x| x - reach), center.map(|x| x + reach)];
+    let sides = [image.image.width(), image.image.height()];
+    if (0..2).any(|k| from[k] < 0.0 || to[k] > (sides[k] - 1) as f64) {
+        return None;
+    }
+    let (floor, span) = (
+        levels[1] + 0.15 * (levels[0] - levels[1]),
+        0.7 * (levels[0] - levels[1]),
+    );
+    let (mut sum, mut sums) = (0.0, [0.0; 2]);
+    let (mut inner, mut missing) = (0.0, 0.0);
+    for v in from[1] as usize..=to[1] as usize {
+        for u in from[0] as usize..=to[0] as usize {
+            let (x, y) = (u as f64 - center[0], v as f64 - center[1]);
+            let square = shape.square(x, y);
+            if square > beyond {
+                continue;
+            }
+            let level = image.sign * f64::from(image.image.at(u, v));
+            let weight = ((level - floor) / span).clamp(0.0, 1.0);
+            sum += weight;
+            sums = [sums[0] + weight * x, sums[1] + weight * y];
+            if square < within {
+                inner += 1.0;
+                missing += 1.0 - weight;
+            }
+        }
+    }
+    (sum > 1.0).then(|| {
+        let centroid = [center[0] + sums[0] / sum, center[1] + sums[1] / sum];
+        (centroid, sum, missing / f64::max(inner, 1.0))
+    })
+}
+
+/// Whether disc and background have one level all around.
+fn clear(image: &Signed, center: Point, shape: &Shape, levels: [f64; 2]) -> bool {
+    let contrast = levels[0] - levels[1];
+    (0..RAYS).all(|ray| {
+        let radius = shape.radius(ray);
+        let near = |r: f64, level: f64, share: f64| {
+            image
+                .on_ray(center, ray, r)
+                .is_some_and(|x| (x - level).abs() < share * contrast)
+        };
+        near(0.6 * radius, levels[0], 0.3) && near(radius + RING, levels[1], 0.45)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULES: Rules = Rules {
+        sign: 1.0,
+        radius: [4.0, 24.0],
+        contrast: 40.0,
+        rim: 0.4,
+    };
+
+    /// An anti-aliased ellipse of half sizes (`a`, `b`) turned by `turn`, seen through `shade` (0 black, 1 clear).
+    fn ellipse(
+        center: Point,
+        [a, b]: [f64; 2],
+        turn: f64,
+        shade: impl Fn(f64, f64) -> f64,
+    ) -> Image {
+        let mut image = Image::new(64, 64).unwrap();
+        for (i, pixel) in image.pixels_mut().iter_mut().enumerate() {
+            let mut sum = 0.0;
+            for k in 0..256 {
+                let u = (i % 64) as f64 + (f64::from(k % 16) + 0.5) / 16.0 - 0.5;
+                let v = (i / 64) as f64 + (f64::from(k / 16) + 0.5) / 16.0 - 0.5;
+                let (x, y) = (u - center[0], v - center[1]);
+                let (x, y) = (
+                    x * turn.cos() + y * turn.sin(),
+                    y * turn.cos() - x * turn.sin(),
+                );
+                let inside = (x / a).powi(2) + (y / b).powi(2) < 1.0;
+                let level = if inside { 200.0 } else { 70.0 };
+                let clear = shade(u, v);
+                sum += clear * level + (1.0 - clear) * 40.0;
+            }
+            *pixel = (sum / 256.0).round() as u8;
+        }
+        image
+    }
+
+    #[test]
+    fn a_whole_ellipse_is_found_to_a_twentyfifth_of_a_pixel() {
+        for (center, axes, turn) in [
+            ([30.3, 29.8], [10.0, 10.0], 0.0),
+            ([31.77, 33.21], [8.0, 6.0], 0.7),
+            ([28.5, 30.5], [5.0, 4.5], 2.0),
+        ] {
+            let image = ellipse(center, axes, turn, |_, _| 1.0);
+            let disc = measure(&image, [31.0, 30.0], 135.0, &RULES).unwrap();
+            assert!(distance(disc.center, center) < 0.04, "{disc:?} {center:?}");
+            assert!((disc.radius - (axes[0] * axes[1]).sqrt()).abs() < 0.1);
+        }
+    }
+
+    #[test]
+    fn dark_discs_are_found_as_well() {
+        let mut image = ellipse([30.3, 29.8], [9.0, 8.0], 0.3, |_, _| 1.0);
+        for pixel in image.pixels_mut() {
+            *pixel = 255 - *pixel;
+        }
+        let rules = Rules {
+            sign: -1.0,
+            ..RULES
+        };
+        let disc = measure(&image, [31.0, 30.0], -120.0, &rules).unwrap();
+        assert!(distance(disc.center, [30.3, 29.8]) < 0.04);
+    }
+
+    #[test]
+    fn a_disc_that_is_cut_is_none_before_its_centroid_moves_by_half_a_pixel() {
+        for radius in [5.0, 7.0, 10.0, 14.0] {
+            for step in 0..40 {
+                let edge = 30.0 + radius - 0.1 * f64::from(step) * radius / 4.0;
+                let cut = |u: f64, _: f64| if u < edge { 1.0 } else { 0.0 };
+                let image = ellipse([30.3, 29.8], [radius, radius], 0.0, cut);
+                if let Some(disc) = measure(&image, [29.0, 30.0], 135.0, &RULES) {
+                    let error = distance(disc.center, [30.3, 29.8]);
+                    assert!(error < 0.35, "radius {radius}, edge {edge}: {error}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_stripe_across_or_a_low_contrast_is_none() {
+        let stripe = |u: f64, _: f64| if (u - 29.0).abs() < 1.0 { 0.0 } else { 1.0 };
+        let image = ellipse([30.3, 29.8], [10.0, 10.0], 0.0, stripe);
+        assert_eq!(measure(&image, [34.0, 30.0], 135.0, &RULES), None);
+        let veil = |_: f64, _: f64| 0.25;
+        let image = ellipse([30.3, 29.8], [10.0, 10.0], 0.0, veil);
+        assert_eq!(measure(&image, [31.0, 30.0], 60.0, &RULES), None);
+    }
+
+    #[test]
+    fn a_disc_at_the_border_of_the_image_is_none() {
+        for center in [[6.0, 30.0], [30.0, 58.0], [2.0, 2.0], [63.5, 30.0]] {
+            let image = ellipse(center, [8.0, 8.0], 0.0, |_, _| 1.0);
+            assert_eq!(measure(&image, center, 135.0, &RULES), None);
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! Grey images.
+
+/// Pixels that are not an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ImageError {
+    /// A side is out of range.
+    #[error("image of {width} x {height} px; allowed: 16 to 16384 px a side")]
+    Size {
+        /// Width, px.
+        width: usize,
+        /// Height, px.
+        height: usize,
+    },
+    /// The number of pixels does not fit the sides.
+    #[error("image of {width} x {height} px with {found} pixels; allowed: {} of them", width * height)]
+    Pixels {
+        /// Width, px.
+        width: usize,
+        /// Height, px.
+        height: usize,
+        /// Pixels found.
+        found: usize,
+    },
+}
+
+/// An 8-bit grey image, row by row from the top.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    width: usize,
+    height: usize,
+    pixels: Vec<u8>,
+}
+
+impl Image {
+    /// A black image.
+    ///
+    /// # Errors
+    /// [`ImageError::Size`].
+    pub fn new(width: usize, height: usize) -> Result<Self, ImageError> {
+        let pixels = vec![0; width.saturating_mul(height).min(1 << 28)];
+        Self::from_pixels(width, height, pixels)
+    }
+
+    /// An image of given pixels, row by row from the top.
+    ///
+    /// # Errors
+    /// [`ImageError`] where the sides are out of range or the pixels do not fill them.
+    pub fn from_pixels(width: usize, height: usize, pixels: Vec<u8>) -> Result<Self, ImageError> {
+        let sides = 16..=16384;
+        if !sides.contains(&width) || !sides.contains(&height) {
+            return Err(ImageError::Size { width, height });
+        }
+        if pixels.len() != width * height {
+            let found = pixels.len();
+            return Err(ImageError::Pixels {
+                width,
+                height,
+                found,
+            });
+        }
+        Ok(Self {
+            width,
+            height,
+            pixels,
+        })
+    }
+
+    /// Width, px.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height, px.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All pixels, row by row from the top.
+    pub fn pixels(&self) -> &[u8] {
+        &self.pixels
+    }
+
+    /// All pixels, to be written.
+    pub fn pixels_mut(&mut self) -> &mut [u8] {
+        &mut self.pixels
+    }
+
+    /// A pixel, in column `u` and row `v`; coordinates beyond the border give the pixel at the border.
+    pub fn at(&self, u: usize, v: usize) -> u8 {
+        self.pixels[v.min(self.height - 1) * self.width + u.min(self.width - 1)]
+    }
+
+    /// The level between four pixels, 0 to 255, bilinear; none where one of them is outside.
+    pub fn level(&self, u: f64, v: f64) -> Option<f64> {
+        let inside =
+            u >= 0.0 && v >= 0.0 && u < (self.width - 1) as f64 && v < (self.height - 1) as f64;
+        inside.then(|| {
+            let (column, row) = (u as usize, v as usize);
+            let (a, b) = (u - column as f64, v - row as f64);
+            let at = row * self.width + column;
+            let upper = &self.pixels[at..at + 2];
+            let lower = &self.pixels[at + self.width..at + self.width + 2];
+            let mix = |pair: &[u8]| f64::from(pair[0]) * (1.0 - a) + f64::from(pair[1]) * a;
+            mix(upper) * (1.0 - b) + mix(lower) * b
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn between_pixels_the_level_is_bilinear_and_outside_there_is_none() {
+        let mut image = Image::new(16, 16).unwrap();
+        image.pixels_mut()[3 * 16 + 5] = 200;
+        assert_eq!(image.level(5.0, 3.0), Some(200.0));
+        assert_eq!(image.level(5.25, 2.5), Some(75.0));
+        assert_eq!(image.level(-0.1, 3.0), None);
+        assert_eq!(image.level(15.0, 3.0), None);
+    }
+
+    #[test]
+    fn pixels_must_fill_the_sides() {
+        let message = Image::from_pixels(16, 20, vec![0; 319])
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("319 pixels; allowed: 320"), "{message}");
+        assert!(Image::new(8, 100).is_err());
+    }
+}

@@ -1,0 +1,46 @@
+//! The emulated camera's picture, and what is read from it.
+//!
+//! * [`Renderer`]: pose of the object in the camera frame -> grey [`Image`] with round markers, the grasped object in
+//!   front of them, the blurred spot on the lens and pixel noise.
+//! * [`Detector`]: image -> one [`Sighting`] a marker: visible or not, and where, px.
+//! * [`Transit`]: frames exposed -> frames delivered, late, with jitter, and some never.
+//!
+//! Image coordinates: u to the right, v down, px; the centre of the upper left pixel is (0, 0).
+//! The crate's `README.md` tells how the three fit together, and the decisions that surprise.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use vision::{Detector, DetectorSettings, Look, Renderer};
+//!
+//! let scene = scene::Scene::parse(scene::PAPER_ROBOT, "paper-robot.toml")?;
+//! let mut renderer = Renderer::new(&scene, &Look::default())?;
+//! let mut detector = Detector::new(&scene, &DetectorSettings::default())?;
+//! let image = renderer.render(&scene.goal);
+//! let sightings = detector.detect(image)?;
+//! assert!(sightings.iter().all(|marker| marker.visible));
+//! # Ok(())
+//! # }
+//! ```
+#![forbid(unsafe_code)]
+
+mod assignment;
+mod detector;
+mod disc;
+mod homography;
+mod image;
+mod latency;
+mod layer;
+mod look;
+mod renderer;
+mod search;
+mod shutter;
+mod spot;
+mod truth;
+
+pub use detector::{Detector, DetectorError, DetectorSettings, Polarity, Sighting, Sightings};
+pub use image::{Image, ImageError};
+pub use latency::{Delivered, Fate, Latency, LatencyError, Transit};
+pub use look::{Kind, Look, LookError, SpotLook};
+pub use renderer::Renderer;
+pub use shutter::Shutter;
+pub use truth::{Truth, truth};

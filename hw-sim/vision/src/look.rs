@@ -1,0 +1,170 @@
+//! How the picture looks: levels, sizes, flaws; and which occlusion is which.
+
+use scene::Occlusion;
+
+/// What an occlusion of the scene is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Dirt on the lens: what lies behind is blurred and dimmed until it is lost.
+    Spot,
+    /// An object before the camera: what lies behind is hidden.
+    Opaque,
+}
+
+impl Kind {
+    /// A spot where the name says so, in any case; otherwise opaque.
+    pub fn by_name(occlusion: &Occlusion) -> Self {
+        let name = occlusion.name.as_bytes();
+        if name.windows(4).any(|x| x.eq_ignore_ascii_case(b"spot")) {
+            Self::Spot
+        } else {
+            Self::Opaque
+        }
+    }
+}
+
+/// A value of [`Look`] is out of its range.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LookError {
+    /// A number.
+    #[error("look: {key} = {value}; allowed: {allowed}")]
+    Value {
+        /// The field.
+        key: &'static str,
+        /// What was found.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// The kinds do not fit the scene.
+    #[error("look: {found} kinds of occlusion; allowed: {expected}, one for each of the scene's")]
+    Kinds {
+        /// Kinds given.
+        found: usize,
+        /// Occlusions of the scene.
+        expected: usize,
+    },
+    /// The scene's image is out of range.
+    #[error(transparent)]
+    Image(#[from] crate::ImageError),
+}
+
+/// How the picture looks. Levels are 0 (black) to 255 (white), before shading and noise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Radius of the discs on the plane of the pattern, m; above 0, at most 1.
+    pub marker_radius_m: f64,
+    /// Level of the discs.
+    pub marker_level: f64,
+    /// Level of the box that carries them.
+    pub box_level: f64,
+    /// Level of what lies around the box.
+    pub table_level: f64,
+    /// Level of the grasped object.
+    pub object_level: f64,
+    /// Size of the textures, levels; 0 to 100.
+    pub texture: f64,
+    /// Loss of light in the corners of the image, share; 0 to 1.
+    pub vignette: f64,
+    /// Standard deviation of the noise of each pixel, levels; 0 to 50.
+    pub noise: f64,
+    /// The spots on the lens.
+    pub spot: SpotLook,
+    /// Seed of textures and noise.
+    pub seed: u64,
+}
+
+/// How a spot on the lens looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpotLook {
+    /// Standard deviation of the blur, px; 0 to 100.
+    pub blur_px: f64,
+    /// Share of the light that passes; 0 to 1.
+    pub transmission: f64,
+    /// Level of the stray light that is added.
+    pub veil: f64,
+    /// Width of the transition inside the spot's border, px; 0.1 to 100. Outside nothing changes.
+    pub softness_px: f64,
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Self {
+            marker_radius_m: 0.006,
+            marker_level: 215.0,
+            box_level: 98.0,
+            table_level: 58.0,
+            object_level: 40.0,
+            texture: 9.0,
+            vignette: 0.3,
+            noise: 2.0,
+            spot: SpotLook {
+                blur_px: 16.0,
+                transmission: 0.5,
+                veil: 24.0,
+                softness_px: 4.0,
+            },
+            seed: 0,
+        }
+    }
+}
+
+impl Look {
+    /// Checks every number.
+    pub(crate) fn check(&self) -> Result<(), LookError> {
+        let level = (0.0, 255.0, "0 to 255");
+        let share = (0.0, 1.0, "0 to 1");
+        let hundred = (0.0, 100.0, "0 to 100");
+        let radius = (1e-6, 1.0, "above 0, at most 1 m");
+        let spot = &self.spot;
+        for (key, value, (least, most, allowed)) in [
+            ("marker_radius_m", self.marker_radius_m, radius),
+            ("marker_level", self.marker_level, level),
+            ("box_level", self.box_level, level),
+            ("table_level", self.table_level, level),
+            ("object_level", self.object_level, level),
+            ("texture", self.texture, hundred),
+            ("vignette", self.vignette, share),
+            ("noise", self.noise, (0.0, 50.0, "0 to 50")),
+            ("spot.blur_px", spot.blur_px, hundred),
+            ("spot.transmission", spot.transmission, share),
+            ("spot.veil", spot.veil, level),
+            (
+                "spot.softness_px",
+                spot.softness_px,
+                (0.1, 100.0, "0.1 to 100"),
+            ),
+        ] {
+            if !(least..=most).contains(&value) {
+                return Err(LookError::Value {
+                    key,
+                    value,
+                    allowed,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_robot_scene_has_a_spot_and_an_object() {
+        let scene = scene::Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let kinds: Vec<Kind> = scene.occlusions.iter().map(Kind::by_name).collect();
+        assert_eq!(kinds, [Kind::Spot, Kind::Opaque]);
+    }
+
+    #[test]
+    fn a_number_out_of_range_is_named() {
+        let look = Look {
+            noise: f64::NAN,
+            ..Look::default()
+        };
+        let message = look.check().unwrap_err().to_string();
+        assert_eq!(message, "look: noise = NaN; allowed: 0 to 50");
+    }
+}

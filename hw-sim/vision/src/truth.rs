@@ -1,0 +1,91 @@
+//! What is true of a frame, for tests, recordings and the ground-truth mode.
+
+use scene::{Camera, MAX_POINTS, Pose, Scene};
+
+use crate::homography::{Homography, Point};
+use crate::layer::covers;
+
+/// Rings and spokes on which a disc is sampled.
+const RINGS: usize = 8;
+const SPOKES: usize = 48;
+
+/// What is true of a marker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// Where its centre is seen, px.
+    pub pixel: [f64; 2],
+    /// Its centre lies inside an occlusion or outside the image.
+    pub occluded: bool,
+    /// Share of its disc that is covered by occlusions or lies outside the image, 0 to 1.
+    pub covered: f64,
+}
+
+/// What is true of each marker of a scene: discs of `radius` (m) about the pattern's points, seen from a pose. A marker
+/// behind the camera is occluded, covered, and seen at the principal point. `shown(i)` tells whether occlusion i is there.
+pub fn truth(
+    scene: &Scene,
+    pose: &Pose,
+    radius: f64,
+    shown: impl Fn(usize) -> bool,
+) -> heapless::Vec<Truth, MAX_POINTS> {
+    let camera = &scene.camera;
+    let plane = Homography::of_pose(camera, pose);
+    let hidden = |point: Point| {
+        plane.apply(point).is_none_or(|[u, v]| {
+            let mut there = scene.occlusions.iter().enumerate();
+            !inside(camera, u, v) || there.any(|(i, shape)| shown(i) && covers(shape, u, v))
+        })
+    };
+    let of_point = |point: &[f64; 3]| {
+        let center = [point[0], point[1]];
+        // Rings of equal areas.
+        let samples = (0..RINGS * SPOKES).map(|k| {
+            let ring = radius * (((k / SPOKES) as f64 + 0.5) / RINGS as f64).sqrt();
+            let angle = std::f64::consts::TAU * (k % SPOKES) as f64 / SPOKES as f64;
+            [
+                center[0] + ring * angle.cos(),
+                center[1] + ring * angle.sin(),
+            ]
+        });
+        let covered = samples.filter(|sample| hidden(*sample)).count();
+        Truth {
+            pixel: plane.apply(center).unwrap_or([camera.cx, camera.cy]),
+            occluded: hidden(center),
+            covered: covered as f64 / (RINGS * SPOKES) as f64,
+        }
+    };
+    scene.pattern.iter().map(of_point).collect()
+}
+
+fn inside(camera: &Camera, u: f64, v: f64) -> bool {
+    (0.0..=camera.width - 1.0).contains(&u) && (0.0..=camera.height - 1.0).contains(&v)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_a_disc_behind_a_border_is_half_covered() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        // Shift the first marker, at the goal near (214.6, 143.4) px, onto the left border of the object's box.
+        let mut pose = scene.goal;
+        pose.translation = [0.06 + 0.35 * (200.0 - 320.0) / 615.0, 0.17, 0.35];
+        let there = truth(&scene, &pose, 0.006, |_| true)[0];
+        assert!((there.covered - 0.5).abs() < 0.05, "{there:?}");
+        let gone = truth(&scene, &pose, 0.006, |i| i == 0)[0];
+        assert_eq!((gone.covered, gone.occluded), (0.0, false));
+    }
+
+    #[test]
+    fn a_marker_behind_the_camera_is_occluded() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let mut pose = scene.goal;
+        pose.translation[2] = -0.3;
+        let all = truth(&scene, &pose, 0.006, |_| true);
+        assert!(
+            all.iter()
+                .all(|marker| marker.occluded && marker.covered == 1.0)
+        );
+    }
+}
