@@ -48,7 +48,7 @@ impl Default for DetectorSettings {
             marker_radius_m: crate::Look::default().marker_radius_m,
             radius_px: [4.0, 24.0],
             contrast: 50.0,
-            rim_px: 0.5,
+            rim_px: 0.3,
             gate_px: 25.0,
             turn_max: 1.4,
             patience: 5,

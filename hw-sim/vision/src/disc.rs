@@ -1,12 +1,25 @@
 //! One disc, measured from a seed pixel inside it: where it is, and whether all of it is seen.
 
 use std::f64::consts::{PI, TAU};
+use std::sync::LazyLock;
 
 use crate::homography::{Point, distance};
 use crate::image::Image;
 
 /// Rays from the centre along which the rim is found.
 const RAYS: usize = 48;
+/// Cosine and sine of each ray's angle, and of twice the angle.
+static DIRECTIONS: LazyLock<[[f64; 4]; RAYS]> = LazyLock::new(|| {
+    std::array::from_fn(|ray| {
+        let angle = TAU * ray as f64 / RAYS as f64;
+        [
+            angle.cos(),
+            angle.sin(),
+            (2.0 * angle).cos(),
+            (2.0 * angle).sin(),
+        ]
+    })
+});
 /// How far outside the rim the background is taken, px.
 const RING: f64 = 3.0;
 
@@ -60,7 +73,7 @@ impl Shape {
         };
         for (ray, radius) in radii.iter().enumerate() {
             let q = 1.0 / (radius * radius * RAYS as f64);
-            let (sin, cos) = (2.0 * angle(ray)).sin_cos();
+            let [_, _, cos, sin] = DIRECTIONS[ray];
             shape.a += q;
             shape.b += 2.0 * q * cos;
             shape.c += 2.0 * q * sin;
@@ -69,8 +82,8 @@ impl Shape {
     }
 
     fn radius(&self, ray: usize) -> f64 {
-        let (sin, cos) = (2.0 * angle(ray)).sin_cos();
-        (self.a + self.b * cos + self.c * sin).max(1e-9).powf(-0.5)
+        let [_, _, cos, sin] = DIRECTIONS[ray];
+        1.0 / (self.a + self.b * cos + self.c * sin).max(1e-9).sqrt()
     }
 
     /// (x/r)^2 of an offset: 1 on the rim.
@@ -83,10 +96,6 @@ impl Shape {
         let d = self.b.hypot(self.c);
         [(self.a + d).powf(-0.5), (self.a - d).max(1e-9).powf(-0.5)]
     }
-}
-
-fn angle(ray: usize) -> f64 {
-    TAU * ray as f64 / RAYS as f64
 }
 
 /// An image whose discs are bright.
@@ -102,7 +111,7 @@ impl Signed<'_> {
 
     /// The level on a ray from a centre.
     fn on_ray(&self, center: Point, ray: usize, radius: f64) -> Option<f64> {
-        let (sin, cos) = angle(ray).sin_cos();
+        let [cos, sin, ..] = DIRECTIONS[ray];
         self.level(center[0] + radius * cos, center[1] + radius * sin)
     }
 
@@ -221,7 +230,7 @@ fn rim(
     let mut radii = [0.0; RAYS];
     for (ray, radius) in radii.iter_mut().enumerate() {
         let about = shape.radius(ray);
-        let mut r = 0.4 * about;
+        let mut r = 0.6 * about - 0.5;
         let end = 1.6 * about + 3.0;
         let (mut fell, mut crossed) = (None, None);
         let mut before = image.on_ray(center, ray, r)?;
@@ -257,7 +266,7 @@ fn rim(
 fn rim_center(center: Point, radii: &[f64; RAYS]) -> Point {
     let mut shift = [0.0; 2];
     for (ray, radius) in radii.iter().enumerate() {
-        let (sin, cos) = angle(ray).sin_cos();
+        let [cos, sin, ..] = DIRECTIONS[ray];
         shift[0] += 2.0 * radius * cos / RAYS as f64;
         shift[1] += 2.0 * radius * sin / RAYS as f64;
     }
@@ -320,7 +329,7 @@ fn clear(image: &Signed, center: Point, shape: &Shape, levels: [f64; 2]) -> bool
                 .on_ray(center, ray, r)
                 .is_some_and(|x| (x - level).abs() < share * contrast)
         };
-        near(0.6 * radius, levels[0], 0.3) && near(radius + RING, levels[1], 0.45)
+        near(0.6 * radius, levels[0], 0.3) && near(radius + RING, levels[1], 0.6)
     })
 }
 

@@ -101,8 +101,8 @@ impl Default for Look {
             spot: SpotLook {
                 blur_px: 16.0,
                 transmission: 0.5,
-                veil: 24.0,
-                softness_px: 4.0,
+                veil: 27.0,
+                softness_px: 7.0,
             },
             seed: 0,
         }

@@ -13,7 +13,11 @@ use crate::spot::Spot;
 /// Side of the tile of texture, texels; it repeats.
 const TILE: usize = 256;
 /// Size of a texel on the plane, m.
-const TEXEL: f64 = 0.0006;
+const TEXEL: f32 = 0.0006;
+/// Pixels of a row over which the plane is taken to be linear.
+const SPAN: usize = 16;
+/// Texels, row by row.
+type Tile = [f32; TILE * TILE];
 /// Numbers of noise drawn once; each row of each frame reads them from another place.
 const NOISE: usize = 1 << 16;
 /// Samples along a side of a pixel that a marker's rim crosses.
@@ -202,28 +206,39 @@ impl Renderer {
             line.fill(self.look.table_level as f32);
             return;
         };
-        let [ox, oy, ow] = back.0.map(|r| r[1] * row as f64 + r[2]);
-        let [dx, dy, dw] = back.0.map(|r| r[0]);
-        let [least, most] = self.outline;
+        let Ok(tile) = <&Tile>::try_from(self.texture.as_slice()) else {
+            return;
+        };
+        let at = |u: f64| back.apply([u, row as f64]);
         let (box_level, table_level) = (self.look.box_level as f32, self.look.table_level as f32);
         let amount = self.look.texture as f32;
-        for (u, level) in line.iter_mut().enumerate() {
-            let u = u as f64;
-            let w = ow + dw * u;
-            if w <= 0.0 {
+        let outline = self.outline.map(|corner| corner.map(|x| x as f32));
+        // Exact where spans meet, and linear between: only markers need more.
+        let mut from = at(0.0);
+        for (k, span) in line.chunks_mut(SPAN).enumerate() {
+            let to = at((k * SPAN + SPAN) as f64);
+            let (Some(first), Some(next)) = (from, to) else {
                 // Beyond the horizon of the plane.
-                *level = table_level;
+                span.fill(table_level);
+                from = to;
                 continue;
-            }
-            let (x, y) = ((ox + dx * u) / w, (oy + dy * u) / w);
-            let on_box = x > least[0] && x < most[0] && y > least[1] && y < most[1];
-            let (base, amount) = if on_box {
-                (box_level, amount)
-            } else {
-                (table_level, 1.5 * amount)
             };
-            let light = 1.0 - 0.5 * (x.clamp(-0.3, 0.3) as f32);
-            *level = light * (base + amount * sample(&self.texture, x / TEXEL, y / TEXEL));
+            let step = [0, 1].map(|k| ((next[k] - first[k]) / SPAN as f64) as f32);
+            let [mut x, mut y] = first.map(|x| x as f32);
+            for level in span {
+                let on_box = (x > outline[0][0] && x < outline[1][0])
+                    && (y > outline[0][1] && y < outline[1][1]);
+                let (base, amount) = if on_box {
+                    (box_level, amount)
+                } else {
+                    (table_level, 1.5 * amount)
+                };
+                let grain = sample(tile, x * (1.0 / TEXEL), y * (1.0 / TEXEL));
+                *level = (1.0 - 0.5 * x.clamp(-0.3, 0.3)) * (base + amount * grain);
+                x += step[0];
+                y += step[1];
+            }
+            from = to;
         }
     }
 
@@ -247,20 +262,20 @@ impl Renderer {
             // Half a pixel's diagonal on the plane, generously: pixels farther from the rim need no samples.
             let reach = 1.2 * radius / ellipse.half[0].min(ellipse.half[1]).max(1e-3);
             for u in from..to {
-                let inside = |du: f64, dv: f64| {
+                let square = |du: f64, dv: f64| {
                     back.apply([u as f64 + du, v + dv])
                         .map_or(f64::INFINITY, |p| {
-                            (p[0] - center[0]).hypot(p[1] - center[1])
+                            (p[0] - center[0]).powi(2) + (p[1] - center[1]).powi(2)
                         })
-                        - radius
                 };
-                let depth = inside(0.0, 0.0);
+                let depth = square(0.0, 0.0).sqrt() - radius;
                 let share = if depth.abs() > reach {
                     f64::from(depth < 0.0)
                 } else {
                     let offset = |i: usize| (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
-                    let samples = (0..SAMPLES * SAMPLES)
-                        .filter(|k| inside(offset(k % SAMPLES), offset(k / SAMPLES)) < 0.0);
+                    let samples = (0..SAMPLES * SAMPLES).filter(|k| {
+                        square(offset(k % SAMPLES), offset(k / SAMPLES)) < radius * radius
+                    });
                     samples.count() as f64 / (SAMPLES * SAMPLES) as f64
                 };
                 let level = &mut self.levels[row * width + u];
@@ -275,11 +290,17 @@ impl Renderer {
         let (width, height) = (self.image.width(), self.image.height());
         let [above, here, below] = &mut self.lines;
         let blur = |levels: &[f32], vignette: &[f32], line: &mut Vec<f32>| {
-            let at = |u: usize| levels[u] * vignette[u];
-            for u in 0..width {
-                let (left, right) = (u.saturating_sub(1), (u + 1).min(width - 1));
-                line[u] = 0.25 * (at(left) + at(right)) + 0.5 * at(u);
+            let mut lit = levels
+                .iter()
+                .zip(vignette)
+                .map(|(level, share)| level * share);
+            let mut here = lit.next().unwrap_or_default();
+            let mut left = here;
+            for (x, right) in line.iter_mut().zip(lit) {
+                *x = 0.25 * (left + right) + 0.5 * here;
+                (left, here) = (here, right);
             }
+            line[width - 1] = 0.25 * left + 0.75 * here;
         };
         let row = |v: usize| v * width..(v + 1) * width;
         blur(&self.levels[row(0)], &self.vignette[row(0)], here);
@@ -291,8 +312,9 @@ impl Renderer {
             } else {
                 below.copy_from_slice(here);
             }
-            for (u, level) in self.levels[row(v)].iter_mut().enumerate() {
-                *level = 0.25 * (above[u] + below[u]) + 0.5 * here[u];
+            let lines = above.iter().zip(&*here).zip(&*below);
+            for (level, ((a, h), b)) in self.levels[row(v)].iter_mut().zip(lines) {
+                *level = 0.25 * (a + b) + 0.5 * h;
             }
             std::mem::swap(above, here);
             std::mem::swap(here, below);
@@ -305,11 +327,11 @@ impl Renderer {
         let amount = self.look.noise as f32;
         let rows = self.levels.chunks_exact(width);
         for (levels, pixels) in rows.zip(self.image.pixels_mut().chunks_exact_mut(width)) {
-            let mut at = self.random.random::<u32>() as usize;
-            for (level, pixel) in levels.iter().zip(pixels) {
+            let at = self.random.random::<u32>() as usize % NOISE;
+            let noise = self.noise[at..].iter().chain(&self.noise).cycle();
+            for ((level, noise), pixel) in levels.iter().zip(noise).zip(pixels) {
                 // The cast saturates.
-                *pixel = (level + amount * self.noise[at % NOISE] + 0.5) as u8;
-                at += 1;
+                *pixel = (level + amount * noise + 0.5) as u8;
             }
         }
     }
@@ -348,14 +370,21 @@ fn texture(random: &mut ChaCha8Rng) -> Vec<f32> {
 }
 
 /// The repeated tile between its texels, bilinear.
-fn sample(tile: &[f32], x: f64, y: f64) -> f32 {
-    let (column, row) = (x.floor(), y.floor());
-    let (a, b) = ((x - column) as f32, (y - row) as f32);
-    let wrap = |x: f64| (x as i64 as usize) % TILE;
-    let (u, v) = (wrap(column), wrap(row));
-    let (right, below) = ((u + 1) % TILE, (v + 1) % TILE);
-    let upper = tile[v * TILE + u] * (1.0 - a) + tile[v * TILE + right] * a;
-    let lower = tile[below * TILE + u] * (1.0 - a) + tile[below * TILE + right] * a;
+#[inline(always)]
+fn sample(tile: &Tile, x: f32, y: f32) -> f32 {
+    // Positive within 10 m of the pattern, so that the cast rounds down; farther away nobody looks.
+    const FAR: f32 = (64 * TILE) as f32;
+    let (x, y) = (x + FAR, y + FAR);
+    let (column, row) = (x as i32, y as i32);
+    let (a, b) = (x - column as f32, y - row as f32);
+    let wrap = |i: i32| i as usize % TILE;
+    let (u, v) = (wrap(column), wrap(row) * TILE);
+    let (right, below) = (
+        wrap(column.wrapping_add(1)),
+        wrap(row.wrapping_add(1)) * TILE,
+    );
+    let upper = tile[v + u] * (1.0 - a) + tile[v + right] * a;
+    let lower = tile[below + u] * (1.0 - a) + tile[below + right] * a;
     upper * (1.0 - b) + lower * b
 }
 

@@ -66,12 +66,14 @@ struct Tally {
 
 impl Tally {
     fn add(&mut self, truths: &[Truth], detector: &Detector) {
+        // One or two discs of a frame alone could be any marker.
+        let known = truths.iter().filter(|truth| truth.covered == 0.0).count() >= 3;
         for (truth, marker) in truths.iter().zip(detector.sightings()) {
             assert!(marker.pixel.iter().all(|x| x.is_finite()));
             let clear = truth.covered == 0.0;
             self.occluded += usize::from(truth.occluded);
-            self.clear += usize::from(clear);
-            self.clear_missed += usize::from(clear && !marker.visible);
+            self.clear += usize::from(clear && known);
+            self.clear_missed += usize::from(clear && known && !marker.visible);
             if !marker.visible {
                 continue;
             }
@@ -116,7 +118,7 @@ fn occluded_markers_are_never_visible_and_the_others_are_where_they_are() {
         "{tally:?}"
     );
     // Not by closing its eyes.
-    assert!(10 * tally.clear_missed < tally.clear, "{tally:?}");
+    assert!(20 * tally.clear_missed < tally.clear, "{tally:?}");
 }
 
 /// A camera that wanders smoothly: sums of sines, faster than the scene's limits allow.
@@ -178,7 +180,7 @@ fn identity_is_never_swapped() {
         "{tally:?}"
     );
     assert_eq!(tally.false_alarms, 0, "{tally:?}");
-    assert!(10 * tally.clear_missed < tally.clear, "{tally:?}");
+    assert!(50 * tally.clear_missed < tally.clear, "{tally:?}");
 }
 
 /// Strong tilt and large discs, where centroids are off by up to a pixel: what the correction is for.
