@@ -323,15 +323,19 @@ class CameraPorts:
         self._features = domain.publisher("vpc/features")
         self._sequence = 0
 
-    def publish(self, points, data_ns=None):
-        """Publishes points [(u, v), ...] in px; returns (sequence, published_ns)."""
+    def publish(self, points, data_ns=None, exposure_ns=0, visible=None):
+        """Publishes points [(u, v), ...] in px; returns (sequence, published_ns).
+
+        `data_ns` is the middle of the exposure [now], `exposure_ns` its length, 0 where unknown; bit i of `visible` tells
+        whether point i was measured [all]."""
         self._sequence += 1
         message = Features()
         message.stamp.sequence = self._sequence
         message.stamp.published_ns = now_ns()
         message.stamp.data_ns = message.stamp.published_ns if data_ns is None else data_ns
         message.count = len(points)
-        message.visible = (1 << len(points)) - 1
+        message.exposure_ns = exposure_ns
+        message.visible = (1 << len(points)) - 1 if visible is None else visible
         for i, (u, v) in enumerate(points):
             message.points[2 * i], message.points[2 * i + 1] = u, v
         self._features.send_copy(message)
