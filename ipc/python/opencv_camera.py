@@ -3,7 +3,7 @@
 
     pip install -r ipc/python/requirements-opencv.txt
     python3 ipc/python/opencv_camera.py --scene my-scene.toml --device 0 --dark
-    vpcd --scene my-scene.toml
+    vpcd --scene my-scene.toml        # disarmed: watch it first, then `vpcctl arm`
 
 Markers are round blobs, bright on dark or, with --dark, dark on bright, one for each point of the scene's pattern. To
 try it without a camera, give --video FILE or --image-file FILE; --print shows what is published, --dry publishes nothing.

@@ -258,7 +258,7 @@ impl<const N: usize> Normal<N> {
         for j in 0..N {
             let diagonal = self.a[j][j];
             let pivot = diagonal - (0..j).map(|k| self.a[j][k].powi(2)).sum::<f64>();
-            if !(pivot > 1e-10 * diagonal.max(1e-6)) {
+            if pivot.is_nan() || pivot <= 1e-10 * diagonal.max(1e-6) {
                 return None;
             }
             self.a[j][j] = pivot.sqrt();

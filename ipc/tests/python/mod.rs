@@ -198,8 +198,9 @@ fn messages_go_both_ways(python: &Path) {
     let stamp = features.stamp;
     assert_eq!(
         (stamp.sequence, stamp.data_ns, features.visible),
-        (1, 123_456_789, 0b11111)
+        (1, 123_456_789, 0b10111)
     );
+    assert_eq!(features.exposure_ns, 4_000_000);
     // One clock for both languages.
     assert!((begun..=ipc::now_ns()).contains(&stamp.published_ns));
 

@@ -33,7 +33,8 @@ def exchange(directory):
         numbers[:] = [offset + i / 8 for i in range(len(numbers))]
     robot.send_copy(state)
 
-    sent = camera.publish([(0.1, 2.25), (640.5, -3.75), (1e-3, 4.0), (5.0, 6.0), (7.0, 1 / 3)], data_ns=123_456_789)
+    points = [(0.1, 2.25), (640.5, -3.75), (1e-3, 4.0), (5.0, 6.0), (7.0, 1 / 3)]
+    sent = camera.publish(points, data_ns=123_456_789, exposure_ns=4_000_000, visible=0b10111)
     twist, code = camera.wait_for_answer(sent)
     print("twist", code, *map(repr, twist), flush=True)
     while (sample := cycles.receive()) is None:
