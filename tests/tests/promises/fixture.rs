@@ -206,6 +206,11 @@ impl Witness {
         })
     }
 
+    /// Sends a request as it is and does not wait for an answer.
+    pub fn say(&mut self, request: &Request) {
+        self.operator.requests.publish(request).unwrap();
+    }
+
     /// Arms, and waits until the camera moves.
     pub fn set_in_motion(&mut self) {
         eventually("arming", || {

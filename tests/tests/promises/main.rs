@@ -4,7 +4,11 @@
 //! The tests take turns (`fixture::turn`): they tell times, and two of them at once would measure each other. `VPC_LONG=1`
 //! runs them at full length; without it they are as long as CI can bear, and say so.
 
+mod clock;
 mod fixture;
+mod hang;
+mod logging;
 mod peers;
 mod shutdown;
 mod silence;
+mod startup;
