@@ -5,9 +5,12 @@
 //! runs them at full length; without it they are as long as CI can bear, and say so.
 
 mod clock;
+mod configuration;
 mod fixture;
 mod hang;
+mod hostile;
 mod logging;
+mod memory;
 mod peers;
 mod shutdown;
 mod silence;

@@ -1,0 +1,169 @@
+//! Bad configuration and a second instance: an exit code of their own, in time, a message that names key, value and what
+//! is allowed; the first instance goes on.
+
+use std::time::{Duration, Instant};
+
+use crate::fixture::{Place, Running, Witness, root, scene_file, tell, turn};
+
+const BAR: Duration = Duration::from_millis(200);
+/// Tries, of which the fastest counts: these machines are busy, and the bar is on the program.
+const TRIES: usize = 4;
+
+/// A key of the shipped configuration, which shows every one of them, commented out or not.
+struct Key {
+    table: String,
+    name: String,
+    value: toml::Value,
+}
+
+fn keys() -> Vec<Key> {
+    let text = std::fs::read_to_string(root().join("controller/vpcd.toml")).unwrap();
+    let mut table = String::new();
+    let mut keys = Vec::new();
+    for line in text.lines() {
+        if let Some(head) = line
+            .strip_prefix('[')
+            .and_then(|rest| rest.split(']').next())
+        {
+            table = head.to_owned();
+            continue;
+        }
+        // `# key = value` is one, prose is not.
+        let line = line.strip_prefix("# ").unwrap_or(line);
+        let Ok(pair) = line.parse::<toml::Table>() else {
+            continue;
+        };
+        for (name, value) in pair {
+            keys.push(Key {
+                table: table.clone(),
+                name,
+                value,
+            });
+        }
+    }
+    keys
+}
+
+/// Runs the daemon on a configuration: exit code, message, and how long the fastest of some tries took.
+fn refused(place: &Place, text: &str) -> (Option<i32>, String, Duration) {
+    let mut fastest = Duration::MAX;
+    let mut outcome = (None, String::new());
+    for _ in 0..TRIES {
+        let mut command = std::process::Command::new(crate::fixture::program("vpcd"));
+        command.arg("--config").arg(place.file("bad.toml", text));
+        command
+            .arg("--domain")
+            .arg(place.domain())
+            .arg("--check-only");
+        command
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::piped());
+        let born = Instant::now();
+        outcome = Running::start(command).ended();
+        fastest = fastest.min(born.elapsed());
+        if fastest <= BAR {
+            break;
+        }
+    }
+    (outcome.0, outcome.1, fastest)
+}
+
+#[test]
+fn every_wrong_key_is_refused_by_name_in_time() {
+    let _turn = turn();
+    let place = Place::new();
+    let scene = scene_file();
+    let scene = scene.display();
+    let keys = keys();
+    let number = |key: &&Key| key.value.is_integer() || key.value.is_float();
+    assert!(keys.len() > 20 && keys.iter().filter(number).count() > 10);
+    let mut count = 0;
+    let mut check = |text: String, words: &[&str]| {
+        let (code, message, took) = refused(&place, &text);
+        count += 1;
+        assert_eq!(code, Some(78), "{text}\n{message}");
+        assert!(message.contains("bad.toml"), "{text}\n{message}");
+        for word in words {
+            assert!(message.contains(word), "{text}\n{message}\nlacks {word}");
+        }
+        assert!(took <= BAR, "{text}: {took:?}");
+    };
+    check(String::new(), &["scene is missing"]);
+    for Key { table, name, value } in &keys {
+        let with = |value: &str| match &**table {
+            "" if name == "scene" => format!("scene = {value}"),
+            "" => format!("scene = '{scene}'\n{name} = {value}"),
+            _ => format!("scene = '{scene}'\n[{table}]\n{name} = {value}"),
+        };
+        let full = if table.is_empty() {
+            name.clone()
+        } else {
+            format!("{table}.{name}")
+        };
+        // A wrong type is shown in its line.
+        check(with("[1, 2]"), &["invalid type", name]);
+        // An unknown key beside it, as well.
+        check(
+            with("1").replace(&format!("{name} = "), "unheard_of = "),
+            &["unheard_of"],
+        );
+        match value {
+            toml::Value::Integer(_) => {
+                for bad in ["-1", "99999999999"] {
+                    check(with(bad), &[&format!("{full} = {bad}; allowed: ")]);
+                }
+                check(with("nan"), &["invalid type", name]);
+            }
+            toml::Value::Float(_) => {
+                for (bad, shown) in [
+                    ("nan", "NaN"),
+                    ("-1.0", "-1"),
+                    ("1e30", "1"),
+                    ("inf", "inf"),
+                ] {
+                    check(with(bad), &[&format!("{full} = {shown}"), "; allowed: "]);
+                }
+            }
+            toml::Value::String(_)
+                if !["scene", "memory", "domain", "directory"].contains(&&**name) =>
+            {
+                check(
+                    with("'no such word'"),
+                    &[&format!("{full} = no such word; allowed: ")],
+                );
+            }
+            _ => (),
+        }
+    }
+    tell(&format!("{count} wrong configurations refused"));
+}
+
+#[test]
+fn a_second_instance_is_refused_in_time_and_the_first_goes_on() {
+    let _turn = turn();
+    let place = Place::new();
+    let mut witness = Witness::new(&place);
+    let first = Running::start(place.vpcd(""));
+    let camera = Running::start(place.hw_sim(0));
+    witness.set_in_motion();
+    let mut fastest = Duration::MAX;
+    for _ in 0..TRIES {
+        let born = Instant::now();
+        let (code, message) = Running::start(place.vpcd("")).ended();
+        fastest = fastest.min(born.elapsed());
+        assert_eq!(code, Some(69), "{message}");
+        assert!(
+            message.contains(&format!("process {}", first.id())),
+            "{message}"
+        );
+    }
+    assert!(fastest <= BAR, "{fastest:?}");
+    std::thread::sleep(Duration::from_millis(200));
+    let commands = witness.commands();
+    let gaps = commands
+        .windows(2)
+        .map(|pair| pair[1].stamp.sequence - pair[0].stamp.sequence);
+    assert!(commands.len() > 3 && gaps.max() == Some(1), "{commands:?}");
+    camera.kill();
+    first.kill();
+}

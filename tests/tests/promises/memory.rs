@@ -1,0 +1,199 @@
+//! A corrupt memory of motion is refused before anything is armed; a file that is changed, cut or removed while the
+//! daemon runs does not reach the loop.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use ipc::{CameraPorts, Domain, Features};
+use memory_blob::MemoryFile;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scene::Scene;
+
+use crate::fixture::{Place, Running, program, repeats, root, scene_file, turn};
+
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// The memory that ships.
+fn shipped() -> Vec<u8> {
+    std::fs::read(root().join("memory-blob/default/paper-sim.vpcmem")).unwrap()
+}
+
+/// The daemon's answer to a memory: exit code and message.
+fn judged(place: &Place, name: &str) -> (Option<i32>, String) {
+    let mut command = Command::new(program("vpcd"));
+    command
+        .arg("--scene")
+        .arg(scene_file())
+        .arg("--domain")
+        .arg(place.domain());
+    command.args(["--strategy", "gpr", "--arm", "--cycles", "1", "--memory"]);
+    command
+        .arg(place.path(name))
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    Running::start(command).ended()
+}
+
+#[test]
+fn every_damaged_header_byte_and_body_bit_is_refused() {
+    let _turn = turn();
+    let place = Place::new();
+    let good = shipped();
+    let scene = Scene::read(&scene_file()).unwrap();
+    let task = scene.fingerprint();
+    let opens = |bytes: &[u8], random: u64| {
+        let path = place.file("forged.vpcmem", bytes);
+        let opened = MemoryFile::open(&path, Some(task.bytes()));
+        assert!(opened.is_err(), "damage {random} was not seen");
+    };
+    assert!(MemoryFile::open(&place.file("good.vpcmem", &good), Some(task.bytes())).is_ok());
+    // In process: what the daemon calls. Digests of megabytes take time; a few bytes of the header are sampled where
+    // the full length was not asked for.
+    let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut bytes = good.clone();
+    for _ in 0..repeats("damaged header bytes", 60, header) {
+        let at = random.random_range(0..header);
+        let bit = 1 << random.random_range(0..8);
+        bytes[at] ^= bit;
+        // White space may stand for white space: what changed must then mean the same.
+        if !(good[at].is_ascii_whitespace() && bytes[at].is_ascii_whitespace()) {
+            opens(&bytes, at as u64);
+        }
+        bytes[at] ^= bit;
+    }
+    for _ in 0..repeats("flipped body bits", 60, 10_000) {
+        let at = random.random_range(header..good.len());
+        bytes[at] ^= 1 << random.random_range(0..8);
+        opens(&bytes, at as u64);
+        bytes[at] = good[at];
+    }
+    for _ in 0..repeats("cuts", 20, 500) {
+        let at = random.random_range(0..good.len());
+        opens(&good[..at], at as u64);
+    }
+}
+
+#[test]
+fn the_daemon_refuses_it_with_its_exit_code_before_a_cycle() {
+    let _turn = turn();
+    let place = Place::new();
+    let good = shipped();
+    place.file("good.vpcmem", &good);
+    assert_eq!(judged(&place, "good.vpcmem").0, Some(0));
+    let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
+    let mut flipped = good.clone();
+    flipped[header + 1000] ^= 1;
+    let mut longer = good.clone();
+    longer.extend([0; 64]);
+    let cases: [(&str, &[u8]); 7] = [
+        ("empty", &[]),
+        ("seven bytes", &good[..7]),
+        ("head only", &good[..header]),
+        ("one byte short", &good[..good.len() - 1]),
+        ("longer", &longer),
+        ("flipped", &flipped),
+        (
+            "text",
+            b"not a memory at all, but long enough to look like one",
+        ),
+    ];
+    for (what, bytes) in cases {
+        place.file("bad.vpcmem", bytes);
+        let (code, message) = judged(&place, "bad.vpcmem");
+        assert_eq!(code, Some(65), "{what}: {message}");
+        assert!(message.contains("bad.vpcmem"), "{what}: {message}");
+    }
+    let other = scene::PAPER_SIM.replacen("fx = 800.0", "fx = 801.0", 1);
+    let other = place.file("other.toml", other);
+    let mut command = Command::new(program("vpcd"));
+    command
+        .arg("--scene")
+        .arg(other)
+        .arg("--domain")
+        .arg(place.domain());
+    command.args(["--strategy", "gpr", "--cycles", "1", "--memory"]);
+    command
+        .arg(place.path("good.vpcmem"))
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    let (code, message) = Running::start(command).ended();
+    assert_eq!(code, Some(65), "{message}");
+    assert!(message.contains("another task"), "{message}");
+}
+
+/// Twists that answer some features, with something done to the memory file on the way.
+fn answers(meddle: impl Fn(&Path, usize)) -> Vec<[f64; 6]> {
+    let place = Place::new();
+    let memory = place.file("m.vpcmem", shipped());
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut command = Command::new(program("vpcd"));
+    command
+        .arg("--scene")
+        .arg(scene_file())
+        .arg("--domain")
+        .arg(place.domain());
+    command
+        .args(["--strategy", "gpr", "--clock", "lockstep", "--memory"])
+        .arg(&memory);
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut daemon = Running::start(command);
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let twists = (0..200)
+        .map(|k| {
+            let (u, v) = (
+                random.random_range(200.0..800.0),
+                random.random_range(200.0..800.0),
+            );
+            let square = [[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0]];
+            let points = square.map(|[x, y]: [f64; 2]| [u + x, v + y]);
+            let sent = camera
+                .features
+                .publish(&Features::new(&points, ipc::now_ns()))
+                .unwrap();
+            let answer = camera.wait_for_answer(&sent, PATIENCE).unwrap();
+            meddle(&memory, k);
+            answer.expect("an answer").message.twist
+        })
+        .collect();
+    assert!(daemon.is_running());
+    twists
+}
+
+#[test]
+fn a_file_that_changes_under_a_running_daemon_does_not_reach_the_loop() {
+    let _turn = turn();
+    let undisturbed = answers(|_, _| ());
+    assert!(
+        undisturbed
+            .iter()
+            .any(|twist| twist.iter().any(|v| *v != 0.0))
+    );
+    let overwritten = answers(|memory, k| {
+        if k == 20 {
+            let size = std::fs::metadata(memory).unwrap().len() as usize;
+            std::fs::write(memory, vec![0xff; size]).unwrap();
+        }
+    });
+    assert_eq!(overwritten, undisturbed);
+    let cut = answers(|memory, k| {
+        if k == 20 {
+            std::fs::File::options()
+                .write(true)
+                .open(memory)
+                .unwrap()
+                .set_len(0)
+                .unwrap();
+        }
+    });
+    assert_eq!(cut, undisturbed);
+    let removed = answers(|memory, k| {
+        if k == 20 {
+            std::fs::remove_file(memory).unwrap();
+        }
+    });
+    assert_eq!(removed, undisturbed);
+}
