@@ -35,6 +35,8 @@ impl Arguments {
 pub enum Command {
     /// Tell on one screen what the daemon does.
     Status(StatusArguments),
+    /// Show live what the daemon does: image plane, twist, times, states; keys command it.
+    Watch(WatchArguments),
     /// Let the law move the camera.
     Arm(RequestArguments),
     /// Brake to zero and stay there until the next arm.
@@ -57,6 +59,19 @@ pub struct StatusArguments {
     /// How long to watch the cycles, 0.05 to 3600 s.
     #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = seconds)]
     pub watch: Duration,
+}
+
+/// `watch`.
+#[derive(Clone, Debug, Args)]
+pub struct WatchArguments {
+    /// Scene file: image size, goal, occlusions and limits to draw.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+
+    /// Neighbours that the key 2 asks for, 1 to 64.
+    #[arg(long, value_name = "K", default_value = "1",
+        value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub neighbours: u32,
 }
 
 /// A request.

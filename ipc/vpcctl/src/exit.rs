@@ -74,6 +74,9 @@ pub enum Failure {
     /// The scene is wrong.
     #[error(transparent)]
     Scene(#[from] scene::SceneError),
+    /// The view needs a terminal.
+    #[error("watch: standard output is no terminal; use `vpcctl status`, --json for scripts")]
+    NoTerminal,
     /// A file cannot be written.
     #[error("{path}: cannot write: {source}")]
     Write {
@@ -94,6 +97,7 @@ impl Failure {
             Self::NoDaemon { .. } => Exit::NoDaemon,
             Self::NoAnswer { .. } => Exit::NoAnswer,
             Self::Join(_) | Self::Open(_) | Self::Ask(_) | Self::Receive(_) => Exit::Unavailable,
+            Self::NoTerminal => Exit::Usage,
             Self::Scene(scene::SceneError::Read { .. }) => Exit::NoInput,
             Self::Scene(_) => Exit::Data,
             Self::Write { .. } | Self::Output(_) => Exit::Software,

@@ -10,8 +10,10 @@ pub mod output;
 pub mod phase;
 pub mod presence;
 pub mod request;
+pub mod stage;
 pub mod status;
 pub mod view;
+pub mod watch;
 pub mod watcher;
 
 use std::ffi::OsString;
@@ -23,6 +25,7 @@ use ipc::{Action, Request};
 
 use arguments::{Arguments, Command, RequestArguments};
 use exit::{Exit, Failure};
+use stage::Stage;
 
 /// Runs the command line; a failure is one line on standard error.
 pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
@@ -63,6 +66,10 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             };
             output::write(&text)?;
             Ok(status.exit())
+        }
+        Command::Watch(with) => {
+            let stage = Stage::read(with.scene.as_deref())?;
+            watch::run(&directory, &stage, with.neighbours)
         }
         Command::Arm(with) => ask(request::plain(Action::Arm), with),
         Command::Disarm(with) => ask(request::plain(Action::Disarm), with),
