@@ -302,14 +302,15 @@ fn configuration(directory: &Path) -> Option<Config> {
     config
         .global
         .set_root_path(&iceoryx2::prelude::Path::new(root.as_os_str().as_bytes()).ok()?);
-    config.global.prefix = FileName::new(prefix(directory).as_bytes()).ok()?;
+    config.global.prefix = FileName::new(shared_memory_prefix(directory).as_bytes()).ok()?;
     // At creation it happens under the guard; at the end it would not.
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     Some(config)
 }
 
-/// `vpc_`, 16 hexadecimal digits of the 64-bit FNV-1a hash of the canonical path, `_`.
-fn prefix(directory: &Path) -> String {
+/// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit FNV-1a hash of the
+/// canonical path, `_`.
+pub fn shared_memory_prefix(directory: &Path) -> String {
     let hash = directory
         .as_os_str()
         .as_bytes()
@@ -332,7 +333,7 @@ fn wipe(directory: &Path) -> io::Result<()> {
 
 /// Our files in shared memory.
 fn ours(directory: &Path) -> io::Result<impl Iterator<Item = DirEntry>> {
-    let prefix = prefix(directory);
+    let prefix = shared_memory_prefix(directory);
     let entries = std::fs::read_dir(SHARED_MEMORY)?.filter_map(Result::ok);
     Ok(entries.filter(move |entry| entry.file_name().as_bytes().starts_with(prefix.as_bytes())))
 }
@@ -376,8 +377,12 @@ mod tests {
 
     #[test]
     fn each_directory_has_its_prefix() {
-        assert_eq!(prefix(Path::new("/tmp/vpc-0")), "vpc_dab3ee1dc20aec86_");
-        assert_ne!(prefix(Path::new("/tmp/a")), prefix(Path::new("/tmp/b")));
+        assert_eq!(
+            shared_memory_prefix(Path::new("/tmp/vpc-0")),
+            "vpc_dab3ee1dc20aec86_"
+        );
+        let [a, b] = ["/tmp/a", "/tmp/b"].map(|path| shared_memory_prefix(Path::new(path)));
+        assert_ne!(a, b);
     }
 
     #[test]

@@ -56,7 +56,7 @@ mod twist;
 
 pub use clock::now_ns;
 pub use cycle::{ClockMode, CycleRecord, Hold, PhaseCode, RealTime, SolverStatus, StrategyCode};
-pub use domain::{Domain, JoinError, default_directory};
+pub use domain::{Domain, JoinError, default_directory, shared_memory_prefix};
 pub use features::Features;
 pub use message::{Invalid, Message, Qos, Stamp};
 pub use operator::{Action, Outcome, Reply, Request};

@@ -1,5 +1,6 @@
 //! The command line.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -47,6 +48,21 @@ pub enum Command {
     Strategy(StrategyArguments),
     /// Have the daemon write out its flight record.
     Flight(RequestArguments),
+    /// Say what is wrong with this machine or set-up, and how to mend it.
+    Doctor(DoctorArguments),
+    /// Metrics in the Prometheus text format, served or printed.
+    Metrics(MetricsArguments),
+    /// Print the completions for a shell.
+    Completions {
+        /// bash, zsh, fish, elvish, powershell.
+        shell: clap_complete::Shell,
+    },
+    /// Write the man pages into a directory.
+    Man {
+        /// The directory.
+        #[arg(value_name = "DIR")]
+        directory: PathBuf,
+    },
 }
 
 /// `status`.
@@ -72,6 +88,42 @@ pub struct WatchArguments {
     #[arg(long, value_name = "K", default_value = "1",
         value_parser = clap::value_parser!(u32).range(1..=64))]
     pub neighbours: u32,
+}
+
+/// `doctor`.
+#[derive(Clone, Debug, Args)]
+pub struct DoctorArguments {
+    /// A scene file to check.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+
+    /// A memory of motion to check, against the scene if there is one.
+    #[arg(long, value_name = "FILE")]
+    pub memory: Option<PathBuf>,
+
+    /// How long to watch a running daemon, 0.05 to 3600 s.
+    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = seconds)]
+    pub watch: Duration,
+}
+
+/// `metrics`.
+#[derive(Clone, Debug, Args)]
+pub struct MetricsArguments {
+    /// Address to serve at, path /metrics; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9469")]
+    pub listen: SocketAddr,
+
+    /// Allow an address that other machines reach. There is no encryption and no password.
+    #[arg(long)]
+    pub expose: bool,
+
+    /// Watch for a while, print, and exit.
+    #[arg(long)]
+    pub once: bool,
+
+    /// How long to watch with --once, 0.05 to 3600 s.
+    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = seconds)]
+    pub watch: Duration,
 }
 
 /// A request.

@@ -77,6 +77,22 @@ pub enum Failure {
     /// The view needs a terminal.
     #[error("watch: standard output is no terminal; use `vpcctl status`, --json for scripts")]
     NoTerminal,
+    /// The address is not of this machine alone.
+    #[error(
+        "--listen {address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"
+    )]
+    Exposed {
+        /// The address.
+        address: String,
+    },
+    /// The address cannot be used.
+    #[error("--listen {address}: {source}")]
+    Listen {
+        /// The address.
+        address: String,
+        /// The operating system's reason.
+        source: io::Error,
+    },
     /// A file cannot be written.
     #[error("{path}: cannot write: {source}")]
     Write {
@@ -97,7 +113,8 @@ impl Failure {
             Self::NoDaemon { .. } => Exit::NoDaemon,
             Self::NoAnswer { .. } => Exit::NoAnswer,
             Self::Join(_) | Self::Open(_) | Self::Ask(_) | Self::Receive(_) => Exit::Unavailable,
-            Self::NoTerminal => Exit::Usage,
+            Self::NoTerminal | Self::Exposed { .. } => Exit::Usage,
+            Self::Listen { .. } => Exit::Unavailable,
             Self::Scene(scene::SceneError::Read { .. }) => Exit::NoInput,
             Self::Scene(_) => Exit::Data,
             Self::Write { .. } | Self::Output(_) => Exit::Software,

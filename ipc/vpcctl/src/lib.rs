@@ -5,7 +5,11 @@
 #![forbid(unsafe_code)]
 
 pub mod arguments;
+pub mod doctor;
 pub mod exit;
+pub mod http;
+pub mod manual;
+pub mod metrics;
 pub mod output;
 pub mod phase;
 pub mod presence;
@@ -18,6 +22,8 @@ pub mod watcher;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
 use clap::error::ErrorKind;
@@ -74,6 +80,31 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Arm(with) => ask(request::plain(Action::Arm), with),
         Command::Disarm(with) => ask(request::plain(Action::Disarm), with),
         Command::Stop(with) => ask(request::plain(Action::Stop), with),
+        Command::Doctor(with) => {
+            let findings = doctor::examine(&doctor::Patient {
+                directory,
+                scene: with.scene.clone(),
+                memory: with.memory.clone(),
+                watch: with.watch,
+            });
+            let (text, exit) = doctor::report(&findings, output::colours());
+            output::write(&text)?;
+            Ok(exit)
+        }
+        Command::Metrics(with) if with.once => metrics::once(&directory, with.watch),
+        Command::Metrics(with) => {
+            http::allow(with.listen, with.expose)?;
+            metrics::serve(&directory, with.listen, &*until_signalled()?)
+        }
+        Command::Completions { shell } => {
+            output::write(&manual::completions(*shell))?;
+            Ok(Exit::Ok)
+        }
+        Command::Man { directory } => {
+            let names = manual::write(directory)?;
+            output::write(&format!("{}\n", names.join("\n")))?;
+            Ok(Exit::Ok)
+        }
         Command::Flight(with) => ask(request::plain(Action::Record), with),
         Command::Strategy(with) => match with.choice() {
             Ok(choice) => ask(
@@ -86,4 +117,14 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             }
         },
     }
+}
+
+/// A flag that SIGINT, SIGTERM and SIGHUP raise.
+fn until_signalled() -> std::io::Result<Arc<AtomicBool>> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    let end = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&end))?;
+    }
+    Ok(end)
 }

@@ -53,17 +53,45 @@ impl Presence {
 /// The process that holds an exclusive `flock` on this inode. Inodes of two file systems may be equal: the process that
 /// the file names is preferred.
 fn holder(locks: &str, inode: u64, written: Option<u32>) -> Option<u32> {
-    let holders = locks.lines().filter_map(|line| {
-        let mut words = line.split_whitespace().skip(1);
-        let (kind, _, mode) = (words.next()?, words.next()?, words.next()?);
-        let process = words.next()?.parse::<u32>().ok()?;
-        let found = words.next()?.rsplit(':').next()?.parse::<u64>().ok()?;
-        (kind == "FLOCK" && mode == "WRITE" && found == inode).then_some(process)
-    });
-    let holders: Vec<u32> = holders.collect();
+    let holders = locks.lines().filter_map(flock);
+    let holders = holders.filter(|lock| lock.is_exclusive && lock.inode == inode);
+    let holders: Vec<u32> = holders.map(|lock| lock.process).collect();
     written
         .filter(|process| holders.contains(process))
         .or_else(|| holders.first().copied())
+}
+
+/// Whether some process holds a `flock` on this file.
+pub fn is_locked(file: &Path) -> bool {
+    let (Ok(found), Ok(locks)) = (
+        std::fs::metadata(file),
+        std::fs::read_to_string("/proc/locks"),
+    ) else {
+        return false;
+    };
+    locks
+        .lines()
+        .filter_map(flock)
+        .any(|lock| lock.inode == found.ino())
+}
+
+/// A line of `/proc/locks`.
+struct Flock {
+    is_exclusive: bool,
+    process: u32,
+    inode: u64,
+}
+
+fn flock(line: &str) -> Option<Flock> {
+    let mut words = line.split_whitespace().skip(1);
+    let (kind, _, mode) = (words.next()?, words.next()?, words.next()?);
+    let process = words.next()?.parse().ok()?;
+    let inode = words.next()?.rsplit(':').next()?.parse().ok()?;
+    (kind == "FLOCK").then_some(Flock {
+        is_exclusive: mode == "WRITE",
+        process,
+        inode,
+    })
 }
 
 fn is_daemon(process: u32) -> bool {

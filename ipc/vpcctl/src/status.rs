@@ -396,16 +396,22 @@ pub fn pixels(value: f64) -> String {
     }
 }
 
-/// Names of the faults that are set.
-pub fn faults(faults: RobotFaults) -> Vec<&'static str> {
-    let names = [
+/// The faults and their names.
+pub fn fault_names() -> [(RobotFaults, &'static str); 5] {
+    [
         (RobotFaults::STALE_COMMAND, "stale command"),
         (RobotFaults::COMMAND_LIMITED, "command limited"),
         (RobotFaults::REFLEX, "reflex"),
         (RobotFaults::JOINT_LIMIT, "joint limit"),
         (RobotFaults::PATTERN_LOST, "pattern lost"),
-    ];
-    let set = names.into_iter().filter(|(bit, _)| faults.any(*bit));
+    ]
+}
+
+/// Names of the faults that are set.
+pub fn faults(faults: RobotFaults) -> Vec<&'static str> {
+    let set = fault_names()
+        .into_iter()
+        .filter(|(bit, _)| faults.any(*bit));
     set.map(|(_, name)| name).collect()
 }
 
