@@ -52,6 +52,8 @@ pub enum Command {
     Doctor(DoctorArguments),
     /// Metrics in the Prometheus text format, served or printed.
     Metrics(MetricsArguments),
+    /// Serve a live view for the browser, on loopback.
+    Serve(ServeArguments),
     /// Print the completions for a shell.
     Completions {
         /// bash, zsh, fish, elvish, powershell.
@@ -124,6 +126,26 @@ pub struct MetricsArguments {
     /// How long to watch with --once, 0.05 to 3600 s.
     #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = seconds)]
     pub watch: Duration,
+}
+
+/// `serve`.
+#[derive(Clone, Debug, Args)]
+pub struct ServeArguments {
+    /// Scene file: image size, goal, occlusions and limits to draw.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+
+    /// Address to serve at; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9470")]
+    pub listen: SocketAddr,
+
+    /// Allow an address that other machines reach, for watching. There is no encryption and no password.
+    #[arg(long)]
+    pub expose: bool,
+
+    /// Let the page arm, disarm and stop; for who has the address with its token, as it is printed.
+    #[arg(long)]
+    pub control: bool,
 }
 
 /// A request.

@@ -85,6 +85,11 @@ pub enum Failure {
         /// The address.
         address: String,
     },
+    /// Commands over the network.
+    #[error(
+        "--control: token and commands would be readable on the network; allowed: with 127.0.0.0/8 and [::1] (from afar: ssh -L 9470:127.0.0.1:9470 HOST)"
+    )]
+    ExposedControl,
     /// The address cannot be used.
     #[error("--listen {address}: {source}")]
     Listen {
@@ -113,7 +118,7 @@ impl Failure {
             Self::NoDaemon { .. } => Exit::NoDaemon,
             Self::NoAnswer { .. } => Exit::NoAnswer,
             Self::Join(_) | Self::Open(_) | Self::Ask(_) | Self::Receive(_) => Exit::Unavailable,
-            Self::NoTerminal | Self::Exposed { .. } => Exit::Usage,
+            Self::NoTerminal | Self::Exposed { .. } | Self::ExposedControl => Exit::Usage,
             Self::Listen { .. } => Exit::Unavailable,
             Self::Scene(scene::SceneError::Read { .. }) => Exit::NoInput,
             Self::Scene(_) => Exit::Data,

@@ -14,6 +14,7 @@ pub mod output;
 pub mod phase;
 pub mod presence;
 pub mod request;
+pub mod serve;
 pub mod stage;
 pub mod status;
 pub mod view;
@@ -32,6 +33,7 @@ use ipc::{Action, Request};
 use arguments::{Arguments, Command, RequestArguments};
 use exit::{Exit, Failure};
 use stage::Stage;
+use status::Asking;
 
 /// Runs the command line; a failure is one line on standard error.
 pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
@@ -65,7 +67,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
     };
     match &arguments.command {
         Command::Status(with) => {
-            let status = status::look(&directory, with.watch)?;
+            let status = status::look(&directory, with.watch, Asking::IfSilent)?;
             let text = match with.json {
                 true => serde_json::to_string_pretty(&status).map_err(std::io::Error::from)? + "\n",
                 false => status.text(output::colours()),
@@ -95,6 +97,17 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Metrics(with) => {
             http::allow(with.listen, with.expose)?;
             metrics::serve(&directory, with.listen, &*until_signalled()?)
+        }
+        Command::Serve(with) => {
+            http::allow(with.listen, with.expose)?;
+            let stage = Stage::read(with.scene.as_deref())?;
+            let service = serve::Service {
+                directory,
+                address: with.listen,
+                control: with.control,
+            };
+            serve::allow(&service)?;
+            serve::run(&service, &stage, &*until_signalled()?)
         }
         Command::Completions { shell } => {
             output::write(&manual::completions(*shell))?;

@@ -78,6 +78,32 @@ mod tests {
     }
 
     #[test]
+    fn the_package_ships_what_the_command_line_says() {
+        let share = Path::new(env!("CARGO_MANIFEST_DIR")).join("share");
+        let again = "renew it: bash ipc/vpcctl/share/renew.sh";
+        let directory = tempfile::tempdir().unwrap();
+        for name in write(directory.path()).unwrap() {
+            let shipped = std::fs::read_to_string(share.join(&name)).unwrap_or_default();
+            let made = std::fs::read_to_string(directory.path().join(&name)).unwrap();
+            assert!(
+                shipped == made,
+                "share/{name} is of another command line; {again}"
+            );
+        }
+        for (shell, name) in [
+            (Shell::Bash, "vpcctl.bash"),
+            (Shell::Zsh, "_vpcctl"),
+            (Shell::Fish, "vpcctl.fish"),
+        ] {
+            let shipped = std::fs::read_to_string(share.join(name)).unwrap_or_default();
+            assert!(
+                shipped == completions(shell),
+                "share/{name} is of another command line; {again}"
+            );
+        }
+    }
+
+    #[test]
     fn completions_know_commands_and_options() {
         for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
             let script = completions(shell);

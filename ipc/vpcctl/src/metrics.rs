@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use ipc::{Domain, Hold, RobotMode, TwistState};
+use ipc::{Domain, Hold, PhaseCode, RealTime, RobotMode, TwistState};
 
 use crate::exit::{Exit, Failure};
 use crate::http::{Request, Response, Server};
@@ -49,7 +49,7 @@ pub fn once(directory: &Path, watch: Duration) -> Result<Exit, Failure> {
 /// What stands against joining, watching and listening.
 pub fn serve(directory: &Path, address: SocketAddr, end: &AtomicBool) -> Result<Exit, Failure> {
     let mut watcher = open(directory)?;
-    let page = Arc::new(Mutex::new(String::new()));
+    let page = Arc::new(Mutex::new(text(&watcher.view, ipc::now_ns())));
     let served = Arc::clone(&page);
     let server = Server::start(address, move |request| answer(request, address, &served))?;
     output::write(&format!("metrics at http://{}/metrics\n", server.address()))?;
@@ -162,7 +162,7 @@ pub fn text(view: &View, now_ns: u64) -> String {
     );
     watched(&mut out, view);
     if let Some(silence) = silence.filter(|_| up) {
-        present(&mut out, view, silence);
+        present(&mut out, view, silence, now_ns);
     }
     out.0
 }
@@ -198,6 +198,27 @@ fn watched(out: &mut Text, view: &View) {
         "Cycles watched in which the memory was asked.",
         view.recalled,
     );
+    let [minor, major, blocked, heap] = view.disturbances;
+    let name = "vpc_observed_page_faults_total";
+    out.family(
+        name,
+        "counter",
+        "Page faults of the loop's thread from wake to send.",
+    );
+    out.sample(name, "kind=\"minor\"", minor);
+    out.sample(name, "kind=\"major\"", major);
+    let name = "vpc_observed_blocking_calls_total";
+    out.counter(
+        name,
+        "Calls of the loop's thread that blocked from wake to send.",
+        blocked,
+    );
+    let name = "vpc_observed_heap_calls_total";
+    out.counter(
+        name,
+        "Calls of the heap by the loop's thread from wake to send.",
+        heap,
+    );
     let [phases @ .., cycle] = &view.histograms;
     let name = "vpc_cycle_duration_seconds";
     out.family(name, "histogram", "From waking up to having sent.");
@@ -213,7 +234,7 @@ fn watched(out: &mut Text, view: &View) {
     }
 }
 
-fn present(out: &mut Text, view: &View, silence_ns: u64) {
+fn present(out: &mut Text, view: &View, silence_ns: u64, now_ns: u64) {
     let Some(last) = view.latest() else { return };
     out.counter(
         "vpc_cycles_total",
@@ -251,6 +272,24 @@ fn present(out: &mut Text, view: &View, silence_ns: u64) {
     let strategy = strategy_name(last.strategy, last.neighbours);
     out.family("vpc_strategy_info", "gauge", "The strategy in use.");
     out.sample("vpc_strategy_info", &format!("strategy=\"{strategy}\""), 1);
+    let degraded = RealTime(last.realtime).is_degraded();
+    let help = "1 where real time was asked for and something of it is missing.";
+    out.gauge("vpc_realtime_degraded", help, f64::from(u8::from(degraded)));
+    out.family(
+        "vpc_phase_state",
+        "gauge",
+        "The grid against the camera's frames.",
+    );
+    for phase in (0..).map_while(PhaseCode::from_code) {
+        let now = u8::from(phase.code() == last.phase);
+        out.sample("vpc_phase_state", &format!("phase=\"{phase}\""), now);
+    }
+    let error = last.phase_error_ns as f64 / 1e9;
+    out.gauge(
+        "vpc_phase_error_seconds",
+        "This release after the one aimed at.",
+        error,
+    );
     if last.features_sequence > 0 {
         let age = seconds(last.features_age_ns);
         out.gauge(
@@ -279,7 +318,9 @@ fn present(out: &mut Text, view: &View, silence_ns: u64) {
             out.sample(name, &format!("axis=\"{axis}\""), number(*value));
         }
     }
-    let Some(robot) = &view.robot else { return };
+    let Some(robot) = view.robot_at(now_ns) else {
+        return;
+    };
     out.family(
         "vpc_robot_mode",
         "gauge",

@@ -4,7 +4,10 @@ use std::fmt::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{ClockMode, Domain, Hold, OperatorPorts, Reply, RobotFaults, SolverStatus, TwistState};
+use ipc::{
+    ClockMode, Domain, Hold, OperatorPorts, PhaseCode, RealTime, Reply, RobotFaults, SolverStatus,
+    TwistState,
+};
 use serde::Serialize;
 
 use crate::exit::{Exit, Failure};
@@ -36,8 +39,8 @@ pub struct Status {
     pub last_cause: Option<String>,
     /// How long ago that was over; null while it lasts.
     pub last_cause_over_ns: Option<u64>,
-    /// Whether the daemon answered when asked for its state.
-    pub answered: bool,
+    /// Whether the daemon answered when asked for its state; null where its cycles made asking unnecessary.
+    pub answered: Option<bool>,
     /// Strategy, with the neighbours of knn in its name.
     pub strategy: Option<String>,
     /// From the records of its cycles; null where none came.
@@ -69,6 +72,16 @@ pub struct Cycles {
     pub lost_records: u64,
     /// Records that vpcctl missed.
     pub missed_records: u64,
+    /// What the loop's thread lacks of the real time that was asked for; null where none was.
+    pub realtime_lacks: Option<Vec<&'static str>>,
+    /// free, seeking, locked: the grid against the camera's frames.
+    pub phase: String,
+    /// Page faults, blocking calls and calls of the heap between wake and send, in the cycles watched.
+    pub page_faults: u64,
+    /// Calls that blocked.
+    pub blocked: u64,
+    /// Calls of the heap, where the daemon counts them.
+    pub heap_calls: u64,
     /// Time after the release.
     pub wake: Times,
     /// Receiving and gate.
@@ -110,11 +123,20 @@ pub struct Robot {
     pub age_ns: u64,
 }
 
-/// Watches the domain for a while and asks the daemon for its state.
+/// Whether the daemon is asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asking {
+    /// Only where no cycles come: each new operator costs the loop of the daemon a connection.
+    IfSilent,
+    /// In any case.
+    Always,
+}
+
+/// Watches the domain for a while, and asks the daemon for its state where that is needed.
 ///
 /// # Errors
 /// [`Failure::NoDaemon`] where neither a daemon, a record nor an answer is found; what stands against joining.
-pub fn look(directory: &Path, watch: Duration) -> Result<Status, Failure> {
+pub fn look(directory: &Path, watch: Duration, asking: Asking) -> Result<Status, Failure> {
     let nobody = || Failure::NoDaemon {
         domain: directory.display().to_string(),
     };
@@ -126,21 +148,14 @@ pub fn look(directory: &Path, watch: Duration) -> Result<Status, Failure> {
     let domain = Domain::join(directory)?;
     let mut watcher = Watcher::open(&domain)?;
     watcher.poll()?;
-    // Without an operator's place the records must do.
-    let reply = match OperatorPorts::open(&domain) {
-        Ok(mut operator) => {
-            operator.ask(&request::plain(ipc::Action::Status), PATIENCE.min(watch))?
-        }
-        Err(ipc::OpenError::Taken { .. } | ipc::OpenError::Full { .. }) => None,
-        Err(error) => return Err(error.into()),
+    watch_until(&mut watcher, end.min(Instant::now() + PATIENCE))?;
+    let is_silent = watcher.view.latest().is_none();
+    let answer = match asking == Asking::Always || is_silent {
+        true => Some(ask(&domain, watch)?),
+        false => None,
     };
-    loop {
-        watcher.poll()?;
-        if Instant::now() >= end {
-            break;
-        }
-        std::thread::sleep(PAUSE);
-    }
+    watch_until(&mut watcher, end)?;
+    let reply = answer.flatten();
     // The daemon may have started or ended since.
     let process = Presence::of(directory).process();
     if process.is_none() && reply.is_none() && watcher.view.latest().is_none() {
@@ -149,8 +164,31 @@ pub fn look(directory: &Path, watch: Duration) -> Result<Status, Failure> {
     let mut status = Status::of(&watcher.view, reply.as_ref(), ipc::now_ns());
     status.domain = domain.directory().display().to_string();
     status.process = process;
+    status.answered = answer.map(|reply| reply.is_some());
     status.full = watcher.full;
     Ok(status)
+}
+
+fn watch_until(watcher: &mut Watcher, end: Instant) -> Result<(), Failure> {
+    loop {
+        watcher.poll()?;
+        if Instant::now() >= end {
+            return Ok(());
+        }
+        std::thread::sleep(PAUSE);
+    }
+}
+
+/// The daemon's own word; `None` where it says nothing, or all operators' places are taken.
+fn ask(domain: &Domain, watch: Duration) -> Result<Option<Reply>, Failure> {
+    match OperatorPorts::open(domain) {
+        Ok(mut operator) => {
+            let patience = PATIENCE.min(watch);
+            Ok(operator.ask(&request::plain(ipc::Action::Status), patience)?)
+        }
+        Err(ipc::OpenError::Taken { .. } | ipc::OpenError::Full { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
 }
 
 impl Status {
@@ -174,10 +212,10 @@ impl Status {
                 .map(|hold| hold.to_string()),
             last_cause: last.map(|change| change.hold.to_string()),
             last_cause_over_ns: over.flatten().map(|at| now_ns.saturating_sub(at)),
-            answered: reply.is_some(),
+            answered: reply.map(|_| true),
             strategy: strategy.map(|(code, k)| request::strategy_name(code, k)),
             cycles: Cycles::of(view, now_ns),
-            robot: view.robot.as_ref().map(|state| Robot {
+            robot: view.robot_at(now_ns).map(|state| Robot {
                 mode: state
                     .mode()
                     .map_or_else(|| "unknown".to_owned(), |mode| mode.to_string()),
@@ -191,7 +229,7 @@ impl Status {
 
     /// Whether neither an answer nor a record came, or the records have stopped: for half a second or ten periods.
     pub fn hangs(&self) -> bool {
-        if self.answered {
+        if self.answered == Some(true) {
             return false;
         }
         self.cycles.as_ref().is_none_or(|cycles| {
@@ -281,6 +319,7 @@ impl Cycles {
         let last = view.latest()?;
         let times = |phase: Phase| Times::of(view.recent(u64::MAX).map(|r| phase.of(r)));
         let word = |text: Option<String>| text.unwrap_or_else(|| "unknown".to_owned());
+        let [minor, major, blocked, heap_calls] = view.disturbances;
         Some(Self {
             clock: word(ClockMode::from_code(last.clock).map(|clock| clock.to_string())),
             cycle: last.cycle,
@@ -290,6 +329,11 @@ impl Cycles {
             overruns: last.overruns,
             lost_records: last.lost_records,
             missed_records: view.missed,
+            realtime_lacks: lacks(RealTime(last.realtime)),
+            phase: word(PhaseCode::from_code(last.phase).map(|phase| phase.to_string())),
+            page_faults: minor + major,
+            blocked,
+            heap_calls,
             wake: times(Phase::Wake),
             receive: times(Phase::Receive),
             step: times(Phase::Step),
@@ -347,6 +391,16 @@ impl Cycles {
             number(self.lost_records),
             number(self.missed_records)
         )?;
+        let realtime = match self.realtime_lacks.as_deref() {
+            None => "not asked for".to_owned(),
+            Some([]) => "held".to_owned(),
+            Some(lacks) => paint(&lacks.join(", "), Tone::Warning, colours),
+        };
+        writeln!(
+            out,
+            "real time {realtime}; {} page faults, {} blocked, {} heap calls",
+            self.page_faults, self.blocked, self.heap_calls
+        )?;
         match self.features_age_ns {
             Some(age) => writeln!(
                 out,
@@ -394,6 +448,19 @@ pub fn pixels(value: f64) -> String {
         _ if value.is_infinite() => "unbounded".to_owned(),
         _ => format!("{value:.1} px"),
     }
+}
+
+/// What is missing of the real time asked for; `None` where none was.
+fn lacks(realtime: RealTime) -> Option<Vec<&'static str>> {
+    let names = [
+        (RealTime::NO_FIFO, "no SCHED_FIFO"),
+        (RealTime::NO_CPU, "not on its processor"),
+        (RealTime::NO_LOCK, "memory not locked"),
+    ];
+    let missing = names.into_iter().filter(|(bit, _)| realtime.has(*bit));
+    realtime
+        .has(RealTime::ASKED)
+        .then(|| missing.map(|(_, name)| name).collect())
 }
 
 /// The faults and their names.
@@ -464,6 +531,14 @@ mod tests {
     fn durations_have_three_digits_and_a_unit() {
         let texts = [999, 1_500, 12_340, 123_400, 2_000_000_000].map(duration);
         assert_eq!(texts, ["999 ns", "1.50 us", "12.3 us", "123 us", "2.00 s"]);
+    }
+
+    #[test]
+    fn what_real_time_lacks_is_told_from_none_asked_for() {
+        assert_eq!(lacks(RealTime::default()), None);
+        assert_eq!(lacks(RealTime::ASKED), Some(vec![]));
+        let without = RealTime::ASKED.with(RealTime::NO_LOCK);
+        assert_eq!(lacks(without), Some(vec!["memory not locked"]));
     }
 
     #[test]

@@ -39,6 +39,9 @@ pub struct View {
     pub held: BTreeMap<u32, u64>,
     /// Cycles in which the memory was asked.
     pub recalled: u64,
+    /// Page faults without a disk, page faults with one, calls that blocked and calls of the heap, all of the loop's
+    /// thread between wake and send in the cycles watched.
+    pub disturbances: [u64; 4],
     /// Cycles that were published and that we missed.
     pub missed: u64,
     /// Messages that broke the contract.
@@ -65,6 +68,15 @@ impl View {
         }
         self.recalled += u64::from(record.recalled != 0);
         *self.held.entry(record.hold).or_default() += 1;
+        let counts = [
+            record.minor_faults,
+            record.major_faults,
+            record.blocked,
+            record.allocations,
+        ];
+        for (sum, count) in self.disturbances.iter_mut().zip(counts) {
+            *sum += u64::from(count);
+        }
         self.note_change(&record);
         if self.recent.len() == KEPT {
             self.recent.pop_front();
@@ -142,6 +154,13 @@ impl View {
         Some(cycles as f64 / (time as f64 * 1e-9))
     }
 
+    /// The newest state of the robot, unless that is older than a second: then it is silent.
+    pub fn robot_at(&self, now_ns: u64) -> Option<&RobotState> {
+        let heard = self.robot.as_ref()?;
+        let age = now_ns.saturating_sub(heard.stamp.published_ns);
+        (age <= 1_000_000_000).then_some(heard)
+    }
+
     /// Age of the newest cycle, ns.
     pub fn silence_ns(&self, now_ns: u64) -> Option<u64> {
         Some(now_ns.saturating_sub(self.latest()?.stamp.published_ns))
@@ -211,6 +230,15 @@ pub(crate) mod tests {
         assert_eq!((view.received, view.restarts), (2, 1));
         assert_eq!(view.recent(u64::MAX).count(), 1);
         assert_eq!(view.held[&Hold::NoFeatures.code()], 1);
+    }
+
+    #[test]
+    fn a_robot_that_is_gone_is_silent() {
+        let mut view = View::default();
+        assert_eq!(view.robot_at(0), None);
+        view.robot = Some(RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], 0));
+        assert!(view.robot_at(1_000_000_000).is_some());
+        assert!(view.robot_at(1_000_000_001).is_none());
     }
 
     #[test]

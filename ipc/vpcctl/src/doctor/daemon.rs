@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::Finding;
 use crate::exit::Failure;
 use crate::presence::Presence;
-use crate::status::{self, Status};
+use crate::status::{self, Asking, Status};
 
 pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
     let what = "daemon";
@@ -18,7 +18,7 @@ pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
         Presence::NoDaemon => (),
         Presence::Process(process) => findings.push(life(process)),
     }
-    match status::look(directory, watch) {
+    match status::look(directory, watch, Asking::Always) {
         Ok(status) => findings.extend(health(&status)),
         Err(Failure::NoDaemon { .. }) => findings.push(nobody(directory)),
         Err(failure) => {
@@ -107,7 +107,7 @@ fn health(status: &Status) -> Vec<Finding> {
         Some(cause) => Finding::warn(what, format!("{state}: {cause}"), remedy(cause)),
         None => Finding::ok(what, state),
     }];
-    if !status.answered {
+    if status.answered == Some(false) {
         let words = "publishes cycles, but did not answer";
         findings.push(Finding::warn(
             "requests",
@@ -136,6 +136,14 @@ fn health(status: &Status) -> Vec<Finding> {
             Finding::warn("deadline", words, remedy)
         }
     });
+    if let Some(lacks) = cycles
+        .realtime_lacks
+        .as_ref()
+        .filter(|lacks| !lacks.is_empty())
+    {
+        let remedy = "`vpcd --preflight` says how to get it";
+        findings.push(Finding::warn("real time", lacks.join(", "), remedy));
+    }
     if cycles.lost_records > 0 {
         let words = format!("{} lost by the daemon", cycles.lost_records);
         let remedy = "its ordinary thread gets too little time: fewer processes on its core";

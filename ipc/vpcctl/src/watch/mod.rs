@@ -13,6 +13,9 @@ use std::time::{Duration, Instant};
 use ipc::{Action, Domain, StrategyCode};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
+use rustix::event::{PollFd, PollFlags, Timespec};
+use rustix::io::Errno;
+
 use crate::exit::{Exit, Failure};
 use crate::output;
 use crate::presence::Presence;
@@ -65,7 +68,7 @@ pub fn run(directory: &Path, stage: &Stage, neighbours: u32) -> Result<Exit, Fai
         let domain = directory.display().to_string();
         return Err(Failure::NoDaemon { domain });
     }
-    if !std::io::stdout().is_terminal() {
+    if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
         return Err(Failure::NoTerminal);
     }
     let domain = Domain::join(directory)?;
@@ -74,6 +77,7 @@ pub fn run(directory: &Path, stage: &Stage, neighbours: u32) -> Result<Exit, Fai
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&end))?;
     }
+    end_at_last(Arc::clone(&end));
     // Restores the terminal also when we panic.
     let mut terminal = ratatui::try_init()?;
     let result = show(
@@ -86,6 +90,50 @@ pub fn run(directory: &Path, stage: &Stage, neighbours: u32) -> Result<Exit, Fai
     );
     ratatui::try_restore()?;
     result.map(|()| Exit::Ok)
+}
+
+/// What the terminal says.
+enum Heard {
+    Nothing,
+    Keys,
+    HangUp,
+}
+
+/// Waits a frame for keys. crossterm 0.29 reads a terminal that is gone (a dropped connection) for ever, at full speed:
+/// it is asked only where there is something to read.
+fn heard() -> std::io::Result<Heard> {
+    let input = std::io::stdin();
+    let mut ports = [PollFd::new(&input, PollFlags::IN)];
+    let frame = Timespec {
+        tv_sec: 0,
+        tv_nsec: i64::from(FRAME.subsec_nanos()),
+    };
+    match rustix::event::poll(&mut ports, Some(&frame)) {
+        // A change of the window's size: the next picture has it.
+        Err(Errno::INTR) => return Ok(Heard::Nothing),
+        result => result?,
+    };
+    let found = ports[0].revents();
+    if found.intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
+        return Ok(Heard::HangUp);
+    }
+    match found.contains(PollFlags::IN) && event::poll(Duration::ZERO)? {
+        true => Ok(Heard::Keys),
+        false => Ok(Heard::Nothing),
+    }
+}
+
+/// Ends the process a second after it was asked to, should it hang in reading a terminal that went at a bad instant.
+fn end_at_last(end: Arc<AtomicBool>) {
+    std::thread::spawn(move || {
+        while !end.load(Ordering::Relaxed) {
+            std::thread::sleep(LOOK / 5);
+        }
+        std::thread::sleep(LOOK);
+        // The terminal may be gone.
+        let _ = ratatui::try_restore();
+        std::process::exit(Exit::Ok as i32);
+    });
 }
 
 fn show(
@@ -103,10 +151,8 @@ fn show(
     let (mut process, mut looked) = (Presence::of(directory).process(), Instant::now());
     while !end.load(Ordering::Relaxed) {
         watcher.poll()?;
-        if let Some(asked) = &mut pending {
-            if let Some(answer) = asked.poll() {
-                (message, pending) = (answer, None);
-            }
+        if let Some(answer) = pending.as_mut().and_then(Pending::poll) {
+            (message, pending) = (answer, None);
         }
         if looked.elapsed() >= LOOK {
             (process, looked) = (Presence::of(directory).process(), Instant::now());
@@ -122,8 +168,10 @@ fn show(
             colours,
         };
         terminal.draw(|frame| draw(frame, &screen))?;
-        if !event::poll(FRAME)? {
-            continue;
+        match heard()? {
+            Heard::Nothing => continue,
+            Heard::HangUp => break,
+            Heard::Keys => (),
         }
         let Event::Key(key) = event::read()? else {
             continue;

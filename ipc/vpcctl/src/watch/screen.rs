@@ -237,16 +237,18 @@ fn number_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
         0 => "-".to_owned(),
         _ => duration(last.features_age_ns),
     };
-    let robot = view.robot.as_ref().map_or("silent".to_owned(), |state| {
-        let mode = state
-            .mode()
-            .map_or("unknown".to_owned(), |mode| mode.to_string());
-        let names = faults(state.faults());
-        match names.is_empty() {
-            true => mode,
-            false => format!("{mode}: {}", names.join(", ")),
-        }
-    });
+    let robot = view
+        .robot_at(screen.now_ns)
+        .map_or("silent".to_owned(), |state| {
+            let mode = state
+                .mode()
+                .map_or("unknown".to_owned(), |mode| mode.to_string());
+            let names = faults(state.faults());
+            match names.is_empty() {
+                true => mode,
+                false => format!("{mode}: {}", names.join(", ")),
+            }
+        });
     let missed = last.overruns + last.lost_records + view.missed;
     let counted = match missed {
         0 => Style::new(),
@@ -370,6 +372,7 @@ mod tests {
         }
         let mut robot = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], 0);
         robot.mode = 1;
+        robot.stamp.published_ns = 3_000_000_000;
         robot.faults = RobotFaults::COMMAND_LIMITED.0;
         view.robot = Some(robot);
         view

@@ -1,8 +1,12 @@
 //! The command as a process, against a stand-in for the daemon: same ports, same contract, no law.
 
+mod doctor;
+mod metrics;
 mod requests;
+mod serve;
 mod stand_in;
 mod status;
+mod watch;
 
 use std::path::Path;
 use std::process::{Command, Output};

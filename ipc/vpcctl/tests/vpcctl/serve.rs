@@ -1,0 +1,137 @@
+//! `serve`: who may see, who may command, and the page in a real browser where one is installed.
+
+use std::process::Command;
+
+use crate::metrics::Server;
+use crate::stand_in::StandIn;
+use crate::{stderr, stdout, vpcctl};
+
+#[test]
+fn the_page_its_stage_and_its_events_are_served() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    let page = server.get("/");
+    assert!(page.starts_with("HTTP/1.1 200 OK\r\n") && page.contains("<canvas id=\"image\">"));
+    assert!(page.contains("default-src 'none'"), "{page}");
+    assert!(server.get("/stage").contains("\"control\":false"));
+    let host = format!("Host: {}\r\n", server.address);
+    let events = server.ask("GET /events", &host, 3000);
+    assert!(events.contains("\r\n\r\ndata: {"), "{events}");
+    assert!(events.contains("\"state\":\"disarmed\""), "{events}");
+}
+
+#[test]
+fn only_the_page_with_the_token_commands_and_only_with_control() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let post = |server: &Server, host: &str, origin: &str, token: &str| {
+        let fields = format!("Host: {host}\r\nOrigin: {origin}\r\nX-Vpc-Token: {token}\r\n");
+        server.ask("POST /arm", &fields, 1 << 16)
+    };
+    let watching = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    assert!(!watching.line.contains('#'), "{}", watching.line);
+    let refused = post(
+        &watching,
+        &watching.address,
+        &format!("http://{}", watching.address),
+        "",
+    );
+    assert!(
+        refused.starts_with("HTTP/1.1 403") && refused.contains("--control"),
+        "{refused}"
+    );
+
+    let words = ["serve", "--listen", "127.0.0.1:0", "--control"];
+    let server = Server::start(directory.path(), &words);
+    let token = server.line.trim().rsplit('#').next().unwrap().to_owned();
+    assert_eq!(token.len(), 32, "{}", server.line);
+    let (host, origin) = (server.address.clone(), format!("http://{}", server.address));
+    let answers = [
+        // A page of somebody else in the same browser; a name that was made to point here; a local user without token.
+        (
+            post(&server, &host, "http://evil.example", &token),
+            "not from this page",
+        ),
+        (
+            post(&server, "evil.example", "http://evil.example", &token),
+            "host not allowed",
+        ),
+        (
+            post(&server, &host, &origin, &"0".repeat(32)),
+            "wrong token",
+        ),
+        (post(&server, &host, &origin, ""), "wrong token"),
+    ];
+    for (answer, why) in answers {
+        assert!(
+            answer.starts_with("HTTP/1.1 403") && answer.contains(why),
+            "{why}:\n{answer}"
+        );
+    }
+    let get = server.get("/arm");
+    assert!(get.starts_with("HTTP/1.1 404"), "{get}");
+    let status = vpcctl(directory.path(), &["status", "--watch", "0.2"]);
+    assert_eq!(
+        status.status.code(),
+        Some(5),
+        "something armed it:\n{}",
+        stdout(&status)
+    );
+    let done = post(&server, &host, &origin, &token);
+    assert!(
+        done.starts_with("HTTP/1.1 200") && done.contains("arm: done; moving"),
+        "{done}"
+    );
+}
+
+#[test]
+fn commands_are_never_offered_to_the_network() {
+    let directory = tempfile::tempdir().unwrap();
+    for words in [
+        ["serve", "--listen", "0.0.0.0:0"].as_slice(),
+        &["serve", "--listen", "0.0.0.0:0", "--expose", "--control"],
+    ] {
+        let output = vpcctl(directory.path(), words);
+        assert_eq!(output.status.code(), Some(64), "{}", stderr(&output));
+    }
+}
+
+#[test]
+fn a_browser_runs_the_page() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    let profile = directory.path().join("profile");
+    let mut page = String::new();
+    // The browser prints the page as soon as it is loaded: perhaps before the first event.
+    for _ in 0..10 {
+        let browser = Command::new("timeout")
+            .args([
+                "30",
+                "chromium",
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+            ])
+            .args(["--dump-dom", "--timeout=4000"])
+            .arg(format!("--user-data-dir={}", profile.display()))
+            .arg(format!("http://{}/", server.address))
+            .output()
+            .unwrap();
+        if browser.status.code() == Some(127) {
+            println!("NOT RUN: no chromium");
+            return;
+        }
+        page = stdout(&browser);
+        // Written by the page's own script.
+        if page.contains("class=\"warn\">disarmed</span>") {
+            break;
+        }
+    }
+    assert!(page.contains("class=\"warn\">disarmed</span>"), "{page}");
+    assert!(
+        page.contains("120.3 px") && page.contains("25.5 px"),
+        "{page}"
+    );
+}
