@@ -1,5 +1,6 @@
 //! The command as a process, against a stand-in for the daemon: same ports, same contract, no law.
 
+mod browser;
 mod doctor;
 mod metrics;
 mod requests;

@@ -1,7 +1,6 @@
 //! `serve`: who may see, who may command, and the page in a real browser where one is installed.
 
-use std::process::Command;
-
+use crate::browser::Browser;
 use crate::metrics::Server;
 use crate::stand_in::StandIn;
 use crate::{stderr, stdout, vpcctl};
@@ -98,40 +97,27 @@ fn commands_are_never_offered_to_the_network() {
 }
 
 #[test]
-fn a_browser_runs_the_page() {
+fn a_browser_shows_the_run_and_its_buttons_command() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
-    let server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
-    let profile = directory.path().join("profile");
-    let mut page = String::new();
-    // The browser prints the page as soon as it is loaded: perhaps before the first event.
-    for _ in 0..10 {
-        let browser = Command::new("timeout")
-            .args([
-                "30",
-                "chromium",
-                "--headless",
-                "--no-sandbox",
-                "--disable-gpu",
-            ])
-            .args(["--dump-dom", "--timeout=4000"])
-            .arg(format!("--user-data-dir={}", profile.display()))
-            .arg(format!("http://{}/", server.address))
-            .output()
-            .unwrap();
-        if browser.status.code() == Some(127) {
-            println!("NOT RUN: no chromium");
-            return;
-        }
-        page = stdout(&browser);
-        // Written by the page's own script.
-        if page.contains("class=\"warn\">disarmed</span>") {
-            break;
-        }
-    }
-    assert!(page.contains("class=\"warn\">disarmed</span>"), "{page}");
-    assert!(
-        page.contains("120.3 px") && page.contains("25.5 px"),
-        "{page}"
-    );
+    let words = ["serve", "--listen", "127.0.0.1:0", "--control"];
+    let server = Server::start(directory.path(), &words);
+    let url = server.line.trim().rsplit(' ').next().unwrap();
+    let Some(mut browser) = Browser::open(directory.path(), url) else {
+        println!("NOT RUN: no chromium");
+        return;
+    };
+    browser.wait_for("document.getElementById('state').textContent === 'disarmed'");
+    browser.wait_for("document.getElementById('cause').textContent === 'not armed'");
+    browser.wait_for("document.getElementById('numbers').innerText.includes('25.5 px')");
+    browser.wait_for("!document.getElementById('buttons').hidden");
+    // Something is painted where feature 1 is, (700, 500) of 1280 x 960 px.
+    let pixel = "(() => { const c = document.getElementById('image'); const s = c.width / 1280; \
+        return c.getContext('2d').getImageData(700 * s, 500 * s, 1, 1).data[3] > 0; })()";
+    browser.wait_for(pixel);
+    browser.value("document.getElementById('arm').click()");
+    browser.wait_for("document.getElementById('state').textContent === 'moving'");
+    browser.wait_for("document.getElementById('answer').textContent.startsWith('arm: done')");
+    browser.value("document.getElementById('stop').click()");
+    browser.wait_for("document.getElementById('cause').textContent === 'operator'");
 }
