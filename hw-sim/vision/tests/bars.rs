@@ -183,7 +183,7 @@ fn identity_is_never_swapped() {
     assert!(50 * tally.clear_missed < tally.clear, "{tally:?}");
 }
 
-/// Strong tilt and large discs, where centroids are off by up to a pixel: what the correction is for.
+/// Strong tilt and large discs, where centroids are off by a quarter to half a pixel: what the correction is for.
 #[test]
 fn centres_are_right_even_where_centroids_are_not() {
     let scene = robot();
