@@ -162,6 +162,7 @@ struct RawLaw {
     release: f64,
     margin_px: f64,
     lambda: f64,
+    delay_compensation: bool,
 }
 
 #[derive(Deserialize)]
@@ -214,6 +215,7 @@ impl Default for RawLaw {
             release: settings.release,
             margin_px: settings.margin_px,
             lambda: settings.lambda,
+            delay_compensation: settings.delay_compensation,
         }
     }
 }
@@ -528,6 +530,7 @@ impl Checker<'_> {
             release: raw.release,
             margin_px: raw.margin_px,
             lambda: raw.lambda,
+            delay_compensation: raw.delay_compensation,
             ..Settings::default()
         };
         match settings.check() {
@@ -679,6 +682,16 @@ mod tests {
             assert!(message.contains(words), "{message}\nlacks {words}");
         }
         assert!(refused("").contains("/etc/v.toml: scene is missing"));
+    }
+
+    #[test]
+    fn delay_compensation_is_on_and_can_be_switched_off() {
+        let compensation = |text: &str| {
+            let config = parse(&format!("scene = 's'\n{text}"), &Arguments::default()).unwrap();
+            config.settings.delay_compensation
+        };
+        assert!(compensation(""));
+        assert!(!compensation("[law]\ndelay_compensation = false"));
     }
 
     #[test]

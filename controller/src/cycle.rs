@@ -64,7 +64,7 @@ pub struct Cycle {
 
 impl Cycle {
     /// A loop that starts now.
-    pub fn new(pace: Pace, ports: ControllerPorts, law: Law, mut tap: Tap) -> Self {
+    pub fn new(pace: Pace, ports: ControllerPorts, mut law: Law, mut tap: Tap) -> Self {
         let stale_ns = match pace.clock {
             // Looked at once a period: what would be too old at the next release is too old now.
             ClockMode::Fixed | ClockMode::Phase => {
@@ -72,6 +72,9 @@ impl Cycle {
             }
             ClockMode::Lockstep => None,
         };
+        if stale_ns.is_some() {
+            law.go_live(self::stale_ns(&pace));
+        }
         let blank = CycleRecord {
             clock: pace.clock.code(),
             realtime: pace.realtime.0,
@@ -141,6 +144,9 @@ impl Cycle {
         // Send.
         let sent = self.send(&answer);
         let sent_ns = now_ns();
+        if sent.is_err() {
+            self.pilot.unsent();
+        }
         self.woken.tell(&mut record);
         // Slack.
         self.reply();
@@ -152,7 +158,10 @@ impl Cycle {
         record.send_ns = sent_ns.saturating_sub(stepped_ns);
         record.features_age_ns = match answer.stamp.sequence {
             0 => 0,
-            _ => woken_ns.saturating_sub(answer.stamp.data_ns),
+            _ => self
+                .pilot
+                .effective_ns(&answer.stamp, woken_ns)
+                .saturating_sub(answer.stamp.data_ns),
         };
         if self.pace.clock != ClockMode::Lockstep {
             self.advance(&mut record);

@@ -92,6 +92,11 @@ impl Gate {
         }
     }
 
+    /// Whether time is real: it is not in lockstep.
+    pub fn is_live(&self) -> bool {
+        self.stale_ns.is_some()
+    }
+
     /// Judges what was received by `now_ns` (CLOCK_MONOTONIC).
     pub fn judge(&mut self, input: &Input, now_ns: u64) -> Verdict {
         match input {

@@ -164,14 +164,42 @@ impl Law {
         has && self.controller.set_strategy(strategy).is_ok()
     }
 
-    /// One step: features in, decision out, and what there is to tell about it in `record`. Never allocates.
-    pub fn step(&mut self, features: &Features, link: Link, record: &mut CycleRecord) -> Decision {
+    /// Tells that time is real: commands are obeyed for `validity_ns` at most, and what moved the camera before the
+    /// first one is unknown. In lockstep the camera is at rest before the first answer of a run.
+    pub fn go_live(&mut self, validity_ns: u64) {
+        self.controller.go_live(validity_ns);
+    }
+
+    /// Remembers that `twist` was sent, whoever chose it, and took effect at `effective_ns`.
+    pub fn sent(&mut self, twist: &[f64; 6], effective_ns: u64) {
+        self.controller.sent(twist, effective_ns);
+    }
+
+    /// Forgets what was sent: a command did not go out, and which one the camera obeys is unknown.
+    pub fn forget_sent(&mut self) {
+        self.controller.forget_sent();
+    }
+
+    /// One step: features in, decision out, and what there is to tell about it in `record`. The decision is for a
+    /// command that takes effect at `effective_ns`, on the clock of the features' exposure. Never allocates.
+    pub fn step(
+        &mut self,
+        features: &Features,
+        effective_ns: u64,
+        link: Link,
+        record: &mut CycleRecord,
+    ) -> Decision {
         match link {
             Link::Next => (),
             Link::Broken => self.controller.skip_mismatch(),
             Link::New => self.controller.reset(),
         }
-        let mut measurement = Measurement::from_points(&[]);
+        let exposed_ns = match features.stamp.data_ns {
+            // Not known: no later than they were published.
+            0 => features.stamp.published_ns,
+            data_ns => data_ns,
+        };
+        let mut measurement = Measurement::from_points(&[]).taken(exposed_ns, effective_ns);
         measurement.points.extend(features.pairs());
         let view = self.memory.as_ref().map(MemoryFile::view);
         let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
@@ -270,7 +298,8 @@ fn refused(refusal: Refusal) -> Hold {
     match refusal {
         Refusal::Count { .. } => Hold::Count,
         Refusal::NotFinite { .. } => Hold::NotFinite,
-        Refusal::OffImage { .. } => Hold::OffImage,
+        Refusal::OffImage { .. } | Refusal::Lost => Hold::OffImage,
+        Refusal::Late { .. } => Hold::Stale,
     }
 }
 
@@ -325,14 +354,14 @@ mod tests {
         let mut law = law();
         let mut record = CycleRecord::default();
         let (far, near) = (features(&law, 60.0), features(&law, 0.0));
-        let decision = law.step(&far, Link::New, &mut record);
+        let decision = law.step(&far, 0, Link::New, &mut record);
         assert_eq!(
             (decision.state, decision.hold),
             (TwistState::Moving, Hold::None)
         );
         assert!(decision.twist.iter().any(|v| v.abs() > 1e-3));
         assert!((record.error_px - 60.0).abs() < 1e-6 && record.cost > 0.0);
-        let decision = law.step(&near, Link::New, &mut record);
+        let decision = law.step(&near, 0, Link::New, &mut record);
         assert_eq!(decision.state, TwistState::Arrived);
     }
 
@@ -350,9 +379,24 @@ mod tests {
             (nan, Hold::NotFinite),
             (five, Hold::Count),
         ] {
-            let decision = law.step(&bad, Link::Next, &mut CycleRecord::default());
+            let decision = law.step(&bad, 0, Link::Next, &mut CycleRecord::default());
             assert_eq!(decision, held(cause));
         }
+    }
+
+    #[test]
+    fn on_a_live_robot_features_from_before_the_first_command_are_stale() {
+        let mut law = law();
+        law.go_live(100);
+        let mut far = features(&law, 60.0);
+        // The instant of the exposure is not known: it is no later than this.
+        far.stamp.published_ns = 30;
+        let step = |law: &mut Law| law.step(&far, 50, Link::New, &mut CycleRecord::default());
+        assert_eq!(step(&mut law), held(Hold::Stale));
+        law.sent(&[0.0; 6], 0);
+        assert_eq!(step(&mut law).state, TwistState::Moving);
+        law.forget_sent();
+        assert_eq!(step(&mut law), held(Hold::Stale));
     }
 
     #[test]

@@ -157,6 +157,9 @@ impl Pilot {
             // The law's next prediction would be of a motion that does not happen.
             self.gate.mark_gap();
         }
+        // As sent, whoever chose it. The instant is that of the law's plan, so that a replay needs no other clock.
+        let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);
+        self.law.sent(&decision.twist, effective_ns);
         record.features_sequence = proposed.stamp.sequence;
         record.twist = decision.twist;
         record.state = decision.state.code();
@@ -167,12 +170,28 @@ impl Pilot {
         }
     }
 
+    /// When a command that is decided at `now_ns` takes effect: at once; or in lockstep, where the camera's stamps are
+    /// the clock, when the features that it answers were delivered.
+    pub fn effective_ns(&self, answered: &Stamp, now_ns: u64) -> u64 {
+        if self.gate.is_live() {
+            now_ns
+        } else {
+            answered.published_ns
+        }
+    }
+
+    /// Tells that the last decision could not be sent.
+    pub fn unsent(&mut self) {
+        self.law.forget_sent();
+    }
+
     /// What gate and law would send.
     fn propose(&mut self, inputs: &Inputs, record: &mut CycleRecord) -> Answer {
         match self.gate.judge(&inputs.features, inputs.now_ns) {
             Verdict::Step { features, link } => {
                 show(&features, record);
-                let decision = self.law.step(&features, link, record);
+                let effective_ns = self.effective_ns(&features.stamp, inputs.now_ns);
+                let decision = self.law.step(&features, effective_ns, link, record);
                 if decision.hold == Hold::None {
                     self.gate.approve();
                 } else {

@@ -5,15 +5,16 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use ipc::{
-    CameraPorts, Domain, Features, RobotFaults, RobotMode, RobotState, TwistCommand, TwistState,
-    now_ns,
+    CameraPorts, Domain, Features, RobotFaults, RobotMode, RobotState, Stamp, TwistCommand,
+    TwistState, now_ns,
 };
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use serde::Serialize;
 
 use crate::camera::FreeCamera;
-use crate::carrier::Carrier;
+use crate::carrier::{Carrier, Executed};
 use crate::config::{Clock, Config};
+use crate::pose::RigidPose;
 use crate::recording::{Record, Recorder};
 use crate::referee::{Place, Referee, Verdict};
 use crate::sensor::Sensor;
@@ -85,13 +86,18 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
     // The run begins with the first command of an armed controller, which may come late.
     let mut begun = false;
     let mut command: Option<TwistCommand> = None;
-    let mut release = now_ns();
+    // The same while it is valid: what the camera executes.
+    let mut standing = command;
+    let start_ns = now_ns();
+    let mut release = start_ns;
+    // The instant of the camera's pose, at which the next frame is exposed.
+    let mut exposure = start_ns;
     while !stop.load(Ordering::Relaxed) {
-        let exposure = now_ns();
         let Ok(points) = camera.features() else {
             outcome.verdict = "lost_sight";
             break;
         };
+        let pose = *camera.pose();
         outcome.error_px = referee.error(&points);
         let verdict = referee.judge(&points, outcome.time_s);
         outcome.least_clearance_px = referee.least_clearance();
@@ -121,14 +127,23 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
 
         let frame = sensor.expose(&points, exposure);
         let sent = match &frame {
-            Some(frame) => Some(
-                ports
-                    .features
-                    .publish(&Features::new(&frame.points, frame.exposure_ns))?,
-            ),
+            Some(frame) => {
+                let mut features = Features::new(&frame.points, frame.exposure_ns);
+                features.stamp = Stamp {
+                    // Frames are numbered as they are exposed: a lost one shows as a gap.
+                    sequence: outcome.frames - config.flaws.delay_frames as u64,
+                    published_ns: match config.clock {
+                        Clock::Lockstep => exposure,
+                        Clock::Fixed => now_ns(),
+                    },
+                    data_ns: frame.exposure_ns,
+                };
+                Some(ports.features.publish_verbatim(&features)?)
+            }
             None => None,
         };
-        match config.clock {
+        // The instant of the next exposure. Until then the camera moves: here on the fixed clock, below in lockstep.
+        let next = match config.clock {
             Clock::Lockstep => {
                 if let Some(sent) = &sent {
                     let answer = ports.wait_for_answer(sent, PATIENCE)?;
@@ -143,43 +158,49 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
                     };
                     command = Some(answer.message);
                 }
+                start_ns + (outcome.frames as f64 * 1e9 * ts).round() as u64
             }
             Clock::Fixed => {
                 release += period_ns;
                 sleep_until(release, stop);
-                if let Some(newest) = ports.twist.latest()? {
-                    command = Some(newest.message);
+                let now = now_ns();
+                let mut moved = exposure;
+                // Each command takes effect when it was sent, in the middle of a period.
+                while let Some(newer) = ports.twist.oldest()? {
+                    let sent = newer.stamp.published_ns.clamp(moved, now);
+                    carry(&mut camera, &carrier, standing.as_ref(), moved, sent);
+                    (moved, command) = (sent, Some(newer.message));
+                    standing = command;
                 }
+                carry(&mut camera, &carrier, standing.as_ref(), moved, now);
+                now
             }
-        }
+        };
         begun |= command.is_some_and(|command| command.state() != Some(TwistState::Disarmed));
 
-        let next = now_ns() + period_ns;
         let valid = command.filter(|command| match config.clock {
             Clock::Lockstep => true,
             // What would be too old before the next frame is too old now.
-            Clock::Fixed => {
-                let published = command.stamp.published_ns;
-                next <= command.valid_until_ns && next <= published.saturating_add(stale_ns)
-            }
+            Clock::Fixed => next + period_ns <= end_ns(command, stale_ns),
         });
+        standing = valid;
         let executed = carrier.execute(&valid.map_or([0.0; 6], |command| command.twist));
         outcome.stale += u64::from(begun && valid.is_none());
         outcome.limited += u64::from(executed.limited);
         publish_state(
             &mut ports,
-            &camera,
-            sent.map_or(0, |sent| sent.sequence),
-            &executed.twist,
+            &pose,
+            exposure,
+            outcome.frames,
+            &executed,
             begun,
             valid.is_some(),
-            executed.limited,
         )?;
         if let Some(recorder) = &mut recorder {
             recorder.add(&Record {
                 time_s: outcome.time_s,
-                translation: camera.pose().translation.into(),
-                rotation: camera.pose().rotation_vector(),
+                translation: pose.translation.into(),
+                rotation: pose.rotation_vector(),
                 features: points.to_vec(),
                 measured: frame.map(|frame| frame.points.to_vec()),
                 twist: executed.twist,
@@ -193,10 +214,13 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
                 outcome.time_s, outcome.error_px
             );
         }
-        camera.advance(&executed.twist, ts);
-        if begun {
-            outcome.time_s += ts;
+        if config.clock == Clock::Lockstep {
+            camera.advance(&executed.twist, ts);
         }
+        if begun {
+            outcome.time_s += (next - exposure) as f64 * 1e-9;
+        }
+        exposure = next;
     }
     if config.progress {
         eprintln!();
@@ -210,20 +234,40 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
     Ok(outcome)
 }
 
+/// When a command that is older than `stale_ns` then, or that says so itself, is no longer executed, ns.
+fn end_ns(command: &TwistCommand, stale_ns: u64) -> u64 {
+    let stale = command.stamp.published_ns.saturating_add(stale_ns);
+    stale.min(command.valid_until_ns)
+}
+
+/// Moves the camera from one instant to another by a command, for as long as that is valid.
+fn carry(
+    camera: &mut FreeCamera,
+    carrier: &Carrier,
+    command: Option<&TwistCommand>,
+    from_ns: u64,
+    to_ns: u64,
+) {
+    if let Some(command) = command {
+        let end_ns = to_ns.min(command.valid_until_ns);
+        let seconds = end_ns.saturating_sub(from_ns) as f64 * 1e-9;
+        camera.advance(&carrier.execute(&command.twist).twist, seconds);
+    }
+}
+
 fn publish_state(
     ports: &mut CameraPorts,
-    camera: &FreeCamera,
+    pose: &RigidPose,
+    exposure_ns: u64,
     features_sequence: u64,
-    twist: &[f64; 6],
+    executed: &Executed,
     begun: bool,
     valid: bool,
-    limited: bool,
 ) -> anyhow::Result<()> {
-    let pose = camera.pose();
-    let mut state =
-        RobotState::free_camera(pose.translation.into(), pose.rotation_vector(), now_ns());
+    let (translation, rotation) = (pose.translation.into(), pose.rotation_vector());
+    let mut state = RobotState::free_camera(translation, rotation, exposure_ns);
     state.features_sequence = features_sequence;
-    state.twist = *twist;
+    state.twist = executed.twist;
     let mode = match (begun, valid) {
         (false, _) => RobotMode::Idle,
         (true, true) => RobotMode::Moving,
@@ -233,7 +277,7 @@ fn publish_state(
     if begun && !valid {
         state.faults |= RobotFaults::STALE_COMMAND.0;
     }
-    if limited {
+    if executed.limited {
         state.faults |= RobotFaults::COMMAND_LIMITED.0;
     }
     ports.robot.publish(&state)?;
@@ -249,5 +293,37 @@ fn sleep_until(ns: u64, stop: &AtomicBool) {
     while now_ns() < ns && !stop.load(Ordering::Relaxed) {
         // Interrupted or not, the loop's condition decides.
         let _ = clock_nanosleep_absolute(ClockId::Monotonic, &until);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ipc::TwistState;
+    use scene::Scene;
+
+    #[test]
+    fn a_command_carries_the_camera_for_as_long_as_it_is_valid() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let carrier = Carrier::free_flying(scene.limits);
+        let mut camera = FreeCamera::new(&scene, &scene.goal);
+        let mut command = TwistCommand::zero(TwistState::Moving);
+        command.twist = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0];
+        command.stamp.published_ns = 1_000_000_000;
+        command.valid_until_ns = 1_100_000_000;
+        assert_eq!(end_ns(&command, 60_000_000), 1_060_000_000);
+        assert_eq!(end_ns(&command, 200_000_000), 1_100_000_000);
+        let mut moved = |from_ns: u64, to_ns: u64| {
+            let before = camera.pose().translation.x;
+            carry(&mut camera, &carrier, Some(&command), from_ns, to_ns);
+            before - camera.pose().translation.x
+        };
+        assert!((moved(1_010_000_000, 1_030_000_000) - 0.002).abs() < 1e-12);
+        // 70 ms are left of the 100.
+        assert!((moved(1_030_000_000, 1_200_000_000) - 0.007).abs() < 1e-12);
+        assert_eq!(moved(1_200_000_000, 1_300_000_000), 0.0);
+        let still = *camera.pose();
+        carry(&mut camera, &carrier, None, 0, 1_000_000_000);
+        assert_eq!(*camera.pose(), still);
     }
 }

@@ -1,11 +1,12 @@
-//! One closed-loop run: the law against the emulator's exact camera, judged by the emulator's referee.
+//! One closed-loop run: the law against the emulator's camera, judged by the emulator's referee.
 
 use std::time::Instant;
 
+use hw_sim::sensor::{Flaws, Sensor};
 use hw_sim::{FreeCamera, Referee, Verdict};
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::{Controller, Measurement, MotionMemory};
+use vpc::{Controller, Measurement, MotionMemory, Refusal, Step};
 
 /// What happened in a run.
 #[derive(Clone, Debug)]
@@ -40,25 +41,48 @@ pub enum Reason {
     LostSight,
 }
 
+/// Periods without a frame after which the twist is zero: the daemon's default.
+const STALE_PERIODS: usize = 3;
+
 /// One cycle of a run.
 #[derive(Clone, Debug)]
 pub struct Moment {
     /// True features, px.
     pub features: Vec<[f64; 2]>,
+    /// What the camera delivered; `None` where no frame came.
+    pub measured: Option<Measurement>,
+    /// Whether the frame before was missing.
+    pub gap: bool,
+    /// The simulated time, ns.
+    pub now_ns: u64,
     /// Twist sent.
     pub twist: [f64; 6],
     /// Way point tracked, px.
     pub way_point: Option<Vec<[f64; 2]>>,
 }
 
-/// Runs the law from a start for the scene's time. The run is decided when the features arrive, when a constraint is
-/// violated, or when time is up; a run that arrived goes on regulating, watched, so that the mean cost of every run
-/// is taken over the same time.
+/// Runs the law from a start for the scene's time, against a camera without flaws. As [`flawed`].
 pub fn run(
     scene: &Scene,
     controller: &mut Controller,
     memory: Option<&dyn MotionMemory>,
     start: &Pose,
+) -> Run {
+    flawed(scene, controller, memory, start, Flaws::default())
+}
+
+/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is decided when the features arrive, when a constraint is
+/// violated, or when time is up; a run that arrived goes on regulating, watched, so that the mean cost of every run
+/// is taken over the same time.
+///
+/// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and what answers it
+/// takes effect when it is delivered. Where no frame comes the last twist stands, after three periods the zero twist.
+pub fn flawed(
+    scene: &Scene,
+    controller: &mut Controller,
+    memory: Option<&dyn MotionMemory>,
+    start: &Pose,
+    flaws: Flaws,
 ) -> Run {
     controller.reset();
     let ts = scene.sampling_time();
@@ -66,6 +90,8 @@ pub fn run(
     let np = controller.settings().np as f64;
     let mut camera = FreeCamera::new(scene, start);
     let mut referee = Referee::new(scene);
+    let mut sensor = Sensor::new(flaws);
+    let (mut standing, mut silence) = ([0.0; 6], STALE_PERIODS);
     let mut run = Run {
         success: false,
         reason: Some(Reason::NotConverged),
@@ -89,22 +115,38 @@ pub fn run(
             }
             Verdict::Arrived | Verdict::Running | Verdict::TimeOut => {}
         }
-        let measurement = Measurement::from_points(&features);
-        let step = controller.step(&measurement, memory);
-        // A refusal means the zero twist, as in the daemon.
-        let twist = step.as_ref().map_or([0.0; 6], |step| step.twist);
+        let now_ns = (k as f64 * ts * 1e9).round() as u64;
+        let frame = sensor.expose(&features, now_ns);
+        let measured = frame
+            .map(|frame| Measurement::from_points(&frame.points).taken(frame.exposure_ns, now_ns));
+        let gap = silence > 0;
+        let step = measured
+            .as_ref()
+            .map(|measured| cycle(controller, memory, measured, gap));
+        let twist = match &step {
+            Some(Ok(step)) => step.twist,
+            // A refusal means the zero twist, as in the daemon; and so does silence.
+            Some(Err(_)) => [0.0; 6],
+            None if silence >= STALE_PERIODS => [0.0; 6],
+            None => standing,
+        };
+        controller.sent(&twist, now_ns);
+        (standing, silence) = (twist, if step.is_some() { 0 } else { silence + 1 });
         cycles += 1.0;
+        let step = step.and_then(Result::ok);
         if !run.success {
             run.history.push(Moment {
                 features: features.to_vec(),
+                measured,
+                gap,
+                now_ns,
                 twist,
                 way_point: step
                     .as_ref()
-                    .ok()
                     .and_then(|step| Some(step.way_point.as_ref()?.to_vec())),
             });
         }
-        if let Ok(step) = step {
+        if let Some(step) = step {
             cost += step.cost / np;
             if !run.success {
                 run.iterations += u64::from(step.iterations);
@@ -115,6 +157,19 @@ pub fn run(
     }
     run.cost = cost / cycles.max(1.0);
     run
+}
+
+/// One cycle of the law, which is told where the frame before was missing.
+fn cycle(
+    controller: &mut Controller,
+    memory: Option<&dyn MotionMemory>,
+    measured: &Measurement,
+    gap: bool,
+) -> Result<Step, Refusal> {
+    if gap {
+        controller.skip_mismatch();
+    }
+    controller.step(measured, memory)
 }
 
 /// Replays the cycles of a run through the law `repeats` times and notes the median time of each: other work on the
@@ -132,13 +187,15 @@ pub fn time(
     for _ in 0..repeats {
         controller.reset();
         for (cycle, (moment, times)) in run.history.iter().zip(&mut times).enumerate() {
-            let measurement = Measurement::from_points(&moment.features);
-            let begin = Instant::now();
-            let step = controller.step(&measurement, memory);
-            times.push(begin.elapsed().as_secs_f64() * 1e6);
-            if step.map_or([0.0; 6], |step| step.twist) != moment.twist {
-                return Err(NotRepeatable { cycle });
+            if let Some(measured) = &moment.measured {
+                let begin = Instant::now();
+                let step = self::cycle(controller, memory, measured, moment.gap);
+                times.push(begin.elapsed().as_secs_f64() * 1e6);
+                if step.map_or([0.0; 6], |step| step.twist) != moment.twist {
+                    return Err(NotRepeatable { cycle });
+                }
             }
+            controller.sent(&moment.twist, moment.now_ns);
         }
     }
     run.cycles_us = times

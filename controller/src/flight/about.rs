@@ -98,6 +98,7 @@ pub struct SettingsAbout {
     release: f64,
     margin_px: f64,
     lambda: f64,
+    delay_compensation: bool,
 }
 
 impl From<&Settings> for SettingsAbout {
@@ -113,6 +114,7 @@ impl From<&Settings> for SettingsAbout {
             release,
             margin_px,
             lambda,
+            delay_compensation,
         } = *settings;
         Self {
             strategy: strategy.to_string(),
@@ -125,6 +127,7 @@ impl From<&Settings> for SettingsAbout {
             release,
             margin_px,
             lambda,
+            delay_compensation,
         }
     }
 }
@@ -158,6 +161,7 @@ impl SettingsAbout {
             release: self.release,
             margin_px: self.margin_px,
             lambda: self.lambda,
+            delay_compensation: self.delay_compensation,
         };
         settings.check().map_err(|error| error.to_string())?;
         Ok(settings)

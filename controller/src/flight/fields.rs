@@ -382,12 +382,37 @@ impl Words for vpc::State {
             previous,
             count,
             predicted,
+            seen_count,
+            seen,
+            seen_ns,
+            history,
         } = self;
         strategy_words(visit, strategy);
         visit.flag("near", near);
         visit.reals("previous", previous);
         visit.u32("count", count);
         visit.reals("predicted", predicted.as_flattened_mut());
+        visit.u32("seen_count", seen_count);
+        visit.reals("seen", seen.as_flattened_mut());
+        visit.u64("seen_ns", seen_ns);
+        visit.part("history", history);
+    }
+}
+
+impl Words for vpc::delay::History {
+    fn words<V: Visit>(&mut self, visit: &mut V) {
+        let Self {
+            count,
+            from_ns,
+            twists,
+            from_rest,
+            validity_ns,
+        } = self;
+        visit.u32("count", count);
+        visit.field("from_ns", Kind::Unsigned, from_ns);
+        visit.reals("twists", twists.as_flattened_mut());
+        visit.flag("from_rest", from_rest);
+        visit.u64("validity_ns", validity_ns);
     }
 }
 

@@ -3,6 +3,7 @@
 use scene::Scene;
 
 use crate::cost;
+use crate::delay::{History, Unpredictable};
 use crate::features;
 use crate::gate::{self, Measurement, Refusal};
 use crate::prediction::{Origin, Plan, Preview};
@@ -24,6 +25,15 @@ pub struct Controller {
     pub(crate) trigger: Trigger,
     pub(crate) previous: Plan,
     pub(crate) predicted: Option<Points>,
+    pub(crate) seen: Option<Seen>,
+    pub(crate) history: History,
+}
+
+/// The measurement of the cycle before, for the mismatch of delayed features.
+#[derive(Clone)]
+pub(crate) struct Seen {
+    pub(crate) points: Points,
+    pub(crate) exposed_ns: u64,
 }
 
 /// What one cycle decided.
@@ -45,9 +55,9 @@ pub struct Step {
     pub cost: f64,
     /// Worst violation predicted over the window, px.
     pub violation_px: f64,
-    /// Least clearance of a measured feature from an occlusion, px.
+    /// Least clearance of a feature from an occlusion, px; of the features at the command's effect.
     pub clearance_px: f64,
-    /// Largest component of s - s*, px.
+    /// Largest component of s - s*, px; of the features at the command's effect.
     pub error_px: f64,
 }
 
@@ -66,8 +76,27 @@ impl Controller {
             trigger: Trigger::new(settings.trigger_px, settings.release),
             previous: [0.0; MAX_VARIABLES],
             predicted: None,
+            seen: None,
+            history: History::new(),
             settings,
         })
+    }
+
+    /// Tells that this controller steers a robot in real time: each command is obeyed for `validity_ns` at most, and
+    /// what moved the camera before the first is unknown. Without this call, time is simulated: the camera stands still
+    /// before the first command and obeys each until the next.
+    pub fn go_live(&mut self, validity_ns: u64) {
+        self.history = History::live(validity_ns);
+    }
+
+    /// Tells that it is not known what was sent so far: delayed features are refused until enough is.
+    pub fn forget_sent(&mut self) {
+        self.history.forget();
+    }
+
+    /// Tells that `twist` was really sent at `at_ns`, whoever chose it: zero, repeated and braking ones too.
+    pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
+        self.history.push(twist, at_ns);
     }
 
     /// The task.
@@ -94,17 +123,19 @@ impl Controller {
         Ok(())
     }
 
-    /// Forgets everything of earlier cycles: for a new run.
+    /// Forgets everything of earlier cycles: for a new run. A live robot's commands stay known: it executed them.
     pub fn reset(&mut self) {
         self.trigger.reset();
         self.previous = [0.0; MAX_VARIABLES];
-        self.predicted = None;
+        self.skip_mismatch();
+        self.history.restart();
     }
 
     /// Forgets the prediction for this cycle, where the last command was not in force for one sampling time (a
     /// dropped frame, a skipped release): its mismatch would not be the model's.
     pub fn skip_mismatch(&mut self) {
         self.predicted = None;
+        self.seen = None;
     }
 
     /// One cycle: measured features in, camera twist out. Never allocates; its work is bounded.
@@ -116,11 +147,11 @@ impl Controller {
         measurement: &Measurement,
         memory: Option<&dyn MotionMemory>,
     ) -> Result<Step, Refusal> {
-        let points = gate::pass(&self.task, measurement, self.off_image_px).inspect_err(|_| {
-            self.predicted = None;
+        let (origin, mismatch) = self.receive(measurement).inspect_err(|_| {
+            self.skip_mismatch();
             self.previous = [0.0; MAX_VARIABLES];
         })?;
-        let origin = Origin::new(&self.task, self.settings.model, points);
+        let points = &origin.points;
         let clearance_px = recall::clearance(&self.task, points);
         let mut step = Step {
             twist: [0.0; DOF],
@@ -138,11 +169,56 @@ impl Controller {
             self.servo(&origin, &mut step);
         } else {
             let recall = self.recall(points, clearance_px, memory);
-            self.plan(&origin, recall, &mut step);
+            self.plan(&origin, recall, mismatch.as_ref(), &mut step);
         }
         self.predict(&origin, &step.twist);
         step.cost = self.running_cost(&origin, &step.twist);
         Ok(step)
+    }
+
+    /// Where the preview starts: the features that pass the gate, advanced to the command's effect; and eps.
+    fn receive(&mut self, measurement: &Measurement) -> Result<(Origin, Option<Points>), Refusal> {
+        let points = gate::pass(&self.task, measurement, self.off_image_px)?;
+        let Settings { model, .. } = self.settings;
+        let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
+        let measured = Origin::new(&self.task, model, points);
+        let mismatch = match age_ns {
+            0 => self.predicted.as_ref().map(|m| difference(points, m)),
+            _ => self.mismatch_at_exposure(&measured, exposed_ns),
+        };
+        let origin = if age_ns == 0 || !self.settings.delay_compensation {
+            measured.clone()
+        } else {
+            let now_ns = measurement.effective_ns;
+            let advanced = self
+                .history
+                .advance(&self.task, model, &measured, exposed_ns, now_ns);
+            advanced.map_err(|reason| match reason {
+                Unpredictable::Unknown { known_ns } => Refusal::Late { age_ns, known_ns },
+                Unpredictable::Lost => Refusal::Lost,
+            })?
+        };
+        self.seen = Some(Seen {
+            points: measured.points,
+            exposed_ns,
+        });
+        Ok((origin, mismatch))
+    }
+
+    /// eps, like with like: measured at this exposure, minus predicted for this exposure from the one before with the
+    /// commands that were in force between.
+    fn mismatch_at_exposure(&self, measured: &Origin, exposed_ns: u64) -> Option<Points> {
+        let seen = self
+            .seen
+            .as_ref()
+            .filter(|seen| seen.exposed_ns < exposed_ns)?;
+        let model = self.settings.model;
+        let before = Origin::new(&self.task, model, &seen.points);
+        let expected =
+            self.history
+                .advance(&self.task, model, &before, seen.exposed_ns, exposed_ns);
+        let expected = expected.ok()?.explained(&self.task);
+        Some(difference(&measured.points, &expected))
     }
 
     /// The classic law, scaled as a whole into the limits.
@@ -166,13 +242,19 @@ impl Controller {
     }
 
     /// Solves the optimal-control problem towards way point or goal, and limits its first command.
-    fn plan(&mut self, origin: &Origin, recall: Option<Recall>, step: &mut Step) {
+    fn plan(
+        &mut self,
+        origin: &Origin,
+        recall: Option<Recall>,
+        mismatch: Option<&Points>,
+        step: &mut Step,
+    ) {
         let points = &origin.points;
         let (warm, tracked) = match &recall {
             Some(recall) => (repeated(&recall.twist), &recall.way_point),
             None => (self.previous, &self.task.goal),
         };
-        let target = self.corrected(points, tracked);
+        let target = corrected(tracked, mismatch);
         let problem = Problem {
             task: &self.task,
             origin,
@@ -193,21 +275,6 @@ impl Controller {
         step.recalled = recall.is_some();
         step.way_point = recall.map(|recall| recall.way_point);
         self.previous = solution.plan;
-    }
-
-    /// s_d = s* - eps: what is tracked, corrected by the mismatch between the measurement and what the last cycle
-    /// predicted for now.
-    ///
-    /// Source: paper, Eq. (model).
-    fn corrected(&self, points: &Points, tracked: &Points) -> Points {
-        match &self.predicted {
-            Some(predicted) => tracked
-                .iter()
-                .zip(points.iter().zip(predicted))
-                .map(|(t, (s, m))| [t[0] - (s[0] - m[0]), t[1] - (s[1] - m[1])])
-                .collect(),
-            None => tracked.clone(),
-        }
     }
 
     /// Remembers where the features should be one sampling time after `twist`.
@@ -237,4 +304,22 @@ impl Controller {
 /// Source: paper, Eq. (warm_start).
 fn repeated(twist: &Twist) -> Plan {
     core::array::from_fn(|k| twist[k % DOF])
+}
+
+/// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.
+///
+/// Source: paper, Eq. (model).
+fn corrected(tracked: &Points, mismatch: Option<&Points>) -> Points {
+    match mismatch {
+        Some(eps) => difference(tracked, eps),
+        None => tracked.clone(),
+    }
+}
+
+/// a - b, point by point.
+fn difference(a: &Points, b: &Points) -> Points {
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| [a[0] - b[0], a[1] - b[1]])
+        .collect()
 }

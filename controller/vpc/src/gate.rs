@@ -8,15 +8,33 @@ use crate::task::Task;
 pub struct Measurement {
     /// The points (u, v).
     pub points: Points,
+    /// When they were exposed, ns.
+    pub exposed_ns: u64,
+    /// When the command that answers them takes effect, on the same clock, ns.
+    pub effective_ns: u64,
 }
 
 impl Measurement {
-    /// A measurement of these points; those past [`crate::MAX_POINTS`] are left out, and the gate then refuses the
-    /// count.
+    /// A measurement of these points, of this very instant; those past [`crate::MAX_POINTS`] are left out, and the gate
+    /// then refuses the count.
     pub fn from_points(points: &[[f64; 2]]) -> Self {
         Self {
             points: points.iter().copied().take(crate::MAX_POINTS).collect(),
+            exposed_ns: 0,
+            effective_ns: 0,
         }
+    }
+
+    /// The same points, exposed at `exposed_ns`, for a command that takes effect at `effective_ns`. An exposure after
+    /// that counts as one of that instant.
+    pub fn taken(mut self, exposed_ns: u64, effective_ns: u64) -> Self {
+        (self.exposed_ns, self.effective_ns) = (exposed_ns.min(effective_ns), effective_ns);
+        self
+    }
+
+    /// Time from the exposure to the command's effect, ns.
+    pub fn age_ns(&self) -> u64 {
+        self.effective_ns.saturating_sub(self.exposed_ns)
     }
 }
 
@@ -42,6 +60,15 @@ pub enum Refusal {
         /// Where it lies, px.
         pixel: [f64; 2],
     },
+    /// They were exposed before the commands that are remembered: where they are now cannot be told.
+    Late {
+        /// Time from the exposure to the command's effect, ns.
+        age_ns: u64,
+        /// How far back the commands are known, ns.
+        known_ns: u64,
+    },
+    /// By the commands sent since the exposure, the pattern is out of every camera's sight now.
+    Lost,
 }
 
 impl core::error::Error for Refusal {}
@@ -68,6 +95,20 @@ impl core::fmt::Display for Refusal {
                 write!(
                     f,
                     "features: point {point} = ({u:.1}, {v:.1}) px; allowed: inside the image"
+                )
+            }
+            Self::Late { age_ns, known_ns } => {
+                write!(
+                    f,
+                    "features: exposed {:.1} ms ago; allowed: {:.1} ms, since when the commands are known",
+                    *age_ns as f64 * 1e-6,
+                    *known_ns as f64 * 1e-6
+                )
+            }
+            Self::Lost => {
+                write!(
+                    f,
+                    "features: the pattern is out of sight by the commands since the exposure; allowed: in front of the camera"
                 )
             }
         }

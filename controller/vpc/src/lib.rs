@@ -3,7 +3,7 @@
 //! `no_std`, no heap, no unsafe: a cycle that allocates is a compile error here. A cycle runs through the modules in
 //! this order, and so does a reader:
 //!
-//! *measured features* -> [`gate`] (refuse what cannot be trusted) -> [`recall`] (warm start and way point from the
+//! *measured features* -> [`gate`] (refuse what cannot be trusted) -> [`delay`] (from their exposure to now) -> [`recall`] (warm start and way point from the
 //! memory, when features come near a constraint) -> [`solver`] (bounded sequential quadratic programming over the
 //! [`prediction`]) -> [`limit`] (never more than allowed) -> *camera twist*. [`Controller::step`] is that sentence.
 //!
@@ -39,6 +39,7 @@ pub mod camera;
 pub mod constraint;
 pub mod controller;
 pub mod cost;
+pub mod delay;
 pub mod features;
 pub mod gate;
 pub mod hand_eye;

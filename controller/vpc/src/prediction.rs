@@ -37,6 +37,13 @@ pub struct Origin {
     knowledge: Knowledge,
 }
 
+/// Longest step with which the motion of a depth model is integrated, as a share of the sampling time.
+const STEP: f64 = 0.5;
+/// Most of these steps, so that the work is bounded.
+const MOST_STEPS: f64 = 128.0;
+/// Normalised image coordinates beyond this are no image any more.
+const NO_IMAGE: f64 = 1e3;
+
 #[derive(Clone, Debug)]
 enum Knowledge {
     Depths(Vec<f64, MAX_POINTS>),
@@ -64,6 +71,75 @@ impl Origin {
             Knowledge::Space(points) => points.iter().map(|x| x.z).collect(),
         }
     }
+
+    /// The features as the model explains them, px: for [`Model::Pose`] the projection of the pattern at its pose, else
+    /// the measured ones themselves.
+    pub fn explained(&self, task: &Task) -> Points {
+        match &self.knowledge {
+            Knowledge::Depths(_) => self.points.clone(),
+            Knowledge::Space(points) => seen(task, points),
+        }
+    }
+
+    /// The origin after the camera has moved at `twist` for `seconds`. What the model does not explain of the features
+    /// stays with them. `None` where a point would be behind the camera or run away.
+    pub fn moved(&self, task: &Task, model: Model, twist: &Twist, seconds: f64) -> Option<Self> {
+        match &self.knowledge {
+            Knowledge::Space(before) => {
+                let motion = Motion::of_camera(twist, seconds);
+                let after: Vec<_, MAX_POINTS> = before.iter().map(|x| motion.apply(x)).collect();
+                let in_front = |x: &Vector3<f64>| x.z > 1e-6;
+                let moves = seen(task, before).into_iter().zip(seen(task, &after));
+                let pairs = self.points.iter().zip(moves);
+                after.iter().all(in_front).then(|| Self {
+                    points: pairs
+                        .map(|(s, (b, a))| [a[0] + (s[0] - b[0]), a[1] + (s[1] - b[1])])
+                        .collect(),
+                    knowledge: Knowledge::Space(after),
+                })
+            }
+            Knowledge::Depths(_) => {
+                let steps = libm::ceil(seconds / (STEP * task.ts)).clamp(1.0, MOST_STEPS);
+                let mut origin = self.clone();
+                for _ in 0..steps as u32 {
+                    origin = origin.drifted(task, model, twist, seconds / steps)?;
+                }
+                Some(origin)
+            }
+        }
+    }
+
+    /// One step of a depth model by the midpoint rule.
+    fn drifted(&self, task: &Task, model: Model, v: &Twist, h: f64) -> Option<Self> {
+        let slide = |from: &Points, at: &Self, h: f64| -> Option<Points> {
+            let depths = at.depths();
+            let pairs = from.iter().zip(at.points.iter().zip(&depths));
+            let slid = pairs.map(|(&start, (&point, &z))| {
+                let start = camera::normalise(&task.camera, start);
+                let (rate, _) = interaction::flow(camera::normalise(&task.camera, point), z, v);
+                let end = [start[0] + h * rate[0], start[1] + h * rate[1]];
+                // Written so that a NaN fails.
+                (end[0].abs() < NO_IMAGE && end[1].abs() < NO_IMAGE)
+                    .then(|| camera::pixel(&task.camera, end))
+            });
+            slid.collect()
+        };
+        let at = |points: Points| {
+            let knowledge = match model {
+                Model::TargetDepth => self.knowledge.clone(),
+                Model::AreaDepth | Model::Pose => area_depth(task, &points),
+            };
+            Self { points, knowledge }
+        };
+        let middle = at(slide(&self.points, self, 0.5 * h)?);
+        Some(at(slide(&self.points, &middle, h)?))
+    }
+}
+
+/// Pixels of points in the camera frame that are in front of it.
+fn seen(task: &Task, points: &[Vector3<f64>]) -> Points {
+    let see = |x: &Vector3<f64>| camera::pixel(&task.camera, [x.x / x.z, x.y / x.z]);
+    points.iter().map(see).collect()
 }
 
 fn area_depth(task: &Task, points: &Points) -> Knowledge {

@@ -1,6 +1,7 @@
 //! What one cycle of the law leaves to the next, as plain data.
 
-use crate::controller::Controller;
+use crate::controller::{Controller, Seen};
+use crate::delay::History;
 use crate::prediction::Plan;
 use crate::settings::Strategy;
 use crate::{MAX_POINTS, MAX_VARIABLES, Points};
@@ -20,6 +21,14 @@ pub struct State {
     pub count: u32,
     /// Where the features should be in the next cycle (u, v), px; the rest is zero.
     pub predicted: [[f64; 2]; MAX_POINTS],
+    /// Points in `seen`, 0 to 8; 0 where there was no measurement.
+    pub seen_count: u32,
+    /// The last measurement (u, v), px; the rest is zero.
+    pub seen: [[f64; 2]; MAX_POINTS],
+    /// Its exposure, ns; 0 where there was none.
+    pub seen_ns: u64,
+    /// The commands that were sent.
+    pub history: History,
 }
 
 impl State {
@@ -31,21 +40,26 @@ impl State {
             previous: [0.0; MAX_VARIABLES],
             count: 0,
             predicted: [[0.0; 2]; MAX_POINTS],
+            seen_count: 0,
+            seen: [[0.0; 2]; MAX_POINTS],
+            seen_ns: 0,
+            history: History::new(),
         }
     }
+}
 
-    pub(crate) fn predict(&mut self, points: &Points) {
-        self.predicted = [[0.0; 2]; MAX_POINTS];
-        self.count = points.len() as u32;
-        for (to, from) in self.predicted.iter_mut().zip(points) {
-            *to = *from;
-        }
+/// Points as plain data: their count, and zeros behind them.
+fn plain(points: &Points) -> (u32, [[f64; 2]; MAX_POINTS]) {
+    let mut plain = [[0.0; 2]; MAX_POINTS];
+    for (to, from) in plain.iter_mut().zip(points) {
+        *to = *from;
     }
+    (points.len() as u32, plain)
+}
 
-    pub(crate) fn prediction(&self) -> Option<Points> {
-        let count = self.count as usize;
-        (count > 0).then(|| self.predicted.iter().copied().take(count).collect())
-    }
+/// The points again; `None` where the count is zero.
+fn points(count: u32, plain: &[[f64; 2]; MAX_POINTS]) -> Option<Points> {
+    (count > 0).then(|| plain.iter().copied().take(count as usize).collect())
 }
 
 impl Controller {
@@ -61,14 +75,21 @@ impl Controller {
             trigger,
             previous,
             predicted,
+            seen,
+            history,
         } = self;
         let mut state = State {
             near: trigger.is_close(),
             previous: *previous,
+            history: *history,
             ..State::new(settings.strategy)
         };
         if let Some(points) = predicted {
-            state.predict(points);
+            (state.count, state.predicted) = plain(points);
+        }
+        if let Some(Seen { points, exposed_ns }) = seen {
+            (state.seen_count, state.seen) = plain(points);
+            state.seen_ns = *exposed_ns;
         }
         state
     }
@@ -78,7 +99,12 @@ impl Controller {
         self.settings.strategy = state.strategy;
         self.trigger.set_close(state.near);
         self.previous = state.previous;
-        self.predicted = state.prediction();
+        self.predicted = points(state.count, &state.predicted);
+        self.seen = points(state.seen_count, &state.seen).map(|points| Seen {
+            points,
+            exposed_ns: state.seen_ns,
+        });
+        self.history = state.history;
     }
 }
 
@@ -87,16 +113,20 @@ mod tests {
     use super::*;
     use crate::{Measurement, Settings};
 
+    /// One period of the scene's camera, ns.
+    const PERIOD: u64 = 33_333_333;
+
     /// A drifting square that passes the occlusions of the scene.
-    fn view(k: usize) -> Measurement {
+    fn view(k: usize, age_ns: u64) -> Measurement {
         let (u, v) = (400.0 + 3.0 * k as f64, 350.0 + 1.7 * k as f64);
         Measurement::from_points(&[[u, v], [u + 90.0, v], [u + 90.0, v + 95.0], [u, v + 90.0]])
+            .taken(PERIOD * k as u64, PERIOD * k as u64 + age_ns)
     }
 
     #[test]
     fn a_restored_controller_goes_on_with_the_same_bits() {
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-        for nc in [1, 3] {
+        for (nc, age_ns) in [(1, 0), (3, 0), (1, 4 * PERIOD)] {
             let settings = Settings {
                 nc,
                 ..Settings::default()
@@ -105,12 +135,17 @@ mod tests {
             let mut second = Box::new(Controller::new(&scene, settings).unwrap());
             for k in 0..150 {
                 // The second one has another past: what is not in the state must not matter.
-                let _ = second.step(&view(300 - k), None);
+                let _ = second.step(&view(300 - k, age_ns), None);
                 second.restore(&first.state());
                 assert_eq!(second.state(), first.state());
-                let (a, b) = (first.step(&view(k), None), second.step(&view(k), None));
+                let (a, b) = (
+                    first.step(&view(k, age_ns), None),
+                    second.step(&view(k, age_ns), None),
+                );
                 let (a, b) = (a.unwrap(), b.unwrap());
                 assert_eq!(a.twist.map(f64::to_bits), b.twist.map(f64::to_bits), "{k}");
+                first.sent(&a.twist, PERIOD * k as u64 + age_ns);
+                second.sent(&b.twist, PERIOD * k as u64 + age_ns);
                 assert_eq!((a, first.state()), (b, second.state()), "{k}");
             }
         }
@@ -121,17 +156,29 @@ mod tests {
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let mut law = Box::new(Controller::new(&scene, Settings::default()).unwrap());
         for k in 0..20 {
-            law.step(&view(k), None).unwrap();
+            let twist = law.step(&view(k, 0), None).unwrap().twist;
+            law.sent(&twist, PERIOD * k as u64);
         }
         let state = law.state();
         assert_eq!(state.count, 4);
-        let mut after = |change: fn(&mut State)| {
+        assert_eq!(state.seen_count, 4);
+        let mut after = |age_ns: u64, change: fn(&mut State)| {
             let mut changed = state;
             change(&mut changed);
             law.restore(&changed);
-            let step = law.step(&view(20), None).unwrap();
+            let step = law.step(&view(20, age_ns), None).unwrap();
             (step, law.state())
         };
+        let late = after(PERIOD, |_| ());
+        assert_eq!(late, after(PERIOD, |_| ()));
+        assert_ne!(late, after(PERIOD, |state| state.seen[0][1] += 1.0));
+        assert_ne!(late, after(PERIOD, |state| state.seen_count = 0));
+        assert_ne!(late, after(PERIOD, |state| state.seen_ns = u64::MAX));
+        assert_ne!(
+            late.0,
+            after(PERIOD, |state| state.history = History::new()).0
+        );
+        let mut after = |change: fn(&mut State)| after(0, change);
         let same = after(|_| ());
         assert_eq!(same, after(|_| ()));
         assert_ne!(same, after(|state| state.count = 0));

@@ -8,6 +8,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, bail};
 use clap::Parser;
+use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
 use memory_builder::build::{self, Progress};
@@ -16,11 +17,11 @@ use memory_builder::settings::BuildSettings;
 use scene::{Scene, read_starts};
 use serde::Serialize;
 use system_tests::row::{Row, markdown};
-use system_tests::run::{Reason, Run, run, time};
+use system_tests::run::{Reason, Run, flawed, time};
 use system_tests::spec::Spec;
-use vpc::{Controller, MotionMemory, Task};
+use vpc::{Controller, Model, MotionMemory, Settings, Task};
 
-/// Runs every strategy on the same starts against an exact camera and prints the paper's Table I.
+/// Runs every strategy on the same starts against an emulated camera and prints the paper's Table I.
 ///
 /// Runs are made one after another on one core, so that the times of cycles are honest. Every run lasts the scene's
 /// time: the cost is the mean over all its cycles.
@@ -46,6 +47,32 @@ struct Cli {
     /// Times each cycle as the median of this many replays.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     repeats: u16,
+    /// Frames between exposure and delivery.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
+    delay: u16,
+    /// Leaves the delay uncompensated: the law takes the features for those of now.
+    #[arg(long)]
+    no_compensation: bool,
+    /// Pixel noise, standard deviation, px.
+    #[arg(long, value_name = "PX", default_value_t = 0.0)]
+    noise: f64,
+    /// Probability that a frame is lost.
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    drop: f64,
+    /// What the law believes of depths is wrong by this share: it takes pattern and goal for 1 + E times as large and far.
+    #[arg(
+        long,
+        value_name = "E",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    depth_error: f64,
+    /// Seed of noise and losses; each start adds its index.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// How the law predicts features: pose, area-depth, target-depth.
+    #[arg(long, value_parser = model, default_value = "pose")]
+    model: Model,
     /// Writes rows and runs to this file.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -60,6 +87,12 @@ struct Document {
     scene: String,
     starts: String,
     memory: Option<String>,
+    delay_frames: u16,
+    delay_compensation: bool,
+    noise_px: f64,
+    drop: f64,
+    depth_error: f64,
+    seed: u64,
     rows: Vec<Row>,
     runs: Vec<Record>,
 }
@@ -76,6 +109,16 @@ struct Record {
     cost: f64,
 }
 
+/// A model by its word in configuration files.
+fn model(word: &str) -> Result<Model, String> {
+    match word {
+        "pose" => Ok(Model::Pose),
+        "area-depth" => Ok(Model::AreaDepth),
+        "target-depth" => Ok(Model::TargetDepth),
+        _ => Err("allowed: pose, area-depth, target-depth".to_owned()),
+    }
+}
+
 fn main() -> ExitCode {
     match table(&Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
@@ -87,6 +130,15 @@ fn main() -> ExitCode {
 }
 
 fn table(cli: &Cli) -> anyhow::Result<()> {
+    for (flag, value, least, most) in [
+        ("--noise", cli.noise, 0.0, 100.0),
+        ("--drop", cli.drop, 0.0, 1.0),
+        ("--depth-error", cli.depth_error, -0.9, 9.0),
+    ] {
+        if !(least..=most).contains(&value) {
+            bail!("{flag} = {value}; allowed: {least} to {most}");
+        }
+    }
     let scene = Scene::read(&cli.scene)?;
     let task = Task::new(&scene).with_context(|| cli.scene.display().to_string())?;
     let starts = read_starts(&cli.starts)?;
@@ -101,15 +153,27 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
     };
     let view = memory.as_ref().map(MemoryFile::view);
 
+    let believed = with_depth_error(&scene, cli.depth_error);
     let bar = bar((cli.strategies.len() * starts.len()) as u64);
     let (mut rows, mut records, mut all) = (Vec::new(), Vec::new(), Vec::new());
     for &spec in &cli.strategies {
-        let mut controller = Box::new(Controller::new(&scene, spec.settings())?);
+        let settings = Settings {
+            delay_compensation: !cli.no_compensation,
+            model: cli.model,
+            ..spec.settings()
+        };
+        let mut controller = Box::new(Controller::new(&believed, settings)?);
         let mut runs: Vec<Run> = Vec::with_capacity(starts.len());
         for (start, pose) in starts.iter().enumerate() {
             bar.set_message(format!("{spec}, start {start}"));
             let view = view.as_ref().map(|view| view as &dyn MotionMemory);
-            let mut result = run(&scene, &mut controller, view, pose);
+            let flaws = Flaws {
+                noise_px: cli.noise,
+                delay_frames: usize::from(cli.delay),
+                drop: cli.drop,
+                seed: cli.seed + start as u64,
+            };
+            let mut result = flawed(&scene, &mut controller, view, pose, flaws);
             time(&mut result, &mut controller, view, usize::from(cli.repeats))?;
             records.push(Record {
                 start,
@@ -131,9 +195,18 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(
         out,
-        "{}, {} starts\n\n{}",
+        "{}, {} starts, delay {} frames {}, noise {} px, {} % of frames lost, depths wrong by {} %\n\n{}",
         cli.scene.display(),
         starts.len(),
+        cli.delay,
+        if cli.no_compensation {
+            "uncompensated"
+        } else {
+            "compensated"
+        },
+        cli.noise,
+        100.0 * cli.drop,
+        100.0 * cli.depth_error,
         markdown(&rows)
     )?;
     if let Some(path) = &cli.json {
@@ -141,6 +214,12 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
             scene: cli.scene.display().to_string(),
             starts: cli.starts.display().to_string(),
             memory: cli.memory.as_ref().map(|path| path.display().to_string()),
+            delay_frames: cli.delay,
+            delay_compensation: !cli.no_compensation,
+            noise_px: cli.noise,
+            drop: cli.drop,
+            depth_error: cli.depth_error,
+            seed: cli.seed,
             rows,
             runs: records,
         };
@@ -155,6 +234,16 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// The scene as a law with wrong depths sees it: the same images, from pattern and goal of another size.
+fn with_depth_error(scene: &Scene, error: f64) -> Scene {
+    let mut believed = scene.clone();
+    let lengths = believed.pattern.iter_mut().flatten();
+    for length in lengths.chain(&mut believed.goal.translation) {
+        *length *= 1.0 + error;
+    }
+    believed
 }
 
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {

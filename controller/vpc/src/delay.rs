@@ -1,0 +1,396 @@
+//! Delay compensation: from the features of an exposure to those of the instant at which the new command takes
+//! effect, along the commands that were sent meanwhile.
+//!
+//! A camera delivers s(t_e) at t_e + d. Between, it was carried by commands that this side knows, because it sent
+//! them: v_i from t_i to t_{i+1}. So the features of now follow from those of the exposure by the model, piece by
+//! piece: with [`Model::Pose`] by the product of the rigid motions, exp(-(t_{i+1} - t_i) v_i) X, which is exact; with
+//! the others by integrating s' = L(s, Z) v_i.
+//!
+//! Source: paper, Eq. (model), with the sampling time replaced by the length of each piece.
+
+use crate::prediction::{Model, Origin};
+use crate::task::Task;
+use crate::{DOF, Twist};
+
+/// Commands remembered: one second at 30 Hz, eight times the 100 to 130 ms of a real camera.
+pub const CAPACITY: usize = 32;
+
+/// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is forgotten first. Plain
+/// data: a copy goes on as the original does.
+///
+/// It never guesses. Where an interval begins before what it knows, [`History::advance`] says [`Unpredictable::Unknown`]
+/// and the law refuses the features; zero twists that are sent meanwhile are remembered too, so that the interval is
+/// known again after one delay.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct History {
+    /// Commands remembered, 0 to 32.
+    pub count: u32,
+    /// From when on each was in force, ns, the oldest first; the rest is zero.
+    pub from_ns: [u64; CAPACITY],
+    /// The commands, camera frame, m/s and rad/s; the rest is zero.
+    pub twists: [Twist; CAPACITY],
+    /// Whether the camera stood still before the oldest; otherwise nothing is known of then.
+    pub from_rest: bool,
+    /// How long a command is obeyed when none follows, ns; 2^64 - 1: for ever, in a simulated run.
+    pub validity_ns: u64,
+}
+
+/// Why features cannot be advanced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unpredictable {
+    /// The commands since the exposure are not all known.
+    Unknown {
+        /// How far back from the end of the interval they are, ns.
+        known_ns: u64,
+    },
+    /// A point would have come behind the camera, or run away to where no image is.
+    Lost,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl History {
+    /// The history of a simulated run: the camera stood still before the first command, and obeys each until the next.
+    pub const fn new() -> Self {
+        Self {
+            count: 0,
+            from_ns: [0; CAPACITY],
+            twists: [[0.0; DOF]; CAPACITY],
+            from_rest: true,
+            validity_ns: u64::MAX,
+        }
+    }
+
+    /// The history of a robot in real time: each command is obeyed for `validity_ns` at most, and what moved the camera
+    /// before the first one is unknown (a controller that was killed a moment ago, perhaps).
+    pub const fn live(validity_ns: u64) -> Self {
+        Self {
+            from_rest: false,
+            validity_ns,
+            ..Self::new()
+        }
+    }
+
+    /// A new run. Simulated time begins again, from rest; on a live robot the camera's process began again, and what
+    /// was sent was executed all the same.
+    pub fn restart(&mut self) {
+        if self.validity_ns == u64::MAX {
+            *self = Self::new();
+        }
+    }
+
+    /// Forgets all commands: what was sent so far is not known.
+    pub fn forget(&mut self) {
+        *self = Self::live(self.validity_ns);
+    }
+
+    /// Remembers that `twist` was sent at `at_ns`, in the place of one sent at the same instant. A clock that runs
+    /// backwards makes all before worthless.
+    pub fn push(&mut self, twist: &Twist, at_ns: u64) {
+        let last = self.entries().last().map(|(from_ns, _)| from_ns);
+        if last.is_some_and(|last| last > at_ns) {
+            self.forget();
+        }
+        let mut count = (self.count as usize).min(CAPACITY);
+        if last == Some(at_ns) {
+            count -= 1;
+        } else if count >= CAPACITY {
+            self.from_ns.copy_within(1.., 0);
+            self.twists.copy_within(1.., 0);
+            self.from_rest = false;
+            count = CAPACITY - 1;
+        }
+        self.from_ns[count] = at_ns;
+        self.twists[count] = *twist;
+        self.count = count as u32 + 1;
+    }
+
+    /// The commands with their times, the oldest first.
+    fn entries(&self) -> impl DoubleEndedIterator<Item = (u64, &Twist)> + ExactSizeIterator {
+        let count = (self.count as usize).min(CAPACITY);
+        let entries = self.from_ns[..count].iter().zip(&self.twists[..count]);
+        entries.map(|(&from_ns, twist)| (from_ns, twist))
+    }
+
+    /// The features of `origin`, exposed at `from_ns`, as they are at `to_ns`. Its work is bounded.
+    ///
+    /// # Errors
+    /// [`Unpredictable`] where the commands are not known, or lead where no camera sees.
+    pub fn advance(
+        &self,
+        task: &Task,
+        model: Model,
+        origin: &Origin,
+        from_ns: u64,
+        to_ns: u64,
+    ) -> Result<Origin, Unpredictable> {
+        let known_from_ns = match self.entries().next() {
+            _ if self.from_rest => 0,
+            Some((first_ns, _)) => first_ns,
+            None => u64::MAX,
+        };
+        if from_ns < known_from_ns.min(to_ns) {
+            let known_ns = to_ns.saturating_sub(known_from_ns);
+            return Err(Unpredictable::Unknown { known_ns });
+        }
+        let mut origin = origin.clone();
+        let next = self.entries().skip(1).map(|(next_ns, _)| next_ns);
+        let ends = next.chain(core::iter::once(u64::MAX));
+        for ((sent_ns, twist), end_ns) in self.entries().zip(ends) {
+            let expiry_ns = sent_ns.saturating_add(self.validity_ns);
+            let begin_ns = sent_ns.max(from_ns);
+            let length_ns = end_ns.min(expiry_ns).min(to_ns).saturating_sub(begin_ns);
+            if length_ns == 0 || *twist == [0.0; DOF] {
+                continue;
+            }
+            origin = origin
+                .moved(task, model, twist, length_ns as f64 * 1e-9)
+                .ok_or(Unpredictable::Lost)?;
+        }
+        Ok(origin)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector3};
+
+    use super::*;
+    use crate::{Points, camera, motion};
+
+    /// One period of the paper's camera, ns.
+    const PERIOD: u64 = 33_333_333;
+
+    fn task() -> Task {
+        Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap()
+    }
+
+    /// The truth, on its own: X' = -nu - omega x X for each point, by fine Runge-Kutta steps.
+    struct Truth {
+        points: Vec<Vector3<f64>>,
+        now_ns: u64,
+    }
+
+    impl Truth {
+        fn new(task: &Task) -> Self {
+            let rotation: Matrix3<f64> = motion::rotation([0.3, -0.2, 0.8]);
+            let place = Vector3::new(0.1, -0.2, 0.9);
+            let at = |p: &[f64; 3]| rotation * Vector3::from(*p) + place;
+            Self {
+                points: task.pattern.iter().map(at).collect(),
+                now_ns: 1_000_000_000,
+            }
+        }
+
+        fn go(&mut self, v: &Twist, ns: u64) {
+            let (nu, omega) = (
+                Vector3::new(v[0], v[1], v[2]),
+                Vector3::new(v[3], v[4], v[5]),
+            );
+            let rate = |x: &Vector3<f64>| -nu - omega.cross(x);
+            let h = ns as f64 * 1e-9 / 50.0;
+            for x in &mut self.points {
+                for _ in 0..50 {
+                    let k1 = rate(x);
+                    let k2 = rate(&(*x + k1 * (h / 2.0)));
+                    let k3 = rate(&(*x + k2 * (h / 2.0)));
+                    let k4 = rate(&(*x + k3 * h));
+                    *x += (k1 + (k2 + k3) * 2.0 + k4) * (h / 6.0);
+                }
+            }
+            self.now_ns += ns;
+        }
+
+        fn features(&self, task: &Task) -> Points {
+            let see = |x: &Vector3<f64>| camera::project(&task.camera, (*x).into()).unwrap();
+            self.points.iter().map(see).collect()
+        }
+    }
+
+    /// A twist that changes from period to period.
+    fn twist(k: usize) -> Twist {
+        core::array::from_fn(|i| 0.3 * libm::sin(1.0 + 2.0 * k as f64 + i as f64))
+    }
+
+    fn furthest(a: &Points, b: &Points) -> f64 {
+        let pairs = a.iter().flatten().zip(b.iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    /// Advances features over changing twists; the largest error, and the largest motion, px.
+    fn error_of(model: Model, periods: usize, mut history: History) -> (f64, f64) {
+        let task = task();
+        let mut truth = Truth::new(&task);
+        // Half a period under way when the frame is exposed.
+        history.push(&twist(0), truth.now_ns);
+        truth.go(&twist(0), PERIOD / 2);
+        let (seen, exposed_ns) = (truth.features(&task), truth.now_ns);
+        truth.go(&twist(0), PERIOD / 2);
+        for k in 1..periods {
+            history.push(&twist(k), truth.now_ns);
+            truth.go(&twist(k), PERIOD);
+        }
+        let origin = Origin::new(&task, model, &seen);
+        let now = history
+            .advance(&task, model, &origin, exposed_ns, truth.now_ns)
+            .unwrap();
+        let expected = truth.features(&task);
+        (furthest(&now.points, &expected), furthest(&seen, &expected))
+    }
+
+    #[test]
+    fn the_pose_model_advances_delayed_features_to_the_true_ones() {
+        for periods in [1, 2, 3, 5, 12] {
+            let (error, moved) = error_of(Model::Pose, periods, History::new());
+            assert!(error < 1e-9 && moved > 1.0, "{periods}: {error} of {moved}");
+        }
+    }
+
+    #[test]
+    fn the_depth_models_advance_to_their_accuracy() {
+        // What they do not know, the depths, is most of the error; without them it would be `moved`.
+        for (model, share) in [(Model::AreaDepth, 0.25), (Model::TargetDepth, 0.6)] {
+            let (error, moved) = error_of(model, 4, History::new());
+            assert!(
+                moved > 5.0 && error < share * moved,
+                "{model:?}: {error} of {moved}"
+            );
+        }
+    }
+
+    #[test]
+    fn with_the_right_depth_the_depth_models_follow_a_turning_camera() {
+        // From the goal, where all depths are right, under a pure rotation, which asks for none.
+        let task = task();
+        let spin = [0.0, 0.0, 0.0, 0.4, -0.3, 0.9];
+        let mut history = History::new();
+        history.push(&spin, 0);
+        let mut truth = Truth::new(&task);
+        let seen = truth.features(&task);
+        truth.go(&spin, 4 * PERIOD);
+        for model in [Model::AreaDepth, Model::TargetDepth] {
+            let origin = Origin::new(&task, model, &seen);
+            let now = history
+                .advance(&task, model, &origin, 0, 4 * PERIOD)
+                .unwrap();
+            assert!(
+                furthest(&now.points, &truth.features(&task)) < 0.01,
+                "{model:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_ring_that_went_round_many_times_still_advances_and_knows_where_it_ends() {
+        let mut history = History::new();
+        for k in 0..1000 {
+            history.push(&twist(k), 1000 + k as u64);
+        }
+        let (error, moved) = error_of(Model::Pose, CAPACITY, history);
+        assert!(error < 1e-8 && moved > 1.0, "{error} of {moved}");
+        // The oldest command known is the last but 31.
+        let (task, mut history) = (task(), History::new());
+        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let last = 3 * CAPACITY as u64;
+        (0..=last).for_each(|k| history.push(&[0.01; 6], k * PERIOD));
+        let oldest = last - CAPACITY as u64 + 1;
+        let advance = |from| history.advance(&task, Model::Pose, &origin, from, last * PERIOD);
+        assert!(advance(oldest * PERIOD).is_ok());
+        let known_ns = (last - oldest) * PERIOD;
+        let refused = advance(oldest * PERIOD - 1).err();
+        assert_eq!(refused, Some(Unpredictable::Unknown { known_ns }));
+    }
+
+    #[test]
+    fn before_the_first_command_a_simulated_camera_stood_still_and_a_live_one_is_unknown() {
+        let task = task();
+        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let advance = |history: &History, from| {
+            history
+                .advance(&task, Model::Pose, &origin, from, 500)
+                .map(|now| now.points)
+        };
+        let (mut simulated, mut live) = (History::new(), History::live(1000));
+        assert_eq!(advance(&simulated, 1).as_ref(), Ok(&origin.points));
+        let nothing = Err(Unpredictable::Unknown { known_ns: 0 });
+        assert_eq!(advance(&live, 1), nothing);
+        // No time has passed: nothing need be known.
+        assert_eq!(advance(&live, 500).as_ref(), Ok(&origin.points));
+        simulated.push(&twist(1), 300);
+        live.push(&twist(1), 300);
+        assert!(advance(&simulated, 1).is_ok());
+        assert_eq!(
+            advance(&live, 299),
+            Err(Unpredictable::Unknown { known_ns: 200 })
+        );
+        assert_eq!(advance(&live, 300), advance(&simulated, 1));
+        // A new run: only simulated time begins again.
+        simulated.restart();
+        live.restart();
+        assert_eq!(advance(&simulated, 300).as_ref(), Ok(&origin.points));
+        assert!(advance(&live, 300).is_ok_and(|points| points != origin.points));
+    }
+
+    #[test]
+    fn a_command_that_expired_no_longer_moves_a_live_camera() {
+        let task = task();
+        let mut truth = Truth::new(&task);
+        let seen = truth.features(&task);
+        let mut history = History::live(2 * PERIOD);
+        history.push(&twist(1), 0);
+        truth.go(&twist(1), 2 * PERIOD);
+        let origin = Origin::new(&task, Model::Pose, &seen);
+        let now = history
+            .advance(&task, Model::Pose, &origin, 0, 9 * PERIOD)
+            .unwrap();
+        assert!(furthest(&now.points, &truth.features(&task)) < 1e-9);
+    }
+
+    #[test]
+    fn a_clock_that_runs_backwards_clears_the_past() {
+        let task = task();
+        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let mut history = History::new();
+        history.push(&twist(1), 1000);
+        history.push(&twist(2), 400);
+        let advance = |from| history.advance(&task, Model::Pose, &origin, from, 1000);
+        assert_eq!(
+            advance(399).err(),
+            Some(Unpredictable::Unknown { known_ns: 600 })
+        );
+        assert!(advance(400).is_ok());
+    }
+
+    #[test]
+    fn a_command_sent_again_at_the_same_instant_replaces_the_first() {
+        let task = task();
+        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let (mut once, mut twice) = (History::new(), History::new());
+        once.push(&twist(2), 100);
+        twice.push(&twist(1), 100);
+        twice.push(&twist(2), 100);
+        let advance = |history: &History| {
+            history
+                .advance(&task, Model::Pose, &origin, 0, PERIOD)
+                .unwrap()
+                .points
+        };
+        assert_eq!(advance(&once), advance(&twice));
+    }
+
+    #[test]
+    fn motion_through_the_pattern_is_refused() {
+        let task = task();
+        for model in [Model::Pose, Model::TargetDepth] {
+            let origin = Origin::new(&task, model, &task.goal);
+            let mut history = History::new();
+            history.push(&[0.0, 0.0, 50.0, 0.0, 0.0, 0.0], 0);
+            let refused = history.advance(&task, model, &origin, 0, 60 * PERIOD).err();
+            assert_eq!(refused, Some(Unpredictable::Lost), "{model:?}");
+        }
+    }
+}
