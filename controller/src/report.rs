@@ -24,6 +24,8 @@ pub struct Report {
     pub cycles: u64,
     /// Cycles that sent the law's twist.
     pub armed: u64,
+    /// Cycles that asked the memory.
+    pub recalled: u64,
     /// Releases missed.
     pub overruns: u64,
     /// Records that the recorder lost: missing from everything below.

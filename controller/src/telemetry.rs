@@ -152,6 +152,7 @@ pub struct Summary {
     overruns: u64,
     lost: u64,
     armed: u64,
+    recalled: u64,
     busy: Histogram,
     wake: Histogram,
     receive: Histogram,
@@ -176,6 +177,7 @@ impl Default for Summary {
             overruns: 0,
             lost: 0,
             armed: 0,
+            recalled: 0,
             busy: Histogram::default(),
             wake: Histogram::default(),
             receive: Histogram::default(),
@@ -204,6 +206,7 @@ impl Summary {
         self.receive.add(record.receive_ns);
         self.step.add(record.step_ns);
         self.send.add(record.send_ns);
+        self.recalled += u64::from(record.recalled);
         self.realtime = RealTime(record.realtime);
         self.count_costs(record);
         self.tell_changes(record);
@@ -302,6 +305,7 @@ impl Summary {
         Report {
             cycles: self.cycles,
             armed: self.armed,
+            recalled: self.recalled,
             overruns: self.overruns,
             lost_records: self.lost,
             wake_ns: self.wake.percentiles(),

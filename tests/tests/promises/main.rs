@@ -4,14 +4,19 @@
 //! The tests take turns (`fixture::turn`): they tell times, and two of them at once would measure each other. `VPC_LONG=1`
 //! runs them at full length; without it they are as long as CI can bear, and say so.
 
+mod camera;
 mod clock;
 mod configuration;
+mod deadlines;
+mod faultless;
 mod fixture;
 mod hang;
 mod hostile;
 mod logging;
+mod machine;
 mod memory;
 mod peers;
+mod phase;
 mod shutdown;
 mod silence;
 mod startup;

@@ -1,0 +1,80 @@
+//! A camera in the test's own process: sees a scene exactly, executes what comes back, and begins again elsewhere when
+//! it has arrived.
+
+use std::path::Path;
+
+use hw_sim::{FreeCamera, Referee};
+use ipc::{CameraPorts, Domain, Features, Sent, TwistCommand, now_ns};
+use scene::{Pose, Scene};
+
+/// Frames after which it begins elsewhere, wherever it is.
+const MOST_FRAMES: u32 = 200;
+/// Image error that counts as arrived, px.
+const ARRIVED_PX: f64 = 3.0;
+
+/// The camera.
+pub struct Camera<'a> {
+    /// Its ports.
+    pub ports: CameraPorts,
+    scene: &'a Scene,
+    starts: &'a [Pose],
+    next: usize,
+    camera: FreeCamera,
+    referee: Referee,
+    frames: u32,
+    // The last to be dropped.
+    _domain: Domain,
+}
+
+impl<'a> Camera<'a> {
+    /// A camera in this domain, at the first of these starts.
+    pub fn new(scene: &'a Scene, starts: &'a [Pose], domain: &Path) -> Self {
+        let domain = Domain::join(domain).unwrap();
+        Self {
+            ports: CameraPorts::open(&domain).unwrap(),
+            scene,
+            starts,
+            next: 1,
+            camera: FreeCamera::new(scene, &starts[0]),
+            referee: Referee::new(scene),
+            frames: 0,
+            _domain: domain,
+        }
+    }
+
+    /// Publishes what it sees.
+    pub fn show(&mut self) -> Sent {
+        loop {
+            let exposure = now_ns();
+            if self.frames < MOST_FRAMES
+                && let Ok(points) = self.camera.features()
+                && (self.frames == 0 || self.referee.error(&points) > ARRIVED_PX)
+            {
+                self.frames += 1;
+                return self
+                    .ports
+                    .features
+                    .publish(&Features::new(&points, exposure))
+                    .unwrap();
+            }
+            let start = self.starts[self.next % self.starts.len()];
+            (self.camera, self.frames) = (FreeCamera::new(self.scene, &start), 0);
+            self.next += 1;
+        }
+    }
+
+    /// Moves for one period as commanded.
+    pub fn obey(&mut self, command: &TwistCommand) {
+        self.camera
+            .advance(&command.twist, self.scene.sampling_time());
+    }
+
+    /// The newest command since the last call.
+    pub fn newest(&mut self) -> Option<TwistCommand> {
+        self.ports
+            .twist
+            .latest()
+            .unwrap()
+            .map(|received| received.message)
+    }
+}

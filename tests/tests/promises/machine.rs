@@ -1,0 +1,96 @@
+//! What this machine permits and has, for the promises about time.
+
+use std::os::fd::AsRawFd;
+use std::process::{Command, ExitStatus};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::fixture::program;
+
+/// Whether a program of the machine can be started.
+pub fn has(program: &str) -> bool {
+    Command::new(program).arg("--help").output().is_ok()
+}
+
+/// Whether real time is ours to take: SCHED_FIFO and locked memory, as `vpcd --preflight` finds.
+pub fn may_be_real_time() -> bool {
+    let found = Command::new(program("vpcd"))
+        .args(["--preflight", "--json"])
+        .output();
+    let found: Value = serde_json::from_slice(&found.unwrap().stdout).unwrap();
+    ["real-time priority", "locked memory"].iter().all(|name| {
+        let mut checks = found["checks"].as_array().unwrap().iter();
+        checks.any(|check| check["name"] == *name && check["state"] == "ok")
+    })
+}
+
+/// Whether a mechanism is switched off by `VPC_WITHOUT`, to see the tests of it fail.
+pub fn is_without(mechanism: &str) -> bool {
+    std::env::var("VPC_WITHOUT").is_ok_and(|without| without == mechanism)
+}
+
+/// Asks the kernel to take away all the memory of a process that it may take, as it does when memory is short: what is
+/// not locked must be faulted in again. Tells how many bytes the kernel looked at.
+pub fn press_out(pid: u32) -> u64 {
+    let maps = std::fs::read_to_string(format!("/proc/{pid}/maps")).unwrap();
+    let ranges: Vec<libc::iovec> = maps
+        .lines()
+        .filter_map(|line| {
+            let (start, end) = line.split_once(' ')?.0.split_once('-')?;
+            let start = usize::from_str_radix(start, 16).ok()?;
+            let end = usize::from_str_radix(end, 16).ok()?;
+            Some(libc::iovec {
+                iov_base: start as *mut libc::c_void,
+                iov_len: end - start,
+            })
+        })
+        .collect();
+    let pid = rustix::process::Pid::from_raw(pid as i32).unwrap();
+    let process = rustix::process::pidfd_open(pid, rustix::process::PidfdFlags::empty()).unwrap();
+    let ask = |range: &libc::iovec| {
+        // SAFETY: the pointer is to one live range; the addresses are of the other process, whose memory keeps its
+        // contents: a hint to the kernel.
+        let bytes = unsafe {
+            libc::syscall(
+                libc::SYS_process_madvise,
+                process.as_raw_fd(),
+                std::ptr::from_ref(range),
+                1,
+                libc::MADV_PAGEOUT,
+                0,
+            )
+        };
+        // Refused for locked and for special memory.
+        u64::try_from(bytes).unwrap_or(0)
+    };
+    ranges.iter().map(ask).sum()
+}
+
+/// A process that ends by itself, in a known time; killed when the test ends first.
+pub struct Finite(std::process::Child);
+
+impl Finite {
+    pub fn start(command: &mut Command) -> Self {
+        Self(command.spawn().unwrap())
+    }
+
+    /// Waits for its end; `None` where it takes longer than this.
+    pub fn end(&mut self, patience: Duration) -> Option<ExitStatus> {
+        let start = Instant::now();
+        while start.elapsed() < patience {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return Some(status);
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        None
+    }
+}
+
+impl Drop for Finite {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
