@@ -132,6 +132,8 @@ mod tests {
     fn percentiles_are_nearest_ranks() {
         let times = Times::of(1..=100);
         assert_eq!((times.p50_ns, times.p99_ns, times.max_ns), (50, 99, 100));
+        let few = Times::of(1..=10);
+        assert_eq!((few.p50_ns, few.p99_ns), (5, 10));
         let one = Times::of(std::iter::once(7));
         assert_eq!((one.p50_ns, one.p99_ns, one.max_ns), (7, 7, 7));
         assert_eq!(Times::of(std::iter::empty()), Times::default());
