@@ -12,9 +12,10 @@ mod watch;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// Runs `vpcctl` on a domain; it ends by itself.
+/// Runs `vpcctl` on a domain; it ends by itself, or else after a minute.
 fn vpcctl(domain: &Path, words: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_vpcctl"))
+    Command::new("timeout")
+        .args(["60", env!("CARGO_BIN_EXE_vpcctl")])
         .arg("--domain")
         .arg(domain)
         .args(words)
