@@ -69,12 +69,17 @@ impl Terminal {
             .unwrap();
     }
 
+    /// Whether the view has ended.
+    fn ended(&self) -> bool {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.process));
+        stat.map_or(true, |stat| stat.contains(") Z "))
+    }
+
     /// Whether the view ends within the time that a loaded machine may take.
     fn ends(&self) -> bool {
         let end = Instant::now() + PATIENCE;
         while Instant::now() < end {
-            let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.process));
-            if stat.is_err() || stat.is_ok_and(|stat| stat.contains(") Z ")) {
+            if self.ended() {
                 return true;
             }
             std::thread::sleep(Duration::from_millis(20));
@@ -85,6 +90,10 @@ impl Terminal {
 
 impl Drop for Terminal {
     fn drop(&mut self) {
+        if !self.ended() {
+            let process = self.process.to_string();
+            let _ = Command::new("kill").args(["-KILL", &process]).status();
+        }
         let _ = self.script.kill();
         let _ = self.script.wait();
     }
