@@ -168,7 +168,8 @@ impl Cycle {
         }
         record.overruns = self.grid.missed();
         record.lost_records = self.tap.lost();
-        self.tap.cycle(inputs, answer, &record, &self.pilot);
+        self.tap
+            .cycle(inputs, answer, sent.is_ok(), &record, &self.pilot);
         sent.map(|()| Some(record))
     }
 

@@ -101,8 +101,10 @@ pub struct FlightRecord {
     pub asked: Asked,
     /// What the cycle knew.
     pub inputs: Inputs,
-    /// What it sent.
+    /// What it decided to send.
     pub answer: Answer,
+    /// Whether that went out.
+    pub sent: bool,
     /// What telemetry says of it: the law's numbers, and what was measured about the run.
     pub told: CycleRecord,
     /// Seal of all of this, made by the loop. A change of any single word does not fit it.
@@ -116,6 +118,7 @@ impl FlightRecord {
         asked: Asked,
         inputs: Inputs,
         answer: Answer,
+        sent: bool,
         told: CycleRecord,
     ) -> Self {
         let mut record = Self {
@@ -123,6 +126,7 @@ impl FlightRecord {
             asked,
             inputs,
             answer,
+            sent,
             told,
             seal: 0,
         };
@@ -139,7 +143,14 @@ impl FlightRecord {
             missed: 0,
             shutdown: false,
         };
-        Self::sealed(0, Asked::NOTHING, inputs, ANSWER, CycleRecord::default())
+        Self::sealed(
+            0,
+            Asked::NOTHING,
+            inputs,
+            ANSWER,
+            true,
+            CycleRecord::default(),
+        )
     }
 
     /// The fields of a record.
@@ -184,6 +195,7 @@ impl Words for Unsealed<'_> {
             asked,
             inputs,
             answer,
+            sent,
             told,
             seal: _,
         } = self.0;
@@ -191,6 +203,7 @@ impl Words for Unsealed<'_> {
         visit.part("asked", asked);
         visit.part("inputs", inputs);
         visit.part("answer", answer);
+        visit.flag("sent", sent);
         visit.part("told", told);
     }
 }

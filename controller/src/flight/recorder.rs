@@ -18,6 +18,9 @@ use crate::law::Law;
 /// Faults within this time of the last written one are in the log only: features that come and go must not fill a disk.
 const BETWEEN_FAULTS: Duration = Duration::from_secs(60);
 
+/// Longest wait for a file when the daemon ends.
+const PATIENCE: Duration = Duration::from_secs(2);
+
 /// Why a record is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
@@ -123,10 +126,16 @@ impl Recorder {
         self.wait();
     }
 
+    /// Waits for the writer, but for no disk that hangs: what it leaves then is removed with the next file.
     fn wait(&mut self) {
-        if let Some(writer) = self.writer.take() {
-            // It has told the log what there is to tell.
-            let _ = writer.join();
+        let end = Instant::now() + PATIENCE;
+        let is_at_work =
+            |writer: &Option<JoinHandle<()>>| writer.as_ref().is_some_and(|w| !w.is_finished());
+        while is_at_work(&self.writer) && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        if is_at_work(&self.writer) {
+            warn!("flight record given up: the disk takes longer than {PATIENCE:?}");
         }
     }
 

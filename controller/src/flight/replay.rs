@@ -116,7 +116,10 @@ pub fn repeat(pilot: &mut Pilot, record: &FlightRecord) -> FlightRecord {
     }
     let mut told = measured(&record.told);
     let answer = pilot.decide(&record.inputs, &mut told);
-    FlightRecord::sealed(before, asked, record.inputs, answer, told)
+    if !record.sent {
+        pilot.unsent();
+    }
+    FlightRecord::sealed(before, asked, record.inputs, answer, record.sent, told)
 }
 
 fn compare<T: Words + Clone>(

@@ -101,11 +101,18 @@ impl Tap {
         }
     }
 
-    /// After a cycle: leaves its record, or counts it as lost where the queue is full, and looks at what the pilot
+    /// After a cycle, whose answer was `sent` or could not be: leaves its record, or counts it as lost where the queue is full, and looks at what the pilot
     /// leaves to the next one. Wait-free; never allocates.
-    pub fn cycle(&mut self, inputs: Inputs, answer: Answer, told: &CycleRecord, pilot: &Pilot) {
+    pub fn cycle(
+        &mut self,
+        inputs: Inputs,
+        answer: Answer,
+        sent: bool,
+        told: &CycleRecord,
+        pilot: &Pilot,
+    ) {
         let asked = core::mem::replace(&mut self.asked, Asked::NOTHING);
-        let record = FlightRecord::sealed(self.before, asked, inputs, answer, *told);
+        let record = FlightRecord::sealed(self.before, asked, inputs, answer, sent, *told);
         self.until_key = self.until_key.saturating_sub(1);
         let is_kept = self.records.push(record).is_ok();
         if !is_kept {

@@ -53,7 +53,8 @@ impl Bench {
     }
 
     fn pilot(&self) -> Pilot {
-        let law = self.law();
+        let mut law = self.law();
+        law.go_live(100_000_000);
         let limits = law.scene().limits;
         let (v, w) = (limits.linear, limits.angular);
         let rules = Rules {
@@ -91,7 +92,11 @@ impl Bench {
                 ..CycleRecord::default()
             };
             let answer = pilot.decide(&inputs, &mut told);
-            tap.cycle(inputs, answer, &told, &pilot);
+            let sent = !cycle.is_multiple_of(97);
+            if !sent {
+                pilot.unsent();
+            }
+            tap.cycle(inputs, answer, sent, &told, &pilot);
             while let Some(record) = tail.pop() {
                 ring.push(record);
             }
@@ -429,7 +434,7 @@ fn lost_records_are_counted_and_the_next_key_comes_at_once() {
             ..CycleRecord::default()
         };
         let answer = pilot.decide(&inputs, &mut told);
-        tap.cycle(inputs, answer, &told, pilot);
+        tap.cycle(inputs, answer, true, &told, pilot);
         tap.lost()
     };
     for cycle in 1..=most {

@@ -134,6 +134,10 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
     let emulated = emulator.output().context("cannot run hw-sim")?;
     let stopped = daemon.stop();
     let _ = fs::remove_dir_all(&domain);
+    // The end of the camera is a fault to the daemon, which left its flight record.
+    let _ = fs::remove_dir_all(
+        domain.with_file_name(format!("vpc-demo-{}-flight", std::process::id())),
+    );
     let verdict = String::from_utf8_lossy(&emulated.stdout);
     let verdict = verdict.trim();
     println!(

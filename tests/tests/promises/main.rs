@@ -17,6 +17,7 @@ mod machine;
 mod memory;
 mod peers;
 mod phase;
+mod replay;
 mod shutdown;
 mod silence;
 mod startup;
