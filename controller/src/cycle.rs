@@ -43,6 +43,23 @@ pub struct Pace {
     pub realtime: RealTime,
 }
 
+impl Pace {
+    /// The pilot of such a loop before its first cycle.
+    pub fn pilot(&self, mut law: Law) -> Pilot {
+        let stale_ns = match self.clock {
+            // Looked at once a period: what would be too old at the next release is too old now.
+            ClockMode::Fixed | ClockMode::Phase => {
+                Some(stale_ns(self).saturating_sub(self.period_ns))
+            }
+            ClockMode::Lockstep => None,
+        };
+        if stale_ns.is_some() {
+            law.go_live(self::stale_ns(self));
+        }
+        Pilot::new(law, stale_ns, self.rules)
+    }
+}
+
 /// The loop with all it owns. It shares nothing with other threads but the tap of flight records.
 pub struct Cycle {
     pace: Pace,
@@ -64,23 +81,13 @@ pub struct Cycle {
 
 impl Cycle {
     /// A loop that starts now.
-    pub fn new(pace: Pace, ports: ControllerPorts, mut law: Law, mut tap: Tap) -> Self {
-        let stale_ns = match pace.clock {
-            // Looked at once a period: what would be too old at the next release is too old now.
-            ClockMode::Fixed | ClockMode::Phase => {
-                Some(stale_ns(&pace).saturating_sub(pace.period_ns))
-            }
-            ClockMode::Lockstep => None,
-        };
-        if stale_ns.is_some() {
-            law.go_live(self::stale_ns(&pace));
-        }
+    pub fn new(pace: Pace, ports: ControllerPorts, law: Law, mut tap: Tap) -> Self {
         let blank = CycleRecord {
             clock: pace.clock.code(),
             realtime: pace.realtime.0,
             ..CycleRecord::default()
         };
-        let pilot = Pilot::new(law, stale_ns, pace.rules);
+        let pilot = pace.pilot(law);
         tap.begin(&pilot);
         Self {
             pace,

@@ -246,7 +246,8 @@ fn turn(
     Ok(())
 }
 
-fn pace(config: &Config, law: &Law) -> Pace {
+/// How the loop of this configuration runs.
+pub fn pace(config: &Config, law: &Law) -> Pace {
     let scene = law.scene();
     let period_ns = (scene.sampling_time() * 1e9) as u64;
     let ns = |seconds: f64| (seconds * 1e9) as u64;

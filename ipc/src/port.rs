@@ -235,7 +235,7 @@ pub enum Order {
 
 impl Order {
     /// Where `stamp` stands after `last`.
-    fn after(last: Option<Stamp>, stamp: &Stamp) -> Self {
+    pub fn after(last: Option<Stamp>, stamp: &Stamp) -> Self {
         let Some(last) = last else { return Self::First };
         match stamp.sequence.checked_sub(last.sequence) {
             None => Self::Restarted,

@@ -39,6 +39,9 @@ complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "metrics" -d 'Metrics 
 complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "serve" -d 'Serve a live view for the browser, on loopback'
 complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "completions" -d 'Print the completions for a shell'
 complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "man" -d 'Write the man pages into a directory'
+complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "record" -d 'Record what the domain says, for Foxglove, the mcap tools, plot and replay'
+complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "plot" -d 'Draw a recording: paths, commands, latencies; and report deadlines'
+complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "replay" -d 'Run the law again on a recording and compare'
 complete -c vpcctl -n "__fish_vpcctl_needs_command" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c vpcctl -n "__fish_vpcctl_using_subcommand status" -l watch -d 'How long to watch the cycles, 0.05 to 3600 s' -r
 complete -c vpcctl -n "__fish_vpcctl_using_subcommand status" -l domain -d 'Directory of the daemon\'s shared-memory domain. [default: /tmp/vpc-UID]' -r -F
@@ -85,16 +88,32 @@ complete -c vpcctl -n "__fish_vpcctl_using_subcommand completions" -l domain -d 
 complete -c vpcctl -n "__fish_vpcctl_using_subcommand completions" -s h -l help -d 'Print help'
 complete -c vpcctl -n "__fish_vpcctl_using_subcommand man" -l domain -d 'Directory of the daemon\'s shared-memory domain. [default: /tmp/vpc-UID]' -r -F
 complete -c vpcctl -n "__fish_vpcctl_using_subcommand man" -s h -l help -d 'Print help'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "status" -d 'Tell on one screen what the daemon does'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "watch" -d 'Show live what the daemon does: image plane, twist, times, states; keys command it'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "arm" -d 'Let the law move the camera'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "disarm" -d 'Brake to zero and stay there until the next arm'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "stop" -d 'Zero at once, without braking, and stay there until the next arm. Needs no observer\'s place'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "strategy" -d 'Change the strategy of the law'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "flight" -d 'Have the daemon write out its flight record'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "doctor" -d 'Say what is wrong with this machine or set-up, and how to mend it'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "metrics" -d 'Metrics in the Prometheus text format, served or printed'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "serve" -d 'Serve a live view for the browser, on loopback'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "completions" -d 'Print the completions for a shell'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "man" -d 'Write the man pages into a directory'
-complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand record" -l scene -d 'Scene file: drawn, and kept in the recording' -r -F
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand record" -l config -d 'The daemon\'s configuration: kept in the recording, and its scene where --scene is not given' -r -F
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand record" -l duration -d 'End after this time, 0.05 to 86400 s; without it by SIGINT (Ctrl-C) or SIGTERM' -r
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand record" -l domain -d 'Directory of the daemon\'s shared-memory domain. [default: /tmp/vpc-UID]' -r -F
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand record" -l force -d 'Overwrite the file'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand record" -s h -l help -d 'Print help'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand plot" -s o -l output -d 'Directory for the figures (SVG and PNG) and the report; without it the report only, on standard output' -r -F
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand plot" -l scene -d 'Scene file, instead of the one in the recording' -r -F
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand plot" -l domain -d 'Directory of the daemon\'s shared-memory domain. [default: /tmp/vpc-UID]' -r -F
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand plot" -l json -d 'The report as JSON instead of text'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand plot" -s h -l help -d 'Print help'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand replay" -l domain -d 'Directory of the daemon\'s shared-memory domain. [default: /tmp/vpc-UID]' -r -F
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand replay" -s h -l help -d 'Print help'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "status" -d 'Tell on one screen what the daemon does'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "watch" -d 'Show live what the daemon does: image plane, twist, times, states; keys command it'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "arm" -d 'Let the law move the camera'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "disarm" -d 'Brake to zero and stay there until the next arm'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "stop" -d 'Zero at once, without braking, and stay there until the next arm. Needs no observer\'s place'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "strategy" -d 'Change the strategy of the law'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "flight" -d 'Have the daemon write out its flight record'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "doctor" -d 'Say what is wrong with this machine or set-up, and how to mend it'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "metrics" -d 'Metrics in the Prometheus text format, served or printed'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "serve" -d 'Serve a live view for the browser, on loopback'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "completions" -d 'Print the completions for a shell'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "man" -d 'Write the man pages into a directory'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "record" -d 'Record what the domain says, for Foxglove, the mcap tools, plot and replay'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "plot" -d 'Draw a recording: paths, commands, latencies; and report deadlines'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "replay" -d 'Run the law again on a recording and compare'
+complete -c vpcctl -n "__fish_vpcctl_using_subcommand help; and not __fish_seen_subcommand_from status watch arm disarm stop strategy flight doctor metrics serve completions man record plot replay help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'

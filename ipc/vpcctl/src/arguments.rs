@@ -7,6 +7,10 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use ipc::StrategyCode;
 
+use crate::plot::PlotArguments;
+use crate::record::RecordArguments;
+use crate::replay::ReplayArguments;
+
 /// Watch and command vpcd, the visual predictive controller.
 ///
 /// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something is to be mended (doctor); 2 the
@@ -65,6 +69,12 @@ pub enum Command {
         #[arg(value_name = "DIR")]
         directory: PathBuf,
     },
+    /// Record what the domain says, for Foxglove, the mcap tools, plot and replay.
+    Record(RecordArguments),
+    /// Draw a recording: paths, commands, latencies; and report deadlines.
+    Plot(PlotArguments),
+    /// Run the law again on a recording and compare.
+    Replay(ReplayArguments),
 }
 
 /// `status`.

@@ -106,6 +106,26 @@ pub enum Failure {
         /// The operating system's reason.
         source: io::Error,
     },
+    /// Scene or configuration of a recording.
+    #[error(transparent)]
+    Context(#[from] recording::ContextError),
+    /// A recording cannot be made.
+    #[error(transparent)]
+    Record(#[from] recording::RecordError),
+    /// A recording cannot be read.
+    #[error(transparent)]
+    Recording(#[from] recording::ReadError),
+    /// A recording cannot be drawn.
+    #[error(transparent)]
+    Plot(#[from] recording::PlotError),
+    /// A program that does the work is missing.
+    #[error("{program}: cannot run: {source}; allowed: beside vpcctl, or in PATH")]
+    Program {
+        /// The program.
+        program: String,
+        /// The operating system's reason.
+        source: io::Error,
+    },
     /// The output cannot be written.
     #[error("cannot write the output: {0}")]
     Output(#[from] io::Error),
@@ -114,7 +134,19 @@ pub enum Failure {
 impl Failure {
     /// The exit code that goes with it.
     pub fn exit(&self) -> Exit {
+        use recording::{ContextError, PlotError, ReadError, RecordError, WriteError};
         match self {
+            Self::Record(RecordError::Join(_) | RecordError::Open(_) | RecordError::Receive(_)) => {
+                Exit::Unavailable
+            }
+            Self::Record(RecordError::Write(WriteError::Exists { .. })) => Exit::Usage,
+            Self::Context(ContextError::Read { .. })
+            | Self::Recording(ReadError::Read { .. })
+            | Self::Program { .. } => Exit::NoInput,
+            Self::Context(_)
+            | Self::Recording(_)
+            | Self::Plot(PlotError::NoScene | PlotError::Empty) => Exit::Data,
+            Self::Record(_) | Self::Plot(_) => Exit::Software,
             Self::NoDaemon { .. } => Exit::NoDaemon,
             Self::NoAnswer { .. } => Exit::NoAnswer,
             Self::Join(_) | Self::Open(_) | Self::Ask(_) | Self::Receive(_) => Exit::Unavailable,

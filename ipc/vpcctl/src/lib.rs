@@ -12,7 +12,10 @@ pub mod manual;
 pub mod metrics;
 pub mod output;
 pub mod phase;
+pub mod plot;
 pub mod presence;
+pub mod record;
+pub mod replay;
 pub mod request;
 pub mod serve;
 pub mod stage;
@@ -119,6 +122,15 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             Ok(Exit::Ok)
         }
         Command::Flight(with) => ask(request::plain(Action::Record), with),
+        Command::Record(with) => {
+            output::write(&record::run(&directory, with)?)?;
+            Ok(Exit::Ok)
+        }
+        Command::Plot(with) => {
+            output::write(&plot::run(with)?)?;
+            Ok(Exit::Ok)
+        }
+        Command::Replay(with) => Err(replay::run(with)),
         Command::Strategy(with) => match with.choice() {
             Ok(choice) => ask(
                 request::strategy(choice.strategy, choice.neighbours),

@@ -10,6 +10,7 @@
 mod canvas;
 mod comparison;
 mod image_plane;
+mod latency;
 mod output;
 mod samples;
 mod velocity;
@@ -17,6 +18,7 @@ mod velocity;
 pub use canvas::Canvas;
 pub use comparison::Comparison;
 pub use image_plane::ImagePlane;
+pub use latency::{Latency, Times};
 pub use output::FigureError;
 pub use samples::Samples;
 pub use velocity::Velocity;

@@ -1,0 +1,255 @@
+//! Figures like the paper's, and the latency report, of a recording.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use figures::{Comparison, FigureError, ImagePlane, Latency, Times, Velocity};
+use ipc::{ClockMode, CycleRecord, MAX_POINTS};
+use scene::Scene;
+
+use crate::geometry;
+use crate::reader::Recording;
+use crate::report::Report;
+
+/// Longest pause in a run that is drawn as the command standing, periods; the camera stops by itself then.
+const STANDING: usize = 3;
+/// Longest drawing, commands: a recording that was left running is not one figure.
+const LONGEST: usize = 100_000;
+
+/// Why nothing was drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum PlotError {
+    /// A figure or the report.
+    #[error(transparent)]
+    Figure(#[from] FigureError),
+    /// The report.
+    #[error("{path}: cannot write the report: {source}")]
+    Write {
+        /// The file.
+        path: String,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// Nobody knows where the image ends and what stands in the way.
+    #[error(
+        "no scene in the recording; allowed: one recorded with --scene or --config, or --scene here"
+    )]
+    NoScene,
+    /// There is nothing to draw.
+    #[error("no cycles and no features in the recording: was vpcd at work?")]
+    Empty,
+}
+
+/// Draws each run of a recording and its latencies into a directory; the files written. `scene` wins over the
+/// recording's own.
+///
+/// # Errors
+/// [`PlotError`].
+pub fn plot(
+    recording: &Recording,
+    scene: Option<&Scene>,
+    directory: &Path,
+) -> Result<Vec<PathBuf>, PlotError> {
+    let scene = scene
+        .or(recording.scene.as_ref())
+        .ok_or(PlotError::NoScene)?;
+    if recording.cycles.is_empty() && recording.features.is_empty() {
+        return Err(PlotError::Empty);
+    }
+    let mut files = Vec::new();
+    let runs = runs(&recording.cycles);
+    for (i, run) in runs.iter().enumerate() {
+        let name = match runs.len() {
+            1 => "run".to_owned(),
+            _ => format!("run-{}", i + 1),
+        };
+        files.extend(figure(scene, run, &name).write(&directory.join(name))?);
+    }
+    if runs.is_empty() {
+        // Nobody controlled: what the camera saw.
+        let path = recording.features.iter().map(|f| f.pairs().collect());
+        let plane = ImagePlane {
+            scene,
+            path: path.collect(),
+            goal: geometry::goal(scene),
+            way_points: Vec::new(),
+            title: "features (no cycles)".to_owned(),
+        };
+        files.extend(plane.write(&directory.join("features"))?);
+    }
+    let report = Report::of(recording);
+    files.extend(latency(&report).write(&directory.join("latency"))?);
+    let json = serde_json::to_string_pretty(&report).map_err(|error| PlotError::Write {
+        path: "latency.json".to_owned(),
+        source: error.into(),
+    })?;
+    for (name, text) in [
+        ("latency.txt", report.text()),
+        ("latency.json", json + "\n"),
+    ] {
+        let path = directory.join(name);
+        fs::write(&path, text).map_err(|source| PlotError::Write {
+            path: path.display().to_string(),
+            source,
+        })?;
+        files.push(path);
+    }
+    Ok(files)
+}
+
+/// Cycles of one camera's run under one daemon, those with features only.
+fn runs(cycles: &[CycleRecord]) -> Vec<Vec<&CycleRecord>> {
+    let mut runs: Vec<Vec<&CycleRecord>> = Vec::new();
+    let mut last: Option<&CycleRecord> = None;
+    for cycle in cycles.iter().filter(|cycle| cycle.count > 0) {
+        let goes_on = last.is_some_and(|last| {
+            cycle.cycle > last.cycle && cycle.features_sequence >= last.features_sequence
+        });
+        match runs.last_mut() {
+            Some(run) if goes_on => run.push(cycle),
+            _ => runs.push(vec![cycle]),
+        }
+        last = Some(cycle);
+    }
+    // A single picture moves nowhere.
+    runs.retain(|run| run.len() > 1);
+    runs
+}
+
+fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<'a> {
+    let period_s = scene.sampling_time();
+    let pairs = |stacked: &[f64], count: u32| -> Vec<[f64; 2]> {
+        let count = (count as usize).min(MAX_POINTS);
+        let pairs = stacked.chunks_exact(2).take(count);
+        pairs.map(|p| [p[0], p[1]]).collect()
+    };
+    let way_points = run.iter().filter(|cycle| cycle.way_point_count > 0);
+    let twists = twists(run, period_s);
+    let error = run.last().map_or(f64::NAN, |cycle| cycle.error_px);
+    let strategy = run
+        .first()
+        .and_then(|cycle| ipc::StrategyCode::from_code(cycle.strategy))
+        .map_or_else(String::new, |strategy| format!(", {strategy}"));
+    let plane = ImagePlane {
+        scene,
+        path: run.iter().map(|c| pairs(&c.points, c.count)).collect(),
+        goal: geometry::goal(scene),
+        way_points: way_points
+            .map(|c| pairs(&c.way_point, c.way_point_count))
+            .collect(),
+        title: format!(
+            "{name}{strategy}: {:.1} s, error {error:.1} px",
+            twists.len() as f64 * period_s
+        ),
+    };
+    let velocity = Velocity {
+        period_s,
+        twists,
+        limits: scene.limits,
+        title: "velocity command".to_owned(),
+    };
+    Comparison {
+        columns: vec![(plane, velocity)],
+    }
+}
+
+/// The command of each period. On a grid in time, periods without a record keep the last command for a while.
+fn twists(run: &[&CycleRecord], period_s: f64) -> Vec<[f64; 6]> {
+    let mut twists: Vec<[f64; 6]> = Vec::new();
+    let Some(first) = run.first() else {
+        return twists;
+    };
+    for cycle in run {
+        if cycle.clock != ClockMode::Lockstep.code() {
+            let since = cycle.stamp.data_ns.saturating_sub(first.stamp.data_ns);
+            let place = (since as f64 / 1e9 / period_s).round() as usize;
+            let last = twists.last().copied().unwrap_or([0.0; 6]);
+            let stands = twists.len() + STANDING;
+            while twists.len() < place.min(LONGEST) {
+                let standing = twists.len() < stands;
+                twists.push(if standing { last } else { [0.0; 6] });
+            }
+        }
+        twists.push(cycle.twist);
+    }
+    twists
+}
+
+fn latency(report: &Report) -> Latency {
+    let panels = report.phases.iter().map(|phase| Times {
+        name: phase.name.to_owned(),
+        values_us: phase.values_us.clone(),
+        note: format!(
+            "{} cycles: p50 {}, p99 {}, max {}",
+            phase.count,
+            words(phase.p50_us),
+            words(phase.p99_us),
+            words(phase.max_us)
+        ),
+    });
+    let misses = match report.has_deadlines {
+        true => format!("{} deadlines missed", report.overruns),
+        false => "lockstep, no deadlines".to_owned(),
+    };
+    Latency {
+        panels: panels.collect(),
+        limit_us: report.has_deadlines.then_some(1e3 * report.period_ms),
+        title: format!(
+            "{} cycles in {:.1} s, {misses}; counts logarithmic",
+            report.cycles, report.duration_s
+        ),
+    }
+}
+
+/// A time in the unit that suits it.
+fn words(us: f64) -> String {
+    match us {
+        1e6.. => format!("{:.2} s", us / 1e6),
+        1e3.. => format!("{:.1} ms", us / 1e3),
+        _ => format!("{us:.1} us"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cycle(number: u64, features_sequence: u64) -> CycleRecord {
+        let mut record = CycleRecord {
+            cycle: number,
+            features_sequence,
+            count: 4,
+            ..CycleRecord::default()
+        };
+        record.stamp.data_ns = number * 33_333_333;
+        record.twist[0] = number as f64;
+        record
+    }
+
+    #[test]
+    fn a_camera_that_starts_again_starts_another_run() {
+        let mut blind = cycle(4, 0);
+        blind.count = 0;
+        let numbers = [
+            cycle(1, 1),
+            cycle(2, 2),
+            cycle(3, 2),
+            blind,
+            cycle(5, 1),
+            cycle(6, 2),
+            // The daemon, too.
+            cycle(1, 3),
+        ];
+        let runs = runs(&numbers);
+        let counts: Vec<_> = runs.iter().map(Vec::len).collect();
+        assert_eq!(counts, [3, 2]);
+    }
+
+    #[test]
+    fn a_command_stands_for_a_while_where_records_are_missing() {
+        let cycles = [cycle(10, 1), cycle(11, 2), cycle(18, 9)];
+        let run: Vec<_> = cycles.iter().collect();
+        let vx: Vec<_> = twists(&run, 1.0 / 30.0).iter().map(|v| v[0]).collect();
+        assert_eq!(vx, [10.0, 11.0, 11.0, 11.0, 11.0, 0.0, 0.0, 0.0, 18.0]);
+    }
+}

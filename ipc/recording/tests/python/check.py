@@ -1,0 +1,237 @@
+"""A recording seen by others' code: the `mcap` package, JSON Schema, Foxglove's own descriptions of its schemas and
+panels. Prints what it found, one line for each message, for the test to compare.
+
+    check.py values FILE    every message of the contract: numbers as the bits of their doubles
+    check.py schemas FILE   every message fits its schema; well-known schemas have Foxglove's names and types
+    check.py rest FILE      what can be read of a file that was cut short: topic and count
+    check.py layout FILE    a layout's panels and settings are ones that Foxglove's SDK knows
+"""
+
+import json
+import re
+import struct
+import sys
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+
+
+def bits(message, name):
+    """A number, or each of a list, as 16 hexadecimal digits; those that JSON cannot carry by their names."""
+    special = dict(entry.split("=") for entry in message.get("non_finite", []))
+
+    def one(place, value):
+        number = float(special[place]) if place in special else value
+        assert isinstance(number, float), (place, number)
+        return "nan" if number != number else struct.pack(">d", number).hex()
+
+    value = message.get(name)
+    if isinstance(value, list):
+        return " ".join(one(f"{name}[{i}]", x) for i, x in enumerate(value))
+    return one(name, value)
+
+
+REALS = {
+    "/vpc/features": ["points"],
+    "/vpc/twist": ["twist"],
+    "/vpc/robot": ["translation", "rotation", "twist", "q", "dq", "room"],
+    "/vpc/cycles": ["points", "way_point", "twist", "cost", "violation_px", "clearance_px", "error_px"],
+    "/vpc/requests": [],
+    "/vpc/replies": [],
+}
+WHOLE = {
+    "/vpc/features": ["exposure_ns", "count", "visible"],
+    "/vpc/twist": ["features_sequence", "features_published_ns", "valid_until_ns", "state"],
+    "/vpc/robot": ["features_sequence", "mode", "faults", "joints"],
+    "/vpc/cycles": ["cycle", "step_ns", "hold", "state", "way_point_count"],
+    "/vpc/requests": ["id", "action", "strategy", "neighbours"],
+    "/vpc/replies": ["id", "action", "outcome", "state"],
+}
+
+
+def values(path):
+    with open(path, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        for channel in summary.channels.values():
+            count = summary.statistics.channel_message_counts.get(channel.id, 0)
+            print("count", channel.topic, count)
+        for record in reader.iter_metadata():
+            for key, value in sorted(record.metadata.items()):
+                print("metadata", record.name, key, value)
+        for attachment in reader.iter_attachments():
+            print("attachment", attachment.name, attachment.media_type, len(attachment.data))
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.topic not in REALS:
+                continue
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            read = json.loads(message.data)
+            stamp = read["stamp"]
+            assert message.sequence == stamp["sequence"] and message.log_time == message.publish_time
+            words = [channel.topic, stamp["sequence"], stamp["published_ns"], stamp["data_ns"]]
+            words += [read[name] for name in WHOLE[channel.topic]]
+            words += [bits(read, name) for name in REALS[channel.topic]]
+            print("message", *words)
+
+
+def fields(schema):
+    """The fields of a JSON schema, by Foxglove's names of types."""
+    found = {}
+    for name, field in schema["properties"].items():
+        repeated = field.get("type") == "array"
+        item = field["items"] if repeated else field
+        found[name] = (repeated, item)
+    return found
+
+
+def agree(path, schema, descriptor, pool):
+    """Every field of a JSON schema is one of Foxglove's message of that name, of the same type."""
+    theirs = {field.name: field for field in descriptor.fields}
+    for name, (repeated, item) in fields(schema).items():
+        place = f"{path}.{name}"
+        assert name in theirs, f"{place}: Foxglove has no such field"
+        field = theirs[name]
+        assert field.is_repeated == repeated, f"{place}: a list or not"
+        kind = field.cpp_type
+        if kind == field.CPPTYPE_MESSAGE:
+            sub = field.message_type
+            if sub.full_name == "google.protobuf.Timestamp":
+                assert set(item["properties"]) == {"sec", "nsec"}, place
+            else:
+                assert item["title"] == sub.full_name, (place, item["title"], sub.full_name)
+                agree(place, item, sub, pool)
+        elif kind == field.CPPTYPE_ENUM:
+            ours = {choice["title"]: choice["const"] for choice in item["oneOf"]}
+            assert ours == {v.name: v.number for v in field.enum_type.values}, (place, ours)
+        elif kind == field.CPPTYPE_STRING:
+            encoded = field.type == field.TYPE_BYTES
+            assert item["type"] == "string" and (item.get("contentEncoding") == "base64") == encoded, place
+        else:
+            real = kind in (field.CPPTYPE_DOUBLE, field.CPPTYPE_FLOAT)
+            assert item["type"] == ("number" if real else "integer"), place
+
+
+def opens(place, schema):
+    """Foxglove's parser of JSON schemas knows objects, arrays, oneOf with constants, and single types only."""
+    if "oneOf" in schema:
+        assert all(isinstance(choice["const"], int) for choice in schema["oneOf"]), place
+        return
+    kind = schema.get("type")
+    assert kind in ("object", "array", "string", "number", "integer", "boolean"), (place, kind)
+    if kind == "object":
+        for name, field in schema["properties"].items():
+            opens(f"{place}.{name}", field)
+    if kind == "array":
+        assert "contentEncoding" not in schema["items"], place
+        opens(f"{place}[]", schema["items"])
+
+
+def schemas(path):
+    import foxglove.messages
+    import jsonschema
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: F401
+    from google.protobuf import duration_pb2, timestamp_pb2  # noqa: F401
+
+    validators, counts = {}, {}
+    with open(path, "rb") as file:
+        reader = make_reader(file)
+        for schema in reader.get_summary().schemas.values():
+            text = json.loads(schema.data)
+            assert text["title"] == schema.name
+            opens(schema.name, text)
+            validators[schema.name] = jsonschema.Draft202012Validator(text)
+            family, name = schema.name.split(".")
+            if family != "foxglove":
+                continue
+            known = getattr(foxglove.messages, name).get_schema()
+            pool = descriptor_pool.DescriptorPool()
+            for proto in descriptor_pb2.FileDescriptorSet.FromString(known.data).file:
+                pool.Add(proto)
+            agree(schema.name, text, pool.FindMessageTypeByName(schema.name), pool)
+            counts[schema.name] = 0
+        for schema, channel, message in reader.iter_messages():
+            validators[schema.name].validate(json.loads(message.data))
+            if schema.name in counts:
+                counts[schema.name] += 1
+    for name, count in sorted(counts.items()):
+        print("known", name, count)
+
+
+def rest(path):
+    counts, channels = {}, {}
+    with open(path, "rb") as file:
+        try:
+            for record in StreamReader(file).records:
+                match type(record).__name__:
+                    case "Channel":
+                        channels[record.id] = record.topic
+                    case "Message":
+                        topic = channels[record.channel_id]
+                        counts[topic] = counts.get(topic, 0) + 1
+        except (McapError, struct.error) as error:
+            print("cut", type(error).__name__)
+    for topic, count in sorted(counts.items()):
+        print("count", topic, count)
+
+
+PANELS = {
+    "Image": ("ImagePanel", "ImageConfig"),
+    "3D": ("ThreeDeePanel", "ThreeDeeConfig"),
+    "Plot": ("PlotPanel", "PlotConfig"),
+    "StateTransitions": ("StateTransitionsPanel", "StateTransitionsConfig"),
+    "RosOut": ("LogPanel", "LogConfig"),
+}
+# Settings whose value is an object with settings of its own.
+PARTS = {
+    ("ImageConfig", "imageMode"): "ImageModeConfig",
+    ("PlotConfig", "paths"): "PlotSeries",
+    ("StateTransitionsConfig", "paths"): "StateTransitionsSeries",
+    ("ThreeDeeConfig", "cameraState"): "ThreeDeeCameraState",
+}
+# What exports of the app have beside the SDK's settings.
+APP = {"foxglovePanelTitle"}
+
+
+def build(layouts, kind, settings):
+    """Gives settings to the SDK's class, which refuses those that it does not know."""
+    arguments = {}
+    for key, value in settings.items():
+        if key in APP:
+            continue
+        part = PARTS.get((kind, key))
+        if part and isinstance(value, list):
+            value = [build(layouts, part, one) for one in value]
+        elif part:
+            value = build(layouts, part, value)
+        arguments[re.sub(r"([A-Z])", lambda m: "_" + m[1].lower(), key)] = value
+    made = getattr(layouts, kind)(**arguments)
+    unknown = set(settings) - APP - set(made._to_dict())
+    assert not unknown, (kind, unknown)
+    return made
+
+
+def panels(tree):
+    if isinstance(tree, str):
+        return [tree]
+    assert set(tree) <= {"first", "second", "direction", "splitPercentage"}, tree.keys()
+    assert tree["direction"] in ("row", "column") and 0 < tree["splitPercentage"] < 100
+    return panels(tree["first"]) + panels(tree["second"])
+
+
+def layout(path):
+    import foxglove.layouts as layouts
+
+    with open(path, encoding="utf-8") as file:
+        whole = json.load(file)
+    assert set(whole) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+    placed = panels(whole["layout"])
+    assert sorted(placed) == sorted(whole["configById"]) and len(set(placed)) == len(placed)
+    for identity, settings in whole["configById"].items():
+        kind, _ = identity.split("!")
+        panel, config = PANELS[kind]
+        getattr(layouts, panel)(config=build(layouts, config, settings))
+        print("panel", kind)
+
+
+{"values": values, "schemas": schemas, "rest": rest, "layout": layout}[sys.argv[1]](sys.argv[2])

@@ -1,0 +1,59 @@
+//! `plot`: figures and the latency report of a recording.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use recording::{Recording, Report};
+use scene::Scene;
+
+use crate::exit::Failure;
+
+/// `plot`.
+#[derive(Clone, Debug, Args)]
+pub struct PlotArguments {
+    /// The recording, whole or cut short.
+    #[arg(value_name = "FILE.mcap")]
+    pub recording: PathBuf,
+
+    /// Directory for the figures (SVG and PNG) and the report; without it the report only, on standard output.
+    #[arg(long, short, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+
+    /// Scene file, instead of the one in the recording.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+
+    /// The report as JSON instead of text.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Draws; what is to be written on standard output.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(arguments: &PlotArguments) -> Result<String, Failure> {
+    let scene = arguments.scene.as_deref().map(Scene::read).transpose()?;
+    let recording = Recording::read(&arguments.recording)?;
+    if let Some(cut) = &recording.cut {
+        eprintln!(
+            "vpcctl: {}: cut short: {cut}",
+            arguments.recording.display()
+        );
+    }
+    let report = Report::of(&recording);
+    let mut text = match arguments.json {
+        true => serde_json::to_string_pretty(&report).map_err(std::io::Error::from)? + "\n",
+        false => report.text(),
+    };
+    if let Some(directory) = &arguments.output {
+        let files = recording::plot(&recording, scene.as_ref(), directory)?;
+        if !arguments.json {
+            text.push('\n');
+            for file in files {
+                text += &format!("wrote {}\n", file.display());
+            }
+        }
+    }
+    Ok(text)
+}
