@@ -2,21 +2,24 @@
 //!
 //! A part covers a convex area; the paper's "left of it OR right of it" is one inequality ||d||_p >= 1 on the scaled
 //! offset d from its centre. An occlusion that is not convex is a union of parts: being outside the union is being
-//! outside each.
+//! outside each. An area of a mask has a signed distance of its own, in [`field`].
 //!
 //! Source: paper, Eqs. (visibility_const_a) and (visibility_const_b).
 
 use libm::{pow, sqrt};
 use scene::{Camera, Part};
 
+use crate::field;
 use crate::task::Task;
 
 /// The signed clearance of a point from the border of a constraint and its direction of increase.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearance {
-    /// First-order distance to the border, px: exact on it, and everywhere for straight borders; negative inside.
+    /// Distance to the border, px; negative inside. Of a part to the first order: exact on the border, and everywhere
+    /// where it is straight.
     pub distance: f64,
-    /// Unit normal in the image, away from the occlusion.
+    /// Direction in the image, away from the occlusion: the unit normal of a part or an image side; the gradient of
+    /// the distance from an area, which is shorter where no border is the nearest.
     pub normal: [f64; 2],
 }
 
@@ -107,14 +110,27 @@ pub fn violation(task: &Task, pixel: [f64; 2], margin: f64) -> f64 {
         .filter(|part| outside_box(part, pixel) < margin)
         .map(|part| (margin - clearance(part, pixel).distance).max(0.0))
         .sum();
-    sides + parts
+    let areas: f64 = task
+        .areas
+        .iter()
+        .filter(|area| field::outside_box(area, pixel) < margin)
+        .map(|area| (margin - field::clearance(area, pixel).distance).max(0.0))
+        .sum();
+    sides + parts + areas
 }
 
 /// The least clearance of a pixel from any occlusion, px; infinite without occlusions.
 pub fn least_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
-    task.parts.iter().fold(f64::INFINITY, |least, part| {
+    let parts = task.parts.iter().fold(f64::INFINITY, |least, part| {
         if at_least(part, pixel) < least {
             least.min(clearance(part, pixel).distance)
+        } else {
+            least
+        }
+    });
+    task.areas.iter().fold(parts, |least, area| {
+        if field::outside_box(area, pixel) < least {
+            least.min(field::clearance(area, pixel).distance)
         } else {
             least
         }

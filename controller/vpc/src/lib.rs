@@ -41,6 +41,7 @@ pub mod controller;
 pub mod cost;
 pub mod delay;
 pub mod features;
+pub mod field;
 pub mod gate;
 pub mod hand_eye;
 pub mod ibvs;

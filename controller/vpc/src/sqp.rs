@@ -2,6 +2,7 @@
 
 use crate::constraint::{self, Clearance};
 use crate::cost::{self, Expansion};
+use crate::field;
 use crate::prediction::{Plan, Preview};
 use crate::qp::{ActiveSet, MAX_ROWS, QpStatus, Quadratic, Rows};
 use crate::solver::{Effort, Problem, Solution, Status};
@@ -42,7 +43,8 @@ impl Outcome {
     }
 }
 
-/// A point of a previewed step, and which of its clearances: sides 0 to 3 as in [`constraint::border`], then parts.
+/// A point of a previewed step, and which of its clearances: sides 0 to 3 as in [`constraint::border`], then parts, then
+/// areas.
 #[derive(Clone, Copy, Debug)]
 struct Source {
     step: u8,
@@ -230,7 +232,10 @@ impl<const N: usize> Sqp<N> {
             let pixel = self.preview.step(source.step.into())[usize::from(source.point)];
             let clearance = match usize::from(source.side) {
                 side @ 0..4 => constraint::border(&task.camera, pixel)[side],
-                side => constraint::clearance(&task.parts[side - 4], pixel),
+                side => match task.parts.get(side - 4) {
+                    Some(part) => constraint::clearance(part, pixel),
+                    None => field::clearance(&task.areas[side - 4 - task.parts.len()], pixel),
+                },
             };
             self.rows
                 .correct(i, clearance.distance - problem.margin, step);
@@ -355,6 +360,14 @@ fn collect<const N: usize>(
             });
             if reached {
                 add(4 + index, constraint::clearance(part, point.pixel));
+            }
+        }
+        for (index, area) in task.areas.iter().enumerate() {
+            let reached = (0..2)
+                .all(|c| high[c] > area.low()[c] - margin && low[c] < area.high()[c] + margin);
+            if reached {
+                let side = 4 + task.parts.len() + index;
+                add(side, field::clearance(area, point.pixel));
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The task: the scene as the law sees it, with what follows from it by projection.
 
-use scene::{Camera, Cost, Limits, Part, Pose, Scene};
+use scene::{Area, Camera, Cost, Limits, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
 use crate::{DOF, MAX_POINTS, Twist, camera, motion};
@@ -29,6 +29,8 @@ pub struct Task {
     pub cost: Cost,
     /// Parts of all occlusions, px.
     pub parts: heapless::Vec<Part, MAX_ALL_PARTS>,
+    /// Areas of all masks, px.
+    pub areas: heapless::Vec<Area, MAX_AREAS>,
     /// Sampling time, s.
     pub ts: f64,
 }
@@ -56,6 +58,13 @@ pub enum TaskError {
         pixel: [f64; 2],
         /// Index of the part among all parts, in the order of the scene.
         part: usize,
+    },
+    /// A point of the pattern is hidden by a mask at the goal.
+    GoalMasked {
+        /// Index of the point.
+        point: usize,
+        /// Where it lies, px.
+        pixel: [f64; 2],
     },
     /// There are more parts than [`MAX_ALL_PARTS`].
     TooManyParts {
@@ -91,6 +100,15 @@ impl core::fmt::Display for TaskError {
                     "goal: point {point} of the pattern is at ({u:.1}, {v:.1}) px, inside part {part} of the occlusions"
                 )
             }
+            Self::GoalMasked {
+                point,
+                pixel: [u, v],
+            } => {
+                write!(
+                    f,
+                    "goal: point {point} of the pattern is at ({u:.1}, {v:.1}) px, inside a mask"
+                )
+            }
             Self::TooManyParts { count } => {
                 write!(
                     f,
@@ -112,6 +130,7 @@ impl Task {
             return Err(TaskError::TooManyParts { count });
         }
         let parts: heapless::Vec<Part, MAX_ALL_PARTS> = scene.parts().copied().collect();
+        let areas: heapless::Vec<Area, MAX_AREAS> = scene.areas().copied().collect();
         let (goal, goal_depth) =
             see(scene, &scene.goal).map_err(|point| TaskError::GoalBehindCamera { point })?;
         for (point, &pixel) in goal.iter().enumerate() {
@@ -125,6 +144,12 @@ impl Task {
             {
                 return Err(TaskError::GoalOccluded { point, pixel, part });
             }
+            if areas
+                .iter()
+                .any(|area| crate::field::clearance(area, pixel).distance < 0.0)
+            {
+                return Err(TaskError::GoalMasked { point, pixel });
+            }
         }
         let Limits { linear, angular } = scene.limits;
         Ok(Self {
@@ -137,6 +162,7 @@ impl Task {
             limits: core::array::from_fn(|i| if i < DOF / 2 { linear } else { angular }),
             cost: scene.cost,
             parts,
+            areas,
             ts: scene.sampling_time(),
         })
     }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::mask::{MAX_AREAS, Mask, picture};
 use crate::model::*;
 
 /// Why a scene file was refused.
@@ -36,6 +37,18 @@ pub enum SceneError {
         value: String,
         /// What is allowed.
         allowed: &'static str,
+    },
+    /// A mask is none.
+    #[error("{path}: {key} = \"{mask}\": {reason}")]
+    Mask {
+        /// The file.
+        path: String,
+        /// The key, with its table.
+        key: String,
+        /// The image, from where it was looked for.
+        mask: String,
+        /// What is wrong with it and what is allowed.
+        reason: String,
     },
 }
 
@@ -115,7 +128,9 @@ struct RawStarts {
 #[serde(deny_unknown_fields)]
 struct RawOcclusion {
     name: String,
+    #[serde(default)]
     parts: Vec<RawPart>,
+    mask: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -140,7 +155,7 @@ impl Scene {
         Self::parse(&text, &name)
     }
 
-    /// Checks the text of a scene file; `path` is for messages.
+    /// Checks the text of a scene file; `path` is for messages, and masks are looked for beside it.
     ///
     /// # Errors
     /// As [`Scene::read`].
@@ -241,7 +256,7 @@ impl Checker<'_> {
             },
             success: self.success(&raw.success)?,
             starts: self.starts(&raw.starts)?,
-            occlusions: self.occlusions(raw.occlusion)?,
+            occlusions: self.occlusions(raw.occlusion, &raw.camera)?,
         };
         self.goal_in_view(&scene)?;
         Ok(scene)
@@ -404,8 +419,10 @@ impl Checker<'_> {
     fn occlusions(
         &self,
         raw: Vec<RawOcclusion>,
+        camera: &RawCamera,
     ) -> Result<heapless::Vec<Occlusion, MAX_OCCLUSIONS>, SceneError> {
         let mut occlusions = Vec::with_capacity(raw.len());
+        let mut areas = 0;
         for (i, occlusion) in raw.into_iter().enumerate() {
             let key = format!("occlusion[{i}]");
             let name = Name::try_from(occlusion.name.as_str()).map_err(|_| {
@@ -432,10 +449,34 @@ impl Checker<'_> {
                     p: part.p,
                 })
                 .collect();
-            let parts = self.list(&format!("{key}.parts"), parts, 1, "1 to 8 parts")?;
-            occlusions.push(Occlusion { name, parts });
+            let (least, allowed) = match occlusion.mask {
+                Some(_) => (0, "0 to 8 parts beside a mask"),
+                None => (1, "1 to 8 parts, or a mask"),
+            };
+            let parts = self.list(&format!("{key}.parts"), parts, least, allowed)?;
+            let mask = occlusion
+                .mask
+                .map(|mask| self.mask(&format!("{key}.mask"), &mask, camera))
+                .transpose()?;
+            areas += mask.map_or(0, |mask| mask.areas().len());
+            if areas > MAX_AREAS {
+                let allowed = "at most 32 areas in all masks together";
+                return Err(self.refuse(&format!("{key}.mask"), areas, allowed));
+            }
+            occlusions.push(Occlusion { name, parts, mask });
         }
         self.list("occlusion", occlusions, 0, "0 to 12 occlusions")
+    }
+
+    fn mask(&self, key: &str, mask: &str, camera: &RawCamera) -> Result<Mask, SceneError> {
+        let directory = Path::new(self.path).parent().unwrap_or(Path::new(""));
+        let file = directory.join(mask);
+        picture::read(&file, camera.width, camera.height).map_err(|reason| SceneError::Mask {
+            path: self.path.to_owned(),
+            key: key.to_owned(),
+            mask: file.display().to_string(),
+            reason: reason.to_string(),
+        })
     }
 
     /// A goal whose points lie behind the camera cannot be seen; where they fall on the image is for the

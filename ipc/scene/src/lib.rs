@@ -21,6 +21,7 @@
 #![forbid(unsafe_code)]
 
 mod fingerprint;
+mod mask;
 mod model;
 
 #[cfg(feature = "file")]
@@ -29,6 +30,7 @@ mod file;
 mod starts;
 
 pub use fingerprint::Fingerprint;
+pub use mask::{Area, Field, MAX_AREAS, Mask};
 pub use model::{
     Camera, Cost, Limits, MAX_OCCLUSIONS, MAX_PARTS, MAX_POINTS, MIN_POINTS, Name, Occlusion, Part,
     Pose, Scene, StartRegion, Success,
@@ -36,6 +38,8 @@ pub use model::{
 
 #[cfg(feature = "file")]
 pub use file::SceneError;
+#[cfg(feature = "file")]
+pub use mask::picture::write_mask;
 #[cfg(feature = "file")]
 pub use starts::{StartsError, parse_starts, read_starts, starts_csv};
 

@@ -2,6 +2,8 @@
 
 use heapless::{String, Vec};
 
+use crate::mask::{Area, Mask};
+
 /// Fewest points of a pattern: four coplanar points fix a pose by homography.
 pub const MIN_POINTS: usize = 4;
 /// Most points of a pattern.
@@ -111,13 +113,15 @@ pub struct StartRegion {
     pub min_error_px: f64,
 }
 
-/// An area of the image in which no feature may be: the union of its parts.
+/// An area of the image in which no feature may be: the union of its parts and its mask.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Occlusion {
     /// Its name, for messages.
     pub name: Name,
-    /// At least one part.
+    /// At least one part, where there is no mask.
     pub parts: Vec<Part, MAX_PARTS>,
+    /// Painted pixels.
+    pub mask: Option<Mask>,
 }
 
 /// A part covers the points with (|u-c_u|/h_u)^p + (|v-c_v|/h_v)^p < 1.
@@ -137,6 +141,18 @@ impl Scene {
         self.occlusions
             .iter()
             .flat_map(|occlusion| &occlusion.parts)
+    }
+
+    /// The mask of every occlusion that has one, in the order of the file.
+    pub fn masks(&self) -> impl Iterator<Item = &Mask> {
+        self.occlusions
+            .iter()
+            .filter_map(|occlusion| occlusion.mask.as_ref())
+    }
+
+    /// Every area of every mask, in the order of the file: at most [`crate::MAX_AREAS`].
+    pub fn areas(&self) -> impl Iterator<Item = &'static Area> {
+        self.masks().flat_map(|mask| mask.areas())
     }
 
     /// The sampling time, s.

@@ -10,6 +10,7 @@
 //! normal, and so a point inside.
 
 use scene::{Part, Scene};
+use vpc::field;
 
 /// Bound of the error of a distance, px.
 const TOLERANCE: f64 = 1e-9;
@@ -19,12 +20,16 @@ const MAX_STEPS: usize = 60;
 /// Least Euclidean distance of a pixel (u, v) from the occlusions of a scene, px: zero inside one, infinite in a scene
 /// without any.
 pub fn of_pixel(scene: &Scene, pixel: [f64; 2]) -> f64 {
-    scene.parts().fold(f64::INFINITY, |least, part| {
+    let parts = scene.parts().fold(f64::INFINITY, |least, part| {
         if distance_from_box(part, pixel) < least {
             least.min(distance(part, pixel))
         } else {
             least
         }
+    });
+    // The field of a mask is the Euclidean distance already, within 0.1 px where starts are measured, and not above.
+    scene.areas().fold(parts, |least, area| {
+        least.min(field::clearance(area, pixel).distance.max(0.0))
     })
 }
 

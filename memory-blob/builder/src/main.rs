@@ -1,5 +1,7 @@
 //! `vpc-memory`: builds, inspects, verifies and refits memories of motion.
 
+mod command;
+
 use std::fs;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -64,6 +66,12 @@ enum Command {
         #[arg(long, default_value_t = 1000)]
         seed: u64,
     },
+    /// Write the scene file of a task of your own; on a terminal, what no flag tells is asked for.
+    New(command::new::New),
+    /// Draw a scene: occlusions, the zone in which the memory is asked, goal, starts; and describe it.
+    Preview(command::preview::Preview),
+    /// Paint the occlusions of a scene into an image of the camera's size, to go on from in any editor.
+    Mask(command::mask::Mask),
     /// Fit the regression again from the samples stored in a memory.
     Fit {
         /// The memory to read.
@@ -175,6 +183,9 @@ fn main() -> ExitCode {
             count,
             seed,
         } => run_starts(&scene, &output, count, seed),
+        Command::New(new) => new.run().map(|said| print(&said)),
+        Command::Preview(preview) => preview.run().map(|said| print(&said)),
+        Command::Mask(mask) => mask.run().map(|said| print(&said)),
         Command::Fit {
             file,
             scene,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use vpc::features::MAX_INPUTS;
-use vpc::{MotionMemory, Points, Strategy, Task, Twist, constraint};
+use vpc::{MotionMemory, Points, Strategy, Task, Twist, constraint, field};
 
 use crate::settings::{BuildSettings, WayPoint};
 use crate::start::image_motion;
@@ -134,7 +134,10 @@ fn is_in_sight(task: &Task, a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
             !task.parts.iter().any(|part| {
                 constraint::hides(part, pixel)
                     && constraint::clearance(part, pixel).distance < -SLIDE * task.camera.width
-            })
+            }) && !task
+                .areas
+                .iter()
+                .any(|area| field::clearance(area, pixel).distance < -SLIDE * task.camera.width)
         })
     })
 }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use scene::{Part, Scene};
+use scene::{Mask, Part, Scene};
 
 use crate::canvas::{Canvas, label, ticks};
 use crate::{FigureError, Points};
@@ -111,6 +111,13 @@ impl Frame {
                 "<path d=\"{outline}\" fill=\"#b9bdc4\" clip-path=\"url(#{clip})\"/>"
             ));
         }
+        for mask in scene.masks() {
+            // Rows of pixels meet without a seam only where edges are not softened.
+            let area = self.pixels(mask);
+            canvas.element(format_args!(
+                "<path d=\"{area}\" fill=\"#b9bdc4\" shape-rendering=\"crispEdges\" clip-path=\"url(#{clip})\"/>"
+            ));
+        }
         let axis = "stroke=\"#222222\" stroke-width=\"1\"";
         canvas.element(format_args!(
             "<rect x=\"{}\" y=\"{}\" width=\"{w:.2}\" height=\"{h:.2}\" fill=\"none\" {axis}/>",
@@ -141,6 +148,42 @@ impl Frame {
         ));
         canvas.text(MARGIN[0] + w / 2.0, 19.0, 12.0, "middle", title);
         canvas
+    }
+
+    /// The white pixels of a mask as rectangles: the runs of a row, as high as the rows below have the same ones.
+    fn pixels(&self, mask: &Mask) -> String {
+        let runs = |row: usize| -> Vec<[usize; 2]> {
+            let mut runs: Vec<[usize; 2]> = Vec::new();
+            for column in (0..mask.width()).filter(|i| mask.is_forbidden(*i, row)) {
+                match runs.last_mut() {
+                    Some(run) if run[1] == column => run[1] += 1,
+                    _ => runs.push([column, column + 1]),
+                }
+            }
+            runs
+        };
+        let mut path = String::new();
+        let (mut top, mut open) = (0, runs(0));
+        for row in 1..=mask.height() {
+            let here = if row < mask.height() {
+                runs(row)
+            } else {
+                Vec::new()
+            };
+            if here == open {
+                continue;
+            }
+            for [from, to] in &open {
+                let [left, upper] = self.at([*from as f64, top as f64]);
+                let [right, lower] = self.at([*to as f64, row as f64]);
+                let _ = write!(
+                    path,
+                    "M{left:.2} {upper:.2}H{right:.2}V{lower:.2}H{left:.2}Z"
+                );
+            }
+            (top, open) = (row, here);
+        }
+        path
     }
 
     /// The border of a part: |x|^p + |y|^p = 1, by its direction from the centre.

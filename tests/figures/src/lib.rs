@@ -12,6 +12,7 @@ mod comparison;
 mod image_plane;
 mod latency;
 mod output;
+mod preview;
 mod samples;
 mod velocity;
 
@@ -20,6 +21,7 @@ pub use comparison::Comparison;
 pub use image_plane::ImagePlane;
 pub use latency::{Latency, Times};
 pub use output::FigureError;
+pub use preview::Preview;
 pub use samples::Samples;
 pub use velocity::Velocity;
 

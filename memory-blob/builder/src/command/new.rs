@@ -1,0 +1,271 @@
+//! `vpc-memory new`: a scene file from what a user knows of a task.
+
+use std::fs;
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use memory_builder::template::Template;
+use scene::{Camera, Scene};
+use vpc::Task;
+
+use super::mask::{beside, refuse_existing};
+
+/// What is known; on a terminal the rest is asked for.
+#[derive(Args)]
+pub struct New {
+    /// The scene file to write (TOML).
+    scene: PathBuf,
+    /// Image size, px: WIDTHxHEIGHT.
+    #[arg(long)]
+    image: Option<String>,
+    /// Focal lengths, px: FX or FX,FY.
+    #[arg(long)]
+    focal: Option<String>,
+    /// Principal point, px: CX,CY [default: the middle of the image].
+    #[arg(long)]
+    centre: Option<String>,
+    /// Frame rate, Hz [default: 30].
+    #[arg(long)]
+    rate: Option<String>,
+    /// The pattern, m: SIDE of a square, WIDTHxHEIGHT of a rectangle, or X,Y of each point between semicolons.
+    #[arg(long)]
+    pattern: Option<String>,
+    /// Where the camera shall see the pattern, m and rad: depth Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ.
+    #[arg(long, allow_hyphen_values = true)]
+    goal: Option<String>,
+    /// Limits of the camera velocity, m/s and rad/s: LINEAR,ANGULAR [default: 0.5,1].
+    #[arg(long)]
+    limits: Option<String>,
+    /// Depths between which starts lie, m: NEAR,FAR [default: 0.75 and 2 times that of the goal].
+    #[arg(long)]
+    depth: Option<String>,
+    /// Greatest tilt and roll of starts, rad: TILT,ROLL [default: 0.5,1.5].
+    #[arg(long)]
+    turn: Option<String>,
+    /// An image of the camera's size in which white is forbidden (PNG).
+    #[arg(long)]
+    mask: Option<PathBuf>,
+    /// An elliptic occlusion, px: U,V,HALF_U,HALF_V; may be repeated.
+    #[arg(long)]
+    ellipse: Vec<String>,
+    /// A rectangular occlusion, px: U,V,HALF_U,HALF_V; may be repeated.
+    #[arg(long = "box")]
+    boxes: Vec<String>,
+    /// Overwrite what exists.
+    #[arg(long)]
+    force: bool,
+}
+
+impl New {
+    /// Writes the scene once it is a valid one; says what was written and what comes next.
+    pub fn run(&self) -> anyhow::Result<String> {
+        refuse_existing(&self.scene, self.force)?;
+        let template = self.template()?;
+        let name = self.scene.display().to_string();
+        let text = template.text();
+        let scene = Scene::parse(&text, &name)?;
+        Task::new(&scene).with_context(|| name.clone())?;
+        fs::write(&self.scene, text).with_context(|| format!("{name}: cannot write"))?;
+        Ok(format!(
+            "wrote {name}; next: vpc-memory preview {name} -o preview.png\n"
+        ))
+    }
+
+    fn template(&self) -> anyhow::Result<Template> {
+        let [width, height] = exactly(
+            "--image",
+            &self.known("image", "Image size, px (WIDTHxHEIGHT)", &self.image, None)?,
+            'x',
+        )?;
+        let focal = self.known(
+            "focal",
+            "Focal lengths, px (FX or FX,FY)",
+            &self.focal,
+            None,
+        )?;
+        let (fx, fy) = match numbers("--focal", &focal, ',')?[..] {
+            [f] => (f, f),
+            [fx, fy] => (fx, fy),
+            _ => bail!("--focal = {focal}; allowed: FX or FX,FY"),
+        };
+        let middle = format!("{},{}", 0.5 * width, 0.5 * height);
+        let centre = self.known(
+            "centre",
+            "Principal point, px (CX,CY)",
+            &self.centre,
+            Some(&middle),
+        )?;
+        let [cx, cy] = exactly("--centre", &centre, ',')?;
+        let rate = self.known("rate", "Frame rate, Hz", &self.rate, Some("30"))?;
+        let [rate_hz] = exactly("--rate", &rate, ',')?;
+        let pattern = self.known(
+            "pattern",
+            "Pattern, m (SIDE of a square, WIDTHxHEIGHT, or points X,Y;X,Y;...)",
+            &self.pattern,
+            None,
+        )?;
+        let goal = self.known(
+            "goal",
+            "Goal, m and rad (Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ)",
+            &self.goal,
+            None,
+        )?;
+        let (goal, goal_rotation) = match numbers("--goal", &goal, ',')?[..] {
+            [z] => ([0.0, 0.0, z], [0.0; 3]),
+            [x, y, z] => ([x, y, z], [0.0; 3]),
+            [x, y, z, rx, ry, rz] => ([x, y, z], [rx, ry, rz]),
+            _ => bail!("--goal = {goal}; allowed: Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ"),
+        };
+        let limits = self.known(
+            "limits",
+            "Limits, m/s and rad/s (LINEAR,ANGULAR)",
+            &self.limits,
+            Some("0.5,1"),
+        )?;
+        let [linear, angular] = exactly("--limits", &limits, ',')?;
+        let reach = format!("{:.3},{:.3}", 0.75 * goal[2], 2.0 * goal[2]);
+        let depth = self.known(
+            "depth",
+            "Depths of starts, m (NEAR,FAR)",
+            &self.depth,
+            Some(&reach),
+        )?;
+        let turn = self.known(
+            "turn",
+            "Tilt and roll of starts, rad (TILT,ROLL)",
+            &self.turn,
+            Some("0.5,1.5"),
+        )?;
+        let [tilt, roll] = exactly("--turn", &turn, ',')?;
+        let shapes = |flag: &str, texts: &[String]| -> anyhow::Result<Vec<[f64; 4]>> {
+            texts.iter().map(|text| exactly(flag, text, ',')).collect()
+        };
+        Ok(Template {
+            camera: Camera {
+                width,
+                height,
+                fx,
+                fy,
+                cx,
+                cy,
+                rate_hz,
+            },
+            pattern: points(&pattern)?,
+            goal,
+            goal_rotation,
+            linear,
+            angular,
+            depth: exactly("--depth", &depth, ',')?,
+            tilt,
+            roll,
+            mask: self.mask_path()?,
+            ellipses: shapes("--ellipse", &self.ellipse)?,
+            boxes: shapes("--box", &self.boxes)?,
+        })
+    }
+
+    /// The mask as the scene file names it; on a terminal it is asked for where no occlusion is given.
+    fn mask_path(&self) -> anyhow::Result<Option<String>> {
+        let mut mask = self.mask.clone();
+        if mask.is_none() && self.ellipse.is_empty() && self.boxes.is_empty() {
+            let answer = self.known(
+                "mask",
+                "Mask of the occlusions (PNG; empty for none)",
+                &None,
+                Some(""),
+            )?;
+            mask = (!answer.is_empty()).then(|| PathBuf::from(answer));
+        }
+        mask.map(|mask| beside(&self.scene, &mask)).transpose()
+    }
+
+    /// The flag's value; else, on a terminal, the answer to a question; else the default.
+    fn known(
+        &self,
+        flag: &str,
+        question: &str,
+        given: &Option<String>,
+        default: Option<&str>,
+    ) -> anyhow::Result<String> {
+        if let Some(given) = given {
+            return Ok(given.clone());
+        }
+        let stdin = std::io::stdin();
+        if stdin.is_terminal() {
+            let hint = default.map_or(String::new(), |default| format!(" [{default}]"));
+            let mut out = std::io::stderr().lock();
+            write!(out, "{question}{hint}: ").and_then(|()| out.flush())?;
+            let mut line = String::new();
+            stdin.lock().read_line(&mut line).context("no answer")?;
+            let answer = line.trim();
+            if !answer.is_empty() {
+                return Ok(answer.to_owned());
+            }
+        }
+        match default {
+            Some(default) => Ok(default.to_owned()),
+            None => bail!("--{flag} is missing; {question}"),
+        }
+    }
+}
+
+/// Points of the pattern on z = 0, m.
+fn points(text: &str) -> anyhow::Result<Vec<[f64; 3]>> {
+    if text.contains(';') {
+        return text
+            .split(';')
+            .map(|point| exactly("--pattern", point, ',').map(|[x, y]| [x, y, 0.0]))
+            .collect();
+    }
+    match numbers("--pattern", text, 'x')?[..] {
+        [side] => Ok(Template::rectangle(side, side)),
+        [width, height] => Ok(Template::rectangle(width, height)),
+        _ => bail!("--pattern = {text}; allowed: SIDE, WIDTHxHEIGHT, or X,Y;X,Y;..."),
+    }
+}
+
+/// Finite numbers between separators.
+fn numbers(flag: &str, text: &str, separator: char) -> anyhow::Result<Vec<f64>> {
+    text.split(separator)
+        .map(|number| match number.trim().parse::<f64>() {
+            Ok(x) if x.is_finite() => Ok(x),
+            _ => bail!("{flag} = {text}; allowed: numbers between `{separator}`"),
+        })
+        .collect()
+}
+
+/// So many of them.
+fn exactly<const N: usize>(flag: &str, text: &str, separator: char) -> anyhow::Result<[f64; N]> {
+    match numbers(flag, text, separator)?.try_into() {
+        Ok(numbers) => Ok(numbers),
+        Err(_) => bail!("{flag} = {text}; allowed: {N} numbers between `{separator}`"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pattern_is_a_square_a_rectangle_or_points() {
+        assert_eq!(points("0.2").unwrap(), Template::rectangle(0.2, 0.2));
+        assert_eq!(points("0.2x0.1").unwrap()[2], [0.1, 0.05, 0.0]);
+        let four = points("0,0; 1,0; 1,1; -0.5,1").unwrap();
+        assert_eq!((four.len(), four[3]), (4, [-0.5, 1.0, 0.0]));
+        let message = points("0.1x0.1x0.1").unwrap_err().to_string();
+        assert!(
+            message.contains("--pattern = 0.1x0.1x0.1; allowed: SIDE"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn a_wrong_count_names_flag_value_and_what_is_allowed() {
+        let message = exactly::<2>("--image", "640", 'x').unwrap_err().to_string();
+        assert_eq!(message, "--image = 640; allowed: 2 numbers between `x`");
+        let message = exactly::<1>("--rate", "fast", ',').unwrap_err().to_string();
+        assert!(message.contains("--rate = fast"), "{message}");
+    }
+}

@@ -1,0 +1,168 @@
+//! `vpc-memory preview`: a picture of a scene before a memory is built for it.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use figures::Preview as Figure;
+use memory_builder::start;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use scene::Scene;
+use vpc::{Settings, Task, constraint};
+
+/// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer side.
+const SQUARE: f64 = 1.0 / 256.0;
+/// Draws among which starts are looked for.
+const DRAWS: usize = 20_000;
+
+/// What to draw.
+#[derive(Args)]
+pub struct Preview {
+    /// Scene file (TOML).
+    scene: PathBuf,
+    /// The picture to write: FILE.png and FILE.svg, with or without either ending.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Starts to draw.
+    #[arg(long, default_value_t = 20)]
+    starts: usize,
+    /// Seed of the starts.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+impl Preview {
+    /// Writes the picture; says what is in it.
+    pub fn run(&self) -> anyhow::Result<String> {
+        let name = self.scene.display().to_string();
+        let scene = Scene::read(&self.scene)?;
+        let task = Task::new(&scene).with_context(|| name.clone())?;
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        let (mut starts, mut drawn) = (Vec::new(), 0);
+        while starts.len() < self.starts && drawn < DRAWS {
+            drawn += 1;
+            let pose = start::draw(&scene, &mut rng);
+            if let Some(points) = start::features_if_valid(&scene, &task, &pose) {
+                starts.push(points.to_vec());
+            }
+        }
+
+        let trigger = Settings::default().trigger_px;
+        let file = self.stem();
+        let title = self.scene.file_name().unwrap_or_default().to_string_lossy();
+        let figure = Figure {
+            scene: &scene,
+            zone: zone(&task, trigger),
+            goal: task.goal.to_vec(),
+            starts,
+            title: title.into_owned(),
+        };
+        let said = describe(&task, &scene, trigger, figure.starts.len(), drawn);
+        let [svg, png] = figure.write(&file)?;
+        if figure.starts.is_empty() {
+            bail!(
+                "{name}: starts: none of {DRAWS} draws is valid; look at {}; allowed: a region, `clearance_px` and \
+                 `min_error_px` that leave room",
+                png.display()
+            );
+        }
+        Ok(format!(
+            "{said}wrote {} and {}\n",
+            svg.display(),
+            png.display()
+        ))
+    }
+
+    /// The picture's path without its ending.
+    fn stem(&self) -> PathBuf {
+        match self.output.extension() {
+            Some(end) if end == "png" || end == "svg" => self.output.with_extension(""),
+            _ => self.output.clone(),
+        }
+    }
+}
+
+/// Where a feature is nearer to an occlusion than the trigger distance: rows of squares, joined along each row.
+fn zone(task: &Task, trigger: f64) -> Vec<[f64; 4]> {
+    let (width, height) = (task.camera.width, task.camera.height);
+    let side = (SQUARE * width.max(height)).max(1.0);
+    let mut zone: Vec<[f64; 4]> = Vec::new();
+    for j in 0..(height / side).ceil() as usize {
+        let (top, bottom) = (j as f64 * side, ((j + 1) as f64 * side).min(height));
+        for i in 0..(width / side).ceil() as usize {
+            let (left, right) = (i as f64 * side, ((i + 1) as f64 * side).min(width));
+            let middle = [0.5 * (left + right), 0.5 * (top + bottom)];
+            if !(0.0..trigger).contains(&constraint::least_clearance(task, middle)) {
+                continue;
+            }
+            match zone.last_mut() {
+                Some(last) if last[2] == left && last[1] == top => last[2] = right,
+                _ => zone.push([left, top, right, bottom]),
+            }
+        }
+    }
+    zone
+}
+
+/// The scene in words.
+fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize) -> String {
+    let mut said = String::new();
+    let places: Vec<String> = task
+        .goal
+        .iter()
+        .map(|[u, v]| format!("({u:.0}, {v:.0})"))
+        .collect();
+    let least = |clearance: fn(&Task, [f64; 2]) -> f64| {
+        let each = task.goal.iter().map(|p| clearance(task, *p));
+        each.fold(f64::INFINITY, f64::min)
+    };
+    let border = least(constraint::border_clearance);
+    let occlusion = least(constraint::least_clearance);
+    let _ = writeln!(said, "goal        {} px", places.join(" "));
+    let _ = write!(
+        said,
+        "clearance   goal {border:.0} px from the image border"
+    );
+    if occlusion.is_finite() {
+        let _ = write!(said, ", {occlusion:.0} px from the occlusions");
+    }
+    let parts = scene.parts().count();
+    let (masks, areas) = (scene.masks().count(), scene.areas().count());
+    let _ = writeln!(
+        said,
+        "\nocclusions  {parts} parts, {masks} masks of {areas} areas; the memory is asked below {trigger:.0} px (orange)"
+    );
+    let share = 100.0 * found as f64 / drawn.max(1) as f64;
+    let _ = writeln!(
+        said,
+        "starts      {found} of {drawn} draws are valid ({share:.0} %)"
+    );
+    if occlusion < trigger {
+        let _ = writeln!(
+            said,
+            "note        the goal lies in the zone round the occlusions: the memory is asked up to the end"
+        );
+    }
+    said
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_zone_has_the_area_of_a_band_round_the_occlusions() {
+        let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
+        let spot = "[[occlusion]]\nname = \"spot\"\nparts = [{ center = [850.0, 560.0], half = [75.0, 75.0], p = 2.0 }]";
+        let scene = Scene::parse(&format!("{head}{spot}"), "spot").unwrap();
+        let task = Task::new(&scene).unwrap();
+        let area: f64 = zone(&task, 20.0)
+            .iter()
+            .map(|[left, top, right, bottom]| (right - left) * (bottom - top))
+            .sum();
+        let band = std::f64::consts::PI * (95.0f64.powi(2) - 75.0f64.powi(2));
+        assert!((area / band - 1.0).abs() < 0.03, "{area} {band}");
+    }
+}

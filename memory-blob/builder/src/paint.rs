@@ -1,0 +1,99 @@
+//! Shapes as pixels: a scene with parts becomes one with a mask.
+
+use scene::Scene;
+use vpc::constraint;
+
+/// Whether a pixel of the scene's image is forbidden: by its middle for parts, as it is for masks.
+pub fn is_forbidden(scene: &Scene, column: u32, row: u32) -> bool {
+    let middle = [f64::from(column) + 0.5, f64::from(row) + 0.5];
+    let (i, j) = (column as usize, row as usize);
+    scene.parts().any(|part| constraint::hides(part, middle))
+        || scene.masks().any(|mask| mask.is_forbidden(i, j))
+}
+
+/// The text of a scene file with its occlusions replaced by one mask; every other table stays as it is written.
+pub fn with_mask(text: &str, mask: &str) -> String {
+    let mut kept: Vec<&str> = Vec::new();
+    let mut in_occlusion = false;
+    for line in text.lines() {
+        if let Some(table) = header(line) {
+            in_occlusion = table == "occlusion";
+            if in_occlusion {
+                // What is said about the first of them goes with it.
+                while kept
+                    .last()
+                    .is_some_and(|line| line.starts_with('#') || line.trim().is_empty())
+                {
+                    kept.pop();
+                }
+            }
+        }
+        if !in_occlusion {
+            kept.push(line);
+        }
+    }
+    let name = toml::Value::from(mask);
+    let head = kept.join("\n");
+    let head = head.trim_end();
+    format!(
+        "{head}\n\n# White pixels are forbidden, black ones free; the image is as large as the camera's.\n\
+         [[occlusion]]\nname = \"mask\"\nmask = {name}\n"
+    )
+}
+
+/// The name in the header of a table or of an array of tables.
+fn header(line: &str) -> Option<&str> {
+    let line = line.split_once('#').map_or(line, |(code, _)| code).trim();
+    let name = line.strip_prefix('[')?.strip_suffix(']')?;
+    let name = name
+        .strip_prefix('[')
+        .and_then(|name| name.strip_suffix(']'))
+        .unwrap_or(name)
+        .trim();
+    let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    (name.starts_with(|c: char| c.is_ascii_alphabetic()) && name.chars().all(is_word))
+        .then_some(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_other_tables_stay_as_they_are_written() {
+        let text = with_mask(scene::PAPER_SIM, "areas.png");
+        let (head, _) = scene::PAPER_SIM
+            .split_once("\n# An occlusion is the union")
+            .unwrap();
+        let (kept, tail) = text.split_once("\n# White pixels").unwrap();
+        assert_eq!(kept.trim_end(), head.trim_end());
+        assert_eq!(tail.matches("[[occlusion]]").count(), 1);
+        assert!(tail.ends_with("mask = \"areas.png\"\n"));
+    }
+
+    #[test]
+    fn a_table_after_the_occlusions_is_kept() {
+        let text =
+            "[camera] # here\nfx = 1\n[[occlusion]]\nparts = [\n  [1, 2]\n]\n[cost]\nk_q = 1\n";
+        let kept = with_mask(text, "m.png");
+        assert!(
+            kept.starts_with("[camera] # here\nfx = 1\n[cost]\nk_q = 1\n"),
+            "{kept}"
+        );
+    }
+
+    #[test]
+    fn a_pixel_is_forbidden_where_its_middle_is() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        // The spot: a circle about (850, 560) of radius 75.
+        assert!(is_forbidden(&scene, 850, 560) && is_forbidden(&scene, 850 - 75, 560));
+        assert!(!is_forbidden(&scene, 850 - 76, 560));
+        let white = (0..1024u32)
+            .flat_map(|j| (0..1024u32).map(move |i| (i, j)))
+            .filter(|(i, j)| (770..930).contains(i) && (480..640).contains(j))
+            .filter(|(i, j)| is_forbidden(&scene, *i, *j))
+            .count() as f64;
+        let area = std::f64::consts::PI * 75.0 * 75.0;
+        assert!((white / area - 1.0).abs() < 2e-3, "{white}");
+    }
+}
