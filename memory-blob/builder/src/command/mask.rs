@@ -45,8 +45,16 @@ impl Mask {
                 .with_context(|| self.scene.display().to_string())?;
             let text = paint::with_mask(&text, &beside(file, &self.output)?);
             fs::write(file, text).with_context(|| format!("{}: cannot write", file.display()))?;
-            let areas = Scene::read(file)?.areas().count();
-            said += &format!("wrote {}, {areas} separate areas\n", file.display());
+            said += &if scene.occlusions.is_empty() {
+                let image = self.output.display();
+                format!(
+                    "wrote {}; next: paint white in {image} where no feature may be\n",
+                    file.display()
+                )
+            } else {
+                let areas = Scene::read(file)?.areas().count();
+                format!("wrote {}, {areas} areas\n", file.display())
+            };
         }
         Ok(said)
     }
