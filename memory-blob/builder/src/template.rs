@@ -67,7 +67,7 @@ impl Template {
             BESIDE * z * 0.5 * height / fy,
         ];
         let points: Vec<String> = self.pattern.iter().map(list).collect();
-        let time = (TIME * z / self.linear).max(15.0).ceil();
+        let time = (TIME * z / self.linear - 1e-9).max(15.0).ceil();
         let mut text = format!(
             "# Written by `vpc-memory new`: every value may be edited. Units: px, m, s, rad. Poses are of the object in\n\
              # the camera frame (u and x to the right, v and y down, z forward): translation and rotation vector.\n\n\
