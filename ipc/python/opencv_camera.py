@@ -305,9 +305,9 @@ def main():
     source = Source(cv2, arguments, size, scene["camera"]["rate_hz"])
     ports = None
     if not arguments.dry:
-        import contract
+        import vpc_client
 
-        ports = contract.CameraPorts(contract.Domain(arguments.domain or contract.default_directory()))
+        ports = vpc_client.Domain(arguments.domain).camera()
 
     count = whole = 0
     for frame, stamp_ns in itertools.islice(source.frames(), arguments.frames):
@@ -318,7 +318,7 @@ def main():
         bits = sum(1 << i for i, seen in enumerate(visible) if seen)
         data_ns = stamp_ns - int(1e6 * arguments.latency_ms)
         if ports:
-            ports.publish(points, data_ns, exposure_ns=int(1e6 * arguments.exposure_ms), visible=bits)
+            ports.publish_features(points, data_ns, exposure_ns=int(1e6 * arguments.exposure_ms), visible=bits)
         count += 1
         whole += all(visible)
         if arguments.print:

@@ -1,20 +1,23 @@
 //! The client in Python (`ipc/python`) against this crate: the same layouts, the same guard, real messages both ways,
-//! and its camera driven to the goal. Needs python3 and, the first time, the network: without them it says so and does
-//! nothing, or fails where `VPC_REQUIRE_PYTHON` is set.
+//! its camera driven to the goal, its logger's tables, its package installed. Needs python3 and, the first time, the
+//! network: without them the tests say so and do nothing, or fail where `VPC_REQUIRE_PYTHON` is set.
 
 use std::fmt::Write as _;
-use std::io::{Read, Write as _};
+use std::io::{BufRead, BufReader, Read};
 use std::mem::{align_of, offset_of, size_of};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use ipc::{
-    Action, ControllerPorts, CycleRecord, Domain, Features, Hold, Message, Observer, Outcome, Qos,
-    RecorderPort, Reply, Request, RobotMode, RobotState, Stamp, StrategyCode, TwistCommand,
-    TwistState,
+    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Message, Observer,
+    Outcome, Qos, RecorderPort, Reply, Request, RobotMode, RobotState, Stamp, StrategyCode,
+    TwistCommand, TwistState,
 };
 
 use super::{directory, eventually};
+use environment::run;
+
+mod environment;
 
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
@@ -33,62 +36,9 @@ fn sources(within: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(within)
 }
 
-/// Runs a command to its end; its last line of complaint where it fails.
-fn run(command: &mut Command) -> Result<Output, String> {
-    let output = command.output().map_err(|error| error.to_string())?;
-    if output.status.success() {
-        return Ok(output);
-    }
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    let last = complaint.lines().rfind(|line| !line.trim().is_empty());
-    Err(last.unwrap_or("no reason given").to_owned())
-}
-
-/// A virtual environment with the client's requirements, made the first time; why there is none.
-fn environment() -> Result<PathBuf, String> {
-    run(Command::new("python3").args(["-c", "import tomllib, venv"]))
-        .map_err(|reason| format!("python3 from 3.11 on is missing: {reason}"))?;
-    let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-client");
-    let python = place.join("bin/python");
-    let complete = "import numpy, importlib.metadata as m; assert m.version('iceoryx2') == '0.9.3'";
-    if run(Command::new(&python).args(["-c", complete])).is_ok() {
-        return Ok(python);
-    }
-    run(Command::new("python3")
-        .args(["-m", "venv", "--clear"])
-        .arg(&place))
-    .map_err(|reason| format!("no virtual environment: {reason}"))?;
-    let requirements = sources("python/requirements.txt");
-    run(Command::new(&python)
-        .args([
-            "-m",
-            "pip",
-            "install",
-            "--quiet",
-            "--disable-pip-version-check",
-        ])
-        .args([
-            "--only-binary",
-            ":all:",
-            "--timeout",
-            "10",
-            "--retries",
-            "1",
-            "-r",
-        ])
-        .arg(requirements))
-    .map_err(|reason| format!("pip cannot install the client's requirements: {reason}"))?;
-    Ok(python)
-}
-
 /// A script of the tree, ready to run.
 fn script(python: &Path, within: &str) -> Command {
-    let mut command = Command::new(python);
-    command
-        .arg(sources(within))
-        .env("PYTHONPATH", sources("python"))
-        .env("PYTHONDONTWRITEBYTECODE", "1");
-    command
+    environment::script(python, &sources("python"), &sources(within))
 }
 
 /// Size of a field.
@@ -291,6 +241,8 @@ fn messages_go_both_ways(python: &Path) {
         &[1234.5, -0.25, 1e300, 1e-300],
     ];
     assert_eq!(numbers(&text, "cycle"), numbers_of_record.concat());
+    let refusal = "refused strategy: refused: no memory of motion for this strategy (moving, none)";
+    assert!(text.lines().any(|line| line == refusal), "{text}");
     assert_eq!(
         numbers(&text, "reply"),
         [99.0, 4.0, 4.0, 1.0, 0.0, 2.0, 0.0]
@@ -356,19 +308,186 @@ fn the_camera_can_be_driven(python: &Path) {
     assert!(text.starts_with(&arrives), "{text}");
 }
 
+/// What is refused, and in which words; every port is free again after the end of its `with`.
+fn refusals_have_words(python: &Path) {
+    let directory = directory();
+    let mut peer = script(python, "tests/python/peer.py");
+    let said = run(peer.arg("refusals").arg(directory.path())).unwrap();
+    let said = String::from_utf8(said.stdout).unwrap();
+    let lines: Vec<&str> = said.lines().collect();
+    assert_eq!(lines.len(), 5, "{said}");
+    assert_eq!(lines[0], "vpc/features: count = 0; allowed: 1 to 8");
+    assert_eq!(
+        lines[1],
+        "vpc/features: points[1] = nan; allowed: finite numbers"
+    );
+    let taken = "taken: vpc/features: no publisher in domain";
+    assert!(lines[2].starts_with(taken), "{said}");
+    let waited = "vpc/twist: no answer to features 1 within 0.01 s; does vpcd run";
+    assert!(lines[3].starts_with(waited), "{said}");
+    let unknown = "service vpc/nothing; allowed: vpc/features, vpc/twist,";
+    assert!(lines[4].starts_with(unknown), "{said}");
+    assert_eq!(Domain::segments(directory.path()).unwrap(), 0);
+}
+
+fn bad_messages_are_refused(python: &Path) {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut peer = script(python, "tests/python/peer.py");
+    peer.arg("hears").arg(directory.path());
+    let mut peer = Running(peer.stdout(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(peer.0.stdout.take().unwrap()).lines();
+    assert_eq!(lines.next().unwrap().unwrap(), "listening");
+    let mut twist = TwistCommand::zero(TwistState::Moving);
+    twist.twist[3] = f64::INFINITY;
+    controller.twist.publish(&twist).unwrap();
+    twist.twist[3] = 0.0;
+    twist.state = 77;
+    controller.twist.publish(&twist).unwrap();
+    twist.state = TwistState::Moving.code();
+    controller.twist.publish(&twist).unwrap();
+    let said: Vec<String> = lines.map(Result::unwrap).collect();
+    let expected = [
+        "vpc/twist: twist[3] = inf; allowed: finite numbers",
+        "vpc/twist: state = 77; allowed: 0 to 5",
+        "good 3",
+    ];
+    assert_eq!(said, expected);
+    assert!(peer.0.wait().unwrap().success());
+}
+
+/// logger.py hears what is published, leaves tables with it, and counts what it missed.
+fn the_logger_fills_tables(python: &Path) {
+    let directory = directory();
+    let (domain_at, out) = (
+        directory.path().join("domain"),
+        directory.path().join("log"),
+    );
+    let domain = Domain::join(&domain_at).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut recorder = RecorderPort::open(&domain).unwrap();
+    let mut logger = script(python, "python/logger.py");
+    logger
+        .arg("--domain")
+        .arg(&domain_at)
+        .arg("--out")
+        .arg(&out);
+    logger.args(["--seconds", "60", "--cycles", "20"]);
+    let mut logger = Running(logger.stdout(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(logger.0.stdout.take().unwrap()).lines();
+    assert_eq!(lines.next().unwrap().unwrap(), "logging");
+    for k in 0..20_u32 {
+        if k == 10 {
+            recorder.cycles.skip();
+        }
+        let features = Features::new(&[[f64::from(k), 0.25]; 4], 0);
+        camera.features.publish(&features).unwrap();
+        let seen = controller.features.latest().unwrap().unwrap();
+        let answer = TwistCommand::answer(&seen, [0.5; 6], TwistState::Moving);
+        controller.twist.publish(&answer).unwrap();
+        let cycle = CycleRecord {
+            cycle: u64::from(k) + 1,
+            step_ns: 1000 * (u64::from(k) + 1),
+            ..CycleRecord::default()
+        };
+        recorder.cycles.publish(&cycle).unwrap();
+    }
+    let said: Vec<String> = lines.map(Result::unwrap).collect();
+    assert!(logger.0.wait().unwrap().success(), "{said:?}");
+    let cycles = said
+        .iter()
+        .find(|line| line.contains("cycles.csv"))
+        .unwrap();
+    assert!(cycles.ends_with("20 messages, 1 missed"), "{said:?}");
+    // The nearest ranks of 1 to 20 us, between which pandas draws straight lines.
+    let steps = said.iter().find(|line| line.starts_with("step")).unwrap();
+    let steps: Vec<&str> = steps.split_whitespace().collect();
+    assert_eq!(steps, ["step", "10.5", "19.1", "19.8", "20.0"], "{said:?}");
+    assert!(said.iter().any(|l| l.starts_with("features to twist")));
+    let table = std::fs::read_to_string(out.join("features.csv")).unwrap();
+    let mut table = table
+        .lines()
+        .map(|line| line.split(',').collect::<Vec<_>>());
+    let names = table.next().unwrap();
+    let column = names.iter().position(|name| *name == "points_0").unwrap();
+    let first: Vec<f64> = table.map(|row| row[column].parse().unwrap()).collect();
+    let published: Vec<f64> = (0..20).map(f64::from).collect();
+    assert_eq!(first, published);
+}
+
+/// The package installs from a copy of the tree, and works away from it.
+fn the_package_installs(python: &Path) {
+    let place = tempfile::tempdir().unwrap();
+    let copy = place.path().join("copy");
+    std::fs::create_dir_all(copy.join("vpc_client")).unwrap();
+    let from = sources("python");
+    for name in ["pyproject.toml", "README.md"] {
+        std::fs::copy(from.join(name), copy.join(name)).unwrap();
+    }
+    for entry in std::fs::read_dir(from.join("vpc_client")).unwrap() {
+        let entry = entry.unwrap();
+        if entry.file_type().unwrap().is_file() {
+            let to = copy.join("vpc_client").join(entry.file_name());
+            std::fs::copy(entry.path(), to).unwrap();
+        }
+    }
+    let installed = place.path().join("installed");
+    let mut pip = Command::new(python);
+    pip.args(["-m", "pip", "install", "--quiet", "--no-deps", "--target"]);
+    pip.arg(&installed).arg("--no-build-isolation").arg(&copy);
+    run(pip.arg("--disable-pip-version-check")).unwrap();
+    let mut use_it = Command::new(python);
+    use_it
+        .env("PYTHONPATH", &installed)
+        .current_dir(place.path());
+    use_it.args([
+        "-c",
+        "import vpc_client as v, importlib.metadata as m; \
+                        print(v.__file__, m.requires('vpc-client')[0], len(v.SERVICES))",
+    ]);
+    let said = run(&mut use_it).unwrap();
+    let said = String::from_utf8(said.stdout).unwrap();
+    assert!(
+        said.starts_with(installed.to_str().unwrap()) && said.trim().ends_with("iceoryx2==0.9.3 6"),
+        "{said}"
+    );
+}
+
+/// What Python needs, or `None` where it is missing and may be.
+fn python(test: &str) -> Option<PathBuf> {
+    let place = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    environment::python(test, &sources("python"), place)
+}
+
 #[test]
 fn the_client_in_python_agrees() {
-    match environment() {
-        Ok(python) => {
-            layouts_agree(&python);
-            messages_go_both_ways(&python);
-            the_camera_can_be_driven(&python);
-        }
-        Err(reason) if std::env::var_os("VPC_REQUIRE_PYTHON").is_some() => panic!("{reason}"),
-        Err(reason) => {
-            // Past the capture of the test harness: a test that did nothing must not look like one that passed.
-            let message = format!("the_client_in_python_agrees: skipped: {reason}\n");
-            let _ = std::io::stderr().write_all(message.as_bytes());
-        }
+    if let Some(python) = python("the_client_in_python_agrees") {
+        layouts_agree(&python);
+        messages_go_both_ways(&python);
+        the_camera_can_be_driven(&python);
+    }
+}
+
+#[test]
+fn the_client_in_python_refuses_what_breaks_the_contract() {
+    if let Some(python) = python("the_client_in_python_refuses_what_breaks_the_contract") {
+        refusals_have_words(&python);
+        bad_messages_are_refused(&python);
+    }
+}
+
+#[test]
+fn the_logger_in_python_fills_tables() {
+    if let Some(python) = python("the_logger_in_python_fills_tables") {
+        the_logger_fills_tables(&python);
+    }
+}
+
+#[test]
+fn the_package_of_the_client_installs() {
+    if let Some(python) = python("the_package_of_the_client_installs") {
+        the_package_installs(&python);
     }
 }

@@ -1,16 +1,16 @@
-"""The Python side of mod.rs: `peer.py layout`, or `peer.py exchange DOMAIN`. Finds contract.py by PYTHONPATH."""
+"""The Python side of mod.rs: `peer.py layout`, or `peer.py exchange DOMAIN`. Finds vpc_client by PYTHONPATH."""
 
 import ctypes
 import sys
 
-import contract
+import vpc_client
 
 
 def layout():
     """Every message as `name size alignment`, its fields as `name.field offset size`, services with their queues."""
-    for service, (message, *queues) in contract.SERVICES.items():
+    for service, (message, *queues) in vpc_client.SERVICES.items():
         print(service, message.type_name(), *queues)
-    for message in (contract.Stamp, *(message for message, *_ in contract.SERVICES.values())):
+    for message in (vpc_client.Stamp, *(service.message for service in vpc_client.SERVICES.values())):
         print(message.__name__, ctypes.sizeof(message), ctypes.alignment(message))
         for name, _ in message._fields_:
             field = getattr(message, name)
@@ -19,35 +19,76 @@ def layout():
 
 def exchange(directory):
     """Sends features and a robot's state, receives a twist and a cycle's record, and prints what came."""
-    domain = contract.Domain(directory)
-    camera = contract.CameraPorts(domain)
-    robot = domain.publisher("vpc/robot")
-    cycles = domain.subscriber("vpc/cycles", 1024)
+    with vpc_client.Domain(directory) as domain:
+        camera = domain.camera()
+        robot = domain.publisher("vpc/robot")
+        cycles = domain.subscribe("vpc/cycles")
 
-    state = contract.RobotState()
-    state.stamp.sequence, state.stamp.published_ns, state.stamp.data_ns = 1, contract.now_ns(), 77
-    state.features_sequence, state.mode, state.faults, state.joints = 5, 1, 2, 7
-    for field in ("translation", "rotation", "twist", "q", "dq", "room"):
-        numbers = getattr(state, field)
-        offset = getattr(contract.RobotState, field).offset
-        numbers[:] = [offset + i / 8 for i in range(len(numbers))]
-    robot.send_copy(state)
+        state = vpc_client.RobotState()
+        state.stamp.data_ns = 77
+        state.features_sequence, state.mode, state.faults, state.joints = 5, vpc_client.RobotMode.MOVING, 2, 7
+        for field in ("translation", "rotation", "twist", "q", "dq", "room"):
+            numbers = getattr(state, field)
+            offset = getattr(vpc_client.RobotState, field).offset
+            numbers[:] = [offset + i / 8 for i in range(len(numbers))]
+        robot.publish(state)
 
-    points = [(0.1, 2.25), (640.5, -3.75), (1e-3, 4.0), (5.0, 6.0), (7.0, 1 / 3)]
-    sent = camera.publish(points, data_ns=123_456_789, exposure_ns=4_000_000, visible=0b10111)
-    twist, code = camera.wait_for_answer(sent)
-    print("twist", code, *map(repr, twist), flush=True)
-    while (sample := cycles.receive()) is None:
-        pass
-    record = contract.CycleRecord.from_buffer_copy(sample.payload().contents)
-    print("cycle", record.cycle, record.lost_records, record.np, record.state, end=" ")
-    print(*map(repr, [*record.points, *record.way_point, *record.twist]), end=" ")
-    print(repr(record.cost), repr(record.violation_px), repr(record.clearance_px), repr(record.error_px))
+        points = [(0.1, 2.25), (640.5, -3.75), (1e-3, 4.0), (5.0, 6.0), (7.0, 1 / 3)]
+        sent = camera.publish_features(points, data_ns=123_456_789, exposure_ns=4_000_000, visible=0b10111)
+        command = camera.wait_for_answer(sent)
+        print("twist", command.state, *map(repr, command.twist), flush=True)
+        record = next(cycles.messages(count=1, seconds=10))
+        print("cycle", record.cycle, record.lost_records, record.np, record.state, end=" ")
+        print(*map(repr, [*record.points, *record.way_point, *record.twist]), end=" ")
+        print(repr(record.cost), repr(record.violation_px), repr(record.clearance_px), repr(record.error_px))
 
-    reply = contract.OperatorPorts(domain).ask("strategy", "knn", 5, patience_s=contract.PATIENCE_S)
-    print("reply", reply.stamp.data_ns, reply.action, reply.outcome, reply.state, reply.hold, reply.strategy, end=" ")
-    print(reply.neighbours, flush=True)
+        with domain.operator() as operator:
+            try:
+                operator.strategy("knn", 5, patience_s=10.0)
+            except vpc_client.Refused as refusal:
+                print("refused", refusal, flush=True)
+                reply = refusal.reply
+        print("reply", reply.stamp.data_ns, reply.action, reply.outcome, reply.state, reply.hold, end=" ")
+        print(reply.strategy, reply.neighbours, flush=True)
+
+
+def refusals(directory):
+    """What is refused, in the words of the exception; and that everything is gone after the end of a `with`."""
+    with vpc_client.Domain(directory) as domain:
+        with domain.camera() as camera:
+            for points in ([], [(1.0, float("nan"))]):
+                try:
+                    camera.publish_features(points)
+                except vpc_client.BadMessage as error:
+                    print(error)
+            try:
+                domain.camera()
+            except vpc_client.Taken as error:
+                print("taken:", error)
+            try:
+                camera.wait_for_answer(camera.publish_features([(1.0, 2.0)] * 4), patience_s=0.01)
+            except vpc_client.NoAnswer as error:
+                print(error)
+        # Its place is free again.
+        domain.camera().close()
+        try:
+            domain.subscribe("vpc/nothing")
+        except ValueError as error:
+            print(error)
+
+
+def hears(directory):
+    """Receives one command after another until a good one comes."""
+    with vpc_client.Domain(directory) as domain, domain.subscribe("vpc/twist") as twists:
+        print("listening", flush=True)
+        while True:
+            try:
+                for command in twists:
+                    print("good", command.stamp.sequence, flush=True)
+                    return
+            except vpc_client.BadMessage as error:
+                print(error, flush=True)
 
 
 if __name__ == "__main__":
-    {"layout": layout, "exchange": exchange}[sys.argv[1]](*sys.argv[2:])
+    {"layout": layout, "exchange": exchange, "refusals": refusals, "hears": hears}[sys.argv[1]](*sys.argv[2:])

@@ -1,0 +1,201 @@
+//! The camera, and the robot that carries it.
+
+use std::time::Duration;
+
+use ipc::{CameraPorts, Features, Message, RobotState, Stamp, TwistCommand};
+
+use crate::boundary::{self, Fault, Handle, Owner};
+use crate::domain::Domain;
+use crate::status::Status;
+
+/// Publishes features and the robot's state, receives twists.
+pub struct Camera {
+    ports: CameraPorts,
+    sequence: u64,
+    owner: Owner,
+}
+
+impl Handle for Camera {
+    const NAME: &'static str = "camera";
+
+    fn owner(&self) -> &Owner {
+        &self.owner
+    }
+}
+
+/// What became of features that were published: what their answer bears.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sent {
+    /// Their sequence number.
+    pub sequence: u64,
+    /// Their time of publication, ns.
+    pub published_ns: u64,
+}
+
+/// Opens the camera's ports. VPC_STATUS_TAKEN while another camera is at work.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_camera_open(domain: *mut Domain, out: *mut *mut Camera) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        let domain = unsafe { boundary::handle(domain) }?;
+        let camera = Camera {
+            ports: CameraPorts::open(&domain.domain)?,
+            sequence: 0,
+            owner: Owner::here(),
+        };
+        // SAFETY: the header asks for a place.
+        unsafe { boundary::give(out, camera) }
+    })
+}
+
+/// Closes the camera's ports. NULL does nothing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_camera_close(camera: *mut Camera) -> Status {
+    // SAFETY: the header asks for a handle that is not used again.
+    boundary::enter(|| unsafe { boundary::close(camera) })
+}
+
+/// Fills in features: `count` points u1 v1 u2 v2 ... in px, 1 to 8, all visible, no times.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_features_of(
+    points: *const f64,
+    count: u32,
+    out: *mut Features,
+) -> Status {
+    boundary::enter(|| {
+        if points.is_null() {
+            return Err(Fault::null("points"));
+        }
+        if !(1..=ipc::MAX_POINTS as u32).contains(&count) {
+            let words = format!("count = {count}; allowed: 1 to {}", ipc::MAX_POINTS);
+            return Err(Fault::new(Status::Argument, words));
+        }
+        // SAFETY: the header asks for 2 `count` numbers, and `count` was looked at.
+        let points =
+            unsafe { std::slice::from_raw_parts(points.cast::<[f64; 2]>(), count as usize) };
+        // SAFETY: the header asks for a place.
+        unsafe { boundary::put(out, "out", Features::new(points, 0)) }
+    })
+}
+
+/// Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present time and
+/// `stamp.data_ns` 0 becomes `published_ns`; other values stand (simulated time in lockstep, the exposure of a real
+/// camera). `sent` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_camera_publish(
+    camera: *mut Camera,
+    features: *const Features,
+    sent: *mut Sent,
+) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        let camera = unsafe { boundary::handle(camera) }?;
+        // SAFETY: the header asks for features.
+        let mut features = unsafe { boundary::get(features, "features") }?;
+        let Stamp {
+            sequence,
+            published_ns,
+            data_ns,
+        } = &mut features.stamp;
+        *sequence = camera.sequence + 1;
+        if *published_ns == 0 {
+            *published_ns = ipc::now_ns();
+        }
+        if *data_ns == 0 {
+            *data_ns = *published_ns;
+        }
+        features
+            .check()
+            .map_err(|invalid| Fault::new(Status::Argument, invalid.to_string()))?;
+        camera.sequence += 1;
+        let done = camera.ports.features.publish_verbatim(&features)?;
+        let done = Sent {
+            sequence: done.sequence,
+            published_ns: done.published_ns,
+        };
+        // SAFETY: the header asks for NULL or a place.
+        unsafe { boundary::put_if_asked(sent, done) };
+        Ok(())
+    })
+}
+
+/// Counts from 1 again: the next features begin a new run, for which the controller forgets everything.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_camera_restart(camera: *mut Camera) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        unsafe { boundary::handle(camera) }?.sequence = 0;
+        Ok(())
+    })
+}
+
+/// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`; VPC_STATUS_TIMEOUT when none
+/// came. A controller that starts meanwhile gets them.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_camera_wait(
+    camera: *mut Camera,
+    sent: *const Sent,
+    patience_ns: u64,
+    out: *mut TwistCommand,
+) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        let camera = unsafe { boundary::handle(camera) }?;
+        // SAFETY: the header asks for what `vpc_camera_publish` filled in.
+        let sent = unsafe { boundary::get(sent, "sent") }?;
+        let known = ipc::Sent {
+            sequence: sent.sequence,
+            published_ns: sent.published_ns,
+            receivers: 0,
+        };
+        let patience = Duration::from_nanos(patience_ns);
+        match camera.ports.wait_for_answer(&known, patience)? {
+            // SAFETY: the header asks for a place.
+            Some(twist) => unsafe { boundary::put(out, "out", twist.message) },
+            None => Err(Fault::new(
+                Status::Timeout,
+                format!(
+                    "vpc/twist: no answer to features {} within {} ms; does vpcd run in this domain, with --clock lockstep?",
+                    sent.sequence,
+                    patience.as_millis()
+                ),
+            )),
+        }
+    })
+}
+
+/// The newest command since the last call; VPC_STATUS_NOTHING where there is none. It may be executed until its
+/// `valid_until_ns`, never longer: stop then.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_camera_twist(camera: *mut Camera, out: *mut TwistCommand) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        let camera = unsafe { boundary::handle(camera) }?;
+        let twist = camera.ports.twist.latest()?;
+        let twist =
+            twist.ok_or_else(|| Fault::new(Status::Nothing, "vpc/twist: no command came"))?;
+        // SAFETY: the header asks for a place.
+        unsafe { boundary::put(out, "out", twist.message) }
+    })
+}
+
+/// Publishes the robot's state; sequence and time of publication are filled in, the rest is as given.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_camera_publish_robot(
+    camera: *mut Camera,
+    state: *const RobotState,
+) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        let camera = unsafe { boundary::handle(camera) }?;
+        // SAFETY: the header asks for a state.
+        let mut state = unsafe { boundary::get(state, "state") }?;
+        state.stamp.sequence = 1;
+        state
+            .check()
+            .map_err(|invalid| Fault::new(Status::Argument, invalid.to_string()))?;
+        camera.ports.robot.publish(&state)?;
+        Ok(())
+    })
+}

@@ -1,0 +1,142 @@
+//! Somebody who watches.
+
+use ipc::{CycleRecord, Features, Message, Order, RobotState, Subscriber, TwistCommand};
+
+use crate::boundary::{self, Fault, Handle, Owner};
+use crate::domain::Domain;
+use crate::status::Status;
+
+/// Receives everything and sends nothing.
+pub struct Observer {
+    ports: ipc::Observer,
+    owner: Owner,
+}
+
+impl Handle for Observer {
+    const NAME: &'static str = "observer";
+
+    fn owner(&self) -> &Owner {
+        &self.owner
+    }
+}
+
+/// Which of the messages that wait is taken.
+#[repr(u32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Take {
+    /// The one that waited longest: for who wants all of them.
+    Oldest = 0,
+    /// The newest; those before it are thrown away.
+    Latest = 1,
+}
+
+/// Opens an observer's ports. VPC_STATUS_TAKEN where a service has all the subscribers that it takes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_observer_open(domain: *mut Domain, out: *mut *mut Observer) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        let domain = unsafe { boundary::handle(domain) }?;
+        let observer = Observer {
+            ports: ipc::Observer::open(&domain.domain)?,
+            owner: Owner::here(),
+        };
+        // SAFETY: the header asks for a place.
+        unsafe { boundary::give(out, observer) }
+    })
+}
+
+/// Closes an observer's ports. NULL does nothing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_observer_close(observer: *mut Observer) -> Status {
+    // SAFETY: the header asks for a handle that is not used again.
+    boundary::enter(|| unsafe { boundary::close(observer) })
+}
+
+/// Takes a message from one of the observer's subscribers.
+///
+/// # Safety
+/// `observer` is NULL or an open handle, `out` and `missed` are NULL or places.
+unsafe fn take<T: Message>(
+    observer: *mut Observer,
+    subscriber: impl FnOnce(&mut ipc::Observer) -> &mut Subscriber<T>,
+    take: u32,
+    out: *mut T,
+    missed: *mut u64,
+) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the caller's promise.
+        let subscriber = subscriber(&mut unsafe { boundary::handle(observer) }?.ports);
+        let service = T::SERVICE;
+        if out.is_null() {
+            return Err(Fault::null("out"));
+        }
+        let message = match take {
+            0 => subscriber.oldest()?,
+            1 => subscriber.latest()?,
+            other => {
+                let words = format!("{service}: take = {other}; allowed: 0 oldest, 1 latest");
+                return Err(Fault::new(Status::Argument, words));
+            }
+        };
+        let message = message.ok_or_else(|| {
+            Fault::new(Status::Nothing, format!("{service}: no message is waiting"))
+        })?;
+        let gap = match message.order {
+            Order::Gap { missed } => missed,
+            _ => 0,
+        };
+        // SAFETY: the caller's promise.
+        unsafe { boundary::put_if_asked(missed, gap) };
+        // SAFETY: the caller's promise.
+        unsafe { boundary::put(out, "out", message.message) }
+    })
+}
+
+/// What the camera saw; VPC_STATUS_NOTHING where no message is waiting. `take` is a vpc_take. `missed` (may be NULL)
+/// counts messages since the one before that were lost or thrown away.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_observer_features(
+    observer: *mut Observer,
+    take: u32,
+    out: *mut Features,
+    missed: *mut u64,
+) -> Status {
+    // SAFETY: the header asks for a handle and places.
+    unsafe { self::take(observer, |ports| &mut ports.features, take, out, missed) }
+}
+
+/// What the controller commanded; as vpc_observer_features.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_observer_twist(
+    observer: *mut Observer,
+    take: u32,
+    out: *mut TwistCommand,
+    missed: *mut u64,
+) -> Status {
+    // SAFETY: the header asks for a handle and places.
+    unsafe { self::take(observer, |ports| &mut ports.twist, take, out, missed) }
+}
+
+/// Where the robot is; as vpc_observer_features.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_observer_robot(
+    observer: *mut Observer,
+    take: u32,
+    out: *mut RobotState,
+    missed: *mut u64,
+) -> Status {
+    // SAFETY: the header asks for a handle and places.
+    unsafe { self::take(observer, |ports| &mut ports.robot, take, out, missed) }
+}
+
+/// What the controller's cycles did; as vpc_observer_features.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_observer_cycle(
+    observer: *mut Observer,
+    take: u32,
+    out: *mut CycleRecord,
+    missed: *mut u64,
+) -> Status {
+    // SAFETY: the header asks for a handle and places.
+    unsafe { self::take(observer, |ports| &mut ports.cycles, take, out, missed) }
+}

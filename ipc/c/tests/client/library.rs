@@ -1,0 +1,98 @@
+//! The functions, called as C calls them.
+
+use std::ffi::CStr;
+use std::ptr::null_mut;
+
+use ipc::{ControllerPorts, Features};
+use vpcclient::boundary::{Fault, enter, vpc_message};
+use vpcclient::camera::{vpc_camera_close, vpc_camera_open, vpc_camera_publish, vpc_camera_twist};
+use vpcclient::domain::{vpc_domain_join, vpc_domain_leave};
+use vpcclient::names::vpc_hold_name;
+use vpcclient::status::Status;
+
+fn words() -> String {
+    // SAFETY: valid until the next call.
+    let words = unsafe { CStr::from_ptr(vpc_message()) };
+    words.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_panic_becomes_a_status_with_its_words() {
+    assert_eq!(enter(|| panic!("the {} broke", "spring")), Status::Panic);
+    assert_eq!(words(), "a defect: the spring broke");
+    assert_eq!(enter(|| Ok(())), Status::Ok);
+    let fault = || Err(Fault::new(Status::Argument, "with \0 inside"));
+    assert_eq!(enter(fault), Status::Argument);
+    assert_eq!(words(), "with ? inside");
+}
+
+#[test]
+fn null_is_refused_by_its_name() {
+    // SAFETY: NULL is allowed everywhere.
+    unsafe {
+        assert_eq!(vpc_camera_twist(null_mut(), null_mut()), Status::Argument);
+        assert_eq!(words(), "camera = NULL; allowed: a valid pointer");
+        assert_eq!(vpc_camera_close(null_mut()), Status::Ok);
+    }
+}
+
+#[test]
+fn a_handle_is_refused_in_another_thread_and_ports_outlive_their_domain() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_str().unwrap().to_owned() + "\0";
+    let (mut domain, mut camera, mut second) = (null_mut(), null_mut(), null_mut());
+    // SAFETY: handles are used as the header says, but for the thread, which is what is tested.
+    unsafe {
+        let joined = vpc_domain_join(path.as_ptr().cast(), &mut domain);
+        assert_eq!(joined, Status::Ok, "{}", words());
+        assert_eq!(vpc_camera_open(domain, &mut camera), Status::Ok);
+        assert_eq!(vpc_camera_open(domain, &mut second), Status::Taken);
+        assert!(words().contains("another publisher"), "{}", words());
+        let address = camera as usize;
+        let foreign = std::thread::spawn(move || {
+            let camera = address as *mut _;
+            (vpc_camera_close(camera), words())
+        });
+        let (status, said) = foreign.join().unwrap();
+        assert_eq!(status, Status::Thread);
+        assert!(said.starts_with("camera: used in another thread"), "{said}");
+
+        assert_eq!(vpc_domain_leave(domain), Status::Ok);
+        // What the camera publishes is heard, and what breaks the contract does not leave.
+        let peer = ipc::Domain::join(directory.path()).unwrap();
+        let mut controller = ControllerPorts::open(&peer).unwrap();
+        let mut features = Features::new(&[[1.0, 2.0]; 4], 0);
+        features.points[3] = f64::NAN;
+        assert_eq!(
+            vpc_camera_publish(camera, &features, null_mut()),
+            Status::Argument
+        );
+        assert_eq!(
+            words(),
+            "vpc/features: points[3] = NaN; allowed: finite numbers"
+        );
+        features.points[3] = 5.0;
+        assert_eq!(
+            vpc_camera_publish(camera, &features, null_mut()),
+            Status::Ok
+        );
+        let heard = controller.features.latest().unwrap().unwrap();
+        assert_eq!((heard.stamp.sequence, heard.points[3]), (1, 5.0));
+        assert_eq!(heard.stamp.data_ns, heard.stamp.published_ns);
+        assert_eq!(vpc_camera_close(camera), Status::Ok);
+    }
+}
+
+#[test]
+fn codes_have_words() {
+    let name = |code| {
+        // SAFETY: valid for ever.
+        unsafe { CStr::from_ptr(vpc_hold_name(code)) }
+            .to_str()
+            .unwrap()
+            .to_owned()
+    };
+    assert_eq!(name(0), "none");
+    assert_eq!(name(20), "standstill of the loop");
+    assert_eq!(name(21), "unknown");
+}
