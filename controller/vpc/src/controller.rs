@@ -9,7 +9,7 @@ use crate::gate::{self, Measurement, Refusal};
 use crate::prediction::{Origin, Plan, Preview};
 use crate::recall::{self, MotionMemory, Recall, Trigger};
 use crate::settings::{Settings, SettingsError, Strategy};
-use crate::solver::{Problem, Solver, Status};
+use crate::solver::{Problem, Solver, Status, work};
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, ibvs, limit};
 
@@ -51,6 +51,8 @@ pub struct Step {
     pub iterations: u32,
     /// Active-set changes in its quadratic programs.
     pub qp_iterations: u32,
+    /// Counted [`work`](crate::solver::work) of the solver.
+    pub work: u32,
     /// The paper's running cost l(v) of the command that is sent, against the goal.
     pub cost: f64,
     /// Worst violation predicted over the window, px.
@@ -71,7 +73,8 @@ impl Controller {
         Ok(Self {
             task: Task::new(scene)?,
             off_image_px: scene.success.violation_px,
-            solver: Solver::new(settings.np, settings.nc, settings.effort),
+            solver: Solver::new(settings.np, settings.nc, settings.effort)
+                .with_budget(work::budget(settings.np, settings.effort.max_iterations)),
             one_step: Preview::new(1),
             trigger: Trigger::new(settings.trigger_px, settings.release),
             previous: [0.0; MAX_VARIABLES],
@@ -160,6 +163,7 @@ impl Controller {
             way_point: None,
             iterations: 0,
             qp_iterations: 0,
+            work: 0,
             cost: 0.0,
             violation_px: 0.0,
             clearance_px,
@@ -271,6 +275,7 @@ impl Controller {
         step.status = solution.status;
         step.iterations = solution.iterations;
         step.qp_iterations = solution.qp_iterations;
+        step.work = solution.work;
         step.violation_px = solution.violation_px;
         step.recalled = recall.is_some();
         step.way_point = recall.map(|recall| recall.way_point);

@@ -5,7 +5,7 @@ use crate::cost::{self, Expansion};
 use crate::field;
 use crate::prediction::{Plan, Preview};
 use crate::qp::{ActiveSet, MAX_ROWS, QpStatus, Quadratic, Rows};
-use crate::solver::{Effort, Problem, Solution, Status};
+use crate::solver::{Effort, Problem, Solution, Status, work};
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES};
 
@@ -23,7 +23,7 @@ const MAX_CORRECTIONS: usize = 2;
 /// Violations below this are not counted as such, px.
 const FEASIBLE: f64 = 0.05;
 /// Active-set changes allowed a quadratic program, per variable.
-const QP_CHANGES_PER_VARIABLE: u32 = 12;
+const QP_CHANGES_PER_VARIABLE: u32 = 6;
 
 /// What a plan leads to.
 #[derive(Clone, Copy, Debug)]
@@ -69,6 +69,9 @@ pub(crate) struct Sqp<const N: usize> {
     sources: [Source; MAX_ROWS],
     program: ActiveSet<N>,
     effort: Effort,
+    /// Most work of a solution from all starts, and that of the present start.
+    budget: u32,
+    work: u32,
 }
 
 impl<const N: usize> Sqp<N> {
@@ -79,7 +82,13 @@ impl<const N: usize> Sqp<N> {
             sources: [Source::NONE; MAX_ROWS],
             program: ActiveSet::new(),
             effort,
+            budget: u32::MAX,
+            work: 0,
         }
+    }
+
+    pub(crate) fn limit_work(&mut self, budget: u32) {
+        self.budget = budget;
     }
 
     /// Cost of a plan; `None` where the plan brings a point behind the camera.
@@ -100,8 +109,10 @@ impl<const N: usize> Sqp<N> {
         }
     }
 
-    /// Solves the problem from the warm start `warm`.
-    pub(crate) fn solve(&mut self, problem: &Problem<'_>, warm: &Plan) -> Solution {
+    /// Solves the problem from the warm start `warm`, with some quarters of the budget of work.
+    pub(crate) fn solve(&mut self, problem: &Problem<'_>, warm: &Plan, quarters: u32) -> Solution {
+        self.work = 0;
+        let budget = self.budget / 4 * quarters;
         let mut plan: [f64; N] = clamped(&head(warm), problem.task);
         let mut rho = penalty(problem, self.preview.np());
         let mut raises = 0;
@@ -112,12 +123,14 @@ impl<const N: usize> Sqp<N> {
             outcome = self.outcome(problem, &plan);
         }
         let Some(mut here) = outcome else {
+            solution.work = self.work;
             return solution;
         };
         let mut status = Status::IterationLimit;
 
-        while solution.iterations < self.effort.max_iterations {
+        while solution.iterations < self.effort.max_iterations && self.work < budget {
             solution.iterations += 1;
+            self.work += work::expansion(self.preview.np());
             let Expansion {
                 value,
                 gradient,
@@ -144,9 +157,10 @@ impl<const N: usize> Sqp<N> {
                 &mut self.sources,
             );
             let answer = loop {
-                let limit = QP_CHANGES_PER_VARIABLE * N as u32;
+                let limit = self.changes_left(budget);
                 let answer = self.program.solve(&quadratic, &mut self.rows, rho, limit);
                 solution.qp_iterations += answer.iterations;
+                self.work += answer.iterations;
                 // A row that yields says that rho is below its multiplier, or that the rows contradict each other.
                 if answer.yielded == 0 || raises == MAX_RAISES {
                     break answer;
@@ -184,9 +198,10 @@ impl<const N: usize> Sqp<N> {
                     break;
                 }
                 self.correct(problem, &corrected);
-                let limit = QP_CHANGES_PER_VARIABLE * N as u32;
+                let limit = self.changes_left(budget);
                 let answer = self.program.solve(&quadratic, &mut self.rows, rho, limit);
                 solution.qp_iterations += answer.iterations;
+                self.work += answer.iterations;
                 if answer.status == QpStatus::NumericalFailure {
                     break;
                 }
@@ -218,11 +233,18 @@ impl<const N: usize> Sqp<N> {
         let plan = clamped(&plan, problem.task);
         solution.plan[..N].copy_from_slice(&plan);
         solution.status = status;
+        solution.work = self.work;
         solution.cost = here.cost;
         solution.merit = here.merit(rho);
         solution.violation_px = here.worst;
         solution.next_violation_px = here.next;
         solution
+    }
+
+    /// Active-set changes that the next quadratic program may make: as many as a hard one takes, unless the budget
+    /// comes first.
+    fn changes_left(&self, budget: u32) -> u32 {
+        (QP_CHANGES_PER_VARIABLE * N as u32).min(budget.saturating_sub(self.work))
     }
 
     /// Gives every row the clearance of the previewed plan, which is `step` away from where it was made.
@@ -245,6 +267,7 @@ impl<const N: usize> Sqp<N> {
     /// Previews `plan` and sums up cost and violations; `None` where it is impossible.
     fn outcome(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> Option<Outcome> {
         let task = problem.task;
+        self.work += work::look(self.preview.np());
         if !self.preview.run(task, problem.origin, plan) {
             return None;
         }

@@ -4,6 +4,7 @@
 //! The tests take turns (`fixture::turn`): they tell times, and two of them at once would measure each other. `VPC_LONG=1`
 //! runs them at full length; without it they are as long as CI can bear, and say so.
 
+mod bounded;
 mod camera;
 mod clock;
 mod configuration;
