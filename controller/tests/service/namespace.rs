@@ -226,9 +226,11 @@ fn stage(place: &Place) -> PathBuf {
     let files = root.join("controller/systemd");
     let vpcd = Path::new(env!("CARGO_BIN_EXE_vpcd"));
     put(vpcd, "usr/bin/vpcd");
-    let emulator = vpcd.with_file_name("hw-sim");
-    if emulator.exists() {
-        put(&emulator, "usr/bin/hw-sim");
+    for name in ["hw-sim", "vpcctl"] {
+        let built = vpcd.with_file_name(name);
+        if built.exists() {
+            put(&built, &format!("usr/bin/{name}"));
+        }
     }
     for name in ["vpcd.toml", "hw-sim.toml"] {
         put(&files.join(name), &format!("etc/vpcd/{name}"));
@@ -446,13 +448,23 @@ fn is_restarted_after_an_endless_loop(machine: &Machine) {
 }
 
 fn serves_the_emulator(machine: &Machine) {
-    if !machine.run("test -x /usr/bin/hw-sim").0 {
+    if !machine
+        .run("test -x /usr/bin/hw-sim -a -x /usr/bin/vpcctl")
+        .0
+    {
         eprintln!(
-            "NOT RUN: the pair of services: hw-sim is not built beside vpcd (cargo build -p hw-sim)"
+            "NOT RUN: the pair of services: hw-sim and vpcctl are not built beside vpcd (cargo build -p hw-sim -p \
+             vpcctl)"
         );
         return;
     }
     machine.must("systemctl start hw-sim");
+    // As installed it waits for an operator, who must be the service's own user.
+    let arm = "vpcctl --domain /run/vpcd arm";
+    eventually("arming", || {
+        let as_user = format!("runuser -u vpcd -- {arm}");
+        machine.run(&as_user).0.then_some(())
+    });
     eventually("a verdict", || {
         let (_, state) = machine.run("systemctl is-active hw-sim");
         (state == "inactive" || state == "failed").then_some(())
