@@ -18,6 +18,7 @@ reached; with --all and --first where every run was driven to its end, whatever 
 import argparse
 import csv
 import json
+import pathlib
 import sys
 import tomllib
 
@@ -73,10 +74,8 @@ class Camera:
         self.points = (self.points - left @ v) @ rotation(w)
 
 
-def run(scene, ports, start, steps):
+def run(scene, referee, ports, start, steps):
     """Closes the loop from a start for at most `steps` periods; what became of it."""
-    goal = scene["goal"]
-    referee = Referee(scene, Camera(scene, goal["translation"] + goal["rotation"]).pixels())
     camera = Camera(scene, start)
     period = 1.0 / scene["camera"]["rate_hz"]
     state = vpc_client.TwistState.STOPPED
@@ -149,10 +148,12 @@ def main():
         poses = {0: arguments.start or (np.array(goal["translation"]) + [0.2, 0.0, 0.1]).tolist() + goal["rotation"]}
     steps = arguments.steps or round(scene["success"]["time_s"] * scene["camera"]["rate_hz"])
 
+    goal = Camera(scene, scene["goal"]["translation"] + scene["goal"]["rotation"]).pixels()
+    referee = Referee(scene, goal, pathlib.Path(arguments.scene).parent)
     runs = []
     with vpc_client.Domain(arguments.domain) as domain, domain.camera() as ports:
         for index, pose in poses.items():
-            result = run(scene, ports, pose, steps)
+            result = run(scene, referee, ports, pose, steps)
             runs.append({"start": index, **result})
             head = f"start {index}: " if many else ""
             verdict = "" if result["success"] else f", {result['reason']}"

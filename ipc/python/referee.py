@@ -2,6 +2,8 @@
 
 Written from the scene file alone, so that a mistake cannot hide on both sides."""
 
+import pathlib
+
 import numpy as np
 
 # Samples of a border's direction in which the closest point is first looked for, and golden-section steps after that.
@@ -37,18 +39,50 @@ class Part:
         return float(min(distance(0.5 * (low + high)), distance(thetas[best])))
 
 
+class Mask:
+    """The white pixels of an image; pixel (i, j) is the square from (i, j) to (i + 1, j + 1)."""
+
+    def __init__(self, path, far):
+        """Depths beyond `far` px are told as infinite."""
+        try:
+            from PIL import Image
+        except ImportError:
+            raise SystemExit(f"referee: {path} is read with Pillow, which is missing; pip install pillow") from None
+        self.white = np.asarray(Image.open(path).convert("L")) >= 128
+        self.reach = int(far) + 2
+
+    def depth(self, pixel):
+        """Distance of a point on a white pixel to the nearest one that is not, px; 0 elsewhere. What lies outside the
+        image is no way out."""
+        height, width = self.white.shape
+        u, v = pixel
+        i, j = (min(max(int(np.floor(x)), 0), size - 1) for x, size in ((u, width), (v, height)))
+        if not (0.0 <= u <= width and 0.0 <= v <= height and self.white[j, i]):
+            return 0.0
+        left, top = max(i - self.reach, 0), max(j - self.reach, 0)
+        rows, columns = np.nonzero(~self.white[top : j + self.reach + 1, left : i + self.reach + 1])
+        if len(rows) == 0:
+            return float("inf")
+        gap_u = np.maximum(np.maximum(left + columns - u, u - (left + columns + 1)), 0.0)
+        gap_v = np.maximum(np.maximum(top + rows - v, v - (top + rows + 1)), 0.0)
+        return float(np.hypot(gap_u, gap_v).min())
+
+
 class Referee:
     """Judges true features, period by period."""
 
-    def __init__(self, scene, goal):
-        """`goal` are the features at the goal, px."""
+    def __init__(self, scene, goal, directory="."):
+        """`goal` are the features at the goal, px; masks are looked for in `directory`, that of the scene file."""
         self.size = np.array([scene["camera"]["width"], scene["camera"]["height"]])
         self.goal = goal
-        self.occlusions = [
-            (table["name"], [Part(part) for part in table["parts"]]) for table in scene.get("occlusion", [])
-        ]
         self.violation_px = scene["success"]["violation_px"]
         self.convergence_px = scene["success"]["convergence_px"]
+        self.occlusions = []
+        for table in scene.get("occlusion", []):
+            areas = [Part(part) for part in table.get("parts", [])]
+            if "mask" in table:
+                areas.append(Mask(pathlib.Path(directory) / table["mask"], self.violation_px))
+            self.occlusions.append((table["name"], areas))
 
     def error(self, pixels):
         """Largest component of s - s*, px."""
@@ -61,10 +95,9 @@ class Referee:
         out = np.maximum(np.maximum(-pixels, pixels - self.size), 0.0)
         if np.hypot(out[:, 0], out[:, 1]).max() > self.violation_px:
             return "outside the image"
-        for name, parts in self.occlusions:
-            for part in parts:
-                if max(part.depth(pixel) for pixel in pixels) > self.violation_px:
-                    return name
+        for name, areas in self.occlusions:
+            if any(area.depth(pixel) > self.violation_px for area in areas for pixel in pixels):
+                return name
         return None
 
     def arrived(self, pixels):

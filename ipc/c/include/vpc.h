@@ -20,6 +20,33 @@
 
 #define VPC_MAX_POINTS 8
 
+// A command was not valid in time.
+#define VPC_ROBOT_FAULTS_STALE_COMMAND 1
+
+// A command was outside the limits and was cut.
+#define VPC_ROBOT_FAULTS_COMMAND_LIMITED 2
+
+// The robot's own reflex stopped it (Panda: a discontinuity or a limit of a joint).
+#define VPC_ROBOT_FAULTS_REFLEX 4
+
+// A joint is at the limit of its range.
+#define VPC_ROBOT_FAULTS_JOINT_LIMIT 8
+
+// The pattern left the image or went behind the camera.
+#define VPC_ROBOT_FAULTS_PATTERN_LOST 16
+
+// Real time was asked for.
+#define VPC_REALTIME_ASKED 1
+
+// ... and the thread has no SCHED_FIFO.
+#define VPC_REALTIME_NO_FIFO 2
+
+// ... and the thread is not on its processor.
+#define VPC_REALTIME_NO_CPU 4
+
+// ... and memory is not locked.
+#define VPC_REALTIME_NO_LOCK 8
+
 // What every function returns but those that cannot fail: 0 done, above 0 nothing went wrong but there is no answer,
 // below 0 an error. `vpc_message()` has the words.
 enum vpc_status
@@ -494,7 +521,7 @@ typedef struct {
     double clearance_px;
     // Largest component of s - s*, px.
     double error_px;
-    // vpc_real_time bits.
+    // vpc_realtime bits.
     uint32_t realtime;
     // A vpc_phase.
     uint32_t phase;

@@ -213,6 +213,30 @@ class Outcome(enum.IntEnum):
         return _WORDS[type(self)][self]
 
 
+class RobotFaults(enum.IntFlag):
+    # A command was not valid in time.
+    STALE_COMMAND = 1
+    # A command was outside the limits and was cut.
+    COMMAND_LIMITED = 2
+    # The robot's own reflex stopped it (Panda: a discontinuity or a limit of a joint).
+    REFLEX = 4
+    # A joint is at the limit of its range.
+    JOINT_LIMIT = 8
+    # The pattern left the image or went behind the camera.
+    PATTERN_LOST = 16
+
+
+class RealTime(enum.IntFlag):
+    # Real time was asked for.
+    ASKED = 1
+    # ... and the thread has no SCHED_FIFO.
+    NO_FIFO = 2
+    # ... and the thread is not on its processor.
+    NO_CPU = 4
+    # ... and memory is not locked.
+    NO_LOCK = 8
+
+
 _WORDS = {
     TwistState: (
         "stopped",

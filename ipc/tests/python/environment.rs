@@ -41,7 +41,7 @@ fn environment(client: &Path, place: &Path) -> Result<PathBuf, String> {
     run(Command::new("python3").args(["-c", "import tomllib, venv"]))
         .map_err(|reason| format!("python3 from 3.11 on is missing: {reason}"))?;
     let python = place.join("bin/python");
-    let complete = "import numpy, pandas, importlib.metadata as m; \
+    let complete = "import numpy, pandas, PIL, importlib.metadata as m; \
                     assert m.version('iceoryx2') == '0.9.3'; \
                     assert int(m.version('setuptools').split('.')[0]) >= 71";
     if run(Command::new(&python).args(["-c", complete])).is_ok() {
@@ -54,7 +54,7 @@ fn environment(client: &Path, place: &Path) -> Result<PathBuf, String> {
     let mut pip = Command::new(&python);
     pip.args(["-m", "pip", "install", "--disable-pip-version-check"]);
     pip.args(["--quiet", "--only-binary", ":all:", "--timeout", "10"]);
-    pip.args(["--retries", "1", "setuptools>=71", "-r"]);
+    pip.args(["--retries", "1", "setuptools>=71", "pillow", "-r"]);
     run(pip.arg(client.join("requirements-logger.txt")))
         .map_err(|reason| format!("pip cannot install the client's requirements: {reason}"))?;
     Ok(python)

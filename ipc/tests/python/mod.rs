@@ -417,6 +417,27 @@ fn the_logger_fills_tables(python: &Path) {
     assert_eq!(first, published);
 }
 
+/// The camera's referee measures as hw-sim's does: the same numbers as in the unit tests there.
+fn the_referee_measures(python: &Path) {
+    let directory = tempfile::tempdir().unwrap();
+    let mut peer = script(python, "tests/python/peer.py");
+    let said = run(peer.arg("depths").arg(directory.path())).unwrap();
+    let said = String::from_utf8(said.stdout).unwrap();
+    let expected = [
+        "16.0 75.0 0.0",
+        "30.0 50.0 0.0",
+        "10.25 0.5 inf 0.0",
+        "None True",
+        "None False",
+        "None False",
+        "painted False",
+        "None False",
+        "outside the image False",
+        "outside the image False",
+    ];
+    assert_eq!(said.lines().collect::<Vec<_>>(), expected);
+}
+
 /// The package installs from a copy of the tree, and works away from it.
 fn the_package_installs(python: &Path) {
     let place = tempfile::tempdir().unwrap();
@@ -467,6 +488,7 @@ fn the_client_in_python_agrees() {
         layouts_agree(&python);
         messages_go_both_ways(&python);
         the_camera_can_be_driven(&python);
+        the_referee_measures(&python);
     }
 }
 

@@ -90,5 +90,32 @@ def hears(directory):
                 print(error, flush=True)
 
 
+def depths(directory):
+    """Depths in a circle, in a near rectangle, and in a white rectangle painted into an image; then verdicts."""
+    import numpy as np
+    from PIL import Image
+    from referee import Mask, Part, Referee
+
+    circle = Part({"center": [850.0, 560.0], "half": [75.0, 75.0], "p": 2.0})
+    print(*(round(circle.depth(np.array(p)), 6) for p in [(791.0, 560.0), (850.0, 560.0), (700.0, 560.0)]))
+    near = Part({"center": [0.0, 0.0], "half": [150.0, 50.0], "p": 8.0})
+    print(*(round(near.depth(np.array(p)), 2) for p in [(0.0, 20.0), (-10.0, 0.0), (0.0, 51.0)]))
+    path = f"{directory}/mask.png"
+    grey = np.zeros((300, 400), dtype=np.uint8)
+    grey[100:200, 50:250] = 255
+    Image.fromarray(grey).save(path)
+    mask = Mask(path, 15.0)
+    print(*(round(mask.depth(np.array(p)), 6) for p in [(60.25, 150.0), (249.5, 150.0), (150.0, 150.0), (40.0, 150.0)]))
+    scene = {
+        "camera": {"width": 400, "height": 300},
+        "success": {"violation_px": 15.0, "convergence_px": 2.0},
+        "occlusion": [{"name": "painted", "mask": "mask.png"}],
+    }
+    referee = Referee(scene, np.array([[10.0, 10.0]]), directory)
+    for point in [(12.0, 8.0), (12.1, 8.0), (60.0, 150.0), (70.0, 150.0), (-14.0, 5.0), (-11.0, -11.0), (5.0, np.nan)]:
+        pixels = np.array([point])
+        print(referee.violation(pixels), referee.arrived(pixels))
+
+
 if __name__ == "__main__":
-    {"layout": layout, "exchange": exchange, "refusals": refusals, "hears": hears}[sys.argv[1]](*sys.argv[2:])
+    {"layout": layout, "exchange": exchange, "refusals": refusals, "hears": hears, "depths": depths}[sys.argv[1]](*sys.argv[2:])

@@ -52,6 +52,7 @@ pub fn program(name: &str) -> PathBuf {
         let mut build = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         build.current_dir(root()).args(["build", "--quiet"]);
         build.args(["-p", "controller", "-p", "hw-sim", "-p", "vpcctl"]);
+        build.args(["-p", "vpc-client-c"]);
         if !cfg!(debug_assertions) {
             build.arg("--release");
         }

@@ -6,6 +6,7 @@
 
 mod bounded;
 mod camera;
+mod clients;
 mod clock;
 mod configuration;
 mod deadlines;

@@ -51,6 +51,7 @@ fn name(rust: &str) -> String {
         "TwistState" => "State",
         "StrategyCode" => "Strategy",
         "PhaseCode" => "Phase",
+        "RealTime" => "Realtime",
         "SolverStatus" => "Solver",
         other => other,
     };
@@ -85,6 +86,13 @@ fn plain(source: &Source) -> String {
             let _ = writeln!(text, "    pub {}: {kind},", field.name);
         }
         text += "}\n";
+    }
+    for bits in &source.bits {
+        let name = name(&bits.name).to_uppercase();
+        for (bit, value, docs) in &bits.values {
+            write_docs(&mut text, "", docs);
+            let _ = writeln!(text, "pub const {name}_{bit}: u32 = {value};");
+        }
     }
     for codes in &source.codes {
         write_docs(&mut text, "", &codes.docs);

@@ -78,6 +78,14 @@ pub fn generate(source: &Source) -> String {
         }
         text += "\n    @property\n    def words(self):\n        return _WORDS[type(self)][self]\n";
     }
+    for bits in &source.bits {
+        let name = &bits.name;
+        let _ = write!(text, "\n\nclass {name}(enum.IntFlag):\n");
+        for (bit, value, docs) in &bits.values {
+            comments(&mut text, "    ", docs);
+            let _ = writeln!(text, "    {bit} = {value}");
+        }
+    }
     text += "\n\n_WORDS = {\n";
     for codes in &source.codes {
         let _ = writeln!(text, "    {}: (", codes.name);

@@ -4,7 +4,9 @@
 use std::path::{Path, PathBuf};
 
 use syn::parse::{Parse, ParseStream};
-use syn::{Attribute, Expr, ExprLit, Fields, Ident, Item, Lit, LitInt, LitStr, Meta, Token, Type};
+use syn::{
+    Attribute, Expr, ExprLit, Fields, Ident, ImplItem, Item, Lit, LitInt, LitStr, Meta, Token, Type,
+};
 
 /// The sources that declare what travels.
 const FILES: [&str; 6] = [
@@ -52,11 +54,20 @@ pub struct Codes {
     pub values: Vec<(String, u32, String, Vec<String>)>,
 }
 
+/// Bits that travel as a sum.
+#[derive(Debug)]
+pub struct Bits {
+    pub name: String,
+    /// Name, bit, documentation.
+    pub values: Vec<(String, u32, Vec<String>)>,
+}
+
 /// All of it, in the order of the files.
 #[derive(Debug, Default)]
 pub struct Source {
     pub messages: Vec<Message>,
     pub codes: Vec<Codes>,
+    pub bits: Vec<Bits>,
 }
 
 /// The root of the repository.
@@ -73,6 +84,7 @@ pub fn read() -> Source {
         for item in syn::parse_file(&text).unwrap().items {
             match item {
                 Item::Struct(item) => source.messages.extend(message(&item)),
+                Item::Impl(item) if item.trait_.is_none() => source.bits.extend(bits(&item)),
                 Item::Macro(item) if item.mac.path.is_ident("codes") => {
                     source.codes.push(item.mac.parse_body().unwrap());
                 }
@@ -101,6 +113,39 @@ fn message(item: &syn::ItemStruct) -> Option<Message> {
         docs: docs(&item.attrs),
         fields: fields.named.iter().map(field).collect(),
     })
+}
+
+/// The bits that an `impl` declares: constants `Self(1 << n)`.
+fn bits(item: &syn::ItemImpl) -> Option<Bits> {
+    let values = item.items.iter().filter_map(|item| match item {
+        ImplItem::Const(constant) => match &constant.expr {
+            Expr::Call(call) => {
+                let bit = number(call.args.first()?);
+                Some((constant.ident.to_string(), bit, docs(&constant.attrs)))
+            }
+            _ => None,
+        },
+        _ => None,
+    });
+    let values: Vec<_> = values.collect();
+    let Kind::Plain(name) = kind(&item.self_ty) else {
+        return None;
+    };
+    (!values.is_empty()).then_some(Bits { name, values })
+}
+
+/// A number, or one shifted.
+fn number(expression: &Expr) -> u32 {
+    match expression {
+        Expr::Lit(ExprLit {
+            lit: Lit::Int(number),
+            ..
+        }) => number.base10_parse().unwrap(),
+        Expr::Binary(shift) if matches!(shift.op, syn::BinOp::Shl(_)) => {
+            number(&shift.left) << number(&shift.right)
+        }
+        _ => panic!("a bit is neither a number nor one shifted"),
+    }
 }
 
 fn kind(ty: &Type) -> Kind {
