@@ -43,25 +43,37 @@ impl FreeCamera {
     /// # Errors
     /// [`Hidden`] where a point is behind the camera.
     pub fn features(&self) -> Result<Points, Hidden> {
-        let mut points = Points::new();
-        for (point, p) in self.pattern.iter().enumerate() {
-            let x = self.pose.transform(p);
-            if x.z < 1e-6 {
-                return Err(Hidden { point });
-            }
-            let pixel = [
-                self.camera.fx * x.x / x.z + self.camera.cx,
-                self.camera.fy * x.y / x.z + self.camera.cy,
-            ];
-            points.push(pixel).map_err(|_| Hidden { point })?;
-        }
-        Ok(points)
+        projected(&self.camera, &self.pattern, &self.pose)
     }
 
     /// Moves the camera with a constant twist (vx vy vz m/s, wx wy wz rad/s; camera frame) for `dt` seconds.
     pub fn advance(&mut self, twist: &[f64; 6], dt: f64) {
         self.pose = self.pose.seen_after(twist, dt);
     }
+}
+
+/// The pattern of a scene as its camera sees the object at a pose, px.
+///
+/// # Errors
+/// [`Hidden`] where a point is behind the camera.
+pub fn project(scene: &Scene, object: &RigidPose) -> Result<Points, Hidden> {
+    projected(&scene.camera, &scene.pattern, object)
+}
+
+fn projected(camera: &Camera, pattern: &[[f64; 3]], pose: &RigidPose) -> Result<Points, Hidden> {
+    let mut points = Points::new();
+    for (point, p) in pattern.iter().enumerate() {
+        let x = pose.transform(p);
+        if x.z < 1e-6 {
+            return Err(Hidden { point });
+        }
+        let pixel = [
+            camera.fx * x.x / x.z + camera.cx,
+            camera.fy * x.y / x.z + camera.cy,
+        ];
+        points.push(pixel).map_err(|_| Hidden { point })?;
+    }
+    Ok(points)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What executes a twist: the stage between command and camera, where a robot slots in.
+//! What carries a camera that is free to move: it executes a twist at once. An arm has its own, [`crate::robot`].
 
 use scene::Limits;
 
@@ -40,24 +40,23 @@ impl Carrier {
 
 impl FreeFlying {
     fn execute(&self, command: &[f64; 6]) -> Executed {
-        let limit = |k: usize| {
-            if k < 3 {
-                self.limits.linear
-            } else {
-                self.limits.angular
-            }
-        };
-        let twist = std::array::from_fn(|k| {
-            if command[k].is_finite() {
-                command[k].clamp(-limit(k), limit(k))
-            } else {
-                0.0
-            }
-        });
-        let within = |k: usize| command[k].abs() <= limit(k) * (1.0 + 1e-9);
-        let limited = !(0..6).all(within);
-        Executed { twist, limited }
+        cut(command, &self.limits)
     }
+}
+
+/// A command inside the limits, components that are not finite as zero.
+pub fn cut(command: &[f64; 6], limits: &Limits) -> Executed {
+    let limit = |k: usize| if k < 3 { limits.linear } else { limits.angular };
+    let twist = std::array::from_fn(|k| {
+        if command[k].is_finite() {
+            command[k].clamp(-limit(k), limit(k))
+        } else {
+            0.0
+        }
+    });
+    let within = |k: usize| command[k].abs() <= limit(k) * (1.0 + 1e-9);
+    let limited = !(0..6).all(within);
+    Executed { twist, limited }
 }
 
 #[cfg(test)]

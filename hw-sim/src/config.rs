@@ -6,6 +6,10 @@ use clap::{Parser, ValueEnum};
 use scene::{Pose, Scene, read_starts};
 use serde::Deserialize;
 
+use crate::eye::Sight;
+use crate::robot::bridge::Shaping;
+use crate::robot::calibration::{HandEye, Truth};
+use crate::robot::rig::RigSettings;
 use crate::sensor::Flaws;
 
 /// Emulates the camera of a scene, and what carries it, behind shared memory.
@@ -55,6 +59,32 @@ pub struct Arguments {
     /// Shows a line of progress.
     #[arg(long)]
     pub progress: bool,
+    /// What carries the camera.
+    #[arg(long, value_enum)]
+    pub robot: Option<Body>,
+    /// Panda: where features come from.
+    #[arg(long, value_enum)]
+    pub camera: Option<Sight>,
+    /// Panda: from the middle of an exposure to its delivery, ms.
+    #[arg(long)]
+    pub latency_ms: Option<f64>,
+    /// Panda: deviation of that to either side, ms.
+    #[arg(long)]
+    pub jitter_ms: Option<f64>,
+    /// Panda: sends the 30 Hz staircase to the robot as it is, to see what it says.
+    #[arg(long)]
+    pub unshaped: bool,
+}
+
+/// What carries the camera.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Body {
+    /// Nothing: it moves exactly as told, at once.
+    #[default]
+    Free,
+    /// A Franka Emika Panda behind its 1 kHz velocity interface.
+    Panda,
 }
 
 /// Whose time it is.
@@ -81,6 +111,16 @@ struct RawConfig {
     drop: Option<f64>,
     seed: Option<u64>,
     time_limit_s: Option<f64>,
+    robot: Option<Body>,
+    camera: Option<Sight>,
+    latency_ms: Option<f64>,
+    jitter_ms: Option<f64>,
+    exposure_ms: Option<f64>,
+    readout_ms: Option<f64>,
+    dwell_s: Option<f64>,
+    retreat_m: Option<f64>,
+    hand_eye: Option<HandEye>,
+    truth: Option<Truth>,
 }
 
 /// A checked configuration.
@@ -104,6 +144,10 @@ pub struct Config {
     pub time_limit_s: f64,
     /// Whether to show progress.
     pub progress: bool,
+    /// What carries the camera.
+    pub robot: Body,
+    /// The robot's cell, where a robot does.
+    pub rig: RigSettings,
 }
 
 /// Why a configuration was refused.
@@ -200,33 +244,81 @@ impl Config {
         };
         let delay = arguments.delay.or(raw.delay_frames).unwrap_or(0);
         number("delay_frames", delay as f64, 0.0, 100.0)?;
+        let robot = arguments.robot.or(raw.robot).unwrap_or_default();
+        let clock = arguments.clock.or(raw.clock).unwrap_or(Clock::Fixed);
+        let mut rig = RigSettings::new(&scene);
+        rig.is_live = clock == Clock::Fixed;
+        let eye = &mut rig.eye;
+        eye.sight = arguments.camera.or(raw.camera).unwrap_or_default();
+        let nanoseconds = |key, ms: Option<f64>, default_ns: u64, most: f64| {
+            let ms = ms.unwrap_or(default_ns as f64 * 1e-6);
+            Ok::<u64, ConfigError>((number(key, ms, 0.0, most)? * 1e6).round() as u64)
+        };
+        let latency_ms = arguments.latency_ms.or(raw.latency_ms);
+        eye.latency.latency_ns =
+            nanoseconds("latency_ms", latency_ms, eye.latency.latency_ns, 900.0)?;
+        let jitter_ms = arguments.jitter_ms.or(raw.jitter_ms);
+        let most = eye.latency.latency_ns as f64 * 1e-6;
+        eye.latency.jitter_ns = nanoseconds("jitter_ms", jitter_ms, 0, most)?;
+        eye.exposure_ns = nanoseconds("exposure_ms", raw.exposure_ms, eye.exposure_ns, 33.0)?;
+        eye.readout_ns = nanoseconds("readout_ms", raw.readout_ms, eye.readout_ns, 33.0)?;
+        let dwell_s = number("dwell_s", raw.dwell_s.unwrap_or(0.5), 0.0, 60.0)?;
+        rig.sequence.dwell_ns = (dwell_s * 1e9) as u64;
+        rig.sequence.retreat_m = number("retreat_m", raw.retreat_m.unwrap_or(0.04), 0.0, 0.3)?;
+        rig.arm.hand_eye = raw.hand_eye.unwrap_or_default();
+        for x in rig.arm.hand_eye.translation {
+            number("hand_eye.translation", x, -1.0, 1.0)?;
+        }
+        for x in rig.arm.hand_eye.rotation_deg {
+            number("hand_eye.rotation_deg", x, -360.0, 360.0)?;
+        }
+        rig.arm.truth = raw.truth.unwrap_or_default();
+        for (key, value, low, high) in rig.arm.truth.ranges() {
+            number(key, value, low, high)?;
+        }
+        if arguments.unshaped {
+            rig.arm.shaping = Shaping::Off;
+        }
+        if robot == Body::Panda && delay > 0 {
+            return Err(ConfigError::Value {
+                key: "delay_frames",
+                value: delay.to_string(),
+                allowed: "0 with robot = \"panda\", whose camera has latency_ms".into(),
+            });
+        }
         let time_limit = arguments
             .time_limit
             .or(raw.time_limit_s)
             .unwrap_or(scene.success.time_s);
+        let flaws = Flaws {
+            noise_px: number(
+                "noise_px",
+                arguments.noise.or(raw.noise_px).unwrap_or(0.0),
+                0.0,
+                100.0,
+            )?,
+            delay_frames: delay,
+            drop: number("drop", arguments.drop.or(raw.drop).unwrap_or(0.0), 0.0, 1.0)?,
+            seed: arguments.seed.or(raw.seed).unwrap_or(1),
+        };
+        (rig.eye.noise_px, rig.eye.seed) = (flaws.noise_px, flaws.seed);
+        (rig.eye.latency.drop, rig.eye.latency.seed) = (flaws.drop, flaws.seed);
+        rig.time_limit_s = number("time_limit_s", time_limit, 0.1, 86_400.0)?;
         Ok(Self {
             scene_file: scene_path.display().to_string(),
             start,
-            clock: arguments.clock.or(raw.clock).unwrap_or(Clock::Fixed),
+            clock,
             domain: arguments
                 .domain
                 .clone()
                 .or(raw.domain)
                 .unwrap_or_else(ipc::default_directory),
             record: arguments.record.clone().or(raw.record),
-            flaws: Flaws {
-                noise_px: number(
-                    "noise_px",
-                    arguments.noise.or(raw.noise_px).unwrap_or(0.0),
-                    0.0,
-                    100.0,
-                )?,
-                delay_frames: delay,
-                drop: number("drop", arguments.drop.or(raw.drop).unwrap_or(0.0), 0.0, 1.0)?,
-                seed: arguments.seed.or(raw.seed).unwrap_or(1),
-            },
-            time_limit_s: number("time_limit_s", time_limit, 0.1, 86_400.0)?,
+            flaws,
+            time_limit_s: rig.time_limit_s,
             progress: arguments.progress,
+            robot,
+            rig,
             scene,
         })
     }
@@ -283,6 +375,28 @@ mod tests {
     }
 
     #[test]
+    fn calibration_and_truth_reach_the_cell() {
+        let config = load(
+            "robot = \"panda\"\nlatency_ms = 50.0\nnoise_px = 0.3\n[hand_eye]\ntranslation = [0.1, 0.0, 0.0]\n\
+             rotation_deg = [0.0, 0.0, 90.0]\n[truth]\nhand_eye_m = [0.0, 0.01, 0.0]\ndepth = 0.1\n",
+        )
+        .unwrap();
+        assert_eq!(config.robot, Body::Panda);
+        let rig = config.rig;
+        assert_eq!(rig.arm.hand_eye.translation, [0.1, 0.0, 0.0]);
+        assert_eq!(rig.arm.truth.depth, 0.1);
+        assert_eq!(
+            (rig.eye.latency.latency_ns, rig.eye.noise_px),
+            (50_000_000, 0.3)
+        );
+        // One centimetre along the camera's y axis, which is the flange's -x here.
+        let believed = rig.arm.hand_eye.mount();
+        let mount = rig.arm.truth.mount(&believed).flange_from_camera;
+        assert!((mount.translation.vector - nalgebra::Vector3::new(0.09, 0.0, 0.0)).norm() < 1e-12);
+        assert!(load("").unwrap().rig.arm.truth.is_exact());
+    }
+
+    #[test]
     fn refusals_name_key_value_and_range() {
         for (text, words) in [
             ("noise_px = nan", ["noise_px", "NaN", "0 to 100"]),
@@ -294,6 +408,21 @@ mod tests {
             ),
             ("speed = 1", ["speed", "unknown field", "delay_frames"]),
             ("clock = \"slow\"", ["clock", "slow", "lockstep"]),
+            ("robot = \"kuka\"", ["robot", "kuka", "panda"]),
+            ("latency_ms = 1e4", ["latency_ms", "10000", "0 to 900"]),
+            ("jitter_ms = 111.0", ["jitter_ms", "111", "0 to 110"]),
+            (
+                "[truth]\nfocal = 0.9",
+                ["truth.focal", "0.9", "-0.5 to 0.5"],
+            ),
+            (
+                "[truth]\nhand_eye_m = [0.0, nan, 0.0]",
+                ["truth.hand_eye_m", "NaN", "-0.2 to 0.2"],
+            ),
+            (
+                "robot = \"panda\"\ndelay_frames = 3",
+                ["delay_frames", "3", "latency_ms"],
+            ),
         ] {
             let message = load(text).unwrap_err();
             assert!(words.iter().all(|word| message.contains(word)), "{message}");

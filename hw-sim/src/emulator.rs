@@ -13,21 +13,25 @@ use serde::Serialize;
 
 use crate::camera::FreeCamera;
 use crate::carrier::{Carrier, Executed};
-use crate::config::{Clock, Config};
+use crate::config::{Body, Clock, Config};
+use crate::lateness::LatenessReport;
 use crate::pose::RigidPose;
 use crate::recording::{Record, Recorder};
 use crate::referee::{Place, Referee, Verdict};
+use crate::robot::inspector::ArmReport;
+use crate::robot::process;
 use crate::sensor::Sensor;
 
 /// A camera whose commands are older than this, or than three periods of a slow camera, stands still.
-const STALE_NS: u64 = 100_000_000;
+pub(crate) const STALE_NS: u64 = 100_000_000;
 /// How long lockstep waits for a controller to come, and for each answer.
-const PATIENCE: Duration = Duration::from_secs(10);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
 
 /// What a run came to.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
-    /// `arrived`, `violation`, `time_out`, `lost_sight` or `stopped`.
+    /// `arrived`, `violation`, `time_out`, `lost_sight` or `stopped`; of an arm, too, `reflex`, and `arm_violation` where
+    /// it arrived but its referee saw a limit exceeded.
     pub verdict: &'static str,
     /// Seconds from start to verdict.
     pub time_s: f64,
@@ -43,6 +47,18 @@ pub struct Outcome {
     pub least_clearance_px: f64,
     /// The violation, in words.
     pub violation: Option<String>,
+    /// Of an arm: what the sequence was about at the end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step: Option<&'static str>,
+    /// Of an arm: seconds until the features were at the goal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arrived_s: Option<f64>,
+    /// Of an arm: what its referee reports.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arm: Option<ArmReport>,
+    /// Of an arm on the fixed clock: how late its milliseconds began.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lateness: Option<LatenessReport>,
 }
 
 /// Runs the emulator until the run is decided or `stop` is set.
@@ -50,6 +66,9 @@ pub struct Outcome {
 /// # Errors
 /// Where the shared memory cannot be opened, nobody answers in lockstep, or the recording cannot be written.
 pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
+    if config.robot == Body::Panda {
+        return process::run(config, &config.rig, stop);
+    }
     let domain = Domain::join(&config.domain)?;
     let mut ports = CameraPorts::open(&domain)?;
     let scene = &config.scene;
@@ -82,6 +101,10 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
         error_px: f64::INFINITY,
         least_clearance_px: f64::INFINITY,
         violation: None,
+        step: None,
+        arrived_s: None,
+        arm: None,
+        lateness: None,
     };
     // The run begins with the first command of an armed controller, which may come late.
     let mut begun = false;
@@ -112,10 +135,7 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
                 depth_px,
                 place,
             } => {
-                let place = match place {
-                    Place::OutsideImage => "outside the image".to_owned(),
-                    Place::Occlusion(name) => format!("inside `{name}`"),
-                };
+                let place = place_in_words(&place);
                 outcome.violation = Some(format!("point {point} is {depth_px:.1} px deep {place}"));
                 "violation"
             }
@@ -206,6 +226,7 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
                 twist: executed.twist,
                 answered: valid.map_or(0, |command| command.features_sequence),
                 stale: valid.is_none(),
+                arm: None,
             })?;
         }
         if config.progress && outcome.frames.is_multiple_of(3) {
@@ -232,6 +253,14 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
         recorder.finish()?;
     }
     Ok(outcome)
+}
+
+/// Where a violation took place, in words.
+pub(crate) fn place_in_words(place: &Place) -> String {
+    match place {
+        Place::OutsideImage => "outside the image".to_owned(),
+        Place::Occlusion(name) => format!("inside `{name}`"),
+    }
 }
 
 /// When a command that is older than `stale_ns` then, or that says so itself, is no longer executed, ns.
@@ -285,7 +314,7 @@ fn publish_state(
 }
 
 /// Sleeps until an instant of the monotonic clock, or until `stop` is set by a signal that interrupts the sleep.
-fn sleep_until(ns: u64, stop: &AtomicBool) {
+pub(crate) fn sleep_until(ns: u64, stop: &AtomicBool) {
     let until = Timespec {
         tv_sec: (ns / 1_000_000_000) as i64,
         tv_nsec: (ns % 1_000_000_000) as i64,

@@ -1,6 +1,6 @@
 //! The pose of the object in the camera frame, and its motion while the camera moves.
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use scene::Pose;
 
 /// A rigid pose: X_camera = R X_object + t.
@@ -28,7 +28,10 @@ impl RigidPose {
 
     /// Rotation vector, rad.
     pub fn rotation_vector(&self) -> [f64; 3] {
-        self.rotation.scaled_axis().into()
+        // That of the matrix itself comes from the cosine alone: near zero it is wrong by 1e-8, or NaN.
+        UnitQuaternion::from_rotation_matrix(&self.rotation)
+            .scaled_axis()
+            .into()
     }
 
     /// The pose after the camera has moved with the constant twist (m/s, rad/s; camera frame) for `dt` seconds.

@@ -7,6 +7,8 @@ use std::path::Path;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
 
+use crate::robot::rig::ArmRecord;
+
 /// The first line of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Head {
@@ -39,6 +41,9 @@ pub struct Record {
     pub answered: u64,
     /// Whether the camera was held because no valid command was there.
     pub stale: bool,
+    /// The arm that carries the camera, where one does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arm: Option<ArmRecord>,
 }
 
 /// A file of records.

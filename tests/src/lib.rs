@@ -2,6 +2,8 @@
 //! what they add up to.
 
 pub mod pictures;
+pub mod robot;
+pub mod robot_table;
 pub mod row;
 pub mod run;
 pub mod spec;

@@ -3,11 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use figures::{Comparison, ImagePlane, Samples, Velocity};
+use figures::{Comparison, ImagePlane, Joints, Samples, Velocity};
+use hw_sim::recording::Record;
+use hw_sim::robot::arm::joint_limits;
 use memory_blob::MemoryFile;
 use scene::Scene;
 use vpc::Task;
 
+use crate::robot::{RobotRun, approach};
 use crate::run::Run;
 use crate::spec::Spec;
 
@@ -80,6 +83,94 @@ pub fn comparison<'a, 'r>(
     Comparison {
         columns: columns.collect(),
     }
+}
+
+/// Named runs of the robot side by side, until it lets the object go.
+pub fn robot_comparison<'a, 'r>(
+    scene: &'a Scene,
+    task: &Task,
+    runs: impl Iterator<Item = (String, &'r RobotRun)>,
+) -> Comparison<'a> {
+    let columns = runs.map(|(name, run)| {
+        let steered = approach(&run.history);
+        let outcome = match run.arrived_s {
+            Some(seconds) if run.success => format!("arrived after {seconds:.1} s"),
+            _ => format!("failed after {:.1} s", run.time_s),
+        };
+        let plane = ImagePlane {
+            scene,
+            path: steered
+                .iter()
+                .map(|sample| sample.features.clone())
+                .collect(),
+            goal: task.goal.to_vec(),
+            way_points: steered
+                .iter()
+                .filter_map(|sample| sample.way_point.clone())
+                .collect(),
+            title: format!("{name}: {outcome}"),
+        };
+        let velocity = Velocity {
+            period_s: task.ts,
+            twists: steered.iter().map(|sample| sample.twist).collect(),
+            limits: scene.limits,
+            title: format!("{name}: velocity command"),
+        };
+        (plane, velocity)
+    });
+    Comparison {
+        columns: columns.collect(),
+    }
+}
+
+/// Draws, into `directory`, all strategies on one start: the one that was asked for, else the first that the first
+/// strategy fails and the last one solves, else the first.
+///
+/// # Errors
+/// Where a picture cannot be drawn or written.
+pub fn of_robot_table(
+    directory: &Path,
+    scene: &Scene,
+    task: &Task,
+    specs: &[Spec],
+    all: &[Vec<RobotRun>],
+    only: Option<usize>,
+) -> anyhow::Result<Vec<PathBuf>> {
+    let (Some(first), Some(last)) = (all.first(), all.last()) else {
+        return Ok(Vec::new());
+    };
+    let telling = |i: &usize| !first[*i].success && last[*i].success;
+    let index = (0..first.len()).find(telling).unwrap_or(0);
+    let columns = specs
+        .iter()
+        .zip(all)
+        .filter_map(|(spec, runs)| Some((spec.to_string(), runs.get(index)?)));
+    let start = only.unwrap_or(index);
+    let written = robot_comparison(scene, task, columns)
+        .write(&directory.join(format!("robot-start-{start}")))?;
+    Ok(written.to_vec())
+}
+
+/// The joints of a recorded arm with the steps of its task; none where no arm carried the camera.
+pub fn joints(records: &[Record], title: &str) -> Option<Joints> {
+    let begun = records.iter().filter(|record| record.time_s > 0.0);
+    let samples: Vec<_> = begun
+        .filter_map(|record| Some((record.time_s, record.arm.as_ref()?)))
+        .collect();
+    samples.first()?;
+    let changes = samples
+        .windows(2)
+        .filter(|pair| pair[0].1.phase != pair[1].1.phase);
+    Some(Joints {
+        time_s: samples.iter().map(|(time, _)| *time).collect(),
+        q: samples.iter().map(|(_, arm)| arm.q).collect(),
+        dq: samples.iter().map(|(_, arm)| arm.dq).collect(),
+        limits: joint_limits(),
+        marks: changes
+            .map(|pair| (pair[1].0, pair[1].1.phase.name().to_owned()))
+            .collect(),
+        title: title.to_owned(),
+    })
 }
 
 /// The samples in a memory.

@@ -122,6 +122,13 @@ struct Overrides {
     /// Way points this many control periods ahead, as in the paper, instead of the last features in sight.
     #[arg(long)]
     way_point_samples: Option<usize>,
+    /// Features closer than this to an occlusion are guided by the memory, px [default: 20].
+    #[arg(long)]
+    trigger_px: Option<f64>,
+    /// Draws an occlusion larger while trajectories are made, by its name: --grow "spot on the lens=1.2". The memory is
+    /// one for the scene as it is; its provenance tells what was grown.
+    #[arg(long, value_name = "NAME=FACTOR", value_parser = growth)]
+    grow: Vec<(String, f64)>,
     /// Do without the planner in pose space: the paper's two algorithms only.
     #[arg(long)]
     no_planner: bool,
@@ -153,6 +160,8 @@ impl Overrides {
         settings.way_point = self
             .way_point_samples
             .map_or(settings.way_point, WayPoint::Samples);
+        settings.trigger_px = self.trigger_px.unwrap_or(settings.trigger_px);
+        settings.grow.extend(self.grow.iter().cloned());
         settings.planner &= !self.no_planner;
         settings.regression.samples = self.gpr_samples.unwrap_or(settings.regression.samples);
         settings.regression.variance |= self.variance;
@@ -160,6 +169,13 @@ impl Overrides {
         settings.check()?;
         Ok(settings)
     }
+}
+
+/// An occlusion and its factor.
+fn growth(text: &str) -> Result<(String, f64), String> {
+    let allowed = || format!("`{text}`; allowed: NAME=FACTOR");
+    let (name, factor) = text.rsplit_once('=').ok_or_else(allowed)?;
+    Ok((name.to_owned(), factor.parse().map_err(|_| allowed())?))
 }
 
 /// What a Ctrl-C leaves behind.
@@ -245,7 +261,7 @@ fn run_starts(scene: &Path, output: &Path, count: usize, seed: u64) -> anyhow::R
 fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> anyhow::Result<()> {
     let scene = Scene::read(scene)?;
     let settings = overrides.settings()?;
-    let task = Task::new(&scene)?;
+    let task = Task::new(&settings.grown(&scene)?)?;
     let contents = open(input, Some(&scene))?.contents();
     memory::refit(&scene, &task, &settings, &contents)?.write(output)?;
     print(&Report::of(&open(output, Some(&scene))?).to_string());
@@ -255,7 +271,8 @@ fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> 
 fn run_build(build: &Build) -> anyhow::Result<()> {
     let settings = build.overrides.settings()?;
     let scene = Scene::read(&build.scene)?;
-    let task = Task::new(&scene).with_context(|| build.scene.display().to_string())?;
+    let grown = settings.grown(&scene)?;
+    let task = Task::new(&grown).with_context(|| build.scene.display().to_string())?;
     if let Some(threads) = build.threads {
         if !(1..=1024).contains(&threads) {
             bail!("--threads = {threads}; allowed: 1 to 1024");
@@ -276,7 +293,7 @@ fn run_build(build: &Build) -> anyhow::Result<()> {
     }
     let bar = progress_bar(settings.trajectories, begun.trajectories.len());
     let clock = Instant::now();
-    let progress = build::collect(&scene, &settings, begun, &stop, |progress| {
+    let progress = build::collect(&grown, &settings, begun, &stop, |progress| {
         bar.set_position(progress.trajectories.len() as u64);
         let found = progress.trajectories.len() as f64;
         bar.set_message(format!(

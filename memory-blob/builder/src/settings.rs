@@ -1,5 +1,8 @@
 //! Settings of the builder; the paper's values are the defaults.
 
+use std::collections::BTreeMap;
+
+use scene::Scene;
 use serde::{Deserialize, Serialize};
 use vpc::Model;
 use vpc::solver::Effort;
@@ -34,6 +37,9 @@ pub struct BuildSettings {
     pub sample_spacing: f64,
     /// Seed of every random choice.
     pub seed: u64,
+    /// Occlusions that are drawn larger while trajectories are made, by name, with their factors: 1 to 3.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub grow: BTreeMap<String, f64>,
     /// Regression on the samples.
     pub regression: RegressionSettings,
 }
@@ -83,6 +89,7 @@ impl Default for BuildSettings {
             planner: true,
             sample_spacing: 0.01,
             seed: 1,
+            grow: BTreeMap::new(),
             regression: RegressionSettings::default(),
         }
     }
@@ -114,6 +121,40 @@ pub struct SettingError {
 }
 
 impl BuildSettings {
+    /// The scene in which trajectories are made: with the grown occlusions, each part about its own centre. What keeps
+    /// clear of those keeps clear of the scene's, so that the memory is one for the scene; it bears its fingerprint, and
+    /// these settings in its provenance.
+    ///
+    /// # Errors
+    /// [`SettingError`] where a name is not the scene's, or a factor out of its range.
+    pub fn grown(&self, scene: &Scene) -> Result<Scene, SettingError> {
+        let mut grown = scene.clone();
+        let mut most: f64 = 0.0;
+        for (name, &factor) in &self.grow {
+            let refused = |allowed| SettingError {
+                name: "grow",
+                value: format!("{name}={factor}"),
+                allowed,
+            };
+            if !(1.0..=3.0).contains(&factor) {
+                return Err(refused("factors from 1 to 3"));
+            }
+            let mut named = grown.occlusions.iter_mut();
+            let Some(occlusion) = named.find(|occlusion| occlusion.name.as_str() == name) else {
+                return Err(refused("the name of one of the scene's occlusions"));
+            };
+            let sides = occlusion.parts.iter_mut().flat_map(|part| &mut part.half);
+            for half in sides {
+                most = most.max((factor - 1.0) * *half);
+                *half *= factor;
+            }
+        }
+        // Starts keep their distance from what is there, not from what is drawn: else nothing would be known of those
+        // that are close.
+        grown.starts.clearance_px = (grown.starts.clearance_px - most).max(0.0);
+        Ok(grown)
+    }
+
     /// Checks every setting.
     ///
     /// # Errors
@@ -232,5 +273,36 @@ mod tests {
         };
         let message = settings.check().unwrap_err().to_string();
         assert_eq!(message, "tolerance = NaN; allowed: 1e-15 to 1");
+    }
+
+    #[test]
+    fn an_occlusion_grows_about_its_centre_and_the_others_do_not() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let mut settings = BuildSettings::default();
+        assert_eq!(settings.grown(&scene), Ok(scene.clone()));
+        settings.grow.insert("spot on the lens".into(), 1.5);
+        let grown = settings.grown(&scene).unwrap();
+        let (before, after) = (&scene.occlusions[0].parts[0], &grown.occlusions[0].parts[0]);
+        assert_eq!(before.center, after.center);
+        assert_eq!(after.half, before.half.map(|half| 1.5 * half));
+        assert_eq!(grown.occlusions[1], scene.occlusions[1]);
+        // 15 px from the spot as it is, which is 19 px smaller.
+        assert_eq!(grown.starts.clearance_px, 0.0);
+        assert_ne!(grown.fingerprint(), scene.fingerprint());
+    }
+
+    #[test]
+    fn what_the_scene_has_not_does_not_grow_and_nothing_shrinks() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        for (name, factor, words) in [
+            ("spot", 1.2, "grow = spot=1.2; allowed: the name of one"),
+            ("spot on the lens", 0.9, "allowed: factors from 1 to 3"),
+            ("spot on the lens", f64::NAN, "allowed: factors from 1 to 3"),
+        ] {
+            let mut settings = BuildSettings::default();
+            settings.grow.insert(name.into(), factor);
+            let message = settings.grown(&scene).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
     }
 }

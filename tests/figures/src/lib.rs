@@ -10,6 +10,7 @@
 mod canvas;
 mod comparison;
 mod image_plane;
+mod joints;
 mod latency;
 mod output;
 mod preview;
@@ -19,6 +20,7 @@ mod velocity;
 pub use canvas::Canvas;
 pub use comparison::Comparison;
 pub use image_plane::ImagePlane;
+pub use joints::Joints;
 pub use latency::{Latency, Times};
 pub use output::FigureError;
 pub use preview::Preview;

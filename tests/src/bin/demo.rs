@@ -1,26 +1,71 @@
 //! `cargo demo`: emulator and daemon as two processes over shared memory, on a start where the memory-less strategy
-//! gets stuck; then the comparison of the strategies.
+//! gets stuck; then the comparison of the strategies. With `--scene paper-robot` a Panda carries the camera.
 
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
-use std::thread;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use clap::Parser;
+use clap::{Parser, ValueEnum};
+use hw_sim::eye::Sight;
 use hw_sim::recording;
 use memory_blob::MemoryFile;
 use scene::{Scene, read_starts};
 use system_tests::pictures;
+use system_tests::robot_table::{self, Common, RobotFlags};
 use system_tests::row::{Row, markdown};
 use system_tests::run::{run, time};
 use system_tests::spec::Spec;
-use vpc::{Controller, MotionMemory, Task};
+use vpc::{Controller, MotionMemory, Settings, Task};
 
-/// A start of paper-sim where `previous` stays in front of an occlusion and `gpr` gets round it.
-const TELLING_START: usize = 82;
+/// What can be shown.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Which {
+    /// The paper's simulation: a camera that flies freely.
+    PaperSim,
+    /// The paper's robot experiment: a Panda, a late camera, a task.
+    PaperRobot,
+}
+
+impl Which {
+    /// Name of scene, starts and memory.
+    fn name(self) -> &'static str {
+        match self {
+            Self::PaperSim => "paper-sim",
+            Self::PaperRobot => "paper-robot",
+        }
+    }
+
+    /// A start where `previous` stays in front of an occlusion and `gpr` gets round it.
+    fn telling_start(self) -> usize {
+        match self {
+            Self::PaperSim => 82,
+            Self::PaperRobot => 0,
+        }
+    }
+
+    /// Configuration of the daemon.
+    fn daemon(self) -> &'static str {
+        match self {
+            Self::PaperSim => "controller/vpcd.toml",
+            Self::PaperRobot => "controller/vpcd-robot.toml",
+        }
+    }
+
+    /// Configuration of the emulator.
+    fn emulator(self) -> &'static str {
+        match self {
+            Self::PaperSim => "hw-sim/hw-sim.toml",
+            Self::PaperRobot => "hw-sim/hw-sim-robot.toml",
+        }
+    }
+}
+
 /// Longest time for the daemon to end after a termination signal.
 const PATIENCE: Duration = Duration::from_secs(5);
 
@@ -31,12 +76,15 @@ const PATIENCE: Duration = Duration::from_secs(5);
 #[derive(Parser)]
 #[command(name = "demo", version)]
 struct Cli {
+    /// What to show.
+    #[arg(long, value_enum, default_value = "paper-sim")]
+    scene: Which,
     /// Strategy that steers: previous, knn, gpr, ibvs.
     #[arg(long, default_value = "gpr")]
     strategy: Spec,
-    /// Start pose, by its index in paper-sim-starts.csv.
-    #[arg(long, default_value_t = TELLING_START)]
-    start: usize,
+    /// Start pose, by its index in the scene's file of starts; one that tells the strategies apart by default.
+    #[arg(long)]
+    start: Option<usize>,
     /// As fast as the controller instead of in real time.
     #[arg(long)]
     lockstep: bool,
@@ -64,28 +112,25 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
         .parent()
         .context("no workspace")?;
     let scenes = root.join("ipc/scene/scenes");
+    let name = cli.scene.name();
     let (scene_path, starts_path) = (
-        scenes.join("paper-sim.toml"),
-        scenes.join("paper-sim-starts.csv"),
+        scenes.join(format!("{name}.toml")),
+        scenes.join(format!("{name}-starts.csv")),
     );
-    let memory_path = root.join("memory-blob/default/paper-sim.vpcmem");
+    let memory_path = root.join(format!("memory-blob/default/{name}.vpcmem"));
     let scene = Scene::read(&scene_path)?;
     let starts = read_starts(&starts_path)?;
-    let Some(start) = starts.get(cli.start) else {
-        bail!(
-            "--start = {}; allowed: 0 to {}",
-            cli.start,
-            starts.len() - 1
-        );
+    let index = cli.start.unwrap_or(cli.scene.telling_start());
+    let Some(start) = starts.get(index) else {
+        bail!("--start = {index}; allowed: 0 to {}", starts.len() - 1);
     };
     fs::create_dir_all(&cli.output).with_context(|| cli.output.display().to_string())?;
     build(root)?;
 
     println!(
-        "vpcd ({}) and hw-sim, two processes over shared memory: {}, start {}",
+        "vpcd ({}) and hw-sim, two processes over shared memory: {}, start {index}",
         cli.strategy,
         scene_path.display(),
-        cli.start
     );
     let binaries = env::current_exe()?
         .parent()
@@ -98,7 +143,7 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
     let mut daemon = Command::new(binaries.join("vpcd"));
     daemon
         .arg("--config")
-        .arg(root.join("controller/vpcd.toml"))
+        .arg(root.join(cli.scene.daemon()))
         .arg("--arm")
         .arg("--scene")
         .arg(&scene_path)
@@ -116,12 +161,14 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
     let mut daemon = Running(daemon.spawn().context("cannot start vpcd")?);
     let mut emulator = Command::new(binaries.join("hw-sim"));
     emulator
+        .arg("--config")
+        .arg(root.join(cli.scene.emulator()))
         .arg("--scene")
         .arg(&scene_path)
         .arg("--starts")
         .arg(&starts_path)
         .arg("--start")
-        .arg(cli.start.to_string())
+        .arg(index.to_string())
         .args(["--clock", clock])
         .arg("--domain")
         .arg(&domain)
@@ -131,8 +178,10 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
     if !cli.no_progress {
         emulator.arg("--progress");
     }
+    let watch = WayPoints::watch(&domain);
     let emulated = emulator.output().context("cannot run hw-sim")?;
     let stopped = daemon.stop();
+    let way_points = watch.end();
     let _ = fs::remove_dir_all(&domain);
     // The end of the camera is a fault to the daemon, which left its flight record.
     let _ = fs::remove_dir_all(
@@ -152,8 +201,11 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
     let arrived = emulated.status.success();
 
     println!("\nThe strategies on the same start, in process:\n");
-    let mut written = compare(&scene, &memory_path, start, &cli.output)?;
-    written.extend(draw_recording(&scene, &recording_path, cli)?);
+    let mut written = match cli.scene {
+        Which::PaperSim => compare(&scene, &memory_path, start, &cli.output)?,
+        Which::PaperRobot => compare_on_robot(&scene, &memory_path, &starts, index, &cli.output)?,
+    };
+    written.extend(draw_recording(&scene, &recording_path, cli, way_points)?);
     for path in written {
         println!("wrote {}", path.display());
     }
@@ -219,9 +271,66 @@ fn compare(
     Ok(written)
 }
 
+/// Runs the strategies on one start with the emulated robot, in process, and draws them side by side.
+fn compare_on_robot(
+    scene: &Scene,
+    memory: &Path,
+    starts: &[scene::Pose],
+    start: usize,
+    output: &Path,
+) -> anyhow::Result<Vec<PathBuf>> {
+    let task = Task::new(scene)?;
+    let memory = MemoryFile::open(memory, Some(scene.fingerprint().bytes()))?;
+    let view = memory.view();
+    let strategies: Vec<Spec> = ["previous:3", "gpr:3"]
+        .iter()
+        .map(|text| text.parse().map_err(anyhow::Error::msg))
+        .collect::<anyhow::Result<_>>()?;
+    let flags = RobotFlags {
+        only: Some(start),
+        camera: Sight::Rendered,
+        ..RobotFlags::default()
+    };
+    let common = Common {
+        strategies: &strategies,
+        noise: 0.3,
+        drop: 0.01,
+        depth_error: 0.0,
+        seed: 1,
+        settings: Settings::default(),
+    };
+    let view = Some(&view as &(dyn MotionMemory + Sync));
+    let (document, runs) = robot_table::table(scene, starts, view, &flags, &common, &|| ())?;
+    println!("{}", robot_table::markdown(&document));
+    let runs = strategies.iter().zip(runs.iter().flatten());
+    let named = runs.map(|(spec, run)| (spec.to_string(), run));
+    let mut written = pictures::robot_comparison(scene, &task, named)
+        .write(&output.join("strategies"))?
+        .to_vec();
+    written.extend(pictures::samples(scene, &task, &memory).write(&output.join("memory"))?);
+    Ok(written)
+}
+
 /// Draws what the two processes did.
-fn draw_recording(scene: &Scene, path: &Path, cli: &Cli) -> anyhow::Result<Vec<PathBuf>> {
+fn draw_recording(
+    scene: &Scene,
+    path: &Path,
+    cli: &Cli,
+    way_points: Vec<figures::Points>,
+) -> anyhow::Result<Vec<PathBuf>> {
     let (head, records) = recording::read(path).with_context(|| path.display().to_string())?;
+    let joints = pictures::joints(&records, "joints while vpcd and hw-sim ran");
+    // The way to the goal; what comes after the release is the robot's.
+    let steered = records
+        .iter()
+        .take_while(|record| {
+            record
+                .arm
+                .as_ref()
+                .is_none_or(|arm| arm.phase.obeys_controller())
+        })
+        .filter(|record| record.arm.is_none() || record.time_s > 0.0);
+    let records: Vec<_> = steered.collect();
     let plane = figures::ImagePlane {
         scene,
         path: records
@@ -229,7 +338,7 @@ fn draw_recording(scene: &Scene, path: &Path, cli: &Cli) -> anyhow::Result<Vec<P
             .map(|record| record.features.clone())
             .collect(),
         goal: head.goal,
-        way_points: Vec::new(),
+        way_points,
         title: format!("vpcd {} and hw-sim over shared memory", cli.strategy),
     };
     let velocity = figures::Velocity {
@@ -241,7 +350,50 @@ fn draw_recording(scene: &Scene, path: &Path, cli: &Cli) -> anyhow::Result<Vec<P
     let comparison = figures::Comparison {
         columns: vec![(plane, velocity)],
     };
-    Ok(comparison.write(&cli.output.join("run"))?.to_vec())
+    let mut written = comparison.write(&cli.output.join("run"))?.to_vec();
+    if let Some(joints) = joints {
+        written.extend(joints.write(&cli.output.join("joints"))?);
+    }
+    Ok(written)
+}
+
+/// Collects the way points that the daemon's cycles report, until it is told to end.
+struct WayPoints {
+    end: Arc<AtomicBool>,
+    thread: JoinHandle<Vec<figures::Points>>,
+}
+
+impl WayPoints {
+    fn watch(domain: &Path) -> Self {
+        let end = Arc::new(AtomicBool::new(false));
+        let (ended, domain) = (Arc::clone(&end), domain.to_owned());
+        // Without the pictures' way points the demo is still a demo: errors mean that there are none.
+        let thread = thread::spawn(move || collect(&domain, &ended).unwrap_or_default());
+        Self { end, thread }
+    }
+
+    fn end(self) -> Vec<figures::Points> {
+        self.end.store(true, Ordering::Relaxed);
+        self.thread.join().unwrap_or_default()
+    }
+}
+
+fn collect(domain: &Path, end: &AtomicBool) -> anyhow::Result<Vec<figures::Points>> {
+    let domain = ipc::Domain::join(domain)?;
+    let mut observer = ipc::Observer::open(&domain)?;
+    let mut way_points = Vec::new();
+    while !end.load(Ordering::Relaxed) {
+        while let Ok(Some(record)) = observer.cycles.oldest() {
+            let count = record.way_point_count as usize;
+            let points = record.way_point.chunks_exact(2).take(count);
+            let points: figures::Points = points.map(|p| [p[0], p[1]]).collect();
+            if !points.is_empty() {
+                way_points.push(points);
+            }
+        }
+        thread::sleep(Duration::from_millis(20));
+    }
+    Ok(way_points)
 }
 
 /// A child that does not outlive this program.

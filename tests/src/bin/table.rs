@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, bail};
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
@@ -16,6 +16,7 @@ use memory_builder::memory;
 use memory_builder::settings::BuildSettings;
 use scene::{Scene, read_starts};
 use serde::Serialize;
+use system_tests::robot_table::{self, Common, RobotFlags};
 use system_tests::row::{Row, markdown};
 use system_tests::run::{Reason, Run, flawed, time};
 use system_tests::spec::Spec;
@@ -73,12 +74,26 @@ struct Cli {
     /// How the law predicts features: pose, area-depth, target-depth.
     #[arg(long, value_parser = model, default_value = "pose")]
     model: Model,
+    /// What carries the camera: the paper's hand-held camera, or a Panda with its bridge and a late camera.
+    #[arg(long, value_enum, default_value = "free")]
+    robot: Body,
+    #[command(flatten)]
+    arm: RobotFlags,
     /// Writes rows and runs to this file.
     #[arg(long)]
     json: Option<PathBuf>,
     /// Draws pictures into this directory.
     #[arg(long)]
     plots: Option<PathBuf>,
+}
+
+/// What carries the camera.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Body {
+    /// Nothing: it moves as told.
+    Free,
+    /// A Franka Emika Panda.
+    Panda,
 }
 
 /// What `--json` writes.
@@ -152,6 +167,10 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
         None => None,
     };
     let view = memory.as_ref().map(MemoryFile::view);
+    if cli.robot == Body::Panda {
+        let view = view.as_ref().map(|view| view as &(dyn MotionMemory + Sync));
+        return on_robot(cli, &scene, &starts, view);
+    }
 
     let believed = with_depth_error(&scene, cli.depth_error);
     let bar = bar((cli.strategies.len() * starts.len()) as u64);
@@ -230,6 +249,51 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
         for path in
             system_tests::pictures::of_table(directory, &scene, &task, memory.as_ref(), &all)?
         {
+            writeln!(out, "wrote {}", path.display())?;
+        }
+    }
+    Ok(())
+}
+
+/// The table of the robot.
+fn on_robot(
+    cli: &Cli,
+    scene: &Scene,
+    starts: &[scene::Pose],
+    memory: Option<&(dyn MotionMemory + Sync)>,
+) -> anyhow::Result<()> {
+    let bar = bar((cli.strategies.len() * starts.len()) as u64);
+    let common = Common {
+        strategies: &cli.strategies,
+        noise: cli.noise,
+        drop: cli.drop,
+        depth_error: cli.depth_error,
+        seed: cli.seed,
+        settings: Settings {
+            delay_compensation: !cli.no_compensation,
+            model: cli.model,
+            ..Settings::default()
+        },
+    };
+    let tick = || bar.inc(1);
+    let (document, all) = robot_table::table(scene, starts, memory, &cli.arm, &common, &tick)?;
+    bar.finish_and_clear();
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", robot_table::markdown(&document))?;
+    if let Some(path) = &cli.json {
+        robot_table::write(&document, path, &mut out)?;
+    }
+    if let Some(directory) = &cli.plots {
+        let task = Task::new(scene)?;
+        let pictures = system_tests::pictures::of_robot_table(
+            directory,
+            scene,
+            &task,
+            &cli.strategies,
+            &all,
+            cli.arm.only,
+        )?;
+        for path in pictures {
             writeln!(out, "wrote {}", path.display())?;
         }
     }

@@ -1,0 +1,161 @@
+//! The arm: a Panda that carries the camera over an object that lies still on the table.
+
+use nalgebra::{Matrix3, Rotation3, Translation3};
+use panda::{
+    JOINTS, Mode, MotionKind, Mount, PlacementError, Pose, RequestError, Robot, RobotError,
+    RobotSettings, ShaperError, State, place,
+};
+use scene::Scene;
+
+use super::bridge::{Bridge, Shaping};
+use super::calibration::{HandEye, Truth};
+use super::inspector::Inspector;
+use crate::pose::RigidPose;
+
+/// Where the pattern lies in the robot's base: 0.5 m in front of it, 5 cm above its foot, facing up; its x axis points
+/// to the robot's right, its y axis towards the robot.
+pub fn base_from_object() -> Pose {
+    let axes = Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
+    Pose::from_parts(
+        Translation3::new(0.5, 0.0, 0.05),
+        Rotation3::from_matrix_unchecked(axes),
+    )
+}
+
+/// What an arm is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ArmSettings {
+    /// What the bridge believes.
+    pub hand_eye: HandEye,
+    /// What is true.
+    pub truth: Truth,
+    /// Whether commands are shaped.
+    pub shaping: Shaping,
+    /// The robot.
+    pub robot: RobotSettings,
+}
+
+/// Why an arm cannot be.
+#[derive(Debug, thiserror::Error)]
+pub enum ArmError {
+    /// The start is out of reach.
+    #[error("this start: {0}")]
+    Placement(#[from] PlacementError),
+    /// The robot refused its settings.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// The shaper refused its settings.
+    #[error(transparent)]
+    Shaper(#[from] ShaperError),
+    /// The robot did not begin a motion.
+    #[error("the robot begins no motion: {0}")]
+    Motion(#[from] RequestError),
+}
+
+/// A Panda with its bridge, stepped once a millisecond.
+#[derive(Clone, Debug)]
+pub struct Arm {
+    robot: Robot,
+    bridge: Bridge,
+    inspector: Inspector,
+    /// Where the camera really sits.
+    mount: Mount,
+    base_from_object: Pose,
+}
+
+impl Arm {
+    /// An arm that stands where its camera sees the object at `start`, ready to be commanded.
+    ///
+    /// # Errors
+    /// [`ArmError`]: the start is out of reach, or a setting out of its range.
+    pub fn new(
+        scene: &Scene,
+        start: &scene::Pose,
+        settings: &ArmSettings,
+    ) -> Result<Self, ArmError> {
+        let believed = settings.hand_eye.mount();
+        let mount = settings.truth.mount(&believed);
+        let base_from_object = base_from_object();
+        let start = RigidPose::new(&settings.truth.start(start));
+        let camera_from_object =
+            Pose::from_parts(Translation3::from(start.translation), start.rotation);
+        let camera = base_from_object * camera_from_object.inverse();
+        let flange_from_ee = settings.robot.flange_from_ee;
+        let chain = panda::Chain::new(flange_from_ee);
+        let joints = place(&chain, &(mount.flange(&camera) * flange_from_ee))?;
+        let mut robot = Robot::new(settings.robot, joints)?;
+        robot.start(MotionKind::Cartesian)?;
+        Ok(Self {
+            inspector: Inspector::new(robot.state()),
+            robot,
+            bridge: Bridge::new(believed, scene.limits, settings.shaping)?,
+            mount,
+            base_from_object,
+        })
+    }
+
+    /// The robot's state.
+    pub fn state(&self) -> &State {
+        self.robot.state()
+    }
+
+    /// What was seen of the robot so far.
+    pub fn inspector(&self) -> &Inspector {
+        &self.inspector
+    }
+
+    /// The bridge.
+    pub fn bridge(&mut self) -> &mut Bridge {
+        &mut self.bridge
+    }
+
+    /// One millisecond: the bridge answers the robot's state, the robot steps.
+    pub fn step(&mut self, now_ns: u64) {
+        let command = self.bridge.answer(self.robot.state(), now_ns);
+        let state = self.robot.step(&[command]);
+        self.inspector.look(state);
+    }
+
+    /// The object in the camera frame, by the measured joints.
+    pub fn object(&self) -> RigidPose {
+        let camera = self.mount.camera(&self.flange());
+        let pose = camera.inverse() * self.base_from_object;
+        RigidPose {
+            rotation: pose.rotation,
+            translation: pose.translation.vector,
+        }
+    }
+
+    /// The camera's velocity in the camera frame (m/s, rad/s), by the desired joints.
+    pub fn camera_twist(&self) -> [f64; 6] {
+        let state = self.robot.state();
+        self.mount
+            .to_camera(&self.flange().rotation, &state.o_dp_ee_d)
+            .into()
+    }
+
+    /// Whether the desired joints stand.
+    pub fn is_at_rest(&self) -> bool {
+        let state = self.robot.state();
+        state.dq_d.amax() < AT_REST && state.o_dp_ee_c.amax() < AT_REST
+    }
+
+    /// Whether the robot stopped itself.
+    pub fn is_in_reflex(&self) -> bool {
+        self.robot.state().robot_mode == Mode::Reflex
+    }
+
+    fn flange(&self) -> Pose {
+        let state = self.robot.state();
+        state.o_t_ee * state.f_t_ee.inverse()
+    }
+}
+
+/// Speed below which the arm stands, rad/s, m/s: what the inverse kinematics still draws to the integral of commands
+/// after a ramp has ended decays within a few tenths of a second from below this.
+const AT_REST: f64 = 2e-4;
+
+/// The limits of the joints for a picture: least and greatest position, greatest speed.
+pub fn joint_limits() -> [[f64; 3]; JOINTS] {
+    panda::limits::JOINT.map(|bound| [bound.lower, bound.upper, bound.velocity])
+}

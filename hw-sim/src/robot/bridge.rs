@@ -1,0 +1,219 @@
+//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the flange.
+
+use panda::{Command, Echo, Motion, Mount, Shaper, ShaperError, ShaperSettings, State, Twist};
+use scene::Limits;
+
+use crate::carrier::{Executed, cut};
+
+/// Turns camera twists into robot commands. It knows the calibration that a real bridge would be given, not the truth.
+#[derive(Clone, Debug)]
+pub struct Bridge {
+    mount: Mount,
+    limits: Limits,
+    shaper: Shaper,
+    is_shaping: bool,
+    /// Camera frame, inside the limits.
+    twist: [f64; 6],
+    valid_until_ns: u64,
+}
+
+impl Bridge {
+    /// A bridge that stands still until it is told otherwise.
+    ///
+    /// # Errors
+    /// A bound of the shaper that is not a positive number.
+    pub fn new(mount: Mount, limits: Limits, shaping: Shaping) -> Result<Self, ShaperError> {
+        let (settings, is_shaping) = match shaping {
+            Shaping::On(settings) => (settings, true),
+            Shaping::Off => (ShaperSettings::default(), false),
+        };
+        Ok(Self {
+            mount,
+            limits,
+            shaper: Shaper::new(settings)?,
+            is_shaping,
+            twist: [0.0; 6],
+            valid_until_ns: 0,
+        })
+    }
+
+    /// Takes a command: camera velocity in the camera frame (m/s, rad/s), to hold until `valid_until_ns`. Gives whether
+    /// it was outside the limits and was cut; what is not finite counts as zero.
+    pub fn command(&mut self, twist: &[f64; 6], valid_until_ns: u64) -> bool {
+        let Executed { twist, limited } = cut(twist, &self.limits);
+        (self.twist, self.valid_until_ns) = (twist, valid_until_ns);
+        limited
+    }
+
+    /// Stands still: whatever was commanded before ends now.
+    pub fn release(&mut self) {
+        self.valid_until_ns = 0;
+    }
+
+    /// The camera velocity that it aims at, camera frame; zero where the command is stale.
+    pub fn aimed(&self, now_ns: u64) -> [f64; 6] {
+        if self.is_stale(now_ns) {
+            [0.0; 6]
+        } else {
+            self.twist
+        }
+    }
+
+    /// Whether the last command no longer holds.
+    pub fn is_stale(&self, now_ns: u64) -> bool {
+        now_ns >= self.valid_until_ns
+    }
+
+    /// The command that answers a state of the robot. The camera's velocity is transported to the flange anew in every
+    /// millisecond, because the base axes turn under it.
+    pub fn answer(&mut self, state: &State, now_ns: u64) -> Command {
+        let camera = Twist::from_column_slice(&self.twist);
+        let base = self.mount.to_base(&state.o_t_ee.rotation, &camera);
+        self.shaper.aim(&base, self.valid_until_ns);
+        let shaped = if self.is_shaping {
+            self.shaper.step(&Echo::from(state), now_ns)
+        } else if self.is_stale(now_ns) {
+            Twist::zeros()
+        } else {
+            base
+        };
+        Command {
+            id: state.id,
+            motion: Motion::Cartesian(shaped),
+            finished: false,
+        }
+    }
+}
+
+/// Whether commands are shaped for the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shaping {
+    /// Bounded acceleration and jerk.
+    On(ShaperSettings),
+    /// The 30 Hz staircase as it is: to show what the robot says to that.
+    Off,
+}
+
+impl Default for Shaping {
+    fn default() -> Self {
+        Self::On(ShaperSettings::default())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use scene::{Pose, Scene, parse_starts};
+
+    use super::*;
+    use crate::robot::arm::{Arm, ArmSettings};
+
+    const MS: u64 = 1_000_000;
+
+    fn scene() -> Scene {
+        Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
+    }
+
+    fn arm(start: &Pose, shaping: Shaping) -> Arm {
+        let settings = ArmSettings {
+            shaping,
+            ..ArmSettings::default()
+        };
+        Arm::new(&scene(), start, &settings).unwrap()
+    }
+
+    /// Full-speed twists at 30 Hz that change their mind in every frame, back and forth so that the arm stays; some
+    /// frames bring none.
+    fn tear(arm: &mut Arm, random: &mut ChaCha8Rng, seconds: u64) {
+        let limits = scene().limits;
+        let mut twist = [0.0; 6];
+        for ms in 0..1000 * seconds {
+            if ms % 33 == 0 && random.random::<f64>() > 0.1 {
+                let sign = |random: &mut ChaCha8Rng| f64::from(random.random_range(-1..=1));
+                twist = if random.random() {
+                    twist.map(|v: f64| -v)
+                } else {
+                    std::array::from_fn(|k| {
+                        sign(random) * if k < 3 { limits.linear } else { limits.angular }
+                    })
+                };
+                arm.bridge().command(&twist, (ms + 100) * MS);
+            }
+            arm.step(ms * MS);
+        }
+    }
+
+    #[test]
+    fn random_staircases_never_trip_the_robot_and_unshaped_they_do() {
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
+        for start in starts.iter().step_by(10) {
+            let mut shaped = arm(start, Shaping::default());
+            tear(&mut shaped, &mut random, 20);
+            let report = shaped.inspector().report();
+            assert!(report.is_clean(), "{report:?}");
+            assert!(report.joint_acceleration > 0.05 && report.joint_acceleration < 0.9);
+            let mut raw = arm(start, Shaping::Off);
+            tear(&mut raw, &mut random, 1);
+            assert!(raw.inspector().report().reflexes > 0);
+        }
+    }
+
+    #[test]
+    fn a_stale_command_ramps_to_zero_in_60_ms_and_the_robot_stands() {
+        let mut arm = arm(&scene().goal, Shaping::default());
+        let limits = scene().limits;
+        let fast = [limits.linear; 3].into_iter().chain([limits.angular; 3]);
+        let twist: Vec<f64> = fast.collect();
+        arm.bridge().command(&twist.try_into().unwrap(), 100 * MS);
+        for ms in 0..100 {
+            arm.step(ms * MS);
+        }
+        assert!(!arm.is_at_rest() && arm.bridge().is_stale(100 * MS));
+        let mut before = arm.camera_twist();
+        for ms in 100..160 {
+            arm.step(ms * MS);
+            let after = arm.camera_twist();
+            // A ramp, not a jump: 0.5 m/s^2 along each axis of the base are 0.9 mm/s in a millisecond.
+            let jump = (0..3)
+                .map(|k| (after[k] - before[k]).abs())
+                .fold(0.0, f64::max);
+            assert!(jump < 1e-3, "{jump}");
+            before = after;
+        }
+        assert!(arm.is_at_rest());
+        let stand = arm.state().q_d;
+        (160..500).for_each(|ms| arm.step(ms * MS));
+        assert!((arm.state().q_d - stand).amax() < 1e-4);
+        assert!(arm.inspector().report().is_clean());
+    }
+
+    #[test]
+    fn the_camera_moves_as_told_where_the_calibration_is_true_and_askew_where_it_is_not() {
+        let twist = [0.004, -0.006, 0.002, 0.01, 0.02, -0.01];
+        let apart = |settings: ArmSettings| {
+            let mut arm = Arm::new(&scene(), &scene().goal, &settings).unwrap();
+            arm.bridge().command(&twist, u64::MAX);
+            (0..300).for_each(|ms| arm.step(ms * MS));
+            let before = arm.object();
+            (300..400).for_each(|ms| arm.step(ms * MS));
+            // Against exact motion under the twist that was told: m.
+            let told = before.seen_after(&twist, 0.1).translation;
+            (arm.object().translation - told).norm()
+        };
+        assert!(apart(ArmSettings::default()) < 5e-6);
+        let mut askew = ArmSettings::default();
+        askew.truth.hand_eye_deg = [0.0, 0.0, 5.0];
+        assert!(apart(askew) > 5e-5);
+    }
+
+    #[test]
+    fn what_is_beyond_the_limits_is_cut_and_said_so() {
+        let mount = crate::robot::calibration::HandEye::default().mount();
+        let mut bridge = Bridge::new(mount, scene().limits, Shaping::default()).unwrap();
+        assert!(bridge.command(&[1.0, f64::NAN, 0.0, 0.0, 0.0, 0.0], 10));
+        assert_eq!(bridge.aimed(9), [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(bridge.aimed(10), [0.0; 6]);
+    }
+}

@@ -1,0 +1,198 @@
+//! Joint positions and velocities against their limits.
+
+use std::path::{Path, PathBuf};
+
+use crate::FigureError;
+use crate::canvas::{Canvas, FEATURES, label, ticks};
+
+const WIDTH: f64 = 852.0;
+const PANEL: f64 = 58.0;
+const GAP: f64 = 12.0;
+const TOP: f64 = 44.0;
+const BOTTOM: f64 = 40.0;
+/// Left edges of the two columns, and their width.
+const LEFT: [f64; 2] = [62.0, 490.0];
+const COLUMN: f64 = 346.0;
+
+/// Every joint in a row: its position between the ends of its range, its velocity at the scale of what it does, with
+/// the share of its limit in words.
+#[derive(Clone, Debug)]
+pub struct Joints {
+    /// Time of each sample, s.
+    pub time_s: Vec<f64>,
+    /// Positions of each sample, rad.
+    pub q: Vec<[f64; 7]>,
+    /// Velocities of each sample, rad/s.
+    pub dq: Vec<[f64; 7]>,
+    /// Of each joint: least and greatest position in rad, greatest speed in rad/s.
+    pub limits: [[f64; 3]; 7],
+    /// Instants to mark, s, and their names.
+    pub marks: Vec<(f64, String)>,
+    /// Title.
+    pub title: String,
+}
+
+impl Joints {
+    /// The drawing.
+    pub fn canvas(&self) -> Canvas {
+        let height = TOP + 7.0 * (PANEL + GAP) - GAP + BOTTOM;
+        let mut canvas = Canvas::new(WIDTH, height);
+        canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &self.title);
+        for (column, text) in ["position (rad), range white", "velocity (rad/s)"]
+            .iter()
+            .enumerate()
+        {
+            canvas.text(LEFT[column] + COLUMN / 2.0, TOP - 8.0, 11.0, "middle", text);
+        }
+        for joint in 0..7 {
+            let top = TOP + joint as f64 * (PANEL + GAP);
+            self.positions(&mut canvas, top, joint);
+            self.velocities(&mut canvas, top, joint);
+        }
+        let bottom = height - BOTTOM;
+        for left in LEFT {
+            for t in ticks(0.0, self.end(), 8) {
+                let x = self.x(left, t);
+                canvas.line([x, bottom], [x, bottom + 4.0], "stroke=\"#222222\"");
+                canvas.text(x, bottom + 15.0, 10.0, "middle", &label(t));
+            }
+            canvas.text(
+                left + COLUMN / 2.0,
+                bottom + 31.0,
+                11.0,
+                "middle",
+                "time (s)",
+            );
+        }
+        canvas
+    }
+
+    /// Writes `path`.svg and `path`.png.
+    ///
+    /// # Errors
+    /// [`FigureError`] names the file.
+    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
+        self.canvas().write(path)
+    }
+
+    fn end(&self) -> f64 {
+        self.time_s.last().copied().unwrap_or(1.0).max(1e-3)
+    }
+
+    fn x(&self, left: f64, t: f64) -> f64 {
+        left + COLUMN * t / self.end()
+    }
+
+    fn positions(&self, canvas: &mut Canvas, top: f64, joint: usize) {
+        let [least, greatest, _] = self.limits[joint];
+        // A strip beyond either end, so that the end is seen.
+        let beyond = 0.08 * (greatest - least);
+        let (low, high) = (least - beyond, greatest + beyond);
+        let y = |q: f64| top + PANEL * (high - q.clamp(low, high)) / (high - low);
+        for (from, to) in [(high, greatest), (least, low)] {
+            canvas.element(format_args!(
+                "<rect x=\"{}\" y=\"{:.2}\" width=\"{COLUMN}\" height=\"{:.2}\" fill=\"#d9dce1\"/>",
+                LEFT[0],
+                y(from),
+                y(to) - y(from)
+            ));
+        }
+        for value in [least, greatest] {
+            canvas.text(
+                LEFT[0] - 6.0,
+                y(value) + 3.5,
+                9.0,
+                "end",
+                &format!("{value:.2}"),
+            );
+        }
+        self.curve(canvas, LEFT[0], joint, &self.q, y);
+        canvas.text(
+            LEFT[0] + 8.0,
+            top + 18.0,
+            11.0,
+            "start",
+            &format!("q{}", joint + 1),
+        );
+        self.frame(canvas, LEFT[0], top);
+    }
+
+    fn velocities(&self, canvas: &mut Canvas, top: f64, joint: usize) {
+        let limit = self.limits[joint][2];
+        let speeds = self.dq.iter().map(|dq| dq[joint].abs());
+        let most = speeds.fold(0.0, f64::max);
+        let range = (1.25 * most).clamp(1e-3, 1.15 * limit);
+        let y = |v: f64| top + PANEL * (0.5 - 0.5 * v.clamp(-range, range) / range);
+        for value in ticks(-range, range, 3) {
+            canvas.line(
+                [LEFT[1], y(value)],
+                [LEFT[1] + COLUMN, y(value)],
+                "stroke=\"#e4e6ea\"",
+            );
+            canvas.text(LEFT[1] - 6.0, y(value) + 3.5, 9.0, "end", &label(value));
+        }
+        if range >= limit {
+            for value in [-limit, limit] {
+                let style = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
+                canvas.line([LEFT[1], y(value)], [LEFT[1] + COLUMN, y(value)], style);
+            }
+        }
+        self.curve(canvas, LEFT[1], joint, &self.dq, y);
+        let share = format!("at most {:.1} % of {limit} rad/s", 100.0 * most / limit);
+        canvas.text(LEFT[1] + COLUMN - 6.0, top + 12.0, 9.0, "end", &share);
+        self.frame(canvas, LEFT[1], top);
+    }
+
+    fn curve(
+        &self,
+        canvas: &mut Canvas,
+        left: f64,
+        joint: usize,
+        samples: &[[f64; 7]],
+        y: impl Fn(f64) -> f64,
+    ) {
+        let points = self.time_s.iter().zip(samples);
+        let line = points.map(|(t, sample)| [self.x(left, *t), y(sample[joint])]);
+        let colour = FEATURES[joint];
+        canvas.polyline(line, &format!("stroke=\"{colour}\" stroke-width=\"1.5\""));
+    }
+
+    fn frame(&self, canvas: &mut Canvas, left: f64, top: f64) {
+        for (k, (t, name)) in self.marks.iter().enumerate() {
+            let x = self.x(left, *t);
+            let style = "stroke=\"#888888\" stroke-dasharray=\"2 3\"";
+            canvas.line([x, top], [x, top + PANEL], style);
+            if top <= TOP && left > LEFT[0] {
+                // Neighbours take turns in height.
+                let y = top + PANEL - 4.0 - 11.0 * (k % 3) as f64;
+                canvas.text(x - 3.0, y, 8.5, "end", name);
+            }
+        }
+        canvas.element(format_args!(
+            "<rect x=\"{left}\" y=\"{top}\" width=\"{COLUMN}\" height=\"{PANEL}\" fill=\"none\" stroke=\"#222222\"/>"
+        ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_share_of_a_limit_is_said_in_words() {
+        let mut dq = vec![[0.0; 7]; 30];
+        dq[12][3] = -0.5;
+        let joints = Joints {
+            time_s: (0..30).map(|k| 0.1 * f64::from(k)).collect(),
+            q: vec![[0.1; 7]; 30],
+            dq,
+            limits: [[-2.0, 2.0, 2.0]; 7],
+            marks: vec![(1.0, "release".into())],
+            title: "joints".into(),
+        };
+        let svg = joints.canvas().svg();
+        assert_eq!(svg.matches("at most 25.0 % of 2 rad/s").count(), 1);
+        assert_eq!(svg.matches("at most 0.0 % of 2 rad/s").count(), 6);
+        assert_eq!(svg.matches(">release<").count(), 1);
+    }
+}
