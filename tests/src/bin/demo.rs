@@ -45,7 +45,7 @@ impl Which {
     fn telling_start(self) -> usize {
         match self {
             Self::PaperSim => 82,
-            Self::PaperRobot => 0,
+            Self::PaperRobot => 6,
         }
     }
 
