@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 
-use crate::fixture::{Place, Running, program, repeats, root, scene_file, turn};
+use crate::fixture::{PERIOD_NS, Place, Running, program, repeats, root, scene_file, turn};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -150,10 +150,12 @@ fn answers(meddle: impl Fn(&Path, usize)) -> Vec<[f64; 6]> {
             );
             let square = [[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0]];
             let points = square.map(|[x, y]: [f64; 2]| [u + x, v + y]);
-            let sent = camera
-                .features
-                .publish(&Features::new(&points, ipc::now_ns()))
-                .unwrap();
+            // On the simulated clock of lockstep, so that every run is told the same.
+            let at_ns = (k as u64 + 1) * PERIOD_NS;
+            let mut features = Features::new(&points, at_ns);
+            features.stamp.sequence = k as u64 + 1;
+            features.stamp.published_ns = at_ns;
+            let sent = camera.features.publish_verbatim(&features).unwrap();
             let answer = camera.wait_for_answer(&sent, PATIENCE).unwrap();
             meddle(&memory, k);
             answer.expect("an answer").message.twist
