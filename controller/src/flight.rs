@@ -3,7 +3,7 @@
 //!
 //! The loop copies a [`FlightRecord`] of each cycle, and now and then a [`Key`], into wait-free queues ([`tap`]); the
 //! ordinary thread keeps them in a [`Ring`] and has them written by a thread that may wait for disks ([`recorder`],
-//! [`store`]). [`replay`] puts a key back into a pilot and repeats what the records say.
+//! [`store`]). [`mod@replay`] puts a key back into a pilot and repeats what the records say.
 
 pub mod about;
 pub mod command;

@@ -62,7 +62,7 @@ pub struct Tail {
     wish: Wish,
 }
 
-/// Both ends. `wish` is what the loop makes by [`Tap::wish`].
+/// Both ends. `wish` is what the loop makes by `Tap::wish`.
 pub fn tap(wish: Wish) -> (Tap, Tail) {
     let (records, records_out) = RingBuffer::new(QUEUE);
     let (keys, keys_out) = RingBuffer::new(KEYS);

@@ -58,7 +58,7 @@ pub struct Facts {
     pub isolated: String,
     /// Free bytes in `/dev/shm`.
     pub shm_bytes: u64,
-    /// Latencies of [`WAKE_UPS`] wake-ups, ns; all zero where they could not be measured.
+    /// Latencies of `WAKE_UPS` wake-ups, ns; all zero where they could not be measured.
     pub wake_ns: Percentiles,
 }
 

@@ -62,7 +62,7 @@ pub struct Ledger {
 
 impl Ledger {
     /// Counts a message that is to be recorded; `None` where there is nothing to tell about it. A repeated one is not
-    /// to be recorded: ask [`is_new`] first.
+    /// to be recorded: ask `is_new` first.
     pub fn record(&mut self, topic: &'static str, order: Order) -> Option<Notice> {
         let account = self.account(topic);
         account.recorded += 1;
