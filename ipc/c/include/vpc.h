@@ -583,7 +583,7 @@ extern "C" {
 // in this thread.
 const char *vpc_message(void);
 
-// Joins the domain in `directory`, which is created where it is missing; NULL: /tmp/vpc-<uid>. The handle and what
+// Joins the domain in `directory`, which is created where it is missing; NULL: /tmp/vpc-UID. The handle and what
 // is opened with it stay in this thread.
 vpc_status vpc_domain_join(const char *directory,
                            vpc_domain **out);

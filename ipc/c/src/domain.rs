@@ -21,7 +21,7 @@ impl Handle for Domain {
     }
 }
 
-/// Joins the domain in `directory`, which is created where it is missing; NULL: /tmp/vpc-<uid>. The handle and what
+/// Joins the domain in `directory`, which is created where it is missing; NULL: /tmp/vpc-UID. The handle and what
 /// is opened with it stay in this thread.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_domain_join(
