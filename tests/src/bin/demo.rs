@@ -97,7 +97,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    match demo(&Cli::parse()) {
+    match demo(&Cli::parse_from(system_tests::arguments())) {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
         Err(error) => {

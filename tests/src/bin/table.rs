@@ -135,7 +135,7 @@ fn model(word: &str) -> Result<Model, String> {
 }
 
 fn main() -> ExitCode {
-    match table(&Cli::parse()) {
+    match table(&Cli::parse_from(system_tests::arguments())) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("table: {error:#}");
