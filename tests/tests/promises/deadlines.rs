@@ -7,13 +7,15 @@
 //! thread of `cyclictest` there, too: where `cyclictest` itself was late by half a period, or in one of a hundred
 //! wake-ups by a tenth, the machine is unfit, and the run neither passes nor fails.
 //!
+//! A virtual machine's host may also strike the one and spare the other: one run says little of a p99. So a run that
+//! does not pass is repeated, up to [`RUNS`] in all, every one of them is told, and a loop that is late is late in each.
+//!
 //! 18,000 cycles at 250 Hz take 72 s, 300 at the real 30 Hz ten more. Ten minutes at 30 Hz:
 //!
 //!     VPC_LONG=1 cargo test -p system-tests --test promises deadlines
 //!
 //! `VPC_WITHOUT=realtime` runs the daemon as an ordinary thread, to see the test fail.
 
-use std::collections::BTreeMap;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -21,7 +23,6 @@ use std::time::Duration;
 use controller::report::Report;
 use ipc::now_ns;
 use scene::Scene;
-use serde::Deserialize;
 
 use crate::camera::Camera;
 use crate::fixture::{Place, program, repeats, root, tell, turn};
@@ -33,46 +34,48 @@ const PRIORITY: u32 = 80;
 const CAMERA_PRIORITY: i32 = 70;
 /// Processor of the daemon; the camera stays on the other.
 const CPU: usize = 1;
+/// Threads of cyclictest, on processors 0 and 1.
+const THREADS: usize = 2;
 /// The bar: so many times the p99 of cyclictest, and so much more, us.
 const BAR: (f64, f64) = (2.0, 20.0);
+/// Runs at most, until one passes.
+const RUNS: usize = 3;
 /// Cycles before peers are met and steering begins.
 const START_UP: u64 = 200;
 
-/// What cyclictest says.
-#[derive(Deserialize)]
-struct Measured {
-    thread: BTreeMap<String, Thread>,
-}
-
-/// One of its threads: how many wake-ups were late by how many us.
-#[derive(Deserialize)]
-struct Thread {
-    histogram: BTreeMap<String, u64>,
-    max: u64,
-}
+/// The wake-ups of one thread of cyclictest after its start-up, late by so many us, in ascending order.
+struct Thread(Vec<u64>);
 
 impl Thread {
+    /// Of a thread, from what `cyclictest --verbose` prints: `thread:wake-up:us`, a line each.
+    ///
+    /// The first wake-ups are not counted: one thread sleeps for up to 50 ms in its very first one, while cyclictest
+    /// brings the others to the same grid.
+    fn parse(printed: &str, thread: usize) -> Self {
+        let late = |line: &str| {
+            let mut numbers = line.split(':').map(|number| number.trim().parse::<u64>());
+            let mut next = || numbers.next()?.ok();
+            let (number, wake_up, late) = (next()?, next()?, next()?);
+            (number == thread as u64 && wake_up >= START_UP).then_some(late)
+        };
+        let mut late: Vec<u64> = printed.lines().filter_map(late).collect();
+        late.sort_unstable();
+        Self(late)
+    }
+
     /// 99 of 100 wake-ups are not later, us.
     fn p99(&self) -> f64 {
-        let mut late: Vec<(u64, u64)> = self
-            .histogram
-            .iter()
-            .filter_map(|(us, count)| Some((us.parse().ok()?, *count)))
-            .collect();
-        late.sort_unstable();
-        let total: u64 = late.iter().map(|(_, count)| count).sum();
-        let mut seen = 0;
-        let found = late.iter().find(|(_, count)| {
-            seen += count;
-            seen as f64 >= 0.99 * total as f64
-        });
-        // Beyond the histogram: as late as it gets.
-        found.map_or(self.max as f64, |(us, _)| *us as f64)
+        self.0[(self.0.len() - 1) * 99 / 100] as f64
+    }
+
+    /// The latest wake-up, us.
+    fn latest(&self) -> u64 {
+        self.0.last().copied().unwrap_or(0)
     }
 }
 
 /// Runs the daemon for so many cycles at this rate, with all that disturbs and measures beside it.
-fn run(rate_hz: u32, cycles: u64) -> (Report, Vec<Thread>) {
+fn run(rate_hz: u32, cycles: u64) -> (Report, [Thread; THREADS]) {
     let place = Place::new();
     let scenes = root().join("ipc/scene/scenes");
     let text = std::fs::read_to_string(scenes.join("paper-sim.toml")).unwrap();
@@ -94,7 +97,7 @@ fn run(rate_hz: u32, cycles: u64) -> (Report, Vec<Thread>) {
     let text = format!("[cycle]\nstale_periods = 20.0\n[safety]\nlost_s = 10.0\n{realtime}");
     let config = place.file("vpcd.toml", &text);
     let report = place.path("report.json");
-    let measured = place.path("cyclictest.json");
+    let measured = place.path("cyclictest.txt");
 
     let mut stress = Command::new("stress-ng");
     stress.args([
@@ -111,17 +114,17 @@ fn run(rate_hz: u32, cycles: u64) -> (Report, Vec<Thread>) {
     stress.args(["--timeout", &format!("{}s", patience.as_secs())]);
     let mut cyclictest = Command::new("cyclictest");
     cyclictest.args([
-        "--quiet",
+        "--verbose",
         "--mlockall",
         "--policy=fifo",
-        "--threads=2",
         "--affinity=0,1",
+        "--distance=0",
     ]);
-    cyclictest.args(["--distance=0", "--histogram=100000"]);
+    cyclictest.arg(format!("--threads={THREADS}"));
     cyclictest.arg(format!("--priority={PRIORITY}"));
     cyclictest.arg(format!("--interval={period_us}"));
     cyclictest.arg(format!("--loops={all_cycles}"));
-    cyclictest.arg(format!("--json={}", measured.display()));
+    cyclictest.stdout(std::fs::File::create(&measured).unwrap());
     let mut daemon = Command::new(program("vpcd"));
     daemon
         .arg("--config")
@@ -149,7 +152,7 @@ fn run(rate_hz: u32, cycles: u64) -> (Report, Vec<Thread>) {
             }
         });
         let _stress = Finite::start(stress.stdout(Stdio::null()).stderr(Stdio::null()));
-        let mut cyclictest = Finite::start(cyclictest.stdout(Stdio::null()).stderr(Stdio::null()));
+        let mut cyclictest = Finite::start(cyclictest.stderr(Stdio::null()));
         let mut daemon = Finite::start(daemon.stderr(Stdio::null()));
         let statuses = [daemon.end(patience), cyclictest.end(patience)];
         done.store(true, Ordering::Relaxed);
@@ -164,11 +167,15 @@ fn run(rate_hz: u32, cycles: u64) -> (Report, Vec<Thread>) {
     );
     let report = std::fs::read_to_string(report).unwrap();
     let measured = std::fs::read_to_string(measured).unwrap();
-    let measured: Measured = serde_json::from_str(&measured).unwrap();
-    (
-        serde_json::from_str(&report).unwrap(),
-        measured.thread.into_values().collect(),
-    )
+    let threads = std::array::from_fn(|thread| Thread::parse(&measured, thread));
+    for Thread(wake_ups) in &threads {
+        assert!(
+            wake_ups.len() as u64 >= cycles * 9 / 10,
+            "{} wake-ups of cyclictest in {cycles} cycles",
+            wake_ups.len()
+        );
+    }
+    (serde_json::from_str(&report).unwrap(), threads)
 }
 
 /// Gives the calling thread the camera's priority and processor.
@@ -180,20 +187,28 @@ fn act_in_time() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Judges a run.
-fn check(rate_hz: u32, cycles: u64) {
+/// What a run shows.
+#[derive(Clone, Copy, PartialEq)]
+enum Verdict {
+    Passed,
+    Failed,
+    /// The machine cannot tell.
+    Unfit,
+}
+
+/// Judges a run, and tells of it.
+fn judge(rate_hz: u32, cycles: u64) -> Verdict {
     let (report, threads) = run(rate_hz, cycles);
     let period_us = 1e6 / f64::from(rate_hz);
-    let p99 = threads
-        .iter()
-        .map(Thread::p99)
-        .fold(f64::INFINITY, f64::min);
-    let worst = threads.iter().map(Thread::p99).fold(0.0, f64::max);
-    let latest = threads.iter().map(|thread| thread.max).max().unwrap_or(0);
+    let p99s = || threads.iter().map(Thread::p99);
+    let best = p99s().fold(f64::INFINITY, f64::min);
+    let worst = p99s().fold(0.0, f64::max);
+    let latest = threads.iter().map(Thread::latest).max().unwrap_or(0);
     let wake = report.wake_ns.p99 as f64 / 1e3;
-    let bar = BAR.0 * p99 + BAR.1;
-    let figures = format!(
-        "deadlines: {rate_hz} Hz, {} cycles, {} steering: {} missed; wake p50 {} p99 {wake:.0} p99.9 {} max {} us (bar {bar:.0}); busy p99 {} us; cyclictest p99 {p99:.0} and {worst:.0}, latest {latest} us; {} faults, {} blocked, {} heap calls",
+    let bar = BAR.0 * best + BAR.1;
+    let costs = report.minor_faults + report.major_faults + report.blocked + report.allocations;
+    tell(&format!(
+        "deadlines: {rate_hz} Hz, {} cycles, {} steering: {} missed; wake p50 {} p99 {wake:.0} p99.9 {} max {} us (bar {bar:.0}); busy p99 {} us; cyclictest p99 {best:.0} and {worst:.0}, latest {latest} us; {} faults, {} blocked, {} heap calls",
         report.cycles,
         report.armed,
         report.overruns,
@@ -204,21 +219,41 @@ fn check(rate_hz: u32, cycles: u64) {
         report.minor_faults + report.major_faults,
         report.blocked,
         report.allocations,
+    ));
+    // The machine has no part in these.
+    assert_eq!(costs, 0, "faults, blocked and heap calls");
+    assert!(
+        report.armed >= cycles * 9 / 10,
+        "{} of {cycles} cycles with work to do",
+        report.armed
     );
-    tell(&figures);
-    let is_unfit = latest as f64 >= 0.5 * period_us || worst >= 0.1 * period_us;
-    if is_unfit {
+    if latest as f64 >= 0.5 * period_us || worst >= 0.1 * period_us {
         tell(
             "UNFIT, neither passed nor failed: cyclictest itself was late by half a period, or by a tenth in one of a hundred wake-ups",
         );
-        return;
+        return Verdict::Unfit;
     }
-    assert_eq!(report.overruns, 0, "{figures}");
-    assert!(wake <= bar, "{figures}");
-    // Not for want of work.
-    assert!(report.armed >= cycles * 9 / 10, "{figures}");
-    let costs = report.minor_faults + report.major_faults + report.blocked + report.allocations;
-    assert_eq!(costs, 0, "{figures}");
+    match report.overruns == 0 && wake <= bar {
+        true => Verdict::Passed,
+        false => Verdict::Failed,
+    }
+}
+
+/// Runs until one run passes. Of those that the machine was fit for, two at least must fail for a failure.
+fn check(rate_hz: u32, cycles: u64) {
+    let mut failed = 0;
+    for _ in 0..RUNS {
+        match judge(rate_hz, cycles) {
+            Verdict::Passed => return,
+            Verdict::Failed => failed += 1,
+            Verdict::Unfit => (),
+        }
+    }
+    assert!(
+        failed < 2,
+        "{failed} of {RUNS} runs at {rate_hz} Hz missed deadlines or woke up later than the bar, none passed"
+    );
+    tell("UNFIT, neither passed nor failed: no run of all of them can tell");
 }
 
 #[test]
