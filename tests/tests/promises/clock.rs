@@ -8,7 +8,7 @@ use std::time::Duration;
 use ipc::Hold;
 use rustix::process::Signal;
 
-use crate::fixture::{Place, Running, Witness, tell, turn};
+use crate::fixture::{Place, Stage, tell, turn};
 
 /// Stands before the C library: every second the wall clock is some hours elsewhere.
 const SHIM: &str = r#"
@@ -91,18 +91,18 @@ fn jumps_of_the_wall_clock_have_no_effect() {
         .collect();
     assert!(hours.iter().any(|hour| *hour != hours[0]), "{hours:?}");
 
-    let mut witness = Witness::new(&place);
-    let mut command = place.vpcd("");
-    command.env("LD_PRELOAD", &library);
-    let daemon = Running::start(command);
-    let mut command = place.hw_sim(0);
-    command.env("LD_PRELOAD", &library);
-    let camera = Running::start(command);
-    witness.set_in_motion();
-    while witness.observer.cycles.oldest().unwrap().is_some() {}
+    let Stage {
+        place: _stage,
+        mut witness,
+        daemon,
+        camera: _camera,
+    } = Stage::changed(0, |_, mut command| {
+        command.env("LD_PRELOAD", &library);
+        command
+    });
+    witness.records();
     std::thread::sleep(Duration::from_secs(4));
-    let records: Vec<_> =
-        std::iter::from_fn(|| witness.observer.cycles.oldest().unwrap()).collect();
+    let records = witness.records();
     assert!(records.len() > 100, "{}", records.len());
     // hw-sim ends when the goal is reached; until then no cycle had a reason not to send the law's twist.
     let causes: Vec<_> = records
@@ -115,7 +115,6 @@ fn jumps_of_the_wall_clock_have_no_effect() {
         causes.iter().all(|cause| *cause == Hold::None),
         "{causes:?}"
     );
-    camera.kill();
     daemon.signal(Signal::TERM);
     assert_eq!(daemon.ended().0, Some(0));
 }

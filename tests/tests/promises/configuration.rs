@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::fixture::{Place, Running, Witness, root, scene_file, tell, turn};
+use crate::fixture::{Place, Running, Stage, root, scene_file, tell, turn};
 
 const BAR: Duration = Duration::from_millis(200);
 /// Tries, of which the fastest counts: these machines are busy, and the bar is on the program.
@@ -141,11 +141,12 @@ fn every_wrong_key_is_refused_by_name_in_time() {
 #[test]
 fn a_second_instance_is_refused_in_time_and_the_first_goes_on() {
     let _turn = turn();
-    let place = Place::new();
-    let mut witness = Witness::new(&place);
-    let first = Running::start(place.vpcd(""));
-    let camera = Running::start(place.hw_sim(0));
-    witness.set_in_motion();
+    let Stage {
+        place,
+        mut witness,
+        daemon: first,
+        camera: _camera,
+    } = Stage::in_motion(0);
     let mut fastest = Duration::MAX;
     for _ in 0..TRIES {
         let born = Instant::now();
@@ -164,6 +165,4 @@ fn a_second_instance_is_refused_in_time_and_the_first_goes_on() {
         .windows(2)
         .map(|pair| pair[1].stamp.sequence - pair[0].stamp.sequence);
     assert!(commands.len() > 3 && gaps.max() == Some(1), "{commands:?}");
-    camera.kill();
-    first.kill();
 }

@@ -3,43 +3,32 @@
 
 use std::time::Duration;
 
-use ipc::{CycleRecord, Hold, TwistState, now_ns};
-use rand::{RngExt, SeedableRng};
+use ipc::{Hold, TwistState, now_ns};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
-use crate::fixture::{
-    PERIOD_NS, Place, Running, WAKE_NS, Witness, eventually, is_still, repeats, turn,
-};
+use crate::fixture::{PERIOD_NS, Stage, WAKE_NS, is_still, repeats, some_time, turn};
 
 #[test]
 fn when_the_daemon_hangs_the_robot_stops_and_a_gap_in_time_disarms() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(1);
     for round in 0..repeats("SIGSTOP of vpcd in motion, for 2 s", 2, 20) {
-        let place = Place::new();
-        let mut witness = Witness::new(&place);
-        let daemon = Running::start(place.vpcd(""));
-        let camera = Running::start(place.hw_sim(round % 100));
-        witness.set_in_motion();
-        std::thread::sleep(Duration::from_nanos(random.random_range(0..4 * PERIOD_NS)));
+        let Stage {
+            place: _place,
+            mut witness,
+            daemon,
+            camera: _camera,
+        } = Stage::in_motion(round);
+        some_time(4, &mut random);
         daemon.signal(Signal::STOP);
         let stopped_ns = now_ns();
-        let stands_ns = eventually("a robot that stands", || {
-            let state = witness.observer.robot.oldest().unwrap()?;
-            let stands = state.twist == [0.0; 6] && state.stamp.published_ns > stopped_ns;
-            stands.then_some(state.stamp.published_ns)
-        });
-        let took = stands_ns - stopped_ns;
+        let took = witness.until_it_stands(stopped_ns) - stopped_ns;
         assert!(took <= 100_000_000 + WAKE_NS, "round {round}: {took} ns");
         std::thread::sleep(Duration::from_secs(2));
         witness.commands();
-        let gone = |witness: &mut Witness| -> Vec<CycleRecord> {
-            std::iter::from_fn(|| witness.observer.cycles.oldest().unwrap())
-                .map(|record| record.message)
-                .collect()
-        };
-        gone(&mut witness);
+        witness.records();
         // The camera went on all the time: good features are there at once.
         daemon.signal(Signal::CONT);
         std::thread::sleep(Duration::from_nanos(10 * PERIOD_NS));
@@ -52,7 +41,7 @@ fn when_the_daemon_hangs_the_robot_stops_and_a_gap_in_time_disarms() {
                 (Some(TwistState::Disarmed), true)
             );
         }
-        let records = gone(&mut witness);
+        let records = witness.records();
         let causes: Vec<_> = records
             .iter()
             .filter_map(|r| Hold::from_code(r.hold))
@@ -67,7 +56,5 @@ fn when_the_daemon_hangs_the_robot_stops_and_a_gap_in_time_disarms() {
             steps.iter().filter(|missed| **missed > 0).count() <= 1,
             "{steps:?}"
         );
-        camera.kill();
-        daemon.kill();
     }
 }

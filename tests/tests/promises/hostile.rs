@@ -11,7 +11,9 @@ use ipc::{
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::fixture::{Place, Running, Witness, assert_within_limits, repeats, tell, turn};
+use crate::fixture::{
+    EndOnDrop, Place, Running, Witness, assert_within_limits, repeats, tell, turn,
+};
 
 /// A number that is likely to hurt.
 fn nasty(random: &mut impl Rng) -> f64 {
@@ -225,25 +227,15 @@ fn misses(is_attacked: bool, seconds: u64) -> (u64, u64) {
         } else {
             Vec::new()
         };
-        while witness.observer.cycles.oldest().unwrap().is_some() {}
+        witness.records();
         std::thread::sleep(Duration::from_secs(seconds));
-        let records: Vec<_> =
-            std::iter::from_fn(|| witness.observer.cycles.oldest().unwrap()).collect();
+        let records = witness.records();
         drop(hoarders);
         let (first, last) = (records.first().unwrap(), records.last().unwrap());
         (last.cycle - first.cycle, last.overruns - first.overruns)
     });
     daemon.kill();
     counts
-}
-
-/// Ends the threads when the test ends.
-struct EndOnDrop<'a>(&'a AtomicBool);
-
-impl Drop for EndOnDrop<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }
 
 #[test]

@@ -18,15 +18,8 @@ fn report(path: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// Runs the daemon with its standard error going to `log` while a client makes it talk; its report.
-fn run(place: &Place, log: Stdio) -> Value {
-    let path = place.path("report.json");
-    let mut command = place.vpcd("[log]\nlevel = 'debug'");
-    command.arg("--report").arg(&path).stderr(log);
-    let mut witness = Witness::new(place);
-    let daemon = Running::start(command);
-    let camera = Running::start(place.hw_sim(0));
-    witness.set_in_motion();
+/// Sends requests that break the contract, as many at a time as the daemon takes.
+fn make_it_talk(witness: &mut Witness) {
     for id in 0..NOISE {
         let mut request = Request::new(id as u64, Action::Status);
         request.action = 1000;
@@ -35,6 +28,18 @@ fn run(place: &Place, log: Stdio) -> Value {
             std::thread::sleep(Duration::from_millis(1));
         }
     }
+}
+
+/// Runs the daemon with its standard error going to `log` while a client makes it talk; its report.
+fn run(place: &Place, log: Stdio) -> Value {
+    let path = place.path("report.json");
+    let mut command = place.vpcd("[log]\nlevel = 'debug'");
+    command.arg("--report").arg(&path).stderr(log);
+    let mut witness = Witness::new(place);
+    let daemon = Running::start(command);
+    let _camera = Running::start(place.hw_sim(0));
+    witness.set_in_motion();
+    make_it_talk(&mut witness);
     // It still answers.
     assert_eq!(witness.ask(Action::Status), Outcome::Done);
     let asked = Instant::now();
@@ -46,7 +51,6 @@ fn run(place: &Place, log: Stdio) -> Value {
         "{:?}",
         asked.elapsed()
     );
-    camera.kill();
     report(&path)
 }
 
@@ -120,14 +124,7 @@ fn losses_end_when_somebody_reads_again() {
     let mut witness = Witness::new(&place);
     let daemon = Running::start(command);
     assert_eq!(witness.ask(Action::Status), Outcome::Done);
-    for id in 0..NOISE {
-        let mut request = Request::new(id as u64, Action::Status);
-        request.action = 1000;
-        witness.say(&request);
-        if id % 8 == 0 {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
+    make_it_talk(&mut witness);
     let mut lines = BufReader::new(reader).lines();
     let told = eventually("a line about what was lost", || {
         lines

@@ -20,19 +20,21 @@ fn shipped() -> Vec<u8> {
     std::fs::read(root().join("memory-blob/default/paper-sim.vpcmem")).unwrap()
 }
 
+/// The daemon, of this scene, with this memory of the place.
+fn vpcd(place: &Place, scene: &Path, memory: &str) -> Command {
+    let mut command = Command::new(program("vpcd"));
+    command.arg("--scene").arg(scene);
+    command.arg("--domain").arg(place.domain());
+    command.args(["--strategy", "gpr", "--memory"]);
+    command.arg(place.path(memory));
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
 /// The daemon's answer to a memory: exit code and message.
 fn judged(place: &Place, name: &str) -> (Option<i32>, String) {
-    let mut command = Command::new(program("vpcd"));
-    command
-        .arg("--scene")
-        .arg(scene_file())
-        .arg("--domain")
-        .arg(place.domain());
-    command.args(["--strategy", "gpr", "--arm", "--cycles", "1", "--memory"]);
-    command
-        .arg(place.path(name))
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped());
+    let mut command = vpcd(place, &scene_file(), name);
+    command.args(["--arm", "--cycles", "1"]);
     Running::start(command).ended()
 }
 
@@ -108,17 +110,8 @@ fn the_daemon_refuses_it_with_its_exit_code_before_a_cycle() {
     }
     let other = scene::PAPER_SIM.replacen("fx = 800.0", "fx = 801.0", 1);
     let other = place.file("other.toml", other);
-    let mut command = Command::new(program("vpcd"));
-    command
-        .arg("--scene")
-        .arg(other)
-        .arg("--domain")
-        .arg(place.domain());
-    command.args(["--strategy", "gpr", "--cycles", "1", "--memory"]);
-    command
-        .arg(place.path("good.vpcmem"))
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped());
+    let mut command = vpcd(&place, &other, "good.vpcmem");
+    command.args(["--cycles", "1"]);
     let (code, message) = Running::start(command).ended();
     assert_eq!(code, Some(65), "{message}");
     assert!(message.contains("another task"), "{message}");
@@ -130,16 +123,8 @@ fn answers(meddle: impl Fn(&Path, usize)) -> Vec<[f64; 6]> {
     let memory = place.file("m.vpcmem", shipped());
     let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
-    let mut command = Command::new(program("vpcd"));
-    command
-        .arg("--scene")
-        .arg(scene_file())
-        .arg("--domain")
-        .arg(place.domain());
-    command
-        .args(["--strategy", "gpr", "--clock", "lockstep", "--memory"])
-        .arg(&memory);
-    command.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut command = vpcd(&place, &scene_file(), "m.vpcmem");
+    command.args(["--clock", "lockstep"]).stderr(Stdio::null());
     let mut daemon = Running::start(command);
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let twists = (0..200)

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
 use crate::fixture::{
-    PERIOD_NS, Place, Running, WAKE_NS, Witness, eventually, program, repeats, tell, turn,
+    Place, Running, Stage, WAKE_NS, Witness, eventually, program, repeats, some_time, tell, turn,
 };
 
 /// Open files of a process.
@@ -89,25 +89,21 @@ fn when_the_daemon_is_killed_the_emulator_stops_and_a_new_one_is_ready_in_a_seco
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(2);
     for round in 0..repeats("kill -9 of vpcd in motion", 5, 100) {
-        let place = Place::new();
-        let mut witness = Witness::new(&place);
-        let daemon = Running::start(place.vpcd(""));
-        let camera = Running::start(place.hw_sim(round % 100));
-        witness.set_in_motion();
-        std::thread::sleep(Duration::from_nanos(random.random_range(0..4 * PERIOD_NS)));
+        let Stage {
+            place,
+            mut witness,
+            daemon,
+            camera: _camera,
+        } = Stage::in_motion(round);
+        some_time(4, &mut random);
         daemon.signal(Signal::KILL);
         let killed_ns = ipc::now_ns();
         daemon.kill();
         // What the robot says of itself.
-        let stopped_ns = eventually("a robot that stands", || {
-            let state = witness.observer.robot.oldest().unwrap()?;
-            let stands = state.twist == [0.0; 6] && state.stamp.published_ns > killed_ns;
-            stands.then_some(state.stamp.published_ns)
-        });
-        let took = stopped_ns - killed_ns;
+        let took = witness.until_it_stands(killed_ns) - killed_ns;
         assert!(took <= 100_000_000 + WAKE_NS, "round {round}: {took} ns");
         let born = Instant::now();
-        let daemon = Running::start(place.vpcd(""));
+        let _daemon = Running::start(place.vpcd(""));
         eventually("a command", || {
             let twist = witness.observer.twist.oldest().unwrap()?;
             (twist.stamp.published_ns > killed_ns).then_some(())
@@ -117,7 +113,5 @@ fn when_the_daemon_is_killed_the_emulator_stops_and_a_new_one_is_ready_in_a_seco
             "round {round}: {:?}",
             born.elapsed()
         );
-        camera.kill();
-        daemon.kill();
     }
 }

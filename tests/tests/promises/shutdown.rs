@@ -4,40 +4,36 @@
 use std::time::{Duration, Instant};
 
 use ipc::TwistState;
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
 use crate::fixture::{
-    PERIOD_NS, Place, Running, Witness, assert_within_limits, eventually, is_still, repeats, turn,
+    PERIOD_NS, Place, Running, Stage, Witness, assert_within_limits, eventually, is_still, repeats,
+    some_time, speed, turn,
 };
 
 const BAR: Duration = Duration::from_millis(500);
 /// Largest loss of speed, as a share of the limits, in a period: 0.15 s from the limits to zero.
 const STEEPEST: f64 = 1.0 / (0.15 * 30.0);
 
-/// Largest component as a share of its limit.
-fn speed(twist: &[f64; 6]) -> f64 {
-    let share = |(k, v): (usize, &f64)| v.abs() / if k < 3 { 0.5 } else { 1.0 };
-    twist.iter().enumerate().map(share).fold(0.0, f64::max)
-}
-
 #[test]
 fn sigterm_brakes_and_ends_with_zero_in_time() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(1);
     for round in 0..repeats("SIGTERM in motion", 10, 100) {
-        let place = Place::new();
-        let mut witness = Witness::new(&place);
-        let daemon = Running::start(place.vpcd(""));
-        let camera = Running::start(place.hw_sim(round % 100));
-        witness.set_in_motion();
-        std::thread::sleep(Duration::from_nanos(random.random_range(0..4 * PERIOD_NS)));
+        let Stage {
+            place: _place,
+            mut witness,
+            daemon,
+            camera,
+        } = Stage::in_motion(round);
+        some_time(4, &mut random);
         witness.commands();
         let asked = Instant::now();
         daemon.signal(Signal::TERM);
         if round % 2 == 1 {
-            std::thread::sleep(Duration::from_nanos(random.random_range(0..PERIOD_NS)));
+            some_time(1, &mut random);
             daemon.signal(Signal::TERM);
         }
         let (code, log) = daemon.ended();

@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ipc::{Action, CameraPorts, Domain, Features, Outcome, TwistCommand, TwistState, now_ns};
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
 use crate::fixture::{
-    PERIOD_NS, Place, Running, WAKE_NS, Witness, assert_within_limits, eventually, is_still,
-    repeats, turn,
+    EndOnDrop, PERIOD_NS, Place, Running, Stage, WAKE_NS, Witness, assert_within_limits,
+    eventually, is_still, repeats, some_time, turn,
 };
 
 const BRAKING_NS: u64 = 3 * PERIOD_NS;
@@ -83,15 +83,6 @@ fn assert_stops(commands: &[TwistCommand], last_good_ns: u64, what: &str) {
     );
 }
 
-/// Ends the camera when the test ends.
-struct EndOnDrop<'a>(&'a AtomicBool);
-
-impl Drop for EndOnDrop<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
 /// A camera that works until it is told to fail, then fails, and after `over` works again.
 fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &AtomicBool) -> u64 {
     let domain = Domain::join(place).unwrap();
@@ -137,14 +128,13 @@ fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
         for _ in 0..repeats(&format!("{fault:?}"), 2, 20) {
             let place = Place::new();
             let mut witness = Witness::new(&place);
-            let daemon = Running::start(place.vpcd(""));
+            let _daemon = Running::start(place.vpcd(""));
             let (fail, over, end) = Default::default();
             let (commands, last_good_ns) = std::thread::scope(|threads| {
-                // Also when an assertion fails: the scope waits for the camera.
                 let _end = EndOnDrop(&end);
                 let camera = threads.spawn(|| film(&place.domain(), fault, &fail, &over, &end));
                 witness.set_in_motion();
-                std::thread::sleep(Duration::from_nanos(random.random_range(0..6 * PERIOD_NS)));
+                some_time(6, &mut random);
                 fail.store(true, Ordering::Relaxed);
                 let mut commands = witness.until("a controller that gave up", |twist| {
                     twist.state() == Some(TwistState::Disarmed)
@@ -160,7 +150,6 @@ fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
                 (commands, camera.join().unwrap())
             });
             assert_stops(&commands, last_good_ns, &format!("{fault:?}"));
-            daemon.kill();
         }
     }
 }
@@ -170,12 +159,13 @@ fn a_camera_that_dies_or_hangs_is_met_with_brakes() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(2);
     for round in 0..repeats("kill -9 and SIGSTOP of the camera", 10, 100) {
-        let place = Place::new();
-        let mut witness = Witness::new(&place);
-        let daemon = Running::start(place.vpcd(""));
-        let camera = Running::start(place.hw_sim(round % 100));
-        witness.set_in_motion();
-        std::thread::sleep(Duration::from_nanos(random.random_range(0..6 * PERIOD_NS)));
+        let Stage {
+            place: _place,
+            mut witness,
+            daemon: _daemon,
+            camera,
+        } = Stage::in_motion(round);
+        some_time(6, &mut random);
         camera.signal(if round % 2 == 0 {
             Signal::KILL
         } else {
@@ -186,7 +176,5 @@ fn a_camera_that_dies_or_hangs_is_met_with_brakes() {
             twist.state() == Some(TwistState::Disarmed)
         });
         assert_stops(&commands, last_good_ns, &format!("round {round}"));
-        camera.kill();
-        daemon.kill();
     }
 }
