@@ -109,6 +109,20 @@ impl Law {
         settings: Settings,
     ) -> Result<Self, LawError> {
         let scene = Scene::parse(&text, &path)?;
+        Self::of(scene, text, path, memory, settings)
+    }
+
+    /// As [`Law::parse`], from a scene that was parsed from this text: its masks may be elsewhere by now.
+    ///
+    /// # Errors
+    /// As [`Law::open`].
+    pub fn of(
+        scene: Scene,
+        text: String,
+        path: String,
+        memory: Option<&Path>,
+        settings: Settings,
+    ) -> Result<Self, LawError> {
         let controller = boxed(&scene, settings)
             .map_err(LawError::Thread)?
             .map_err(|source| LawError::Task { path, source })?;

@@ -1,5 +1,7 @@
 //! What a recording needs besides messages: the scene, and the daemon's configuration where it is known.
 
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use scene::{Scene, SceneError};
@@ -37,11 +39,22 @@ pub struct Text {
     pub text: String,
 }
 
+/// The file of a mask that the scene names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MaskFile {
+    /// Its name in the scene.
+    pub name: String,
+    /// Its bytes, PNG.
+    pub png: Vec<u8>,
+}
+
 /// What a recording is about.
 #[derive(Clone, Debug, Default)]
 pub struct Context {
     /// The scene and its file.
     pub scene: Option<(Scene, Text)>,
+    /// The masks of the scene, each file once.
+    pub masks: Vec<MaskFile>,
     /// The daemon's configuration file.
     pub config: Option<Text>,
 }
@@ -58,14 +71,27 @@ impl Context {
             (None, Some(config)) => named(config)?,
             (None, None) => None,
         };
-        let scene = match scene {
-            Some(path) => {
-                let file = text(&path)?;
-                Some((Scene::parse(&file.text, &file.path)?, file))
-            }
-            None => None,
+        let Some(path) = scene else {
+            return Ok(Self {
+                config,
+                ..Self::default()
+            });
         };
-        Ok(Self { scene, config })
+        let file = text(&path)?;
+        let directory = path.parent().unwrap_or(Path::new(""));
+        // Kept as they were read: a mask that is painted over meanwhile must not get into the recording.
+        let masks = RefCell::new(BTreeMap::new());
+        let scene = Scene::parse_with(&file.text, &file.path, &|name| {
+            let png = std::fs::read(directory.join(name))?;
+            masks.borrow_mut().insert(name.to_owned(), png.clone());
+            Ok(png)
+        })?;
+        let masks = masks.into_inner().into_iter();
+        Ok(Self {
+            scene: Some((scene, file)),
+            masks: masks.map(|(name, png)| MaskFile { name, png }).collect(),
+            config,
+        })
     }
 }
 

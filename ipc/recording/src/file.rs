@@ -14,7 +14,7 @@ use mcap::{Attachment, WriteOptions, Writer};
 use serde_json::{Value, json};
 
 use crate::clock::WallClock;
-use crate::context::{Context, Text};
+use crate::context::Context;
 use crate::foxglove::{self, Annotations, BLUE, Known, Level, RED};
 use crate::ledger::{Ledger, Notice, is_new};
 use crate::message::Recorded;
@@ -25,6 +25,10 @@ pub const SCENE: &str = "/vpc/scene";
 pub const SCENE_FILE: &str = "scene.toml";
 /// Name of the configuration's attachment.
 pub const CONFIG_FILE: &str = "vpcd.toml";
+/// Kind of the attached scene and configuration.
+const TOML: &str = "application/toml";
+/// Kind of the attached masks, which have the names that the scene gives them.
+pub(crate) const PNG: &str = "image/png";
 /// Name of the metadata record at the head of the file.
 pub(crate) const ORIGIN: &str = "vpc.origin";
 /// Name of the metadata record at its end.
@@ -370,10 +374,13 @@ impl RecordingFile {
         }
         self.open(SCENE, "vpc.Scene", &scene_schema())?;
         if let Some(config) = &context.config {
-            self.attach(CONFIG_FILE, config)?;
+            self.attach(CONFIG_FILE, TOML, config.text.as_bytes())?;
+        }
+        for mask in &context.masks {
+            self.attach(&mask.name, PNG, &mask.png)?;
         }
         if let Some((scene, file)) = &context.scene {
-            self.attach(SCENE_FILE, file)?;
+            self.attach(SCENE_FILE, TOML, file.text.as_bytes())?;
             let wall_ns = self.clock.wall_ns;
             let fingerprint = scene.fingerprint().to_string();
             let message =
@@ -390,13 +397,13 @@ impl RecordingFile {
         Ok(())
     }
 
-    fn attach(&mut self, name: &str, file: &Text) -> Result<(), WriteError> {
+    fn attach(&mut self, name: &str, media_type: &str, data: &[u8]) -> Result<(), WriteError> {
         let attachment = Attachment {
             log_time: self.clock.wall_ns,
             create_time: self.clock.wall_ns,
             name: name.to_owned(),
-            media_type: "application/toml".to_owned(),
-            data: file.text.as_bytes().into(),
+            media_type: media_type.to_owned(),
+            data: data.into(),
         };
         self.written(|mcap| mcap.attach(&attachment))
     }

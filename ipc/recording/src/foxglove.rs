@@ -5,10 +5,11 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use scene::{Part, Scene};
+use scene::{Mask, Part, Scene};
 use serde_json::{Value, json};
 
 use crate::geometry;
+use crate::outline::outlines;
 
 /// A colour: red, green, blue, opacity, each 0 to 1.
 pub(crate) type Color = [f64; 4];
@@ -268,6 +269,9 @@ pub(crate) fn scenery(scene: &Scene, wall_ns: u64) -> Value {
     for part in scene.parts() {
         annotations.outline(outline(part), GREY);
     }
+    for border in scene.masks().flat_map(outlines) {
+        annotations.outline(border.into_iter(), GREY);
+    }
     let (w, h) = (scene.camera.width, scene.camera.height);
     let corners = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]];
     annotations.outline(corners.into_iter(), GREY);
@@ -306,6 +310,11 @@ pub(crate) fn image(scene: &Scene, wall_ns: u64) -> Value {
                     pixels[y * width + x] = 185;
                 }
             }
+        }
+    }
+    for [columns, rows] in scene.masks().flat_map(Mask::rectangles) {
+        for y in rows {
+            pixels[y * width..][columns.clone()].fill(185);
         }
     }
     json!({
@@ -394,6 +403,30 @@ mod tests {
         let at = |u: usize, v: usize| pixels[v * 1024 + u];
         assert_eq!((at(850, 560), at(850, 650)), (185, 250));
         assert_eq!((at(200, 420), at(0, 0)), (185, 250));
+    }
+
+    #[test]
+    fn a_mask_is_grey_in_the_picture_and_has_its_outline() {
+        let (scene, _) = crate::outline::tests::painted(|i, j| {
+            (700..900).contains(&i) && (100..200).contains(&j)
+        });
+        let image = image(&scene, 0);
+        let pixels = STANDARD.decode(image["data"].as_str().unwrap()).unwrap();
+        for (n, grey) in pixels.into_iter().enumerate() {
+            let inside = (700..900).contains(&(n % 1024)) && (100..200).contains(&(n / 1024));
+            assert_eq!(grey, if inside { 185 } else { 250 });
+        }
+        let scenery = scenery(&scene, 0);
+        let outline = scenery["points"][0]["points"].as_array().unwrap();
+        assert_eq!(outline.len(), 4);
+        for corner in [
+            [700.0, 100.0],
+            [900.0, 100.0],
+            [900.0, 200.0],
+            [700.0, 200.0],
+        ] {
+            assert!(outline.contains(&point(corner)), "{outline:?}");
+        }
     }
 
     #[test]

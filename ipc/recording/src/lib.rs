@@ -15,6 +15,7 @@ mod foxglove;
 mod geometry;
 mod ledger;
 mod message;
+mod outline;
 mod plot;
 mod reader;
 mod recorder;
@@ -23,7 +24,7 @@ pub mod replay;
 mod report;
 
 pub use clock::WallClock;
-pub use context::{Context, ContextError, Text};
+pub use context::{Context, ContextError, MaskFile, Text};
 pub use field::FieldError;
 pub use file::{CONFIG_FILE, RecordingFile, SCENE, SCENE_FILE, WriteError};
 pub use ledger::{Account, Ledger, Notice};

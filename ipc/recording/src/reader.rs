@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
 use std::path::Path;
 
 use ipc::{CycleRecord, Features, Reply, Request, RobotState, TwistCommand};
@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use crate::clock::WallClock;
 use crate::field::FieldError;
-use crate::file::{CONFIG_FILE, LEDGER, ORIGIN, SCENE_FILE};
+use crate::file::{CONFIG_FILE, LEDGER, ORIGIN, PNG, SCENE_FILE};
 use crate::ledger::Ledger;
 use crate::message::Recorded;
 
@@ -77,7 +77,7 @@ pub struct Recording {
     pub requests: Vec<Request>,
     /// What the controller answered.
     pub replies: Vec<Reply>,
-    /// The scene, where the recorder was told.
+    /// The scene, where the recorder was told; its masks are in the recording as well.
     pub scene: Option<Scene>,
     /// Its file.
     pub scene_toml: Option<String>,
@@ -113,6 +113,7 @@ impl Recording {
         );
         let mut recording = Self::default();
         let mut channels = HashMap::new();
+        let mut masks = HashMap::new();
         let mut finished = false;
         let mut records = 0_u64;
         while let Some(event) = reader.next_event() {
@@ -137,8 +138,14 @@ impl Recording {
             };
             records += 1;
             finished |= matches!(record, Record::Footer(_));
-            recording.take(&name, &mut channels, record)?;
+            recording.take(&name, &mut channels, &mut masks, record)?;
         }
+        recording.scene = recording
+            .scene_toml
+            .as_deref()
+            .map(|text| parsed(text, &masks))
+            .transpose()
+            .map_err(|source| ReadError::Scene { path: name, source })?;
         if !finished && recording.cut.is_none() {
             recording.cut = Some("the file has no end".to_owned());
         }
@@ -161,6 +168,7 @@ impl Recording {
         &mut self,
         path: &str,
         channels: &mut HashMap<u16, String>,
+        masks: &mut HashMap<String, Vec<u8>>,
         record: Record<'_>,
     ) -> Result<(), ReadError> {
         match record {
@@ -178,18 +186,14 @@ impl Recording {
                         })?;
                 }
             }
+            Record::Attachment { header, data, .. } if header.media_type == PNG => {
+                masks.insert(header.name, data.into_owned());
+            }
             Record::Attachment { header, data, .. } => {
-                let text = String::from_utf8_lossy(&data).into_owned();
+                let text = || String::from_utf8_lossy(&data).into_owned();
                 match header.name.as_str() {
-                    SCENE_FILE => {
-                        let scene = Scene::parse(&text, SCENE_FILE);
-                        self.scene = Some(scene.map_err(|source| ReadError::Scene {
-                            path: path.to_owned(),
-                            source,
-                        })?);
-                        self.scene_toml = Some(text);
-                    }
-                    CONFIG_FILE => self.config_toml = Some(text),
+                    SCENE_FILE => self.scene_toml = Some(text()),
+                    CONFIG_FILE => self.config_toml = Some(text()),
                     _ => (),
                 }
             }
@@ -223,6 +227,16 @@ impl Recording {
             _ => Ok(()),
         }
     }
+}
+
+/// The scene with the masks that were recorded.
+fn parsed(text: &str, masks: &HashMap<String, Vec<u8>>) -> Result<Scene, SceneError> {
+    Scene::parse_with(text, SCENE_FILE, &|name| {
+        let mask = masks.get(name).cloned();
+        mask.ok_or_else(|| {
+            io::Error::other("not in the recording; allowed: the masks of its scene")
+        })
+    })
 }
 
 fn clock(origin: &BTreeMap<String, String>) -> Option<WallClock> {

@@ -18,8 +18,10 @@ use ipc::{
     ClockMode, CycleRecord, Features, Hold, Order, Received, Request, RobotState, Stamp,
     StrategyCode, TwistState,
 };
+use scene::Scene;
 use serde::Serialize;
 
+use crate::file::SCENE_FILE;
 use crate::reader::Recording;
 
 /// Requests that the daemon takes in one cycle.
@@ -139,10 +141,14 @@ fn pilot(
         }
         (None, None) => (String::new(), "no configuration".to_owned()),
     };
-    let (scene, scene_path) = match (&beside.scene, &recording.scene_toml) {
-        (Some(path), _) => (read(path)?, path.clone()),
-        (None, Some(text)) => (text.clone(), PathBuf::from("scene.toml")),
-        (None, None) => return Err(ReplayError::NoScene),
+    let (scene, toml, scene_path) = match (&beside.scene, &recording.scene, &recording.scene_toml) {
+        (Some(path), ..) => {
+            let toml = read(path)?;
+            let scene = Scene::parse(&toml, &path.display().to_string());
+            (scene.map_err(LawError::from)?, toml, path.clone())
+        }
+        (None, Some(scene), Some(toml)) => (scene.clone(), toml.clone(), PathBuf::from(SCENE_FILE)),
+        (None, ..) => return Err(ReplayError::NoScene),
     };
     // Flags of its command line are not recorded, but what they did is.
     let arguments = Arguments {
@@ -160,7 +166,8 @@ fn pilot(
     let directory = Path::new(&path).parent().unwrap_or(Path::new(""));
     let config = Config::parse(&text, &path, directory, &arguments)?;
     let scene_path = scene_path.display().to_string();
-    let law = Law::parse(scene, scene_path, config.memory.as_deref(), config.settings)?;
+    let memory = config.memory.as_deref();
+    let law = Law::of(scene, toml, scene_path, memory, config.settings)?;
     Ok(pace(&config, &law).pilot(law))
 }
 
@@ -389,6 +396,7 @@ mod tests {
     /// Cycles of a daemon in lockstep, by its own pilot, on a camera that moves by itself.
     fn flown(cycles: usize) -> Recording {
         let mut recording = Recording {
+            scene: Some(Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap()),
             scene_toml: Some(scene::PAPER_SIM.to_owned()),
             config_toml: Some("[law]\niterations = 20\n[cycle]\nclock = \"lockstep\"\n".to_owned()),
             ..Recording::default()

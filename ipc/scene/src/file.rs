@@ -4,7 +4,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::mask::{MAX_AREAS, Mask, picture};
+use crate::mask::picture::{self, MaskError};
+use crate::mask::{MAX_AREAS, Mask};
 use crate::model::*;
 
 /// Why a scene file was refused.
@@ -160,17 +161,31 @@ impl Scene {
     /// # Errors
     /// As [`Scene::read`].
     pub fn parse(text: &str, path: &str) -> Result<Self, SceneError> {
+        let directory = Path::new(path).parent().unwrap_or(Path::new(""));
+        Self::parse_with(text, path, &|mask| std::fs::read(directory.join(mask)))
+    }
+
+    /// As [`Scene::parse`], with masks from elsewhere: `masks` gives the bytes of the PNG file of each name in the text.
+    ///
+    /// # Errors
+    /// As [`Scene::read`].
+    pub fn parse_with(
+        text: &str,
+        path: &str,
+        masks: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
+    ) -> Result<Self, SceneError> {
         let raw: RawScene = toml::from_str(text).map_err(|e| SceneError::Syntax {
             path: path.to_owned(),
             message: e.to_string().trim_end().to_owned(),
         })?;
-        Checker { path }.scene(raw)
+        Checker { path, masks }.scene(raw)
     }
 }
 
 /// Turns raw tables into checked ones; every refusal carries the file's name.
 struct Checker<'a> {
     path: &'a str,
+    masks: &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>,
 }
 
 impl Checker<'_> {
@@ -470,11 +485,12 @@ impl Checker<'_> {
 
     fn mask(&self, key: &str, mask: &str, camera: &RawCamera) -> Result<Mask, SceneError> {
         let directory = Path::new(self.path).parent().unwrap_or(Path::new(""));
-        let file = directory.join(mask);
-        picture::read(&file, camera.width, camera.height).map_err(|reason| SceneError::Mask {
+        let bytes = (self.masks)(mask).map_err(MaskError::Read);
+        let read = bytes.and_then(|bytes| picture::decode(&bytes, camera.width, camera.height));
+        read.map_err(|reason| SceneError::Mask {
             path: self.path.to_owned(),
             key: key.to_owned(),
-            mask: file.display().to_string(),
+            mask: directory.join(mask).display().to_string(),
             reason: reason.to_string(),
         })
     }

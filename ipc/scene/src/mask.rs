@@ -45,6 +45,33 @@ impl Mask {
         column < self.width && row < self.height && self.pixels[row * self.width + column] != 0
     }
 
+    /// The forbidden pixels as rectangles (columns from, to; rows from, to; the latter not included) that do not overlap:
+    /// the runs of a row, as high as the rows below have the same ones.
+    #[cfg(feature = "file")]
+    pub fn rectangles(&self) -> Vec<[std::ops::Range<usize>; 2]> {
+        let runs = |row: usize| -> Vec<std::ops::Range<usize>> {
+            let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
+            for column in (0..self.width).filter(|column| self.is_forbidden(*column, row)) {
+                match runs.last_mut() {
+                    Some(run) if run.end == column => run.end += 1,
+                    _ => runs.push(column..column + 1),
+                }
+            }
+            runs
+        };
+        let mut rectangles = Vec::new();
+        let (mut top, mut open) = (0, runs(0));
+        for row in 1..=self.height {
+            // No pixel is forbidden below the last row.
+            let here = runs(row);
+            if here != open {
+                rectangles.extend(open.into_iter().map(|columns| [columns, top..row]));
+                (top, open) = (row, here);
+            }
+        }
+        rectangles
+    }
+
     /// The areas that together cover the forbidden pixels.
     pub const fn areas(&self) -> &'static [Area] {
         self.areas

@@ -52,6 +52,41 @@ fn white_is_forbidden_and_black_is_free() {
 }
 
 #[test]
+fn rectangles_are_the_forbidden_pixels_each_once() {
+    // Sums of distances: steps at the edges, a hole, and pieces that begin and end side by side.
+    let ring = |i: u32, j: u32| (60..100).contains(&(i.abs_diff(400) + j.abs_diff(500)));
+    let is_white = |i, j| ring(i, j) || in_box(i, j) || (i >= 1000 && j >= 900);
+    let scene = read(&painted(is_white)).unwrap();
+    let mut times = vec![0; 1024 * 1024];
+    for [columns, rows] in scene.masks().next().unwrap().rectangles() {
+        for (i, j) in rows.flat_map(|j| columns.clone().map(move |i| (i, j))) {
+            times[j * 1024 + i] += 1;
+        }
+    }
+    for (n, times) in times.into_iter().enumerate() {
+        let (i, j) = ((n % 1024) as u32, (n / 1024) as u32);
+        assert_eq!(times, i32::from(is_white(i, j)), "({i}, {j})");
+    }
+}
+
+#[test]
+fn masks_may_come_from_elsewhere_than_files() {
+    let directory = painted(in_box);
+    let png = fs::read(directory.path().join("mask.png")).unwrap();
+    let text = fs::read_to_string(scene_with(&directory, MASKED)).unwrap();
+    let given = |name: &str| match name {
+        "mask.png" => Ok(png.clone()),
+        _ => Err(std::io::Error::other("not given")),
+    };
+    let scene = Scene::parse_with(&text, "nowhere/scene.toml", &given).unwrap();
+    assert_eq!(scene, read(&directory).unwrap());
+    let text = text.replace("mask.png", "other.png");
+    let refused = Scene::parse_with(&text, "nowhere/scene.toml", &given).unwrap_err();
+    let words = "occlusion[0].mask = \"nowhere/other.png\": cannot read it: not given";
+    assert!(refused.to_string().contains(words), "{refused}");
+}
+
+#[test]
 fn every_kind_of_grey_is_read_alike_and_the_threshold_is_at_half() {
     use png::{BitDepth, ColorType};
     let directory = TempDir::new().unwrap();

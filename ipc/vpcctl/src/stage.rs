@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use scene::{Pose, Scene, SceneError};
+use scene::{Mask, Pose, Scene, SceneError};
 
 use crate::view::View;
 
@@ -62,11 +62,31 @@ impl Stage {
         seen.collect()
     }
 
-    /// Whether this point of the image (px) is in an occlusion.
+    /// Whether this point of the image (px) is in a shape: an occlusion that is not painted.
     pub fn covers(&self, point: [f64; 2]) -> bool {
         self.scene.iter().flat_map(Scene::parts).any(|part| {
             let reach = |i: usize| ((point[i] - part.center[i]).abs() / part.half[i]).powf(part.p);
             reach(0) + reach(1) < 1.0
+        })
+    }
+
+    /// Whether there is an occlusion in this box of the image (px): its middle in a shape, or a pixel of it painted, so
+    /// that thin lines do not get lost.
+    pub fn touches(&self, low: [f64; 2], high: [f64; 2]) -> bool {
+        let middle = [0, 1].map(|i| (low[i] + high[i]) / 2.0);
+        let pixels = |i: usize| low[i].max(0.0).floor() as usize..high[i].max(0.0).ceil() as usize;
+        let painted = |mask: &Mask| {
+            pixels(1).any(|row| pixels(0).any(|column| mask.is_forbidden(column, row)))
+        };
+        self.covers(middle) || self.scene.iter().flat_map(Scene::masks).any(painted)
+    }
+
+    /// The painted pixels as rectangles [u, v, width, height], px.
+    pub fn painted(&self) -> impl Iterator<Item = [f64; 4]> {
+        let masks = self.scene.iter().flat_map(Scene::masks);
+        masks.flat_map(Mask::rectangles).map(|[columns, rows]| {
+            let sizes = [columns.start, rows.start, columns.len(), rows.len()];
+            sizes.map(|pixels| pixels as f64)
         })
     }
 
@@ -123,11 +143,41 @@ fn moved(pose: &Pose, point: [f64; 3]) -> [f64; 3] {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     fn paper() -> Stage {
         Stage::new(Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap())
+    }
+
+    /// The paper's simulated scene with a mask instead of its occlusions.
+    pub(crate) fn painted(is_white: impl Fn(u32, u32) -> bool) -> Stage {
+        let directory = tempfile::tempdir().unwrap();
+        scene::write_mask(&directory.path().join("mask.png"), 1024, 1024, is_white).unwrap();
+        let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
+        let text = format!("{head}[[occlusion]]\nname = \"painted\"\nmask = \"mask.png\"\n");
+        let path = directory.path().join("scene.toml");
+        std::fs::write(&path, text).unwrap();
+        Stage::read(Some(&path)).unwrap()
+    }
+
+    #[test]
+    fn a_line_one_pixel_wide_is_touched_and_only_where_it_is() {
+        let stage = painted(|i, j| i == 77 && (100..200).contains(&j));
+        assert!(stage.touches([70.0, 150.0], [80.0, 160.0]));
+        assert!(stage.touches([77.0, 199.5], [77.5, 210.0]));
+        for (low, high) in [
+            ([78.0, 150.0], [90.0, 160.0]),
+            ([60.0, 150.0], [77.0, 160.0]),
+            ([70.0, 200.0], [80.0, 210.0]),
+        ] {
+            assert!(!stage.touches(low, high), "{low:?}");
+        }
+        assert_eq!(
+            stage.painted().collect::<Vec<_>>(),
+            [[77.0, 100.0, 1.0, 100.0]]
+        );
+        assert!(!stage.is_bare() && !stage.covers([77.5, 150.0]));
     }
 
     #[test]

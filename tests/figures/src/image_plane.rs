@@ -150,38 +150,16 @@ impl Frame {
         canvas
     }
 
-    /// The white pixels of a mask as rectangles: the runs of a row, as high as the rows below have the same ones.
+    /// The white pixels of a mask.
     fn pixels(&self, mask: &Mask) -> String {
-        let runs = |row: usize| -> Vec<[usize; 2]> {
-            let mut runs: Vec<[usize; 2]> = Vec::new();
-            for column in (0..mask.width()).filter(|i| mask.is_forbidden(*i, row)) {
-                match runs.last_mut() {
-                    Some(run) if run[1] == column => run[1] += 1,
-                    _ => runs.push([column, column + 1]),
-                }
-            }
-            runs
-        };
         let mut path = String::new();
-        let (mut top, mut open) = (0, runs(0));
-        for row in 1..=mask.height() {
-            let here = if row < mask.height() {
-                runs(row)
-            } else {
-                Vec::new()
-            };
-            if here == open {
-                continue;
-            }
-            for [from, to] in &open {
-                let [left, upper] = self.at([*from as f64, top as f64]);
-                let [right, lower] = self.at([*to as f64, row as f64]);
-                let _ = write!(
-                    path,
-                    "M{left:.2} {upper:.2}H{right:.2}V{lower:.2}H{left:.2}Z"
-                );
-            }
-            (top, open) = (row, here);
+        for [columns, rows] in mask.rectangles() {
+            let [left, upper] = self.at([columns.start as f64, rows.start as f64]);
+            let [right, lower] = self.at([columns.end as f64, rows.end as f64]);
+            let _ = write!(
+                path,
+                "M{left:.2} {upper:.2}H{right:.2}V{lower:.2}H{left:.2}Z"
+            );
         }
         path
     }

@@ -1,7 +1,7 @@
 //! Masks as PNG files.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter};
+use std::io::{BufWriter, Cursor};
 use std::path::Path;
 
 use png::{BitDepth, ColorType, Decoder, Encoder, Transformations};
@@ -26,10 +26,9 @@ pub(crate) enum MaskError {
     Areas(AreaError),
 }
 
-/// Reads a mask of the size `width` x `height`: white is forbidden, black free, the threshold at half.
-pub(crate) fn read(path: &Path, width: u32, height: u32) -> Result<Mask, MaskError> {
-    let file = File::open(path).map_err(MaskError::Read)?;
-    let mut decoder = Decoder::new(BufReader::new(file));
+/// The mask of the size `width` x `height` in a PNG file: white is forbidden, black free, the threshold at half.
+pub(crate) fn decode(bytes: &[u8], width: u32, height: u32) -> Result<Mask, MaskError> {
+    let mut decoder = Decoder::new(Cursor::new(bytes));
     // Palettes and 1, 2, 4 and 16 bits become 8 bits a channel.
     decoder.set_transformations(Transformations::EXPAND | Transformations::STRIP_16);
     let mut reader = decoder.read_info().map_err(MaskError::Decode)?;

@@ -17,16 +17,16 @@ use crate::view::View;
 const CYCLES: usize = 50;
 /// Events kept for pages that are slower than we are.
 const KEPT: usize = 8;
-/// Rows into which occlusions are cut.
+/// Rows into which shapes are cut.
 const ROWS: u32 = 240;
 /// What the percentiles look back on, ns.
 const WINDOW_NS: u64 = 10_000_000_000;
 
-/// Size, goal, occlusions and limits. Occlusions are spans [v, u from, u to] in rows `step` px high, px.
+/// Size, goal, occlusions and limits. Occlusions are rectangles [u, v, width, height], px.
 pub fn stage(stage: &Stage, view: &View) -> Value {
     let size = stage.size(view);
     let step = size[1] / f64::from(ROWS);
-    let mut spans = Vec::new();
+    let mut areas: Vec<[f64; 4]> = stage.painted().collect();
     if !stage.is_bare() {
         for row in 0..ROWS {
             let v = (f64::from(row) + 0.5) * step;
@@ -37,7 +37,7 @@ pub fn stage(stage: &Stage, view: &View) -> Value {
                 match (from, column < columns && stage.covers([u, v])) {
                     (None, true) => from = Some(u),
                     (Some(begin), false) => {
-                        spans.push([v - step / 2.0, begin - step / 2.0, u - step / 2.0]);
+                        areas.push([begin - step / 2.0, v - step / 2.0, u - begin, step]);
                         from = None;
                     }
                     _ => (),
@@ -48,8 +48,7 @@ pub fn stage(stage: &Stage, view: &View) -> Value {
     json!({
         "size": size,
         "goal": stage.goal(),
-        "step": step,
-        "spans": spans,
+        "areas": areas,
         "limits": stage.limits(view),
         "convergence_px": stage.convergence_px(),
     })
@@ -194,17 +193,36 @@ mod tests {
     use super::*;
     use crate::view::tests::record;
 
+    /// The rectangles of a stage that was told.
+    fn areas(told: &Value) -> Vec<[f64; 4]> {
+        serde_json::from_value(told["areas"].clone()).unwrap()
+    }
+
+    #[test]
+    fn a_mask_is_told_pixel_by_pixel() {
+        let painted = crate::stage::tests::painted(|i, j| i.abs_diff(500) + j.abs_diff(300) < 40);
+        let told = stage(&painted, &View::default());
+        let mut times = vec![0; 1024 * 1024];
+        for [u, v, width, height] in areas(&told) {
+            for row in v as usize..(v + height) as usize {
+                let begin = row * 1024 + u as usize;
+                times[begin..][..width as usize]
+                    .iter_mut()
+                    .for_each(|times| *times += 1);
+            }
+        }
+        for (n, times) in times.into_iter().enumerate() {
+            let inside = (n % 1024).abs_diff(500) + (n / 1024).abs_diff(300) < 40;
+            assert_eq!(times, i32::from(inside), "pixel {n}");
+        }
+    }
+
     #[test]
     fn occlusions_are_cut_into_rows_that_cover_their_area() {
         let paper = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();
         let stage_of_paper = Stage::new(paper);
         let told = stage(&stage_of_paper, &View::default());
-        let step = told["step"].as_f64().unwrap();
-        let spans = told["spans"].as_array().unwrap();
-        let told_area: f64 = spans
-            .iter()
-            .map(|span| (span[2].as_f64().unwrap() - span[1].as_f64().unwrap()) * step)
-            .sum();
+        let told_area: f64 = areas(&told).iter().map(|[_, _, w, h]| w * h).sum();
         let size = stage_of_paper.size(&View::default());
         let covered = (0..size[0] as u32)
             .flat_map(|u| (0..size[1] as u32).map(move |v| [f64::from(u), f64::from(v)]))

@@ -42,10 +42,13 @@ impl Shape for Hatch<'_> {
         };
         for x in 0..=columns {
             for y in 0..=rows {
+                // Nodes of the grid reach from edge to edge, and half a step around.
                 let part = |i: usize, of: usize| i as f64 / of.max(1) as f64;
+                let half = |size: f64, of: usize| size / of.max(1) as f64 / 2.0;
+                let (du, dv) = (half(right - left, columns), half(top - bottom, rows));
                 let u = left + part(x, columns) * (right - left);
                 let v = self.height - (top - part(y, rows) * (top - bottom));
-                if (x + y) % 2 == 0 && self.stage.covers([u, v]) {
+                if (x + y) % 2 == 0 && self.stage.touches([u - du, v - dv], [u + du, v + dv]) {
                     painter.paint(x, y, self.color);
                 }
             }

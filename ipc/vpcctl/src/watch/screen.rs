@@ -409,6 +409,16 @@ mod tests {
     }
 
     #[test]
+    fn a_run_before_a_painted_mask() {
+        // A ring, and a scratch three pixels wide: a dot stands for five.
+        let stage = crate::stage::tests::painted(|i, j| {
+            let square = i.abs_diff(300).pow(2) + j.abs_diff(700).pow(2);
+            (120 * 120..200 * 200).contains(&square) || (j.abs_diff(i / 4 + 100) < 2 && i > 200)
+        });
+        insta::assert_snapshot!(picture(160, 50, &run(), &stage));
+    }
+
+    #[test]
     fn a_run_without_a_scene() {
         insta::assert_snapshot!(picture(80, 24, &run(), &Stage::default()));
     }

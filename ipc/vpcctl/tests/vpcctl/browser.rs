@@ -29,7 +29,8 @@ impl Browser {
         for fifo in [&to, &from] {
             assert!(Command::new("mkfifo").arg(fifo).status().unwrap().success());
         }
-        let flags = "--headless --no-sandbox --disable-gpu --remote-debugging-pipe";
+        let flags =
+            "--headless --no-sandbox --disable-gpu --window-size=1400,1000 --remote-debugging-pipe";
         let line = format!(
             "exec timeout {LIFE} chromium {flags} --user-data-dir=\"$0\" 3<\"$1\" 4>\"$2\""
         );
@@ -82,6 +83,22 @@ impl Browser {
             .call("Runtime.evaluate", parameters)
             .expect("the browser is gone");
         answer["result"]["value"].clone()
+    }
+
+    /// Keeps a picture of the page, to be looked at, as PNG.
+    pub fn keep_picture(&mut self, path: &Path) {
+        let answer = self.call("Page.captureScreenshot", json!({})).unwrap();
+        let picture = answer["data"].as_str().unwrap();
+        let mut base64 = Command::new("base64")
+            .arg("-d")
+            .stdin(Stdio::piped())
+            .stdout(File::create(path).unwrap())
+            .spawn()
+            .unwrap();
+        let mut to = base64.stdin.take().unwrap();
+        to.write_all(picture.as_bytes()).unwrap();
+        drop(to);
+        assert!(base64.wait().unwrap().success());
     }
 
     /// Waits until an expression of the page is true.

@@ -9,7 +9,7 @@ mod stand_in;
 mod status;
 mod watch;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// Runs `vpcctl` on a domain; it ends by itself, or else after a minute.
@@ -21,6 +21,20 @@ fn vpcctl(domain: &Path, words: &[&str]) -> Output {
         .args(words)
         .output()
         .unwrap()
+}
+
+/// A scene with a painted mask, a ring about (300, 700) px, instead of the paper's occlusions; its file in a directory.
+fn painted_scene(directory: &Path) -> PathBuf {
+    let is_white = |u: u32, v: u32| {
+        let square = u.abs_diff(300).pow(2) + v.abs_diff(700).pow(2);
+        (120 * 120..200 * 200).contains(&square)
+    };
+    scene::write_mask(&directory.join("ring.png"), 1024, 1024, is_white).unwrap();
+    let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
+    let text = format!("{head}[[occlusion]]\nname = \"ring\"\nmask = \"ring.png\"\n");
+    let path = directory.join("painted.toml");
+    std::fs::write(&path, text).unwrap();
+    path
 }
 
 fn stdout(output: &Output) -> String {

@@ -1,9 +1,11 @@
 //! `serve`: who may see, who may command, and the page in a real browser where one is installed.
 
+use std::path::Path;
+
 use crate::browser::Browser;
 use crate::metrics::Server;
 use crate::stand_in::StandIn;
-use crate::{stderr, stdout, vpcctl};
+use crate::{painted_scene, stderr, stdout, vpcctl};
 
 #[test]
 fn the_page_its_stage_and_its_events_are_served() {
@@ -94,6 +96,29 @@ fn commands_are_never_offered_to_the_network() {
         let output = vpcctl(directory.path(), words);
         assert_eq!(output.status.code(), Some(64), "{}", stderr(&output));
     }
+}
+
+#[test]
+fn a_browser_shows_the_painted_mask_where_it_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let scene = painted_scene(directory.path());
+    let scene = scene.to_str().unwrap();
+    let words = ["serve", "--listen", "127.0.0.1:0", "--scene", scene];
+    let server = Server::start(directory.path(), &words);
+    let url = server.line.trim().rsplit(' ').next().unwrap();
+    let Some(mut browser) = Browser::open(directory.path(), url) else {
+        println!("NOT RUN: no chromium");
+        return;
+    };
+    browser.wait_for("document.getElementById('state').textContent === 'disarmed'");
+    // The ring is painted to the left, the right, above and below its middle, which is clear.
+    let painted = "(() => { const c = document.getElementById('image'), s = c.width / 1024; \
+        const at = (u, v) => c.getContext('2d').getImageData(u * s, v * s, 1, 1).data[3] > 0; \
+        return [[140, 700], [460, 700], [300, 540], [300, 860]].every(p => at(...p)) \
+        && ![[300, 700], [90, 700], [300, 470], [500, 880]].some(p => at(...p)); })()";
+    browser.wait_for(painted);
+    browser.keep_picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("serve-mask.png"));
 }
 
 #[test]
