@@ -79,6 +79,10 @@ pub struct Arguments {
     /// Check configuration, scene and memory, say what would run, and exit.
     #[arg(long)]
     pub check_only: bool,
+
+    /// Print the whole configuration that file and flags come to, defaults and all, as TOML, and exit.
+    #[arg(long)]
+    pub print_config: bool,
 }
 
 /// What `vpcd` does beside controlling.

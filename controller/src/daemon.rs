@@ -106,6 +106,9 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     if arguments.preflight {
         return preflight(&arguments);
     }
+    if arguments.print_config {
+        return print_config(&arguments);
+    }
     if let Some(Command::Replay(arguments)) = &arguments.command {
         return flight::command::run(arguments).into();
     }
@@ -117,6 +120,20 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
                 service.leave(&failure.to_string());
             }
             failure.exit().into()
+        }
+    }
+}
+
+/// Prints the configuration that would run.
+fn print_config(arguments: &Arguments) -> ExitCode {
+    match Config::print(arguments) {
+        Ok(text) => {
+            print!("{text}");
+            Exit::Ok.into()
+        }
+        Err(error) => {
+            log::complain(&error.to_string());
+            error.exit().into()
         }
     }
 }

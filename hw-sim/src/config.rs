@@ -20,7 +20,7 @@ use crate::sensor::Flaws;
 #[derive(Parser, Debug, Default)]
 #[command(name = "hw-sim", version)]
 pub struct Arguments {
-    /// Configuration file (TOML); every key has a flag that overrides it. See hw-sim/hw-sim.toml.
+    /// Configuration file (TOML), documented in hw-sim/hw-sim.toml; flags win over it.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Scene file.

@@ -12,6 +12,7 @@ pub mod carrier;
 pub mod config;
 pub mod emulator;
 pub mod eye;
+pub mod keys;
 pub mod lateness;
 pub mod occlusion;
 pub mod pose;

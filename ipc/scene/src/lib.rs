@@ -27,6 +27,10 @@ mod model;
 #[cfg(feature = "file")]
 mod file;
 #[cfg(feature = "file")]
+mod key;
+#[cfg(feature = "file")]
+mod keys;
+#[cfg(feature = "file")]
 mod starts;
 
 pub use fingerprint::Fingerprint;
@@ -38,6 +42,10 @@ pub use model::{
 
 #[cfg(feature = "file")]
 pub use file::SceneError;
+#[cfg(feature = "file")]
+pub use key::{Key, Kind};
+#[cfg(feature = "file")]
+pub use keys::KEYS;
 #[cfg(feature = "file")]
 pub use mask::picture::write_mask;
 #[cfg(feature = "file")]

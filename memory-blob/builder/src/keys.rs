@@ -1,0 +1,148 @@
+//! Every key of a settings file of `vpc-memory build`, for `controller/CONFIGURATION.md`; a test of `system-tests` holds
+//! them against [`crate::settings`].
+
+use scene::{Key, Kind};
+
+/// Every key, in the order of [`crate::settings::BuildSettings`].
+pub const KEYS: &[Key] = &[
+    Key::integer(
+        "trajectories",
+        "900",
+        (1.0, 1e5),
+        "1 to 100000",
+        "N_t: successful trajectories to collect (--trajectories)",
+    ),
+    Key::integer(
+        "np",
+        "10",
+        (1.0, vpc::MAX_NP as f64),
+        "1 to 40",
+        "steps previewed by the solver (--np)",
+    ),
+    Key::integer(
+        "iterations",
+        "100",
+        (1.0, 1000.0),
+        "1 to 1000",
+        "most iterations of the solver (--iterations)",
+    ),
+    Key::number(
+        "tolerance",
+        "1e-9",
+        (1e-15, 1.0),
+        "1e-15 to 1",
+        "optimality at which it stops (--tolerance)",
+    ),
+    Key::number(
+        "trigger_px",
+        "20.0",
+        (0.0, 1e4),
+        "0 to 1e4 px",
+        "features closer than this to an occlusion are guided by the memory (--trigger-px)",
+    ),
+    Key::integer(
+        "guide_after",
+        "100",
+        (0.0, f64::INFINITY),
+        "0 or more",
+        "n_th: trajectories from which on the memory guides its own building",
+    ),
+    Key::number(
+        "adapt_after",
+        "0.5",
+        (0.0, 1.0),
+        "0 to 1",
+        "share of the trajectories after which starts are drawn near failed ones",
+    ),
+    Key::number(
+        "adapt_share",
+        "0.5",
+        (0.0, 1.0),
+        "0 to 1",
+        "share of such starts from then on; the rest stays uniform",
+    ),
+    Key::integer(
+        "batch",
+        "32",
+        (1.0, 4096.0),
+        "1 to 4096",
+        "starts tried in parallel against one state of the memory; part of the result, unlike the threads",
+    ),
+    Key::new(
+        "way_point",
+        Kind::Table,
+        "{ sight = 0.25 }",
+        "0.001 to 1 (share of the image width)",
+        "where the way point of a sample lies on its trajectory: `{ sight = SHARE }`, the last features within this image motion to which every point can go straight; or `{ samples = N }`, so many control periods ahead, 1 to 10000, as in the paper (--way-point-samples)",
+    ),
+    Key::new(
+        "planner",
+        Kind::Switch,
+        "true",
+        "true, false",
+        "whether a start that every recovery leaves stuck is solved by a planner in pose space (--no-planner)",
+    ),
+    Key::number(
+        "sample_spacing",
+        "0.01",
+        (0.0, 1.0),
+        "0 to 1 (share of the image width)",
+        "least image motion between two stored samples of a trajectory",
+    ),
+    Key::integer(
+        "seed",
+        "1",
+        (0.0, f64::INFINITY),
+        "0 or more",
+        "of every random choice (--seed)",
+    ),
+    Key::new(
+        "grow",
+        Kind::Table,
+        "{}",
+        "factors from 1 to 3",
+        "occlusions drawn larger while trajectories are made: `{ \"NAME\" = FACTOR }` (--grow)",
+    ),
+    Key::integer(
+        "regression.samples",
+        "800",
+        (2.0, 2e4),
+        "2 to 20000",
+        "most samples kept for regression (--gpr-samples)",
+    ),
+    Key::number(
+        "regression.zone",
+        "2.0",
+        (1.0, 1e6),
+        "1 to 1e6",
+        "they are drawn where a feature is closer to an occlusion than this many times the trigger distance",
+    ),
+    Key::integer(
+        "regression.likelihood_samples",
+        "400",
+        (2.0, 4000.0),
+        "2 to 4000",
+        "most samples on which the hyper-parameters are fitted",
+    ),
+    Key::integer(
+        "regression.restarts",
+        "3",
+        (1.0, 100.0),
+        "1 to 100",
+        "seeded restarts of the likelihood's maximisation",
+    ),
+    Key::integer(
+        "regression.polish",
+        "0",
+        (0.0, f64::INFINITY),
+        "0 or more",
+        "evaluations of the likelihood on all kept samples that improve on the subset's best",
+    ),
+    Key::new(
+        "regression.variance",
+        Kind::Switch,
+        "false",
+        "true, false",
+        "whether the factor for predictive variances is stored, 8 bytes for each pair of samples (--variance)",
+    ),
+];
