@@ -13,10 +13,14 @@ use ipc::{
 use rand::{Rng, RngExt};
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::machine::on_time;
+
 /// One sampling period of the paper's scene, ns.
 pub const PERIOD_NS: u64 = 33_333_333;
 /// Lateness of a wake-up that is the machine's fault, not the daemon's, ns. Idle, SCHED_FIFO: 0.2 ms.
 pub const WAKE_NS: u64 = 3_000_000;
+/// SCHED_FIFO priority of cameras, which are instruments here; below the daemon's 60.
+pub const CAMERA_PRIORITY: i32 = 50;
 /// Largest magnitude of each component of the twist in the paper's scene, m/s and rad/s.
 pub const LIMITS: [f64; 6] = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
 
@@ -212,16 +216,19 @@ pub struct Stage {
 impl Stage {
     /// The camera moves, from the start of this number (of a hundred, over and over).
     pub fn in_motion(start: usize) -> Self {
-        Self::changed(start, |_, command| command)
+        Self::with(start, &[])
     }
 
-    /// The same with something about the daemon's or the camera's command changed; `change` is told which of the two
-    /// programs it is.
-    pub fn changed(start: usize, change: impl Fn(&str, Command) -> Command) -> Self {
+    /// The same with these environment variables for both.
+    pub fn with(start: usize, environment: &[(&str, &Path)]) -> Self {
         let place = Place::new();
         let mut witness = Witness::new(&place);
-        let daemon = Running::start(change("vpcd", place.vpcd("")));
-        let camera = Running::start(change("hw-sim", place.hw_sim(start % 100)));
+        let mut daemon = place.vpcd("");
+        daemon.envs(environment.iter().copied());
+        let daemon = Running::start(daemon);
+        let mut camera = on_time(place.hw_sim(start % 100), CAMERA_PRIORITY);
+        camera.envs(environment.iter().copied());
+        let camera = Running::start(camera);
         witness.set_in_motion();
         Self {
             place,

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use anyhow::ensure;
 use ipc::{
     CameraPorts, Domain, Features, Observer, OperatorPorts, Request, RobotState, Stamp, now_ns,
 };
@@ -14,6 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::fixture::{
     EndOnDrop, Place, Running, Witness, assert_within_limits, repeats, tell, turn,
 };
+use crate::stall::fairly;
 
 /// A number that is likely to hurt.
 fn nasty(random: &mut impl Rng) -> f64 {
@@ -152,8 +154,9 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
     tell(&format!(
         "{messages} messages: {answered} answers, {moving} of them moving"
     ));
+    // Not for want of work. One in ten moves or so: the others are answered disarmed, until somebody arms again.
     assert!(
-        answered > messages / 2 && moving > messages / 10,
+        answered > messages / 2 && moving > messages / 20,
         "{answered} {moving}"
     );
     daemon.signal(rustix::process::Signal::TERM);
@@ -242,12 +245,14 @@ fn misses(is_attacked: bool, seconds: u64) -> (u64, u64) {
 fn floods_hoarders_and_churn_cost_no_release() {
     let _turn = turn();
     let seconds = repeats("seconds of flood", 6, 60) as u64;
-    let (cycles, baseline) = misses(false, seconds);
-    let (cycles_attacked, attacked) = misses(true, seconds);
-    tell(&format!(
-        "missed releases: {baseline} of {cycles} in peace, {attacked} of {cycles_attacked} under attack"
-    ));
-    assert!(cycles_attacked as f64 > 0.9 * 30.0 * seconds as f64);
-    // Outliers of milliseconds come from the host; a cycle is 33 ms long.
-    assert!(attacked <= baseline + 1, "{attacked} > {baseline}");
+    fairly("floods", || {
+        let (cycles, baseline) = misses(false, seconds);
+        let (cycles_attacked, attacked) = misses(true, seconds);
+        tell(&format!(
+            "missed releases: {baseline} of {cycles} in peace, {attacked} of {cycles_attacked} under attack"
+        ));
+        ensure!(cycles_attacked as f64 > 0.9 * 30.0 * seconds as f64);
+        ensure!(attacked <= baseline, "{attacked} > {baseline}");
+        Ok(())
+    });
 }

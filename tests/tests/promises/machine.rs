@@ -1,7 +1,8 @@
 //! What this machine permits and has, for the promises about time.
 
 use std::os::fd::AsRawFd;
-use std::process::{Command, ExitStatus};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -15,6 +16,11 @@ pub fn has(program: &str) -> bool {
 
 /// Whether real time is ours to take: SCHED_FIFO and locked memory, as `vpcd --preflight` finds.
 pub fn may_be_real_time() -> bool {
+    static MAY: OnceLock<bool> = OnceLock::new();
+    *MAY.get_or_init(may_be_real_time_now)
+}
+
+fn may_be_real_time_now() -> bool {
     let found = Command::new(program("vpcd"))
         .args(["--preflight", "--json"])
         .output();
@@ -23,6 +29,38 @@ pub fn may_be_real_time() -> bool {
         let mut checks = found["checks"].as_array().unwrap().iter();
         checks.any(|check| check["name"] == *name && check["state"] == "ok")
     })
+}
+
+/// Gives the calling thread SCHED_FIFO at this priority, or with 0 the ordinary scheduler; whether that was permitted.
+pub fn take_priority(priority: i32) -> bool {
+    let parameters = libc::sched_param {
+        sched_priority: priority,
+    };
+    let policy = if priority == 0 {
+        libc::SCHED_OTHER
+    } else {
+        libc::SCHED_FIFO
+    };
+    // SAFETY: 0 names the calling thread, and the parameters outlive the call.
+    unsafe { libc::sched_setscheduler(0, policy, &raw const parameters) == 0 }
+}
+
+/// A command that runs as an instrument: at this SCHED_FIFO priority where that can be had, so that it is on time
+/// whatever else the machine does.
+pub fn on_time(command: Command, priority: i32) -> Command {
+    if !(may_be_real_time() && has("chrt")) {
+        return command;
+    }
+    let mut timely = Command::new("chrt");
+    timely.args(["-f", &priority.to_string()]);
+    timely.arg(command.get_program()).args(command.get_args());
+    timely.envs(
+        command
+            .get_envs()
+            .filter_map(|(key, value)| Some((key, value?))),
+    );
+    timely.stdout(Stdio::null()).stderr(Stdio::piped());
+    timely
 }
 
 /// Whether a mechanism is switched off by `VPC_WITHOUT`, to see the tests of it fail.

@@ -7,9 +7,11 @@ use std::time::Duration;
 
 use ipc::{CameraPorts, Domain, Features};
 use memory_blob::MemoryFile;
+use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
+use serde_json::Value;
 
 use crate::fixture::{PERIOD_NS, Place, Running, program, repeats, root, scene_file, turn};
 
@@ -56,8 +58,10 @@ fn every_damaged_header_byte_and_body_bit_is_refused() {
     let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut bytes = good.clone();
-    for _ in 0..repeats("damaged header bytes", 60, header) {
-        let at = random.random_range(0..header);
+    let count = repeats("damaged header bytes", 60, header);
+    let mut places: Vec<usize> = (0..header).collect();
+    places.shuffle(&mut random);
+    for at in places.into_iter().take(count) {
         let bit = 1 << random.random_range(0..8);
         bytes[at] ^= bit;
         // White space may stand for white space: what changed must then mean the same.
@@ -72,8 +76,22 @@ fn every_damaged_header_byte_and_body_bit_is_refused() {
         opens(&bytes, at as u64);
         bytes[at] = good[at];
     }
-    for _ in 0..repeats("cuts", 20, 500) {
-        let at = random.random_range(0..good.len());
+    // At each boundary of the format, one byte before and after, and somewhere.
+    let layout: Value = serde_json::from_slice(&good[8..header]).unwrap();
+    let tensors = layout.as_object().unwrap().values();
+    let ends = tensors.filter_map(|tensor| tensor["data_offsets"].as_array());
+    let mut cuts: Vec<usize> = ends
+        .flatten()
+        .map(|offset| header + offset.as_u64().unwrap() as usize)
+        .chain([8, header])
+        .flat_map(|at| [at - 1, at, at + 1])
+        .filter(|at| *at < good.len())
+        .collect();
+    assert!(cuts.len() > 20, "{layout}");
+    cuts.extend(
+        (0..repeats("cuts elsewhere", 20, 500)).map(|_| random.random_range(0..good.len())),
+    );
+    for at in cuts {
         opens(&good[..at], at as u64);
     }
 }
