@@ -23,6 +23,7 @@ pub mod status;
 pub mod view;
 pub mod watch;
 pub mod watcher;
+pub mod words;
 
 use std::ffi::OsString;
 use std::process::ExitCode;

@@ -15,9 +15,9 @@ use crate::output;
 use crate::phase::{BOUNDS, Histogram, Phase};
 use crate::presence::Presence;
 use crate::request::strategy_name;
-use crate::status::fault_names;
 use crate::view::View;
 use crate::watcher::Watcher;
+use crate::words::fault_names;
 
 /// Time between two looks at the ports.
 const LOOK: Duration = Duration::from_millis(50);

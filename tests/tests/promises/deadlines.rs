@@ -179,7 +179,7 @@ fn run(rate_hz: u32, cycles: u64) -> (Report, [Thread; THREADS]) {
 }
 
 /// Gives the calling thread the camera's priority and processor.
-fn act_in_time() -> std::io::Result<()> {
+pub fn act_in_time() -> std::io::Result<()> {
     let thread = rustix::thread::gettid().as_raw_nonzero().to_string();
     let run = |command: &mut Command| command.stdout(Stdio::null()).stderr(Stdio::null()).status();
     run(Command::new("taskset").args(["-p", "-c", "0", &thread]))?;

@@ -18,6 +18,7 @@ mod hostile;
 mod logging;
 mod machine;
 mod memory;
+mod onlookers;
 mod peers;
 mod phase;
 mod replay;

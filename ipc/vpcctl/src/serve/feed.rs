@@ -10,8 +10,8 @@ use serde_json::{Value, json};
 use crate::phase::{Phase, Times};
 use crate::request::strategy_name;
 use crate::stage::Stage;
-use crate::status::faults;
 use crate::view::View;
+use crate::words::faults;
 
 /// Most cycles told in one event; of more, as in lockstep, only some are.
 const CYCLES: usize = 50;

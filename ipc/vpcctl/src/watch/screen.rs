@@ -13,8 +13,8 @@ use super::plane;
 use crate::phase::{BOUNDS, Phase, Times};
 use crate::request::strategy_name;
 use crate::stage::Stage;
-use crate::status::{duration, faults, pixels};
 use crate::view::View;
+use crate::words::{duration, faults, pixels};
 
 /// Least columns of the panels beside the image.
 const PANELS: u16 = 32;
