@@ -3,13 +3,15 @@
 
     pip install -r ipc/python/requirements-logger.txt
     python3 ipc/python/logger.py --seconds 10 --out log        # log/features.csv, log/twist.csv, log/cycles.csv
-    python3 ipc/python/logger.py --seconds 10 --out log --format parquet      # needs pyarrow, too
+    pip install -r ipc/python/requirements-parquet.txt                        # for --format parquet
+    python3 ipc/python/logger.py --seconds 10 --out log --format parquet
 
 Arrays become columns: points_0 is u of the first point, points_1 its v. Codes stay numbers; CONTRACT.md and
 vpc_client.messages have their words. Starts at once and ends after --seconds, or after --cycles of the controller.
 """
 
 import argparse
+import importlib.util
 import pathlib
 import sys
 import time
@@ -98,6 +100,9 @@ def main():
     parser.add_argument("--out", default="log", help="directory of the tables [%(default)s]")
     parser.add_argument("--format", choices=("csv", "parquet"), default="csv", help="[%(default)s]")
     arguments = parser.parse_args()
+    if arguments.format == "parquet" and importlib.util.find_spec("pyarrow") is None:
+        # Before anything is logged, not after.
+        sys.exit("logger: pyarrow is missing; pip install -r ipc/python/requirements-parquet.txt")
     with vpc_client.Domain(arguments.domain) as domain:
         tables, refused = log(domain, arguments.seconds, arguments.cycles)
     out = pathlib.Path(arguments.out)
@@ -107,7 +112,7 @@ def main():
         if arguments.format == "csv":
             table.to_csv(path, index=False)
         else:
-            table.to_parquet(path, index=False)
+            table.to_parquet(path, index=False, engine="pyarrow")
         print(f"{path}: {len(table)} messages, {missed(table)} missed")
     if refused:
         print(f"{refused} messages broke the contract and are not in the tables")

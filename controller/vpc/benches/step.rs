@@ -13,9 +13,10 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use divan::Bencher;
+use scene::Scene;
 use subproblem::{Case, Fixture, Subproblem};
 use vpc::solver::Solver;
-use vpc::{DOF, Twist};
+use vpc::{DOF, Task, Twist, constraint};
 
 const WINDOWS: [usize; 3] = [3, 10, 30];
 const REST: Twist = [0.0; DOF];
@@ -27,6 +28,11 @@ fn main() {
     // Not where the benches only show that they run, or one of them is asked for.
     if std::env::args().skip(1).eq(["--bench".to_owned()]) {
         WINDOWS.into_iter().for_each(compare);
+        println!(
+            "\nthe paper's scene, us   | shapes p50, p99 | mask p50, p99   | mask / shapes p50, of p99 | once more, shapes p50, p99"
+        );
+        let mask = painted();
+        WINDOWS.into_iter().for_each(|np| paint(np, &mask));
     }
 }
 
@@ -34,6 +40,18 @@ fn main() {
 fn ours(bencher: Bencher, np: usize) {
     let mut solvers = Solvers::new();
     each(bencher, np, |case| solvers.solve(case));
+}
+
+#[divan::bench(args = WINDOWS, sample_count = 500)]
+fn ours_by_mask(bencher: Bencher, np: usize) {
+    let (fixture, mask) = (Fixture::read(), painted());
+    let problems = window(&fixture, np).filter(|problem| problem.is_of_the_paper());
+    let cases: Vec<Case> = problems.map(|p| fixture.case_of(p, mask.clone())).collect();
+    let (mut solvers, mut next) = (Solvers::new(), 0);
+    bencher.bench_local(|| {
+        next = (next + 1) % cases.len();
+        solvers.solve(black_box(&cases[next]))
+    });
 }
 
 #[divan::bench(args = WINDOWS, sample_count = 40)]
@@ -58,6 +76,63 @@ fn each<R>(bencher: Bencher, np: usize, mut solve: impl FnMut(&Case) -> R) {
 
 fn window(fixture: &Fixture, np: usize) -> impl Iterator<Item = &Subproblem> {
     fixture.problems.iter().filter(move |p| p.np == np)
+}
+
+/// The paper's scene with its six shapes painted as one mask.
+fn painted() -> Task {
+    let shapes = Task::new(&Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap()).unwrap();
+    let directory = tempfile::tempdir().unwrap();
+    let is_white = |i: u32, j: u32| {
+        let middle = [f64::from(i) + 0.5, f64::from(j) + 0.5];
+        shapes
+            .parts
+            .iter()
+            .any(|part| constraint::hides(part, middle))
+    };
+    scene::write_mask(&directory.path().join("mask.png"), 1024, 1024, is_white).unwrap();
+    let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
+    let path = directory.path().join("scene.toml");
+    let text = format!("{head}[[occlusion]]\nname = \"painted\"\nmask = \"mask.png\"\n");
+    std::fs::write(&path, text).unwrap();
+    Task::new(&Scene::read(&path).unwrap()).unwrap()
+}
+
+/// Shapes, the mask, and the shapes again, in turn, on every problem of a window of the paper's scene.
+fn paint(np: usize, mask: &Task) {
+    let fixture = Fixture::read();
+    let mut solvers = Solvers::new();
+    let (mut times, mut ratios) = ([const { Vec::new() }; 3], Vec::new());
+    for problem in window(&fixture, np).filter(|problem| problem.is_of_the_paper()) {
+        let shapes = fixture.case(problem);
+        let mask = fixture.case_of(problem, mask.clone());
+        let mut found = [const { Vec::new() }; 3];
+        for _ in 0..3 * REPEATS {
+            for (found, case) in found.iter_mut().zip([&shapes, &mask, &shapes]) {
+                let begin = Instant::now();
+                black_box(solvers.solve(black_box(case)));
+                found.push(begin.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+        let medians = found.map(|mut found| quantile(&mut found, 0.5));
+        times
+            .iter_mut()
+            .zip(medians)
+            .for_each(|(times, one)| times.push(one));
+        ratios.push(medians[1] / medians[0]);
+    }
+    let [shapes, mask, again] = times.map(|mut times| [0.5, 0.99].map(|p| quantile(&mut times, p)));
+    println!(
+        "Np {np:<2}, {:>3} problems     | {:>6.1}, {:>6.1}  | {:>6.1}, {:>6.1}  | {:>6.2}, {:>6.2}          | {:>6.1}, {:>6.1}",
+        ratios.len(),
+        shapes[0],
+        shapes[1],
+        mask[0],
+        mask[1],
+        quantile(&mut ratios, 0.5),
+        mask[1] / shapes[1],
+        again[0],
+        again[1],
+    );
 }
 
 /// Our solver, with a workspace for each window as the daemon keeps it.

@@ -125,7 +125,9 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     };
     let way_points = run.iter().filter(|cycle| cycle.way_point_count > 0);
     let twists = twists(run, period_s);
-    let error = run.last().map_or(f64::NAN, |cycle| cycle.error_px);
+    let error = run.last().map(|cycle| cycle.error_px);
+    let error = error.filter(|error| error.is_finite());
+    let error = error.map_or_else(String::new, |error| format!(", error {error:.1} px"));
     let strategy = run
         .first()
         .and_then(|cycle| ipc::StrategyCode::from_code(cycle.strategy))
@@ -138,7 +140,7 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
             .map(|c| pairs(&c.way_point, c.way_point_count))
             .collect(),
         title: format!(
-            "{name}{strategy}: {:.1} s, error {error:.1} px",
+            "{name}{strategy}: {:.1} s{error}",
             twists.len() as f64 * period_s
         ),
     };

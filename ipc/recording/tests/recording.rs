@@ -397,7 +397,7 @@ fn others_read_the_same(
     before: &[Reply],
     recording: &Recording,
 ) {
-    let found = python::check(python, "values", file);
+    let found = python::check(python, "values", &[file]);
     let messages = |lines: &[String], topic: &str| -> Vec<String> {
         let head = format!("message {topic} ");
         lines
@@ -438,8 +438,20 @@ fn others_read_the_same(
         assert!(found.contains(&line), "{line}");
     }
     let layout = Path::new(env!("CARGO_MANIFEST_DIR")).join("foxglove-layout.json");
-    assert_eq!(python::check(python, "layout", &layout).len(), 8);
-    let known = python::check(python, "schemas", file);
+    assert_eq!(python::check(python, "layout", &[&layout]).len(), 8);
+    // Every topic and path that the layout names is in the recording; numbers that are not finite are left out.
+    let paths = python::check(python, "paths", &[file, &layout]);
+    assert!(paths.len() > 15, "{paths:?}");
+    for line in &paths {
+        let words: Vec<_> = line.split(' ').collect();
+        let [heard, values] = [words[2], words[3]].map(|count| count.parse::<u64>().unwrap());
+        let all = ["clearance_px", "error_px"]
+            .iter()
+            .all(|name| !words[1].ends_with(name));
+        let is_there = heard > 0 && (values == heard || !all);
+        assert!(is_there, "{line}: topic or path, messages, values");
+    }
+    let known = python::check(python, "schemas", &[file]);
     for name in [
         "ImageAnnotations",
         "RawImage",
@@ -577,7 +589,7 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
 
     let test = "a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone";
     if let Some(python) = python::python(test) {
-        let found = python::check(&python, "values", &place.file());
+        let found = python::check(&python, "values", &[&place.file()]);
         let line = format!("attachment ring.png image/png {}", png.len());
         assert!(found.contains(&line), "{line}");
     }
@@ -693,7 +705,7 @@ fn a_killed_recorder_leaves_a_file_that_can_be_read() {
     }
 
     if let Some(python) = python::python("a_killed_recorder_leaves_a_file_that_can_be_read") {
-        let found = python::check(&python, "rest", &place.file());
+        let found = python::check(&python, "rest", &[&place.file()]);
         for line in [
             format!("count /vpc/features {count}"),
             format!("count /vpc/cycles {cycles}"),

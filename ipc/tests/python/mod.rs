@@ -15,7 +15,7 @@ use ipc::{
 };
 
 use super::{directory, eventually};
-use environment::run;
+use environment::{Environment, run};
 
 mod environment;
 
@@ -358,7 +358,7 @@ fn bad_messages_are_refused(python: &Path) {
 }
 
 /// logger.py hears what is published, leaves tables with it, and counts what it missed.
-fn the_logger_fills_tables(python: &Path) {
+fn the_logger_fills_tables(python: &Path, format: &str) {
     let directory = directory();
     let (domain_at, out) = (
         directory.path().join("domain"),
@@ -374,16 +374,17 @@ fn the_logger_fills_tables(python: &Path) {
         .arg(&domain_at)
         .arg("--out")
         .arg(&out);
-    logger.args(["--seconds", "60", "--cycles", "20"]);
+    logger.args(["--seconds", "60", "--cycles", "20", "--format", format]);
     let mut logger = Running(logger.stdout(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(logger.0.stdout.take().unwrap()).lines();
     assert_eq!(lines.next().unwrap().unwrap(), "logging");
+    let mut sent_ns = Vec::new();
     for k in 0..20_u32 {
         if k == 10 {
             recorder.cycles.skip();
         }
         let features = Features::new(&[[f64::from(k), 0.25]; 4], 0);
-        camera.features.publish(&features).unwrap();
+        sent_ns.push(camera.features.publish(&features).unwrap().published_ns);
         let seen = controller.features.latest().unwrap().unwrap();
         let answer = TwistCommand::answer(&seen, [0.5; 6], TwistState::Moving);
         controller.twist.publish(&answer).unwrap();
@@ -398,7 +399,7 @@ fn the_logger_fills_tables(python: &Path) {
     assert!(logger.0.wait().unwrap().success(), "{said:?}");
     let cycles = said
         .iter()
-        .find(|line| line.contains("cycles.csv"))
+        .find(|line| line.contains(&format!("cycles.{format}")))
         .unwrap();
     assert!(cycles.ends_with("20 messages, 1 missed"), "{said:?}");
     // The nearest ranks of 1 to 20 us, between which pandas draws straight lines.
@@ -406,15 +407,21 @@ fn the_logger_fills_tables(python: &Path) {
     let steps: Vec<&str> = steps.split_whitespace().collect();
     assert_eq!(steps, ["step", "10.5", "19.1", "19.8", "20.0"], "{said:?}");
     assert!(said.iter().any(|l| l.starts_with("features to twist")));
-    let table = std::fs::read_to_string(out.join("features.csv")).unwrap();
-    let mut table = table
-        .lines()
-        .map(|line| line.split(',').collect::<Vec<_>>());
-    let names = table.next().unwrap();
-    let column = names.iter().position(|name| *name == "points_0").unwrap();
-    let first: Vec<f64> = table.map(|row| row[column].parse().unwrap()).collect();
+    // Numbers and kinds as pandas reads them back; a time in ns needs all 64 bits.
+    let read = "import pandas, sys; table = getattr(pandas, 'read_' + sys.argv[1])(sys.argv[2]); \
+                print(*table['points_0']); print(table['published_ns'].dtype.kind, *table['published_ns'])";
+    let mut pandas = Command::new(python);
+    pandas.args(["-c", read, format]);
+    let table = run(pandas.arg(out.join(format!("features.{format}")))).unwrap();
+    let table = String::from_utf8(table.stdout).unwrap();
+    let (points, times) = table.trim().split_once('\n').unwrap();
+    let first: Vec<f64> = points.split(' ').map(|x| x.parse().unwrap()).collect();
     let published: Vec<f64> = (0..20).map(f64::from).collect();
     assert_eq!(first, published);
+    let (kind, times) = times.split_once(' ').unwrap();
+    let times: Vec<u64> = times.split(' ').map(|ns| ns.parse().unwrap()).collect();
+    assert!(["i", "u"].contains(&kind), "{kind}");
+    assert_eq!(times, sent_ns);
 }
 
 /// The camera's referee measures as hw-sim's does: the same numbers as in the unit tests there.
@@ -479,7 +486,7 @@ fn the_package_installs(python: &Path) {
 /// What Python needs, or `None` where it is missing and may be.
 fn python(test: &str) -> Option<PathBuf> {
     let place = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    environment::python(test, &sources("python"), place)
+    Environment::of_client(&sources("python"), place).python(test)
 }
 
 #[test]
@@ -503,7 +510,8 @@ fn the_client_in_python_refuses_what_breaks_the_contract() {
 #[test]
 fn the_logger_in_python_fills_tables() {
     if let Some(python) = python("the_logger_in_python_fills_tables") {
-        the_logger_fills_tables(&python);
+        the_logger_fills_tables(&python, "csv");
+        the_logger_fills_tables(&python, "parquet");
     }
 }
 

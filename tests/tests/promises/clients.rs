@@ -16,6 +16,7 @@ use crate::fixture::{Place, Running, program, root, scene_file, tell, turn};
 
 #[path = "../../../ipc/tests/python/environment.rs"]
 mod environment;
+use environment::Environment;
 
 /// The paper's starts.
 const STARTS: usize = 100;
@@ -94,7 +95,8 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
     let _turn = turn();
     let name = "the_camera_in_python_comes_to_what_the_table_comes_to";
     let tmp = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    let Some(python) = environment::python(name, &root().join("ipc/python"), tmp) else {
+    let environment = Environment::of_client(&root().join("ipc/python"), tmp);
+    let Some(python) = environment.python(name) else {
         return;
     };
     for strategy in ["gpr", "previous"] {

@@ -177,12 +177,9 @@ fn run(cycles: u64, is_watched: bool) -> (Report, Seen) {
     let period = Duration::from_secs(1) / RATE;
     let all_cycles = BEFORE + cycles;
     let patience = period * u32::try_from(all_cycles).unwrap() + Duration::from_secs(30);
-    let realtime = match is_without("realtime") {
-        true => "",
-        false => "[realtime]\npriority = 80\ncpu = 1",
-    };
     // The camera's losses are no matter here: what it sends may be old for a while.
-    let text = format!("[cycle]\nstale_periods = 20.0\n[safety]\nlost_s = 10.0\n{realtime}");
+    let text = "[cycle]\nstale_periods = 20.0\n[safety]\nlost_s = 10.0\n\
+                [realtime]\npriority = 80\ncpu = 1\n";
     let mut vpcd = Command::new(program("vpcd"));
     vpcd.arg("--config").arg(place.file("vpcd.toml", text));
     vpcd.arg("--scene").arg(&scene_file);

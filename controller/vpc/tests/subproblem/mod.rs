@@ -71,6 +71,11 @@ impl Fixture {
             other => panic!("scene {other} of the fixture is unknown"),
         };
         let task = Task::new(&Scene::parse(text, &problem.scene).unwrap()).unwrap();
+        self.case_of(problem, task)
+    }
+
+    /// A problem as another task sees it.
+    pub fn case_of(&self, problem: &Subproblem, task: Task) -> Case {
         let points: Points = problem.features.iter().copied().collect();
         Case {
             np: problem.np,
@@ -87,6 +92,11 @@ impl Fixture {
 }
 
 impl Subproblem {
+    /// Whether it is of the paper's simulated scene.
+    pub fn is_of_the_paper(&self) -> bool {
+        self.scene == "paper-sim"
+    }
+
     /// The start of this name.
     pub fn start(&self, name: &str) -> &Start {
         self.starts.iter().find(|s| s.name == name).unwrap()

@@ -1,5 +1,6 @@
 //! `vpc-replay`: the law again on a recording, compared with what was sent.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -79,6 +80,10 @@ fn attempt(arguments: &Arguments) -> Result<Outcome, (u8, String)> {
         };
         (code, error.to_string())
     })?;
+    if let Some(cut) = &recording.cut {
+        let path = arguments.recording.display();
+        eprintln!("vpc-replay: {path}: cut short: {cut}");
+    }
     let beside = Beside {
         config: arguments.config.clone(),
         memory: arguments.memory.clone(),
@@ -97,6 +102,11 @@ fn attempt(arguments: &Arguments) -> Result<Outcome, (u8, String)> {
         true => serde_json::to_string_pretty(&outcome).map_err(|e| (70, e.to_string()))? + "\n",
         false => outcome.text(),
     };
-    print!("{text}");
-    Ok(outcome)
+    match std::io::stdout().write_all(text.as_bytes()) {
+        // Who reads no further (head) has what they wanted.
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err((70, format!("cannot write the output: {error}")))
+        }
+        _ => Ok(outcome),
+    }
 }

@@ -5,6 +5,7 @@ panels. Prints what it found, one line for each message, for the test to compare
     check.py schemas FILE   every message fits its schema; well-known schemas have Foxglove's names and types
     check.py rest FILE      what can be read of a file that was cut short: topic and count
     check.py layout FILE    a layout's panels and settings are ones that Foxglove's SDK knows
+    check.py paths FILE LAYOUT      every topic that a layout names has messages, every path in it a number in each
 """
 
 import json
@@ -234,4 +235,43 @@ def layout(path):
         print("panel", kind)
 
 
-{"values": values, "schemas": schemas, "rest": rest, "layout": layout}[sys.argv[1]](sys.argv[2])
+def texts(tree):
+    """Every text in some JSON, keys included."""
+    if isinstance(tree, str):
+        yield tree
+    elif isinstance(tree, list):
+        for one in tree:
+            yield from texts(one)
+    elif isinstance(tree, dict):
+        for key, value in tree.items():
+            yield key
+            yield from texts(value)
+
+
+def found(message, path):
+    """What Foxglove's message path finds: names after dots, indices in brackets."""
+    for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", path):
+        message = message.get(name) if name else message[int(index)]
+        if message is None:
+            break
+    return message
+
+
+def paths(path, layout):
+    with open(layout, encoding="utf-8") as file:
+        named = sorted({text for text in texts(json.load(file)) if text.startswith("/")})
+    messages = {}
+    with open(path, "rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            messages.setdefault(channel.topic, []).append(json.loads(message.data))
+    for name in named:
+        topic = re.match(r"[/\w]+", name)[0]
+        heard = messages.get(topic, [])
+        values = [found(message, name[len(topic) :]) for message in heard]
+        if topic != name:
+            values = [value for value in values if isinstance(value, (int, float))]
+        print("path", name, len(heard), len(values))
+
+
+functions = {"values": values, "schemas": schemas, "rest": rest, "layout": layout, "paths": paths}
+functions[sys.argv[1]](*sys.argv[2:])

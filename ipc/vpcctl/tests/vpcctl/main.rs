@@ -3,6 +3,7 @@
 mod browser;
 mod doctor;
 mod metrics;
+mod recordings;
 mod requests;
 mod serve;
 mod stand_in;
