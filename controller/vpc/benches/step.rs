@@ -45,7 +45,7 @@ fn ours(bencher: Bencher, np: usize) {
 #[divan::bench(args = WINDOWS, sample_count = 500)]
 fn ours_by_mask(bencher: Bencher, np: usize) {
     let (fixture, mask) = (Fixture::read(), painted());
-    let problems = window(&fixture, np).filter(|problem| problem.is_of_the_paper());
+    let problems = of_the_paper(&fixture, np);
     let cases: Vec<Case> = problems.map(|p| fixture.case_of(p, mask.clone())).collect();
     let (mut solvers, mut next) = (Solvers::new(), 0);
     bencher.bench_local(|| {
@@ -102,7 +102,7 @@ fn paint(np: usize, mask: &Task) {
     let fixture = Fixture::read();
     let mut solvers = Solvers::new();
     let (mut times, mut ratios) = ([const { Vec::new() }; 3], Vec::new());
-    for problem in window(&fixture, np).filter(|problem| problem.is_of_the_paper()) {
+    for problem in of_the_paper(&fixture, np) {
         let shapes = fixture.case(problem);
         let mask = fixture.case_of(problem, mask.clone());
         let mut found = [const { Vec::new() }; 3];
@@ -133,6 +133,11 @@ fn paint(np: usize, mask: &Task) {
         again[0],
         again[1],
     );
+}
+
+/// The problems of a window that are of the paper's scene.
+fn of_the_paper(fixture: &Fixture, np: usize) -> impl Iterator<Item = &Subproblem> {
+    window(fixture, np).filter(|problem| problem.scene == "paper-sim")
 }
 
 /// Our solver, with a workspace for each window as the daemon keeps it.

@@ -23,7 +23,8 @@ struct Scenes {
 /// One cycle's problem near an occlusion and SciPy's answer.
 #[derive(Deserialize)]
 pub struct Subproblem {
-    scene: String,
+    /// "paper-sim" or "made-up".
+    pub scene: String,
     /// Steps previewed.
     pub np: usize,
     features: Vec<[f64; 2]>,
@@ -92,11 +93,6 @@ impl Fixture {
 }
 
 impl Subproblem {
-    /// Whether it is of the paper's simulated scene.
-    pub fn is_of_the_paper(&self) -> bool {
-        self.scene == "paper-sim"
-    }
-
     /// The start of this name.
     pub fn start(&self, name: &str) -> &Start {
         self.starts.iter().find(|s| s.name == name).unwrap()
