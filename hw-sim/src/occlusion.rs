@@ -79,6 +79,8 @@ pub fn distance_below(occlusion: &Occlusion, pixel: [f64; 2], bound: f64) -> f64
 /// neither forbidden nor a way out.
 pub fn mask_distance_below(mask: &Mask, [u, v]: [f64; 2], bound: f64) -> f64 {
     let (width, height) = (mask.width() as i64, mask.height() as i64);
+    // From the corner of the first pixel, whose centre is (0, 0): pixels begin at whole numbers.
+    let (u, v) = (u + 0.5, v + 0.5);
     let own = [
         (u.floor() as i64).clamp(0, width - 1),
         (v.floor() as i64).clamp(0, height - 1),
@@ -162,32 +164,32 @@ mod tests {
 
     #[test]
     fn distances_to_a_painted_rectangle_are_exact() {
-        // White from (300, 200) to (400, 260).
+        // White from (299.5, 199.5) to (399.5, 259.5).
         let mask = painted("rectangle", |i, j| {
             (300..400).contains(&i) && (200..260).contains(&j)
         });
         for (point, expected) in [
-            ([290.5, 230.3], 9.5),
-            ([350.2, 265.0], 5.0),
-            ([403.0, 264.0], 5.0),
-            ([350.2, 245.7], -14.3),
-            ([390.25, 229.0], -9.75),
-            ([400.0, 230.0], 0.0),
-            ([-30.0, 156.0], 44f64.hypot(330.0)),
+            ([290.0, 229.8], 9.5),
+            ([349.7, 264.5], 5.0),
+            ([402.5, 263.5], 5.0),
+            ([349.7, 245.2], -14.3),
+            ([389.75, 228.5], -9.75),
+            ([399.5, 229.5], 0.0),
+            ([-30.5, 155.5], 44f64.hypot(330.0)),
         ] {
             let found = mask_distance_below(&mask, point, 1e4);
             assert!((found - expected).abs() < 1e-9, "{point:?}: {found}");
         }
-        assert!(mask_distance_below(&mask, [290.5, 230.3], 5.0) >= 5.0);
+        assert!(mask_distance_below(&mask, [290.0, 229.8], 5.0) >= 5.0);
         // A bound below tells a violation none the less.
-        assert!((mask_distance_below(&mask, [350.2, 245.7], -10.0) + 14.3).abs() < 1e-9);
+        assert!((mask_distance_below(&mask, [349.7, 245.2], -10.0) + 14.3).abs() < 1e-9);
     }
 
     #[test]
     fn white_at_the_edge_of_the_image_offers_no_way_out_beyond_it() {
         let mask = painted("edge", |i, _| i < 100);
-        assert!((mask_distance_below(&mask, [3.0, 500.0], 1e4) + 97.0).abs() < 1e-9);
-        assert!((mask_distance_below(&mask, [-4.0, 500.0], 1e4) - 4.0).abs() < 1e-9);
+        assert!((mask_distance_below(&mask, [2.5, 500.0], 1e4) + 97.0).abs() < 1e-9);
+        assert!((mask_distance_below(&mask, [-4.5, 500.0], 1e4) - 4.0).abs() < 1e-9);
     }
 
     #[test]

@@ -40,7 +40,7 @@ class Part:
 
 
 class Mask:
-    """The white pixels of an image; pixel (i, j) is the square from (i, j) to (i + 1, j + 1)."""
+    """The white pixels of an image; pixel (i, j) is the square of side 1 about (i, j)."""
 
     def __init__(self, path, far):
         """Depths beyond `far` px are told as infinite."""
@@ -55,7 +55,8 @@ class Mask:
         """Distance of a point on a white pixel to the nearest one that is not, px; 0 elsewhere. What lies outside the
         image is no way out."""
         height, width = self.white.shape
-        u, v = pixel
+        # From the corner of the first pixel: pixels begin at whole numbers.
+        u, v = pixel[0] + 0.5, pixel[1] + 0.5
         i, j = (min(max(int(np.floor(x)), 0), size - 1) for x, size in ((u, width), (v, height)))
         if not (0.0 <= u <= width and 0.0 <= v <= height and self.white[j, i]):
             return 0.0

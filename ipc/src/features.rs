@@ -20,7 +20,7 @@ pub struct Features {
     pub count: u32,
     /// Bit i is set where point i was measured in this frame; a point that was not carries the tracker's guess.
     pub visible: u32,
-    /// Image points u1 v1 u2 v2 ..., px; u to the right, v down, origin at the image's upper left corner. The first
+    /// Image points u1 v1 u2 v2 ..., px; u to the right, v down, origin at the centre of the upper left pixel. The first
     /// `2 * count` are finite; the rest is zero.
     pub points: [f64; 2 * MAX_POINTS],
 }

@@ -2,82 +2,13 @@
 
 use scene::{Camera, MAX_POINTS, Pose, Scene};
 
-use crate::assignment::{SQUEEZE_TRACKED, assign, view};
+use crate::assignment::assign;
+use crate::chart::{Chart, Pairs};
+use crate::criteria::{DetectorError, DetectorSettings, Polarity};
 use crate::disc::{Disc, Rules};
-use crate::homography::{Homography, Point, distance};
+use crate::homography::{Homography, Point};
 use crate::image::Image;
 use crate::search::{near, whole_frame};
-
-/// Whether markers are brighter or darker than what they lie on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Polarity {
-    /// Bright discs.
-    #[default]
-    Bright,
-    /// Dark discs.
-    Dark,
-}
-
-/// How markers look and how far they move.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DetectorSettings {
-    /// Bright or dark discs.
-    pub polarity: Polarity,
-    /// Radius of the discs on the plane of the pattern, m; above 0, at most 1.
-    pub marker_radius_m: f64,
-    /// Least and greatest mean radius in the image, px; 3 to 200.
-    pub radius_px: [f64; 2],
-    /// Least contrast to the background, levels; 5 to 250.
-    pub contrast: f64,
-    /// How far the rim of a whole disc may be from an ellipse, px; 0.1 to 5. Smaller rejects discs that are barely
-    /// touched by an occlusion, larger bears more noise.
-    pub rim_px: f64,
-    /// How far a marker may be from its prediction, px; 1 to 500. Never more than 0.4 of the distance to the next one.
-    pub gate_px: f64,
-    /// How far the pattern may be turned against the last known arrangement when all markers were lost, rad; 0 to pi. A
-    /// pattern that looks the same after a half turn needs less than pi/2, a square less than pi/4.
-    pub turn_max: f64,
-    /// Frames without two visible markers after which predictions are given up, 0 to 1000.
-    pub patience: u32,
-}
-
-impl Default for DetectorSettings {
-    fn default() -> Self {
-        Self {
-            polarity: Polarity::Bright,
-            marker_radius_m: crate::Look::default().marker_radius_m,
-            radius_px: [4.0, 24.0],
-            contrast: 50.0,
-            rim_px: 0.3,
-            gate_px: 25.0,
-            turn_max: 1.4,
-            patience: 5,
-        }
-    }
-}
-
-/// Why a detector cannot be made, or an image not be searched.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum DetectorError {
-    /// A setting is out of its range.
-    #[error("detector: {key} = {value}; allowed: {allowed}")]
-    Value {
-        /// The field.
-        key: &'static str,
-        /// What was found.
-        value: String,
-        /// What is allowed.
-        allowed: &'static str,
-    },
-    /// The image has another size than the scene's camera.
-    #[error("image of {} x {} px; allowed: {} x {}, the scene's", found[0], found[1], expected[0], expected[1])]
-    Size {
-        /// Width and height of the image, px.
-        found: [usize; 2],
-        /// Width and height in the scene, px.
-        expected: [usize; 2],
-    },
-}
 
 /// A marker in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,18 +27,12 @@ pub type Sightings = heapless::Vec<Sighting, MAX_POINTS>;
 pub struct Detector {
     settings: DetectorSettings,
     camera: Camera,
-    pattern: heapless::Vec<Point, MAX_POINTS>,
-    /// Size of the pattern, m.
-    unit: f64,
     rules: Rules,
-    /// How the plane of the pattern was last seen, or is expected to be.
-    map: Homography,
+    chart: Chart,
     /// Predictions may be trusted.
     tracking: bool,
     /// Frames since two markers were seen.
     blind: u32,
-    /// Turn of the last known arrangement, rad.
-    turn: f64,
     /// Shift of all markers between the last two frames, px.
     drift: Point,
     /// Signed levels of discs and background, as last seen.
@@ -123,12 +48,6 @@ impl Detector {
     /// [`DetectorError::Value`] where a setting is out of its range.
     pub fn new(scene: &Scene, settings: &DetectorSettings) -> Result<Self, DetectorError> {
         settings.check()?;
-        let pattern: heapless::Vec<Point, MAX_POINTS> =
-            scene.pattern.iter().map(|p| [p[0], p[1]]).collect();
-        let unit = pattern
-            .iter()
-            .map(|p| p[0].hypot(p[1]))
-            .fold(1e-9, f64::max);
         let sign = match settings.polarity {
             Polarity::Bright => 1.0,
             Polarity::Dark => -1.0,
@@ -147,14 +66,11 @@ impl Detector {
         let mut detector = Self {
             settings: *settings,
             camera,
-            sightings: pattern.iter().map(|_| center).collect(),
-            pattern,
-            unit,
+            sightings: scene.pattern.iter().map(|_| center).collect(),
             rules,
-            map: Homography::of_pose(&camera, &scene.goal),
+            chart: Chart::new(scene, settings.marker_radius_m),
             tracking: false,
             blind: 0,
-            turn: 0.0,
             drift: [0.0; 2],
             levels: [0.0; 2],
         };
@@ -168,12 +84,8 @@ impl Detector {
         self.tracking = false;
         self.blind = 0;
         self.drift = [0.0; 2];
-        self.map = Homography::of_pose(&self.camera, pose);
+        self.chart.set(Homography::of_pose(&self.camera, pose));
         self.predict();
-        let pairs = self.pairs(|_| true);
-        if let Some((turn, _)) = Homography::affine(&pairs).and_then(|map| view(&map)) {
-            self.turn = turn;
-        }
     }
 
     /// Finds the markers in the next frame.
@@ -237,12 +149,7 @@ impl Detector {
             .count();
         self.blind = if known >= 2 { 0 } else { self.blind + 1 };
         if known == 0 {
-            let shift = Homography([
-                [1.0, 0.0, self.drift[0]],
-                [0.0, 1.0, self.drift[1]],
-                [0.0, 0.0, 1.0],
-            ]);
-            self.map = self.map.then(&shift);
+            self.chart.shift(self.drift);
         }
         if self.blind > self.settings.patience {
             return false;
@@ -270,8 +177,8 @@ impl Detector {
         self.predict();
         self.tracking = false;
         let discs = whole_frame(image, &self.rules);
-        let Some(assignment) = assign(&discs, &self.pattern, self.turn, self.settings.turn_max)
-        else {
+        let (pattern, turn) = (self.chart.pattern(), self.chart.turn());
+        let Some(assignment) = assign(&discs, pattern, turn, self.settings.turn_max) else {
             return;
         };
         for (i, disc) in assignment.iter().enumerate() {
@@ -279,21 +186,13 @@ impl Detector {
                 self.take(i, &discs[*disc]);
             }
         }
-        let pairs = self.pairs(|marker| marker.visible);
-        let map = Homography::through(&pairs, self.unit).or_else(|| Homography::affine(&pairs));
-        let sizes = |map: &Homography| {
-            assignment
-                .iter()
-                .enumerate()
-                .all(|(i, disc)| disc.is_none_or(|k| self.fits(map, i, discs[k].radius)))
-        };
-        match map.filter(sizes) {
+        let radii = assignment.iter().map(|disc| Some(discs[(*disc)?].radius));
+        match self.chart.anew(&self.pairs(), radii) {
             Some(map) => {
-                self.map = map;
+                self.chart.set(map);
                 self.drift = [0.0; 2];
                 self.blind = 0;
                 self.tracking = true;
-                self.remember_turn();
                 self.predict_hidden();
             }
             None => self.predict(),
@@ -303,16 +202,10 @@ impl Detector {
     /// The disc of a marker near a prediction.
     fn find(&self, image: &Image, marker: usize, prediction: Point) -> Option<Disc> {
         // Never as far as the next marker.
-        let at = self.map.apply(self.pattern[marker])?;
-        let others = (0..self.pattern.len()).filter(|i| *i != marker);
-        let spacing = others
-            .filter_map(|i| self.map.apply(self.pattern[i]))
-            .map(|other| distance(other, at))
-            .fold(f64::INFINITY, f64::min);
-        let gate = self.settings.gate_px.min(0.4 * spacing);
-        let radius = self.expected_radius(&self.map, marker)?;
+        let gate = self.settings.gate_px.min(0.4 * self.chart.spacing(marker)?);
+        let radius = self.chart.radius(marker)?;
         let disc = near(image, prediction, gate, self.levels, radius, &self.rules)?;
-        self.fits(&self.map, marker, disc.radius).then_some(disc)
+        self.chart.fits(marker, disc.radius).then_some(disc)
     }
 
     fn take(&mut self, marker: usize, disc: &Disc) {
@@ -323,51 +216,10 @@ impl Detector {
         self.levels = disc.levels;
     }
 
-    /// Brings the map into line with the markers that are visible; false where they do not look like the pattern.
+    /// Brings the chart into line with the markers that are visible; false where they do not look like the pattern.
     fn fit(&mut self) -> bool {
-        let pairs = self.pairs(|marker| marker.visible);
-        if pairs.len() >= 3 {
-            let seen = Homography::affine(&pairs).map(|map| view(&map));
-            if seen.is_some_and(|view| view.is_none_or(|(_, ratio)| ratio < SQUEEZE_TRACKED)) {
-                return false;
-            }
-        }
-        let moved: heapless::Vec<(Point, Point), MAX_POINTS> = pairs
-            .iter()
-            .filter_map(|(point, pixel)| Some((self.map.apply(*point)?, *pixel)))
-            .collect();
-        let map = Homography::through(&pairs, self.unit).or_else(|| {
-            let change = Homography::affine(&moved).or_else(|| Homography::similarity(&moved))?;
-            Some(self.map.then(&change))
-        });
-        if let Some(map) = map {
-            self.map = map;
-            self.remember_turn();
-        }
-        true
-    }
-
-    fn remember_turn(&mut self) {
-        let images: heapless::Vec<(Point, Point), MAX_POINTS> = self
-            .pattern
-            .iter()
-            .filter_map(|point| Some((*point, self.map.apply(*point)?)))
-            .collect();
-        if let Some((turn, _)) = Homography::affine(&images).and_then(|map| view(&map)) {
-            self.turn = turn;
-        }
-    }
-
-    /// Mean radius with which a marker is seen, px.
-    fn expected_radius(&self, map: &Homography, marker: usize) -> Option<f64> {
-        let [[a, b], [c, d]] = map.jacobian(self.pattern[marker])?;
-        Some(self.settings.marker_radius_m * (a * d - b * c).abs().sqrt())
-    }
-
-    /// Whether a radius fits a marker under a map.
-    fn fits(&self, map: &Homography, marker: usize, radius: f64) -> bool {
-        self.expected_radius(map, marker)
-            .is_some_and(|expected| (radius / expected - 1.0).abs() < 0.3)
+        let pairs = self.pairs();
+        self.chart.follow(&pairs)
     }
 
     /// Every marker where the map says, none of them visible.
@@ -380,84 +232,35 @@ impl Detector {
 
     /// Markers that are not visible where the map says.
     fn predict_hidden(&mut self) {
-        for (marker, point) in self.sightings.iter_mut().zip(&self.pattern) {
-            if let (false, Some(pixel)) = (marker.visible, self.map.apply(*point)) {
+        for (i, marker) in self.sightings.iter_mut().enumerate() {
+            if let (false, Some(pixel)) = (marker.visible, self.chart.place(i)) {
                 marker.pixel = pixel;
             }
         }
     }
 
-    fn pairs(&self, of: impl Fn(&Sighting) -> bool) -> heapless::Vec<(Point, Point), MAX_POINTS> {
-        let all = self.pattern.iter().zip(&self.sightings);
-        all.filter(|(_, marker)| of(marker))
+    /// The markers that are visible.
+    fn pairs(&self) -> Pairs {
+        let all = self.chart.pattern().iter().zip(&self.sightings);
+        all.filter(|(_, marker)| marker.visible)
             .map(|(point, marker)| (*point, marker.pixel))
             .collect()
     }
 
-    /// From centroids of ellipses to the images of the discs' centres: seen at a slant, the near half of a disc is larger.
+    /// From centroids of ellipses to the images of the discs' centres.
     fn correct(&mut self) {
-        let radius = self.settings.marker_radius_m;
-        for (marker, point) in self.sightings.iter_mut().zip(&self.pattern) {
-            if !marker.visible {
-                continue;
-            }
-            if let (Some(center), Some(ellipse)) =
-                (self.map.apply(*point), self.map.disc(*point, radius))
-            {
-                for k in 0..2 {
-                    marker.pixel[k] += center[k] - ellipse.center[k];
-                }
+        for (i, marker) in self.sightings.iter_mut().enumerate() {
+            if let (true, Some(slant)) = (marker.visible, self.chart.slant(i)) {
+                marker.pixel = [0, 1].map(|k| marker.pixel[k] + slant[k]);
             }
         }
-    }
-}
-
-impl DetectorSettings {
-    fn check(&self) -> Result<(), DetectorError> {
-        let pi = std::f64::consts::PI;
-        let refuse = |key, value: String, allowed| {
-            Err(DetectorError::Value {
-                key,
-                value,
-                allowed,
-            })
-        };
-        for (key, value, least, most, allowed) in [
-            (
-                "marker_radius_m",
-                self.marker_radius_m,
-                1e-6,
-                1.0,
-                "above 0, at most 1 m",
-            ),
-            ("contrast", self.contrast, 5.0, 250.0, "5 to 250 levels"),
-            ("rim_px", self.rim_px, 0.1, 5.0, "0.1 to 5 px"),
-            ("gate_px", self.gate_px, 1.0, 500.0, "1 to 500 px"),
-            ("turn_max", self.turn_max, 0.0, pi, "0 to pi rad"),
-        ] {
-            if !(least..=most).contains(&value) {
-                return refuse(key, value.to_string(), allowed);
-            }
-        }
-        let [least, most] = self.radius_px;
-        if !(least >= 3.0 && most <= 200.0 && least < most) {
-            let value = format!("{:?}", self.radius_px);
-            return refuse(
-                "radius_px",
-                value,
-                "two numbers, 3 to 200 px, the first below the second",
-            );
-        }
-        if self.patience > 1000 {
-            return refuse("patience", self.patience.to_string(), "0 to 1000 frames");
-        }
-        Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::homography::distance;
     use crate::{Look, Renderer, truth};
 
     fn robot() -> (Scene, Renderer, Detector) {
@@ -542,8 +345,8 @@ mod tests {
     }
 
     #[test]
-    fn an_image_of_another_size_and_settings_out_of_range_are_refused() {
-        let (scene, _, mut detector) = robot();
+    fn an_image_of_another_size_is_refused() {
+        let (_, _, mut detector) = robot();
         let message = detector
             .detect(&Image::new(320, 240).unwrap())
             .unwrap_err()
@@ -552,11 +355,5 @@ mod tests {
             message,
             "image of 320 x 240 px; allowed: 640 x 480, the scene's"
         );
-        let settings = DetectorSettings {
-            gate_px: 0.0,
-            ..DetectorSettings::default()
-        };
-        let message = Detector::new(&scene, &settings).unwrap_err().to_string();
-        assert_eq!(message, "detector: gate_px = 0; allowed: 1 to 500 px");
     }
 }

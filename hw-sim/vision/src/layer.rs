@@ -2,6 +2,8 @@
 
 use scene::{Occlusion, Part};
 
+use crate::painted::{Painted, is_white};
+
 /// Samples along a side of a pixel that the border crosses.
 const SAMPLES: usize = 4;
 
@@ -22,6 +24,11 @@ impl Area {
             for part in &occlusion.parts {
                 least = least.min(part.center[k] - part.half[k] - margin);
                 most = most.max(part.center[k] + part.half[k] + margin);
+            }
+            if let Some(mask) = &occlusion.mask {
+                let [first, last] = Painted::new(mask).window();
+                least = least.min(first[k] as f64 - 0.5 - margin);
+                most = most.max(last[k] as f64 + 0.5 + margin);
             }
             let size = size as f64;
             let (from, to) = (least.floor().clamp(0.0, size), most.ceil() + 1.0);
@@ -58,6 +65,7 @@ pub(crate) fn covers(occlusion: &Occlusion, u: f64, v: f64) -> bool {
         .parts
         .iter()
         .any(|part| part_norm(part, u, v) < 1.0)
+        || occlusion.mask.is_some_and(|mask| is_white(&mask, u, v))
 }
 
 /// The coverage of each pixel of an area, 0 to 1.
@@ -73,21 +81,29 @@ pub(crate) fn coverage(occlusion: &Occlusion, area: Area) -> Vec<f32> {
 
 /// How much a soft-edged layer acts on each pixel of an area: 0 at the border and outside, 1 from `softness` px inside.
 pub(crate) fn soft(occlusion: &Occlusion, area: Area, softness: f64) -> Vec<f32> {
+    let painted = occlusion.mask.as_ref().map(Painted::new);
     pixels(area, |u, v| {
         let depth = occlusion.parts.iter().map(|part| {
             let least = part.half[0].min(part.half[1]);
             (1.0 - part_norm(part, u, v)) * least / softness.min(0.5 * least)
         });
-        let x = depth.fold(0.0, f64::max).min(1.0);
+        let of_mask = painted.as_ref().map(|painted| {
+            painted.depth(u as usize, v as usize) / softness.min(0.5 * painted.deepest())
+        });
+        let x = depth.chain(of_mask).fold(0.0, f64::max).min(1.0);
         (x * x * (3.0 - 2.0 * x)) as f32
     })
 }
 
 /// The relief of an opaque object, 0 at its rim to 1 in its middle.
 pub(crate) fn relief(occlusion: &Occlusion, area: Area) -> Vec<f32> {
+    let painted = occlusion.mask.as_ref().map(Painted::new);
     pixels(area, |u, v| {
         let norm = occlusion.parts.iter().map(|part| part_norm(part, u, v));
-        let norm = norm.fold(1.0, f64::min);
+        let of_mask = painted
+            .as_ref()
+            .map(|painted| 1.0 - painted.depth(u as usize, v as usize) / painted.deepest());
+        let norm = norm.chain(of_mask).fold(1.0, f64::min);
         (1.0 - norm * norm).sqrt() as f32
     })
 }

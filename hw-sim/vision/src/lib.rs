@@ -24,6 +24,8 @@
 #![forbid(unsafe_code)]
 
 mod assignment;
+mod chart;
+mod criteria;
 mod detector;
 mod disc;
 mod homography;
@@ -31,13 +33,19 @@ mod image;
 mod latency;
 mod layer;
 mod look;
+mod optics;
+mod painted;
+mod plane;
 mod renderer;
 mod search;
+mod sensor;
 mod shutter;
 mod spot;
+mod texture;
 mod truth;
 
-pub use detector::{Detector, DetectorError, DetectorSettings, Polarity, Sighting, Sightings};
+pub use criteria::{DetectorError, DetectorSettings, Polarity};
+pub use detector::{Detector, Sighting, Sightings};
 pub use image::{Image, ImageError};
 pub use latency::{Delivered, Fate, Latency, LatencyError, Transit};
 pub use look::{Kind, Look, LookError, SpotLook};

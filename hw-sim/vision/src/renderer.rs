@@ -1,29 +1,18 @@
 //! The picture: plane with markers, object, optics, spot, noise; in this order, as light meets them.
 
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use scene::{Camera, MAX_POINTS, Pose, Scene};
+use scene::{Camera, Pose, Scene};
 
-use crate::homography::{Homography, Point};
+use crate::homography::Homography;
 use crate::image::Image;
 use crate::layer::{Area, coverage, relief};
 use crate::look::{Kind, Look, LookError};
+use crate::optics::Optics;
+use crate::plane::Plane;
+use crate::sensor::Sensor;
 use crate::spot::Spot;
-
-/// Side of the tile of texture, texels; it repeats.
-const TILE: usize = 256;
-/// Size of a texel on the plane, m.
-const TEXEL: f32 = 0.0006;
-/// Pixels of a row over which the plane is taken to be linear.
-const SPAN: usize = 16;
-/// Texels, row by row.
-type Tile = [f32; TILE * TILE];
-/// Numbers of noise drawn once; each row of each frame reads them from another place.
-const NOISE: usize = 1 << 16;
-/// Samples along a side of a pixel that a marker's rim crosses.
-const SAMPLES: usize = 8;
-/// The box is larger than the pattern by this many radii of a marker on each side.
-const MARGIN: f64 = 4.0;
+use crate::texture::Texture;
 
 /// An occlusion, ready to be drawn.
 #[derive(Clone, Debug)]
@@ -40,17 +29,12 @@ enum Layer {
 #[derive(Clone, Debug)]
 pub struct Renderer {
     camera: Camera,
-    pattern: heapless::Vec<Point, MAX_POINTS>,
-    /// Corner of the box that is least and that is greatest in x and y, m.
-    outline: [Point; 2],
-    look: Look,
+    texture: Texture,
+    plane: Plane,
     layers: Vec<(Layer, bool)>,
-    texture: Vec<f32>,
-    vignette: Vec<f32>,
-    noise: Vec<f32>,
-    random: ChaCha8Rng,
+    optics: Optics,
+    sensor: Sensor,
     levels: Vec<f32>,
-    lines: [Vec<f32>; 3],
     image: Image,
 }
 
@@ -80,8 +64,7 @@ impl Renderer {
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
         let image = Image::new(width, height)?;
         let mut random = ChaCha8Rng::seed_from_u64(look.seed);
-        let texture = texture(&mut random);
-        let noise = (0..NOISE).map(|_| normal(&mut random)).collect();
+        let texture = Texture::new(&mut random);
         let layers = scene
             .occlusions
             .iter()
@@ -94,7 +77,7 @@ impl Renderer {
                     for (i, x) in light.iter_mut().enumerate() {
                         let (u, v) = (area.column + i % area.width, area.row + i / area.width);
                         // Brushed along u.
-                        let grain = texture[(v * 5 % TILE) * TILE + (u / 5) % TILE];
+                        let grain = texture.texel(u / 5, v * 5);
                         let level = look.object_level as f32 * (0.55 + 0.6 * *x);
                         *x = level + 0.5 * look.texture as f32 * grain;
                     }
@@ -107,35 +90,14 @@ impl Renderer {
             })
             .map(|layer| (layer, true))
             .collect();
-        let vignette = |i: usize| {
-            let (u, v) = ((i % width) as f64, (i / width) as f64);
-            let (w, h) = (scene.camera.width, scene.camera.height);
-            let square = ((u - 0.5 * w).powi(2) + (v - 0.5 * h).powi(2)) / (0.25 * (w * w + h * h));
-            (1.0 - look.vignette * square) as f32
-        };
-        let pattern: heapless::Vec<Point, MAX_POINTS> =
-            scene.pattern.iter().map(|p| [p[0], p[1]]).collect();
-        let margin = MARGIN * look.marker_radius_m;
-        let outline = pattern
-            .iter()
-            .fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |o, p| {
-                [
-                    [0, 1].map(|k| o[0][k].min(p[k] - margin)),
-                    [0, 1].map(|k| o[1][k].max(p[k] + margin)),
-                ]
-            });
         Ok(Self {
             camera: scene.camera,
-            pattern,
-            outline,
-            look: *look,
-            layers,
             texture,
-            vignette: (0..width * height).map(vignette).collect(),
-            noise,
-            random,
+            plane: Plane::new(scene, look),
+            layers,
+            optics: Optics::new(&scene.camera, look.vignette),
+            sensor: Sensor::new(look.noise, random),
             levels: vec![0.0; width * height],
-            lines: [(); 3].map(|()| vec![0.0; width]),
             image,
         })
     }
@@ -161,8 +123,8 @@ impl Renderer {
         for row in 0..height {
             let share = row as f64 / (height - 1) as f64;
             let map = maps[0].between(&maps[1], share);
-            self.draw_plane(row, &map);
-            self.draw_markers(row, &map);
+            let line = &mut self.levels[row * width..(row + 1) * width];
+            self.plane.draw(line, row, &map, &self.texture);
         }
         for (layer, shown) in &self.layers {
             if let (
@@ -183,13 +145,13 @@ impl Renderer {
                 }
             }
         }
-        self.spread();
+        self.optics.spread(&mut self.levels);
         for (layer, shown) in &mut self.layers {
             if let (Layer::Spot(spot), true) = (layer, shown) {
                 spot.cover(&mut self.levels, width);
             }
         }
-        self.expose();
+        self.sensor.expose(&self.levels, &mut self.image);
         &self.image
     }
 
@@ -197,195 +159,6 @@ impl Renderer {
     pub fn image(&self) -> &Image {
         &self.image
     }
-
-    /// A row of the plane: box and table, textured and lit from the left.
-    fn draw_plane(&mut self, row: usize, map: &Homography) {
-        let width = self.image.width();
-        let line = &mut self.levels[row * width..(row + 1) * width];
-        let Some(back) = map.inverse() else {
-            line.fill(self.look.table_level as f32);
-            return;
-        };
-        let Ok(tile) = <&Tile>::try_from(self.texture.as_slice()) else {
-            return;
-        };
-        let at = |u: f64| back.apply([u, row as f64]);
-        let (box_level, table_level) = (self.look.box_level as f32, self.look.table_level as f32);
-        let amount = self.look.texture as f32;
-        let outline = self.outline.map(|corner| corner.map(|x| x as f32));
-        // Exact where spans meet, and linear between: only markers need more.
-        let mut from = at(0.0);
-        for (k, span) in line.chunks_mut(SPAN).enumerate() {
-            let to = at((k * SPAN + SPAN) as f64);
-            let (Some(first), Some(next)) = (from, to) else {
-                // Beyond the horizon of the plane.
-                span.fill(table_level);
-                from = to;
-                continue;
-            };
-            let step = [0, 1].map(|k| ((next[k] - first[k]) / SPAN as f64) as f32);
-            let [mut x, mut y] = first.map(|x| x as f32);
-            for level in span {
-                let on_box = (x > outline[0][0] && x < outline[1][0])
-                    && (y > outline[0][1] && y < outline[1][1]);
-                let (base, amount) = if on_box {
-                    (box_level, amount)
-                } else {
-                    (table_level, 1.5 * amount)
-                };
-                let grain = sample(tile, x * (1.0 / TEXEL), y * (1.0 / TEXEL));
-                *level = (1.0 - 0.5 * x.clamp(-0.3, 0.3)) * (base + amount * grain);
-                x += step[0];
-                y += step[1];
-            }
-            from = to;
-        }
-    }
-
-    /// The pixels of a row that markers cover, wholly or in part.
-    fn draw_markers(&mut self, row: usize, map: &Homography) {
-        let radius = self.look.marker_radius_m;
-        let (Some(back), width) = (map.inverse(), self.image.width()) else {
-            return;
-        };
-        for &center in &self.pattern {
-            let Some(ellipse) = map.disc(center, radius) else {
-                continue;
-            };
-            let v = row as f64;
-            if (v - ellipse.center[1]).abs() > ellipse.half[1] + 1.0 {
-                continue;
-            }
-            let (mid, half) = (ellipse.center[0], ellipse.half[0] + 1.0);
-            let from = (mid - half).ceil().clamp(0.0, width as f64) as usize;
-            let to = (mid + half + 1.0).floor().clamp(0.0, width as f64) as usize;
-            // Half a pixel's diagonal on the plane, generously: pixels farther from the rim need no samples.
-            let reach = 1.2 * radius / ellipse.half[0].min(ellipse.half[1]).max(1e-3);
-            for u in from..to {
-                let square = |du: f64, dv: f64| {
-                    back.apply([u as f64 + du, v + dv])
-                        .map_or(f64::INFINITY, |p| {
-                            (p[0] - center[0]).powi(2) + (p[1] - center[1]).powi(2)
-                        })
-                };
-                let depth = square(0.0, 0.0).sqrt() - radius;
-                let share = if depth.abs() > reach {
-                    f64::from(depth < 0.0)
-                } else {
-                    let offset = |i: usize| (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
-                    let samples = (0..SAMPLES * SAMPLES).filter(|k| {
-                        square(offset(k % SAMPLES), offset(k / SAMPLES)) < radius * radius
-                    });
-                    samples.count() as f64 / (SAMPLES * SAMPLES) as f64
-                };
-                let level = &mut self.levels[row * width + u];
-                let light = 1.0 - 0.5 * center[0].clamp(-0.3, 0.3);
-                *level += share as f32 * ((light * self.look.marker_level) as f32 - *level);
-            }
-        }
-    }
-
-    /// The optics: vignette, and a point spread of (1 2 1)/4 along u and v.
-    fn spread(&mut self) {
-        let (width, height) = (self.image.width(), self.image.height());
-        let [above, here, below] = &mut self.lines;
-        let blur = |levels: &[f32], vignette: &[f32], line: &mut Vec<f32>| {
-            let mut lit = levels
-                .iter()
-                .zip(vignette)
-                .map(|(level, share)| level * share);
-            let mut here = lit.next().unwrap_or_default();
-            let mut left = here;
-            for (x, right) in line.iter_mut().zip(lit) {
-                *x = 0.25 * (left + right) + 0.5 * here;
-                (left, here) = (here, right);
-            }
-            line[width - 1] = 0.25 * left + 0.75 * here;
-        };
-        let row = |v: usize| v * width..(v + 1) * width;
-        blur(&self.levels[row(0)], &self.vignette[row(0)], here);
-        above.copy_from_slice(here);
-        for v in 0..height {
-            let next = row((v + 1).min(height - 1));
-            if v + 1 < height {
-                blur(&self.levels[next.clone()], &self.vignette[next], below);
-            } else {
-                below.copy_from_slice(here);
-            }
-            let lines = above.iter().zip(&*here).zip(&*below);
-            for (level, ((a, h), b)) in self.levels[row(v)].iter_mut().zip(lines) {
-                *level = 0.25 * (a + b) + 0.5 * h;
-            }
-            std::mem::swap(above, here);
-            std::mem::swap(here, below);
-        }
-    }
-
-    /// The sensor: noise and 8 bits.
-    fn expose(&mut self) {
-        let width = self.image.width();
-        let amount = self.look.noise as f32;
-        let rows = self.levels.chunks_exact(width);
-        for (levels, pixels) in rows.zip(self.image.pixels_mut().chunks_exact_mut(width)) {
-            let at = self.random.random::<u32>() as usize % NOISE;
-            let noise = self.noise[at..].iter().chain(&self.noise).cycle();
-            for ((level, noise), pixel) in levels.iter().zip(noise).zip(pixels) {
-                // The cast saturates.
-                *pixel = (level + amount * noise + 0.5) as u8;
-            }
-        }
-    }
-}
-
-/// A number of the standard normal distribution (Box and Muller).
-fn normal(random: &mut ChaCha8Rng) -> f32 {
-    let (a, b) = (random.random::<f64>(), random.random::<f64>());
-    ((-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()) as f32
-}
-
-/// A tile of soft noise, about -1 to 1: grains of several sizes, each half as strong as the next larger one.
-fn texture(random: &mut ChaCha8Rng) -> Vec<f32> {
-    let mut tile = vec![0.0f32; TILE * TILE];
-    for (cell, weight) in [(64, 0.5), (16, 0.35), (4, 0.25), (2, 0.15)] {
-        let side = TILE / cell;
-        let knots: Vec<f32> = (0..side * side)
-            .map(|_| 2.0 * random.random::<f32>() - 1.0)
-            .collect();
-        for (i, x) in tile.iter_mut().enumerate() {
-            let (u, v) = (i % TILE, i / TILE);
-            let (a, b) = (
-                (u % cell) as f32 / cell as f32,
-                (v % cell) as f32 / cell as f32,
-            );
-            let ease = |t: f32| t * t * (3.0 - 2.0 * t);
-            let knot =
-                |p: usize, q: usize| knots[(v / cell + q) % side * side + (u / cell + p) % side];
-            let (a, b) = (ease(a), ease(b));
-            let upper = knot(0, 0) * (1.0 - a) + knot(1, 0) * a;
-            let lower = knot(0, 1) * (1.0 - a) + knot(1, 1) * a;
-            *x += weight * (upper * (1.0 - b) + lower * b);
-        }
-    }
-    tile
-}
-
-/// The repeated tile between its texels, bilinear.
-#[inline(always)]
-fn sample(tile: &Tile, x: f32, y: f32) -> f32 {
-    // Positive within 10 m of the pattern, so that the cast rounds down; farther away nobody looks.
-    const FAR: f32 = (64 * TILE) as f32;
-    let (x, y) = (x + FAR, y + FAR);
-    let (column, row) = (x as i32, y as i32);
-    let (a, b) = (x - column as f32, y - row as f32);
-    let wrap = |i: i32| i as usize % TILE;
-    let (u, v) = (wrap(column), wrap(row) * TILE);
-    let (right, below) = (
-        wrap(column.wrapping_add(1)),
-        wrap(row.wrapping_add(1)) * TILE,
-    );
-    let upper = tile[v + u] * (1.0 - a) + tile[v + right] * a;
-    let lower = tile[below + u] * (1.0 - a) + tile[below + right] * a;
-    upper * (1.0 - b) + lower * b
 }
 
 #[cfg(test)]
@@ -484,6 +257,67 @@ mod tests {
             let image = renderer.render(&pose);
             assert!(image.pixels().iter().all(|level| *level < 130));
         }
+    }
+
+    #[test]
+    fn a_painted_object_hides_markers_and_a_painted_spot_blurs_them_and_beside_them_nothing_changes()
+     {
+        use crate::painted::tests::masked;
+        let (free, goal) = (masked("painted", |i, j| i < 2 && j < 2), robot().goal);
+        let [u, v] = crate::truth(&free, &goal, 0.006, |_| true)[0]
+            .pixel
+            .map(f64::round);
+        let (left, top) = (u as u32 - 20, v as u32 - 20);
+        let square =
+            |i: u32, j: u32| (left..left + 41).contains(&i) && (top..top + 41).contains(&j);
+        let draw = |scene: &Scene| {
+            let mut renderer = Renderer::new(scene, &plain()).unwrap();
+            renderer.render(&goal).clone()
+        };
+        let before = draw(&free);
+        assert!(before.at(u as usize, v as usize) > 180);
+        let [column, row] = [left, top].map(|x| x as usize);
+        for (name, most) in [("painted object", 60), ("painted spot", 130)] {
+            let scene = masked(name, square);
+            assert!(crate::truth(&scene, &goal, 0.006, |_| true)[0].occluded);
+            let image = draw(&scene);
+            let level = image.at(u as usize, v as usize);
+            assert!(level < most, "{name}: {level}");
+            // The point spread reaches one pixel; a pixel is the square about its whole-numbered centre.
+            for (i, j) in [
+                (column - 2, row + 20),
+                (column + 42, row + 20),
+                (column + 20, row - 2),
+            ] {
+                assert_eq!(image.at(i, j), before.at(i, j), "{name}: ({i}, {j})");
+            }
+            let mut detector = crate::Detector::new(&scene, &Default::default()).unwrap();
+            detector.detect(&image).unwrap();
+            assert_eq!(detector.visible(), 0b1110, "{name}");
+        }
+        let opaque = draw(&masked("painted object", square));
+        assert!(opaque.at(column, row + 20) < before.at(column, row + 20) - 10);
+    }
+
+    #[test]
+    fn a_marker_is_drawn_where_its_projection_says_with_pixels_about_whole_numbers() {
+        let mut renderer = Renderer::new(&robot(), &plain()).unwrap();
+        let image = renderer.render(&robot().goal).clone();
+        let [u, v] = crate::truth(&robot(), &robot().goal, 0.006, |_| true)[0].pixel;
+        let (mut sum, mut sums) = (0.0, [0.0; 2]);
+        let background = f64::from(image.at(u as usize - 16, v as usize));
+        for j in v as usize - 16..v as usize + 17 {
+            for i in u as usize - 16..u as usize + 17 {
+                let weight = (f64::from(image.at(i, j)) - background).max(0.0);
+                // Shading of the box.
+                let weight = if weight < 8.0 { 0.0 } else { weight };
+                sum += weight;
+                sums = [sums[0] + weight * i as f64, sums[1] + weight * j as f64];
+            }
+        }
+        let centroid = sums.map(|x| x / sum);
+        let apart = (centroid[0] - u).hypot(centroid[1] - v);
+        assert!(apart < 0.05, "{centroid:?}, ({u}, {v})");
     }
 
     #[test]

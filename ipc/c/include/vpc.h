@@ -398,7 +398,7 @@ typedef struct {
     uint32_t count;
     // Bit i is set where point i was measured in this frame; a point that was not carries the tracker's guess.
     uint32_t visible;
-    // Image points u1 v1 u2 v2 ..., px; u to the right, v down, origin at the image's upper left corner. The first
+    // Image points u1 v1 u2 v2 ..., px; u to the right, v down, origin at the centre of the upper left pixel. The first
     // 2 * count are finite; the rest is zero.
     double points[16];
 } vpc_features;

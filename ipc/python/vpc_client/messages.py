@@ -350,7 +350,7 @@ class Features(ctypes.Structure):
         ("count", ctypes.c_uint32),
         # Bit i is set where point i was measured in this frame; a point that was not carries the tracker's guess.
         ("visible", ctypes.c_uint32),
-        # Image points u1 v1 u2 v2 ..., px; u to the right, v down, origin at the image's upper left corner. The first
+        # Image points u1 v1 u2 v2 ..., px; u to the right, v down, origin at the centre of the upper left pixel. The first
         # `2 * count` are finite; the rest is zero.
         ("points", ctypes.c_double * 16),
     ]

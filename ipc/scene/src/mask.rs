@@ -18,7 +18,7 @@ pub const MAX_AREAS: usize = 32;
 
 /// An occlusion painted as an image of the camera's size.
 ///
-/// Pixel (i, j) is the square from (i, j) to (i + 1, j + 1), as the image reaches from (0, 0) to (width, height).
+/// Pixel (i, j) is the square of side 1 about (i, j): where OpenCV and ViSP see its centre.
 /// Pixels and fields live as long as the process: a scene is read once, and who holds them needs no heap.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Mask {

@@ -38,7 +38,8 @@ pub struct Scene {
     pub occlusions: Vec<Occlusion, MAX_OCCLUSIONS>,
 }
 
-/// A pinhole camera without distortion; u to the right, v down, z forward.
+/// A pinhole camera without distortion; u to the right, v down, z forward. The centre of the first pixel, in the upper left
+/// corner of the image, is (0, 0), as in OpenCV and ViSP: their calibrations count as they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Image width, px.

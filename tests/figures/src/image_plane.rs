@@ -153,9 +153,11 @@ impl Frame {
     /// The white pixels of a mask.
     fn pixels(&self, mask: &Mask) -> String {
         let mut path = String::new();
+        // A pixel is the square about its whole-numbered centre.
+        let corner = |i: usize, j: usize| self.at([i as f64 - 0.5, j as f64 - 0.5]);
         for [columns, rows] in mask.rectangles() {
-            let [left, upper] = self.at([columns.start as f64, rows.start as f64]);
-            let [right, lower] = self.at([columns.end as f64, rows.end as f64]);
+            let [left, upper] = corner(columns.start, rows.start);
+            let [right, lower] = corner(columns.end, rows.end);
             let _ = write!(
                 path,
                 "M{left:.2} {upper:.2}H{right:.2}V{lower:.2}H{left:.2}Z"

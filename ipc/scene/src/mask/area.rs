@@ -8,6 +8,9 @@ use super::distance::Shape;
 use super::patch::Patch;
 use super::{Area, Field, MAX_AREAS, Mask};
 
+/// Both coordinates of the upper left corner of the first pixel, px: its centre is at 0. Here and in the modules beside it
+/// lengths count from that corner, where pixels begin at whole numbers.
+const CORNER: f64 = -0.5;
 /// Steps of the grid along the longer side of the image.
 const STEPS: f64 = 400.0;
 /// Least distance between nodes, px: below it nodes only repeat the staircase of the pixels.
@@ -120,10 +123,10 @@ fn area(piece: &Patch) -> Area {
     // The spline is below the distance by less than two steps.
     let (low, high) = shape.bounds();
     Area {
-        low: low.map(|x| x - 2.0 * step),
-        high: high.map(|x| x + 2.0 * step),
+        low: low.map(|x| x - 2.0 * step + CORNER),
+        high: high.map(|x| x + 2.0 * step + CORNER),
         field: Field {
-            origin,
+            origin: origin + CORNER,
             step,
             columns,
             rows,
