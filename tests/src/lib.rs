@@ -2,6 +2,7 @@
 //! what they add up to.
 
 pub mod pictures;
+pub mod processes;
 pub mod robot;
 pub mod robot_table;
 pub mod row;

@@ -4,11 +4,11 @@
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::{Command, ExitCode, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
@@ -17,6 +17,7 @@ use hw_sim::recording;
 use memory_blob::MemoryFile;
 use scene::{Scene, read_starts};
 use system_tests::pictures;
+use system_tests::processes::{Running, build};
 use system_tests::robot_table::{self, Common, RobotFlags};
 use system_tests::row::{Row, markdown};
 use system_tests::run::{run, time};
@@ -65,9 +66,6 @@ impl Which {
         }
     }
 }
-
-/// Longest time for the daemon to end after a termination signal.
-const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Steers the emulated camera round occlusions with vpcd, as two processes over shared memory.
 ///
@@ -125,17 +123,13 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
         bail!("--start = {index}; allowed: 0 to {}", starts.len() - 1);
     };
     fs::create_dir_all(&cli.output).with_context(|| cli.output.display().to_string())?;
-    build(root)?;
+    let binaries = build(root)?;
 
     println!(
         "vpcd ({}) and hw-sim, two processes over shared memory: {}, start {index}",
         cli.strategy,
         scene_path.display(),
     );
-    let binaries = env::current_exe()?
-        .parent()
-        .context("no directory of binaries")?
-        .to_owned();
     let domain = env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
     let clock = if cli.lockstep { "lockstep" } else { "fixed" };
     let recording_path = cli.output.join("run.jsonl");
@@ -218,28 +212,6 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
         }
     );
     Ok(arrived)
-}
-
-/// Builds the two programs beside this one, with the cargo that runs it.
-fn build(root: &Path) -> anyhow::Result<()> {
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut command = Command::new(cargo);
-    command.current_dir(root).args([
-        "build",
-        "--quiet",
-        "--package",
-        "controller",
-        "--package",
-        "hw-sim",
-    ]);
-    if !cfg!(debug_assertions) {
-        command.arg("--release");
-    }
-    let status = command.status().context("cannot run cargo")?;
-    if !status.success() {
-        bail!("cargo build of vpcd and hw-sim failed");
-    }
-    Ok(())
 }
 
 /// Runs the strategies on one start and draws them side by side.
@@ -394,37 +366,4 @@ fn collect(domain: &Path, end: &AtomicBool) -> anyhow::Result<Vec<figures::Point
         thread::sleep(Duration::from_millis(20));
     }
     Ok(way_points)
-}
-
-/// A child that does not outlive this program.
-struct Running(Child);
-
-impl Running {
-    /// Asks the child to stop and waits for it.
-    fn stop(&mut self) -> anyhow::Result<()> {
-        let id = self.0.id();
-        let asked = Command::new("kill")
-            .arg(id.to_string())
-            .status()
-            .context("cannot run kill")?;
-        let begin = Instant::now();
-        while begin.elapsed() < PATIENCE {
-            if let Some(status) = self.0.try_wait()? {
-                if status.success() {
-                    return Ok(());
-                }
-                bail!("vpcd ended with {status}; its log is beside the recording");
-            }
-            thread::sleep(Duration::from_millis(10));
-        }
-        bail!("vpcd (process {id}) did not stop within {PATIENCE:?} after {asked}");
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // Already gone where it was stopped.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }

@@ -1,0 +1,322 @@
+//! The robot's cell as two processes on the fixed clock, `vpcd` and `hw-sim`, from many starts: several pairs at once,
+//! each in a domain of its own.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use serde::{Deserialize, Serialize};
+
+use crate::spec::Spec;
+
+/// Longest time for a daemon to end after a termination signal.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// What all pairs have in common.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    /// Directory of the programs.
+    pub binaries: PathBuf,
+    /// The repository's root.
+    pub root: PathBuf,
+    /// Directory for domains and configurations, made and removed by [`runs`].
+    pub place: PathBuf,
+    /// Flags of `hw-sim`, in words.
+    pub camera: Vec<String>,
+    /// Clearance that the law keeps, px.
+    pub margin_px: f64,
+    /// Seed of noise and losses; each start adds its index.
+    pub seed: u64,
+}
+
+/// What `hw-sim` said of a run: its JSON line.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct Said {
+    /// `arrived` or why not.
+    pub verdict: String,
+    /// Seconds from start to verdict.
+    pub time_s: f64,
+    /// Seconds until the features were at the goal.
+    pub arrived_s: Option<f64>,
+    /// Frames after which the camera stood still for want of a valid command.
+    pub stale: u64,
+    /// Largest component of s - s* at the end, px.
+    pub error_px: f64,
+    /// Least distance of a point from an occlusion or the border, px.
+    pub least_clearance_px: f64,
+    /// The robot's referee.
+    pub arm: Arm,
+    /// How late its milliseconds began.
+    pub lateness: Lateness,
+}
+
+/// Of the robot's referee.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+pub struct Arm {
+    /// Times that the robot went into reflex.
+    pub reflexes: u64,
+    /// Milliseconds beyond a limit.
+    pub limit_violations: u64,
+    /// Milliseconds with a discontinuity.
+    pub discontinuities: u64,
+}
+
+/// How late milliseconds began, us.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+pub struct Lateness {
+    /// 99th percentile.
+    pub p99_us: f64,
+    /// Maximum.
+    pub max_us: f64,
+}
+
+/// A run.
+#[derive(Clone, Debug, Serialize)]
+pub struct ProcessRun {
+    /// Index of the start.
+    pub start: usize,
+    /// What the emulator said.
+    pub said: Said,
+}
+
+/// Runs a strategy from these starts, `jobs` pairs of processes at a time; `tell` hears of each run that ends.
+///
+/// # Errors
+/// A program that cannot be run, or that ends in another way than with a verdict.
+pub fn runs(
+    cell: &Cell,
+    spec: Spec,
+    starts: &[usize],
+    jobs: usize,
+    tell: &(dyn Fn(&ProcessRun) + Sync),
+) -> anyhow::Result<Vec<ProcessRun>> {
+    let next = AtomicUsize::new(0);
+    let done = Mutex::new(Vec::new());
+    let work = || -> anyhow::Result<()> {
+        while let Some(&start) = starts.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let said = pair(cell, spec, start).with_context(|| format!("{spec}, start {start}"))?;
+            let run = ProcessRun { start, said };
+            tell(&run);
+            if let Ok(mut done) = done.lock() {
+                done.push(run);
+            }
+        }
+        Ok(())
+    };
+    thread::scope(|scope| {
+        let workers: Vec<_> = (0..jobs.max(1)).map(|_| scope.spawn(work)).collect();
+        let ends = workers.into_iter().map(|worker| match worker.join() {
+            Ok(end) => end,
+            Err(_) => bail!("a run panicked"),
+        });
+        ends.collect::<Vec<_>>()
+            .into_iter()
+            .collect::<anyhow::Result<()>>()
+    })?;
+    let _ = fs::remove_dir_all(&cell.place);
+    let mut done = done.into_inner().unwrap_or_default();
+    done.sort_by_key(|run| run.start);
+    Ok(done)
+}
+
+/// One run of both processes.
+fn pair(cell: &Cell, spec: Spec, start: usize) -> anyhow::Result<Said> {
+    let here = cell.place.join(format!("{spec}-{start}").replace(':', "-"));
+    fs::create_dir_all(&here).with_context(|| here.display().to_string())?;
+    let config = here.join("vpcd.toml");
+    fs::write(&config, configuration(cell, spec)?).with_context(|| config.display().to_string())?;
+    let domain = here.join("domain");
+    let log = fs::File::create(here.join("vpcd.log"))?;
+    let mut daemon = Command::new(cell.binaries.join("vpcd"));
+    daemon.arg("--config").arg(&config).arg("--arm");
+    daemon.arg("--domain").arg(&domain).stderr(log);
+    let mut daemon = Running(daemon.spawn().context("cannot start vpcd")?);
+    let mut emulator = Command::new(cell.binaries.join("hw-sim"));
+    emulator
+        .arg("--config")
+        .arg(cell.root.join("hw-sim/hw-sim-robot.toml"));
+    emulator.args(["--clock", "fixed", "--start", &start.to_string()]);
+    emulator.args(["--seed", &cell.seed.wrapping_add(start as u64).to_string()]);
+    emulator.args(&cell.camera).arg("--domain").arg(&domain);
+    let emulated = emulator
+        .stderr(Stdio::piped())
+        .output()
+        .context("cannot run hw-sim")?;
+    daemon.stop()?;
+    let words = String::from_utf8_lossy(&emulated.stderr);
+    serde_json::from_slice(&emulated.stdout)
+        .with_context(|| format!("no verdict of hw-sim: {}", words.trim()))
+}
+
+/// `vpcd-robot.toml` with another strategy, window and margin; its paths are absolute here.
+fn configuration(cell: &Cell, spec: Spec) -> anyhow::Result<String> {
+    let path = cell.root.join("controller/vpcd-robot.toml");
+    let text = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    let mut table: toml::Table = text.parse().with_context(|| path.display().to_string())?;
+    let beside = path.parent().unwrap_or(Path::new("."));
+    for key in ["scene", "memory"] {
+        if let Some(toml::Value::String(file)) = table.get_mut(key) {
+            *file = beside.join(&*file).display().to_string();
+        }
+    }
+    let Some(toml::Value::Table(law)) = table.get_mut("law") else {
+        bail!("{}: no table [law]", path.display());
+    };
+    law.insert("strategy".into(), spec.strategy.to_string().into());
+    law.insert("np".into(), i64::try_from(spec.np)?.into());
+    law.insert("margin_px".into(), cell.margin_px.into());
+    Ok(toml::to_string(&table)?)
+}
+
+/// A row of the table of runs.
+pub fn row(spec: Spec, runs: &[ProcessRun]) -> String {
+    let is_good = |run: &&ProcessRun| run.said.verdict == "arrived";
+    let good: Vec<&ProcessRun> = runs.iter().filter(is_good).collect();
+    let sum = |of: fn(&Said) -> u64| runs.iter().map(|run| of(&run.said)).sum::<u64>();
+    let most = |of: fn(&Said) -> f64| runs.iter().map(|run| of(&run.said)).fold(0.0, f64::max);
+    let arrivals = good
+        .iter()
+        .filter_map(|run| run.said.arrived_s)
+        .sum::<f64>();
+    let failed: Vec<String> = runs
+        .iter()
+        .filter(|run| !is_good(run))
+        .map(|run| format!("{} ({})", run.start, run.said.verdict))
+        .collect();
+    format!(
+        "| {spec} | {} of {} | {} | {} | {} | {} | {:.1} | {:.0} | {:.1} | {} |",
+        good.len(),
+        runs.len(),
+        sum(|said| said.arm.reflexes),
+        sum(|said| said.arm.limit_violations),
+        sum(|said| said.arm.discontinuities),
+        sum(|said| said.stale),
+        arrivals / good.len().max(1) as f64,
+        most(|said| said.lateness.p99_us),
+        most(|said| said.lateness.max_us) * 1e-3,
+        failed.join(", "),
+    )
+}
+
+/// The head of that table.
+pub const HEAD: &str = "| strategy | success | reflexes | limit violations | discontinuities | stale frames | \
+arrival (s) | lateness p99 (us) | worst (ms) | failed |\n|---|--:|--:|--:|--:|--:|--:|--:|--:|---|";
+
+/// A child that does not outlive this program.
+#[derive(Debug)]
+pub struct Running(pub Child);
+
+impl Running {
+    /// Asks the child to stop and waits for it.
+    ///
+    /// # Errors
+    /// It ended with another exit code than 0, or not at all.
+    pub fn stop(&mut self) -> anyhow::Result<()> {
+        let id = self.0.id();
+        let asked = Command::new("kill")
+            .arg(id.to_string())
+            .status()
+            .context("cannot run kill")?;
+        let begin = Instant::now();
+        while begin.elapsed() < PATIENCE {
+            if let Some(status) = self.0.try_wait()? {
+                if status.success() {
+                    return Ok(());
+                }
+                bail!("vpcd ended with {status}; its log is beside the recording");
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        bail!("vpcd (process {id}) did not stop within {PATIENCE:?} after {asked}");
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Already gone where it was stopped.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Builds `vpcd` and `hw-sim` beside the program that runs, with the cargo that runs it; gives their directory.
+///
+/// # Errors
+/// Cargo cannot be run, or fails.
+pub fn build(root: &Path) -> anyhow::Result<PathBuf> {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let mut command = Command::new(cargo);
+    command.current_dir(root).args(["build", "--quiet"]);
+    command.args(["--package", "controller", "--package", "hw-sim"]);
+    if !cfg!(debug_assertions) {
+        command.arg("--release");
+    }
+    let status = command.status().context("cannot run cargo")?;
+    if !status.success() {
+        bail!("cargo build of vpcd and hw-sim failed");
+    }
+    let program = std::env::current_exe()?;
+    Ok(program
+        .parent()
+        .context("no directory of binaries")?
+        .to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cell() -> Cell {
+        Cell {
+            binaries: PathBuf::new(),
+            root: Path::new(env!("CARGO_MANIFEST_DIR")).join(".."),
+            place: PathBuf::new(),
+            camera: Vec::new(),
+            margin_px: 7.0,
+            seed: 1,
+        }
+    }
+
+    #[test]
+    fn the_daemons_configuration_is_the_robots_with_another_law() {
+        let text = configuration(&cell(), "previous:4".parse().unwrap()).unwrap();
+        let table: toml::Table = text.parse().unwrap();
+        assert!(Path::new(table["scene"].as_str().unwrap()).exists());
+        assert!(Path::new(table["memory"].as_str().unwrap()).exists());
+        let law = &table["law"];
+        assert_eq!(law["strategy"].as_str(), Some("previous"));
+        assert_eq!(law["np"].as_integer(), Some(4));
+        assert_eq!(law["margin_px"].as_float(), Some(7.0));
+        assert_eq!(law["trigger_px"].as_float(), Some(30.0));
+    }
+
+    #[test]
+    fn a_row_counts_arrivals_and_names_what_failed() {
+        let line = |verdict: &str| {
+            format!(
+                "{{\"verdict\":\"{verdict}\",\"time_s\":20.0,\"frames\":600,\"stale\":1,\"limited\":0,\"error_px\":1.0,\
+                 \"least_clearance_px\":12.0,\"violation\":null,\"step\":\"done\",\"arrived_s\":14.0,\"arm\":{{\
+                 \"reflexes\":0,\"limit_violations\":2,\"discontinuities\":0,\"errors\":[]}},\"lateness\":{{\"count\":1,\
+                 \"p50_us\":10.0,\"p99_us\":50.0,\"max_us\":900.0}}}}"
+            )
+        };
+        let runs: Vec<ProcessRun> = ["arrived", "time_out"]
+            .into_iter()
+            .enumerate()
+            .map(|(start, verdict)| ProcessRun {
+                start,
+                said: serde_json::from_str(&line(verdict)).unwrap(),
+            })
+            .collect();
+        let row = row("gpr:3".parse().unwrap(), &runs);
+        assert_eq!(
+            row,
+            "| gpr:3 | 1 of 2 | 0 | 4 | 0 | 2 | 14.0 | 50 | 0.9 | 1 (time_out) |"
+        );
+    }
+}
