@@ -134,10 +134,11 @@ impl Arm {
             .into()
     }
 
-    /// Whether the desired joints stand.
+    /// Whether the end effector stands, by the commands and by the desired joints. The elbow may still be creeping back
+    /// to its place, which takes it 10 s and more in some postures: it moves nothing that the gripper holds.
     pub fn is_at_rest(&self) -> bool {
         let state = self.robot.state();
-        state.dq_d.amax() < AT_REST && state.o_dp_ee_c.amax() < AT_REST
+        state.o_dp_ee_d.amax() < AT_REST && state.o_dp_ee_c.amax() < AT_REST
     }
 
     /// Whether the robot stopped itself.
@@ -151,7 +152,7 @@ impl Arm {
     }
 }
 
-/// Speed below which the arm stands, rad/s, m/s: what the inverse kinematics still draws to the integral of commands
+/// Speed below which the end effector stands, m/s, rad/s: what the inverse kinematics still draws to the integral of commands
 /// after a ramp has ended decays within a few tenths of a second from below this.
 const AT_REST: f64 = 2e-4;
 

@@ -190,6 +190,25 @@ mod tests {
     }
 
     #[test]
+    fn the_end_effector_is_at_rest_while_the_elbow_still_creeps() {
+        let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
+        let mut arm = arm(&starts[40], Shaping::default());
+        for ms in 0..18_000 {
+            let roll = [0.0, 0.0, 0.0, 0.0, 0.0, -0.03];
+            arm.bridge().command(&roll, (ms + 100) * MS);
+            arm.step(ms * MS);
+        }
+        assert!(!arm.is_at_rest());
+        (18_000..18_500).for_each(|ms| arm.step(ms * MS));
+        let (stand, elbow) = (arm.object().translation, arm.state().q_d[2]);
+        assert!(arm.is_at_rest(), "{}", arm.state().o_dp_ee_d);
+        (18_500..20_000).for_each(|ms| arm.step(ms * MS));
+        assert!((arm.state().q_d[2] - elbow).abs() > 1e-4);
+        assert!((arm.object().translation - stand).amax() < 1e-4);
+        assert!(arm.inspector().report().is_clean());
+    }
+
+    #[test]
     fn the_camera_moves_as_told_where_the_calibration_is_true_and_askew_where_it_is_not() {
         let twist = [0.004, -0.006, 0.002, 0.01, 0.02, -0.01];
         let apart = |settings: ArmSettings| {

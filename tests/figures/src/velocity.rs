@@ -9,8 +9,10 @@ use crate::canvas::{Canvas, FEATURES, label, ticks};
 
 const WIDTH: f64 = 426.0;
 const PANEL: f64 = 120.0;
-const MARGIN: [f64; 4] = [52.0, 26.0, 14.0, 40.0];
-const GAP: f64 = 16.0;
+const MARGIN: [f64; 4] = [52.0, 40.0, 14.0, 40.0];
+const GAP: f64 = 24.0;
+/// More commands than this are drawn with a finer line: they may change from one to the next.
+const DENSE: usize = 400;
 
 /// The camera twist over time: linear components above, angular ones below, limits dashed.
 #[derive(Clone, Debug)]
@@ -108,14 +110,20 @@ impl Velocity {
                 let t = self.period_s * i as f64;
                 [[self.x(t), value], [self.x(t + self.period_s), value]]
             });
-            canvas.polyline(stairs, &format!("stroke=\"{colour}\" stroke-width=\"1.5\""));
+            let fine = self.twists.len() > DENSE;
+            let width = if fine { 0.8 } else { 1.5 };
+            canvas.polyline(
+                stairs,
+                &format!("stroke=\"{colour}\" stroke-width=\"{width}\""),
+            );
+            // Above the panel, where no curve runs.
             let x = right - 112.0 + 38.0 * k as f64;
             canvas.line(
-                [x, top + 9.0],
-                [x + 12.0, top + 9.0],
+                [x, top - 7.0],
+                [x + 12.0, top - 7.0],
                 &format!("stroke=\"{colour}\" stroke-width=\"2\""),
             );
-            canvas.text(x + 15.0, top + 12.5, 10.0, "start", name);
+            canvas.text(x + 15.0, top - 3.5, 10.0, "start", name);
         }
         canvas.element(format_args!(
             "<rect x=\"{left}\" y=\"{top}\" width=\"{}\" height=\"{PANEL}\" fill=\"none\" stroke=\"#222222\"/>",
