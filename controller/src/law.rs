@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ipc::{CycleRecord, Features, Hold, SolverStatus, StrategyCode, TwistState};
+use ipc::{CycleRecord, Features, Hold, RecallCode, SolverStatus, StrategyCode, TwistState};
 use memory_blob::{MemoryFile, OpenError};
 use scene::{Scene, SceneError};
 use vpc::{Measurement, MotionMemory, Refusal, Settings, SettingsError, Strategy};
@@ -170,10 +170,9 @@ impl Law {
 
     /// Changes the strategy; `false` where the memory lacks what it needs, or there is none. Nothing changes then.
     pub fn set_strategy(&mut self, strategy: Strategy) -> bool {
-        let has = match (strategy, &self.memory) {
-            (Strategy::Knn { .. }, Some(memory)) => memory.view().samples().is_some(),
-            (Strategy::Gpr, Some(memory)) => memory.view().gpr().is_some(),
-            (strategy, _) => !strategy.needs_memory(),
+        let has = match &self.memory {
+            Some(memory) => lacking(memory, strategy).is_none(),
+            None => !strategy.needs_memory(),
         };
         has && self.controller.set_strategy(strategy).is_ok()
     }
@@ -187,6 +186,11 @@ impl Law {
     /// Remembers that `twist` was sent, whoever chose it, and took effect at `effective_ns`.
     pub fn sent(&mut self, twist: &[f64; 6], effective_ns: u64) {
         self.controller.sent(twist, effective_ns);
+    }
+
+    /// Forgets which point is which: some were out of sight, and may bear other names when they come back.
+    pub fn lose_sight(&mut self) {
+        self.controller.lose_sight();
     }
 
     /// Forgets what was sent: a command did not go out, and which one the camera obeys is unknown.
@@ -264,6 +268,20 @@ pub fn strategy_code(strategy: Strategy) -> (StrategyCode, u32) {
     }
 }
 
+/// The strategy by the contract's words for it; `None` where the neighbours do not belong to it.
+pub fn strategy_of(code: StrategyCode, neighbours: u32) -> Option<Strategy> {
+    let k = neighbours as usize;
+    match (code, neighbours) {
+        (StrategyCode::Knn, _) => (1..=vpc::settings::MAX_NEIGHBOURS)
+            .contains(&k)
+            .then_some(Strategy::Knn { k }),
+        (StrategyCode::Previous, 0) => Some(Strategy::Previous),
+        (StrategyCode::Gpr, 0) => Some(Strategy::Gpr),
+        (StrategyCode::Ibvs, 0) => Some(Strategy::Ibvs),
+        _ => None,
+    }
+}
+
 /// The decision to hold.
 pub const fn held(hold: Hold) -> Decision {
     Decision {
@@ -291,13 +309,7 @@ fn boxed(
 
 fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryFile, LawError> {
     let memory = MemoryFile::open(file, Some(scene.fingerprint().bytes()))?;
-    let view = memory.view();
-    let lacking = match strategy {
-        Strategy::Knn { .. } if view.samples().is_none() => Some("samples"),
-        Strategy::Gpr if view.gpr().is_none() => Some("regression"),
-        _ => None,
-    };
-    match lacking {
+    match lacking(&memory, strategy) {
         Some(lacking) => Err(LawError::Lacking {
             path: file.display().to_string(),
             lacking,
@@ -307,12 +319,24 @@ fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryF
     }
 }
 
+/// What a memory lacks for a strategy.
+fn lacking(memory: &MemoryFile, strategy: Strategy) -> Option<&'static str> {
+    let view = memory.view();
+    match strategy {
+        Strategy::Knn { .. } if view.samples().is_none() => Some("samples"),
+        Strategy::Gpr if view.gpr().is_none() => Some("regression"),
+        _ => None,
+    }
+}
+
 /// The contract's word for a refusal.
 fn refused(refusal: Refusal) -> Hold {
     match refusal {
         Refusal::Count { .. } => Hold::Count,
         Refusal::NotFinite { .. } => Hold::NotFinite,
         Refusal::OffImage { .. } | Refusal::Lost => Hold::OffImage,
+        Refusal::Mixed { .. } => Hold::Mixed,
+        Refusal::Frozen { .. } => Hold::Frozen,
         Refusal::Late { .. } => Hold::Stale,
     }
 }
@@ -327,7 +351,12 @@ fn tell(step: &vpc::Step, record: &mut CycleRecord) {
         vpc::Status::NumericalFailure => SolverStatus::NumericalFailure,
     }
     .code();
-    record.recalled = u32::from(step.recalled);
+    record.recalled = match (step.recalled, step.recall_refused) {
+        (true, _) => RecallCode::Followed,
+        (false, true) => RecallCode::Refused,
+        (false, false) => RecallCode::Unasked,
+    }
+    .code();
     record.iterations = step.iterations;
     record.qp_iterations = step.qp_iterations;
     record.cost = step.cost;
@@ -388,10 +417,13 @@ mod tests {
         nan.points[1] = f64::NAN;
         let mut five = features(&law, 0.0);
         five.count = 5;
+        let mut mixed = features(&law, 0.0);
+        mixed.points[..4].rotate_left(2);
         for (bad, cause) in [
             (off, Hold::OffImage),
             (nan, Hold::NotFinite),
             (five, Hold::Count),
+            (mixed, Hold::Mixed),
         ] {
             let decision = law.step(&bad, 0, Link::Next, &mut CycleRecord::default());
             assert_eq!(decision, held(cause));
@@ -411,6 +443,32 @@ mod tests {
         assert_eq!(step(&mut law).state, TwistState::Moving);
         law.forget_sent();
         assert_eq!(step(&mut law), held(Hold::Stale));
+    }
+
+    #[test]
+    fn a_live_robot_whose_image_ignores_the_commands_is_not_believed() {
+        const PERIOD: u64 = 33_000_000;
+        let mut law = law();
+        law.go_live(3 * PERIOD);
+        let mut frame = features(&law, 60.0);
+        let mut holds = Vec::new();
+        for k in 1..20 {
+            frame.stamp.data_ns = k * PERIOD;
+            law.sent(&[0.1, 0.0, 0.0, 0.0, 0.0, 0.0], k * PERIOD);
+            let decision = law.step(&frame, k * PERIOD, Link::Next, &mut CycleRecord::default());
+            holds.push(decision.hold);
+        }
+        assert!(holds.contains(&Hold::Frozen), "{holds:?}");
+        // The points by other names, in the place of the old ones: until they were out of sight.
+        frame.points[..8].rotate_left(2);
+        let mut step = |law: &mut Law, k: u64| {
+            frame.stamp.data_ns = k * PERIOD;
+            law.step(&frame, k * PERIOD, Link::Next, &mut CycleRecord::default())
+                .hold
+        };
+        assert_eq!(step(&mut law, 20), Hold::Mixed);
+        law.lose_sight();
+        assert_eq!(step(&mut law, 21), Hold::None);
     }
 
     #[test]

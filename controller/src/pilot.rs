@@ -2,10 +2,9 @@
 //! clock and no port: the loop calls it live, the replay of a flight record calls it again, and both get the same bits.
 
 use ipc::{
-    Action, CycleRecord, Features, Hold, Outcome, Reply, Request, RobotState, SolverStatus, Stamp,
-    StrategyCode,
+    Action, CycleRecord, Features, Hold, Outcome, RecallCode, Reply, Request, RobotState,
+    SolverStatus, Stamp, StrategyCode,
 };
-use vpc::Strategy;
 
 use crate::gate::{Gate, Input, Verdict};
 use crate::law::{self, Decision, Law};
@@ -123,8 +122,7 @@ impl Pilot {
             Some(action) => self.supervisor.request(action),
         };
         let (state, hold) = self.supervisor.state();
-        let mut told = CycleRecord::default();
-        self.law.describe(&mut told);
+        let (strategy, neighbours) = law::strategy_code(self.law.settings().strategy);
         Reply {
             stamp: Stamp {
                 data_ns: request.stamp.published_ns,
@@ -135,8 +133,8 @@ impl Pilot {
             outcome: outcome.code(),
             state: state.code(),
             hold: hold.code(),
-            strategy: told.strategy,
-            neighbours: told.neighbours,
+            strategy: strategy.code(),
+            neighbours,
         }
     }
 
@@ -148,6 +146,7 @@ impl Pilot {
             decision: proposed.decision,
             good_ns: self.gate.good_ns(),
             solver_failed: solver_failed(record),
+            recall_refused: recall_refused(record),
             missed: inputs.missed,
             robot: self.robot.look(&inputs.robot, inputs.now_ns),
             shutdown: inputs.shutdown,
@@ -204,25 +203,23 @@ impl Pilot {
                 self.standing
             }
             Verdict::Repeat => self.standing,
-            Verdict::Hold(cause, stamp) => Answer {
-                stamp,
-                decision: law::held(cause),
-            },
+            Verdict::Hold(cause, stamp) => {
+                if cause == Hold::Hidden {
+                    self.law.lose_sight();
+                }
+                Answer {
+                    stamp,
+                    decision: law::held(cause),
+                }
+            }
         }
     }
 
     fn change(&mut self, request: &Request) -> Outcome {
-        let neighbours = request.neighbours as usize;
-        let strategy = match StrategyCode::from_code(request.strategy) {
-            Some(StrategyCode::Knn)
-                if (1..=vpc::settings::MAX_NEIGHBOURS).contains(&neighbours) =>
-            {
-                Strategy::Knn { k: neighbours }
-            }
-            Some(StrategyCode::Previous) if neighbours == 0 => Strategy::Previous,
-            Some(StrategyCode::Gpr) if neighbours == 0 => Strategy::Gpr,
-            Some(StrategyCode::Ibvs) if neighbours == 0 => Strategy::Ibvs,
-            _ => return Outcome::Neighbours,
+        let code = StrategyCode::from_code(request.strategy);
+        let Some(strategy) = code.and_then(|code| law::strategy_of(code, request.neighbours))
+        else {
+            return Outcome::Neighbours;
         };
         if self.law.set_strategy(strategy) {
             Outcome::Done
@@ -237,6 +234,14 @@ fn solver_failed(record: &CycleRecord) -> Option<bool> {
     match SolverStatus::from_code(record.status) {
         None | Some(SolverStatus::Idle) => None,
         Some(status) => Some(status == SolverStatus::NumericalFailure),
+    }
+}
+
+/// Whether the memory was asked, and if, whether its answer was out of range.
+fn recall_refused(record: &CycleRecord) -> Option<bool> {
+    match RecallCode::from_code(record.recalled) {
+        None | Some(RecallCode::Unasked) => None,
+        Some(code) => Some(code == RecallCode::Refused),
     }
 }
 

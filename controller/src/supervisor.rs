@@ -7,8 +7,8 @@
 //! | Response | Causes, the gravest first |
 //! |---|---|
 //! | zero at once, disarm | operator's stop, robot fault, clock anomaly, a standstill of the loop |
-//! | brake, disarm | shutdown, operator's disarm, robot silent, overruns, bad twist, solver failure, features lost |
-//! | brake, go on with the next good features | features stale, invalid, hidden, miscounted, not finite, off the image, out of order; transport |
+//! | brake, disarm | shutdown, operator's disarm, robot silent, overruns, bad twist, solver failure, recall out of range, frozen image, features lost |
+//! | brake, go on with the next good features | features stale, invalid, hidden, miscounted, not finite, off the image, mixed up, out of order; transport |
 //!
 //! Features are *lost* when none that the law could use came for a while, for whatever reason.
 
@@ -16,7 +16,8 @@ use ipc::{Action, Hold, Outcome, TwistState};
 
 use crate::law::Decision;
 
-/// Cycles in a row with missed releases, or with a solver that failed, after which the camera is stopped.
+/// Cycles in a row with missed releases, with a solver that failed, or with a memory whose answers were out of range, after
+/// which the camera is stopped.
 const IN_A_ROW: u32 = 3;
 
 /// What the supervisor goes by.
@@ -42,6 +43,8 @@ pub struct Situation {
     pub good_ns: Option<u64>,
     /// Whether the law ran in this cycle, and if, whether its solver failed.
     pub solver_failed: Option<bool>,
+    /// Whether the memory was asked in this cycle, and if, whether its answer was out of range.
+    pub recall_refused: Option<bool>,
     /// Releases missed just before this cycle.
     pub missed: u64,
     /// What is wrong with the robot: [`Hold::RobotFault`] or [`Hold::RobotLost`].
@@ -71,6 +74,7 @@ pub struct Supervisor {
     pub(crate) situation: Option<Situation>,
     pub(crate) overruns: u32,
     pub(crate) failures: u32,
+    pub(crate) refusals: u32,
 }
 
 /// How a cause is met.
@@ -99,6 +103,7 @@ impl Supervisor {
             situation: None,
             overruns: 0,
             failures: 0,
+            refusals: 0,
         }
     }
 
@@ -186,7 +191,7 @@ impl Supervisor {
         if situation.decision.hold != Hold::None {
             return Outcome::NoFeatures;
         }
-        (self.overruns, self.failures) = (0, 0);
+        (self.overruns, self.failures, self.refusals) = (0, 0, 0);
         self.mode = Mode::Armed;
         Outcome::Done
     }
@@ -203,11 +208,8 @@ impl Supervisor {
             0 => 0,
             _ => self.overruns.saturating_add(1),
         };
-        self.failures = match situation.solver_failed {
-            Some(true) => self.failures.saturating_add(1),
-            Some(false) => 0,
-            None => self.failures,
-        };
+        self.failures = in_a_row(self.failures, situation.solver_failed);
+        self.refusals = in_a_row(self.refusals, situation.recall_refused);
     }
 
     /// The gravest cause against the law's twist.
@@ -232,6 +234,8 @@ impl Supervisor {
             (self.overruns >= IN_A_ROW, Hold::Overruns),
             (decided == Hold::BadTwist, Hold::BadTwist),
             (self.failures >= IN_A_ROW, Hold::Solver),
+            (self.refusals >= IN_A_ROW, Hold::Recall),
+            (decided == Hold::Frozen, Hold::Frozen),
             (situation.good_ns.is_some_and(beyond), Hold::Lost),
             (decided != Hold::None, decided),
         ]
@@ -270,6 +274,15 @@ fn still(hold: Hold, state: TwistState) -> Decision {
     }
 }
 
+/// How often in a row something failed, after one more cycle that tells whether, or that tells nothing.
+fn in_a_row(before: u32, failed: Option<bool>) -> u32 {
+    match failed {
+        Some(true) => before.saturating_add(1),
+        Some(false) => 0,
+        None => before,
+    }
+}
+
 /// How a cause is met.
 fn response(cause: Hold) -> Response {
     match cause {
@@ -281,6 +294,8 @@ fn response(cause: Hold) -> Response {
         | Hold::Overruns
         | Hold::BadTwist
         | Hold::Solver
+        | Hold::Recall
+        | Hold::Frozen
         | Hold::Lost => Response::Disarm,
         Hold::None
         | Hold::NoFeatures
@@ -291,6 +306,7 @@ fn response(cause: Hold) -> Response {
         | Hold::NotFinite
         | Hold::OffImage
         | Hold::Transport
+        | Hold::Mixed
         | Hold::Order => Response::Wait,
     }
 }
@@ -329,6 +345,7 @@ mod tests {
                 situation: Situation {
                     decision: GOOD,
                     good_ns: Some(1000 * MS),
+                    recall_refused: Some(false),
                     solver_failed: Some(false),
                     missed: 0,
                     robot: None,
@@ -414,6 +431,7 @@ mod tests {
             Hold::NotFinite,
             Hold::OffImage,
             Hold::Transport,
+            Hold::Mixed,
             Hold::Order,
         ] {
             let mut bench = Bench::moving();
@@ -438,12 +456,14 @@ mod tests {
     #[test]
     fn graver_causes_brake_and_disarm() {
         type Change = fn(&mut Situation);
-        let cases: [(Hold, Change); 5] = [
+        let cases: [(Hold, Change); 7] = [
             (Hold::Shutdown, |s| s.shutdown = true),
             (Hold::RobotLost, |s| s.robot = Some(Hold::RobotLost)),
             (Hold::BadTwist, |s| s.decision.hold = Hold::BadTwist),
             (Hold::Overruns, |s| s.missed = 1),
             (Hold::Solver, |s| s.solver_failed = Some(true)),
+            (Hold::Recall, |s| s.recall_refused = Some(true)),
+            (Hold::Frozen, |s| s.decision.hold = Hold::Frozen),
         ];
         for (cause, change) in cases {
             let mut bench = Bench::moving();

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use ipc::{
     Action, CycleRecord, Domain, Hold, JoinError, Message, OpenError, Outcome, PhaseCode, RealTime,
-    ReceiveError, RecorderPort, Reply, Request, TwistState,
+    RecallCode, ReceiveError, RecorderPort, Reply, Request, TwistState,
 };
 use tracing::{debug, info, warn};
 
@@ -206,7 +206,7 @@ impl Summary {
         self.receive.add(record.receive_ns);
         self.step.add(record.step_ns);
         self.send.add(record.send_ns);
-        self.recalled += u64::from(record.recalled);
+        self.recalled += u64::from(record.recalled == RecallCode::Followed.code());
         self.realtime = RealTime(record.realtime);
         self.count_costs(record);
         self.tell_changes(record);

@@ -106,6 +106,12 @@ codes! {
         Lost = 19 => "features lost",
         /// The loop itself stood still for that long.
         Standstill = 20 => "standstill of the loop",
+        /// Points lie in each other's places: they turn the other way than the pattern, or changed their names.
+        Mixed = 21 => "points mixed up",
+        /// Not one bit of the features changed, though the camera was commanded to move.
+        Frozen = 22 => "frozen image",
+        /// The memory's answers were out of range several cycles in a row.
+        Recall = 23 => "recall out of range",
     }
 }
 
@@ -124,6 +130,18 @@ codes! {
         Infeasible = 4 => "infeasible",
         /// No plan could be computed.
         NumericalFailure = 5 => "numerical failure",
+    }
+}
+
+codes! {
+    /// What the memory had to say.
+    RecallCode {
+        /// It was not asked: no features near a border, or a strategy without memory.
+        Unasked = 0 => "not asked",
+        /// Its warm start and way point were followed.
+        Followed = 1 => "followed",
+        /// Its answer was out of range; the cycle went without.
+        Refused = 2 => "out of range",
     }
 }
 
@@ -174,7 +192,7 @@ pub struct CycleRecord {
     pub count: u32,
     /// Points in `way_point`: 0 where the goal is tracked.
     pub way_point_count: u32,
-    /// 1 where the memory was asked, else 0.
+    /// A [`RecallCode`].
     pub recalled: u32,
     /// A [`StrategyCode`].
     pub strategy: u32,

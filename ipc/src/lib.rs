@@ -55,7 +55,9 @@ mod role;
 mod twist;
 
 pub use clock::now_ns;
-pub use cycle::{ClockMode, CycleRecord, Hold, PhaseCode, RealTime, SolverStatus, StrategyCode};
+pub use cycle::{
+    ClockMode, CycleRecord, Hold, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
+};
 pub use domain::{Domain, JoinError, default_directory, shared_memory_prefix};
 pub use features::Features;
 pub use message::{Invalid, Message, Qos, Stamp};

@@ -10,7 +10,7 @@ use vpc::Strategy;
 use super::record::{Asked, AskedFor};
 use super::words::{Kind, Visit, Words};
 use crate::gate::{Gate, Input, Standing};
-use crate::law::{Decision, held};
+use crate::law::{Decision, held, strategy_code, strategy_of};
 use crate::pilot::{Answer, Inputs, State};
 use crate::robot::RobotWatch;
 use crate::supervisor::{Mode, Rules, Situation, Supervisor};
@@ -256,6 +256,7 @@ impl Words for Supervisor {
             situation,
             overruns,
             failures,
+            refusals,
         } = self;
         visit.part("rules", rules);
         let (mut code, mut cause) = match *mode {
@@ -284,6 +285,7 @@ impl Words for Supervisor {
         *situation = is_known.then_some(known);
         visit.u32("overruns", overruns);
         visit.u32("failures", failures);
+        visit.u32("refusals", refusals);
     }
 }
 
@@ -292,6 +294,7 @@ const NO_SITUATION: Situation = Situation {
     decision: held(Hold::None),
     good_ns: None,
     solver_failed: None,
+    recall_refused: None,
     missed: 0,
     robot: None,
     shutdown: false,
@@ -313,30 +316,22 @@ impl Words for Rules {
 }
 
 impl Words for Situation {
-    /// `solver_failed` is 0 for no, 1 for yes, 2 where it did not run; `robot` is the code of a hold, 0 where nothing
+    /// `solver_failed` and `recall_refused` are 0 for no, 1 for yes, 2 where it was not asked; `robot` is the code of a hold, 0 where nothing
     /// is wrong.
     fn words<V: Visit>(&mut self, visit: &mut V) {
         let Self {
             decision,
             good_ns,
             solver_failed,
+            recall_refused,
             missed,
             robot,
             shutdown,
         } = self;
         visit.part("decision", decision);
         visit.option("good_ns", good_ns);
-        visit.code(
-            "solver_failed",
-            solver_failed,
-            |failed| failed.map_or(2, u32::from),
-            |code| match code {
-                0 => Some(Some(false)),
-                1 => Some(Some(true)),
-                2 => Some(None),
-                _ => None,
-            },
-        );
+        maybe_words(visit, "solver_failed", solver_failed);
+        maybe_words(visit, "recall_refused", recall_refused);
         visit.u64("missed", missed);
         visit.code(
             "robot",
@@ -346,6 +341,21 @@ impl Words for Situation {
         );
         visit.flag("shutdown", shutdown);
     }
+}
+
+/// 0 for no, 1 for yes, 2 for neither.
+fn maybe_words<V: Visit>(visit: &mut V, name: &'static str, maybe: &mut Option<bool>) {
+    visit.code(
+        name,
+        maybe,
+        |maybe| maybe.map_or(2, u32::from),
+        |code| match code {
+            0 => Some(Some(false)),
+            1 => Some(Some(true)),
+            2 => Some(None),
+            _ => None,
+        },
+    );
 }
 
 impl Words for Asked {
@@ -385,6 +395,8 @@ impl Words for vpc::State {
             seen_count,
             seen,
             seen_ns,
+            is_linked,
+            still_px,
             history,
         } = self;
         strategy_words(visit, strategy);
@@ -395,6 +407,8 @@ impl Words for vpc::State {
         visit.u32("seen_count", seen_count);
         visit.reals("seen", seen.as_flattened_mut());
         visit.u64("seen_ns", seen_ns);
+        visit.flag("is_linked", is_linked);
+        visit.real("still_px", still_px);
         visit.part("history", history);
     }
 }
@@ -418,7 +432,7 @@ impl Words for vpc::delay::History {
 
 /// The strategy's code and its neighbours, 0 but for k-NN.
 fn strategy_words<V: Visit>(visit: &mut V, strategy: &mut Strategy) {
-    let (mut code, mut neighbours) = crate::law::strategy_code(*strategy);
+    let (mut code, mut neighbours) = strategy_code(*strategy);
     visit.code(
         "strategy",
         &mut code,
@@ -426,14 +440,8 @@ fn strategy_words<V: Visit>(visit: &mut V, strategy: &mut Strategy) {
         StrategyCode::from_code,
     );
     visit.u32("neighbours", &mut neighbours);
-    *strategy = match code {
-        StrategyCode::Previous => Strategy::Previous,
-        StrategyCode::Knn => Strategy::Knn {
-            k: neighbours as usize,
-        },
-        StrategyCode::Gpr => Strategy::Gpr,
-        StrategyCode::Ibvs => Strategy::Ibvs,
-    };
+    // What is no strategy changes nothing, and its seal does not fit.
+    *strategy = strategy_of(code, neighbours).unwrap_or(*strategy);
 }
 
 /// One line for each field of a telemetry record: how it is recorded, and whether the pilot tells it.

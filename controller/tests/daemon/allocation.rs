@@ -80,7 +80,8 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
                     tally.allocations += allocations;
                     let Some(record) = record else { continue };
                     tally.stepped += u64::from(record.status != 0);
-                    tally.recalled += u64::from(record.recalled);
+                    tally.recalled +=
+                        u64::from(record.recalled == ipc::RecallCode::Followed.code());
                 }
             }
             cycle.stop().unwrap();

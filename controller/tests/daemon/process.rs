@@ -8,7 +8,7 @@ use ipc::{
     Action, CameraPorts, Domain, Features, Hold, Observer, OperatorPorts, Order, Outcome, Request,
     StrategyCode, TwistCommand, TwistState,
 };
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 
@@ -268,8 +268,14 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
             let scene = Scene::read(&scene_file()).unwrap();
             let mut random = ChaCha8Rng::seed_from_u64(1);
             let mut commands = Vec::new();
+            let mut points = square(&scene, &mut random);
             while !ended.load(Ordering::Relaxed) {
-                let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
+                // Not the last bit stays: the daemon would take the image for frozen.
+                points
+                    .as_flattened_mut()
+                    .iter_mut()
+                    .for_each(|x| *x += random.random_range(-0.1..0.1));
+                let features = Features::new(&points, ipc::now_ns());
                 camera.features.publish(&features).unwrap();
                 std::thread::sleep(Duration::from_millis(30));
                 while let Some(twist) = camera.twist.oldest().unwrap() {

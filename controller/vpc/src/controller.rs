@@ -6,8 +6,9 @@ use crate::cost;
 use crate::delay::{History, Unpredictable};
 use crate::features;
 use crate::gate::{self, Measurement, Refusal};
+use crate::plausible::{self, Stillness};
 use crate::prediction::{Origin, Plan, Preview};
-use crate::recall::{self, MotionMemory, Recall, Trigger};
+use crate::recall::{self, MotionMemory, OutOfRange, Recall, Trigger};
 use crate::settings::{Settings, SettingsError, Strategy};
 use crate::solver::{Problem, Solver, Status, work};
 use crate::task::Task;
@@ -26,10 +27,12 @@ pub struct Controller {
     pub(crate) previous: Plan,
     pub(crate) predicted: Option<Points>,
     pub(crate) seen: Option<Seen>,
+    pub(crate) is_linked: bool,
+    pub(crate) stillness: Stillness,
     pub(crate) history: History,
 }
 
-/// The measurement of the cycle before, for the mismatch of delayed features.
+/// The last measurement that was believed.
 #[derive(Clone)]
 pub(crate) struct Seen {
     pub(crate) points: Points,
@@ -43,8 +46,10 @@ pub struct Step {
     pub twist: Twist,
     /// How the solver ended.
     pub status: Status,
-    /// Whether the memory was asked.
+    /// Whether the memory was asked, and its answer followed.
     pub recalled: bool,
+    /// Whether it was asked, and its answer was out of range: this cycle went without.
+    pub recall_refused: bool,
     /// The way point tracked instead of the goal, px.
     pub way_point: Option<Points>,
     /// Iterations of the solver.
@@ -80,6 +85,8 @@ impl Controller {
             previous: [0.0; MAX_VARIABLES],
             predicted: None,
             seen: None,
+            is_linked: false,
+            stillness: Stillness::default(),
             history: History::new(),
             settings,
         })
@@ -131,14 +138,21 @@ impl Controller {
         self.trigger.reset();
         self.previous = [0.0; MAX_VARIABLES];
         self.skip_mismatch();
+        self.lose_sight();
         self.history.restart();
+    }
+
+    /// Tells that points were out of sight since the last step: they may bear other names when they come back.
+    pub fn lose_sight(&mut self) {
+        self.seen = None;
+        self.stillness = Stillness::default();
     }
 
     /// Forgets the prediction for this cycle, where the last command was not in force for one sampling time (a
     /// dropped frame, a skipped release): its mismatch would not be the model's.
     pub fn skip_mismatch(&mut self) {
         self.predicted = None;
-        self.seen = None;
+        self.is_linked = false;
     }
 
     /// One cycle: measured features in, camera twist out. Never allocates; its work is bounded.
@@ -160,6 +174,7 @@ impl Controller {
             twist: [0.0; DOF],
             status: Status::Converged,
             recalled: false,
+            recall_refused: false,
             way_point: None,
             iterations: 0,
             qp_iterations: 0,
@@ -173,6 +188,8 @@ impl Controller {
             self.servo(&origin, &mut step);
         } else {
             let recall = self.recall(points, clearance_px, memory);
+            step.recall_refused = matches!(recall, Some(Err(_)));
+            let recall = recall.and_then(Result::ok);
             self.plan(&origin, recall, mismatch.as_ref(), &mut step);
         }
         self.predict(&origin, &step.twist);
@@ -186,10 +203,19 @@ impl Controller {
         let Settings { model, .. } = self.settings;
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
         let measured = Origin::new(&self.task, model, points);
-        let mismatch = match age_ns {
-            0 => self.predicted.as_ref().map(|m| difference(points, m)),
-            _ => self.mismatch_at_exposure(&measured, exposed_ns),
-        };
+        let expected = self.expected_at_exposure(exposed_ns, age_ns);
+        if let (true, Some(seen), Some(expected)) = (self.history.is_live(), &self.seen, &expected)
+        {
+            plausible::check_names(points, expected)?;
+            let frozen = self.stillness.look(points, &seen.points, expected);
+            if frozen.is_err() {
+                self.lose_sight();
+            }
+            frozen?;
+        }
+        let mismatch = expected
+            .filter(|_| self.is_linked)
+            .map(|expected| difference(points, &expected));
         let origin = if age_ns == 0 || !self.settings.delay_compensation {
             measured.clone()
         } else {
@@ -206,12 +232,16 @@ impl Controller {
             points: measured.points,
             exposed_ns,
         });
+        self.is_linked = true;
         Ok((origin, mismatch))
     }
 
-    /// eps, like with like: measured at this exposure, minus predicted for this exposure from the one before with the
-    /// commands that were in force between.
-    fn mismatch_at_exposure(&self, measured: &Origin, exposed_ns: u64) -> Option<Points> {
+    /// Where these features were expected: predicted for this exposure from the one before, with the commands that were
+    /// in force between. Their difference is eps, like with like.
+    fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<Points> {
+        if age_ns == 0 && !self.history.is_live() {
+            return self.predicted.clone();
+        }
         let seen = self
             .seen
             .as_ref()
@@ -221,8 +251,7 @@ impl Controller {
         let expected =
             self.history
                 .advance(&self.task, model, &before, seen.exposed_ns, exposed_ns);
-        let expected = expected.ok()?.explained(&self.task);
-        Some(difference(&measured.points, &expected))
+        Some(expected.ok()?.explained(&self.task))
     }
 
     /// The classic law, scaled as a whole into the limits.
@@ -239,10 +268,11 @@ impl Controller {
         points: &Points,
         clearance_px: f64,
         memory: Option<&dyn MotionMemory>,
-    ) -> Option<Recall> {
+    ) -> Option<Result<Recall, OutOfRange>> {
         let near = self.trigger.update(clearance_px);
         let memory = memory.filter(|_| near && self.settings.strategy.needs_memory())?;
-        recall::query(&self.task, self.settings.strategy, memory, points)
+        let strategy = self.settings.strategy;
+        Some(recall::query(&self.task, strategy, memory, points))
     }
 
     /// Solves the optimal-control problem towards way point or goal, and limits its first command.

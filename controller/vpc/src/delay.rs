@@ -75,10 +75,15 @@ impl History {
         }
     }
 
+    /// Whether it is of a robot in real time.
+    pub fn is_live(&self) -> bool {
+        self.validity_ns != u64::MAX
+    }
+
     /// A new run. Simulated time begins again, from rest; on a live robot the camera's process began again, and what
     /// was sent was executed all the same.
     pub fn restart(&mut self) {
-        if self.validity_ns == u64::MAX {
+        if !self.is_live() {
             *self = Self::new();
         }
     }

@@ -1,7 +1,7 @@
 //! The gate: measured features that cannot be trusted go no further.
 
-use crate::Points;
 use crate::task::Task;
+use crate::{Points, plausible};
 
 /// Measured features, px, in the order of the pattern.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,6 +60,16 @@ pub enum Refusal {
         /// Where it lies, px.
         pixel: [f64; 2],
     },
+    /// Points lie in each other's places.
+    Mixed {
+        /// Indices of two of them.
+        points: [usize; 2],
+    },
+    /// Not one bit of them changed, though the camera was commanded to move.
+    Frozen {
+        /// How far the image should have moved, px.
+        expected_px: f64,
+    },
     /// They were exposed before the commands that are remembered: where they are now cannot be told.
     Late {
         /// Time from the exposure to the command's effect, ns.
@@ -97,6 +107,18 @@ impl core::fmt::Display for Refusal {
                     "features: point {point} = ({u:.1}, {v:.1}) px; allowed: inside the image"
                 )
             }
+            Self::Mixed { points: [i, j] } => {
+                write!(
+                    f,
+                    "features: points {i} and {j} lie in each other's places; allowed: the order of the pattern"
+                )
+            }
+            Self::Frozen { expected_px } => {
+                write!(
+                    f,
+                    "features: unchanged to the last bit where {expected_px:.1} px of motion were commanded; allowed: an image that moves"
+                )
+            }
             Self::Late { age_ns, known_ns } => {
                 write!(
                     f,
@@ -116,7 +138,7 @@ impl core::fmt::Display for Refusal {
 }
 
 /// Lets a measurement pass that has the pattern's count of finite points, none further outside the image than
-/// `tolerance` px.
+/// `tolerance` px, in the pattern's sense of rotation.
 ///
 /// # Errors
 /// [`Refusal`] names the first point that is wrong.
@@ -140,5 +162,6 @@ pub fn pass<'a>(
             return Err(Refusal::OffImage { point, pixel });
         }
     }
+    plausible::check_sense(task, points)?;
     Ok(points)
 }

@@ -3,9 +3,10 @@
 //! `no_std`, no heap, no unsafe: a cycle that allocates is a compile error here. A cycle runs through the modules in
 //! this order, and so does a reader:
 //!
-//! *measured features* -> [`gate`] (refuse what cannot be trusted) -> [`delay`] (from their exposure to now) -> [`recall`] (warm start and way point from the
-//! memory, when features come near a constraint) -> [`solver`] (bounded sequential quadratic programming over the
-//! [`prediction`]) -> [`limit`] (never more than allowed) -> *camera twist*. [`Controller::step`] is that sentence.
+//! *measured features* -> [`gate`], [`plausible`] (refuse what cannot be trusted) -> [`delay`] (from their exposure to
+//! now) -> [`recall`] (warm start and way point from the memory, when features come near a constraint) -> [`solver`]
+//! (bounded sequential quadratic programming over the [`prediction`]) -> [`limit`] (never more than allowed) -> *camera
+//! twist*. [`Controller::step`] is that sentence.
 //!
 //! # Symbols
 //! | Paper | Here | Meaning, unit |
@@ -48,6 +49,7 @@ pub mod ibvs;
 pub mod interaction;
 pub mod limit;
 pub mod motion;
+pub mod plausible;
 pub mod pose;
 pub mod prediction;
 pub mod qp;

@@ -4,6 +4,11 @@ use crate::settings::Strategy;
 use crate::task::Task;
 use crate::{DOF, MAX_POINTS, Points, Twist, constraint, limit};
 
+/// How far the memory's twist may pass the limits: it knows plans inside them, and a regression overshoots a little.
+const MOST_TWIST: f64 = 2.0;
+/// How far its way point may lie outside the image, as a share of the image.
+const MOST_OUTSIDE: f64 = 0.25;
+
 /// What the memory infers for some features: y = (v, way point).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recall {
@@ -84,35 +89,52 @@ impl MotionMemory for memory_blob::Memory<'_> {
     }
 }
 
-/// Asks the memory. `None` where it has no answer, or one that is not finite.
+/// The memory has no answer, or none that can be followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutOfRange;
+
+/// Asks the memory.
+///
+/// # Errors
+/// [`OutOfRange`] where it has no answer, or one beyond what [`Recall::from_output`] allows.
 pub fn query(
     task: &Task,
     strategy: Strategy,
     memory: &dyn MotionMemory,
     points: &Points,
-) -> Option<Recall> {
+) -> Result<Recall, OutOfRange> {
     let mut output = [0.0; DOF + 2 * MAX_POINTS];
-    let output = output.get_mut(..DOF + 2 * points.len())?;
-    let answered = memory.infer(strategy, &task.recall_input(points), output);
-    answered
-        .then(|| Recall::from_output(task, output))
-        .flatten()
+    let output = output.get_mut(..DOF + 2 * points.len()).ok_or(OutOfRange)?;
+    match memory.infer(strategy, &task.recall_input(points), output) {
+        true => Recall::from_output(task, output),
+        false => Err(OutOfRange),
+    }
 }
 
 impl Recall {
     /// Splits an output y = (v, way point), clamps the twist to the limits and the way point to the image.
-    pub fn from_output(task: &Task, output: &[f64]) -> Option<Self> {
-        let (twist, way_point) = output.split_at_checked(DOF)?;
-        if !output.iter().all(|y| y.is_finite()) {
-            return None;
+    ///
+    /// # Errors
+    /// [`OutOfRange`] where a number is not finite, the twist beyond twice the limits, or a point of the way point
+    /// further outside the image than a quarter of it: no plan of the memory is like that.
+    pub fn from_output(task: &Task, output: &[f64]) -> Result<Self, OutOfRange> {
+        let (twist, way_point) = output.split_at_checked(DOF).ok_or(OutOfRange)?;
+        let twist: Twist = twist.try_into().map_err(|_| OutOfRange)?;
+        let size = [task.camera.width, task.camera.height];
+        // A NaN is in no range.
+        let is_near = |(y, size): (&f64, f64)| {
+            (-MOST_OUTSIDE * size..=(1.0 + MOST_OUTSIDE) * size).contains(y)
+        };
+        let mut twists = twist.iter().zip(task.limits);
+        let mut ways = way_point.iter().zip(size.into_iter().cycle());
+        if !twists.all(|(v, limit)| v.abs() <= MOST_TWIST * limit) || !ways.all(is_near) {
+            return Err(OutOfRange);
         }
-        let twist: Twist = twist.try_into().ok()?;
-        let (width, height) = (task.camera.width, task.camera.height);
         let way_point = way_point
             .chunks_exact(2)
-            .map(|p| [p[0].clamp(0.0, width), p[1].clamp(0.0, height)])
+            .map(|p| [p[0].clamp(0.0, size[0]), p[1].clamp(0.0, size[1])])
             .collect();
-        Some(Self {
+        Ok(Self {
             twist: limit::clamp(&twist, &task.limits),
             way_point,
         })
@@ -130,5 +152,30 @@ mod tests {
             .map(|c| trigger.update(c))
             .into();
         assert_eq!(seen, [false, true, true, true, false, false]);
+    }
+
+    #[test]
+    fn an_answer_is_clamped_near_the_range_and_refused_far_from_it() {
+        let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
+        let mut answer = [0.0; DOF + 8];
+        answer[DOF..].fill(300.0);
+        let ask = |index: usize, value: f64| {
+            let mut answer = answer;
+            answer[index] = value;
+            Recall::from_output(&task, &answer)
+        };
+        let (limit, width) = (task.limits[3], task.camera.width);
+        assert_eq!(ask(3, -1.5 * limit).map(|r| r.twist[3]), Ok(-limit));
+        assert_eq!(ask(8, 1.1 * width).map(|r| r.way_point[1][0]), Ok(width));
+        for (index, value) in [
+            (3, 2.1 * limit),
+            (8, 1.3 * width),
+            (9, -400.0),
+            (0, f64::NAN),
+            (7, f64::INFINITY),
+        ] {
+            assert_eq!(ask(index, value), Err(OutOfRange), "{index}: {value}");
+        }
+        assert_eq!(Recall::from_output(&task, &answer[..3]), Err(OutOfRange));
     }
 }

@@ -38,7 +38,7 @@ pub mod work {
     /// Most work of a solution in at most `iterations`, from all starts together; a line search that is under way may go
     /// beyond it.
     ///
-    /// A million hard problems stay within three times their median by it, windows of 30 within five times
+    /// A million hard problems stay within three times their median by it, windows of 30 within six times
     /// (`tests/tests/promises/bounded.rs`), and it hardly ever ends a search that would have led somewhere: with it and
     /// without, `previous` and `gpr` reach 90 and 98 of the 100 fixed starts at Np = 3; at Np = 30 `gpr` reaches 96
     /// instead of 98.

@@ -27,6 +27,10 @@ pub struct State {
     pub seen: [[f64; 2]; MAX_POINTS],
     /// Its exposure, ns; 0 where there was none.
     pub seen_ns: u64,
+    /// Whether the last command was in force since then without a gap.
+    pub is_linked: bool,
+    /// Motion that was commanded while `seen` did not change in any bit, px.
+    pub still_px: f64,
     /// The commands that were sent.
     pub history: History,
 }
@@ -43,6 +47,8 @@ impl State {
             seen_count: 0,
             seen: [[0.0; 2]; MAX_POINTS],
             seen_ns: 0,
+            is_linked: false,
+            still_px: 0.0,
             history: History::new(),
         }
     }
@@ -76,11 +82,15 @@ impl Controller {
             previous,
             predicted,
             seen,
+            is_linked,
+            stillness,
             history,
         } = self;
         let mut state = State {
             near: trigger.is_close(),
             previous: *previous,
+            is_linked: *is_linked,
+            still_px: stillness.expected_px,
             history: *history,
             ..State::new(settings.strategy)
         };
@@ -104,6 +114,8 @@ impl Controller {
             points,
             exposed_ns: state.seen_ns,
         });
+        self.is_linked = state.is_linked;
+        self.stillness.expected_px = state.still_px;
         self.history = state.history;
     }
 }
@@ -173,6 +185,8 @@ mod tests {
         assert_eq!(late, after(PERIOD, |_| ()));
         assert_ne!(late, after(PERIOD, |state| state.seen[0][1] += 1.0));
         assert_ne!(late, after(PERIOD, |state| state.seen_count = 0));
+        assert_ne!(late, after(PERIOD, |state| state.is_linked = false));
+        assert_ne!(late, after(PERIOD, |state| state.still_px = 1.0));
         assert_ne!(late, after(PERIOD, |state| state.seen_ns = u64::MAX));
         assert_ne!(
             late.0,

@@ -229,6 +229,12 @@ enum vpc_hold
     VPC_HOLD_LOST = 19,
     // The loop itself stood still for that long.
     VPC_HOLD_STANDSTILL = 20,
+    // Points lie in each other's places: they turn the other way than the pattern, or changed their names.
+    VPC_HOLD_MIXED = 21,
+    // Not one bit of the features changed, though the camera was commanded to move.
+    VPC_HOLD_FROZEN = 22,
+    // The memory's answers were out of range several cycles in a row.
+    VPC_HOLD_RECALL = 23,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -262,6 +268,27 @@ enum vpc_solver
 typedef enum vpc_solver vpc_solver;
 #else
 typedef uint32_t vpc_solver;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// What the memory had to say.
+enum vpc_recall
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // It was not asked: no features near a border, or a strategy without memory.
+    VPC_RECALL_UNASKED = 0,
+    // Its warm start and way point were followed.
+    VPC_RECALL_FOLLOWED = 1,
+    // Its answer was out of range; the cycle went without.
+    VPC_RECALL_REFUSED = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum vpc_recall vpc_recall;
+#else
+typedef uint32_t vpc_recall;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
@@ -491,7 +518,7 @@ typedef struct {
     uint32_t count;
     // Points in way_point: 0 where the goal is tracked.
     uint32_t way_point_count;
-    // 1 where the memory was asked, else 0.
+    // A vpc_recall.
     uint32_t recalled;
     // A vpc_strategy.
     uint32_t strategy;

@@ -19,6 +19,7 @@ from .messages import (
     Outcome,
     PhaseCode,
     RealTime,
+    RecallCode,
     Reply,
     Request,
     RobotFaults,

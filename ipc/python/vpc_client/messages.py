@@ -123,6 +123,12 @@ class Hold(enum.IntEnum):
     LOST = 19
     # The loop itself stood still for that long.
     STANDSTILL = 20
+    # Points lie in each other's places: they turn the other way than the pattern, or changed their names.
+    MIXED = 21
+    # Not one bit of the features changed, though the camera was commanded to move.
+    FROZEN = 22
+    # The memory's answers were out of range several cycles in a row.
+    RECALL = 23
 
     @property
     def words(self):
@@ -144,6 +150,21 @@ class SolverStatus(enum.IntEnum):
     INFEASIBLE = 4
     # No plan could be computed.
     NUMERICAL_FAILURE = 5
+
+    @property
+    def words(self):
+        return _WORDS[type(self)][self]
+
+
+class RecallCode(enum.IntEnum):
+    """What the memory had to say."""
+
+    # It was not asked: no features near a border, or a strategy without memory.
+    UNASKED = 0
+    # Its warm start and way point were followed.
+    FOLLOWED = 1
+    # Its answer was out of range; the cycle went without.
+    REFUSED = 2
 
     @property
     def words(self):
@@ -284,6 +305,9 @@ _WORDS = {
         "shutdown",
         "features lost",
         "standstill of the loop",
+        "points mixed up",
+        "frozen image",
+        "recall out of range",
     ),
     SolverStatus: (
         "idle",
@@ -292,6 +316,11 @@ _WORDS = {
         "stalled",
         "infeasible",
         "numerical failure",
+    ),
+    RecallCode: (
+        "not asked",
+        "followed",
+        "out of range",
     ),
     StrategyCode: (
         "previous",
@@ -456,7 +485,7 @@ class CycleRecord(ctypes.Structure):
         ("count", ctypes.c_uint32),
         # Points in `way_point`: 0 where the goal is tracked.
         ("way_point_count", ctypes.c_uint32),
-        # 1 where the memory was asked, else 0.
+        # A `RecallCode`.
         ("recalled", ctypes.c_uint32),
         # A `StrategyCode`.
         ("strategy", ctypes.c_uint32),

@@ -147,7 +147,7 @@ recorded!(CycleRecord, "/vpc/cycles", "vpc.CycleRecord2", "Telemetry of one cycl
     lost_records => "Records lost in the daemon since the start",
     count => "Points used, 0 to 8",
     way_point_count => "Points of the way point, 0 where the goal is tracked",
-    recalled => "1 where the memory was asked",
+    recalled => "what the memory had to say: 0 it was not asked, 1 followed, 2 out of range",
     strategy (StrategyCode) => "Strategy of the law",
     neighbours => "Neighbours of knn",
     np => "Steps previewed",

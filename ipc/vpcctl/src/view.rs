@@ -66,7 +66,7 @@ impl View {
         for (phase, histogram) in Phase::ALL.into_iter().zip(&mut self.histograms) {
             histogram.count(phase.of(&record));
         }
-        self.recalled += u64::from(record.recalled != 0);
+        self.recalled += u64::from(record.recalled == ipc::RecallCode::Followed.code());
         *self.held.entry(record.hold).or_default() += 1;
         let counts = [
             record.minor_faults,

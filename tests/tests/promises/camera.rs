@@ -22,6 +22,8 @@ pub struct Camera<'a> {
     camera: FreeCamera,
     referee: Referee,
     frames: u32,
+    /// Whether the next frame is the first after a jump: it shows no point, as between two objects.
+    is_blind: bool,
     // The last to be dropped.
     _domain: Domain,
 }
@@ -38,6 +40,7 @@ impl<'a> Camera<'a> {
             camera: FreeCamera::new(scene, &starts[0]),
             referee: Referee::new(scene),
             frames: 0,
+            is_blind: false,
             _domain: domain,
         }
     }
@@ -51,14 +54,15 @@ impl<'a> Camera<'a> {
                 && (self.frames == 0 || self.referee.error(&points) > ARRIVED_PX)
             {
                 self.frames += 1;
-                return self
-                    .ports
-                    .features
-                    .publish(&Features::new(&points, exposure))
-                    .unwrap();
+                let mut features = Features::new(&points, exposure);
+                if std::mem::take(&mut self.is_blind) {
+                    features.visible = 0;
+                }
+                return self.ports.features.publish(&features).unwrap();
             }
             let start = self.starts[self.next % self.starts.len()];
             (self.camera, self.frames) = (FreeCamera::new(self.scene, &start), 0);
+            self.is_blind = true;
             self.next += 1;
         }
     }

@@ -49,7 +49,8 @@ fn run(strategy: &str) -> Report {
         daemon.stderr(Stdio::null());
         Running::start(daemon)
     };
-    for cycle in 0..Report::WARM_UP + CYCLES {
+    // And those in which the camera has just jumped, and shows nothing.
+    for cycle in 0..Report::WARM_UP + CYCLES + CYCLES / 20 {
         if cycle % PRESS == PRESS / 2 {
             press_out(daemon.id());
         }

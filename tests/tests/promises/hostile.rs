@@ -175,10 +175,13 @@ fn film(place: &Path, rate_hz: f64, end: &AtomicBool) {
         [410.0, 430.0],
         [240.0, 420.0],
     ];
+    let mut random = ChaCha8Rng::seed_from_u64(4);
     while !end.load(Ordering::Relaxed) {
+        // Real images are never the same.
+        let points = far.map(|point| point.map(|x| x + random.random_range(-0.1..0.1)));
         camera
             .features
-            .publish(&Features::new(&far, now_ns()))
+            .publish(&Features::new(&points, now_ns()))
             .unwrap();
         std::thread::sleep(Duration::from_secs_f64(1.0 / rate_hz));
     }

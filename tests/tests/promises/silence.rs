@@ -1,5 +1,6 @@
-//! A camera that freezes, goes silent, pauses, is late, or dies: the daemon brakes within three periods of the last
-//! good features, stands within 300 ms, and stays so, also before good features, until somebody arms it again.
+//! A camera that freezes, with old stamps or new ones, goes silent, pauses, is late, or dies: the daemon brakes within
+//! three periods of the last good features, stands within 300 ms, and stays so, also before good features, until somebody
+//! arms it again.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use ipc::{Action, CameraPorts, Domain, Features, Outcome, TwistCommand, TwistState, now_ns};
-use rand::{Rng, SeedableRng};
+use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
@@ -21,7 +22,7 @@ use crate::stall::fairly;
 const BRAKING_NS: u64 = 3 * PERIOD_NS;
 const ZERO_NS: u64 = 300_000_000;
 
-/// The features of a camera that is far from the goal and does not move: the law always wants to.
+/// The features of a camera that is far from the goal and does not move, but for its noise: the law always wants to.
 const FAR: [[f64; 2]; 4] = [
     [250.0, 250.0],
     [420.0, 260.0],
@@ -34,6 +35,8 @@ const FAR: [[f64; 2]; 4] = [
 enum Fault {
     /// It sends one exposure again and again.
     Freeze,
+    /// It sends one image again and again, each time as a new one.
+    Image,
     /// It sends nothing more.
     Silence,
     /// It pauses for 0.4 s and goes on.
@@ -106,25 +109,34 @@ impl Worst {
     }
 }
 
+/// The features of this instant.
+fn noisy(random: &mut impl Rng) -> Features {
+    let points = FAR.map(|point| point.map(|x| x + random.random_range(-0.1..0.1)));
+    Features::new(&points, now_ns())
+}
+
 /// A camera that works until it is told to fail, then fails, and after `over` works again.
 fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &AtomicBool) -> u64 {
     let domain = Domain::join(place).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     // Where it is permitted: whatever else the machine does, its frames come in time.
     take_priority(CAMERA_PRIORITY);
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut image = Features::new(&FAR, 0).points;
     let (mut last_good_ns, mut exposure_ns, mut sequence) = (0, 0, 0);
     let mut paused = false;
     while !end.load(Ordering::Relaxed) {
         let is_failing = fail.load(Ordering::Relaxed) && !over.load(Ordering::Relaxed);
-        let mut features = Features::new(&FAR, now_ns());
+        let mut features = noisy(&mut random);
         match fault {
+            Fault::Image if is_failing => features.points = image,
             Fault::Freeze if is_failing => features.stamp.data_ns = exposure_ns,
             Fault::Older if is_failing => features.stamp.data_ns = exposure_ns - 1,
             Fault::Hidden if is_failing => features.visible = 0b1011,
             Fault::Pause if is_failing && !paused => {
                 std::thread::sleep(Duration::from_millis(400));
                 paused = true;
-                features = Features::new(&FAR, now_ns());
+                features = noisy(&mut random);
             }
             _ => (),
         }
@@ -143,6 +155,7 @@ fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &
             sequence = sent.sequence;
             if !fail.load(Ordering::Relaxed) {
                 (last_good_ns, exposure_ns) = (sent.published_ns, features.stamp.data_ns);
+                image = features.points;
             }
         }
         std::thread::sleep(Duration::from_nanos(PERIOD_NS));
@@ -156,6 +169,7 @@ fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     for fault in [
         Fault::Freeze,
+        Fault::Image,
         Fault::Silence,
         Fault::Pause,
         Fault::Older,

@@ -51,6 +51,7 @@ fn name(rust: &str) -> String {
         "TwistState" => "State",
         "StrategyCode" => "Strategy",
         "PhaseCode" => "Phase",
+        "RecallCode" => "Recall",
         "RealTime" => "Realtime",
         "SolverStatus" => "Solver",
         other => other,

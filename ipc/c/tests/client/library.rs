@@ -94,5 +94,6 @@ fn codes_have_words() {
     };
     assert_eq!(name(0), "none");
     assert_eq!(name(20), "standstill of the loop");
-    assert_eq!(name(21), "unknown");
+    assert_eq!(name(23), "recall out of range");
+    assert_eq!(name(24), "unknown");
 }

@@ -1,0 +1,196 @@
+//! Whether features can be those of the pattern, seen by a camera that moved as it was commanded.
+//!
+//! A detector may confuse points, and a driver may hand out its last image for ever, with fresh stamps. Both give
+//! features that are finite, inside the image and new, and a law that believed them would steer somewhere else.
+
+use crate::Points;
+use crate::gate::Refusal;
+use crate::task::Task;
+
+/// Height of a triangle of points, px, from which on noise does not turn it over.
+const LEAST_HEIGHT_PX: f64 = 4.0;
+/// So many times nearer to another point's expected place than to its own, a point is that other point.
+const NEARER: f64 = 2.0;
+/// Motion of the image that was commanded, px, in which not one bit of the features changed: the image is frozen.
+const FROZEN_PX: f64 = 3.0;
+
+/// Refuses points that turn the other way than in the pattern. It is plane and seen from its front only, from where each
+/// three of its points keep their sense of rotation.
+///
+/// # Errors
+/// [`Refusal::Mixed`] names two points of such a triangle.
+pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
+    for k in 2..points.len() {
+        for j in 1..k {
+            for i in 0..j {
+                let [seen, goal] = [points, &task.goal].map(|p| height(p[i], p[j], p[k]));
+                if seen * goal < 0.0 && seen.abs().min(goal.abs()) > LEAST_HEIGHT_PX {
+                    return Err(Refusal::Mixed { points: [j, k] });
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Height of a triangle over its longest side, px, negative where it turns the other way round.
+fn height(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
+    let side = |p: [f64; 2], q: [f64; 2]| libm::hypot(q[0] - p[0], q[1] - p[1]);
+    let longest = side(a, b).max(side(b, c)).max(side(c, a));
+    let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    // Three points in one place have no sense.
+    if longest > 0.0 {
+        double_area / longest
+    } else {
+        0.0
+    }
+}
+
+/// Refuses points of which two or more lie where others are expected: they changed their names. Where they are expected
+/// follows from the features before and the commands since.
+///
+/// # Errors
+/// [`Refusal::Mixed`] names a point and the one that it seems to be.
+pub fn check_names(points: &Points, expected: &Points) -> Result<(), Refusal> {
+    let distance = |a: [f64; 2], b: [f64; 2]| libm::hypot(a[0] - b[0], a[1] - b[1]);
+    let taken_for = |i: usize| {
+        let own = distance(points[i], expected[i]);
+        (0..expected.len()).find(|&j| NEARER * distance(points[i], expected[j]) < own)
+    };
+    let mut strangers = (0..points.len().min(expected.len()))
+        .filter_map(|point| taken_for(point).map(|other| [point, other]));
+    match (strangers.next(), strangers.next()) {
+        (Some(points), Some(_)) => Err(Refusal::Mixed { points }),
+        _ => Ok(()),
+    }
+}
+
+/// How far an image that has not changed in any bit should have moved by the commands, px. Plain data.
+///
+/// Real features never repeat to the last bit under motion; at rest, without noise, they do, and nothing is expected.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stillness {
+    /// Largest expected motion of a point since the bits changed, summed over the frames, px.
+    pub expected_px: f64,
+}
+
+impl Stillness {
+    /// Takes features, those before, and where these were expected.
+    ///
+    /// # Errors
+    /// [`Refusal::Frozen`] where more motion was commanded than an image can ignore.
+    pub fn look(
+        &mut self,
+        points: &Points,
+        before: &Points,
+        expected: &Points,
+    ) -> Result<(), Refusal> {
+        let moved_px = expected
+            .iter()
+            .zip(before)
+            .map(|(e, b)| libm::hypot(e[0] - b[0], e[1] - b[1]))
+            .fold(0.0, f64::max);
+        let mut pairs = points.iter().flatten().zip(before.iter().flatten());
+        let is_same = pairs.all(|(now, before)| now.to_bits() == before.to_bits());
+        if moved_px == 0.0 || !is_same {
+            *self = Self::default();
+            return Ok(());
+        }
+        self.expected_px += moved_px;
+        match self.expected_px > FROZEN_PX {
+            true => Err(Refusal::Frozen {
+                expected_px: self.expected_px,
+            }),
+            false => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn task() -> Task {
+        Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap()
+    }
+
+    /// The points under each other's names.
+    fn renamed(points: &Points, order: [usize; 4]) -> Points {
+        order.iter().map(|&i| points[i]).collect()
+    }
+
+    fn shifted(points: &Points, by: [f64; 2]) -> Points {
+        points
+            .iter()
+            .map(|p| [p[0] + by[0], p[1] + by[1]])
+            .collect()
+    }
+
+    #[test]
+    fn two_points_in_each_others_place_turn_the_pattern_over() {
+        let task = task();
+        assert_eq!(check_sense(&task, &task.goal), Ok(()));
+        for order in [[1, 0, 2, 3], [0, 2, 1, 3], [2, 1, 0, 3], [3, 2, 1, 0]] {
+            let refusal = check_sense(&task, &renamed(&task.goal, order));
+            assert!(matches!(refusal, Err(Refusal::Mixed { .. })), "{order:?}");
+        }
+        // A view from elsewhere may be turned like this.
+        assert_eq!(
+            check_sense(&task, &renamed(&task.goal, [1, 2, 3, 0])),
+            Ok(())
+        );
+    }
+
+    #[test]
+    fn from_every_start_the_pattern_keeps_its_sense() {
+        let task = task();
+        let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+        for start in &starts {
+            let points = task.features_at(start).unwrap();
+            assert_eq!(check_sense(&task, &points), Ok(()));
+        }
+    }
+
+    #[test]
+    fn noise_turns_no_flat_pattern_over() {
+        let task = task();
+        let flat: Points = [[0.0, 1.0], [90.0, -1.0], [91.0, 2.0], [1.0, -2.0]].into();
+        assert_eq!(check_sense(&task, &flat), Ok(()));
+        let one: Points = [[5.0, 5.0]; 4].into();
+        assert_eq!(check_sense(&task, &one), Ok(()));
+    }
+
+    #[test]
+    fn points_where_others_are_expected_changed_their_names() {
+        let expected = task().goal;
+        let noisy = shifted(&expected, [7.0, -9.0]);
+        assert_eq!(check_names(&noisy, &expected), Ok(()));
+        let turned = renamed(&noisy, [1, 2, 3, 0]);
+        let refusal = check_names(&turned, &expected);
+        assert_eq!(refusal, Err(Refusal::Mixed { points: [0, 1] }));
+        // One point on another's place is a bad point, but no exchange.
+        let mut one = expected.clone();
+        one[0] = expected[1];
+        assert_eq!(check_names(&one, &expected), Ok(()));
+    }
+
+    #[test]
+    fn an_image_that_ignores_the_commands_to_the_last_bit_is_frozen() {
+        let points = task().goal;
+        let mut stillness = Stillness::default();
+        let mut frame = |points: &Points, before: &Points, by: f64| {
+            stillness.look(points, before, &shifted(before, [by, 0.0]))
+        };
+        assert_eq!(frame(&points, &points, 1.4), Ok(()));
+        assert_eq!(frame(&points, &points, 1.4), Ok(()));
+        let refusal = frame(&points, &points, 1.4);
+        assert!(matches!(refusal, Err(Refusal::Frozen { .. })));
+        // No motion, or one bit that changes, and nothing is wrong.
+        assert_eq!(frame(&points, &points, 0.0), Ok(()));
+        assert_eq!(frame(&points, &points, 2.0), Ok(()));
+        let mut changed = points.clone();
+        changed[2][1] = f64::from_bits(changed[2][1].to_bits() + 1);
+        assert_eq!(frame(&changed, &points, 2.0), Ok(()));
+        assert_eq!(frame(&changed, &changed, 2.0), Ok(()));
+    }
+}
