@@ -357,13 +357,7 @@ impl Message for CycleRecord {
         publishers: 1,
     };
 
-    fn stamp(&self) -> &Stamp {
-        &self.stamp
-    }
-
-    fn stamp_mut(&mut self) -> &mut Stamp {
-        &mut self.stamp
-    }
+    message::carried_by!(cycles);
 
     fn check(&self) -> Result<(), Invalid> {
         let service = Self::SERVICE;
@@ -406,10 +400,6 @@ impl Message for CycleRecord {
             0..=MAX_POINTS,
         )?;
         message::check_finite(service, "twist", &self.twist)
-    }
-
-    fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
-        &factories.cycles
     }
 }
 

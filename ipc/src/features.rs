@@ -88,23 +88,13 @@ impl Message for Features {
         publishers: 1,
     };
 
-    fn stamp(&self) -> &Stamp {
-        &self.stamp
-    }
-
-    fn stamp_mut(&mut self) -> &mut Stamp {
-        &mut self.stamp
-    }
+    message::carried_by!(features);
 
     fn check(&self) -> Result<(), Invalid> {
         message::check_stamp(Self::SERVICE, &self.stamp)?;
         message::check_count(Self::SERVICE, "count", self.count, 1..=MAX_POINTS)?;
         let count = self.count as usize;
         message::check_finite(Self::SERVICE, "points", &self.points[..2 * count])
-    }
-
-    fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
-        &factories.features
     }
 }
 

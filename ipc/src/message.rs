@@ -110,6 +110,25 @@ pub enum Invalid {
     },
 }
 
+/// What is alike in every implementation of [`Message`]: where the head is, and which of a domain's services carries the
+/// message.
+macro_rules! carried_by {
+    ($service:ident) => {
+        fn stamp(&self) -> &crate::message::Stamp {
+            &self.stamp
+        }
+
+        fn stamp_mut(&mut self) -> &mut crate::message::Stamp {
+            &mut self.stamp
+        }
+
+        fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
+            &factories.$service
+        }
+    };
+}
+pub(crate) use carried_by;
+
 /// Checks the head, which every message shares.
 pub(crate) fn check_stamp(service: &'static str, stamp: &Stamp) -> Result<(), Invalid> {
     match stamp.sequence {

@@ -113,13 +113,7 @@ impl Message for Request {
         publishers: 8,
     };
 
-    fn stamp(&self) -> &Stamp {
-        &self.stamp
-    }
-
-    fn stamp_mut(&mut self) -> &mut Stamp {
-        &mut self.stamp
-    }
+    message::carried_by!(requests);
 
     fn check(&self) -> Result<(), Invalid> {
         let service = Self::SERVICE;
@@ -127,10 +121,6 @@ impl Message for Request {
         message::check_code(service, "action", self.action, self.action().is_some())?;
         let known = StrategyCode::from_code(self.strategy).is_some();
         message::check_code(service, "strategy", self.strategy, known)
-    }
-
-    fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
-        &factories.requests
     }
 }
 
@@ -194,13 +184,7 @@ impl Message for Reply {
         publishers: 1,
     };
 
-    fn stamp(&self) -> &Stamp {
-        &self.stamp
-    }
-
-    fn stamp_mut(&mut self) -> &mut Stamp {
-        &mut self.stamp
-    }
+    message::carried_by!(replies);
 
     fn check(&self) -> Result<(), Invalid> {
         let service = Self::SERVICE;
@@ -223,10 +207,6 @@ impl Message for Reply {
             message::check_code(service, field, found, known)?;
         }
         Ok(())
-    }
-
-    fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
-        &factories.replies
     }
 }
 

@@ -133,34 +133,18 @@ impl Message for RobotState {
         publishers: 1,
     };
 
-    fn stamp(&self) -> &Stamp {
-        &self.stamp
-    }
-
-    fn stamp_mut(&mut self) -> &mut Stamp {
-        &mut self.stamp
-    }
+    message::carried_by!(robot);
 
     fn check(&self) -> Result<(), Invalid> {
         let service = Self::SERVICE;
         message::check_stamp(service, &self.stamp)?;
-        if self.mode().is_none() {
-            return Err(Invalid::Code {
-                service,
-                field: "mode",
-                found: self.mode,
-            });
-        }
+        message::check_code(service, "mode", self.mode, self.mode().is_some())?;
         message::check_count(service, "joints", self.joints, 0..=self.q.len())?;
         message::check_finite(service, "translation", &self.translation)?;
         message::check_finite(service, "rotation", &self.rotation)?;
         message::check_finite(service, "twist", &self.twist)?;
         message::check_finite(service, "q", &self.q)?;
         message::check_finite(service, "dq", &self.dq)
-    }
-
-    fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
-        &factories.robot
     }
 }
 

@@ -120,22 +120,12 @@ impl Message for TwistCommand {
         publishers: 1,
     };
 
-    fn stamp(&self) -> &Stamp {
-        &self.stamp
-    }
-
-    fn stamp_mut(&mut self) -> &mut Stamp {
-        &mut self.stamp
-    }
+    message::carried_by!(twist);
 
     fn check(&self) -> Result<(), Invalid> {
         message::check_stamp(Self::SERVICE, &self.stamp)?;
         message::check_code(Self::SERVICE, "state", self.state, self.state().is_some())?;
         message::check_finite(Self::SERVICE, "twist", &self.twist)
-    }
-
-    fn factory(factories: &crate::domain::Factories) -> &crate::domain::Factory<Self> {
-        &factories.twist
     }
 }
 

@@ -6,7 +6,8 @@ use std::time::Duration;
 use super::Finding;
 use crate::exit::Failure;
 use crate::presence::Presence;
-use crate::status::{self, Asking, Status};
+use crate::status::{self, Asking, Cycles, Status};
+use crate::words::duration;
 
 pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
     let what = "daemon";
@@ -52,6 +53,9 @@ fn life(process: u32) -> Finding {
         .any(|stat| field(&stat, POLICY) == Some("1"));
     judge(process, field(&stat, STATE).unwrap_or("?"), is_realtime)
 }
+
+/// Age from which on features are none, ns.
+const SILENT_NS: u64 = 500_000_000;
 
 /// Place of the state in `/proc/PID/stat`, counted from behind the name.
 const STATE: usize = 0;
@@ -128,6 +132,7 @@ fn health(status: &Status) -> Vec<Finding> {
         findings.push(Finding::warn("cycles", "none came while watching", remedy));
         return findings;
     };
+    findings.push(camera(cycles));
     let words = format!("{} overruns in {} cycles", cycles.overruns, cycles.cycle);
     findings.push(match cycles.overruns {
         0 => Finding::ok("deadline", words),
@@ -164,6 +169,23 @@ fn health(status: &Status) -> Vec<Finding> {
     findings
 }
 
+/// Whether features come: a daemon that is disarmed does not complain of it, and cannot be armed without.
+fn camera(cycles: &Cycles) -> Finding {
+    let what = "camera";
+    let remedy = "start the camera in this domain: hw-sim --domain DIR, or your own (CONTRACT.md)";
+    match cycles.features_age_ns {
+        None => Finding::warn(what, "no features came, or no good ones", remedy),
+        Some(age) if age > SILENT_NS => {
+            let words = format!("the newest features are {} old", duration(age));
+            Finding::warn(what, words, remedy)
+        }
+        Some(age) => {
+            let words = format!("{} points, {} old", cycles.count, duration(age));
+            Finding::ok(what, words)
+        }
+    }
+}
+
 /// What helps against a cause, in the words of the contract.
 fn remedy(cause: &str) -> &'static str {
     match cause {
@@ -188,6 +210,9 @@ fn remedy(cause: &str) -> &'static str {
 mod tests {
     use super::super::Verdict;
     use super::*;
+    use crate::view::View;
+    use crate::view::tests::record;
+    use ipc::{Hold, Order, Received, TwistState};
 
     #[test]
     fn fields_are_counted_behind_a_nasty_name() {
@@ -205,6 +230,29 @@ mod tests {
         assert!(finding.remedy.starts_with("kill -CONT 77"));
         assert_eq!(judge(77, "S", true).verdict, Verdict::Ok);
         assert_eq!(judge(77, "S", false).verdict, Verdict::Warn);
+    }
+
+    #[test]
+    fn a_camera_that_is_not_there_or_silent_is_missed_though_the_daemon_does_not_complain() {
+        let seen = |features_sequence, age_ns| {
+            let mut view = View::default();
+            let mut message = record(5, TwistState::Disarmed, Hold::NotArmed);
+            (message.features_sequence, message.features_age_ns) = (features_sequence, age_ns);
+            let order = Order::First;
+            view.cycle(&Received { message, order });
+            let now_ns = message.stamp.published_ns;
+            let findings = health(&Status::of(&view, None, now_ns));
+            findings
+                .into_iter()
+                .find(|finding| finding.what == "camera")
+        };
+        let none = seen(0, 0).unwrap();
+        assert_eq!(none.verdict, Verdict::Warn);
+        assert!(none.remedy.contains("hw-sim --domain"), "{none:?}");
+        let silent = seen(7, 2_000_000_000).unwrap();
+        assert_eq!(silent.verdict, Verdict::Warn);
+        assert!(silent.found.contains("2.00 s old"), "{silent:?}");
+        assert_eq!(seen(7, 33_000_000).unwrap().verdict, Verdict::Ok);
     }
 
     #[test]

@@ -21,6 +21,10 @@ fn doctor_tells_a_sound_daemon_from_a_hanging_one_and_from_none() {
         assert!(text.contains("disarmed: not armed"), "{text}");
         assert!(text.contains("-> vpcctl arm"), "{text}");
         assert!(text.contains("2 overruns in"), "{text}");
+        assert!(
+            text.contains("ok    camera      4 points, 33.0 ms old"),
+            "{text}"
+        );
     }
     let manner = Manner {
         answers: false,
