@@ -105,7 +105,7 @@ def depths(directory):
     grey[100:200, 50:250] = 255
     Image.fromarray(grey).save(path)
     mask = Mask(path, 15.0)
-    print(*(round(mask.depth(np.array(p)), 6) for p in [(60.25, 150.0), (249.5, 150.0), (150.0, 150.0), (40.0, 150.0)]))
+    print(*(round(mask.depth(np.array(p)), 6) for p in [(59.75, 149.5), (249.0, 149.5), (149.5, 149.5), (39.5, 149.5)]))
     scene = {
         "camera": {"width": 400, "height": 300},
         "success": {"violation_px": 15.0, "convergence_px": 2.0},
