@@ -196,6 +196,13 @@ fn remedy(cause: &str) -> &'static str {
             "the camera breaks the contract: CONTRACT.md, and the pattern of the scene"
         }
         "hidden point" | "off image" => "bring the whole pattern into the image",
+        "points mixed up" => {
+            "the camera must name its points as the scene does, and keep the names: pattern.points"
+        }
+        "frozen image" => "the camera sends one picture again and again: start its driver anew",
+        "recall out of range" => {
+            "the memory does not suit what is seen: vpc-memory build, or vpcctl strategy previous"
+        }
         "features out of order" | "clock anomaly" => {
             "data_ns must be CLOCK_MONOTONIC of this machine, and grow"
         }
