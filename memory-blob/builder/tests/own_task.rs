@@ -1,8 +1,12 @@
 //! A task of one's own by the command: new, mask, preview, build, verify.
 
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use tempfile::TempDir;
 
 fn vpc_memory(directory: &Path, arguments: &str) -> Output {
@@ -107,4 +111,81 @@ fn nothing_is_overwritten_and_nothing_invalid_is_written() {
     said(here, &format!("{NEW} --force"));
     let words = complaint(here, "mask own.toml -o own.toml");
     assert!(words.contains("exists"), "{words}");
+}
+
+/// Types answers on a terminal, then the end of the input; what was asked and said, and whether it went well.
+fn typed(directory: &Path, arguments: &str, answers: &str) -> (String, bool) {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let name = ptsname(&master, Vec::new()).unwrap();
+    let path = Path::new(std::ffi::OsStr::from_bytes(name.as_bytes()));
+    let terminal = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .open(path)
+        .unwrap();
+    let mut keyboard = File::from(master);
+    // Ctrl-D at the beginning of a line ends the input.
+    write!(keyboard, "{answers}\n\u{4}").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_vpc-memory"))
+        .args(arguments.split_whitespace())
+        .current_dir(directory)
+        .stdin(terminal)
+        .output()
+        .unwrap();
+    let words = String::from_utf8(output.stderr).unwrap();
+    (words, output.status.success())
+}
+
+#[test]
+fn on_a_terminal_new_asks_for_all_that_no_flag_tells() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    let answers = "640x480\n600\n\n\n0.12\n0.4\n0.3,0.8\n\n\n";
+    let (words, good) = typed(here, "new asked.toml", answers);
+    assert!(good, "{words}");
+    assert_eq!(words.matches(": ").count(), 10, "{words}");
+    assert!(
+        words.contains("Principal point, px (CX,CY) [320,240]: "),
+        "{words}"
+    );
+    // The same as by flags.
+    said(here, NEW);
+    let read = |name: &str| std::fs::read(here.join(name)).unwrap();
+    assert_eq!(read("asked.toml"), read("own.toml"));
+    // What a flag tells is not asked.
+    let flags =
+        "new less.toml --image 640x480 --focal 600 --pattern 0.12 --goal 0.4 --box 100,100,60,20";
+    let (words, good) = typed(here, flags, "\n\n\n\n");
+    assert!(
+        good && !words.contains("Image") && !words.contains("Mask"),
+        "{words}"
+    );
+}
+
+#[test]
+fn a_wrong_answer_is_told_and_asked_again() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    let answers =
+        "640\n640x480\nabc\n600\n\n\n0.1x0.1x0.1\n0.12\n\n0.4\n0.3\n0.3,0.8\n\n\nnone.png\n";
+    let (words, good) = typed(here, "new asked.toml", answers);
+    assert!(good, "{words}");
+    for told in [
+        "--image = 640; allowed: 2 numbers",
+        "--focal = abc; allowed: numbers",
+        "--pattern = 0.1x0.1x0.1; allowed: SIDE",
+        "--limits = 0.3; allowed: 2 numbers",
+        "--mask = none.png; allowed: a file that is there",
+    ] {
+        assert!(words.contains(told), "{words}\nlacks {told}");
+    }
+    said(here, NEW);
+    let read = |name: &str| std::fs::read(here.join(name)).unwrap();
+    assert_eq!(read("asked.toml"), read("own.toml"));
+    // The input ends before all is answered: nothing is written.
+    let (words, good) = typed(here, "new half.toml", "640x480\n600\n");
+    assert!(!good && words.contains("no answer to: "), "{words}");
+    assert!(!here.join("half.toml").exists());
 }

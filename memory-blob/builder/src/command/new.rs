@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::{BufRead, IsTerminal, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
@@ -74,71 +74,77 @@ impl New {
     }
 
     fn template(&self) -> anyhow::Result<Template> {
-        let [width, height] = exactly(
-            "--image",
-            &self.known("image", "Image size, px (WIDTHxHEIGHT)", &self.image, None)?,
-            'x',
+        let list = |flag: &'static str| move |text: &str| numbers(flag, text, ',');
+        let [width, height] = self.known(
+            "image",
+            "Image size, px (WIDTHxHEIGHT)",
+            &self.image,
+            None,
+            |text| exactly("--image", text, 'x'),
         )?;
-        let focal = self.known(
+        let (fx, fy) = self.known(
             "focal",
             "Focal lengths, px (FX or FX,FY)",
             &self.focal,
             None,
+            |text| match list("--focal")(text)?[..] {
+                [f] => Ok((f, f)),
+                [fx, fy] => Ok((fx, fy)),
+                _ => bail!("--focal = {text}; allowed: FX or FX,FY"),
+            },
         )?;
-        let (fx, fy) = match numbers("--focal", &focal, ',')?[..] {
-            [f] => (f, f),
-            [fx, fy] => (fx, fy),
-            _ => bail!("--focal = {focal}; allowed: FX or FX,FY"),
-        };
         let middle = format!("{},{}", 0.5 * width, 0.5 * height);
-        let centre = self.known(
+        let [cx, cy] = self.known(
             "centre",
             "Principal point, px (CX,CY)",
             &self.centre,
             Some(&middle),
+            |text| exactly("--centre", text, ','),
         )?;
-        let [cx, cy] = exactly("--centre", &centre, ',')?;
-        let rate = self.known("rate", "Frame rate, Hz", &self.rate, Some("30"))?;
-        let [rate_hz] = exactly("--rate", &rate, ',')?;
+        let [rate_hz] = self.known("rate", "Frame rate, Hz", &self.rate, Some("30"), |text| {
+            exactly("--rate", text, ',')
+        })?;
         let pattern = self.known(
             "pattern",
             "Pattern, m (SIDE of a square, WIDTHxHEIGHT, or points X,Y;X,Y;...)",
             &self.pattern,
             None,
+            points,
         )?;
-        let goal = self.known(
+        let (goal, goal_rotation) = self.known(
             "goal",
             "Goal, m and rad (Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ)",
             &self.goal,
             None,
+            |text| match list("--goal")(text)?[..] {
+                [z] => Ok(([0.0, 0.0, z], [0.0; 3])),
+                [x, y, z] => Ok(([x, y, z], [0.0; 3])),
+                [x, y, z, rx, ry, rz] => Ok(([x, y, z], [rx, ry, rz])),
+                _ => bail!("--goal = {text}; allowed: Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ"),
+            },
         )?;
-        let (goal, goal_rotation) = match numbers("--goal", &goal, ',')?[..] {
-            [z] => ([0.0, 0.0, z], [0.0; 3]),
-            [x, y, z] => ([x, y, z], [0.0; 3]),
-            [x, y, z, rx, ry, rz] => ([x, y, z], [rx, ry, rz]),
-            _ => bail!("--goal = {goal}; allowed: Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ"),
-        };
-        let limits = self.known(
+        let [linear, angular] = self.known(
             "limits",
             "Limits, m/s and rad/s (LINEAR,ANGULAR)",
             &self.limits,
             Some("0.5,1"),
+            |text| exactly("--limits", text, ','),
         )?;
-        let [linear, angular] = exactly("--limits", &limits, ',')?;
         let reach = format!("{:.3},{:.3}", 0.75 * goal[2], 2.0 * goal[2]);
         let depth = self.known(
             "depth",
             "Depths of starts, m (NEAR,FAR)",
             &self.depth,
             Some(&reach),
+            |text| exactly("--depth", text, ','),
         )?;
-        let turn = self.known(
+        let [tilt, roll] = self.known(
             "turn",
             "Tilt and roll of starts, rad (TILT,ROLL)",
             &self.turn,
             Some("0.5,1.5"),
+            |text| exactly("--turn", text, ','),
         )?;
-        let [tilt, roll] = exactly("--turn", &turn, ',')?;
         let shapes = |flag: &str, texts: &[String]| -> anyhow::Result<Vec<[f64; 4]>> {
             texts.iter().map(|text| exactly(flag, text, ',')).collect()
         };
@@ -152,12 +158,12 @@ impl New {
                 cy,
                 rate_hz,
             },
-            pattern: points(&pattern)?,
+            pattern,
             goal,
             goal_rotation,
             linear,
             angular,
-            depth: exactly("--depth", &depth, ',')?,
+            depth,
             tilt,
             roll,
             mask: self.mask_path()?,
@@ -170,42 +176,57 @@ impl New {
     fn mask_path(&self) -> anyhow::Result<Option<String>> {
         let mut mask = self.mask.clone();
         if mask.is_none() && self.ellipse.is_empty() && self.boxes.is_empty() {
-            let answer = self.known(
+            mask = self.known(
                 "mask",
                 "Mask of the occlusions (PNG; empty for none)",
                 &None,
                 Some(""),
+                |answer| match Path::new(answer) {
+                    _ if answer.is_empty() => Ok(None),
+                    path if path.exists() => Ok(Some(path.to_owned())),
+                    _ => bail!("--mask = {answer}; allowed: a file that is there"),
+                },
             )?;
-            mask = (!answer.is_empty()).then(|| PathBuf::from(answer));
         }
         mask.map(|mask| beside(&self.scene, &mask)).transpose()
     }
 
-    /// The flag's value; else, on a terminal, the answer to a question; else the default.
-    fn known(
+    /// What the flag's value means; else, on a terminal, the answer to a question, which is asked again until it means
+    /// something; else the default.
+    fn known<T>(
         &self,
         flag: &str,
         question: &str,
         given: &Option<String>,
         default: Option<&str>,
-    ) -> anyhow::Result<String> {
+        read: impl Fn(&str) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
         if let Some(given) = given {
-            return Ok(given.clone());
+            return read(given);
         }
         let stdin = std::io::stdin();
-        if stdin.is_terminal() {
-            let hint = default.map_or(String::new(), |default| format!(" [{default}]"));
+        while stdin.is_terminal() {
+            let hint = default
+                .filter(|default| !default.is_empty())
+                .map_or(String::new(), |default| format!(" [{default}]"));
             let mut out = std::io::stderr().lock();
             write!(out, "{question}{hint}: ").and_then(|()| out.flush())?;
             let mut line = String::new();
-            stdin.lock().read_line(&mut line).context("no answer")?;
-            let answer = line.trim();
-            if !answer.is_empty() {
-                return Ok(answer.to_owned());
+            if stdin.lock().read_line(&mut line).context("no answer")? == 0 {
+                bail!("no answer to: {question}");
+            }
+            let answer = match (line.trim(), default) {
+                ("", None) => continue,
+                ("", Some(default)) => default,
+                (answer, _) => answer,
+            };
+            match read(answer) {
+                Ok(value) => return Ok(value),
+                Err(error) => writeln!(out, "{error}")?,
             }
         }
         match default {
-            Some(default) => Ok(default.to_owned()),
+            Some(default) => read(default),
             None => bail!("--{flag} is missing; {question}"),
         }
     }
