@@ -304,8 +304,8 @@ pub(crate) fn image(scene: &Scene, wall_ns: u64) -> Value {
         let columns = span(u - hu, u + hu, width);
         for y in span(v - hv, v + hv, height) {
             for x in columns.clone() {
-                // Pixel centres lie at halves.
-                let (du, dv) = ((x as f64 + 0.5 - u) / hu, (y as f64 + 0.5 - v) / hv);
+                // Pixel centres lie at whole numbers.
+                let (du, dv) = ((x as f64 - u) / hu, (y as f64 - v) / hv);
                 if du.abs().powf(part.p) + dv.abs().powf(part.p) < 1.0 {
                     pixels[y * width + x] = 185;
                 }
