@@ -15,6 +15,7 @@ use iceoryx2::service::builder::publish_subscribe::{
 use iceoryx2::service::ipc::Service;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use crate::ghost;
 use crate::guard::{Guard, Startup};
 use crate::message::Message;
 use crate::port::{OpenError, Publisher, Subscriber};
@@ -242,10 +243,18 @@ impl Shared {
         self.guard.startup()
     }
 
-    /// Clears away participants that were killed.
+    /// Clears away participants that were killed, for who holds the right to start up.
     pub(crate) fn bury_the_dead(&self) {
         remove_unborn(self.guard.directory());
         Node::<Service>::try_cleanup_dead_nodes(&self.config);
+        if let Some(services) = &self.factories {
+            ghost::lay(&services.features, &self.config);
+            ghost::lay(&services.twist, &self.config);
+            ghost::lay(&services.robot, &self.config);
+            ghost::lay(&services.cycles, &self.config);
+            ghost::lay(&services.requests, &self.config);
+            ghost::lay(&services.replies, &self.config);
+        }
     }
 }
 

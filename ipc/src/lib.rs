@@ -46,6 +46,7 @@ mod clock;
 mod cycle;
 mod domain;
 mod features;
+mod ghost;
 mod guard;
 mod message;
 mod operator;

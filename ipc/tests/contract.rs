@@ -3,9 +3,10 @@
 
 mod python;
 
+use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
 use std::os::unix::ffi::OsStrExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -382,25 +383,51 @@ fn kills_during_start_up_do_no_harm_to_who_comes_next() {
 }
 
 #[test]
-fn kills_during_start_up_beside_a_peer_are_mended_at_the_latest_when_it_leaves() {
+fn kills_during_start_up_beside_a_peer_do_no_harm_either() {
     let directory = directory();
     let domain = Domain::join(directory.path()).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
     kill_at_start_up(directory.path(), 2);
     let mut echo = peer("echo", directory.path());
-    if works(&mut echo) {
-        let _camera = answered_by(echo, directory.path());
-        let seen = eventually("features", || observer.features.oldest().unwrap());
-        assert_eq!(seen.stamp.sequence, 1);
-        eventually("the answer", || observer.twist.oldest().unwrap());
-    } else {
-        // One in some ten thousand kills: iceoryx2 keeps the dead publisher's place (README, "Known limit").
-        echo.wait().unwrap();
-        drop((observer, domain));
-        let mut echo = peer("echo", directory.path());
-        working(&mut echo);
-        answered_by(echo, directory.path());
+    working(&mut echo);
+    let _camera = answered_by(echo, directory.path());
+    let seen = eventually("features", || observer.features.oldest().unwrap());
+    assert_eq!(seen.stamp.sequence, 1);
+    eventually("the answer", || observer.twist.oldest().unwrap());
+}
+
+/// What the nodes of a domain have noted of their ports: a file for each.
+fn tags(directory: &Path) -> BTreeSet<PathBuf> {
+    let nodes = std::fs::read_dir(directory.join("iox2/nodes")).unwrap();
+    nodes
+        .filter_map(|node| std::fs::read_dir(node.unwrap().path()).ok())
+        .flatten()
+        .map(|file| file.unwrap().path())
+        .filter(|file| file.extension().is_some_and(|end| end == "port_tag"))
+        .collect()
+}
+
+#[test]
+fn a_place_that_a_killed_cleaner_left_taken_is_freed() {
+    let directory = directory();
+    let domain = Domain::join(directory.path()).unwrap();
+    let mut observer = Observer::open(&domain).unwrap();
+    let ours = tags(directory.path());
+    let mut echo = peer("echo", directory.path());
+    working(&mut echo);
+    kill(echo);
+    // As far as a cleaner gets that is killed before the places themselves are free.
+    let theirs = tags(directory.path());
+    assert!(theirs.len() > ours.len() + 4, "{theirs:?}");
+    for tag in theirs.difference(&ours) {
+        std::fs::remove_file(tag).unwrap();
     }
+    // The next one cleans, and is itself the controller.
+    let mut echo = peer("echo", directory.path());
+    working(&mut echo);
+    let _camera = answered_by(echo, directory.path());
+    eventually("the answer", || observer.twist.oldest().unwrap());
+    assert!(tags(directory.path()).is_superset(&ours));
 }
 
 /// Start of the names of a domain's files in /dev/shm.

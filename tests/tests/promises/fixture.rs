@@ -1,7 +1,8 @@
 //! What the promises share: turns, places, processes, a camera that moves, and a witness of what is commanded.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -148,11 +149,28 @@ impl Running {
         kill_process(pid, signal).unwrap();
     }
 
-    /// Waits for its end: exit code and standard error.
+    /// Waits for its end, which comes within twenty seconds: exit code and standard error.
     pub fn ended(mut self) -> (Option<i32>, String) {
-        let Output { status, stderr, .. } = self.0.take().unwrap().wait_with_output().unwrap();
-        let words = String::from_utf8_lossy(&stderr).into_owned();
-        (status.code(), words)
+        let stderr = self.0.as_mut().unwrap().stderr.take();
+        let reader = std::thread::spawn(move || {
+            let mut words = Vec::new();
+            // What it said before its end, or before it was killed.
+            let _ = stderr.map(|mut stderr| stderr.read_to_end(&mut words));
+            String::from_utf8_lossy(&words).into_owned()
+        });
+        let start = Instant::now();
+        let status = loop {
+            if let Some(status) = self.0.as_mut().unwrap().try_wait().unwrap() {
+                break status;
+            }
+            assert!(
+                start.elapsed() < Duration::from_secs(20),
+                "process {} does not end",
+                self.id()
+            );
+            std::thread::sleep(Duration::from_micros(200));
+        };
+        (status.code(), reader.join().unwrap())
     }
 
     pub fn is_running(&mut self) -> bool {
@@ -311,12 +329,17 @@ impl Witness {
             .collect()
     }
 
-    /// Waits until the robot says, after this instant, that it stands: when it said so, ns.
-    pub fn until_it_stands(&mut self, after_ns: u64) -> u64 {
+    /// Waits until the robot, which is `camera`, says after this instant that it stands: when it said so, ns; `None`
+    /// where its run was decided before, so that it went.
+    pub fn until_it_stands(&mut self, after_ns: u64, camera: &mut Running) -> Option<u64> {
         eventually("a robot that stands", || {
-            let state = self.observer.robot.oldest().unwrap()?;
-            let stands = state.twist == [0.0; 6] && state.stamp.published_ns > after_ns;
-            stands.then_some(state.stamp.published_ns)
+            let went = !camera.is_running();
+            while let Some(state) = self.observer.robot.oldest().unwrap() {
+                if state.twist == [0.0; 6] && state.stamp.published_ns > after_ns {
+                    return Some(Some(state.stamp.published_ns));
+                }
+            }
+            went.then_some(None)
         })
     }
 

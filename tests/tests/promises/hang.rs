@@ -34,12 +34,19 @@ fn hang(round: usize, random: &mut impl Rng) -> anyhow::Result<u64> {
         place: _place,
         mut witness,
         daemon,
-        camera: _camera,
+        mut camera,
     } = Stage::in_motion(round);
     some_time(4, random);
     daemon.signal(Signal::STOP);
     let stopped_ns = now_ns();
-    let took = witness.until_it_stands(stopped_ns) - stopped_ns;
+    let Some(stands_ns) = witness.until_it_stands(stopped_ns, &mut camera) else {
+        tell(&format!(
+            "start {round}: the run was decided just then: {:?}",
+            camera.ended()
+        ));
+        return hang(round + 1, random);
+    };
+    let took = stands_ns - stopped_ns;
     ensure!(
         took <= 100_000_000 + WAKE_NS,
         "the robot stands after {took} ns"

@@ -234,8 +234,12 @@ fn misses(is_attacked: bool, seconds: u64) -> (u64, u64) {
             Vec::new()
         };
         witness.records();
-        std::thread::sleep(Duration::from_secs(seconds));
-        let records = witness.records();
+        let mut records = Vec::new();
+        for _ in 0..seconds {
+            // Half a minute of records waits at most.
+            std::thread::sleep(Duration::from_secs(1));
+            records.extend(witness.records());
+        }
         drop(hoarders);
         let (first, last) = (records.first().unwrap(), records.last().unwrap());
         (last.cycle - first.cycle, last.overruns - first.overruns)

@@ -138,14 +138,21 @@ fn fall(round: usize, random: &mut impl Rng) -> anyhow::Result<(u64, Duration)> 
         place,
         mut witness,
         daemon,
-        camera: _camera,
+        mut camera,
     } = Stage::in_motion(round);
     some_time(4, random);
     daemon.signal(Signal::KILL);
     let killed_ns = now_ns();
     daemon.kill();
     // What the robot says of itself.
-    let took = witness.until_it_stands(killed_ns) - killed_ns;
+    let Some(stands_ns) = witness.until_it_stands(killed_ns, &mut camera) else {
+        tell(&format!(
+            "start {round}: the run was decided just then: {:?}",
+            camera.ended()
+        ));
+        return fall(round + 1, random);
+    };
+    let took = stands_ns - killed_ns;
     ensure!(
         took <= 100_000_000 + WAKE_NS,
         "the robot stands after {took} ns"

@@ -43,7 +43,6 @@ fn sigterm(round: usize, random: &mut impl Rng) -> anyhow::Result<Duration> {
         camera,
     } = Stage::in_motion(round);
     some_time(4, random);
-    witness.commands();
     let asked = Instant::now();
     daemon.signal(Signal::TERM);
     if round % 2 == 1 {

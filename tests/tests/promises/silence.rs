@@ -41,7 +41,7 @@ enum Fault {
     Silence,
     /// It pauses for 0.4 s and goes on.
     Pause,
-    /// It sends exposures that are older than those before.
+    /// It sends exposures each of which is older than the one before.
     Older,
     /// It loses sight of one point.
     Hidden,
@@ -124,14 +124,17 @@ fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let mut image = Features::new(&FAR, 0).points;
     let (mut last_good_ns, mut exposure_ns, mut sequence) = (0, 0, 0);
-    let mut paused = false;
+    let (mut paused, mut older_ns) = (false, 0);
     while !end.load(Ordering::Relaxed) {
         let is_failing = fail.load(Ordering::Relaxed) && !over.load(Ordering::Relaxed);
         let mut features = noisy(&mut random);
         match fault {
             Fault::Image if is_failing => features.points = image,
             Fault::Freeze if is_failing => features.stamp.data_ns = exposure_ns,
-            Fault::Older if is_failing => features.stamp.data_ns = exposure_ns - 1,
+            Fault::Older if is_failing => {
+                older_ns += PERIOD_NS;
+                features.stamp.data_ns = exposure_ns - older_ns;
+            }
             Fault::Hidden if is_failing => features.visible = 0b1011,
             Fault::Pause if is_failing && !paused => {
                 std::thread::sleep(Duration::from_millis(400));
