@@ -10,7 +10,7 @@ use memory_blob::MemoryFile;
 use scene::Scene;
 use vpc::Task;
 
-use crate::robot::{RobotRun, approach};
+use crate::robot::{Reason, RobotRun, approach};
 use crate::run::Run;
 use crate::spec::Spec;
 
@@ -95,7 +95,10 @@ pub fn robot_comparison<'a, 'r>(
         let steered = approach(&run.history);
         let outcome = match run.arrived_s {
             Some(seconds) if run.success => format!("arrived after {seconds:.1} s"),
-            _ => format!("failed after {:.1} s", run.time_s),
+            _ => {
+                let why = run.reason.map_or("arm violation", Reason::name);
+                format!("{why} after {:.1} s", run.time_s)
+            }
         };
         let plane = ImagePlane {
             scene,

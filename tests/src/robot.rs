@@ -54,6 +54,18 @@ pub enum Reason {
     Reflex,
 }
 
+impl Reason {
+    /// In words.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Violation => "violation",
+            Self::MarkerLost => "marker lost",
+            Self::TimeOut => "time out",
+            Self::Reflex => "reflex",
+        }
+    }
+}
+
 /// The instant of an exposure.
 #[derive(Clone, Debug)]
 pub struct Sample {

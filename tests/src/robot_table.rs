@@ -122,8 +122,8 @@ pub struct RobotRow {
     pub limit_violations: u64,
     /// Milliseconds with a discontinuity, all runs.
     pub discontinuities: u64,
-    /// Mean time to arrival of the successful runs, s.
-    pub arrived_s: f64,
+    /// Mean time to arrival of the successful runs, s; none where there are none.
+    pub arrived_s: Option<f64>,
     /// Mean running cost over Np.
     pub cost: f64,
     /// Largest shares of the joints' limits in any run: speed, acceleration, jerk.
@@ -322,7 +322,7 @@ fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
         reflexes: runs.iter().map(|run| run.arm.reflexes).sum(),
         limit_violations: runs.iter().map(|run| run.arm.limit_violations).sum(),
         discontinuities: runs.iter().map(|run| run.arm.discontinuities).sum(),
-        arrived_s: good.iter().sum::<f64>() / good.len().max(1) as f64,
+        arrived_s: (!good.is_empty()).then(|| good.iter().sum::<f64>() / good.len() as f64),
         cost: runs.iter().map(|run| run.cost).sum::<f64>() / count,
         joint_shares: [
             most(|run| run.arm.joint_velocity),
@@ -358,7 +358,7 @@ pub fn markdown(document: &RobotDocument) -> String {
     for row in &document.rows {
         let [speed, push, snap] = row.joint_shares.map(|share| 100.0 * share);
         text += &format!(
-            "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {:.1} | {:.4} | {speed:.0}, {push:.0}, {snap:.0} |\n",
+            "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {:.4} | {speed:.0}, {push:.0}, {snap:.0} |\n",
             row.strategy,
             100.0 * row.success_rate,
             row.violations,
@@ -367,7 +367,7 @@ pub fn markdown(document: &RobotDocument) -> String {
             row.reflexes,
             row.limit_violations,
             row.discontinuities,
-            row.arrived_s,
+            row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}")),
             row.cost,
         );
     }

@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 const SIDE: f64 = 360.0;
 /// Left, top, right, bottom of the frame.
 const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 44.0];
+/// Least way between two crosses of one feature, px of the drawing.
+const APART: f64 = 7.0;
 const BLUE: &str = "#1f4fd8";
 const RED: &str = "#d81f1f";
 
@@ -37,7 +39,7 @@ impl ImagePlane<'_> {
         let frame = Frame::new(self.scene);
         let mut canvas = frame.begin(self.scene, &self.title);
         let marks = format!("stroke=\"{RED}\" stroke-width=\"1.3\" opacity=\"0.75\"");
-        for points in &self.way_points {
+        for points in self.way_points_apart(APART / frame.scale) {
             points
                 .iter()
                 .for_each(|p| canvas.cross(frame.at(*p), 2.6, &marks));
@@ -64,6 +66,22 @@ impl ImagePlane<'_> {
             canvas.circle(frame.at(*p), 5.0, &style);
         }
         canvas
+    }
+
+    /// The way points without those that lie nearer than this (px) to the last ones that are kept: at 30 Hz crosses would
+    /// run into a band.
+    fn way_points_apart(&self, least: f64) -> Vec<&Points> {
+        let mut kept: Vec<&Points> = Vec::new();
+        for points in &self.way_points {
+            let far = |last: &&Points| {
+                let mut pairs = last.iter().zip(points);
+                pairs.any(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]) >= least)
+            };
+            if kept.last().is_none_or(far) {
+                kept.push(points);
+            }
+        }
+        kept
     }
 
     /// Writes `path`.svg and `path`.png.
@@ -181,5 +199,28 @@ impl Frame {
             let _ = write!(path, "{}{x:.2} {y:.2}", if i == 0 { "M" } else { "L" });
         }
         path + "Z"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn way_points_that_hardly_move_are_one_cross() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let plane = ImagePlane {
+            scene: &scene,
+            path: Vec::new(),
+            goal: Vec::new(),
+            way_points: (0..100).map(|k| vec![[f64::from(k), 50.0]]).collect(),
+            title: String::new(),
+        };
+        let places: Vec<f64> = plane
+            .way_points_apart(30.0)
+            .iter()
+            .map(|p| p[0][0])
+            .collect();
+        assert_eq!(places, [0.0, 30.0, 60.0, 90.0]);
     }
 }

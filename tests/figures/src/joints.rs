@@ -8,7 +8,7 @@ use crate::canvas::{Canvas, FEATURES, label, ticks};
 const WIDTH: f64 = 852.0;
 const PANEL: f64 = 58.0;
 const GAP: f64 = 12.0;
-const TOP: f64 = 44.0;
+const TOP: f64 = 58.0;
 const BOTTOM: f64 = 40.0;
 /// Left edges of the two columns, and their width.
 const LEFT: [f64; 2] = [62.0, 490.0];
@@ -38,6 +38,13 @@ impl Joints {
         let height = TOP + 7.0 * (PANEL + GAP) - GAP + BOTTOM;
         let mut canvas = Canvas::new(WIDTH, height);
         canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &self.title);
+        // In words above, because neighbours are often too close for names beside them.
+        let named = |(t, name): &(f64, String)| format!("{name} {t:.1} s");
+        let marks: Vec<String> = self.marks.iter().map(named).collect();
+        if !marks.is_empty() {
+            let text = format!("dotted: {}", marks.join(", "));
+            canvas.text(WIDTH / 2.0, 32.0, 10.0, "middle", &text);
+        }
         for (column, text) in ["position (rad), range white", "velocity (rad/s)"]
             .iter()
             .enumerate()
@@ -123,7 +130,7 @@ impl Joints {
         let most = speeds.fold(0.0, f64::max);
         let range = (1.25 * most).clamp(1e-3, 1.15 * limit);
         let y = |v: f64| top + PANEL * (0.5 - 0.5 * v.clamp(-range, range) / range);
-        for value in ticks(-range, range, 3) {
+        for value in ticks(-range, range, 4) {
             canvas.line(
                 [LEFT[1], y(value)],
                 [LEFT[1] + COLUMN, y(value)],
@@ -158,15 +165,12 @@ impl Joints {
     }
 
     fn frame(&self, canvas: &mut Canvas, left: f64, top: f64) {
-        for (k, (t, name)) in self.marks.iter().enumerate() {
+        // Below the words in the corner of a velocity.
+        let from = if left > LEFT[0] { top + 16.0 } else { top };
+        for (t, _) in &self.marks {
             let x = self.x(left, *t);
             let style = "stroke=\"#888888\" stroke-dasharray=\"2 3\"";
-            canvas.line([x, top], [x, top + PANEL], style);
-            if top <= TOP && left > LEFT[0] {
-                // Neighbours take turns in height.
-                let y = top + PANEL - 4.0 - 11.0 * (k % 3) as f64;
-                canvas.text(x - 3.0, y, 8.5, "end", name);
-            }
+            canvas.line([x, from], [x, top + PANEL], style);
         }
         canvas.element(format_args!(
             "<rect x=\"{left}\" y=\"{top}\" width=\"{COLUMN}\" height=\"{PANEL}\" fill=\"none\" stroke=\"#222222\"/>"
@@ -193,6 +197,6 @@ mod tests {
         let svg = joints.canvas().svg();
         assert_eq!(svg.matches("at most 25.0 % of 2 rad/s").count(), 1);
         assert_eq!(svg.matches("at most 0.0 % of 2 rad/s").count(), 6);
-        assert_eq!(svg.matches(">release<").count(), 1);
+        assert_eq!(svg.matches(">dotted: release 1.0 s<").count(), 1);
     }
 }

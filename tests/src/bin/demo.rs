@@ -46,7 +46,7 @@ impl Which {
     fn telling_start(self) -> usize {
         match self {
             Self::PaperSim => 82,
-            Self::PaperRobot => 6,
+            Self::PaperRobot => 5,
         }
     }
 
