@@ -419,12 +419,7 @@ mod tests {
         let scenery = scenery(&scene, 0);
         let outline = scenery["points"][0]["points"].as_array().unwrap();
         assert_eq!(outline.len(), 4);
-        for corner in [
-            [700.0, 100.0],
-            [900.0, 100.0],
-            [900.0, 200.0],
-            [700.0, 200.0],
-        ] {
+        for corner in [[699.5, 99.5], [899.5, 99.5], [899.5, 199.5], [699.5, 199.5]] {
             assert!(outline.contains(&point(corner)), "{outline:?}");
         }
     }

@@ -49,7 +49,8 @@ pub(crate) fn outlines(mask: &Mask) -> Vec<Vec<[f64; 2]>> {
         // begins there: one of the two lies to the left, and has edges that come first.
         while let Some(next) = take(&mut edges, at, way) {
             if corners.is_empty() || next != way {
-                corners.push(at.map(|x| x as f64));
+                // A pixel is the square about its whole-numbered centre.
+                corners.push(at.map(|x| x as f64 - 0.5));
             }
             way = next;
             at = way.from(at);
@@ -172,7 +173,7 @@ pub(crate) mod tests {
     fn a_rectangle_has_its_four_corners_even_at_the_edge_of_the_image() {
         let boxes =
             of(|i, j| (100..200).contains(&i) && (300..420).contains(&j) || (i >= 1000 && j < 50));
-        let corner = vec![[1000.0, 0.0], [1024.0, 0.0], [1024.0, 50.0], [1000.0, 50.0]];
+        let corner = vec![[999.5, -0.5], [1023.5, -0.5], [1023.5, 49.5], [999.5, 49.5]];
         assert_eq!(boxes.len(), 2);
         assert!(boxes.iter().any(|outline| {
             let mut sorted = outline.clone();

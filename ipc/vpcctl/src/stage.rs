@@ -74,7 +74,8 @@ impl Stage {
     /// that thin lines do not get lost.
     pub fn touches(&self, low: [f64; 2], high: [f64; 2]) -> bool {
         let middle = [0, 1].map(|i| (low[i] + high[i]) / 2.0);
-        let pixels = |i: usize| low[i].max(0.0).floor() as usize..high[i].max(0.0).ceil() as usize;
+        // A pixel is the square about its whole-numbered centre. The casts stop at 0.
+        let pixels = |i: usize| (low[i] + 0.5).floor() as usize..(high[i] + 0.5).ceil() as usize;
         let painted = |mask: &Mask| {
             pixels(1).any(|row| pixels(0).any(|column| mask.is_forbidden(column, row)))
         };
@@ -85,8 +86,8 @@ impl Stage {
     pub fn painted(&self) -> impl Iterator<Item = [f64; 4]> {
         let masks = self.scene.iter().flat_map(Scene::masks);
         masks.flat_map(Mask::rectangles).map(|[columns, rows]| {
-            let sizes = [columns.start, rows.start, columns.len(), rows.len()];
-            sizes.map(|pixels| pixels as f64)
+            let [u, v] = [columns.start, rows.start].map(|pixel| pixel as f64 - 0.5);
+            [u, v, columns.len() as f64, rows.len() as f64]
         })
     }
 
@@ -165,19 +166,19 @@ pub(crate) mod tests {
     fn a_line_one_pixel_wide_is_touched_and_only_where_it_is() {
         let stage = painted(|i, j| i == 77 && (100..200).contains(&j));
         assert!(stage.touches([70.0, 150.0], [80.0, 160.0]));
-        assert!(stage.touches([77.0, 199.5], [77.5, 210.0]));
+        assert!(stage.touches([77.0, 199.4], [77.4, 210.0]));
         for (low, high) in [
             ([78.0, 150.0], [90.0, 160.0]),
-            ([60.0, 150.0], [77.0, 160.0]),
+            ([60.0, 150.0], [76.5, 160.0]),
             ([70.0, 200.0], [80.0, 210.0]),
         ] {
             assert!(!stage.touches(low, high), "{low:?}");
         }
         assert_eq!(
             stage.painted().collect::<Vec<_>>(),
-            [[77.0, 100.0, 1.0, 100.0]]
+            [[76.5, 99.5, 1.0, 100.0]]
         );
-        assert!(!stage.is_bare() && !stage.covers([77.5, 150.0]));
+        assert!(!stage.is_bare() && !stage.covers([77.0, 150.0]));
     }
 
     #[test]

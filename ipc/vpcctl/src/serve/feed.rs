@@ -204,8 +204,9 @@ mod tests {
         let told = stage(&painted, &View::default());
         let mut times = vec![0; 1024 * 1024];
         for [u, v, width, height] in areas(&told) {
-            for row in v as usize..(v + height) as usize {
-                let begin = row * 1024 + u as usize;
+            let (first, top) = ((u + 0.5) as usize, (v + 0.5) as usize);
+            for row in top..top + height as usize {
+                let begin = row * 1024 + first;
                 times[begin..][..width as usize]
                     .iter_mut()
                     .for_each(|times| *times += 1);
