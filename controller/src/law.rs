@@ -351,10 +351,11 @@ fn tell(step: &vpc::Step, record: &mut CycleRecord) {
         vpc::Status::NumericalFailure => SolverStatus::NumericalFailure,
     }
     .code();
-    record.recalled = match (step.recalled, step.recall_refused) {
-        (true, _) => RecallCode::Followed,
-        (false, true) => RecallCode::Refused,
-        (false, false) => RecallCode::Unasked,
+    record.recalled = match step {
+        _ if step.detour => RecallCode::Detour,
+        _ if step.recalled => RecallCode::Followed,
+        _ if step.recall_refused => RecallCode::Refused,
+        _ => RecallCode::Unasked,
     }
     .code();
     record.iterations = step.iterations;

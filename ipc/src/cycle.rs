@@ -142,6 +142,8 @@ codes! {
         Followed = 1 => "followed",
         /// Its answer was out of range; the cycle went without.
         Refused = 2 => "out of range",
+        /// The law was stalled: the way point is a sample's features, back on a stored trajectory.
+        Detour = 3 => "detour",
     }
 }
 

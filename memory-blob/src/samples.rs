@@ -106,6 +106,23 @@ impl<'a> Samples<'a> {
         &self.y[index * self.outputs..][..self.outputs]
     }
 
+    /// Writes the raw input of a sample.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the length is wrong.
+    pub fn input(&self, index: usize, input: &mut [f64]) -> Result<(), QueryError> {
+        let (n, found) = (self.inputs(), input.len());
+        if found != n {
+            return Err(QueryError::InputLength { found, expected: n });
+        }
+        let rows = &self.x[(index / BLOCK) * n * BLOCK..][..n * BLOCK];
+        let Scaling { offset, scale } = self.scaling;
+        for (i, (x, row)) in input.iter_mut().zip(rows.chunks_exact(BLOCK)).enumerate() {
+            *x = row[index % BLOCK] * scale[i] + offset[i];
+        }
+        Ok(())
+    }
+
     /// Writes the mean output of the `k` nearest samples (Euclidean distance in scaled inputs) and tells which they
     /// are.
     ///

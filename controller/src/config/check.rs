@@ -170,6 +170,7 @@ impl Checker<'_> {
             release: self.number(&keys::RELEASE, raw.release)?,
             margin_px: self.number(&keys::MARGIN_PX, raw.margin_px)?,
             lambda: self.number(&keys::LAMBDA, raw.lambda)?,
+            detour: raw.detour,
             delay_compensation: raw.delay_compensation,
             ..Settings::default()
         };

@@ -86,6 +86,13 @@ pub(super) const LAMBDA: Key = Key::number(
     "1e-6 to 100 per s",
     "gain of ibvs",
 );
+pub(super) const DETOUR: Key = Key::new(
+    "law.detour",
+    Kind::Switch,
+    "true",
+    "true, false",
+    "whether a stall beside an occlusion is left by a detour over a sample of the memory (knn, gpr)",
+);
 pub(super) const DELAY_COMPENSATION: Key = Key::new(
     "law.delay_compensation",
     Kind::Switch,
@@ -213,6 +220,7 @@ pub const KEYS: &[Key] = &[
     RELEASE,
     MARGIN_PX,
     LAMBDA,
+    DETOUR,
     DELAY_COMPENSATION,
     CLOCK,
     MARGIN_MS,

@@ -47,6 +47,7 @@ pub(super) struct RawLaw {
     pub release: f64,
     pub margin_px: f64,
     pub lambda: f64,
+    pub detour: bool,
     pub delay_compensation: bool,
 }
 
@@ -104,6 +105,7 @@ impl Default for RawLaw {
             release: settings.release,
             margin_px: settings.margin_px,
             lambda: settings.lambda,
+            detour: settings.detour,
             delay_compensation: settings.delay_compensation,
         }
     }

@@ -98,6 +98,7 @@ pub struct SettingsAbout {
     release: f64,
     margin_px: f64,
     lambda: f64,
+    detour: bool,
     delay_compensation: bool,
 }
 
@@ -114,6 +115,7 @@ impl From<&Settings> for SettingsAbout {
             release,
             margin_px,
             lambda,
+            detour,
             delay_compensation,
         } = *settings;
         Self {
@@ -127,6 +129,7 @@ impl From<&Settings> for SettingsAbout {
             release,
             margin_px,
             lambda,
+            detour,
             delay_compensation,
         }
     }
@@ -161,6 +164,7 @@ impl SettingsAbout {
             release: self.release,
             margin_px: self.margin_px,
             lambda: self.lambda,
+            detour: self.detour,
             delay_compensation: self.delay_compensation,
         };
         settings.check().map_err(|error| error.to_string())?;

@@ -343,6 +343,27 @@ impl Words for Situation {
     }
 }
 
+impl Words for vpc::detour::Detour {
+    fn words<V: Visit>(&mut self, visit: &mut V) {
+        let Self {
+            best_px,
+            cycles,
+            tries,
+            left,
+            following,
+            count,
+            target,
+        } = self;
+        visit.real("best_px", best_px);
+        visit.u32("cycles", cycles);
+        visit.u32("tries", tries);
+        visit.u32("left", left);
+        visit.u32("following", following);
+        visit.u32("count", count);
+        visit.reals("target", target.as_flattened_mut());
+    }
+}
+
 /// 0 for no, 1 for yes, 2 for neither.
 fn maybe_words<V: Visit>(visit: &mut V, name: &'static str, maybe: &mut Option<bool>) {
     visit.code(
@@ -389,6 +410,7 @@ impl Words for vpc::State {
         let Self {
             strategy,
             near,
+            detour,
             previous,
             count,
             predicted,
@@ -401,6 +423,7 @@ impl Words for vpc::State {
         } = self;
         strategy_words(visit, strategy);
         visit.flag("near", near);
+        visit.part("detour", detour);
         visit.reals("previous", previous);
         visit.u32("count", count);
         visit.reals("predicted", predicted.as_flattened_mut());

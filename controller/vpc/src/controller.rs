@@ -4,6 +4,7 @@ use scene::Scene;
 
 use crate::cost;
 use crate::delay::{History, Unpredictable};
+use crate::detour::Detour;
 use crate::features;
 use crate::gate::{self, Measurement, Refusal};
 use crate::plausible::{self, Stillness};
@@ -21,9 +22,11 @@ pub struct Controller {
     pub(crate) task: Task,
     pub(crate) settings: Settings,
     pub(crate) off_image_px: f64,
+    pub(crate) converged_px: f64,
     pub(crate) solver: Solver,
     pub(crate) one_step: Preview<DOF>,
     pub(crate) trigger: Trigger,
+    pub(crate) detour: Detour,
     pub(crate) previous: Plan,
     pub(crate) predicted: Option<Points>,
     pub(crate) seen: Option<Seen>,
@@ -48,6 +51,8 @@ pub struct Step {
     pub status: Status,
     /// Whether the memory was asked, and its answer followed.
     pub recalled: bool,
+    /// Whether the way point is that of a detour out of a stall.
+    pub detour: bool,
     /// Whether it was asked, and its answer was out of range: this cycle went without.
     pub recall_refused: bool,
     /// The way point tracked instead of the goal, px.
@@ -78,10 +83,12 @@ impl Controller {
         Ok(Self {
             task: Task::new(scene)?,
             off_image_px: scene.success.violation_px,
+            converged_px: scene.success.convergence_px,
             solver: Solver::new(settings.np, settings.nc, settings.effort)
                 .with_budget(work::budget(settings.np, settings.effort.max_iterations)),
             one_step: Preview::new(1),
             trigger: Trigger::new(settings.trigger_px, settings.release),
+            detour: Detour::default(),
             previous: [0.0; MAX_VARIABLES],
             predicted: None,
             seen: None,
@@ -106,6 +113,9 @@ impl Controller {
 
     /// Tells that `twist` was really sent at `at_ns`, whoever chose it: zero, repeated and braking ones too.
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
+        if *twist == [0.0; DOF] {
+            self.detour.hold();
+        }
         self.history.push(twist, at_ns);
     }
 
@@ -136,6 +146,7 @@ impl Controller {
     /// Forgets everything of earlier cycles: for a new run. A live robot's commands stay known: it executed them.
     pub fn reset(&mut self) {
         self.trigger.reset();
+        self.detour = Detour::default();
         self.previous = [0.0; MAX_VARIABLES];
         self.skip_mismatch();
         self.lose_sight();
@@ -174,6 +185,7 @@ impl Controller {
             twist: [0.0; DOF],
             status: Status::Converged,
             recalled: false,
+            detour: false,
             recall_refused: false,
             way_point: None,
             iterations: 0,
@@ -189,7 +201,9 @@ impl Controller {
         } else {
             let recall = self.recall(points, clearance_px, memory);
             step.recall_refused = matches!(recall, Some(Err(_)));
-            let recall = recall.and_then(Result::ok);
+            let detour = self.take_detour(points, memory);
+            step.detour = detour.is_some();
+            let recall = detour.or(recall.and_then(Result::ok));
             self.plan(&origin, recall, mismatch.as_ref(), &mut step);
         }
         self.predict(&origin, &step.twist);
@@ -271,8 +285,25 @@ impl Controller {
     ) -> Option<Result<Recall, OutOfRange>> {
         let near = self.trigger.update(clearance_px);
         let memory = memory.filter(|_| near && self.settings.strategy.needs_memory())?;
-        let strategy = self.settings.strategy;
+        let strategy = self.detour.guide(self.settings.strategy);
         Some(recall::query(&self.task, strategy, memory, points))
+    }
+
+    /// A sample to go to, where the law is stalled.
+    fn take_detour(
+        &mut self,
+        points: &Points,
+        memory: Option<&dyn MotionMemory>,
+    ) -> Option<Recall> {
+        let needs_memory = self.settings.strategy.needs_memory();
+        let memory = memory.filter(|_| self.settings.detour && needs_memory)?;
+        let target = self
+            .detour
+            .look(&self.task, points, self.converged_px, memory);
+        target.map(|way_point| Recall {
+            twist: [0.0; DOF],
+            way_point,
+        })
     }
 
     /// Solves the optimal-control problem towards way point or goal, and limits its first command.
@@ -307,7 +338,7 @@ impl Controller {
         step.qp_iterations = solution.qp_iterations;
         step.work = solution.work;
         step.violation_px = solution.violation_px;
-        step.recalled = recall.is_some();
+        step.recalled = recall.is_some() && !step.detour;
         step.way_point = recall.map(|recall| recall.way_point);
         self.previous = solution.plan;
     }

@@ -4,7 +4,7 @@
 //! this order, and so does a reader:
 //!
 //! *measured features* -> [`gate`], [`plausible`] (refuse what cannot be trusted) -> [`delay`] (from their exposure to
-//! now) -> [`recall`] (warm start and way point from the memory, when features come near a constraint) -> [`solver`]
+//! now) -> [`recall`] (warm start and way point from the memory, when features come near a constraint), [`detour`] (out of a stall) -> [`solver`]
 //! (bounded sequential quadratic programming over the [`prediction`]) -> [`limit`] (never more than allowed) -> *camera
 //! twist*. [`Controller::step`] is that sentence.
 //!
@@ -41,6 +41,7 @@ pub mod constraint;
 pub mod controller;
 pub mod cost;
 pub mod delay;
+pub mod detour;
 pub mod features;
 pub mod field;
 pub mod gate;

@@ -73,6 +73,9 @@ pub fn clearance(task: &Task, points: &[[f64; 2]]) -> f64 {
 pub trait MotionMemory {
     /// Writes the inferred output; `false` where the memory has no answer for this strategy and input.
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
+
+    /// Writes the input of the sample that is the `rank`-th nearest to this one, from 1; `false` where there is none.
+    fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool;
 }
 
 impl MotionMemory for memory_blob::Memory<'_> {
@@ -86,6 +89,17 @@ impl MotionMemory for memory_blob::Memory<'_> {
                 .is_some_and(|gpr| gpr.mean(input, output).is_ok()),
             Strategy::Previous | Strategy::Ibvs => false,
         }
+    }
+
+    fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool {
+        let Some(samples) = self.samples() else {
+            return false;
+        };
+        let nearest = samples.search(input, rank);
+        let furthest = nearest
+            .ok()
+            .and_then(|found| found.indices().last().copied());
+        furthest.is_some_and(|index| samples.input(index, found).is_ok())
     }
 }
 

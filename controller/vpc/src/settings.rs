@@ -101,6 +101,8 @@ pub struct Settings {
     pub margin_px: f64,
     /// Gain of the classic law, 1/s.
     pub lambda: f64,
+    /// Whether a stall beside an occlusion is left by a detour over a sample of the memory.
+    pub detour: bool,
     /// Whether features are advanced from their exposure to the instant at which the command takes effect.
     pub delay_compensation: bool,
 }
@@ -121,6 +123,7 @@ impl Default for Settings {
             release: 2.0,
             margin_px: 0.0,
             lambda: 0.5,
+            detour: true,
             delay_compensation: true,
         }
     }

@@ -2,6 +2,7 @@
 
 use crate::controller::{Controller, Seen};
 use crate::delay::History;
+use crate::detour::Detour;
 use crate::prediction::Plan;
 use crate::settings::Strategy;
 use crate::{MAX_POINTS, MAX_VARIABLES, Points};
@@ -15,6 +16,8 @@ pub struct State {
     pub strategy: Strategy,
     /// Whether features are near an occlusion, by the trigger with its hysteresis.
     pub near: bool,
+    /// The detour under way, and the progress.
+    pub detour: Detour,
     /// The last plan, vx vy vz wx wy wz of each free command, m/s and rad/s, camera frame; the rest is zero.
     pub previous: Plan,
     /// Points in `predicted`, 0 to 8; 0 where there is no prediction.
@@ -41,6 +44,7 @@ impl State {
         Self {
             strategy,
             near: false,
+            detour: Detour::NONE,
             previous: [0.0; MAX_VARIABLES],
             count: 0,
             predicted: [[0.0; 2]; MAX_POINTS],
@@ -76,9 +80,11 @@ impl Controller {
             task: _,
             settings,
             off_image_px: _,
+            converged_px: _,
             solver: _,
             one_step: _,
             trigger,
+            detour,
             previous,
             predicted,
             seen,
@@ -88,6 +94,7 @@ impl Controller {
         } = self;
         let mut state = State {
             near: trigger.is_close(),
+            detour: *detour,
             previous: *previous,
             is_linked: *is_linked,
             still_px: stillness.expected_px,
@@ -108,6 +115,7 @@ impl Controller {
     pub fn restore(&mut self, state: &State) {
         self.settings.strategy = state.strategy;
         self.trigger.set_close(state.near);
+        self.detour = state.detour;
         self.previous = state.previous;
         self.predicted = points(state.count, &state.predicted);
         self.seen = points(state.seen_count, &state.seen).map(|points| Seen {

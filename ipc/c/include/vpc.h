@@ -283,6 +283,8 @@ enum vpc_recall
     VPC_RECALL_FOLLOWED = 1,
     // Its answer was out of range; the cycle went without.
     VPC_RECALL_REFUSED = 2,
+    // The law was stalled: the way point is a sample's features, back on a stored trajectory.
+    VPC_RECALL_DETOUR = 3,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L

@@ -165,6 +165,8 @@ class RecallCode(enum.IntEnum):
     FOLLOWED = 1
     # Its answer was out of range; the cycle went without.
     REFUSED = 2
+    # The law was stalled: the way point is a sample's features, back on a stored trajectory.
+    DETOUR = 3
 
     @property
     def words(self):
@@ -321,6 +323,7 @@ _WORDS = {
         "not asked",
         "followed",
         "out of range",
+        "detour",
     ),
     StrategyCode: (
         "previous",

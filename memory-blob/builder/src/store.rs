@@ -170,4 +170,9 @@ impl MotionMemory for Store {
         output.copy_from_slice(y);
         true
     }
+
+    /// The builder takes no detours.
+    fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
+        false
+    }
 }

@@ -51,6 +51,9 @@ struct Cli {
     /// Frames between exposure and delivery.
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
     delay: u16,
+    /// Leaves the law where it stalls, as the paper's does: no detour over a sample of the memory.
+    #[arg(long)]
+    no_detour: bool,
     /// Leaves the delay uncompensated: the law takes the features for those of now.
     #[arg(long)]
     no_compensation: bool,
@@ -177,6 +180,7 @@ fn table(cli: &Cli) -> anyhow::Result<()> {
     let (mut rows, mut records, mut all) = (Vec::new(), Vec::new(), Vec::new());
     for &spec in &cli.strategies {
         let settings = Settings {
+            detour: !cli.no_detour,
             delay_compensation: !cli.no_compensation,
             model: cli.model,
             ..spec.settings()
@@ -270,6 +274,7 @@ fn on_robot(
         depth_error: cli.depth_error,
         seed: cli.seed,
         settings: Settings {
+            detour: !cli.no_detour,
             delay_compensation: !cli.no_compensation,
             model: cli.model,
             ..Settings::default()
