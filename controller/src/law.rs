@@ -188,6 +188,11 @@ impl Law {
         self.controller.sent(twist, effective_ns);
     }
 
+    /// Tells that the last step's command was not sent, but another one.
+    pub fn overruled(&mut self) {
+        self.controller.overruled();
+    }
+
     /// Forgets which point is which: some were out of sight, and may bear other names when they come back.
     pub fn lose_sight(&mut self) {
         self.controller.lose_sight();

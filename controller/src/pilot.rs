@@ -155,6 +155,7 @@ impl Pilot {
         if decision.twist != proposed.decision.twist {
             // The law's next prediction would be of a motion that does not happen.
             self.gate.mark_gap();
+            self.law.overruled();
         }
         // As sent, whoever chose it. The instant is that of the law's plan, so that a replay needs no other clock.
         let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);

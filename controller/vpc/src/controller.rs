@@ -113,10 +113,12 @@ impl Controller {
 
     /// Tells that `twist` was really sent at `at_ns`, whoever chose it: zero, repeated and braking ones too.
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
-        if *twist == [0.0; DOF] {
-            self.detour.hold();
-        }
         self.history.push(twist, at_ns);
+    }
+
+    /// Tells that the last step's command was not sent, but another one: that no progress was made is then no stall.
+    pub fn overruled(&mut self) {
+        self.detour.hold();
     }
 
     /// The task.
@@ -177,6 +179,7 @@ impl Controller {
     ) -> Result<Step, Refusal> {
         let (origin, mismatch) = self.receive(measurement).inspect_err(|_| {
             self.skip_mismatch();
+            self.overruled();
             self.previous = [0.0; MAX_VARIABLES];
         })?;
         let points = &origin.points;
