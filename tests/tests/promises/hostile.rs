@@ -1,6 +1,7 @@
 //! Hostile input: messages of random bytes, floods, subscribers that never read, peers that come and go. No panic, no
 //! command outside the limits, no more missed releases than without.
 
+use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -55,17 +56,20 @@ fn nasty_stamp(sequence: u64, random: &mut impl Rng) -> Stamp {
     }
 }
 
+/// Corners in the order of the pattern, anywhere in the image.
+fn quadrangle(random: &mut impl Rng) -> [[f64; 2]; 4] {
+    let center: [f64; 2] = std::array::from_fn(|_| random.random_range(150.0..874.0));
+    let turn = random.random_range(0.0..TAU);
+    std::array::from_fn(|k| {
+        let (sin, cos) = (turn + TAU / 4.0 * k as f64).sin_cos();
+        let reach = random.random_range(20.0..150.0);
+        [center[0] + reach * cos, center[1] + reach * sin]
+    })
+}
+
 fn nasty_features(sequence: u64, random: &mut impl Rng) -> Features {
     // Half of them nearly good, so that the law is reached, too.
-    let mut features = Features::new(
-        &std::array::from_fn::<_, 4, _>(|_| {
-            [
-                random.random_range(0.0..1024.0),
-                random.random_range(0.0..1024.0),
-            ]
-        }),
-        now_ns(),
-    );
+    let mut features = Features::new(&quadrangle(random), now_ns());
     features.stamp.sequence = sequence;
     features.stamp.published_ns = now_ns();
     if random.random_bool(0.5) {
