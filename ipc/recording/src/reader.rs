@@ -116,6 +116,8 @@ impl Recording {
         let mut masks = HashMap::new();
         let mut finished = false;
         let mut records = 0_u64;
+        // A message that is none: the reader comes to the checksum of its chunk later, and damage is no wrong message.
+        let mut wrong = None;
         while let Some(event) = reader.next_event() {
             let record = match event {
                 Ok(LinearReadEvent::ReadRequest(need)) => {
@@ -138,7 +140,13 @@ impl Recording {
             };
             records += 1;
             finished |= matches!(record, Record::Footer(_));
-            recording.take(&name, &mut channels, &mut masks, record)?;
+            if wrong.is_none() {
+                let taken = recording.take(&name, &mut channels, &mut masks, record);
+                wrong = taken.err();
+            }
+        }
+        if let Some(wrong) = wrong.filter(|_| recording.cut.is_none()) {
+            return Err(wrong);
         }
         recording.scene = recording
             .scene_toml
