@@ -24,7 +24,7 @@ const POLL_NS: u64 = 20_000;
 const WAIT_NS: u64 = 5_000_000;
 
 /// Most requests of operators taken in a cycle: as many as wait in the queue.
-const REQUESTS: usize = 16;
+pub const REQUESTS: usize = 16;
 
 /// How the loop runs.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use controller::arguments::Arguments;
 use controller::config::{Config, ConfigError};
+use controller::cycle::REQUESTS;
 use controller::daemon::pace;
 use controller::gate::Input;
 use controller::law::{Law, LawError};
@@ -23,9 +24,6 @@ use serde::Serialize;
 
 use crate::file::SCENE_FILE;
 use crate::reader::Recording;
-
-/// Requests that the daemon takes in one cycle.
-const REQUESTS: usize = 2;
 
 /// What stands beside a recording.
 #[derive(Clone, Debug, Default)]
