@@ -70,6 +70,17 @@ impl Canvas {
         ));
     }
 
+    /// An axis of time below a panel that ends at `y`: where each of `times` (s) stands is told by `x`, the words go under
+    /// `middle`.
+    pub(crate) fn time_axis(&mut self, times: &[f64], x: impl Fn(f64) -> f64, y: f64, middle: f64) {
+        for &t in times {
+            let x = x(t);
+            self.line([x, y], [x, y + 4.0], "stroke=\"#222222\"");
+            self.text(x, y + 15.0, 10.0, "middle", &label(t));
+        }
+        self.text(middle, y + 31.0, 11.0, "middle", "time (s)");
+    }
+
     pub(crate) fn polyline(&mut self, points: impl Iterator<Item = [f64; 2]>, style: &str) {
         let mut list = String::new();
         points.for_each(|[x, y]| {

@@ -58,18 +58,8 @@ impl Joints {
         }
         let bottom = height - BOTTOM;
         for left in LEFT {
-            for t in ticks(0.0, self.end(), 8) {
-                let x = self.x(left, t);
-                canvas.line([x, bottom], [x, bottom + 4.0], "stroke=\"#222222\"");
-                canvas.text(x, bottom + 15.0, 10.0, "middle", &label(t));
-            }
-            canvas.text(
-                left + COLUMN / 2.0,
-                bottom + 31.0,
-                11.0,
-                "middle",
-                "time (s)",
-            );
+            let times = ticks(0.0, self.end(), 8);
+            canvas.time_axis(&times, |t| self.x(left, t), bottom, left + COLUMN / 2.0);
         }
         canvas
     }

@@ -49,20 +49,9 @@ impl Velocity {
             "rad/s",
             ["wx", "wy", "wz"],
         );
-        let end = self.end();
-        let y = below + PANEL;
-        for t in ticks(0.0, end, 6) {
-            let x = self.x(t);
-            canvas.line([x, y], [x, y + 4.0], "stroke=\"#222222\"");
-            canvas.text(x, y + 15.0, 10.0, "middle", &label(t));
-        }
-        canvas.text(
-            (MARGIN[0] + WIDTH - MARGIN[2]) / 2.0,
-            y + 31.0,
-            11.0,
-            "middle",
-            "time (s)",
-        );
+        let times = ticks(0.0, self.end(), 6);
+        let middle = (MARGIN[0] + WIDTH - MARGIN[2]) / 2.0;
+        canvas.time_axis(&times, |t| self.x(t), below + PANEL, middle);
         canvas
     }
 

@@ -325,6 +325,13 @@ fn one_changed_byte_and_a_cut_file_are_told_and_what_is_left_is_used() {
     assert!(told > 0);
 }
 
+/// Asserts that a command ended with this code, and said this among others.
+fn assert_refused(output: &Output, code: i32, part: &str, words: &[&str]) {
+    let said = stderr(output);
+    assert_eq!(output.status.code(), Some(code), "{words:?}: {said}");
+    assert!(said.contains(part), "{words:?}: {said}");
+}
+
 #[test]
 fn what_cannot_be_drawn_or_replayed_is_told_with_its_exit_code() {
     let flight = flight();
@@ -379,17 +386,7 @@ fn what_cannot_be_drawn_or_replayed_is_told_with_its_exit_code() {
         (&["plot"], 64, "FILE.mcap"),
     ] {
         let output = run(words);
-        assert_eq!(
-            output.status.code(),
-            Some(code),
-            "{words:?}: {}",
-            stderr(&output)
-        );
-        assert!(
-            stderr(&output).contains(part),
-            "{words:?}: {}",
-            stderr(&output)
-        );
+        assert_refused(&output, code, part, words);
         assert!(stdout(&output).is_empty(), "{words:?}");
     }
 }
@@ -447,17 +444,7 @@ fn what_cannot_be_recorded_is_told_with_its_exit_code_and_disturbs_nobody() {
         (&["record", file, "--duration", "0"], 64, "0.05 to 86400"),
     ] {
         let output = vpcctl(&domain, words);
-        assert_eq!(
-            output.status.code(),
-            Some(code),
-            "{words:?}: {}",
-            stderr(&output)
-        );
-        assert!(
-            stderr(&output).contains(part),
-            "{words:?}: {}",
-            stderr(&output)
-        );
+        assert_refused(&output, code, part, words);
     }
     assert_eq!(std::fs::read(&dear).unwrap(), b"dear to somebody");
     // Not even a domain was made, nor a file.
