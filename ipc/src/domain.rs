@@ -171,6 +171,7 @@ impl Domain {
         let config = configuration(guard.directory())
             .ok_or_else(|| JoinError::Path { path: path.clone() })?;
         remove_unborn(guard.directory());
+        ghost::clean(&config);
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -187,6 +188,7 @@ impl Domain {
             requests: open(&node, &path)?,
             replies: open(&node, &path)?,
         };
+        ghost::lay(&factories, &config);
         let shared = Shared {
             factories: Some(factories),
             node: Some(node),
@@ -246,14 +248,8 @@ impl Shared {
     /// Clears away participants that were killed, for who holds the right to start up.
     pub(crate) fn bury_the_dead(&self) {
         remove_unborn(self.guard.directory());
-        Node::<Service>::try_cleanup_dead_nodes(&self.config);
         if let Some(services) = &self.factories {
-            ghost::lay(&services.features, &self.config);
-            ghost::lay(&services.twist, &self.config);
-            ghost::lay(&services.robot, &self.config);
-            ghost::lay(&services.cycles, &self.config);
-            ghost::lay(&services.requests, &self.config);
-            ghost::lay(&services.replies, &self.config);
+            ghost::lay(services, &self.config);
         }
     }
 }
@@ -312,7 +308,8 @@ fn configuration(directory: &Path) -> Option<Config> {
         .global
         .set_root_path(&iceoryx2::prelude::Path::new(root.as_os_str().as_bytes()).ok()?);
     config.global.prefix = FileName::new(shared_memory_prefix(directory).as_bytes()).ok()?;
-    // At creation it happens under the guard; at the end it would not.
+    // Who joins cleans up, under the guard (`ghost`).
+    config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     Some(config)
 }

@@ -17,7 +17,7 @@ use crate::message::{Invalid, Message, Stamp};
 pub enum OpenError {
     /// The service has its one publisher.
     #[error(
-        "{service}: another publisher is at work in domain {domain}; allowed: {most} (stop the other, or use another domain; if there is none, stop every process of this domain)"
+        "{service}: another publisher is at work in domain {domain}; allowed: {most} (stop the other, or use another domain)"
     )]
     Taken {
         /// The service.
