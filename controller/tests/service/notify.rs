@@ -2,14 +2,20 @@
 
 use std::io::ErrorKind;
 use std::os::unix::net::UnixDatagram;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
-use crate::fixture::{Frozen, Manager, Place, count, ended, scene_file, vpcd};
+use crate::fixture::{Frozen, Manager, Place, count, ended, scene_file, spin, vpcd};
 
 /// 15 periods of the loop.
 const WATCHDOG: Duration = Duration::from_millis(500);
+/// One period of the loop.
+const PERIOD: Duration = Duration::from_nanos(33_333_333);
+/// Trials of one hang: a machine that stands still delays the last feed of a daemon that did not hang yet.
+const TRIALS: u32 = 3;
+/// Phases of the cycle at which it hangs.
+const PHASES: u32 = 3;
 
 /// Cycles that a status line counts.
 fn cycles(status: &str) -> u64 {
@@ -186,6 +192,88 @@ fn a_stopped_process_does_not_feed() {
     assert_eq!(manager.within(2 * WATCHDOG), None);
     daemon.signal(Signal::CONT);
     manager.until("WATCHDOG=1");
+}
+
+/// How long it is listened to: the stillness is told once a second, when it is half a second old.
+const HEARD: Duration = Duration::from_millis(2000);
+
+/// What the daemon is put into.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Hang {
+    /// The loop's thread stands still.
+    Still,
+    /// The loop's thread is in an endless loop.
+    Endless,
+    /// SIGSTOP.
+    Stopped,
+}
+
+/// How long after the hang began the last feed was heard; zero where none was.
+fn last_feed(hang: Hang, phase: u32) -> Duration {
+    let place = Place::new();
+    let manager = Manager::new(&place);
+    let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
+    manager.until("READY=1");
+    manager.until("WATCHDOG=1");
+    // Shortly before the next feed.
+    std::thread::sleep(WATCHDOG / 4 - PERIOD * phase / PHASES);
+    let looping = daemon.thread("vpcd");
+    manager.drain();
+    let _frozen = match hang {
+        Hang::Still => Some(Frozen::freeze(looping)),
+        Hang::Endless => {
+            if !spin(looping) {
+                eprintln!("NOT RUN: an endless loop: unknown processor");
+                return Duration::ZERO;
+            }
+            None
+        }
+        Hang::Stopped => {
+            daemon.signal(Signal::STOP);
+            None
+        }
+    };
+    let begun = Instant::now();
+    let (mut last, mut told) = (Duration::ZERO, 0);
+    while begun.elapsed() < HEARD {
+        if let Some(message) = manager.within(WATCHDOG / 8) {
+            let at = begun.elapsed();
+            if message.lines().any(|line| line == "WATCHDOG=1") {
+                last = at;
+            }
+            told += usize::from(message.contains("STATUS=LOOP STANDS STILL"));
+        }
+    }
+    // Silence is not for want of somebody to talk.
+    assert_eq!(told > 0, hang != Hang::Stopped, "{hang:?}");
+    last
+}
+
+/// At several phases of the cycle: two periods of the loop after it hangs nothing vouches for it any more.
+fn stops_in_two_periods(hang: Hang) {
+    for phase in 0..PHASES {
+        let mut trials = (0..TRIALS).map(|_| last_feed(hang, phase));
+        assert!(
+            trials.any(|last| last <= 2 * PERIOD),
+            "{hang:?}, phase {phase}: fed for more than {:?} in each of {TRIALS} trials",
+            2 * PERIOD
+        );
+    }
+}
+
+#[test]
+fn two_periods_after_the_loop_stands_still_it_is_no_longer_fed_for() {
+    stops_in_two_periods(Hang::Still);
+}
+
+#[test]
+fn two_periods_after_an_endless_loop_begins_it_is_no_longer_fed_for() {
+    stops_in_two_periods(Hang::Endless);
+}
+
+#[test]
+fn two_periods_after_sigstop_nothing_is_fed() {
+    stops_in_two_periods(Hang::Stopped);
 }
 
 #[test]

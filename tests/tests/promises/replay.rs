@@ -1,5 +1,6 @@
 //! Replay: ten minutes of flight with real processes, twice; both records say the same, a replay says the same again,
-//! and one bit more or less in any of it is told.
+//! and one bit more or less in any of it is told. Any cycle is replayed from the key before it, too: what the pilot
+//! remembers beside its keys would show there.
 //!
 //! The records are read here as `controller/FLIGHT.md` says that anybody can.
 
@@ -14,6 +15,8 @@ use crate::fixture::{Place, Running, Witness, eventually, program, root, scene_f
 
 /// Ten minutes at 30 Hz.
 const CYCLES: u64 = 18_000;
+/// From one cycle that is replayed by itself to the next; no multiple of the distance of keys.
+const APART: usize = 1999;
 
 /// What two runs need not have in common, by the beginning of the field's name or its end: clocks and what hangs on
 /// them, the machine, and the robot's words, which nobody waits for.
@@ -167,18 +170,19 @@ fn newest(place: &Place) -> Option<PathBuf> {
         .max()
 }
 
-/// `vpcd replay`: exit code, and what it says.
-fn replayed(file: &Path) -> (i32, String) {
+/// `vpcd replay`, with these words more: exit code, and what it says.
+fn replayed(file: &Path, more: &[&str]) -> (i32, String) {
     let mut command = Command::new(program("vpcd"));
-    let output = command.arg("replay").arg(file).arg("--json").output();
+    command.arg("replay").arg(file).arg("--json").args(more);
+    let output = command.output();
     let output = output.unwrap();
     let mut words = String::from_utf8(output.stdout).unwrap();
     words.push_str(&String::from_utf8(output.stderr).unwrap());
     (output.status.code().unwrap(), words)
 }
 
-fn report(file: &Path) -> Value {
-    let (code, words) = replayed(file);
+fn report(file: &Path, more: &[&str]) -> Value {
+    let (code, words) = replayed(file, more);
     assert_eq!(code, 0, "{words}");
     let mut told: Value = serde_json::from_str(&words).unwrap();
     told["report"].take()
@@ -208,10 +212,18 @@ fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
     assert!(asked.count() > 500);
 
     for file in [&file_a, &file_b] {
-        let told = report(file);
+        let told = report(file, &[]);
         assert_eq!(
             (&told["cycles"], &told["skipped"]),
             (&CYCLES.into(), &0.into())
+        );
+    }
+
+    for cycle in (APART as u64..CYCLES).step_by(APART) {
+        let told = report(&file_a, &["--cycle", &cycle.to_string()]);
+        assert_eq!(
+            (&told["last"], &told["keys_restored"]),
+            (&cycle.into(), &1.into())
         );
     }
 
@@ -230,14 +242,14 @@ fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
         let word = a.find(field);
         let place = Place::new();
         let damaged = place.file("damaged.flight", a.forged(moving, word, false));
-        let (code, words) = replayed(&damaged);
+        let (code, words) = replayed(&damaged, &[]);
         assert_eq!(code, 65, "{field}: {words}");
         assert!(
             words.contains(&format!("record {moving}: seal = ")),
             "{words}"
         );
         let forged = place.file("forged.flight", a.forged(moving, word, true));
-        let (code, words) = replayed(&forged);
+        let (code, words) = replayed(&forged, &[]);
         assert_eq!(code, 1, "{field}: {words}");
         let words: Value = serde_json::from_str(&words).unwrap();
         let difference = &words["difference"];
@@ -262,7 +274,7 @@ fn a_fault_in_real_time_leaves_a_record_that_replays() {
     witness.set_in_motion();
     camera.kill();
     let file = eventually("a flight record", || newest(&place));
-    let told = report(&file);
+    let told = report(&file, &[]);
     assert!(told["cycles"].as_u64().unwrap() > 3, "{told}");
     let flight = Flight::read(&file);
     assert_eq!(flight.header["cause"], "fault: stale features");
