@@ -314,7 +314,7 @@ pub const VERDICTS: &[Row] = &[
     ),
     (
         "ipc/python/README.md",
-        "cargo table -- --scene ipc/scene/scenes/paper-sim.toml --starts ipc/scene/scenes/paper-sim-starts.csv --memory memory-blob/default/paper-sim.vpcmem --strategies gpr:3,previous:3",
+        "cargo table -- --scene ipc/scene/scenes/paper-sim.toml --starts ipc/scene/scenes/paper-sim-starts.csv --memory memory-blob/default/paper-sim.vpcmem --strategies gpr:3,previous:3,ibvs",
         Checked("the README's table above is run"),
     ),
     (
