@@ -3,8 +3,10 @@
 
 mod fixture;
 mod instance;
+mod machine;
 mod namespace;
 mod notify;
+mod package;
 mod permission;
 mod signal;
 mod unit;

@@ -131,6 +131,11 @@ pub const VERDICTS: &[Row] = &[
     ),
     (
         "controller/systemd/README.md",
+        "cargo build --workspace --bins --tests && cargo test --workspace --test service -- --nocapture package",
+        Checked("CI runs it (.ci/run)"),
+    ),
+    (
+        "controller/systemd/README.md",
         "cargo install cargo-deb --version '^3' --locked",
         Checked(MACHINE),
     ),
