@@ -208,7 +208,7 @@ impl Cycle {
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
         let features = self.ports.features.latest().into();
         if let (Some(phase), Input::Message(received)) = (&mut self.phase, &features) {
-            phase.hear(&received.message.stamp);
+            phase.hear(&received.message.stamp, woken_ns);
         }
         (woken_ns, features)
     }

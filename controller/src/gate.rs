@@ -57,7 +57,7 @@ pub enum Link {
 }
 
 /// How much later than now features may claim to be published, ns: one clock serves all processes.
-const FUTURE_NS: u64 = 1_000_000;
+pub(crate) const FUTURE_NS: u64 = 1_000_000;
 
 /// The gate. Plain data: a copy goes on as the original does.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -153,8 +153,9 @@ impl Gate {
             if published_ns < before.published_ns || (is_same_camera && is_older) {
                 return self.hold(Hold::Order);
             }
-            // A camera that hangs and sends one exposure again and again; 0 is for who does not know the instant.
-            if is_same_camera && data_ns == before.data_ns && data_ns != 0 {
+            // A camera that hangs and sends one exposure again and again, also where it seems to have started again (a
+            // driver that does not count its messages); 0 is for who does not know the instant.
+            if data_ns == before.data_ns && data_ns != 0 {
                 return self.hold(Hold::Stale);
             }
         }
@@ -322,6 +323,14 @@ mod tests {
             order: Order::Next,
         });
         assert_eq!(cause(gate.judge(&frozen, 61)), Some(Hold::Stale));
+        // Nor is it new by another count.
+        let mut restarted = message(1, 90);
+        restarted.stamp.data_ns = 30;
+        let restarted = Input::Message(Received {
+            message: restarted,
+            order: Order::Restarted,
+        });
+        assert_eq!(cause(gate.judge(&restarted, 91)), Some(Hold::Stale));
         let mut lockstep = Gate::new(None);
         lockstep.judge(&came(1, 30, Order::First), 31);
         assert_eq!(link(lockstep.judge(&frozen, 61)), Some(Link::Next));

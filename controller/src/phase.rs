@@ -7,6 +7,8 @@
 
 use ipc::{PhaseCode, Stamp};
 
+use crate::gate::FUTURE_NS;
+
 /// Largest departure of an interval from the nominal period, as a share of it: what the law's model of one period
 /// bears without notice.
 pub const SLEW: f64 = 0.02;
@@ -74,8 +76,12 @@ impl Phase {
         }
     }
 
-    /// A frame has come.
-    pub fn hear(&mut self, stamp: &Stamp) {
+    /// A frame has come, and is looked at now. One from the future is passed over: no later one would be newer, and
+    /// no silence after it long enough.
+    pub fn hear(&mut self, stamp: &Stamp, now_ns: u64) {
+        if stamp.published_ns > now_ns.saturating_add(FUTURE_NS) {
+            return;
+        }
         match &mut self.beat {
             Some(beat) if beat.doubt < DOUBT => beat.hear(stamp, self.period),
             // The first one, or the first of another beat.
@@ -277,7 +283,7 @@ mod tests {
                 Some(stamp) if stamp.sequence > heard => {
                     heard = stamp.sequence;
                     seen.latencies.push((release - stamp.published_ns) as f64);
-                    phase.hear(stamp);
+                    phase.hear(stamp, release);
                 }
                 _ => seen.without += 1,
             }
@@ -415,6 +421,34 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_from_the_future_neither_holds_a_phase_for_ever_nor_keeps_one_from_being_found() {
+        let camera = Camera::default();
+        for cycles in [0, 200] {
+            let mut phase = Phase::new(PERIOD, 1_000_000);
+            let (_, release) = run(&mut phase, &camera, 1 << 40, 0.0, cycles);
+            let future = Stamp {
+                sequence: 1,
+                published_ns: u64::MAX,
+                data_ns: u64::MAX,
+            };
+            phase.hear(&future, release);
+            // The camera goes on at another phase, and is followed.
+            let (seen, mut release) = run(&mut phase, &camera, release, 15.0 * MS, 300);
+            let last = &seen.latencies[200..];
+            assert!(
+                last.iter().all(|latency| (latency - MS).abs() < 0.05 * MS),
+                "{last:?}"
+            );
+            // And ends.
+            phase.hear(&future, release);
+            for _ in 0..12 {
+                release += phase.interval_ns(release);
+            }
+            assert_eq!(phase.standing(), (PhaseCode::Free, 0));
+        }
+    }
+
+    #[test]
     fn a_camera_of_another_rate_leaves_the_grid_alone() {
         let camera = Camera {
             period: 40.0 * MS,
@@ -449,11 +483,12 @@ mod tests {
                 1 => [0, 1, u64::MAX, 1 << 63][random.random_range(0..4)],
                 _ => near,
             };
-            phase.hear(&Stamp {
+            let stamp = Stamp {
                 sequence: 1,
                 published_ns: any(&mut random),
                 data_ns: any(&mut random),
-            });
+            };
+            phase.hear(&stamp, release);
             let interval = phase.interval_ns(release);
             assert!(interval.abs_diff(PERIOD) <= (SLEW * PERIOD as f64) as u64 + 1);
             release += interval;

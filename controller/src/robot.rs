@@ -8,7 +8,7 @@ use crate::gate::Input;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotWatch {
     pub(crate) lost_ns: Option<u64>,
-    /// When the last state was published, CLOCK_MONOTONIC, ns.
+    /// When the last state was published, CLOCK_MONOTONIC, ns; not later than it was looked at.
     pub(crate) heard_ns: Option<u64>,
     pub(crate) at_fault: bool,
 }
@@ -27,7 +27,8 @@ impl RobotWatch {
     /// be carried by something that says nothing.
     pub fn look(&mut self, input: &Input<RobotState>, now_ns: u64) -> Option<Hold> {
         if let Input::Message(state) = input {
-            self.heard_ns = Some(state.stamp.published_ns);
+            // A stamp from the future would put off the silence after it.
+            self.heard_ns = Some(state.stamp.published_ns.min(now_ns));
             self.at_fault = is_fault(state);
         }
         let silent = |heard: u64| {
@@ -80,6 +81,14 @@ mod tests {
         assert_eq!(watch.look(&Input::Nothing, 110), None);
         assert_eq!(watch.look(&Input::Nothing, 111), Some(Hold::RobotLost));
         assert_eq!(watch.look(&state(RobotMode::Idle, fine, 112), 113), None);
+    }
+
+    #[test]
+    fn a_state_from_the_future_puts_off_no_silence() {
+        let mut watch = RobotWatch::new(Some(10));
+        let future = state(RobotMode::Moving, RobotFaults::default(), u64::MAX);
+        assert_eq!(watch.look(&future, 100), None);
+        assert_eq!(watch.look(&Input::Nothing, 111), Some(Hold::RobotLost));
     }
 
     #[test]
