@@ -173,18 +173,6 @@ impl Supervisor {
         decision
     }
 
-    /// Takes it that the last cycle sent this: its twist, and the mode that its state and cause tell.
-    pub(crate) fn follow(&mut self, sent: Decision) {
-        self.mode = match sent.state {
-            TwistState::Disarmed => Mode::Disarmed(sent.hold),
-            TwistState::Braking if response(sent.hold) != Response::Wait => {
-                Mode::Disarming(sent.hold)
-            }
-            _ => Mode::Armed,
-        };
-        self.sent = sent;
-    }
-
     fn arm(&mut self) -> Outcome {
         let Some(situation) = self.situation else {
             return Outcome::NoFeatures;
@@ -195,6 +183,10 @@ impl Supervisor {
         match self.mode {
             Mode::Armed => return Outcome::Done,
             Mode::Disarming(_) => return Outcome::Braking,
+            // A stop of this very cycle: its zero goes out before anything moves again.
+            Mode::Disarmed(_) if self.sent.state != TwistState::Disarmed => {
+                return Outcome::Braking;
+            }
             Mode::Disarmed(_) => (),
         }
         if situation.robot.is_some() {
@@ -564,6 +556,16 @@ mod tests {
         assert_eq!(bench.ask(Action::Arm), Outcome::Done);
         assert_eq!(bench.good(), GOOD);
         assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    }
+
+    #[test]
+    fn an_arm_behind_a_stop_in_the_same_cycle_does_not_undo_it() {
+        let mut bench = Bench::moving();
+        assert_eq!(bench.ask(Action::Stop), Outcome::Done);
+        assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
+        assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+        assert_eq!(bench.good(), GOOD);
     }
 
     #[test]
