@@ -16,6 +16,7 @@ use crate::config::Config;
 use crate::law::Law;
 
 /// Faults within this time of the last written one are in the log only: features that come and go must not fill a disk.
+/// But for one that disarms: after that nothing comes and goes, and the next file may never be.
 const BETWEEN_FAULTS: Duration = Duration::from_secs(60);
 
 /// Longest wait for a file when the daemon ends.
@@ -58,7 +59,13 @@ pub struct Recorder {
     store: Option<(Store, About)>,
     at_exit: bool,
     was_moving: bool,
+    was_armed: bool,
+    /// What is due: a wish; a camera that was moving and was held; one that was disarmed.
+    wished: bool,
     fault: Option<Hold>,
+    disarmed: Option<Hold>,
+    /// Whether a file was made of a fault since the camera last moved.
+    is_told: bool,
     written: Option<Instant>,
     writer: Option<JoinHandle<()>>,
 }
@@ -83,7 +90,11 @@ impl Recorder {
             store: None,
             at_exit: false,
             was_moving: false,
+            was_armed: false,
+            wished: false,
             fault: None,
+            disarmed: None,
+            is_told: false,
             written: None,
             writer: None,
         }
@@ -92,10 +103,19 @@ impl Recorder {
     /// Takes in a record.
     pub fn push(&mut self, record: FlightRecord) {
         self.ring.push(record);
-        if let Some(hold) = fault(self.was_moving, &record.told) {
-            self.fault.get_or_insert(hold);
+        let is_moving = is_moving(&record.told);
+        if is_moving {
+            self.is_told = false;
         }
-        self.was_moving = is_moving(&record.told);
+        if let Some(hold) = unwanted(&record.told) {
+            if self.was_moving {
+                self.fault.get_or_insert(hold);
+            }
+            if self.was_armed && !is_armed(&record.told) {
+                self.disarmed.get_or_insert(hold);
+            }
+        }
+        (self.was_moving, self.was_armed) = (is_moving, is_armed(&record.told));
     }
 
     /// Takes in a key.
@@ -103,40 +123,55 @@ impl Recorder {
         self.ring.push_key(key);
     }
 
-    /// Has written what is due: on a wish, or on a fault since the last call.
+    /// Has written what is due: on a wish, or on a fault since the last call. While a file is being written the next one
+    /// waits.
     pub fn tend(&mut self, wished: bool, now: Instant) {
-        let fault = self.fault.take();
-        if wished {
+        self.wished |= wished;
+        if self.is_writing() {
+            return;
+        }
+        let (fault, disarmed) = (self.fault.take(), self.disarmed.take());
+        if std::mem::take(&mut self.wished) {
             self.write(Cause::Request);
-        } else if let Some(hold) = fault {
-            let is_soon = |last| now.saturating_duration_since(last) < BETWEEN_FAULTS;
-            if !self.written.is_some_and(is_soon) {
-                self.written = Some(now);
-                self.write(Cause::Fault(hold));
-            }
+            return;
+        }
+        let is_soon = |last| now.saturating_duration_since(last) < BETWEEN_FAULTS;
+        let is_soon = self.written.is_some_and(is_soon);
+        let disarmed = disarmed.filter(|_| !self.is_told);
+        if let Some(hold) = disarmed.or(fault.filter(|_| !is_soon)) {
+            (self.written, self.is_told) = (Some(now), true);
+            self.write(Cause::Fault(hold));
         }
     }
 
     /// Has written what is wished at the end, and waits for it.
     pub fn end(&mut self) {
-        if self.at_exit {
-            self.wait();
+        if !self.wait() {
+            return;
+        }
+        self.tend(false, Instant::now());
+        if self.at_exit && self.wait() {
             self.write(Cause::Exit);
         }
         self.wait();
     }
 
-    /// Waits for the writer, but for no disk that hangs: what it leaves then is removed with the next file.
-    fn wait(&mut self) {
+    fn is_writing(&self) -> bool {
+        self.writer.as_ref().is_some_and(|w| !w.is_finished())
+    }
+
+    /// Waits for the writer, but for no disk that hangs: what it leaves then is removed with the next file. Tells whether
+    /// it is done.
+    fn wait(&mut self) -> bool {
         let end = Instant::now() + PATIENCE;
-        let is_at_work =
-            |writer: &Option<JoinHandle<()>>| writer.as_ref().is_some_and(|w| !w.is_finished());
-        while is_at_work(&self.writer) && Instant::now() < end {
+        while self.is_writing() && Instant::now() < end {
             std::thread::sleep(Duration::from_millis(2));
         }
-        if is_at_work(&self.writer) {
+        let is_writing = self.is_writing();
+        if is_writing {
             warn!("flight record given up: the disk takes longer than {PATIENCE:?}");
         }
+        !is_writing
     }
 
     /// Hands a copy to a thread of its own: a disk that hangs holds up neither telemetry nor the watchdog.
@@ -144,18 +179,6 @@ impl Recorder {
         let Some((store, about)) = &self.store else {
             return;
         };
-        let cause_text = cause.text();
-        if self
-            .writer
-            .as_ref()
-            .is_some_and(|writer| !writer.is_finished())
-        {
-            warn!(
-                cause = cause_text,
-                "flight record not written: the one before is still being written"
-            );
-            return;
-        }
         let (keys, records) = self.ring.copy();
         let (store, about) = (store.clone(), about.clone());
         let work = move || write(&store, about, cause, keys, records);
@@ -202,14 +225,19 @@ fn is_moving(told: &CycleRecord) -> bool {
     matches!(state, Some(TwistState::Moving | TwistState::Arrived))
 }
 
-/// The cause, where a camera that was moving is held for another reason than that somebody wanted it.
-fn fault(was_moving: bool, told: &CycleRecord) -> Option<Hold> {
+fn is_armed(told: &CycleRecord) -> bool {
+    let state = TwistState::from_code(told.state);
+    !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped))
+}
+
+/// The cause, where the camera is held for another reason than that somebody wanted it.
+fn unwanted(told: &CycleRecord) -> Option<Hold> {
     let hold = Hold::from_code(told.hold)?;
     let is_wanted = matches!(
         hold,
         Hold::None | Hold::NotArmed | Hold::Operator | Hold::Shutdown
     );
-    (was_moving && !is_wanted).then_some(hold)
+    (!is_wanted).then_some(hold)
 }
 
 #[cfg(test)]
@@ -227,14 +255,40 @@ mod tests {
         }
     }
 
+    /// A recorder that was told these cycles, one after another.
+    fn told_of(cycles: &[(TwistState, Hold)]) -> Recorder {
+        let mut recorder = Recorder::nowhere(10);
+        for (state, hold) in cycles {
+            let mut record = FlightRecord::blank();
+            record.told = told(*state, *hold);
+            recorder.push(record);
+        }
+        recorder
+    }
+
     #[test]
     fn a_fault_is_a_motion_that_ends_unwanted() {
-        let fault = |was_moving, state, hold| fault(was_moving, &told(state, hold));
-        let stale = fault(true, TwistState::Braking, Hold::Stale);
+        let moving = (TwistState::Moving, Hold::None);
+        let fault = |before, state, hold| told_of(&[before, (state, hold)]).fault;
+        let stale = fault(moving, TwistState::Braking, Hold::Stale);
         assert_eq!(stale, Some(Hold::Stale));
-        assert_eq!(fault(false, TwistState::Holding, Hold::Stale), None);
-        assert_eq!(fault(true, TwistState::Moving, Hold::None), None);
-        assert_eq!(fault(true, TwistState::Disarmed, Hold::Operator), None);
+        let still = (TwistState::Holding, Hold::Stale);
+        assert_eq!(fault(still, TwistState::Holding, Hold::Stale), None);
+        assert_eq!(fault(moving, TwistState::Moving, Hold::None), None);
+        assert_eq!(fault(moving, TwistState::Disarmed, Hold::Operator), None);
+    }
+
+    #[test]
+    fn a_camera_is_disarmed_once_and_never_by_its_start() {
+        let (disarmed, lost) = (TwistState::Disarmed, Hold::Lost);
+        let braking = (TwistState::Braking, lost);
+        assert_eq!(told_of(&[braking, (disarmed, lost)]).disarmed, Some(lost));
+        assert_eq!(
+            told_of(&[(disarmed, lost), (disarmed, lost)]).disarmed,
+            None
+        );
+        let wanted = (disarmed, Hold::Operator);
+        assert_eq!(told_of(&[braking, wanted]).disarmed, None);
     }
 
     #[test]
@@ -272,5 +326,33 @@ mod tests {
         assert_eq!(look(62, TwistState::Holding, Hold::Stale, false), 3);
         let newest = Flight::read(store.files().last().unwrap()).unwrap();
         assert_eq!(newest.about.cause, "fault: stale features");
+        // One that disarms is written in any case, and once.
+        assert_eq!(look(63, TwistState::Moving, Hold::None, false), 3);
+        assert_eq!(look(64, TwistState::Braking, Hold::Overruns, false), 3);
+        assert_eq!(look(64, TwistState::Disarmed, Hold::Overruns, false), 4);
+        assert_eq!(look(65, TwistState::Moving, Hold::None, false), 4);
+        assert_eq!(look(66, TwistState::Disarmed, Hold::RobotFault, false), 5);
+        let newest = Flight::read(store.files().last().unwrap()).unwrap();
+        assert_eq!(newest.about.cause, "fault: robot fault");
+        assert_eq!(look(200, TwistState::Moving, Hold::None, false), 5);
+        assert_eq!(look(200, TwistState::Braking, Hold::Solver, false), 6);
+        assert_eq!(look(200, TwistState::Disarmed, Hold::Solver, false), 6);
+    }
+
+    #[test]
+    fn what_comes_while_a_file_is_written_is_written_after_it() {
+        let now = Instant::now();
+        let moving = (TwistState::Moving, Hold::None);
+        let fault = (TwistState::Disarmed, Hold::RobotFault);
+        let mut recorder = told_of(&[moving, fault]);
+        let (disk, is_slow) = std::sync::mpsc::channel::<()>();
+        recorder.writer = Some(std::thread::spawn(move || _ = is_slow.recv()));
+        recorder.tend(true, now);
+        recorder.tend(false, now);
+        assert!(recorder.wished && recorder.disarmed == Some(Hold::RobotFault));
+        drop(disk);
+        assert!(recorder.wait());
+        recorder.tend(false, now);
+        assert!(!recorder.wished && recorder.disarmed.is_none());
     }
 }
