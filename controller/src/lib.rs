@@ -30,6 +30,5 @@ pub mod service;
 pub mod shutdown;
 pub mod stack;
 pub mod supervisor;
-pub mod takeover;
 pub mod telemetry;
 pub mod usage;

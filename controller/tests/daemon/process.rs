@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use ipc::{
     Action, CameraPorts, Domain, Features, Hold, Observer, OperatorPorts, Order, Outcome, Request,
-    StrategyCode, TwistCommand, TwistState,
+    RobotMode, RobotState, StrategyCode, TwistCommand, TwistState,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -337,6 +337,70 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
     ] {
         assert!(log.contains(words), "{log}\nlacks: {words}");
     }
+}
+
+#[test]
+fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
+    let mut bench = Bench::new();
+    let mut operator = {
+        let domain = Domain::join(&bench.place.domain()).unwrap();
+        OperatorPorts::open(&domain).unwrap()
+    };
+    let daemon = bench.start(&[]);
+    let mut points = bench.features();
+    let mut id = 0;
+    // A frame, and what the robot says of itself beside it; what the daemon does about it, and what it says to `arm`.
+    let mut frame = |robot: Option<RobotMode>, arms: bool| {
+        for x in &mut points.points[..8] {
+            *x += bench.random.random_range(-0.1..0.1);
+        }
+        points.stamp.data_ns = ipc::now_ns();
+        bench.camera.features.publish(&points).unwrap();
+        if let Some(mode) = robot {
+            let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], ipc::now_ns());
+            state.mode = mode.code();
+            bench.camera.robot.publish(&state).unwrap();
+        }
+        std::thread::sleep(Duration::from_millis(30));
+        id += 1;
+        let reply = arms.then(|| operator.ask(&Request::new(id, Action::Arm), PATIENCE));
+        let outcome = reply.and_then(|reply| reply.unwrap().unwrap().outcome());
+        let record = bench.observer.cycles.latest().unwrap();
+        let record = record.map(|found| {
+            let state = TwistState::from_code(found.state).unwrap();
+            (state, Hold::from_code(found.hold).unwrap(), found.twist)
+        });
+        (outcome, record)
+    };
+    let moves = |(_, record): (_, Option<(TwistState, Hold, [f64; 6])>)| {
+        record.filter(|(state, _, _)| *state == TwistState::Moving)
+    };
+    for (robot, cause) in [
+        (Some(RobotMode::Fault), Hold::RobotFault),
+        (None, Hold::RobotLost),
+    ] {
+        // Armed again and again: a busy machine may have disarmed it.
+        eventually("motion", || moves(frame(Some(RobotMode::Idle), true)));
+        let disarmed = Some((TwistState::Disarmed, cause, [0.0; 6]));
+        eventually("disarmed", || match frame(robot, false).1 {
+            Some((TwistState::Disarmed, other, _)) if other != cause => {
+                frame(Some(RobotMode::Idle), true);
+                None
+            }
+            record => (record == disarmed).then_some(()),
+        });
+        assert_eq!(frame(robot, true).0, Some(Outcome::Robot), "{cause}");
+        // The robot is back: nothing moves by itself.
+        for _ in 0..5 {
+            let (_, record) = frame(Some(RobotMode::Idle), false);
+            assert!(record.is_none() || record == disarmed, "{record:?}");
+        }
+        eventually("arming", || {
+            (frame(Some(RobotMode::Idle), true).0 == Some(Outcome::Done)).then_some(())
+        });
+    }
+    let (code, log) = daemon.terminated();
+    assert_eq!(code, 0, "{log}");
 }
 
 #[test]

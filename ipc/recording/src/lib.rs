@@ -15,8 +15,6 @@ mod foxglove;
 mod geometry;
 mod ledger;
 mod message;
-#[cfg(feature = "replay")]
-mod outcome;
 mod outline;
 mod plot;
 mod reader;
