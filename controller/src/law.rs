@@ -148,6 +148,11 @@ impl Law {
         self.controller.restore(state);
     }
 
+    /// Takes it that the last step's command was this one.
+    pub fn follow(&mut self, twist: &[f64; 6]) {
+        self.controller.follow(twist);
+    }
+
     /// The text of the scene's file.
     pub fn text(&self) -> &str {
         &self.text

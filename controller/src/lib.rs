@@ -30,5 +30,6 @@ pub mod service;
 pub mod shutdown;
 pub mod stack;
 pub mod supervisor;
+pub mod takeover;
 pub mod telemetry;
 pub mod usage;

@@ -103,6 +103,12 @@ impl Pilot {
         self.standing = state.standing;
     }
 
+    /// As [`Pilot::restore`]; the command that followed the last features was `twist`, whatever the law had said.
+    pub(crate) fn follow(&mut self, state: &State, twist: &[f64; 6]) {
+        self.restore(state);
+        self.law.follow(twist);
+    }
+
     /// The law.
     pub fn law(&self) -> &Law {
         &self.law

@@ -173,6 +173,18 @@ impl Supervisor {
         decision
     }
 
+    /// Takes it that the last cycle sent this: its twist, and the mode that its state and cause tell.
+    pub(crate) fn follow(&mut self, sent: Decision) {
+        self.mode = match sent.state {
+            TwistState::Disarmed => Mode::Disarmed(sent.hold),
+            TwistState::Braking if response(sent.hold) != Response::Wait => {
+                Mode::Disarming(sent.hold)
+            }
+            _ => Mode::Armed,
+        };
+        self.sent = sent;
+    }
+
     fn arm(&mut self) -> Outcome {
         let Some(situation) = self.situation else {
             return Outcome::NoFeatures;

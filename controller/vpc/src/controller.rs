@@ -352,6 +352,15 @@ impl Controller {
         self.predicted = possible.then(|| self.one_step.step(0).iter().copied().collect());
     }
 
+    /// Takes it that the command of the last step was this one, of which alone is known what it was: the next features
+    /// are expected where it leads.
+    pub fn follow(&mut self, twist: &Twist) {
+        if let Some(seen) = &self.seen {
+            let origin = Origin::new(&self.task, self.settings.model, &seen.points);
+            self.predict(&origin, twist);
+        }
+    }
+
     /// l(v) of the command that is sent, held over the window, always against the goal with the fixed schedule of R.
     fn running_cost(&mut self, origin: &Origin, twist: &Twist) -> f64 {
         let goal = &self.task.goal;

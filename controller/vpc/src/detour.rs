@@ -21,7 +21,7 @@ const FAR: f64 = 10.0;
 /// Most cycles of a detour.
 const LENGTH: u32 = 40;
 /// Cycles after a detour in which its trajectory is followed.
-const FOLLOWING: u32 = 40;
+pub const FOLLOWING: u32 = 40;
 /// The sample of each try is so many ranks further away than that of the try before.
 const STRIDE: usize = 13;
 /// Ranks of samples, by their distance.
@@ -114,6 +114,37 @@ impl Detour {
             tries: self.tries,
             ..Self::default()
         };
+    }
+
+    /// Takes it that a cycle whose largest error was `error_px` tracked the target of a detour, or of none, whatever
+    /// this one says; `was_away`: whether the cycle before it did, where that is known. Tells whether all but `tries`
+    /// is right by that.
+    pub fn follow(
+        &mut self,
+        target: Option<&[[f64; 2]]>,
+        was_away: Option<bool>,
+        error_px: f64,
+    ) -> bool {
+        let is_under_way = self.left > 0;
+        let Some(target) = target else {
+            if is_under_way || was_away == Some(true) {
+                (self.left, self.best_px, self.cycles) = (0, error_px, 0);
+            }
+            if was_away == Some(true) {
+                self.following = FOLLOWING;
+            }
+            return was_away == Some(true);
+        };
+        if was_away == Some(true) && is_under_way && self.target() == target {
+            return false;
+        }
+        self.target = [[0.0; 2]; MAX_POINTS];
+        for (to, from) in self.target.iter_mut().zip(target) {
+            *to = *from;
+        }
+        self.count = target.len().min(MAX_POINTS) as u32;
+        (self.left, self.best_px, self.cycles) = (LENGTH, error_px, 0);
+        was_away == Some(false)
     }
 
     fn begin(&mut self, task: &Task, points: &Points, memory: &dyn MotionMemory) {

@@ -7,7 +7,7 @@ use crate::{DOF, Twist};
 /// Halvings towards standing still before the command is zero.
 const HALVINGS: usize = 6;
 /// A first step may deepen a violation by this much, px: below the accuracy of the model.
-const SLACK: f64 = 0.25;
+pub const SLACK: f64 = 0.25;
 
 /// The first command of a solution, slowed down until its first step violates no constraint more than standing
 /// still does, and clamped to the limits. A command that cannot be made so is zero.

@@ -15,6 +15,8 @@ mod foxglove;
 mod geometry;
 mod ledger;
 mod message;
+#[cfg(feature = "replay")]
+mod outcome;
 mod outline;
 mod plot;
 mod reader;

@@ -3,7 +3,8 @@
 //! A cycle's decision is a function of what it received and when it looked (`controller::pilot`), and both are
 //! recorded: the features by their number, the instant as wake-up plus time of reception. So the replay gives the same
 //! bits, with two grains of salt: whether a state of the robot or a request that came within microseconds of the look
-//! was still seen is not recorded, and a recording that begins in mid-run does not know what came before.
+//! was still seen is not recorded, and where a recording begins in mid-run, or lost something, the state is taken over
+//! from what follows (`controller::takeover`): those cycles are replayed and told, and not judged.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -15,14 +16,15 @@ use controller::daemon::pace;
 use controller::gate::Input;
 use controller::law::{Law, LawError};
 use controller::pilot::{Inputs, Pilot};
+use controller::takeover::{Takeover, Told};
 use ipc::{
     ClockMode, CycleRecord, Features, Hold, Order, Received, Request, RobotState, Stamp,
     StrategyCode, TwistState,
 };
 use scene::Scene;
-use serde::Serialize;
 
 use crate::file::SCENE_FILE;
+pub use crate::outcome::{Difference, Outcome, TakenOver};
 use crate::reader::Recording;
 
 /// What stands beside a recording.
@@ -63,44 +65,6 @@ pub enum ReplayError {
     Empty,
 }
 
-/// A cycle that came out otherwise.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Difference {
-    /// Its number.
-    pub cycle: u64,
-    /// Largest difference of a component of the twist, m/s and rad/s.
-    pub difference: f64,
-    /// The twist that was sent.
-    pub recorded: [f64; 6],
-    /// The twist that came out.
-    pub replayed: [f64; 6],
-    /// State and cause that were recorded.
-    pub recorded_state: String,
-    /// State and cause that came out.
-    pub replayed_state: String,
-}
-
-/// What a replay found.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Outcome {
-    /// Cycles replayed.
-    pub cycles: u64,
-    /// ... in which the law ran.
-    pub steps: u64,
-    /// ... whose twist, state and cause came out bit for bit.
-    pub equal: u64,
-    /// ... that differ by more than the tolerance, or in state or cause.
-    pub different: u64,
-    /// Largest difference of a component of a twist, m/s and rad/s.
-    pub largest: f64,
-    /// The first cycle that differs.
-    pub first: Option<Difference>,
-    /// Features that cycles used and that are not in the recording.
-    pub missing_features: u64,
-    /// Records of cycles that are not in the recording, before or between those that are.
-    pub missing_cycles: u64,
-}
-
 /// Replays a recording; cycles whose twist differs by at most `tolerance` (m/s, rad/s) count as the same.
 ///
 /// # Errors
@@ -113,7 +77,10 @@ pub fn replay(
     if recording.cycles.is_empty() {
         return Err(ReplayError::Empty);
     }
-    let mut outcome = Outcome::default();
+    let mut outcome = Outcome {
+        begins_at: recording.cycles[0].cycle,
+        ..Outcome::default()
+    };
     // A number that falls back is a daemon that started again.
     for run in recording
         .cycles
@@ -178,19 +145,25 @@ fn read(path: &Path) -> Result<String, ReplayError> {
 
 /// What the daemon heard, and how far the replay has come.
 struct Replay<'a> {
-    features: HashMap<u64, Vec<&'a Features>>,
+    /// By their numbers, with their places in the recording.
+    features: HashMap<u64, Vec<(usize, &'a Features)>>,
+    /// Place after the last one that was taken.
+    next: usize,
     robot: &'a [RobotState],
     requests: Vec<&'a Request>,
     taken: Option<Stamp>,
     state: Option<Stamp>,
+    /// Whether the run is in the recording from its first cycle on.
+    is_whole: bool,
 }
 
 impl<'a> Replay<'a> {
     fn of(recording: &'a Recording) -> Self {
-        let mut features: HashMap<u64, Vec<&Features>> = HashMap::new();
-        for message in &recording.features {
+        let mut features: HashMap<u64, Vec<(usize, &Features)>> = HashMap::new();
+        for (place, message) in recording.features.iter().enumerate() {
             let number = message.stamp.sequence;
-            features.entry(number).or_default().push(message);
+            let same = features.entry(number).or_default();
+            same.push((place, message));
         }
         // A request that was not answered did not reach the daemon.
         let answered = |request: &&Request| {
@@ -199,10 +172,12 @@ impl<'a> Replay<'a> {
         };
         Self {
             features,
+            next: 0,
             robot: &recording.robot,
             requests: recording.requests.iter().filter(answered).collect(),
             taken: None,
             state: None,
+            is_whole: true,
         }
     }
 
@@ -213,17 +188,35 @@ impl<'a> Replay<'a> {
         tolerance: f64,
         outcome: &mut Outcome,
     ) {
-        // Before the first one nothing was heard.
-        let begin_ns = run.first().map_or(0, |cycle| cycle.stamp.data_ns);
-        let heard = |stamp: &Stamp| stamp.published_ns < begin_ns;
+        let Some(first) = run.first() else {
+            return;
+        };
+        let is_whole = first.cycle <= 1;
+        // Before the first cycle of all nothing was heard; before another one, the last that was said.
+        let heard = |stamp: &Stamp| stamp.published_ns < first.stamp.data_ns;
         let robots = self.robot.iter().take_while(|state| heard(&state.stamp));
-        self.robot = &self.robot[robots.count()..];
-        let (mut number, mut overruns, mut missed) = (0, 0, 0);
+        let robots = robots.count().saturating_sub(usize::from(!is_whole));
+        self.robot = &self.robot[robots..];
+        let mut takeover = match is_whole {
+            true => Takeover::known(),
+            false => Takeover::unknown(pilot),
+        };
+        self.is_whole = is_whole;
+        let (mut number, mut missed) = (first.cycle - 1, 0);
+        let mut overruns = if is_whole { 0 } else { first.overruns };
         for cycle in run {
-            outcome.missing_cycles += cycle.cycle.saturating_sub(number + 1);
+            let gap = cycle.cycle.saturating_sub(number + 1);
+            outcome.missing_cycles += gap;
+            if gap > 0 {
+                takeover = Takeover::unknown(pilot);
+            }
             number = cycle.cycle;
             let now_ns = cycle.stamp.data_ns + cycle.receive_ns;
+            let (lost, had_taken) = (outcome.missing_features, self.taken.is_some());
             let features = self.features(cycle, now_ns, outcome);
+            if outcome.missing_features > lost {
+                takeover.lose_input();
+            }
             let robot = self.robot(now_ns);
             for request in self.requests(now_ns) {
                 pilot.request(request);
@@ -235,14 +228,35 @@ impl<'a> Replay<'a> {
                 missed,
                 shutdown: cycle.hold == Hold::Shutdown.code(),
             };
+            let starts = |order| matches!(order, Order::First | Order::Restarted);
+            let is_new = matches!(&features, Input::Message(new) if starts(new.order));
             // A cycle counts what was missed before it; its record, what was missed until its end.
+            let missed_before = missed;
             missed = cycle.overruns.saturating_sub(overruns);
             overruns = cycle.overruns;
             let mut record = CycleRecord::default();
             let answer = pilot.decide(&inputs, &mut record);
-            compare(cycle, &record, tolerance, outcome);
             debug_assert_eq!(record.twist, answer.decision.twist);
+            let told = Told {
+                recorded: cycle,
+                replayed: &record,
+                effective_ns: pilot.effective_ns(&answer.stamp, now_ns),
+                missed: missed_before,
+                is_new: is_new && had_taken,
+            };
+            if takeover.look(pilot, &told) {
+                outcome.judge(cycle, &record, tolerance);
+            } else {
+                outcome.take_over(cycle, &record);
+            }
+            outcome.cycles += 1;
+            outcome.steps += u64::from(cycle.status != 0);
         }
+    }
+
+    /// Whether features came before the recording, and none since.
+    fn is_late(&self) -> bool {
+        !self.is_whole && self.taken.is_none()
     }
 
     /// What this cycle received from the camera.
@@ -254,23 +268,22 @@ impl<'a> Replay<'a> {
         if number == 0 {
             return Input::Nothing;
         }
-        // Cameras start again with the same numbers: the last one that had been published by then.
-        let known = self.features.get(&number).and_then(|messages| {
-            let published = |message: &&&Features| message.stamp.published_ns <= now_ns;
-            messages.iter().rfind(published).copied()
-        });
+        let known = self.find(cycle, now_ns);
         let known_to_be_old = self.taken.is_some_and(|taken| taken.sequence == number);
         match known {
             Some(message) if self.taken == Some(message.stamp) => Input::Nothing,
             Some(message) => {
-                let order = Order::after(self.taken, &message.stamp);
+                let order = match self.is_late() {
+                    true => Order::Next,
+                    false => Order::after(self.taken, &message.stamp),
+                };
                 self.taken = Some(message.stamp);
                 Input::Message(Received {
                     message: *message,
                     order,
                 })
             }
-            None if known_to_be_old => Input::Nothing,
+            None if known_to_be_old || self.is_late() => Input::Nothing,
             None => {
                 let stamp = Stamp {
                     sequence: number,
@@ -284,6 +297,28 @@ impl<'a> Replay<'a> {
                 Input::Refused(stamp)
             }
         }
+    }
+
+    /// The message that a cycle used. Cameras start again with the same numbers.
+    fn find(&mut self, cycle: &CycleRecord, now_ns: u64) -> Option<&'a Features> {
+        let same = self.features.get(&cycle.features_sequence)?;
+        let is_seen = |message: &Features| {
+            cycle.status == 0 || (message.count, message.points) == (cycle.count, cycle.points)
+        };
+        let (place, message) = match ClockMode::from_code(cycle.clock) {
+            // Its stamps are of another time. Each is answered once, so it is the next one.
+            Some(ClockMode::Lockstep) => {
+                let mut later = same.iter().filter(|(place, _)| *place >= self.next);
+                later.find(|(_, message)| is_seen(message))?
+            }
+            // The last one that had been published by then.
+            _ => {
+                let published = |message: &Features| message.stamp.published_ns <= now_ns;
+                same.iter().rfind(|(_, message)| published(message))?
+            }
+        };
+        self.next = place + 1;
+        Some(message)
     }
 
     /// The newest state of the robot since the last call.
@@ -314,101 +349,105 @@ impl<'a> Replay<'a> {
     }
 }
 
-fn compare(recorded: &CycleRecord, replayed: &CycleRecord, tolerance: f64, to: &mut Outcome) {
-    let pairs = recorded.twist.iter().zip(&replayed.twist);
-    let difference = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    let situation = |record: &CycleRecord| (record.state, record.hold);
-    let is_same_situation = situation(recorded) == situation(replayed);
-    let bits = |record: &CycleRecord| record.twist.map(f64::to_bits);
-    to.cycles += 1;
-    to.steps += u64::from(recorded.status != 0);
-    to.equal += u64::from(is_same_situation && bits(recorded) == bits(replayed));
-    to.largest = to.largest.max(difference);
-    if is_same_situation && difference <= tolerance {
-        return;
-    }
-    to.different += 1;
-    to.first.get_or_insert_with(|| Difference {
-        cycle: recorded.cycle,
-        difference,
-        recorded: recorded.twist,
-        replayed: replayed.twist,
-        recorded_state: words(recorded),
-        replayed_state: words(replayed),
-    });
-}
-
-fn words(record: &CycleRecord) -> String {
-    let state = TwistState::from_code(record.state).map_or("?".to_owned(), |s| s.to_string());
-    match Hold::from_code(record.hold) {
-        Some(Hold::None) | None => state,
-        Some(cause) => format!("{state}: {cause}"),
-    }
-}
-
-impl Outcome {
-    /// The outcome as text.
-    pub fn text(&self) -> String {
-        let Self {
-            cycles,
-            steps,
-            equal,
-            different,
-            largest,
-            first,
-            missing_features,
-            missing_cycles,
-        } = self;
-        let mut text = format!(
-            "{cycles} cycles, the law ran in {steps}: {equal} bit for bit the same, {different} different; largest \
-             difference of a twist {largest:e}\n"
-        );
-        if *missing_cycles > 0 {
-            text += &format!(
-                "{missing_cycles} cycles are not in the recording: what they left behind is unknown\n"
-            );
-        }
-        if *missing_features > 0 {
-            text +=
-                &format!("{missing_features} features that were used are not in the recording\n");
-        }
-        if let Some(first) = first {
-            text += &format!(
-                "first different: cycle {}, by {:e}\n  recorded {} {:?}\n  replayed {} {:?}\n",
-                first.cycle,
-                first.difference,
-                first.recorded_state,
-                first.recorded,
-                first.replayed_state,
-                first.replayed
-            );
-        }
-        text
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use ipc::{Action, Reply};
+
     use super::*;
 
-    /// Cycles of a daemon in lockstep, by its own pilot, on a camera that moves by itself.
-    fn flown(cycles: usize) -> Recording {
-        let mut recording = Recording {
-            scene: Some(Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap()),
-            scene_toml: Some(scene::PAPER_SIM.to_owned()),
-            config_toml: Some("[law]\niterations = 20\n[cycle]\nclock = \"lockstep\"\n".to_owned()),
-            ..Recording::default()
-        };
-        let blank = CycleRecord {
-            clock: ClockMode::Lockstep.code(),
-            np: 3,
-            state: TwistState::Moving.code(),
-            ..CycleRecord::default()
-        };
-        let mut pilot = pilot(&recording, &Beside::default(), &blank).unwrap();
-        let mut last = None;
-        for i in 0..cycles as u64 {
-            let offset = 90.0 - i as f64;
+    /// One period of the scene's camera, ns.
+    const PERIOD: u64 = 33_333_333;
+    /// Frames between exposure and cycle, on the fixed clock.
+    const DELAY: u64 = 3;
+    const MEMORY: &str = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../memory-blob/default/paper-sim.vpcmem"
+    );
+
+    /// A run on a camera that moves by itself.
+    struct Run {
+        clock: ClockMode,
+        strategy: StrategyCode,
+        law: &'static str,
+        armed: bool,
+        /// What operators ask before which cycle, from 0.
+        requests: &'static [(u64, Action)],
+        /// How far the pattern is from the goal, px, in each cycle.
+        offset: fn(u64) -> f64,
+    }
+
+    impl Default for Run {
+        fn default() -> Self {
+            Self {
+                clock: ClockMode::Lockstep,
+                strategy: StrategyCode::Previous,
+                law: "iterations = 20\n",
+                armed: true,
+                requests: &[],
+                // There and back again.
+                offset: |i| (120.0 - i as f64).abs() - 30.0,
+            }
+        }
+    }
+
+    impl Run {
+        /// Its recording: a daemon's own pilot, cycle by cycle.
+        fn flown(&self, cycles: u64) -> Recording {
+            let Self { clock, law, .. } = self;
+            let mut recording = Recording {
+                scene: Some(Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap()),
+                scene_toml: Some(scene::PAPER_SIM.to_owned()),
+                config_toml: Some(format!(
+                    "memory = '{MEMORY}'\n[law]\n{law}[cycle]\nclock = '{clock}'\n"
+                )),
+                ..Recording::default()
+            };
+            let state = match self.armed {
+                true => TwistState::Moving,
+                false => TwistState::Disarmed,
+            };
+            let blank = CycleRecord {
+                clock: clock.code(),
+                strategy: self.strategy.code(),
+                np: 3,
+                state: state.code(),
+                ..CycleRecord::default()
+            };
+            let mut pilot = pilot(&recording, &Beside::default(), &blank).unwrap();
+            let mut last = None;
+            for i in 0..cycles {
+                let now_ns = (100 + i) * PERIOD;
+                let message = self.features(i, now_ns);
+                let order = Order::after(last, &message.stamp);
+                last = Some(message.stamp);
+                for (_, action) in self.requests.iter().filter(|(cycle, _)| *cycle == i) {
+                    let mut request = Request::new(i, *action);
+                    request.stamp.published_ns = now_ns - 1000;
+                    let reply: Reply = pilot.request(&request);
+                    recording.requests.push(request);
+                    recording.replies.push(reply);
+                }
+                let mut record = CycleRecord {
+                    cycle: i + 1,
+                    ..blank
+                };
+                record.stamp.data_ns = now_ns;
+                let inputs = Inputs {
+                    now_ns,
+                    features: Input::Message(Received { message, order }),
+                    robot: Input::Nothing,
+                    missed: 0,
+                    shutdown: false,
+                };
+                pilot.decide(&inputs, &mut record);
+                recording.features.push(message);
+                recording.cycles.push(record);
+            }
+            recording
+        }
+
+        fn features(&self, i: u64, now_ns: u64) -> Features {
+            let offset = (self.offset)(i);
             let corners = [
                 [312.0, 312.0],
                 [712.0, 312.0],
@@ -416,46 +455,59 @@ mod tests {
                 [312.0, 712.0],
             ];
             let points = corners.map(|[u, v]| [u + offset, v - 0.5 * offset]);
-            let mut message = Features::new(&points, 1_000 * i);
+            let (exposed_ns, published_ns) = match self.clock {
+                // Simulated time is another one, here it is faster.
+                ClockMode::Lockstep => (3 * now_ns, 3 * now_ns),
+                _ => (now_ns - DELAY * PERIOD - 2_000_000, now_ns - 1_000_000),
+            };
+            let mut message = Features::new(&points, exposed_ns);
+            message.stamp.published_ns = published_ns;
             // The fifth frame is lost.
             message.stamp.sequence = if i < 5 { i + 1 } else { i + 2 };
-            message.stamp.published_ns = 1_000 * i + 1;
-            let order = Order::after(last, &message.stamp);
-            last = Some(message.stamp);
-            let mut record = CycleRecord {
-                cycle: i + 1,
-                ..blank
-            };
-            record.stamp.data_ns = 1_000 * i + 2;
-            let inputs = Inputs {
-                now_ns: record.stamp.data_ns,
-                features: Input::Message(Received { message, order }),
-                robot: Input::Nothing,
-                missed: 0,
-                shutdown: false,
-            };
-            pilot.decide(&inputs, &mut record);
-            recording.features.push(message);
-            recording.cycles.push(record);
+            message
         }
-        recording
+    }
+
+    fn flown(cycles: u64) -> Recording {
+        Run::default().flown(cycles)
+    }
+
+    fn outcome(recording: &Recording) -> Outcome {
+        replay(recording, &Beside::default(), 0.0).unwrap()
+    }
+
+    /// The same, recorded from after this many cycles on. The camera's last message waits for who comes late.
+    fn begun_after(recording: &Recording, cycles: usize) -> Recording {
+        let mut late = recording.clone();
+        late.cycles.drain(..cycles);
+        late.features.drain(..cycles.saturating_sub(1));
+        let begin_ns = late.cycles[0].stamp.data_ns;
+        late.requests
+            .retain(|request| request.stamp.published_ns > begin_ns);
+        late
+    }
+
+    fn flip_a_bit(recording: &mut Recording, cycle: u64) {
+        let mut cycles = recording.cycles.iter_mut();
+        let twist = &mut cycles.find(|c| c.cycle == cycle).unwrap().twist;
+        twist[2] = f64::from_bits(twist[2].to_bits() ^ 1);
     }
 
     #[test]
     fn the_same_law_gives_the_same_bits() {
-        let recording = flown(40);
-        let outcome = replay(&recording, &Beside::default(), 0.0).unwrap();
+        let outcome = outcome(&flown(40));
         assert_eq!((outcome.cycles, outcome.steps, outcome.equal), (40, 40, 40));
         assert_eq!((outcome.largest, outcome.first), (0.0, None));
+        assert_eq!((outcome.begins_at, outcome.taken_over.len()), (1, 0));
     }
 
     #[test]
     fn another_law_is_told_from_the_recorded_one_and_so_is_one_bit() {
         let mut recording = flown(40);
-        recording.cycles[17].twist[2] = f64::from_bits(recording.cycles[17].twist[2].to_bits() ^ 1);
-        let outcome = replay(&recording, &Beside::default(), 0.0).unwrap();
-        assert_eq!((outcome.equal, outcome.different), (39, 1));
-        assert_eq!(outcome.first.unwrap().cycle, 18);
+        flip_a_bit(&mut recording, 18);
+        let found = outcome(&recording);
+        assert_eq!((found.equal, found.different), (39, 1));
+        assert_eq!(found.first.unwrap().cycle, 18);
         let tolerant = replay(&recording, &Beside::default(), 1e-9).unwrap();
         assert_eq!((tolerant.equal, tolerant.different), (39, 0));
 
@@ -468,11 +520,158 @@ mod tests {
     }
 
     #[test]
-    fn features_that_were_not_recorded_are_counted() {
-        let mut recording = flown(10);
+    fn from_where_its_state_is_known_a_recording_begun_in_mid_run_gives_the_same_bits() {
+        let (previous, gpr, ibvs) = (
+            StrategyCode::Previous,
+            StrategyCode::Gpr,
+            StrategyCode::Ibvs,
+        );
+        for (clock, strategy) in [
+            (ClockMode::Lockstep, previous),
+            (ClockMode::Lockstep, gpr),
+            (ClockMode::Fixed, previous),
+            (ClockMode::Fixed, gpr),
+            (ClockMode::Fixed, ibvs),
+        ] {
+            let run = Run {
+                clock,
+                strategy,
+                ..Run::default()
+            };
+            let whole = run.flown(240);
+            assert_eq!(outcome(&whole).equal, 240);
+            for cycles in (1..190).step_by(9) {
+                let found = outcome(&begun_after(&whole, cycles));
+                let name = format!("{clock}, {strategy}, {cycles}: {found:?}");
+                assert_eq!(found.different, 0, "{name}");
+                assert_eq!(found.begins_at, cycles as u64 + 1, "{name}");
+                assert!(found.judged + 45 > found.cycles, "{name}");
+                assert_eq!(found.equal, found.judged, "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn in_a_recording_begun_in_mid_run_one_bit_and_another_law_are_found() {
+        for clock in [ClockMode::Lockstep, ClockMode::Fixed] {
+            let run = Run {
+                clock,
+                ..Run::default()
+            };
+            let late = begun_after(&run.flown(150), 30);
+            let judged_from = outcome(&late).taken_over[0].last + 1;
+            for cycle in [judged_from, 100] {
+                let mut changed = late.clone();
+                flip_a_bit(&mut changed, cycle);
+                let found = outcome(&changed);
+                assert_eq!(found.different, 1, "{found:?}");
+                assert_eq!(found.first.unwrap().cycle, cycle);
+            }
+
+            let mut other = late.clone();
+            let text = other.config_toml.unwrap();
+            other.config_toml = Some(text.replace("[law]", "[law]\nmodel = 'target-depth'"));
+            let found = replay(&other, &Beside::default(), 1e-9).unwrap();
+            assert!(found.different > 20, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn what_the_records_never_tell_is_not_compared_and_comes_close() {
+        let run = Run {
+            clock: ClockMode::Fixed,
+            law: "nc = 3\n",
+            ..Run::default()
+        };
+        let found = outcome(&begun_after(&run.flown(150), 20));
+        assert_eq!((found.judged, found.different), (0, 0));
+        let [stretch] = found.taken_over[..] else {
+            panic!("{found:?}");
+        };
+        assert_eq!((stretch.first, stretch.last), (21, 150));
+        assert!(
+            stretch.largest_late < 1e-3 && stretch.largest_late < stretch.largest,
+            "{stretch:?}"
+        );
+        assert!(found.text().contains("nothing was compared"));
+    }
+
+    #[test]
+    fn mode_and_requests_are_taken_over() {
+        let run = Run {
+            clock: ClockMode::Fixed,
+            armed: false,
+            requests: &[
+                (60, Action::Arm),
+                (100, Action::Disarm),
+                (120, Action::Arm),
+                (180, Action::Stop),
+                (190, Action::Arm),
+            ],
+            ..Run::default()
+        };
+        let whole = run.flown(230);
+        for cycles in [10, 59, 60, 62, 99, 101, 110, 150] {
+            let found = outcome(&begun_after(&whole, cycles));
+            assert_eq!(found.different, 0, "{cycles}: {found:?}");
+            assert!(found.judged >= 10, "{cycles}: {found:?}");
+        }
+        // The second request to arm was lost, with the cycles about it.
+        let mut deaf = whole.clone();
+        deaf.requests.retain(|request| request.id != 120);
+        deaf.cycles.drain(115..122);
+        deaf.cycles.truncate(170 - 7);
+        let found = outcome(&deaf);
+        assert_eq!(found.different, 0, "{found:?}");
+        assert!(found.equal > 170 - 7 - 45, "{found:?}");
+        // Of a disarmed camera there is nothing to tell.
+        let mut still = whole;
+        still.cycles.truncate(60);
+        assert_eq!(outcome(&begun_after(&still, 5)).judged, 0);
+    }
+
+    #[test]
+    fn a_detour_whose_number_is_not_known_is_taken_over() {
+        let run = Run {
+            strategy: StrategyCode::Gpr,
+            // Stuck, but for noise.
+            offset: |i| 150.0 + 0.1 * (i as f64).sin(),
+            ..Run::default()
+        };
+        let whole = run.flown(400);
+        let away = |cycle: &&CycleRecord| cycle.recalled == ipc::RecallCode::Detour.code();
+        assert!(whole.cycles.iter().filter(away).count() > 100);
+        for cycles in (1..150).step_by(3) {
+            let found = outcome(&begun_after(&whole, cycles));
+            assert_eq!(found.different, 0, "{cycles}: {found:?}");
+            assert!(found.judged + 100 > found.cycles, "{cycles}: {found:?}");
+        }
+        let found = outcome(&begun_after(&whole, 100));
+        assert!(found.taken_over.len() > 1, "{found:?}");
+    }
+
+    #[test]
+    fn features_that_were_not_recorded_are_counted_and_are_no_difference() {
+        let mut recording = flown(20);
         recording.features.remove(6);
-        let outcome = replay(&recording, &Beside::default(), 0.0).unwrap();
-        assert_eq!(outcome.missing_features, 1);
-        assert_eq!(outcome.first.unwrap().cycle, 7);
+        let found = outcome(&recording);
+        assert_eq!((found.missing_features, found.different), (1, 0));
+        let [stretch] = found.taken_over[..] else {
+            panic!("{found:?}");
+        };
+        assert_eq!((stretch.first, found.equal), (7, 20 - 3));
+    }
+
+    #[test]
+    fn cycles_that_were_not_recorded_are_counted_and_are_no_difference() {
+        let mut recording = flown(120);
+        recording.cycles.drain(40..45);
+        let found = outcome(&recording);
+        assert_eq!((found.missing_cycles, found.different), (5, 0));
+        let [stretch] = found.taken_over[..] else {
+            panic!("{found:?}");
+        };
+        assert_eq!(stretch.first, 46);
+        assert!(stretch.last < 90, "{found:?}");
     }
 }

@@ -12,9 +12,10 @@ use recording::{ReadError, Recording};
 /// Runs the law again on a recording (MCAP) and compares each twist with the one that was sent.
 ///
 /// The daemon's configuration and scene come from the recording, where the recorder was told of them; strategy, preview
-/// and clock from its first cycle. Flight records are replayed by `vpcd replay`.
+/// and clock from its first cycle. A recording that was begun in mid-run is judged from where it tells all of the law's
+/// state, mostly after less than a second of motion. Flight records are replayed by `vpcd replay`.
 ///
-/// Exit codes: 0 the same; 1 different; 64 command line; 65 recording, scene, memory or configuration wrong; 66 file
+/// Exit codes: 0 the same; 1 different; 2 nothing to compare: no cycle before which all is recorded; 64 command line; 65 recording, scene, memory or configuration wrong; 66 file
 /// missing; 70 failure.
 #[derive(Debug, Parser)]
 #[command(name = "vpc-replay", version, max_term_width = 100)]
@@ -62,6 +63,7 @@ fn main() -> ExitCode {
         }
     };
     match attempt(&arguments) {
+        Ok(outcome) if outcome.judged == 0 => ExitCode::from(2),
         Ok(outcome) => ExitCode::from(u8::from(outcome.different > 0)),
         Err((code, message)) => {
             eprintln!("vpc-replay: {message}");

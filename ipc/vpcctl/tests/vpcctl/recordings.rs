@@ -114,40 +114,58 @@ fn flight() -> &'static Flight {
 /// Three seconds of the paper's scene under `gpr`, recorded by `vpcctl record`.
 fn flown() -> Flight {
     let directory = tempfile::tempdir().unwrap();
-    let domain = directory.path().join("domain");
     let memory = root().join("memory-blob/default/paper-sim.vpcmem");
-    let (scene, memory) = (paper_scene(), memory.display().to_string());
-    let scene = scene.display();
+    let law = format!(
+        "memory = '{}'\n[law]\nstrategy = 'gpr'\nnp = 4\n",
+        memory.display()
+    );
+    fly(directory, &paper_scene(), &law, ["--time-limit", "3"], None)
+}
+
+/// A flight of the 82nd start; the recording is begun before, or so long after the daemon and the emulator.
+fn fly(
+    directory: tempfile::TempDir,
+    scene: &Path,
+    law: &str,
+    camera: [&str; 2],
+    begun_after: Option<Duration>,
+) -> Flight {
+    let domain = directory.path().join("domain");
     let config = directory.path().join("vpcd.toml");
-    let text = format!("scene = '{scene}'\nmemory = '{memory}'\n[law]\nstrategy = 'gpr'\nnp = 4\n");
+    let text = format!("scene = '{}'\n{law}", scene.display());
     std::fs::write(&config, text).unwrap();
     let file = directory.path().join("run.mcap");
-
     let mut record = Command::new(env!("CARGO_BIN_EXE_vpcctl"));
     record.arg("--domain").arg(&domain).arg("record").arg(&file);
     record.arg("--config").arg(&config).stdout(Stdio::piped());
-    let record = Running::start(&mut record);
-    // The file is made when all ports are open.
-    let end = Instant::now() + PATIENCE;
-    while !file.exists() {
-        assert!(Instant::now() < end, "no recording is made");
-        std::thread::sleep(Duration::from_millis(2));
-    }
     let mut vpcd = Command::new(program("vpcd"));
     vpcd.arg("--config").arg(&config).arg("--arm");
     vpcd.arg("--domain").arg(&domain).stderr(Stdio::null());
-    let vpcd = Running::start(&mut vpcd);
     let mut hw_sim = Command::new(program("hw-sim"));
-    hw_sim.arg("--scene").arg(paper_scene()).arg("--starts");
+    hw_sim.arg("--scene").arg(scene).arg("--starts");
     hw_sim.arg(root().join("ipc/scene/scenes/paper-sim-starts.csv"));
-    hw_sim.args(["--start", "82", "--time-limit", "3", "--domain"]);
-    let emulator = hw_sim.arg(&domain).output().unwrap();
+    hw_sim.args(["--start", "82"]).args(camera);
+    hw_sim.arg("--domain").arg(&domain).stdout(Stdio::null());
+
+    let early = begun_after.is_none().then(|| {
+        let record = Running::start(&mut record);
+        // The file is made when all ports are open.
+        let end = Instant::now() + PATIENCE;
+        while !file.exists() {
+            assert!(Instant::now() < end, "no recording is made");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        record
+    });
+    let vpcd = Running::start(&mut vpcd);
+    let mut emulator = Running::start(&mut hw_sim);
+    let record = early.unwrap_or_else(|| {
+        std::thread::sleep(begun_after.unwrap_or_default());
+        Running::start(&mut record)
+    });
     // 1: it has not arrived yet.
-    assert!(
-        emulator.status.code().is_some_and(|code| code <= 1),
-        "{}",
-        stderr(&emulator)
-    );
+    let code = emulator.0.wait().unwrap().code();
+    assert!(code.is_some_and(|code| code <= 1), "{code:?}");
     assert!(vpcd.ended().status.success());
     let recorded = record.ended();
     assert!(recorded.status.success());
@@ -242,20 +260,8 @@ fn a_recording_is_drawn_and_reported() {
     );
 }
 
-#[test]
-fn a_replay_finds_no_difference_and_one_ulp_where_there_is_one() {
-    let flight = flight();
-    let recording = Recording::read(&flight.file()).unwrap();
-    let same = run(&["replay", &flight.words(), "--json"]);
-    assert_eq!(same.status.code(), Some(0), "{}", stderr(&same));
-    let found = json(&same);
-    assert_eq!(found["different"], 0, "{found}");
-    assert_eq!(found["equal"], recording.cycles.len() as u64, "{found}");
-    assert!(found["steps"].as_u64().unwrap() > 15, "{found}");
-
-    // The same file but for the last bit of one number of one command.
-    let moving = |cycle: &&ipc::CycleRecord| cycle.twist[1] != 0.0;
-    let changed = recording.cycles.iter().find(moving).unwrap().cycle;
+/// The same file but for the last bit of one number of one command.
+fn one_ulp_changed(flight: &Flight, recording: &Recording, cycle: u64) -> PathBuf {
     let file = flight.directory.path().join("ulp.mcap");
     let context = Context::read(None, Some(&flight.config())).unwrap();
     let mut copy = RecordingFile::create(&file, true, &context).unwrap();
@@ -267,12 +273,29 @@ fn a_replay_finds_no_difference_and_one_ulp_where_there_is_one() {
     }
     for message in &recording.cycles {
         let mut message = *message;
-        if message.cycle == changed {
+        if message.cycle == cycle {
             message.twist[1] = f64::from_bits(message.twist[1].to_bits() ^ 1);
         }
         copy.cycle(&message, Order::Next).unwrap();
     }
     copy.finish().unwrap();
+    file
+}
+
+#[test]
+fn a_replay_finds_no_difference_and_one_ulp_where_there_is_one() {
+    let flight = flight();
+    let recording = Recording::read(&flight.file()).unwrap();
+    let same = run(&["replay", &flight.words(), "--json"]);
+    assert_eq!(same.status.code(), Some(0), "{}", stderr(&same));
+    let found = json(&same);
+    assert_eq!(found["different"], 0, "{found}");
+    assert_eq!(found["equal"], recording.cycles.len() as u64, "{found}");
+    assert!(found["steps"].as_u64().unwrap() > 15, "{found}");
+
+    let moving = |cycle: &&ipc::CycleRecord| cycle.twist[1] != 0.0;
+    let changed = recording.cycles.iter().find(moving).unwrap().cycle;
+    let file = one_ulp_changed(flight, &recording, changed);
     let other = run(&["replay", file.to_str().unwrap(), "--json"]);
     assert_eq!(other.status.code(), Some(1), "{}", stderr(&other));
     let found = json(&other);
@@ -289,6 +312,67 @@ fn a_replay_finds_no_difference_and_one_ulp_where_there_is_one() {
     );
     let tolerant = run(&["replay", file.to_str().unwrap(), "--tolerance", "1e-12"]);
     assert_eq!(tolerant.status.code(), Some(0), "{}", stdout(&tolerant));
+}
+
+/// Recorded from its second second on, while the camera moved.
+fn flown_late() -> Flight {
+    let directory = tempfile::tempdir().unwrap();
+    // A slow camera, that is under way for long.
+    let scene = directory.path().join("slow.toml");
+    let text = scene::PAPER_SIM.replace("linear = 0.5", "linear = 0.05");
+    assert_ne!(text, scene::PAPER_SIM);
+    std::fs::write(&scene, text).unwrap();
+    let late = Duration::from_millis(1200);
+    fly(directory, &scene, "", ["--time-limit", "6"], Some(late))
+}
+
+#[test]
+fn a_recording_begun_while_the_camera_moves_is_compared_from_where_its_state_is_known() {
+    let complete = |flight: &Flight| !flight.summary.contains("lost");
+    let mut flights = (0..5).map(|_| flown_late());
+    let flight = flights
+        .find(complete)
+        .expect("messages were lost each time");
+    let recording = Recording::read(&flight.file()).unwrap();
+    let first = &recording.cycles[0];
+    assert!(first.cycle > 10 && first.twist != [0.0; 6], "{first:?}");
+
+    let same = run(&["replay", &flight.words(), "--json"]);
+    let found = json(&same);
+    assert_eq!(same.status.code(), Some(0), "{}: {found}", stderr(&same));
+    assert_eq!(
+        (&found["different"], &found["missing_features"]),
+        (&0.into(), &0.into())
+    );
+    assert_eq!(
+        (&found["begins_at"], &found["equal"]),
+        (&first.cycle.into(), &found["judged"])
+    );
+    let taken_over = &found["taken_over"][0];
+    assert_eq!(taken_over["first"], first.cycle, "{found}");
+    let last = taken_over["last"].as_u64().unwrap();
+    assert!(last < first.cycle + 30, "{found}");
+    assert!(found["judged"].as_u64().unwrap() > 30, "{found}");
+    let words = stdout(&run(&["replay", &flight.words()]));
+    let told = format!("not judged: cycles {} to {last}", first.cycle);
+    assert!(words.contains(&told), "{words}");
+
+    let file = one_ulp_changed(&flight, &recording, last + 5);
+    let other = run(&["replay", file.to_str().unwrap(), "--json"]);
+    let found = json(&other);
+    assert_eq!(other.status.code(), Some(1), "{found}");
+    assert_eq!(
+        (&found["different"], &found["first"]["cycle"]),
+        (&1.into(), &(last + 5).into())
+    );
+
+    // Of its first two cycles alone nothing can be said, and that is no difference.
+    let mut short = recording;
+    short.cycles.truncate(2);
+    let file = one_ulp_changed(&flight, &short, 0);
+    let short = run(&["replay", file.to_str().unwrap()]);
+    assert_eq!(short.status.code(), Some(2), "{}", stdout(&short));
+    assert!(stdout(&short).contains("nothing was compared"));
 }
 
 #[test]

@@ -98,17 +98,25 @@ fn commands_are_never_offered_to_the_network() {
     }
 }
 
+/// The page in a real browser; `None`, and a word about it, where there is none.
+fn browse(domain: &Path, options: &[&str]) -> Option<(Server, Browser)> {
+    let words = [&["serve", "--listen", "127.0.0.1:0"], options].concat();
+    let server = Server::start(domain, &words);
+    let url = server.line.trim().rsplit(' ').next()?;
+    let browser = Browser::open(domain, url);
+    if browser.is_none() {
+        println!("NOT RUN: no chromium");
+    }
+    Some((server, browser?))
+}
+
 #[test]
 fn a_browser_shows_the_painted_mask_where_it_is() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
     let scene = painted_scene(directory.path());
     let scene = scene.to_str().unwrap();
-    let words = ["serve", "--listen", "127.0.0.1:0", "--scene", scene];
-    let server = Server::start(directory.path(), &words);
-    let url = server.line.trim().rsplit(' ').next().unwrap();
-    let Some(mut browser) = Browser::open(directory.path(), url) else {
-        println!("NOT RUN: no chromium");
+    let Some((_server, mut browser)) = browse(directory.path(), &["--scene", scene]) else {
         return;
     };
     browser.wait_for("document.getElementById('state').textContent === 'disarmed'");
@@ -125,11 +133,7 @@ fn a_browser_shows_the_painted_mask_where_it_is() {
 fn a_browser_shows_the_run_and_its_buttons_command() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
-    let words = ["serve", "--listen", "127.0.0.1:0", "--control"];
-    let server = Server::start(directory.path(), &words);
-    let url = server.line.trim().rsplit(' ').next().unwrap();
-    let Some(mut browser) = Browser::open(directory.path(), url) else {
-        println!("NOT RUN: no chromium");
+    let Some((_server, mut browser)) = browse(directory.path(), &["--control"]) else {
         return;
     };
     browser.wait_for("document.getElementById('state').textContent === 'disarmed'");
