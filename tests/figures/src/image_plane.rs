@@ -11,11 +11,14 @@ use std::path::{Path, PathBuf};
 /// Longest side of the image in the drawing, px.
 const SIDE: f64 = 360.0;
 /// Left, top, right, bottom of the frame.
-const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 44.0];
+const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 62.0];
+/// Width that the key below an image takes, px: an upright image is narrower.
+const KEY: f64 = 350.0;
 /// Least way between two crosses of one feature, px of the drawing.
 const APART: f64 = 7.0;
 const BLUE: &str = "#1f4fd8";
 const RED: &str = "#d81f1f";
+const SHADE: &str = "#b9bdc4";
 
 /// Feature paths on the image plane, as in the paper: big blue dots at the start, small ones at each cycle, red
 /// circles at the target, red crosses at way points, occlusions shaded.
@@ -65,7 +68,44 @@ impl ImagePlane<'_> {
             let style = format!("fill=\"none\" stroke=\"{RED}\" stroke-width=\"2\"");
             canvas.circle(frame.at(*p), 5.0, &style);
         }
+        self.key(&frame, &mut canvas);
         canvas
+    }
+
+    /// What each mark means, below the image: who sees the picture alone has no text beside it.
+    fn key(&self, frame: &Frame, canvas: &mut Canvas) {
+        let y = frame.key();
+        let at = |x: f64| [MARGIN[0] + x, y - 3.5];
+        let blue = format!("fill=\"{BLUE}\"");
+        canvas.circle(at(6.0), 4.5, &blue);
+        (0..3).for_each(|k| canvas.circle(at(62.0 + 5.0 * f64::from(k)), 1.5, &blue));
+        canvas.circle(
+            at(134.0),
+            5.0,
+            &format!("fill=\"none\" stroke=\"{RED}\" stroke-width=\"2\""),
+        );
+        let [x, y_square] = at(184.0);
+        canvas.element(format_args!(
+            "<rect x=\"{x:.2}\" y=\"{:.2}\" width=\"10\" height=\"10\" fill=\"{SHADE}\"/>",
+            y_square - 5.0
+        ));
+        let mut names = vec![
+            (14.0, "start"),
+            (78.0, "cycles"),
+            (143.0, "goal"),
+            (198.0, "occlusion"),
+        ];
+        if !self.way_points.is_empty() {
+            canvas.cross(
+                at(274.0),
+                2.6,
+                &format!("stroke=\"{RED}\" stroke-width=\"1.3\""),
+            );
+            names.push((282.0, "way points"));
+        }
+        for (x, name) in names {
+            canvas.text(MARGIN[0] + x, y, 10.0, "start", name);
+        }
     }
 
     /// The way points without those that lie nearer than this (px) to the last ones that are kept: at 30 Hz crosses would
@@ -114,10 +154,21 @@ impl Frame {
         [MARGIN[0] + self.scale * u, MARGIN[1] + self.scale * v]
     }
 
+    /// Base line of the words that explain the marks, below the axis, px of the drawing.
+    pub(crate) fn key(&self) -> f64 {
+        MARGIN[1] + self.height + 52.0
+    }
+
+    /// One line of words below the axis that explains the marks.
+    pub(crate) fn explain(&self, canvas: &mut Canvas, words: &str) {
+        canvas.text(MARGIN[0], self.key(), 10.0, "start", words);
+    }
+
     /// A canvas with axes and occlusions.
     pub(crate) fn begin(&self, scene: &Scene, title: &str) -> Canvas {
         let (w, h) = (self.width, self.height);
-        let mut canvas = Canvas::new(w + MARGIN[0] + MARGIN[2], h + MARGIN[1] + MARGIN[3]);
+        let wide = w.max(KEY) + MARGIN[0] + MARGIN[2];
+        let mut canvas = Canvas::new(wide, h + MARGIN[1] + MARGIN[3]);
         let clip = format!("image-{w:.0}x{h:.0}");
         canvas.element(format_args!(
             "<clipPath id=\"{clip}\"><rect x=\"{}\" y=\"{}\" width=\"{w:.2}\" height=\"{h:.2}\"/></clipPath>",
@@ -126,14 +177,14 @@ impl Frame {
         for part in scene.parts() {
             let outline = self.outline(part);
             canvas.element(format_args!(
-                "<path d=\"{outline}\" fill=\"#b9bdc4\" clip-path=\"url(#{clip})\"/>"
+                "<path d=\"{outline}\" fill=\"{SHADE}\" clip-path=\"url(#{clip})\"/>"
             ));
         }
         for mask in scene.masks() {
             // Rows of pixels meet without a seam only where edges are not softened.
             let area = self.pixels(mask);
             canvas.element(format_args!(
-                "<path d=\"{area}\" fill=\"#b9bdc4\" shape-rendering=\"crispEdges\" clip-path=\"url(#{clip})\"/>"
+                "<path d=\"{area}\" fill=\"{SHADE}\" shape-rendering=\"crispEdges\" clip-path=\"url(#{clip})\"/>"
             ));
         }
         let axis = "stroke=\"#222222\" stroke-width=\"1\"";
@@ -222,5 +273,30 @@ mod tests {
             .map(|p| p[0][0])
             .collect();
         assert_eq!(places, [0.0, 30.0, 60.0, 90.0]);
+    }
+
+    #[test]
+    fn the_key_fits_below_an_upright_image_and_names_way_points_where_there_are_some() {
+        let mut scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        scene.camera.height = 3.0 * scene.camera.width;
+        let drawn = |way_points: Vec<Points>| {
+            let plane = ImagePlane {
+                scene: &scene,
+                path: Vec::new(),
+                goal: Vec::new(),
+                way_points,
+                title: String::new(),
+            };
+            plane.canvas()
+        };
+        let without = drawn(Vec::new());
+        assert!(without.size().0 >= MARGIN[0] + KEY);
+        assert!(without.svg().contains(">occlusion<"));
+        assert!(!without.svg().contains(">way points<"));
+        assert!(
+            drawn(vec![vec![[50.0, 50.0]]])
+                .svg()
+                .contains(">way points<")
+        );
     }
 }

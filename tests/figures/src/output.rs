@@ -21,7 +21,7 @@ pub enum FigureError {
         /// The file.
         path: String,
         /// The operating system's reason.
-        source: std::io::Error,
+        r#source: std::io::Error,
     },
     /// The drawing could not be made into pixels.
     #[error("{path}: cannot draw the figure: {reason}")]

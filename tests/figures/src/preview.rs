@@ -58,6 +58,8 @@ impl Preview<'_> {
             let style = format!("fill=\"{colour}\" stroke=\"#d81f1f\" stroke-width=\"2\"");
             canvas.circle(frame.at(*p), 5.0, &style);
         }
+        let words = "red: goal; thin: starts; grey: occlusions; orange: the memory is asked";
+        frame.explain(&mut canvas, words);
         canvas
     }
 

@@ -43,6 +43,8 @@ impl Samples<'_> {
             let style = "fill=\"none\" stroke=\"#d81f1f\" stroke-width=\"2\"";
             canvas.circle(frame.at(*p), 5.0, style);
         }
+        let words = "a colour a feature, darker towards the goal (red); grey: occlusions";
+        frame.explain(&mut canvas, words);
         canvas
     }
 
