@@ -53,7 +53,7 @@ pub enum JoinError {
         /// The directory.
         path: String,
         /// The operating system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// The directory belongs to somebody else, or is a link.
     #[error("domain {path}: owned by user {owner}; allowed: a directory (no link) of user {us}")]
@@ -89,7 +89,7 @@ pub enum JoinError {
         /// The directory.
         path: String,
         /// Its reason.
-        source: NodeCreationFailure,
+        r#source: NodeCreationFailure,
     },
     /// A service exists with other types or another quality of service.
     #[error(
@@ -101,7 +101,7 @@ pub enum JoinError {
         /// The service.
         service: &'static str,
         /// iceoryx2's reason.
-        source: PublishSubscribeOpenOrCreateError,
+        r#source: PublishSubscribeOpenOrCreateError,
     },
     /// A service could not be opened.
     #[error("domain {path}: {service}: {source}")]
@@ -111,7 +111,7 @@ pub enum JoinError {
         /// The service.
         service: &'static str,
         /// iceoryx2's reason.
-        source: PublishSubscribeOpenOrCreateError,
+        r#source: PublishSubscribeOpenOrCreateError,
     },
 }
 

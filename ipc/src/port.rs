@@ -41,7 +41,7 @@ pub enum OpenError {
         /// The service.
         service: &'static str,
         /// Its reason.
-        source: PublisherCreateError,
+        r#source: PublisherCreateError,
     },
     /// iceoryx2 refused the subscriber.
     #[error("{service}: no subscriber: {source}")]
@@ -49,7 +49,7 @@ pub enum OpenError {
         /// The service.
         service: &'static str,
         /// Its reason.
-        source: SubscriberCreateError,
+        r#source: SubscriberCreateError,
     },
     /// The domain is being left.
     #[error("{service}: the domain is being left")]
@@ -71,7 +71,7 @@ pub enum PublishError {
         /// The service.
         service: &'static str,
         /// iceoryx2's reason.
-        source: LoanError,
+        r#source: LoanError,
     },
     /// Not delivered.
     #[error("{service}: not delivered: {source}")]
@@ -79,7 +79,7 @@ pub enum PublishError {
         /// The service.
         service: &'static str,
         /// iceoryx2's reason.
-        source: SendError,
+        r#source: SendError,
     },
 }
 
@@ -100,7 +100,7 @@ pub enum ReceiveError {
         /// The service.
         service: &'static str,
         /// iceoryx2's reason.
-        source: iceoryx2::port::ReceiveError,
+        r#source: iceoryx2::port::ReceiveError,
     },
 }
 

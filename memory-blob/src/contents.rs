@@ -74,7 +74,7 @@ pub enum WriteError {
         /// The file.
         path: String,
         /// The operating system's reason.
-        source: std::io::Error,
+        r#source: std::io::Error,
     },
 }
 

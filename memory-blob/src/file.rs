@@ -25,7 +25,7 @@ pub enum OpenError {
         /// The file.
         path: String,
         /// The operating system's reason.
-        source: std::io::Error,
+        r#source: std::io::Error,
     },
     /// The file is damaged, or not a memory.
     #[error("{path}: not an intact memory: {what}")]

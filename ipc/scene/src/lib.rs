@@ -25,11 +25,15 @@ mod mask;
 mod model;
 
 #[cfg(feature = "file")]
+mod error;
+#[cfg(feature = "file")]
 mod file;
 #[cfg(feature = "file")]
 mod key;
 #[cfg(feature = "file")]
 mod keys;
+#[cfg(feature = "file")]
+mod raw;
 #[cfg(feature = "file")]
 mod starts;
 
@@ -41,7 +45,7 @@ pub use model::{
 };
 
 #[cfg(feature = "file")]
-pub use file::SceneError;
+pub use error::SceneError;
 #[cfg(feature = "file")]
 pub use key::{Key, Kind};
 #[cfg(feature = "file")]

@@ -13,7 +13,7 @@ pub enum StartsError {
         /// The file.
         path: String,
         /// The operating system's reason.
-        source: std::io::Error,
+        r#source: std::io::Error,
     },
     /// The header is not the documented one.
     #[error("{path}: the first line is `{found}`; allowed: `tx,ty,tz,rx,ry,rz`")]
@@ -148,6 +148,17 @@ mod tests {
                 .len(),
             100
         );
+    }
+
+    #[test]
+    fn a_missing_file_is_told_once() {
+        use std::error::Error;
+        let starts = crate::read_starts(Path::new("/none/starts.csv")).unwrap_err();
+        let scene = crate::Scene::read(Path::new("/none/scene.toml")).unwrap_err();
+        // Programs print the chain of causes: what is in the message must not follow it.
+        assert!(starts.source().is_none() && scene.source().is_none());
+        assert!(starts.to_string().contains("No such file"), "{starts}");
+        assert!(scene.to_string().contains("No such file"), "{scene}");
     }
 
     #[test]
