@@ -7,7 +7,9 @@ use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, bail};
-use clap::{Parser, ValueEnum};
+use clap::error::ErrorKind;
+use clap::parser::ValueSource;
+use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
@@ -48,7 +50,7 @@ struct Cli {
     /// Times each cycle as the median of this many replays.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     repeats: u16,
-    /// Frames between exposure and delivery.
+    /// Frames between exposure and delivery (of a Panda's camera: --delay-ms).
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
     delay: u16,
     /// Leaves the law where it stalls, as the paper's does: no detour over a sample of the memory.
@@ -77,23 +79,23 @@ struct Cli {
     /// How the law predicts features: pose, area-depth, target-depth.
     #[arg(long, value_parser = model, default_value = "pose")]
     model: Model,
-    /// What carries the camera: the paper's hand-held camera, or a Panda with its bridge and a late camera.
+    /// What carries the camera: nothing, or a Panda with its bridge and a late camera.
     #[arg(long, value_enum, default_value = "free")]
     robot: Body,
-    #[command(flatten)]
-    arm: RobotFlags,
     /// Writes rows and runs to this file.
     #[arg(long)]
     json: Option<PathBuf>,
     /// Draws pictures into this directory.
     #[arg(long)]
     plots: Option<PathBuf>,
+    #[command(flatten, next_help_heading = "With --robot panda")]
+    arm: RobotFlags,
 }
 
 /// What carries the camera.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Body {
-    /// Nothing: it moves as told.
+    /// It flies freely and moves exactly as told.
     Free,
     /// A Franka Emika Panda.
     Panda,
@@ -137,8 +139,36 @@ fn model(word: &str) -> Result<Model, String> {
     }
 }
 
+/// The command line, unless it holds a flag that the chosen body would not look at: a margin that changes nothing must not
+/// pass for one that does nothing.
+fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
+    let matches = Cli::command().try_get_matches_from(arguments)?;
+    let cli = Cli::from_arg_matches(&matches)?;
+    let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
+    let refused = |id: &str, body: &str| {
+        let words = format!("--{} goes with --robot {body}", id.replace('_', "-"));
+        Cli::command().error(ErrorKind::ArgumentConflict, words)
+    };
+    let (of_others, body) = match cli.robot {
+        Body::Free => {
+            let arm = RobotFlags::augment_args(clap::Command::new("arm"));
+            let ids = arm.get_arguments().map(|flag| flag.get_id().to_string());
+            (ids.collect(), "panda")
+        }
+        Body::Panda => (vec!["delay".to_owned(), "repeats".to_owned()], "free"),
+    };
+    match of_others.iter().find(|id| given(id)) {
+        Some(id) => Err(refused(id, body)),
+        None => Ok(cli),
+    }
+}
+
 fn main() -> ExitCode {
-    match table(&Cli::parse_from(system_tests::arguments())) {
+    let cli = match parse(system_tests::arguments()) {
+        Ok(cli) => cli,
+        Err(error) => error.exit(),
+    };
+    match table(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("table: {error:#}");
@@ -356,4 +386,33 @@ fn bar(total: u64) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:40.cyan/blue} {pos}/{len} {msg}, ETA {eta}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(flags: &str) -> Option<String> {
+        let line = format!("table --scene s --starts s {flags}");
+        let parsed = parse(line.split_whitespace().map(Into::into));
+        parsed.err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_flag_that_would_change_nothing_is_refused() {
+        assert_eq!(refusal("--margin 12 --robot panda"), None);
+        assert_eq!(refusal("--delay 4 --noise 0.3"), None);
+        for (flags, words) in [
+            ("--margin 12", "--margin goes with --robot panda"),
+            ("--unshaped", "--unshaped goes with --robot panda"),
+            (
+                "--delay-ms 110 --robot free",
+                "--delay-ms goes with --robot panda",
+            ),
+            ("--delay 4 --robot panda", "--delay goes with --robot free"),
+        ] {
+            let message = refusal(flags).unwrap();
+            assert!(message.contains(words), "{flags}: {message}");
+        }
+    }
 }
