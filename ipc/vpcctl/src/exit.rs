@@ -91,7 +91,9 @@ pub enum Failure {
     )]
     ExposedControl,
     /// The address cannot be used.
-    #[error("--listen {address}: {source}")]
+    #[error(
+        "--listen {address}: {source}; allowed: a free address of this machine (port 0: any free port)"
+    )]
     Listen {
         /// The address.
         address: String,

@@ -126,6 +126,8 @@ fn a_browser_shows_the_painted_mask_where_it_is() {
         return [[140, 700], [460, 700], [300, 540], [300, 860]].every(p => at(...p)) \
         && ![[300, 700], [90, 700], [300, 470], [500, 880]].some(p => at(...p)); })()";
     browser.wait_for(painted);
+    // Without --control there is nothing to press.
+    browser.wait_for("getComputedStyle(document.getElementById('buttons')).display === 'none'");
     browser.keep_picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("serve-mask.png"));
 }
 
@@ -139,7 +141,7 @@ fn a_browser_shows_the_run_and_its_buttons_command() {
     browser.wait_for("document.getElementById('state').textContent === 'disarmed'");
     browser.wait_for("document.getElementById('cause').textContent === 'not armed'");
     browser.wait_for("document.getElementById('numbers').innerText.includes('25.5 px')");
-    browser.wait_for("!document.getElementById('buttons').hidden");
+    browser.wait_for("getComputedStyle(document.getElementById('buttons')).display === 'flex'");
     // Something is painted where feature 1 is, (700, 500) of 1280 x 960 px.
     let pixel = "(() => { const c = document.getElementById('image'); const s = c.width / 1280; \
         return c.getContext('2d').getImageData(700 * s, 500 * s, 1, 1).data[3] > 0; })()";
