@@ -44,8 +44,6 @@ pub struct JointBounds {
 pub const TRANSLATION: Bounds = bounds(1.7, 13.0, 6500.0);
 /// Of the end effector's turn.
 pub const ROTATION: Bounds = bounds(2.5, 25.0, 12500.0);
-/// Of the elbow, the position of joint 3.
-pub const ELBOW: Bounds = bounds(2.175, 10.0, 5000.0);
 /// Of the joints, base to flange.
 pub const JOINT: [JointBounds; JOINTS] = [
     joint(-2.8973, 2.8973, 2.175, 15.0, 7500.0),
