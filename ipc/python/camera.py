@@ -22,8 +22,11 @@ import pathlib
 import sys
 import tomllib
 
-import numpy as np
-import vpc_client
+try:
+    import numpy as np
+    import vpc_client
+except ModuleNotFoundError as missing:
+    sys.exit(f"camera: {missing.name} is missing; pip install -r ipc/python/requirements.txt")
 from referee import Referee
 
 # Least depth of a point that a camera sees, m.
@@ -127,10 +130,21 @@ def parse():
     return parser, parser.parse_args()
 
 
+def read_scene(path):
+    with open(path, "rb") as file:
+        try:
+            scene = tomllib.load(file)
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: not a scene: {error}") from None
+    for table in ("camera", "pattern", "goal", "success"):
+        if table not in scene:
+            raise ValueError(f"{path}: not a scene: [{table}] is missing")
+    return scene
+
+
 def main():
     parser, arguments = parse()
-    with open(arguments.scene, "rb") as file:
-        scene = tomllib.load(file)
+    scene = read_scene(arguments.scene)
     many = False
     if arguments.starts:
         poses = dict(enumerate(read_starts(arguments.starts)))
@@ -174,5 +188,5 @@ def main():
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except (vpc_client.VpcError, OSError) as error:
+    except (vpc_client.VpcError, OSError, ValueError) as error:
         sys.exit(f"camera: {error}")

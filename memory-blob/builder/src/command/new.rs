@@ -252,7 +252,7 @@ fn numbers(flag: &str, text: &str, separator: char) -> anyhow::Result<Vec<f64>> 
     text.split(separator)
         .map(|number| match number.trim().parse::<f64>() {
             Ok(x) if x.is_finite() => Ok(x),
-            _ => bail!("{flag} = {text}; allowed: numbers between `{separator}`"),
+            _ => bail!("{flag} = {text}; allowed: numbers with `{separator}` between them"),
         })
         .collect()
 }
@@ -261,7 +261,8 @@ fn numbers(flag: &str, text: &str, separator: char) -> anyhow::Result<Vec<f64>> 
 fn exactly<const N: usize>(flag: &str, text: &str, separator: char) -> anyhow::Result<[f64; N]> {
     match numbers(flag, text, separator)?.try_into() {
         Ok(numbers) => Ok(numbers),
-        Err(_) => bail!("{flag} = {text}; allowed: {N} numbers between `{separator}`"),
+        Err(_) if N == 1 => bail!("{flag} = {text}; allowed: one number"),
+        Err(_) => bail!("{flag} = {text}; allowed: {N} numbers with `{separator}` between them"),
     }
 }
 
@@ -285,7 +286,14 @@ mod tests {
     #[test]
     fn a_wrong_count_names_flag_value_and_what_is_allowed() {
         let message = exactly::<2>("--image", "640", 'x').unwrap_err().to_string();
-        assert_eq!(message, "--image = 640; allowed: 2 numbers between `x`");
+        assert_eq!(
+            message,
+            "--image = 640; allowed: 2 numbers with `x` between them"
+        );
+        let message = exactly::<1>("--rate", "30,60", ',')
+            .unwrap_err()
+            .to_string();
+        assert_eq!(message, "--rate = 30,60; allowed: one number");
         let message = exactly::<1>("--rate", "fast", ',').unwrap_err().to_string();
         assert!(message.contains("--rate = fast"), "{message}");
     }
