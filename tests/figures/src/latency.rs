@@ -28,7 +28,7 @@ pub struct Times {
 pub struct Latency {
     /// From above.
     pub panels: Vec<Times>,
-    /// A limit to be drawn, us: the period.
+    /// The period, us, to be drawn as what no time may exceed.
     pub limit_us: Option<f64>,
     /// Title.
     pub title: String,
@@ -52,7 +52,11 @@ impl Latency {
             let x = position(axis, 10f64.powi(decade));
             canvas.text(x, bottom + 14.0, 10.0, "middle", &time(decade));
         }
-        canvas.text(WIDTH / 2.0, bottom + 31.0, 11.0, "middle", "time");
+        let words = match self.limit_us {
+            Some(_) => "time; red: the period",
+            None => "time",
+        };
+        canvas.text(WIDTH / 2.0, bottom + 31.0, 11.0, "middle", words);
         canvas
     }
 
@@ -173,6 +177,11 @@ mod tests {
         };
         assert_eq!(figure(vec![3.0, 40.0], Some(33_333.0)).axis(), (0, 5));
         assert_eq!(figure(vec![0.0], None).axis(), (0, 3));
+        let told = |limit_us| {
+            let svg = figure(vec![3.0], limit_us).canvas().svg();
+            svg.contains("red: the period")
+        };
+        assert!(told(Some(33_333.0)) && !told(None));
         assert!(figure(Vec::new(), None).canvas().svg().contains("1 ms"));
         assert_eq!(
             (time(-1), time(4), time(6)),

@@ -79,7 +79,7 @@ struct Cli {
     /// How the law predicts features: pose, area-depth, target-depth.
     #[arg(long, value_parser = model, default_value = "pose")]
     model: Model,
-    /// What carries the camera: nothing, or a Panda with its bridge and a late camera.
+    /// What carries the camera: nobody (the paper's hand-held camera), or a Panda with its bridge and a late camera.
     #[arg(long, value_enum, default_value = "free")]
     robot: Body,
     /// Writes rows and runs to this file.
