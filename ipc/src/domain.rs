@@ -65,6 +65,16 @@ pub enum JoinError {
         /// Who we are.
         us: u32,
     },
+    /// Other users may put files into the directory, or take ours away: the locks, and what the services are found by.
+    #[error(
+        "domain {path}: mode {mode:03o} lets other users put files into it; allowed: mode 700 (chmod 700 {path})"
+    )]
+    Open {
+        /// The directory.
+        path: String,
+        /// Its permissions.
+        mode: u32,
+    },
     /// The path is longer than iceoryx2 takes, or not plain.
     #[error(
         "domain {path}: not a usable path; allowed: at most 200 bytes, letters, digits and . - _ /"

@@ -138,6 +138,10 @@ fn prepare(directory: &Path) -> Result<PathBuf, JoinError> {
     if !found.is_dir() || owner != us {
         return Err(JoinError::NotOurs { path, owner, us });
     }
+    let mode = found.mode() & 0o777;
+    if mode & 0o022 != 0 {
+        return Err(JoinError::Open { path, mode });
+    }
     directory.canonicalize().map_err(trouble)
 }
 
@@ -176,6 +180,24 @@ mod tests {
             error.to_string().contains("is joining or leaving"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_directory_that_others_may_write_to_is_refused_with_its_mode() {
+        use std::os::unix::fs::PermissionsExt;
+        let directory = tempfile::tempdir().unwrap();
+        let enter = |mode: u32| {
+            let permissions = std::fs::Permissions::from_mode(mode);
+            std::fs::set_permissions(directory.path(), permissions).unwrap();
+            Guard::enter(directory.path(), |_| Ok(()))
+        };
+        for mode in [0o777, 0o770, 0o702] {
+            let message = enter(mode).unwrap_err().to_string();
+            let words = format!("mode {mode:o} lets other users put files into it; allowed: ");
+            assert!(message.contains(&words), "{message}");
+        }
+        // Who is let look sees names only.
+        assert!(enter(0o755).is_ok() && enter(0o700).is_ok());
     }
 
     #[test]

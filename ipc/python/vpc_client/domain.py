@@ -31,6 +31,11 @@ class Domain:
         os.makedirs(directory, mode=0o700, exist_ok=True)
         if os.path.islink(directory) or os.stat(directory).st_uid != os.geteuid():
             raise PermissionError(f"domain {directory}: allowed: a directory (no link) of our own")
+        mode = os.stat(directory).st_mode & 0o777
+        if mode & 0o022:
+            raise PermissionError(
+                f"domain {directory}: mode {mode:03o} lets other users put files into it; allowed: mode 700"
+            )
         self.directory = os.path.realpath(directory)
         self._startup = self._open("startup")
         self._member = self._open("lock")
