@@ -140,7 +140,7 @@ pub(super) const LOST: Key = Key::number(
     "0.3",
     (0.1, 10.0),
     "0.1 to 10 s",
-    "time without usable features, or without a word of the robot, after which the camera is disarmed; not in lockstep",
+    "time without usable features, or without a word of the robot, after which the camera is disarmed; at least cycle.stale_periods and two periods; not in lockstep",
 );
 pub(super) const DOMAIN: Key = Key::new(
     "ipc.domain",
