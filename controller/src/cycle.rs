@@ -115,6 +115,11 @@ impl Cycle {
         self.pilot.is_at_rest()
     }
 
+    /// Whether nobody takes the records any more: the ordinary thread is gone.
+    pub fn is_unheard(&self) -> bool {
+        self.tap.is_unheard()
+    }
+
     /// One cycle; once `stop` is asked for it brakes. In lockstep `Ok(None)` where no message came within a few
     /// milliseconds.
     ///

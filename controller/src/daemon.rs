@@ -20,7 +20,7 @@ use crate::report::{Report, ReportError};
 use crate::service::{Progress, Service, ServiceError, Talk};
 use crate::shutdown::{Hangup, Stop};
 use crate::supervisor::Rules;
-use crate::telemetry::{self, RecorderError};
+use crate::telemetry::{self, RecorderError, Summary};
 use crate::{log, preflight, realtime, stack};
 
 /// Failures to send in a row after which the daemon gives up: a broken segment does not mend itself.
@@ -206,25 +206,30 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     drop(cycle);
     let stack_used_bytes = config.realtime.map_or(0, |_| stack::used());
     let locked_kib = realtime::status_kib("VmLck").unwrap_or(0);
-    let mut reported = Ok(());
-    if let Ok(summary) = recorder.join() {
+    let reported = recorded(recorder.join()).and_then(|summary| {
         summary.tell();
-        if let Some(path) = &arguments.report {
-            let report = Report {
-                realtime: realtime.0,
-                stack_used_bytes,
-                locked_kib,
-                lost_lines: log.lost(),
-                ..summary.report()
-            };
-            reported = report.write(path);
-        }
-    }
+        let Some(path) = &arguments.report else {
+            return Ok(());
+        };
+        let report = Report {
+            realtime: realtime.0,
+            stack_used_bytes,
+            locked_kib,
+            lost_lines: log.lost(),
+            ..summary.report()
+        };
+        Ok(report.write(path)?)
+    });
     // The ports are closed: the next one may come.
     drop(instance);
     outcome?;
     stopped.map_err(|source| Failure::Send { most: 1, source })?;
-    Ok(reported?)
+    reported
+}
+
+/// What the recorder's thread left when it ended; a panic of it is a failure of the daemon.
+fn recorded(ended: std::thread::Result<Summary>) -> Result<Summary, Failure> {
+    ended.map_err(|_| RecorderError::Died.into())
 }
 
 /// Runs cycles until asked to stop, and then until the camera stands; in lockstep, where nothing moves between
@@ -238,6 +243,10 @@ fn turn(
     let mut failures = 0;
     let mut left = cycle.braking_cycles();
     while most.is_none_or(|most| cycle.count() < most) {
+        if cycle.is_unheard() {
+            // Without telemetry, log and watchdog nobody would know what the camera does.
+            stop.ask();
+        }
         if stop.is_asked() {
             if left == 0 || cycle.is_at_rest() {
                 break;
@@ -316,4 +325,18 @@ fn describe(config: &Config, law: &Law) -> String {
         settings.np,
         config.domain.display(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recorder_that_died_is_a_failure_of_the_daemon() {
+        let panics = || -> Summary { std::panic::resume_unwind(Box::new("as if it panicked")) };
+        let failure = recorded(std::thread::spawn(panics).join()).unwrap_err();
+        assert_eq!(failure.exit(), Exit::Software);
+        assert!(failure.to_string().contains("before the loop"), "{failure}");
+        assert!(recorded(Ok(Summary::default())).is_ok());
+    }
 }

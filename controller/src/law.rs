@@ -10,6 +10,9 @@ use vpc::{Measurement, MotionMemory, Refusal, Settings, SettingsError, Strategy}
 use crate::exit::Exit;
 use crate::gate::Link;
 
+// A step takes all the points that a message can have: more than the law has room for would panic in the loop.
+const _: () = assert!(ipc::MAX_POINTS <= vpc::MAX_POINTS);
+
 /// Rounding that a command may have beyond the limits, as a share of them.
 const ROUNDING: f64 = 1e-9;
 

@@ -37,6 +37,9 @@ pub enum RecorderError {
     /// The thread ended before it was ready.
     #[error("the recorder's thread ended before it was ready")]
     Gone,
+    /// The thread ended while the loop ran: nobody logs, feeds the watchdog, or keeps flight records any more.
+    #[error("the recorder's thread ended before the loop")]
+    Died,
 }
 
 /// Starts the recorder, which ends when the loop lets go of its end of the queue and the queue is empty. It joins the

@@ -130,6 +130,11 @@ impl Tap {
         self.lost
     }
 
+    /// Whether the ordinary thread is gone. Wait-free.
+    pub fn is_unheard(&self) -> bool {
+        self.records.is_abandoned()
+    }
+
     fn look(&mut self, next: u64, pilot: &Pilot) {
         let mut state = pilot.state();
         self.before = Seal::of(&mut state);
@@ -160,5 +165,18 @@ impl Tail {
     /// The next key. The key of a cycle was pushed before its record: taken after the records, none is missing.
     pub fn pop_key(&mut self) -> Option<Key> {
         self.keys.pop().ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_loop_knows_whether_anybody_hears_it() {
+        let (tap, tail) = tap(Wish::default());
+        assert!(!tap.is_unheard());
+        drop(tail);
+        assert!(tap.is_unheard());
     }
 }
