@@ -1,6 +1,9 @@
 //! What the programs `demo` and `table` and the system tests share: closed-loop runs against an exact camera, and
 //! what they add up to.
 
+#![forbid(unsafe_code)]
+
+pub mod children;
 pub mod pictures;
 pub mod processes;
 pub mod robot;

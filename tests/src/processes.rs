@@ -2,20 +2,18 @@
 //! each in a domain of its own.
 
 use std::fs;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Stdio;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
-use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 
+use crate::children::{self, Children};
 use crate::spec::Spec;
-
-/// Longest time for a daemon to end after a termination signal.
-const PATIENCE: Duration = Duration::from_secs(5);
 
 /// What all pairs have in common.
 #[derive(Clone, Debug)]
@@ -24,7 +22,8 @@ pub struct Cell {
     pub binaries: PathBuf,
     /// The repository's root.
     pub root: PathBuf,
-    /// Directory for domains and configurations, made and removed by [`runs`].
+    /// Directory for domains and configurations, made by [`runs`], and removed by it where all went well: logs of what
+    /// failed stay.
     pub place: PathBuf,
     /// Flags of `hw-sim`, in words.
     pub camera: Vec<String>,
@@ -89,17 +88,20 @@ pub struct ProcessRun {
 /// # Errors
 /// A program that cannot be run, or that ends in another way than with a verdict.
 pub fn runs(
+    children: &Children,
     cell: &Cell,
     spec: Spec,
     starts: &[usize],
     jobs: usize,
     tell: &(dyn Fn(&ProcessRun) + Sync),
 ) -> anyhow::Result<Vec<ProcessRun>> {
+    let mut place = children.place(cell.place.clone());
     let next = AtomicUsize::new(0);
     let done = Mutex::new(Vec::new());
     let work = || -> anyhow::Result<()> {
         while let Some(&start) = starts.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let said = pair(cell, spec, start).with_context(|| format!("{spec}, start {start}"))?;
+            let said = pair(children, cell, spec, start)
+                .with_context(|| format!("{spec}, start {start}"))?;
             let run = ProcessRun { start, said };
             tell(&run);
             if let Ok(mut done) = done.lock() {
@@ -108,7 +110,7 @@ pub fn runs(
         }
         Ok(())
     };
-    thread::scope(|scope| {
+    let ends = thread::scope(|scope| {
         let workers: Vec<_> = (0..jobs.max(1)).map(|_| scope.spawn(work)).collect();
         let ends = workers.into_iter().map(|worker| match worker.join() {
             Ok(end) => end,
@@ -117,37 +119,39 @@ pub fn runs(
         ends.collect::<Vec<_>>()
             .into_iter()
             .collect::<anyhow::Result<()>>()
-    })?;
-    let _ = fs::remove_dir_all(&cell.place);
+    });
+    if ends.is_err() {
+        place.keep();
+    }
+    ends?;
     let mut done = done.into_inner().unwrap_or_default();
     done.sort_by_key(|run| run.start);
     Ok(done)
 }
 
 /// One run of both processes.
-fn pair(cell: &Cell, spec: Spec, start: usize) -> anyhow::Result<Said> {
+fn pair(children: &Children, cell: &Cell, spec: Spec, start: usize) -> anyhow::Result<Said> {
     let here = cell.place.join(format!("{spec}-{start}").replace(':', "-"));
     fs::create_dir_all(&here).with_context(|| here.display().to_string())?;
     let config = here.join("vpcd.toml");
     fs::write(&config, configuration(cell, spec)?).with_context(|| config.display().to_string())?;
     let domain = here.join("domain");
     let log = fs::File::create(here.join("vpcd.log"))?;
-    let mut daemon = Command::new(cell.binaries.join("vpcd"));
+    let mut daemon = children::command(cell.binaries.join("vpcd"));
     daemon.arg("--config").arg(&config).arg("--arm");
     daemon.arg("--domain").arg(&domain).stderr(log);
-    let mut daemon = Running(daemon.spawn().context("cannot start vpcd")?);
-    let mut emulator = Command::new(cell.binaries.join("hw-sim"));
+    let mut daemon = children.start("vpcd", daemon)?;
+    let mut emulator = children::command(cell.binaries.join("hw-sim"));
     emulator
         .arg("--config")
         .arg(cell.root.join("hw-sim/hw-sim-robot.toml"));
     emulator.args(["--clock", "fixed", "--start", &start.to_string()]);
     emulator.args(["--seed", &cell.seed.wrapping_add(start as u64).to_string()]);
     emulator.args(&cell.camera).arg("--domain").arg(&domain);
-    let emulated = emulator
-        .stderr(Stdio::piped())
-        .output()
-        .context("cannot run hw-sim")?;
-    daemon.stop()?;
+    emulator.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let emulated = children.start("hw-sim", emulator)?.output()?;
+    let log = || format!("its log is in {}", here.display());
+    daemon.stop().with_context(log)?;
     let words = String::from_utf8_lossy(&emulated.stderr);
     serde_json::from_slice(&emulated.stdout)
         .with_context(|| format!("no verdict of hw-sim: {}", words.trim()))
@@ -207,57 +211,22 @@ pub fn row(spec: Spec, runs: &[ProcessRun]) -> String {
 pub const HEAD: &str = "| strategy | success | reflexes | limit violations | discontinuities | stale frames | \
 arrival (s) | lateness p99 (us) | worst (ms) | failed |\n|---|--:|--:|--:|--:|--:|--:|--:|--:|---|";
 
-/// A child that does not outlive this program.
-#[derive(Debug)]
-pub struct Running(pub Child);
-
-impl Running {
-    /// Asks the child to stop and waits for it.
-    ///
-    /// # Errors
-    /// It ended with another exit code than 0, or not at all.
-    pub fn stop(&mut self) -> anyhow::Result<()> {
-        let id = self.0.id();
-        let asked = Command::new("kill")
-            .arg(id.to_string())
-            .status()
-            .context("cannot run kill")?;
-        let begin = Instant::now();
-        while begin.elapsed() < PATIENCE {
-            if let Some(status) = self.0.try_wait()? {
-                if status.success() {
-                    return Ok(());
-                }
-                bail!("vpcd ended with {status}; its log is beside the recording");
-            }
-            thread::sleep(Duration::from_millis(10));
-        }
-        bail!("vpcd (process {id}) did not stop within {PATIENCE:?} after {asked}");
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // Already gone where it was stopped.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// Builds `vpcd` and `hw-sim` beside the program that runs, with the cargo that runs it; gives their directory.
 ///
 /// # Errors
 /// Cargo cannot be run, or fails.
-pub fn build(root: &Path) -> anyhow::Result<PathBuf> {
+pub fn build(children: &Children, root: &Path) -> anyhow::Result<PathBuf> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut command = Command::new(cargo);
+    let mut command = children::command(cargo);
+    // Its compilers end with it.
+    command.process_group(0);
     command.current_dir(root).args(["build", "--quiet"]);
     command.args(["--package", "controller", "--package", "hw-sim"]);
     if !cfg!(debug_assertions) {
         command.arg("--release");
     }
-    let status = command.status().context("cannot run cargo")?;
-    if !status.success() {
+    let built = children.start("cargo", command)?.output()?;
+    if !built.status.success() {
         bail!("cargo build of vpcd and hw-sim failed");
     }
     let program = std::env::current_exe()?;

@@ -4,7 +4,7 @@
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{ExitCode, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
@@ -16,8 +16,9 @@ use hw_sim::eye::Sight;
 use hw_sim::recording;
 use memory_blob::MemoryFile;
 use scene::{Scene, read_starts};
+use system_tests::children::{self, Children, attended};
 use system_tests::pictures;
-use system_tests::processes::{Running, build};
+use system_tests::processes::build;
 use system_tests::robot_table::{self, Common, RobotFlags};
 use system_tests::row::{Row, markdown};
 use system_tests::run::{run, time};
@@ -95,17 +96,13 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    match demo(&Cli::parse_from(system_tests::arguments())) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("demo: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
+    attended("demo", |children| {
+        let arrived = demo(children, &Cli::parse_from(system_tests::arguments()))?;
+        Ok(ExitCode::from(u8::from(!arrived)))
+    })
 }
 
-fn demo(cli: &Cli) -> anyhow::Result<bool> {
+fn demo(children: &Children, cli: &Cli) -> anyhow::Result<bool> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .context("no workspace")?;
@@ -123,18 +120,22 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
         bail!("--start = {index}; allowed: 0 to {}", starts.len() - 1);
     };
     fs::create_dir_all(&cli.output).with_context(|| cli.output.display().to_string())?;
-    let binaries = build(root)?;
+    let binaries = build(children, root)?;
 
     println!(
         "vpcd ({}) and hw-sim, two processes over shared memory: {}, start {index}",
         cli.strategy,
         scene_path.display(),
     );
-    let domain = env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
+    // The daemon puts its flight record beside the domain: the end of the camera is a fault to it.
+    let here = env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
+    let place = children.place(here.clone());
+    fs::create_dir_all(&here).with_context(|| here.display().to_string())?;
+    let domain = here.join("domain");
     let clock = if cli.lockstep { "lockstep" } else { "fixed" };
     let recording_path = cli.output.join("run.jsonl");
     let log = fs::File::create(cli.output.join("vpcd.log"))?;
-    let mut daemon = Command::new(binaries.join("vpcd"));
+    let mut daemon = children::command(binaries.join("vpcd"));
     daemon
         .arg("--config")
         .arg(root.join(cli.scene.daemon()))
@@ -152,8 +153,8 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
     if cli.strategy.strategy.needs_memory() {
         daemon.arg("--memory").arg(&memory_path);
     }
-    let mut daemon = Running(daemon.spawn().context("cannot start vpcd")?);
-    let mut emulator = Command::new(binaries.join("hw-sim"));
+    let mut daemon = children.start("vpcd", daemon)?;
+    let mut emulator = children::command(binaries.join("hw-sim"));
     emulator
         .arg("--config")
         .arg(root.join(cli.scene.emulator()))
@@ -173,14 +174,11 @@ fn demo(cli: &Cli) -> anyhow::Result<bool> {
         emulator.arg("--progress");
     }
     let watch = WayPoints::watch(&domain);
-    let emulated = emulator.output().context("cannot run hw-sim")?;
-    let stopped = daemon.stop();
+    let emulated = children.start("hw-sim", emulator)?.output()?;
+    let log = || format!("its log is in {}", cli.output.display());
+    let stopped = daemon.stop().with_context(log);
     let way_points = watch.end();
-    let _ = fs::remove_dir_all(&domain);
-    // The end of the camera is a fault to the daemon, which left its flight record.
-    let _ = fs::remove_dir_all(
-        domain.with_file_name(format!("vpc-demo-{}-flight", std::process::id())),
-    );
+    drop(place);
     let verdict = String::from_utf8_lossy(&emulated.stdout);
     let verdict = verdict.trim();
     println!(
@@ -329,10 +327,11 @@ fn draw_recording(
     Ok(written)
 }
 
-/// Collects the way points that the daemon's cycles report, until it is told to end.
+/// Collects the way points that the daemon's cycles report, until it is told to end or dropped: a domain that is left
+/// in order leaves nothing in shared memory.
 struct WayPoints {
     end: Arc<AtomicBool>,
-    thread: JoinHandle<Vec<figures::Points>>,
+    thread: Option<JoinHandle<Vec<figures::Points>>>,
 }
 
 impl WayPoints {
@@ -341,12 +340,24 @@ impl WayPoints {
         let (ended, domain) = (Arc::clone(&end), domain.to_owned());
         // Without the pictures' way points the demo is still a demo: errors mean that there are none.
         let thread = thread::spawn(move || collect(&domain, &ended).unwrap_or_default());
+        let thread = Some(thread);
         Self { end, thread }
     }
 
-    fn end(self) -> Vec<figures::Points> {
+    fn end(mut self) -> Vec<figures::Points> {
+        self.collected()
+    }
+
+    fn collected(&mut self) -> Vec<figures::Points> {
         self.end.store(true, Ordering::Relaxed);
-        self.thread.join().unwrap_or_default()
+        let thread = self.thread.take().map(JoinHandle::join);
+        thread.and_then(Result::ok).unwrap_or_default()
+    }
+}
+
+impl Drop for WayPoints {
+    fn drop(&mut self) {
+        self.collected();
     }
 }
 

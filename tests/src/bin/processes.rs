@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use clap::Parser;
+use system_tests::children::{Children, attended};
 use system_tests::processes::{Cell, HEAD, build, row, runs};
 use system_tests::spec::Spec;
 
@@ -58,16 +59,13 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    match processes(&Cli::parse_from(system_tests::arguments())) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("processes: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
+    attended("processes", |children| {
+        processes(children, &Cli::parse_from(system_tests::arguments()))?;
+        Ok(ExitCode::SUCCESS)
+    })
 }
 
-fn processes(cli: &Cli) -> anyhow::Result<()> {
+fn processes(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .context("no workspace")?;
@@ -80,7 +78,7 @@ fn processes(cli: &Cli) -> anyhow::Result<()> {
     let starts: Vec<usize> = (cli.from..cli.to).step_by(cli.every).collect();
     let flag = |name: &str, value: f64| [name.to_owned(), value.to_string()];
     let cell = Cell {
-        binaries: build(root)?,
+        binaries: build(children, root)?,
         root: root.to_owned(),
         place: std::env::temp_dir().join(format!("vpc-processes-{}", std::process::id())),
         camera: [["--camera".to_owned(), cli.camera.clone()]]
@@ -99,7 +97,7 @@ fn processes(cli: &Cli) -> anyhow::Result<()> {
     let mut all = Vec::new();
     writeln!(out, "{HEAD}")?;
     for &spec in &cli.strategies {
-        let runs = runs(&cell, spec, &starts, cli.jobs, &|run| {
+        let runs = runs(children, &cell, spec, &starts, cli.jobs, &|run| {
             let said = &run.said;
             eprintln!(
                 "{spec}, start {}: {} after {:.1} s",

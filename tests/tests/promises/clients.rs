@@ -15,7 +15,7 @@ use vpc::{Controller, MotionMemory};
 use crate::fixture::{Place, Running, program, root, scene_file, tell, turn};
 
 #[path = "../../../ipc/tests/python/environment.rs"]
-mod environment;
+pub mod environment;
 use environment::Environment;
 
 /// The paper's starts.

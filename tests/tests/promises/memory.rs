@@ -34,7 +34,7 @@ fn vpcd(place: &Place, scene: &Path, memory: &str) -> Command {
 }
 
 /// The daemon's answer to a memory: exit code and message.
-fn judged(place: &Place, name: &str) -> (Option<i32>, String) {
+pub fn judged(place: &Place, name: &str) -> (Option<i32>, String) {
     let mut command = vpcd(place, &scene_file(), name);
     command.args(["--arm", "--cycles", "1"]);
     Running::start(command).ended()

@@ -1,0 +1,209 @@
+//! `processes` and `demo` start `cargo`, `vpcd` and `hw-sim`, and leave nothing behind whichever way they end: no
+//! process, and, where they could hear of their end, no directory and nothing in shared memory.
+
+use std::fs;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use ipc::{Domain, shared_memory_prefix};
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::fixture::{Place, eventually, program, tell, turn};
+
+/// Environment variable that all descendants of a program inherit.
+const MARK: &str = "VPC_ORPHANS_OF";
+/// Longest time for the pair to run: `cargo build` may have something to do.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A program that starts children; itself and what it left are killed in the end.
+struct Parent {
+    place: Place,
+    child: Child,
+    mark: Vec<u8>,
+}
+
+impl Parent {
+    fn start(program: &str, arguments: &[&str], cargo: Option<&Path>) -> Self {
+        let place = Place::new();
+        let text = place.path("").display().to_string();
+        let mut command = Command::new(program);
+        command.args(arguments).current_dir(place.path(""));
+        command.env(MARK, &text).env("TMPDIR", &text);
+        if let Some(cargo) = cargo {
+            command.env("CARGO", cargo);
+        }
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        Self {
+            child: command.spawn().unwrap(),
+            mark: format!("{MARK}={text}\0").into_bytes(),
+            place,
+        }
+    }
+
+    /// Processes of this program, with itself: number and name. Those that wait to be reaped have no environment.
+    fn family(&self) -> Vec<(i32, String)> {
+        let processes = fs::read_dir("/proc").unwrap().filter_map(Result::ok);
+        let marked = processes.filter_map(|entry| {
+            let id = entry.file_name().to_str()?.parse().ok()?;
+            let environment = fs::read(entry.path().join("environ")).ok()?;
+            let is_ours = environment.windows(self.mark.len()).any(|w| w == self.mark);
+            let name = fs::read_to_string(entry.path().join("comm")).ok()?;
+            is_ours.then(|| (id, name.trim().to_owned()))
+        });
+        marked.collect()
+    }
+
+    /// Domains of its children so far.
+    fn domains(&self) -> Vec<PathBuf> {
+        fn below(directory: &Path, found: &mut Vec<PathBuf>) {
+            for entry in fs::read_dir(directory).into_iter().flatten().flatten() {
+                let path = entry.path();
+                if entry.file_name() == "domain" {
+                    found.extend(path.canonicalize());
+                } else if path.is_dir() {
+                    below(&path, found);
+                }
+            }
+        }
+        let mut found = Vec::new();
+        below(&self.place.path(""), &mut found);
+        found
+    }
+
+    /// Waits until all of these run.
+    fn runs(&mut self, names: &[&str]) {
+        let begin = Instant::now();
+        loop {
+            let family = self.family();
+            let runs = |name: &&str| family.iter().any(|(_, other)| other == name);
+            if names.iter().all(runs) {
+                return;
+            }
+            let ended = self.child.try_wait().unwrap();
+            assert!(ended.is_none(), "{ended:?} before {names:?} ran");
+            assert!(begin.elapsed() < PATIENCE, "only {family:?} run");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Sends a signal; how the program ended.
+    fn ends_by(&mut self, signal: Signal) -> ExitStatus {
+        kill_process(Pid::from_child(&self.child), signal).unwrap();
+        eventually("the program's end", || self.child.try_wait().unwrap())
+    }
+}
+
+impl Drop for Parent {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        for (id, _) in self.family() {
+            let _ = Pid::from_raw(id).map(|pid| kill_process(pid, Signal::KILL));
+        }
+        // Clears away what was killed.
+        for domain in self.domains() {
+            let _ = Domain::join(&domain);
+        }
+    }
+}
+
+/// Files in shared memory of these domains, which need not exist any more.
+fn segments(domains: &[PathBuf]) -> usize {
+    let prefixes: Vec<String> = domains.iter().map(|d| shared_memory_prefix(d)).collect();
+    let files = fs::read_dir("/dev/shm").unwrap().filter_map(Result::ok);
+    let is_theirs = |name: &[u8]| prefixes.iter().any(|p| name.starts_with(p.as_bytes()));
+    files
+        .filter(|file| is_theirs(file.file_name().as_bytes()))
+        .count()
+}
+
+/// Stops a program while its pairs run, by each signal.
+fn leaves_nothing(program: &str, arguments: &[&str]) {
+    let name = Path::new(program).file_name().unwrap().display();
+    for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
+        let mut parent = Parent::start(program, arguments, None);
+        parent.runs(&["vpcd", "hw-sim"]);
+        std::thread::sleep(Duration::from_millis(300));
+        let (domains, before) = (parent.domains(), parent.family());
+        assert!(segments(&domains) > 0, "{domains:?}");
+        let begin = Instant::now();
+        let status = parent.ends_by(signal);
+        let ended = begin.elapsed();
+        assert_eq!(status.signal(), Some(signal.as_raw()), "{name}: {status}");
+        if signal == Signal::KILL {
+            // The kernel tells the children, who then leave by themselves.
+            eventually("the end of children", || {
+                parent.family().is_empty().then_some(())
+            });
+        } else {
+            assert_eq!(parent.family(), [], "{name}, {signal:?}, of {before:?}");
+            assert_eq!(segments(&domains), 0, "{name}, {signal:?}: {domains:?}");
+            let left = fs::read_dir(parent.place.path("")).unwrap().flatten();
+            let left: Vec<_> = left.map(|entry| entry.file_name()).collect();
+            let is_ours = |name: &std::ffi::OsString| name.as_bytes().starts_with(b"vpc-");
+            assert!(!left.iter().any(is_ours), "{name}, {signal:?}: {left:?}");
+        }
+        tell(&format!(
+            "{name}, {signal:?}: ended after {} ms, its {} children after {} ms; segments left: {}",
+            ended.as_millis(),
+            before.len() - 1,
+            begin.elapsed().as_millis(),
+            segments(&domains),
+        ));
+    }
+}
+
+#[test]
+fn processes_leaves_nothing_behind() {
+    let _turn = turn();
+    program("vpcd");
+    leaves_nothing(
+        env!("CARGO_BIN_EXE_processes"),
+        &["--jobs", "2", "--to", "4"],
+    );
+}
+
+#[test]
+fn the_demo_leaves_nothing_behind() {
+    let _turn = turn();
+    program("vpcd");
+    leaves_nothing(env!("CARGO_BIN_EXE_demo"), &["--no-progress"]);
+}
+
+#[test]
+fn a_build_ends_with_its_compilers() {
+    let _turn = turn();
+    for parent in [env!("CARGO_BIN_EXE_processes"), env!("CARGO_BIN_EXE_demo")] {
+        let place = Place::new();
+        // It does what cargo does while it compiles.
+        let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
+        fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
+        let mut parent = Parent::start(parent, &[], Some(&cargo));
+        parent.runs(&["cargo", "sleep"]);
+        let status = parent.ends_by(Signal::TERM);
+        assert_eq!(status.signal(), Some(Signal::TERM.as_raw()), "{status}");
+        eventually("the end of compilers", || {
+            parent.family().is_empty().then_some(())
+        });
+    }
+}
+
+#[test]
+fn what_was_started_to_outlive_a_terminal_does() {
+    let _turn = turn();
+    let place = Place::new();
+    let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
+    fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
+    let words = [env!("CARGO_BIN_EXE_processes")];
+    let mut parent = Parent::start("nohup", &words, Some(&cargo));
+    parent.runs(&["cargo", "sleep"]);
+    kill_process(Pid::from_child(&parent.child), Signal::HUP).unwrap();
+    // The next signal is not heard before the first one.
+    std::thread::sleep(Duration::from_millis(100));
+    let status = parent.ends_by(Signal::TERM);
+    assert_eq!(status.signal(), Some(Signal::TERM.as_raw()), "{status}");
+}

@@ -1,0 +1,97 @@
+//! A memory whose Gaussian process scikit-learn fitted (`memory-blob/python/fit_gpr.py`) steers: `vpcd` reaches the goal
+//! with it from a start from which it does not without a memory. A damaged copy is refused.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use memory_blob::MemoryFile;
+use serde_json::Value;
+
+use crate::clients::environment::{self, Environment};
+use crate::fixture::{Place, Running, program, root, scene_file, tell, turn};
+use crate::memory::judged;
+
+/// The demo's start: without a memory, the camera stays in front of an occlusion.
+const START: &str = "82";
+
+fn shipped() -> PathBuf {
+    root().join("memory-blob/default/paper-sim.vpcmem")
+}
+
+/// What the referee says of a run of both processes, in lockstep.
+fn verdict(strategy: &str, memory: &Path) -> Value {
+    let place = Place::new();
+    let mut vpcd = Command::new(program("vpcd"));
+    vpcd.arg("--scene").arg(scene_file()).arg("--memory");
+    vpcd.arg(memory).arg("--domain").arg(place.domain());
+    vpcd.args(["--clock", "lockstep", "--strategy", strategy]);
+    vpcd.stdout(Stdio::null()).stderr(Stdio::null());
+    let _vpcd = Running::start(vpcd);
+    let mut camera = Command::new(program("hw-sim"));
+    camera.arg("--scene").arg(scene_file()).arg("--starts");
+    camera.arg(root().join("ipc/scene/scenes/paper-sim-starts.csv"));
+    camera.args(["--start", START, "--clock", "lockstep"]);
+    let said = camera.arg("--domain").arg(place.domain()).output().unwrap();
+    let verdict: Value = serde_json::from_slice(&said.stdout)
+        .unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&said.stderr)));
+    tell(&format!(
+        "start {START}, {strategy}, {}: {} after {} frames, clearance {:.2} px",
+        memory.file_name().unwrap().display(),
+        verdict["verdict"],
+        verdict["frames"],
+        verdict["least_clearance_px"].as_f64().unwrap(),
+    ));
+    verdict
+}
+
+#[test]
+fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
+    let _turn = turn();
+    let scripts = root().join("memory-blob/python");
+    let environment = Environment {
+        place: Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-scikit"),
+        requirements: vec![scripts.join("requirements.txt")],
+        packages: &[],
+    };
+    let name = "the_daemon_reaches_the_goal_with_a_process_of_scikit_learn";
+    let Some(python) = environment.python(name) else {
+        return;
+    };
+    let place = Place::new();
+    let refit = place.path("refit.vpcmem");
+    let mut fit = Command::new(python);
+    fit.arg(scripts.join("fit_gpr.py")).arg(shipped());
+    let said = environment::run(fit.arg(&refit)).unwrap();
+    tell(String::from_utf8_lossy(&said.stdout).trim());
+
+    assert_ne!(verdict("previous", &refit)["verdict"], "arrived");
+    let with_it = verdict("gpr", &refit);
+    assert_eq!(with_it["verdict"], "arrived", "{with_it}");
+    assert!(with_it["least_clearance_px"].as_f64().unwrap() >= 0.0);
+    // Another process than that of the builder: other commands, and so another run.
+    let with_ours = verdict("gpr", &shipped());
+    assert_ne!(
+        with_it["least_clearance_px"],
+        with_ours["least_clearance_px"]
+    );
+
+    let good = std::fs::read(&refit).unwrap();
+    assert_eq!(judged(&place, "refit.vpcmem").0, Some(0));
+    let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
+    let layout: Value = serde_json::from_slice(&good[8..header]).unwrap();
+    let tensors = layout.as_object().unwrap().iter();
+    let fitted: Vec<_> = tensors
+        .filter(|(name, _)| name.starts_with("gpr."))
+        .collect();
+    assert_eq!(fitted.len(), 6, "{layout}");
+    for (name, tensor) in fitted {
+        let at = header + tensor["data_offsets"][0].as_u64().unwrap() as usize;
+        let mut bad = good.clone();
+        bad[at] ^= 1;
+        place.file("bad.vpcmem", bad);
+        let (code, message) = judged(&place, "bad.vpcmem");
+        assert_eq!(code, Some(65), "{name}: {message}");
+        assert!(message.contains(name.as_str()), "{name}: {message}");
+    }
+    assert!(MemoryFile::open(&refit, None).is_ok());
+}
