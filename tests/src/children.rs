@@ -5,9 +5,6 @@
 //! they do otherwise. Only the child itself can ask the kernel for that, and safe code of ours runs nowhere between
 //! fork and exec; so this program starts itself, asks, and becomes the child.
 
-use std::ffi::{OsStr, OsString};
-use std::os::fd::OwnedFd;
-use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Output};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -16,12 +13,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::process::{
-    Pid, PidfdFlags, Signal, getpgid, getppid, kill_process_group, pidfd_open, pidfd_send_signal,
-    set_parent_process_death_signal,
-};
+use rustix::process::Signal;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+mod becoming;
+mod handle;
+
+use becoming::become_child;
+pub use becoming::command;
+use handle::Handle;
 
 /// Longest time for a child to end after a termination signal; then it is killed.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -29,11 +29,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(10);
 /// What the main thread has; its work moves to another one.
 const STACK: usize = 8 << 20;
-/// First argument of this program where it is to become a child; the parent, the program and its arguments follow.
-const BECOME: &str = "--become-child-of";
-/// Exit code of a shell for a program that cannot be run.
-const NO_PROGRAM: u8 = 127;
-
 /// All children of this program, and the directories that they work in.
 #[derive(Debug, Default)]
 pub struct Children(Mutex<State>);
@@ -44,14 +39,6 @@ struct State {
     places: usize,
     /// A signal was heard: nobody starts anything from here on.
     is_ending: bool,
-}
-
-/// A process that cannot be confused with a later one of the same number.
-#[derive(Debug)]
-struct Handle {
-    pid: Pid,
-    process: OwnedFd,
-    leads_group: bool,
 }
 
 /// Does a program's work, with children, and says what failed. A signal ends them, then the program, in the way of that
@@ -115,26 +102,6 @@ pub fn attended(
     })
 }
 
-/// Becomes the child that this program was started for; an exit code where that is not possible, `None` where it was
-/// started for itself.
-fn become_child() -> Option<ExitCode> {
-    let mut words = std::env::args_os().skip(1);
-    if words.next()? != BECOME {
-        return None;
-    }
-    let parent: Option<i32> = words.next().and_then(|word| word.to_str()?.parse().ok());
-    let program: OsString = words.next().unwrap_or_default();
-    let asked = set_parent_process_death_signal(Some(Signal::TERM));
-    // Gone before the kernel was asked?
-    if asked.is_err() || getppid().map(Pid::as_raw_pid) != parent {
-        return Some(ExitCode::from(NO_PROGRAM));
-    }
-    // The request outlives this; not so where the file has capabilities of its own.
-    let error = Command::new(&program).args(words).exec();
-    eprintln!("{}: {error}", program.display());
-    Some(ExitCode::from(NO_PROGRAM))
-}
-
 /// Whether this process was started with a signal ignored.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -143,15 +110,6 @@ fn is_ignored(signal: i32) -> bool {
         .find_map(|line| line.strip_prefix("SigIgn:"))
         .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
-}
-
-/// What [`Children::start`] takes: a program that ends with this one.
-pub fn command(program: impl AsRef<OsStr>) -> Command {
-    // Its link, not its name: the file may have been built anew in the meantime.
-    let mut command = Command::new("/proc/self/exe");
-    command.arg(BECOME).arg(std::process::id().to_string());
-    command.arg(program);
-    command
 }
 
 impl Children {
@@ -173,20 +131,14 @@ impl Children {
         let mut child = command
             .spawn()
             .with_context(|| format!("cannot start {name}"))?;
-        let pid = Pid::from_child(&child);
-        let process = match pidfd_open(pid, PidfdFlags::empty()) {
-            Ok(process) => process,
+        let handle = match Handle::of(&child) {
+            Ok(handle) => Arc::new(handle),
             Err(error) => {
                 let _ = child.kill();
                 let _ = child.wait();
-                bail!("cannot hold {name} (process {pid}): {error}");
+                bail!("cannot hold {name} (process {}): {error}", child.id());
             }
         };
-        let handle = Arc::new(Handle {
-            pid,
-            process,
-            leads_group: getpgid(Some(pid)).is_ok_and(|group| group == pid),
-        });
         state.running.push(Arc::clone(&handle));
         Ok(Running {
             name,
@@ -223,33 +175,6 @@ impl Children {
     }
 }
 
-impl Handle {
-    fn send(&self, signal: Signal) {
-        // Errors mean that it is gone.
-        let _ = if self.leads_group && !self.ends_by(Instant::now()) {
-            kill_process_group(self.pid, signal)
-        } else {
-            pidfd_send_signal(&self.process, signal)
-        };
-    }
-
-    /// Waits until it has ended; `false` where it has not by then.
-    fn ends_by(&self, end: Instant) -> bool {
-        loop {
-            let left = end.saturating_duration_since(Instant::now());
-            let left = Timespec {
-                tv_sec: left.as_secs() as i64,
-                tv_nsec: i64::from(left.subsec_nanos()),
-            };
-            let mut ended = [PollFd::new(&self.process, PollFlags::IN)];
-            match poll(&mut ended, Some(&left)) {
-                Err(rustix::io::Errno::INTR) => (),
-                events => return events.is_ok_and(|events| events > 0),
-            }
-        }
-    }
-}
-
 /// A child; ended when it is dropped.
 #[derive(Debug)]
 pub struct Running<'a> {
@@ -280,7 +205,7 @@ impl Running<'_> {
     /// # Errors
     /// It ended with another exit code than 0, or not at all.
     pub fn stop(&mut self) -> anyhow::Result<()> {
-        let (name, pid) = (self.name, self.handle.pid);
+        let (name, pid) = (self.name, self.handle.pid());
         self.handle.send(Signal::TERM);
         if !self.handle.ends_by(Instant::now() + PATIENCE) {
             bail!("{name} (process {pid}) did not stop within {PATIENCE:?} after SIGTERM");

@@ -67,7 +67,6 @@ fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
     assert_ne!(verdict("previous", &refit)["verdict"], "arrived");
     let with_it = verdict("gpr", &refit);
     assert_eq!(with_it["verdict"], "arrived", "{with_it}");
-    assert!(with_it["least_clearance_px"].as_f64().unwrap() >= 0.0);
     // Another process than that of the builder: other commands, and so another run.
     let with_ours = verdict("gpr", &shipped());
     assert_ne!(
