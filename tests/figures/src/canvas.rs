@@ -132,7 +132,7 @@ pub(crate) fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
 
 /// A number as a tick shows it.
 pub(crate) fn label(x: f64) -> String {
-    let text = format!("{x:.3}");
+    let text = format!("{x:.6}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
     if text == "-0" {
         "0".to_owned()
@@ -151,5 +151,8 @@ mod tests {
         assert_eq!(ticks(-0.5, 0.5, 4).len(), 3);
         assert_eq!(label(-0.0), "0");
         assert_eq!(label(0.250), "0.25");
+        // A joint that hardly moves: neighbouring ticks must not read the same.
+        assert_eq!(label(0.0005), "0.0005");
+        assert_eq!(label(3.0 * 0.1), "0.3");
     }
 }
