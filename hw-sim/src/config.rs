@@ -18,7 +18,7 @@ use crate::sensor::Flaws;
 /// Exit codes: 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69 another camera is at work or nobody
 /// answers, 78 configuration.
 #[derive(Parser, Debug, Default)]
-#[command(name = "hw-sim", version)]
+#[command(name = "hw-sim", version, allow_negative_numbers = true)]
 pub struct Arguments {
     /// Configuration file (TOML), documented in hw-sim/hw-sim.toml; flags win over it.
     #[arg(long)]

@@ -7,9 +7,11 @@ use std::sync::atomic::AtomicBool;
 use clap::Parser;
 use hw_sim::config::{Arguments, Clock, Config};
 use hw_sim::emulator;
+use hw_sim::robot::rig::RigError;
 
 const USAGE: u8 = 64;
 const UNAVAILABLE: u8 = 69;
+const CONFIGURATION: u8 = 78;
 
 fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
@@ -49,7 +51,13 @@ fn main() -> ExitCode {
         }
         Err(error) => {
             eprintln!("hw-sim: {error:#}");
-            ExitCode::from(UNAVAILABLE)
+            // An arm that cannot be: its start is out of reach, or a setting out of range.
+            let is_settings = matches!(error.downcast_ref(), Some(RigError::Arm(_)));
+            ExitCode::from(if is_settings {
+                CONFIGURATION
+            } else {
+                UNAVAILABLE
+            })
         }
     }
 }

@@ -18,6 +18,14 @@ impl Header {
     pub(crate) fn parse(bytes: &[u8]) -> Result<Self, String> {
         let length = bytes.first_chunk::<8>().map(|b| u64::from_le_bytes(*b));
         let length = length.ok_or_else(|| format!("{} bytes; allowed: at least 8", bytes.len()))?;
+        // Where the header's JSON begins.
+        if bytes.get(8) != Some(&b'{') {
+            let begin = bytes[..bytes.len().min(9)].escape_ascii();
+            return Err(format!(
+                "begins with `{begin}`; allowed: a safetensors container, eight bytes of length and `{{` (is it a \
+                 memory? `vpc-memory build` writes one)"
+            ));
+        }
         if length > MAX_HEADER as u64 {
             return Err(format!(
                 "header of {length} bytes; allowed: at most {MAX_HEADER}"

@@ -278,3 +278,18 @@ fn junk_is_refused_without_a_panic() {
     }
     assert!(forgery.open("junk-numbers").is_err());
 }
+
+#[test]
+fn another_kind_of_file_is_told_from_a_damaged_memory() {
+    let path = place("other");
+    for (bytes, begin) in [
+        (b"# A scene of mine\n".as_slice(), "# A scene"),
+        (b"\x89PNG\r\n\x1a\n\0\0", "\\x89PNG\\r\\n\\x1a\\n\\x00"),
+        (b"VPCFLT1\n", "VPCFLT1\\n"),
+    ] {
+        fs::write(&path, bytes).unwrap();
+        let refused = MemoryFile::open(&path, None).unwrap_err().to_string();
+        let expected = format!("begins with `{begin}`; allowed: a safetensors container");
+        assert!(refused.contains(&expected), "{refused}");
+    }
+}

@@ -40,7 +40,7 @@ pub struct ArmSettings {
 pub enum ArmError {
     /// The start is out of reach.
     #[error("this start: {0}")]
-    Placement(#[from] PlacementError),
+    Placement(PlacementError),
     /// The robot refused its settings.
     #[error(transparent)]
     Robot(#[from] RobotError),
@@ -49,7 +49,7 @@ pub enum ArmError {
     Shaper(#[from] ShaperError),
     /// The robot did not begin a motion.
     #[error("the robot begins no motion: {0}")]
-    Motion(#[from] RequestError),
+    Motion(RequestError),
 }
 
 /// A Panda with its bridge, stepped once a millisecond.
@@ -82,9 +82,12 @@ impl Arm {
         let camera = base_from_object * camera_from_object.inverse();
         let flange_from_ee = settings.robot.flange_from_ee;
         let chain = panda::Chain::new(flange_from_ee);
-        let joints = place(&chain, &(mount.flange(&camera) * flange_from_ee))?;
+        let joints = place(&chain, &(mount.flange(&camera) * flange_from_ee))
+            .map_err(ArmError::Placement)?;
         let mut robot = Robot::new(settings.robot, joints)?;
-        robot.start(MotionKind::Cartesian)?;
+        robot
+            .start(MotionKind::Cartesian)
+            .map_err(ArmError::Motion)?;
         Ok(Self {
             inspector: Inspector::new(robot.state()),
             robot,
