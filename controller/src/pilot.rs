@@ -257,3 +257,142 @@ fn show(features: &Features, record: &mut CycleRecord) {
     record.count = features.count;
     record.points = features.points;
 }
+
+#[cfg(test)]
+mod tests {
+    use ipc::{Order, Received};
+    use rand::{Rng, RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+    const PERIOD: u64 = 33 * MS;
+    const LIMITS: [f64; 6] = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
+    /// Features far from the goal: the law always wants to move.
+    const FAR: [[f64; 2]; 4] = [
+        [250.0, 250.0],
+        [420.0, 260.0],
+        [410.0, 430.0],
+        [240.0, 420.0],
+    ];
+
+    fn nasty_instant(now_ns: u64, random: &mut impl Rng) -> u64 {
+        match random.random_range(0..6) {
+            0 => random.random(),
+            1 => [0, 1, 1 << 63, u64::MAX - 1, u64::MAX][random.random_range(0..5)],
+            _ => now_ns.saturating_add(PERIOD) - random.random_range(0..20 * PERIOD),
+        }
+    }
+
+    fn nasty_stamp(now_ns: u64, random: &mut impl Rng) -> Stamp {
+        Stamp {
+            sequence: nasty_instant(now_ns, random),
+            published_ns: nasty_instant(now_ns, random),
+            data_ns: nasty_instant(now_ns, random),
+        }
+    }
+
+    fn any_order(random: &mut impl Rng) -> Order {
+        let missed = random.random();
+        [
+            Order::First,
+            Order::Next,
+            Order::Gap { missed },
+            Order::Repeated,
+            Order::Restarted,
+        ][random.random_range(0..5)]
+    }
+
+    /// What a camera sends: good features mostly, so that the law has a say; anything else now and then.
+    fn features(now_ns: u64, random: &mut impl Rng) -> Input {
+        let points = FAR.map(|point| point.map(|x| x + random.random_range(-0.1..0.1)));
+        let mut message = Features::new(&points, now_ns - 20 * MS);
+        (message.stamp.sequence, message.stamp.published_ns) = (7, now_ns - MS);
+        let mut order = Order::Next;
+        match random.random_range(0..40) {
+            0 => message.stamp = nasty_stamp(now_ns, random),
+            1 => order = any_order(random),
+            2 => message.points = message.points.map(|x| x * random.random_range(-1e9..1e9)),
+            3 => message.points[random.random_range(0..8)] = f64::NAN,
+            4 => message.count = random.random(),
+            5 => message.visible = random.random(),
+            6 => return Input::Nothing,
+            7 => return Input::Refused(nasty_stamp(now_ns, random)),
+            8 => return Input::Failed,
+            _ => (),
+        }
+        Input::Message(Received { message, order })
+    }
+
+    fn robot(now_ns: u64, random: &mut impl Rng) -> Input<RobotState> {
+        let mut message = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now_ns);
+        message.stamp.published_ns = now_ns;
+        match random.random_range(0..40) {
+            0 => message.stamp = nasty_stamp(now_ns, random),
+            1 => message.mode = random.random(),
+            2 => message.faults = random.random(),
+            3..20 => return Input::Nothing,
+            _ => (),
+        }
+        let order = any_order(random);
+        Input::Message(Received { message, order })
+    }
+
+    #[test]
+    fn in_real_time_no_input_whatsoever_panics_or_passes_the_limits() {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let text = scene::PAPER_SIM.to_owned();
+        let mut law = Law::parse(text, "sim".to_owned(), None, vpc::Settings::default()).unwrap();
+        law.go_live(3 * PERIOD);
+        let rules = Rules {
+            limits: LIMITS,
+            brake_ns: 150 * MS,
+            lost_ns: Some(300 * MS),
+            armed: true,
+        };
+        let mut pilot = Pilot::new(law, Some(2 * PERIOD), rules);
+        let mut now_ns = 1 << 40;
+        let (mut moving, mut still) = (0, 0);
+        for cycle in 0..30_000 {
+            now_ns += match random.random_range(0..200) {
+                0 => random.random_range(0..3000 * MS),
+                1 => 0,
+                _ => PERIOD,
+            };
+            // No clock should.
+            now_ns -= if random.random_bool(0.005) { 2 * MS } else { 0 };
+            if random.random_bool(0.3) {
+                let action = if random.random_bool(0.9) {
+                    Action::Arm.code()
+                } else {
+                    random.random_range(0..7)
+                };
+                let mut request = Request::new(cycle, Action::Status);
+                (request.action, request.neighbours) = (action, random.random());
+                pilot.request(&request);
+            }
+            let inputs = Inputs {
+                now_ns,
+                features: features(now_ns, &mut random),
+                robot: robot(now_ns, &mut random),
+                missed: match random.random_range(0..20) {
+                    0 => random.random(),
+                    _ => 0,
+                },
+                shutdown: false,
+            };
+            let Answer { decision, .. } = pilot.decide(&inputs, &mut CycleRecord::default());
+            let mut shares = decision.twist.iter().zip(LIMITS);
+            // A NaN is not within.
+            let is_within = shares.all(|(v, limit)| v.abs() <= limit * (1.0 + 1e-9));
+            assert!(is_within, "{decision:?} after {inputs:?}");
+            match decision.twist == [0.0; 6] {
+                true => still += 1,
+                false => moving += 1,
+            }
+        }
+        // Not for want of work, or of faults.
+        assert!(moving > 3000 && still > 3000, "{moving} and {still}");
+    }
+}
