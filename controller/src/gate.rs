@@ -69,6 +69,8 @@ pub struct Gate {
     pub(crate) good_ns: Option<u64>,
     pub(crate) standing: Standing,
     pub(crate) gap: bool,
+    /// Whether the last message that came in order was the first of a camera that started again.
+    pub(crate) restarted: bool,
 }
 
 /// What became of the last message.
@@ -89,6 +91,7 @@ impl Gate {
             good_ns: None,
             standing: Standing::Held(Hold::NoFeatures),
             gap: true,
+            restarted: false,
         }
     }
 
@@ -158,6 +161,13 @@ impl Gate {
             if data_ns == before.data_ns && data_ns != 0 {
                 return self.hold(Hold::Stale);
             }
+            // A driver that does not count its messages seems to start again with each, and what is compared with the
+            // features before (a frozen image, points mixed up) would never be looked at.
+            let is_restart = received.order == Order::Restarted;
+            if is_restart && self.restarted {
+                return self.hold(Hold::Order);
+            }
+            self.restarted = is_restart;
         }
         self.believed = features.stamp;
         if self.is_stale(now_ns) {
@@ -264,6 +274,20 @@ mod tests {
             link(gate.judge(&came(2, 200, Order::Next), 201)),
             Some(Link::Broken)
         );
+    }
+
+    #[test]
+    fn a_camera_that_seems_to_start_again_with_each_message_is_held() {
+        let mut gate = Gate::new(Some(LIMIT));
+        let mut judge = |at, order| cause(gate.judge(&came(7, at, order), at + 1));
+        assert_eq!(judge(10, Order::First), None);
+        assert_eq!(judge(20, Order::Restarted), None);
+        assert_eq!(judge(30, Order::Restarted), Some(Hold::Order));
+        assert_eq!(judge(40, Order::Restarted), Some(Hold::Order));
+        // Until it counts.
+        assert_eq!(judge(50, Order::Next), None);
+        assert_eq!(judge(60, Order::Restarted), None);
+        assert_eq!(judge(70, Order::Gap { missed: 2 }), None);
     }
 
     #[test]

@@ -211,6 +211,7 @@ impl Words for Gate {
             good_ns,
             standing,
             gap,
+            restarted,
         } = self;
         visit.option("stale_ns", stale_ns);
         visit.part("last", last);
@@ -229,6 +230,7 @@ impl Words for Gate {
             },
         );
         visit.flag("gap", gap);
+        visit.flag("restarted", restarted);
     }
 }
 
