@@ -9,11 +9,13 @@ use figures::Preview as Figure;
 use memory_builder::start;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use scene::Scene;
-use vpc::{Settings, Task, constraint};
+use scene::{Area, Scene};
+use vpc::{Settings, Task, constraint, field};
 
 /// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer side.
 const SQUARE: f64 = 1.0 / 256.0;
+/// Places across an area of a mask at which its thickness is looked for.
+const PLACES: usize = 64;
 /// Draws among which starts are looked for.
 const DRAWS: usize = 20_000;
 
@@ -145,7 +147,54 @@ fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize
             "note        the goal lies in the zone round the occlusions: the memory is asked up to the end"
         );
     }
+    let stride = stride(task);
+    for (name, thickness) in thin(scene, stride) {
+        let _ = writeln!(
+            said,
+            "note        {name} is {thickness:.0} px thick, and at these limits a feature moves up to {stride:.0} px in \
+             a period: it can jump over"
+        );
+    }
     said
+}
+
+/// How far the camera's translation across the image can move a feature in one period near the goal, px.
+fn stride(task: &Task) -> f64 {
+    let nearest = task
+        .goal_depth
+        .iter()
+        .copied()
+        .fold(f64::INFINITY, f64::min);
+    let [vx, vy, ..] = task.limits;
+    (task.camera.fx * vx).hypot(task.camera.fy * vy) / nearest * task.ts
+}
+
+/// Occlusions with a part or an area that is thinner than this, px: name and thickness of the thinnest.
+fn thin(scene: &Scene, stride: f64) -> Vec<(&str, f64)> {
+    let thinnest = scene.occlusions.iter().map(|occlusion| {
+        let parts = occlusion.parts.iter();
+        let parts = parts.map(|part| 2.0 * part.half[0].min(part.half[1]));
+        let areas = occlusion.mask.iter().flat_map(|mask| mask.areas());
+        let thickness = parts
+            .chain(areas.map(thickness))
+            .fold(f64::INFINITY, f64::min);
+        (occlusion.name.as_str(), thickness)
+    });
+    thinnest
+        .filter(|(_, thickness)| *thickness < stride)
+        .collect()
+}
+
+/// Twice the greatest depth that a point in an area can have, px.
+fn thickness(area: &Area) -> f64 {
+    let (low, high) = (area.low(), area.high());
+    let share = |k: usize| (k as f64 + 0.5) / PLACES as f64;
+    let depths = (0..PLACES * PLACES).map(|k| {
+        let place = [share(k % PLACES), share(k / PLACES)];
+        let pixel = std::array::from_fn(|c| low[c] + place[c] * (high[c] - low[c]));
+        -field::clearance(area, pixel).distance
+    });
+    2.0 * depths.fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -164,5 +213,24 @@ mod tests {
             .sum();
         let band = std::f64::consts::PI * (95.0f64.powi(2) - 75.0f64.powi(2));
         assert!((area / band - 1.0).abs() < 0.03, "{area} {band}");
+    }
+
+    #[test]
+    fn an_occlusion_that_features_can_jump_over_is_named() {
+        let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
+        let bar = |half: f64| {
+            let bar = format!(
+                "[[occlusion]]\nname = \"bar\"\nparts = [{{ center = [850.0, 560.0], half = [200.0, {half}], p = 8.0 }}]"
+            );
+            Scene::parse(&format!("{head}{bar}"), "bar").unwrap()
+        };
+        let (narrow, broad) = (bar(5.0), bar(60.0));
+        let task = Task::new(&narrow).unwrap();
+        let stride = stride(&task);
+        assert!((10.0..120.0).contains(&stride), "{stride}");
+        assert_eq!(thin(&narrow, stride), [("bar", 10.0)]);
+        assert_eq!(thin(&broad, stride), []);
+        let said = describe(&task, &narrow, 20.0, 1, 1);
+        assert!(said.contains("bar is 10 px thick"), "{said}");
     }
 }
