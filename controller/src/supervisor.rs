@@ -523,7 +523,7 @@ mod tests {
         let forgiven = (0..100)
             .take_while(|_| {
                 bench.situation.missed = missed.next().unwrap();
-                bench.cycle().hold == Hold::None
+                bench.good().hold == Hold::None
             })
             .count();
         assert_eq!(forgiven, 8);
