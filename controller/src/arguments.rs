@@ -58,7 +58,7 @@ pub struct Arguments {
     #[arg(long)]
     pub arm: bool,
 
-    /// Stop after so many cycles.
+    /// Stop after so many cycles, and those that braking takes.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,
 

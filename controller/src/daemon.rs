@@ -242,9 +242,10 @@ fn turn(
 ) -> Result<(), Failure> {
     let mut failures = 0;
     let mut left = cycle.braking_cycles();
-    while most.is_none_or(|most| cycle.count() < most) {
-        if cycle.is_unheard() {
-            // Without telemetry, log and watchdog nobody would know what the camera does.
+    loop {
+        let is_over = most.is_some_and(|most| cycle.count() >= most);
+        // Without telemetry, log and watchdog nobody would know what the camera does.
+        if is_over || cycle.is_unheard() {
             stop.ask();
         }
         if stop.is_asked() {

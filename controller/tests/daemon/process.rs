@@ -347,6 +347,8 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
         OperatorPorts::open(&domain).unwrap()
     };
     let daemon = bench.start(&[]);
+    // Requests from before it listens would be lost.
+    eventually("a command", || bench.camera.twist.latest().unwrap());
     let mut points = bench.features();
     let mut id = 0;
     // A frame, and what the robot says of itself beside it; what the daemon does about it, and what it says to `arm`.

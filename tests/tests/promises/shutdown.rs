@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::ensure;
-use ipc::TwistState;
+use ipc::{TwistCommand, TwistState};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
@@ -54,7 +54,12 @@ fn sigterm(round: usize, random: &mut impl Rng) -> anyhow::Result<Duration> {
     assert_eq!(code, Some(0), "round {round}: {log}");
     ensure!(took <= BAR, "ended after {took:?}: {log}");
     camera.kill();
-    let commands = witness.commands();
+    ends_gently(&witness.commands())?;
+    Ok(took)
+}
+
+/// Whether these commands are within the limits, lose speed no faster than braking does, and end with zero.
+fn ends_gently(commands: &[TwistCommand]) -> anyhow::Result<()> {
     let last = commands.last().expect("a last word");
     let ending = (last.state(), is_still(last));
     assert_eq!(ending, (Some(TwistState::Stopped), true), "{commands:?}");
@@ -73,7 +78,25 @@ fn sigterm(round: usize, random: &mut impl Rng) -> anyhow::Result<Duration> {
             ensure!(lost <= most * 1.2, "{lost} > {most}: {commands:?}");
         }
     }
-    Ok(took)
+    Ok(())
+}
+
+#[test]
+fn a_run_of_so_many_cycles_ends_as_gently() {
+    let _turn = turn();
+    fairly("--cycles", || {
+        let place = Place::new();
+        let mut witness = Witness::new(&place);
+        let mut command = place.vpcd("");
+        command.args(["--arm", "--cycles", "30"]);
+        let camera = Running::start(place.hw_sim(0));
+        let daemon = Running::start(command);
+        witness.until("motion", |twist| speed(&twist.twist) > STEEPEST);
+        let (code, log) = daemon.ended();
+        assert_eq!(code, Some(0), "{log}");
+        camera.kill();
+        ends_gently(&witness.commands())
+    });
 }
 
 #[test]
