@@ -61,6 +61,16 @@ pub struct Outcome {
     pub lateness: Option<LatenessReport>,
 }
 
+/// Says that features go out. Else who starts it sees nothing until the run is over, which begins when somebody arms.
+pub(crate) fn announce(config: &Config) {
+    if config.clock == Clock::Fixed {
+        eprintln!(
+            "hw-sim: features go out in domain {}; the run begins when vpcd is armed, and ends with one line",
+            config.domain.display()
+        );
+    }
+}
+
 /// Runs the emulator until the run is decided or `stop` is set.
 ///
 /// # Errors
@@ -106,6 +116,7 @@ pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
         arm: None,
         lateness: None,
     };
+    announce(config);
     // The run begins with the first command of an armed controller, which may come late.
     let mut begun = false;
     let mut command: Option<TwistCommand> = None;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
-use hw_sim::config::{Arguments, Clock, Config};
+use hw_sim::config::{Arguments, Config};
 use hw_sim::emulator;
 use hw_sim::robot::rig::RigError;
 
@@ -36,13 +36,6 @@ fn main() -> ExitCode {
             eprintln!("hw-sim: signal {signal}: {error}");
             return ExitCode::from(UNAVAILABLE);
         }
-    }
-    if config.clock == Clock::Fixed {
-        // Else who starts it sees nothing until the run is over, which begins when somebody arms.
-        eprintln!(
-            "hw-sim: features go out in domain {}; the run begins when vpcd is armed, and ends with one line",
-            config.domain.display()
-        );
     }
     match emulator::run(&config, &stop) {
         Ok(outcome) => {

@@ -191,6 +191,7 @@ fn a_second_camera_is_refused_and_the_first_goes_on() {
     assert_eq!(second.status.code(), Some(69), "{said}");
     let expected = "vpc/features: another publisher is at work";
     assert!(said.contains(expected), "{said}");
+    assert!(!said.contains("features go out"), "{said}");
     assert!(first.try_wait().unwrap().is_none());
     kill_process(Pid::from_child(&first), Signal::TERM).unwrap();
     assert_eq!(

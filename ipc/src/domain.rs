@@ -258,6 +258,7 @@ impl Shared {
     /// Clears away participants that were killed, for who holds the right to start up.
     pub(crate) fn bury_the_dead(&self) {
         remove_unborn(self.guard.directory());
+        ghost::clean(&self.config);
         if let Some(services) = &self.factories {
             ghost::lay(services, &self.config);
         }

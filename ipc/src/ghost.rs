@@ -69,10 +69,9 @@ pub(crate) fn clean(config: &Config) {
     }
 }
 
-/// Frees all that nobody holds. Only for who holds the right to start up: then no node is just being made. Where
-/// something stands against it, it stays as before.
+/// Frees all that nobody holds and [`clean`] has left. Only for who holds the right to start up: then no node is just
+/// being made. Where something stands against it, it stays as before.
 pub(crate) fn lay(services: &Factories, config: &Config) {
-    clean(config);
     let Some(nodes) = Nodes::list(config) else {
         return;
     };

@@ -22,6 +22,9 @@ use rustix::io::Errno;
 
 use crate::domain::JoinError;
 
+/// Permissions that the directory of a domain must not have: who can replace its files can take part.
+pub const WRITABLE_BY_OTHERS: u32 = 0o022;
+
 /// Longest wait for others that join or leave. Joining takes milliseconds; who holds the lock for longer is stopped.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Pause between two attempts.
@@ -139,7 +142,7 @@ fn prepare(directory: &Path) -> Result<PathBuf, JoinError> {
         return Err(JoinError::NotOurs { path, owner, us });
     }
     let mode = found.mode() & 0o777;
-    if mode & 0o022 != 0 {
+    if mode & WRITABLE_BY_OTHERS != 0 {
         return Err(JoinError::Open { path, mode });
     }
     directory.canonicalize().map_err(trouble)

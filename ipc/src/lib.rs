@@ -61,6 +61,7 @@ pub use cycle::{
 };
 pub use domain::{Domain, JoinError, default_directory, shared_memory_prefix};
 pub use features::Features;
+pub use guard::WRITABLE_BY_OTHERS;
 pub use message::{Invalid, Message, Qos, Stamp};
 pub use operator::{Action, Outcome, Reply, Request};
 pub use port::{

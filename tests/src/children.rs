@@ -29,6 +29,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(10);
 /// What the main thread has; its work moves to another one.
 const STACK: usize = 8 << 20;
+
 /// All children of this program, and the directories that they work in.
 #[derive(Debug, Default)]
 pub struct Children(Mutex<State>);

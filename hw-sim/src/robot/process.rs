@@ -8,7 +8,7 @@ use ipc::{CameraPorts, Domain, Features, Stamp, TwistCommand, TwistState, now_ns
 use super::rig::{End, Exposed, Rig, RigSettings};
 use super::telling;
 use crate::config::{Clock, Config};
-use crate::emulator::{Outcome, PATIENCE, STALE_NS, place_in_words, sleep_until};
+use crate::emulator::{Outcome, PATIENCE, STALE_NS, announce, place_in_words, sleep_until};
 use crate::eye::Shot;
 use crate::lateness::Lateness;
 use crate::recording::{Record, Recorder};
@@ -34,6 +34,7 @@ pub fn run(config: &Config, settings: &RigSettings, stop: &AtomicBool) -> anyhow
                 .with_context(|| format!("{}: cannot record", path.display()))
         })
         .transpose()?;
+    announce(config);
     if config.clock == Clock::Fixed {
         crate::priority::raise();
     }

@@ -1,6 +1,6 @@
 //! What a replay found.
 
-use std::fmt::Write;
+use std::fmt;
 
 use ipc::{CycleRecord, Hold, TwistState};
 use serde::Serialize;
@@ -123,16 +123,11 @@ impl Outcome {
             }),
         }
     }
+}
 
-    /// The outcome as text.
-    pub fn text(&self) -> String {
-        let mut text = String::new();
-        // Formatting into a string cannot fail.
-        let _ = self.print(&mut text);
-        text
-    }
-
-    fn print(&self, to: &mut String) -> std::fmt::Result {
+/// The outcome as text.
+impl fmt::Display for Outcome {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             to,
             "{} cycles, the law ran in {}; {} judged: {} bit for bit the same, {} different; largest difference of a \

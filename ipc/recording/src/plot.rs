@@ -84,7 +84,7 @@ pub fn plot(
         source: error.into(),
     })?;
     for (name, text) in [
-        ("latency.txt", report.text()),
+        ("latency.txt", report.to_string()),
         ("latency.json", json + "\n"),
     ] {
         let path = directory.join(name);

@@ -1,6 +1,6 @@
 //! How long the cycles of a recording took.
 
-use std::fmt::Write;
+use std::fmt;
 
 use ipc::{ClockMode, CycleRecord, TwistState};
 use serde::Serialize;
@@ -130,16 +130,11 @@ impl Report {
             cut: recording.cut.clone(),
         }
     }
+}
 
-    /// The report as text: a table, then a histogram of each phase.
-    pub fn text(&self) -> String {
-        let mut text = String::new();
-        // Formatting into a string cannot fail.
-        let _ = self.print(&mut text);
-        text
-    }
-
-    fn print(&self, to: &mut String) -> std::fmt::Result {
+/// The report as text: a table, then a histogram of each phase.
+impl fmt::Display for Report {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             to,
             "{} cycles in {:.1} s, period {:.2} ms",
@@ -308,6 +303,6 @@ mod tests {
         let report = Report::of(&recording);
         assert_eq!((report.overruns, report.missing_cycles), (4, 2));
         assert_eq!(report.period_ms, 33.0);
-        assert!(report.text().contains("deadlines missed: 4"));
+        assert!(report.to_string().contains("deadlines missed: 4"));
     }
 }

@@ -44,7 +44,7 @@ pub fn run(arguments: &PlotArguments) -> Result<String, Failure> {
     let report = Report::of(&recording);
     let mut text = match arguments.json {
         true => serde_json::to_string_pretty(&report).map_err(std::io::Error::from)? + "\n",
-        false => report.text(),
+        false => report.to_string(),
     };
     if let Some(directory) = &arguments.output {
         let files = recording::plot(&recording, scene.as_ref(), directory)?;

@@ -102,7 +102,7 @@ fn attempt(arguments: &Arguments) -> Result<Outcome, (u8, String)> {
     })?;
     let text = match arguments.json {
         true => serde_json::to_string_pretty(&outcome).map_err(|e| (70, e.to_string()))? + "\n",
-        false => outcome.text(),
+        false => outcome.to_string(),
     };
     match std::io::stdout().write_all(text.as_bytes()) {
         // Who reads no further (head) has what they wanted.

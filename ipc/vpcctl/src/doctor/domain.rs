@@ -57,7 +57,7 @@ fn place(directory: &Path, us: u32) -> Finding {
         return Finding::fail(what, words, remedy);
     }
     let mode = found.mode() & 0o777;
-    if mode & 0o022 != 0 {
+    if mode & ipc::WRITABLE_BY_OTHERS != 0 {
         let words = format!("{path}: mode {mode:03o} lets others put files into it");
         return Finding::fail(what, words, format!("chmod 700 {path}"));
     }
