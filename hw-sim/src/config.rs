@@ -346,9 +346,8 @@ mod tests {
     use super::*;
 
     fn load(text: &str) -> Result<Config, String> {
-        let directory = std::env::temp_dir().join(format!("hw-sim-config-{}", std::process::id()));
-        std::fs::create_dir_all(&directory).unwrap();
-        let file = directory.join(format!("{:?}.toml", std::thread::current().id()));
+        let directory = tempfile::TempDir::new().unwrap();
+        let file = directory.path().join("hw-sim.toml");
         let scenes = concat!(env!("CARGO_MANIFEST_DIR"), "/../ipc/scene/scenes/");
         let base = format!(
             "scene = \"{scenes}paper-sim.toml\"\nstarts = \"{scenes}paper-sim-starts.csv\"\n"

@@ -149,25 +149,21 @@ mod tests {
         }
     }
 
-    fn painted(name: &str, is_white: impl Fn(u32, u32) -> bool) -> Mask {
-        let directory = std::env::temp_dir().join(format!("hw-sim-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&directory).unwrap();
-        scene::write_mask(&directory.join("mask.png"), 1024, 1024, is_white).unwrap();
+    fn painted(is_white: impl Fn(u32, u32) -> bool) -> Mask {
+        let directory = tempfile::TempDir::new().unwrap();
+        scene::write_mask(&directory.path().join("mask.png"), 1024, 1024, is_white).unwrap();
         let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
         let text = format!("{head}[[occlusion]]\nname = \"painted\"\nmask = \"mask.png\"\n");
-        let path = directory.join("scene.toml");
+        let path = directory.path().join("scene.toml");
         std::fs::write(&path, text).unwrap();
         let scene = scene::Scene::read(&path).unwrap();
-        std::fs::remove_dir_all(directory).unwrap();
         *scene.masks().next().unwrap()
     }
 
     #[test]
     fn distances_to_a_painted_rectangle_are_exact() {
         // White from (299.5, 199.5) to (399.5, 259.5).
-        let mask = painted("rectangle", |i, j| {
-            (300..400).contains(&i) && (200..260).contains(&j)
-        });
+        let mask = painted(|i, j| (300..400).contains(&i) && (200..260).contains(&j));
         for (point, expected) in [
             ([290.0, 229.8], 9.5),
             ([349.7, 264.5], 5.0),
@@ -187,7 +183,7 @@ mod tests {
 
     #[test]
     fn white_at_the_edge_of_the_image_offers_no_way_out_beyond_it() {
-        let mask = painted("edge", |i, _| i < 100);
+        let mask = painted(|i, _| i < 100);
         assert!((mask_distance_below(&mask, [2.5, 500.0], 1e4) + 97.0).abs() < 1e-9);
         assert!((mask_distance_below(&mask, [-4.5, 500.0], 1e4) - 4.0).abs() < 1e-9);
     }

@@ -7,11 +7,10 @@
 mod synthetic;
 
 use std::hint::black_box;
-use std::path::Path;
 
 use divan::Bencher;
 use memory_blob::{Contents, MemoryFile};
-use synthetic::{INPUTS, OUTPUTS, Random};
+use synthetic::{INPUTS, OUTPUTS, Random, opened};
 
 const SAMPLES: usize = 16_000;
 const PROCESS: usize = 800;
@@ -23,12 +22,6 @@ fn main() {
 
 fn on_trajectories() -> Contents {
     synthetic::trajectories(SAMPLES, 1)
-}
-
-fn opened(name: &str, contents: &Contents) -> MemoryFile {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("bench-{name}"));
-    contents.write(&path).unwrap();
-    MemoryFile::open(&path, None).unwrap()
 }
 
 /// Inputs near samples, as a camera on its way meets them: some px away.
@@ -56,7 +49,7 @@ fn each<R>(bencher: Bencher, queries: &[Vec<f64>], mut ask: impl FnMut(&[f64]) -
 #[divan::bench(args = [1, 5, 64], sample_count = 1000)]
 fn neighbours_on_trajectories(bencher: Bencher, k: usize) {
     let contents = on_trajectories();
-    let file = opened(&format!("trajectories-{k}"), &contents);
+    let file = opened(&contents);
     let (samples, mut y) = (file.view().samples().unwrap(), [0.0; OUTPUTS]);
     each(bencher, &queries(&contents), |x| {
         samples.nearest(x, k, &mut y).unwrap().distance()
@@ -67,7 +60,7 @@ fn neighbours_on_trajectories(bencher: Bencher, k: usize) {
 #[divan::bench(args = [1, 5, 64], sample_count = 1000)]
 fn neighbours_without_structure(bencher: Bencher, k: usize) {
     let contents = synthetic::noise(SAMPLES, 1);
-    let file = opened(&format!("noise-{k}"), &contents);
+    let file = opened(&contents);
     let (samples, mut y) = (file.view().samples().unwrap(), [0.0; OUTPUTS]);
     let mut random = Random(78);
     let queries: Vec<_> = (0..QUERIES)
@@ -101,16 +94,16 @@ fn one_neighbour_naively(bencher: Bencher) {
     });
 }
 
-fn with_process(name: &str) -> (Contents, MemoryFile) {
+fn with_process() -> (Contents, MemoryFile) {
     let mut contents = synthetic::trajectories(4000, 1);
     contents.regression = Some(synthetic::regression(&contents, PROCESS, true));
-    let file = opened(name, &contents);
+    let file = opened(&contents);
     (contents, file)
 }
 
 #[divan::bench(sample_count = 1000)]
 fn mean_of_the_process(bencher: Bencher) {
-    let (contents, file) = with_process("mean");
+    let (contents, file) = with_process();
     let (gpr, mut y) = (file.view().gpr().unwrap(), [0.0; OUTPUTS]);
     each(bencher, &queries(&contents), |x| {
         gpr.mean(x, &mut y).unwrap();
@@ -120,7 +113,7 @@ fn mean_of_the_process(bencher: Bencher) {
 
 #[divan::bench(sample_count = 1000)]
 fn variance_of_the_process(bencher: Bencher) {
-    let (contents, file) = with_process("variance");
+    let (contents, file) = with_process();
     let (gpr, mut scratch) = (file.view().gpr().unwrap(), vec![0.0; PROCESS]);
     let mut y = [0.0; OUTPUTS];
     each(bencher, &queries(&contents), |x| {

@@ -1,45 +1,36 @@
 //! The replacing of a file as a whole.
 
-use std::fs::{self, File};
+use std::fs::{self, File, Permissions};
 use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+
+use tempfile::Builder;
 
 /// Puts `bytes` in the place of the file at `path`, whose directory is made where it is missing. At every moment, also
 /// after a power cut, the path holds the old file or the new one, whole: the new one is written beside it and
-/// synchronised before it is renamed, and the directory, which holds the name, is synchronised after.
+/// synchronised before it is renamed, and the directory, which holds the name, is synchronised after. Of several that
+/// write the same path at once the last one stands.
 pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let directory = path
         .parent()
         .filter(|directory| !directory.as_os_str().is_empty())
         .unwrap_or(Path::new("."));
     fs::create_dir_all(directory)?;
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".{}.tmp", std::process::id()));
-    let written = || {
-        let mut file = File::create(&beside)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        fs::rename(&beside, path)
-    };
-    if let Err(error) = written() {
-        // The reason is what the user needs; a left-over file beside it is not worth another error.
-        let _ = fs::remove_file(&beside);
-        return Err(error);
-    }
+    let mut beside = Builder::new()
+        .permissions(Permissions::from_mode(0o666)) // less the user's mask, as of any new file
+        .tempfile_in(directory)?;
+    beside.write_all(bytes)?;
+    beside.as_file().sync_all()?;
+    beside.persist(path).map_err(|error| error.error)?;
     File::open(directory)?.sync_all()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::PathBuf;
-
-    fn directory(name: &str) -> PathBuf {
-        let name = format!("vpc-replace-{name}-{}", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        let _ = fs::remove_dir_all(&path);
-        path
-    }
+    use std::os::unix::fs::MetadataExt;
+    use tempfile::TempDir;
 
     fn names(directory: &Path) -> Vec<String> {
         let names = fs::read_dir(directory).unwrap();
@@ -50,22 +41,49 @@ mod tests {
 
     #[test]
     fn the_new_file_takes_the_place_of_the_old_one_and_nothing_else_is_left() {
-        let directory = directory("new");
-        let path = directory.join("deeper/file");
+        let directory = TempDir::new().unwrap();
+        let path = directory.path().join("deeper/file");
         replace(&path, b"old").unwrap();
         replace(&path, b"new").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(names(path.parent().unwrap()), ["file"]);
-        fs::remove_dir_all(directory).unwrap();
     }
 
     #[test]
     fn where_the_name_is_taken_by_a_directory_it_stays_and_nothing_is_left_beside_it() {
-        let directory = directory("taken");
-        let path = directory.join("file");
+        let directory = TempDir::new().unwrap();
+        let path = directory.path().join("file");
         fs::create_dir_all(path.join("inside")).unwrap();
         replace(&path, b"new").unwrap_err();
-        assert_eq!(names(&directory), ["file"]);
-        fs::remove_dir_all(directory).unwrap();
+        assert_eq!(names(directory.path()), ["file"]);
+    }
+
+    #[test]
+    fn the_file_may_be_read_by_whom_any_new_file_may_be_read() {
+        let directory = TempDir::new().unwrap();
+        let [ours, any] = ["ours", "any"].map(|name| directory.path().join(name));
+        replace(&ours, b"new").unwrap();
+        fs::write(&any, b"new").unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().mode();
+        assert_eq!(mode(&ours), mode(&any));
+    }
+
+    #[test]
+    fn writers_of_one_path_do_not_disturb_each_other() {
+        let directory = TempDir::new().unwrap();
+        let path = directory.path().join("file");
+        std::thread::scope(|scope| {
+            for byte in 0..4 {
+                let path = &path;
+                scope.spawn(move || {
+                    for _ in 0..50 {
+                        replace(path, &[byte; 1000]).unwrap();
+                    }
+                });
+            }
+        });
+        let found = fs::read(&path).unwrap();
+        assert_eq!(found, [found[0]; 1000]);
+        assert_eq!(names(directory.path()), ["file"]);
     }
 }

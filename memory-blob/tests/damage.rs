@@ -4,16 +4,12 @@ mod synthetic;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::path::PathBuf;
 
 use memory_blob::{MemoryFile, OpenError, QueryError};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use synthetic::{Random, regression, trajectories};
-
-fn place(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("damage-{name}-{}", std::process::id()))
-}
+use tempfile::TempDir;
 
 fn hex(bytes: &[u8]) -> String {
     let digest = Sha256::digest(bytes);
@@ -30,7 +26,8 @@ impl Forgery {
     fn new() -> Self {
         let mut contents = trajectories(100, 1);
         contents.regression = Some(regression(&contents, 30, true));
-        let path = place("source");
+        let directory = TempDir::new().unwrap();
+        let path = directory.path().join("source");
         contents.write(&path).unwrap();
         let bytes = fs::read(&path).unwrap();
         let begin = 8 + u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
@@ -85,34 +82,36 @@ impl Forgery {
         .concat()
     }
 
-    fn open(self, name: &str) -> Result<MemoryFile, OpenError> {
-        let path = place(name);
+    /// The file stays mapped when its name is gone.
+    fn open(self) -> Result<MemoryFile, OpenError> {
+        let directory = TempDir::new().unwrap();
+        let path = directory.path().join("forged");
         fs::write(&path, self.bytes()).unwrap();
         MemoryFile::open(&path, None)
     }
 }
 
 /// The message of a refusal.
-fn refused(name: &str, change: impl FnOnce(&mut Forgery)) -> String {
+fn refused(change: impl FnOnce(&mut Forgery)) -> String {
     let mut forgery = Forgery::new();
     change(&mut forgery);
-    forgery.open(name).unwrap_err().to_string()
+    forgery.open().unwrap_err().to_string()
 }
 
 #[test]
 fn a_file_put_together_by_the_letter_of_the_format_is_accepted() {
-    Forgery::new().open("by-the-letter").unwrap();
+    Forgery::new().open().unwrap();
 }
 
 #[test]
 fn probes_catch_scales_that_changed_places() {
-    let message = refused("scales", |f| f.data("scaling").swap(16, 24));
+    let message = refused(|f| f.data("scaling").swap(16, 24));
     assert!(message.contains("probe"), "{message}");
 }
 
 #[test]
 fn probes_catch_weights_in_the_order_of_columns() {
-    let message = refused("weights", |f| {
+    let message = refused(|f| {
         let lambda = f.data("gpr.lambda");
         let (rows, columns) = (lambda.len() / 16, 16);
         let turned = (0..lambda.len()).map(|i| lambda[i % rows * columns + i / rows]);
@@ -123,28 +122,28 @@ fn probes_catch_weights_in_the_order_of_columns() {
 
 #[test]
 fn probes_catch_another_signal_variance() {
-    let message = refused("variance", |f| f.say("signal_variance", "1.8"));
+    let message = refused(|f| f.say("signal_variance", "1.8"));
     assert!(message.contains("of gpr"), "{message}");
 }
 
 #[test]
 fn numbers_out_of_range_are_named() {
-    let nan = refused("nan", |f| f.data("samples.y")[3] = f64::NAN);
+    let nan = refused(|f| f.data("samples.y")[3] = f64::NAN);
     assert!(nan.contains("samples.y: element 3"), "{nan}");
-    let scale = refused("scale", |f| f.data("scaling")[16] = 0.0);
+    let scale = refused(|f| f.data("scaling")[16] = 0.0);
     assert!(scale.contains("scale: 0; allowed"), "{scale}");
-    let length = refused("length", |f| f.data("gpr.length_scale")[2] = -1.0);
+    let length = refused(|f| f.data("gpr.length_scale")[2] = -1.0);
     assert!(length.contains("gpr.length_scale: -1"), "{length}");
-    let output = refused("output", |f| f.data("gpr.output_scale")[1] = 0.0);
+    let output = refused(|f| f.data("gpr.output_scale")[1] = 0.0);
     assert!(output.contains("gpr.output_scale: 0"), "{output}");
-    let factor = refused("factor", |f| f.data("gpr.cholesky")[2] = 0.0);
+    let factor = refused(|f| f.data("gpr.cholesky")[2] = 0.0);
     assert!(factor.contains("gpr.cholesky: diagonal"), "{factor}");
 }
 
 #[test]
 fn a_box_that_hides_a_sample_is_refused() {
     for name in ["samples.boxes", "samples.groups"] {
-        let message = refused("box", |f| f.data(name)[0] += 0.01);
+        let message = refused(|f| f.data(name)[0] += 0.01);
         assert!(message.contains("outside its box"), "{message}");
     }
 }
@@ -167,7 +166,7 @@ fn counts_that_do_not_fit_the_tensors_are_refused() {
         ("task", "07"),
         ("format", "other"),
     ] {
-        let message = refused("counts", |f| f.say(key, value));
+        let message = refused(|f| f.say(key, value));
         assert!(message.contains("allowed"), "{key} = {value}: {message}");
     }
 }
@@ -176,11 +175,14 @@ fn counts_that_do_not_fit_the_tensors_are_refused() {
 fn another_schema_and_a_missing_file_are_errors_of_their_own() {
     let mut forgery = Forgery::new();
     forgery.say("schema", "3");
-    let error = forgery.open("schema").unwrap_err();
+    let error = forgery.open().unwrap_err();
     assert!(matches!(error, OpenError::Schema { .. }), "{error}");
-    let error = MemoryFile::open(&place("missing"), None).unwrap_err();
+    let error = MemoryFile::open("/nowhere/missing.vpcmem".as_ref(), None).unwrap_err();
     assert!(matches!(error, OpenError::Read { .. }), "{error}");
-    assert!(error.to_string().contains("damage-missing"), "{error}");
+    assert!(
+        error.to_string().contains("/nowhere/missing.vpcmem"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -191,19 +193,20 @@ fn a_file_of_schema_1_answers_as_before_and_has_no_variances() {
         file.view().gpr().unwrap().mean(&query, &mut y).unwrap();
         y
     };
-    let new = Forgery::new().open("schema-2").unwrap();
+    let new = Forgery::new().open().unwrap();
     assert!(new.view().gpr().unwrap().has_variance());
     let mut forgery = Forgery::new();
     forgery.say("schema", "1");
     forgery.tensors.remove("gpr.output_scale");
-    let old = forgery.open("schema-1").unwrap();
+    let old = forgery.open().unwrap();
     assert_eq!(mean(&old), mean(&new));
     let gpr = old.view().gpr().unwrap();
     let asked = gpr.variance(&query, &mut [0.0; 30], &mut [0.0; 14]);
     assert_eq!(asked, Err(QueryError::NoVariance));
     // What is read from it can be written again: without the factor, which says nothing without scales.
     let contents = old.contents();
-    let path = place("schema-1-again");
+    let directory = TempDir::new().unwrap();
+    let path = directory.path().join("schema-1-again");
     contents.write(&path).unwrap();
     assert_eq!(
         MemoryFile::open(&path, None).unwrap().contents().y,
@@ -213,17 +216,20 @@ fn a_file_of_schema_1_answers_as_before_and_has_no_variances() {
 
 #[test]
 fn output_scales_are_asked_for_with_a_factor_and_have_no_place_in_schema_1() {
-    let missing = refused("no-scale", |f| {
+    let missing = refused(|f| {
         f.tensors.remove("gpr.output_scale");
     });
     assert!(missing.contains("gpr.output_scale is missing"), "{missing}");
-    let early = refused("early-scale", |f| f.say("schema", "1"));
+    let early = refused(|f| f.say("schema", "1"));
     assert!(early.contains("tensor gpr.output_scale"), "{early}");
     let mut contents = trajectories(100, 1);
     let mut process = regression(&contents, 30, true);
     process.output_scale = None;
     contents.regression = Some(process);
-    let error = contents.write(&place("never")).unwrap_err().to_string();
+    let error = contents
+        .write("/nowhere/never".as_ref())
+        .unwrap_err()
+        .to_string();
     assert!(
         error.contains("regression.output_scale is missing"),
         "{error}"
@@ -232,11 +238,11 @@ fn output_scales_are_asked_for_with_a_factor_and_have_no_place_in_schema_1() {
 
 #[test]
 fn missing_and_unknown_tensors_are_named() {
-    let missing = refused("gone", |f| {
+    let missing = refused(|f| {
         f.tensors.remove("samples.origin");
     });
     assert!(missing.contains("samples.origin is missing"), "{missing}");
-    let unknown = refused("extra", |f| {
+    let unknown = refused(|f| {
         f.tensors.insert("extra".into(), (json!([8]), vec![0.0; 8]));
     });
     assert!(unknown.contains("tensor extra"), "{unknown}");
@@ -244,7 +250,8 @@ fn missing_and_unknown_tensors_are_named() {
 
 #[test]
 fn a_file_cut_short_anywhere_is_refused() {
-    let path = place("cut");
+    let directory = TempDir::new().unwrap();
+    let path = directory.path().join("cut");
     trajectories(40, 2).write(&path).unwrap();
     let file = File::options().write(true).open(&path).unwrap();
     let length = file.metadata().unwrap().len();
@@ -257,7 +264,8 @@ fn a_file_cut_short_anywhere_is_refused() {
 
 #[test]
 fn junk_is_refused_without_a_panic() {
-    let path = place("junk");
+    let directory = TempDir::new().unwrap();
+    let path = directory.path().join("junk");
     let mut random = Random(6);
     for trial in 0..2000 {
         let length = (random.next() * 300.0) as usize;
@@ -276,12 +284,13 @@ fn junk_is_refused_without_a_panic() {
         data.iter_mut()
             .for_each(|x| *x = 1e308 * (random.next() - 0.5));
     }
-    assert!(forgery.open("junk-numbers").is_err());
+    assert!(forgery.open().is_err());
 }
 
 #[test]
 fn another_kind_of_file_is_told_from_a_damaged_memory() {
-    let path = place("other");
+    let directory = TempDir::new().unwrap();
+    let path = directory.path().join("other");
     for (bytes, begin) in [
         (b"# A scene of mine\n".as_slice(), "# A scene"),
         (b"\x89PNG\r\n\x1a\n\0\0", "\\x89PNG\\r\\n\\x1a\\n\\x00"),

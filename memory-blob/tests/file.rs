@@ -2,11 +2,12 @@
 
 mod synthetic;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use memory_blob::{Contents, MemoryFile, OpenError, Regression};
 use serde_json::Map;
-use synthetic::Random;
+use synthetic::{Random, opened};
+use tempfile::TempDir;
 
 fn contents(count: usize, regression: bool) -> Contents {
     let mut random = Random(11);
@@ -35,23 +36,25 @@ fn contents(count: usize, regression: bool) -> Contents {
     }
 }
 
-fn directory() -> PathBuf {
-    let path =
-        Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("memory-{}", std::process::id()));
-    std::fs::create_dir_all(&path).unwrap();
-    path
+/// A file in a directory that goes with it.
+struct Written {
+    directory: TempDir,
+    path: PathBuf,
 }
 
-fn written(name: &str, contents: &Contents) -> PathBuf {
-    let path = directory().join(name);
-    contents.write(&path).unwrap();
-    path
+impl Written {
+    fn new(contents: &Contents) -> Self {
+        let directory = TempDir::new().unwrap();
+        let path = directory.path().join("memory");
+        contents.write(&path).unwrap();
+        Self { directory, path }
+    }
 }
 
 #[test]
 fn a_round_trip_gives_everything_back() {
     let before = contents(500, true);
-    let file = MemoryFile::open(&written("round", &before), Some(&[7; 32])).unwrap();
+    let file = MemoryFile::open(&Written::new(&before).path, Some(&[7; 32])).unwrap();
     let after = file.contents();
     let close = |a: &[Vec<f64>], b: &[Vec<f64>]| {
         a.len() == b.len()
@@ -74,14 +77,17 @@ fn a_round_trip_gives_everything_back() {
 #[test]
 fn the_same_contents_give_the_same_bytes() {
     let contents = contents(300, true);
-    let (a, b) = (written("same-a", &contents), written("same-b", &contents));
-    assert_eq!(std::fs::read(a).unwrap(), std::fs::read(b).unwrap());
+    let (a, b) = (Written::new(&contents), Written::new(&contents));
+    assert_eq!(
+        std::fs::read(a.path).unwrap(),
+        std::fs::read(b.path).unwrap()
+    );
 }
 
 #[test]
 fn a_search_finds_what_comparing_with_every_sample_finds() {
     let contents = contents(5000, false);
-    let file = MemoryFile::open(&written("knn", &contents), None).unwrap();
+    let file = opened(&contents);
     let samples = file.view().samples().unwrap();
     let mut random = Random(5);
     for trial in 0..200 {
@@ -114,7 +120,7 @@ fn a_search_finds_what_comparing_with_every_sample_finds() {
 #[test]
 fn regression_is_the_formula() {
     let contents = contents(100, true);
-    let file = MemoryFile::open(&written("gpr", &contents), None).unwrap();
+    let file = opened(&contents);
     let r = contents.regression.unwrap();
     let query = Random(9).row(10, 800.0);
     let mut found = vec![0.0; 14];
@@ -136,10 +142,10 @@ fn regression_is_the_formula() {
 
 #[test]
 fn every_truncation_and_every_flipped_byte_of_the_header_is_refused() {
-    let path = written("intact", &contents(40, true));
+    let Written { directory, path } = Written::new(&contents(40, true));
     let bytes = std::fs::read(&path).unwrap();
     let header = 8 + u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
-    let broken = directory().join("broken");
+    let broken = directory.path().join("broken");
     let refused = |bytes: &[u8]| {
         std::fs::write(&broken, bytes).unwrap();
         MemoryFile::open(&broken, None).is_err()
@@ -165,7 +171,7 @@ fn every_truncation_and_every_flipped_byte_of_the_header_is_refused() {
 #[test]
 fn a_memory_of_another_task_is_refused_with_both_fingerprints() {
     let error =
-        MemoryFile::open(&written("task", &contents(40, false)), Some(&[9; 32])).unwrap_err();
+        MemoryFile::open(&Written::new(&contents(40, false)).path, Some(&[9; 32])).unwrap_err();
     assert!(matches!(error, OpenError::Task { .. }));
     let message = error.to_string();
     assert!(
@@ -176,8 +182,8 @@ fn a_memory_of_another_task_is_refused_with_both_fingerprints() {
 
 #[test]
 fn a_file_changed_after_opening_changes_nothing() {
-    let path = written("changed", &contents(100, false));
-    let file = MemoryFile::open(&path, None).unwrap();
+    let written = Written::new(&contents(100, false));
+    let file = MemoryFile::open(&written.path, None).unwrap();
     let query = Random(2).row(10, 500.0);
     let (mut before, mut after) = (vec![0.0; 14], vec![0.0; 14]);
     file.view()
@@ -185,7 +191,7 @@ fn a_file_changed_after_opening_changes_nothing() {
         .unwrap()
         .nearest(&query, 3, &mut before)
         .unwrap();
-    std::fs::write(&path, b"").unwrap();
+    std::fs::write(&written.path, b"").unwrap();
     file.view()
         .samples()
         .unwrap()
@@ -196,7 +202,7 @@ fn a_file_changed_after_opening_changes_nothing() {
 
 #[test]
 fn bad_queries_are_errors() {
-    let file = MemoryFile::open(&written("bad", &contents(40, true)), None).unwrap();
+    let file = opened(&contents(40, true));
     let (samples, gpr) = (file.view().samples().unwrap(), file.view().gpr().unwrap());
     let (good, mut y) = (vec![0.0; 10], vec![0.0; 14]);
     let mut nan = good.clone();

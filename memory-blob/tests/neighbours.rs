@@ -3,19 +3,8 @@
 
 mod synthetic;
 
-use std::path::Path;
-
 use memory_blob::{Contents, MAX_NEIGHBOURS, MemoryFile};
-use synthetic::{INPUTS, OUTPUTS, Random, compare_with_all};
-
-fn opened(name: &str, contents: &Contents) -> MemoryFile {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR"))
-        .join(format!("neighbours-{name}-{}", std::process::id()));
-    contents.write(&path).unwrap();
-    let file = MemoryFile::open(&path, None).unwrap();
-    std::fs::remove_file(path).unwrap();
-    file
-}
+use synthetic::{INPUTS, OUTPUTS, Random, compare_with_all, opened};
 
 /// Compares distances, not rows: where samples are equally near, either may count.
 fn compare(contents: &Contents, file: &MemoryFile, query: &[f64], k: usize) {
@@ -37,7 +26,7 @@ fn compare(contents: &Contents, file: &MemoryFile, query: &[f64], k: usize) {
 #[test]
 fn on_trajectories_the_search_is_exact() {
     let contents = synthetic::trajectories(3000, 3);
-    let file = opened("trajectories", &contents);
+    let file = opened(&contents);
     let mut random = Random(4);
     for trial in 0..300 {
         let x = &contents.x[(random.next() * 3000.0) as usize];
@@ -54,7 +43,7 @@ fn on_trajectories_the_search_is_exact() {
 fn every_count_of_samples_round_a_block_is_searched_to_the_end() {
     for count in [1, 2, 31, 32, 33, 511, 512, 513, 1025] {
         let contents = synthetic::noise(count, count as u64);
-        let file = opened(&format!("count-{count}"), &contents);
+        let file = opened(&contents);
         let mut random = Random(8);
         for _ in 0..20 {
             let query = synthetic::noisy_input(&mut random);
@@ -69,7 +58,7 @@ fn every_count_of_samples_round_a_block_is_searched_to_the_end() {
 fn equally_near_samples_give_the_same_answer_each_time_and_the_first_of_the_file() {
     let mut contents = synthetic::noise(200, 2);
     contents.x.iter_mut().for_each(|x| *x = vec![1.0; INPUTS]);
-    let file = opened("ties", &contents);
+    let file = opened(&contents);
     let samples = file.view().samples().unwrap();
     let nearest = samples.search(&[3.0; INPUTS], 5).unwrap();
     assert_eq!(nearest.indices(), [0, 1, 2, 3, 4]);
@@ -79,7 +68,7 @@ fn equally_near_samples_give_the_same_answer_each_time_and_the_first_of_the_file
 #[test]
 fn the_largest_finite_inputs_are_answered_with_a_sample() {
     let contents = synthetic::trajectories(100, 5);
-    let file = opened("huge", &contents);
+    let file = opened(&contents);
     let samples = file.view().samples().unwrap();
     for x in [f64::MAX, f64::MIN, 1e200, f64::MIN_POSITIVE] {
         let nearest = samples.search(&[x; INPUTS], 3).unwrap();

@@ -3,10 +3,9 @@
 
 mod synthetic;
 
-use std::path::Path;
-
-use memory_blob::{Contents, MemoryFile, Regression};
+use memory_blob::{Contents, Regression};
 use serde_json::{Map, Value};
+use synthetic::opened;
 
 struct Fixture(Value);
 
@@ -119,19 +118,10 @@ fn contents(fixture: &Fixture) -> Contents {
     }
 }
 
-fn opened(name: &str, contents: &Contents) -> MemoryFile {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR"))
-        .join(format!("process-{name}-{}", std::process::id()));
-    contents.write(&path).unwrap();
-    let file = MemoryFile::open(&path, None).unwrap();
-    std::fs::remove_file(path).unwrap();
-    file
-}
-
 #[test]
 fn mean_and_variance_are_those_of_scikit_learn() {
     let fixture = Fixture::read();
-    let file = opened("fixture", &contents(&fixture));
+    let file = opened(&contents(&fixture));
     let gpr = file.view().gpr().unwrap();
     let (means, deviations) = (fixture.rows("mean"), fixture.rows("deviation"));
     let (mut y, mut scratch) = (vec![0.0; gpr.outputs()], vec![0.0; gpr.len()]);
@@ -154,7 +144,7 @@ fn mean_and_variance_are_those_of_scikit_learn() {
 fn far_from_all_samples_the_mean_is_the_constant_and_the_variance_that_of_the_signal() {
     let fixture = Fixture::read();
     let contents = contents(&fixture);
-    let file = opened("far", &contents);
+    let file = opened(&contents);
     let gpr = file.view().gpr().unwrap();
     let (mut y, mut scratch) = (vec![0.0; gpr.outputs()], vec![0.0; gpr.len()]);
     let r = contents.regression.unwrap();
@@ -186,20 +176,17 @@ fn every_width_of_outputs_and_every_count_of_samples_is_the_formula() {
                 output_scale: None,
                 cholesky: None,
             };
-            let file = opened(
-                &format!("{points}-{count}"),
-                &Contents {
-                    task: [1; 32],
-                    offset: vec![0.0; n],
-                    scale: vec![1.0; n],
-                    y: x.iter().map(|_| vec![0.0; p]).collect(),
-                    trajectory: vec![0; count],
-                    step: vec![0; count],
-                    regression: Some(regression.clone()),
-                    provenance: Map::new(),
-                    x,
-                },
-            );
+            let file = opened(&Contents {
+                task: [1; 32],
+                offset: vec![0.0; n],
+                scale: vec![1.0; n],
+                y: x.iter().map(|_| vec![0.0; p]).collect(),
+                trajectory: vec![0; count],
+                step: vec![0; count],
+                regression: Some(regression.clone()),
+                provenance: Map::new(),
+                x,
+            });
             let (query, mut y) = (random.row(n, 2.0), vec![0.0; p]);
             file.view().gpr().unwrap().mean(&query, &mut y).unwrap();
             for o in 0..p {

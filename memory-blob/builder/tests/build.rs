@@ -99,11 +99,10 @@ fn variances_are_in_the_units_of_the_outputs() {
         );
     }
 
-    let name = format!("variance-{}.vpcmem", std::process::id());
-    let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let directory = tempfile::TempDir::new().unwrap();
+    let path = directory.path().join("variance.vpcmem");
     contents.write(&path).unwrap();
     let file = memory_blob::MemoryFile::open(&path, None).unwrap();
-    std::fs::remove_file(path).unwrap();
     let gpr = file.view().gpr().unwrap();
     let (mut scratch, mut variance) = (vec![0.0; gpr.len()], vec![0.0; gpr.outputs()]);
     // At a sample little is left to learn but the noise; far away everything.

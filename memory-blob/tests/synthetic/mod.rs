@@ -1,7 +1,7 @@
 //! Memories made of numbers, for tests, benches and examples: their shapes are real, their advice is not.
 #![allow(dead_code)] // each user takes what it needs
 
-use memory_blob::{Contents, Regression};
+use memory_blob::{Contents, MemoryFile, Regression};
 use serde_json::{Map, Value, json};
 
 /// Entries of an input with four points.
@@ -121,6 +121,14 @@ fn contents(x: Vec<Vec<f64>>, y: Vec<Vec<f64>>) -> Contents {
         regression: None,
         provenance,
     }
+}
+
+/// The same, as a file that was written, opened and has lost its name.
+pub fn opened(contents: &Contents) -> MemoryFile {
+    let directory = tempfile::TempDir::new().unwrap();
+    let path = directory.path().join("synthetic.vpcmem");
+    contents.write(&path).unwrap();
+    MemoryFile::open(&path, None).unwrap()
 }
 
 /// A process over `count` of the samples with random weights and, where asked for, a well-conditioned factor: right
