@@ -30,7 +30,9 @@ impl Parent {
     fn start(program: &str, arguments: &[&str], cargo: Option<&Path>) -> Self {
         let place = Place::new();
         let text = place.path("").display().to_string();
-        let mut command = Command::new(program);
+        // As from a terminal: what runs the tests in the background may ignore signals, which children inherit.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=INT,TERM,HUP", program]);
         command.args(arguments).current_dir(place.path(""));
         command.env(MARK, &text).env("TMPDIR", &text);
         if let Some(cargo) = cargo {
