@@ -256,8 +256,8 @@ impl Cycle {
         }
     }
 
-    /// Hands the requests of operators to the pilot. Those that break the contract are passed over here; the recorder,
-    /// which reads along, logs them.
+    /// Hands the requests of operators to the pilot. Those without a head are passed over here; the recorder, which
+    /// reads along, logs them.
     fn take_requests(&mut self) {
         for _ in 0..REQUESTS {
             match self.ports.requests.oldest() {

@@ -121,11 +121,12 @@ impl Pilot {
 
     /// Takes an operator's request; it counts from the next decision on. The answer lacks its stamp only.
     pub fn request(&mut self, request: &Request) -> Reply {
-        let outcome = match request.action() {
-            Some(Action::Strategy) => self.change(request),
+        let outcome = match (request.action(), request.strategy_code()) {
+            (None, _) | (_, None) => Outcome::Unknown,
+            (Some(Action::Strategy), Some(code)) => self.change(code, request.neighbours),
             // The recorder, not the pilot, knows about flight records.
-            Some(Action::Record) | None => Outcome::NoRecord,
-            Some(action) => self.supervisor.request(action),
+            (Some(Action::Record), _) => Outcome::NoRecord,
+            (Some(action), _) => self.supervisor.request(action),
         };
         let (state, hold) = self.supervisor.state();
         let (strategy, neighbours) = law::strategy_code(self.law.settings().strategy);
@@ -135,7 +136,7 @@ impl Pilot {
                 ..Stamp::default()
             },
             id: request.id,
-            action: request.action,
+            action: request.action().unwrap_or(Action::Status).code(),
             outcome: outcome.code(),
             state: state.code(),
             hold: hold.code(),
@@ -222,10 +223,8 @@ impl Pilot {
         }
     }
 
-    fn change(&mut self, request: &Request) -> Outcome {
-        let code = StrategyCode::from_code(request.strategy);
-        let Some(strategy) = code.and_then(|code| law::strategy_of(code, request.neighbours))
-        else {
+    fn change(&mut self, code: StrategyCode, neighbours: u32) -> Outcome {
+        let Some(strategy) = law::strategy_of(code, neighbours) else {
             return Outcome::Neighbours;
         };
         if self.law.set_strategy(strategy) {

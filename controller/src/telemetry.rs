@@ -123,9 +123,13 @@ fn tell_requests(port: &mut RecorderPort) {
     for _ in 0..Request::QOS.buffer {
         match port.requests.oldest() {
             Ok(None) => break,
-            Ok(Some(_)) => (),
+            Ok(Some(request)) => {
+                if let Err(error) = request.check_codes() {
+                    warn!(id = request.id, %error, "operator: request refused: {error}");
+                }
+            }
             Err(error @ ReceiveError::Invalid { .. }) => {
-                warn!(%error, "request refused, not answered: {error}");
+                warn!(%error, "request without a head, not answered: {error}");
             }
             Err(error @ ReceiveError::Transport { .. }) => {
                 debug!(%error, "requests not received");
@@ -141,6 +145,8 @@ fn tell_requests(port: &mut RecorderPort) {
         if let (Some(action), Some(outcome)) = (Action::from_code(reply.action), reply.outcome()) {
             match outcome {
                 Outcome::Done => info!(id, %action, "operator: {action}: {outcome}"),
+                // Told with its code, above.
+                Outcome::Unknown => (),
                 _ => warn!(id, %action, "operator: {action}: {outcome}"),
             }
         }

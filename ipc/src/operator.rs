@@ -45,6 +45,8 @@ codes! {
         Shutdown = 6 => "refused: shutting down",
         /// Refused: the controller keeps no flight record.
         NoRecord = 7 => "refused: no flight record is kept",
+        /// Refused: the code of the action or of the strategy is none of the contract's.
+        Unknown = 8 => "refused: no such action or strategy",
     }
 }
 
@@ -97,9 +99,24 @@ impl Request {
         }
     }
 
-    /// The action; `None` where the code is unknown, which reception refuses.
+    /// The action; `None` where the code is unknown.
     pub fn action(&self) -> Option<Action> {
         Action::from_code(self.action)
+    }
+
+    /// The strategy; `None` where the code is unknown.
+    pub fn strategy_code(&self) -> Option<StrategyCode> {
+        StrategyCode::from_code(self.strategy)
+    }
+
+    /// Whether action and strategy are known.
+    ///
+    /// # Errors
+    /// [`Invalid`] names the one that is not, and its code.
+    pub fn check_codes(&self) -> Result<(), Invalid> {
+        let (service, strategy) = (Self::SERVICE, self.strategy_code());
+        message::check_code(service, "action", self.action, self.action().is_some())?;
+        message::check_code(service, "strategy", self.strategy, strategy.is_some())
     }
 }
 
@@ -115,12 +132,9 @@ impl Message for Request {
 
     message::carried_by!(requests);
 
+    /// The head only: an unknown action or strategy is answered, with [`Outcome::Unknown`].
     fn check(&self) -> Result<(), Invalid> {
-        let service = Self::SERVICE;
-        message::check_stamp(service, &self.stamp)?;
-        message::check_code(service, "action", self.action, self.action().is_some())?;
-        let known = StrategyCode::from_code(self.strategy).is_some();
-        message::check_code(service, "strategy", self.strategy, known)
+        message::check_stamp(Self::SERVICE, &self.stamp)
     }
 }
 
@@ -133,7 +147,7 @@ pub struct Reply {
     pub stamp: Stamp,
     /// The request's.
     pub id: u64,
-    /// The request's [`Action`] code.
+    /// The request's [`Action`] code; zero where that is unknown.
     pub action: u32,
     /// An [`Outcome`] code.
     pub outcome: u32,
@@ -215,16 +229,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_with_an_unknown_action_is_refused_by_its_number() {
+    fn a_request_with_an_unknown_action_is_received_so_that_it_can_be_answered() {
         let mut request = Request::new(7, Action::Arm);
         request.stamp.sequence = 1;
-        assert_eq!(request.check(), Ok(()));
         request.action = 99;
-        let message = request.check().unwrap_err().to_string();
+        assert_eq!(request.check(), Ok(()));
+        let message = request.check_codes().unwrap_err().to_string();
         assert_eq!(
             message,
             "vpc/requests: action = 99; allowed: the codes of CONTRACT.md"
         );
+        request.stamp.sequence = 0;
+        let message = request.check().unwrap_err().to_string();
+        assert!(message.starts_with("vpc/requests: "), "{message}");
     }
 
     #[test]

@@ -64,15 +64,14 @@ impl Asked {
 
     /// One more. Those that change nothing of the pilot are not kept.
     pub fn push(&mut self, request: &Request, outcome: Outcome) {
-        let action = match request.action() {
-            None | Some(Action::Status | Action::Record) => return,
-            Some(action) => action,
+        let (action, strategy) = match (request.action(), request.strategy_code()) {
+            (None | Some(Action::Status | Action::Record), _) | (_, None) => return,
+            (Some(action), Some(strategy)) => (action, strategy),
         };
         if let Some(room) = self.requests.get_mut(self.count as usize) {
             *room = AskedFor {
                 action,
-                strategy: StrategyCode::from_code(request.strategy)
-                    .unwrap_or(StrategyCode::Previous),
+                strategy,
                 neighbours: request.neighbours,
                 outcome,
             };

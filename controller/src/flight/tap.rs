@@ -92,7 +92,7 @@ impl Tap {
     /// Notes a request that the pilot was given, with its answer; it belongs to the next cycle. One to write the flight
     /// record is fulfilled here, wait-free.
     pub fn ask(&mut self, request: &Request, reply: &mut Reply) {
-        if request.action() == Some(Action::Record) {
+        if request.action() == Some(Action::Record) && reply.outcome() == Some(Outcome::NoRecord) {
             self.wish.make();
             reply.outcome = Outcome::Done.code();
         }

@@ -296,6 +296,19 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
         let ibvs = ask(|id| Request::strategy(id, StrategyCode::Ibvs, 0));
         assert_eq!(ibvs.0, Outcome::Done);
         assert_eq!(ibvs.2.strategy, StrategyCode::Ibvs.code());
+        // What the contract does not know moves nothing, and is answered.
+        let unknown_action = ask(|id| Request {
+            action: 99,
+            ..Request::new(id, Action::Status)
+        });
+        assert_eq!(unknown_action.0, Outcome::Unknown);
+        assert_eq!(unknown_action.2.action, Action::Status.code());
+        let unknown_strategy = ask(|id| Request {
+            strategy: 77,
+            ..Request::new(id, Action::Strategy)
+        });
+        assert_eq!(unknown_strategy.0, Outcome::Unknown);
+        assert_eq!(unknown_strategy.2.strategy, StrategyCode::Ibvs.code());
         let disarm = ask(|id| Request::new(id, Action::Disarm));
         assert_eq!((disarm.0, disarm.1), (Outcome::Done, TwistState::Braking));
         eventually("rest", || {
@@ -332,6 +345,8 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
         "operator: arm: refused: no good features",
         "operator: arm: done",
         "operator: strategy: refused: no memory of motion",
+        "operator: request refused: vpc/requests: action = 99; allowed: the codes of CONTRACT.md",
+        "operator: request refused: vpc/requests: strategy = 77",
         "operator: stop: done",
         "disarmed: operator",
     ] {

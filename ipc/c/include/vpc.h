@@ -366,6 +366,8 @@ enum vpc_outcome
     VPC_OUTCOME_SHUTDOWN = 6,
     // Refused: the controller keeps no flight record.
     VPC_OUTCOME_NO_RECORD = 7,
+    // Refused: the code of the action or of the strategy is none of the contract's.
+    VPC_OUTCOME_UNKNOWN = 8,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -574,7 +576,7 @@ typedef struct {
     vpc_stamp stamp;
     // The request's.
     uint64_t id;
-    // The request's vpc_action code.
+    // The request's vpc_action code; zero where that is unknown.
     uint32_t action;
     // An vpc_outcome code.
     uint32_t outcome;

@@ -230,6 +230,8 @@ class Outcome(enum.IntEnum):
     SHUTDOWN = 6
     # Refused: the controller keeps no flight record.
     NO_RECORD = 7
+    # Refused: the code of the action or of the strategy is none of the contract's.
+    UNKNOWN = 8
 
     @property
     def words(self):
@@ -348,6 +350,7 @@ _WORDS = {
         "refused: neighbours out of range",
         "refused: shutting down",
         "refused: no flight record is kept",
+        "refused: no such action or strategy",
     ),
 }
 
@@ -572,7 +575,7 @@ class Reply(ctypes.Structure):
         ("stamp", Stamp),
         # The request's.
         ("id", ctypes.c_uint64),
-        # The request's `Action` code.
+        # The request's `Action` code; zero where that is unknown.
         ("action", ctypes.c_uint32),
         # An `Outcome` code.
         ("outcome", ctypes.c_uint32),
