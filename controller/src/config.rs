@@ -67,6 +67,13 @@ pub struct FlightConfig {
     pub at_exit: bool,
 }
 
+impl FlightConfig {
+    /// Cycles kept in memory at this rate, Hz.
+    pub fn cycles(&self, rate_hz: f64) -> usize {
+        (self.minutes * 60.0 * rate_hz).round() as usize
+    }
+}
+
 /// The part of the configuration that the supervisor goes by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Safety {
@@ -154,12 +161,18 @@ impl Config {
     }
 }
 
+/// Where a configuration comes from, in messages: its file or the command line.
+pub(crate) fn named(arguments: &Arguments) -> String {
+    let file = arguments.config.as_ref();
+    file.map_or(COMMAND_LINE.to_owned(), |file| file.display().to_string())
+}
+
 /// The text of the file that the command line names, its name, and the directory that its paths are relative to.
 fn source(arguments: &Arguments) -> Result<(String, String, PathBuf), ConfigError> {
+    let path = named(arguments);
     let Some(file) = &arguments.config else {
-        return Ok((String::new(), COMMAND_LINE.to_owned(), PathBuf::new()));
+        return Ok((String::new(), path, PathBuf::new()));
     };
-    let path = file.display().to_string();
     let text = std::fs::read_to_string(file).map_err(|source| ConfigError::Read {
         path: path.clone(),
         source,

@@ -8,7 +8,7 @@ use clap::Parser;
 use ipc::{ClockMode, ControllerPorts, Domain, RealTime};
 
 use crate::arguments::{Arguments, Command};
-use crate::config::{Config, ConfigError};
+use crate::config::{self, Config, ConfigError};
 use crate::cycle::{Cycle, Pace};
 use crate::exit::Exit;
 use crate::flight::{self, Recorder};
@@ -174,6 +174,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let wish = flight::Wish::by_signal().map_err(Failure::Signals)?;
     let config = Config::read(arguments)?;
     let law = Law::open(&config.scene, config.memory.as_deref(), config.settings)?;
+    Recorder::check_room(
+        &config.flight,
+        law.scene().camera.rate_hz,
+        realtime::memory_bytes(),
+        config::named(arguments),
+    )?;
     if arguments.check_only {
         println!("{}", describe(&config, &law));
         return Ok(());

@@ -139,6 +139,14 @@ pub(crate) fn status_kib(name: &str) -> Option<u64> {
     status(name)?.split_whitespace().next()?.parse().ok()
 }
 
+/// The machine's memory, bytes.
+pub(crate) fn memory_bytes() -> u64 {
+    let info = rustix::system::sysinfo();
+    // Both are of the machine's word size: u32 on some.
+    #[allow(clippy::useless_conversion)]
+    u64::from(info.totalram).saturating_mul(u64::from(info.mem_unit))
+}
+
 /// Whether this process has a capability, by its number.
 pub(crate) fn has_capability(number: u32) -> bool {
     let set = status("CapEff").and_then(|text| u64::from_str_radix(&text, 16).ok());

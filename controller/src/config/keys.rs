@@ -189,7 +189,7 @@ pub(super) const MINUTES: Key = Key::number(
     "5.0",
     (0.1, 60.0),
     "0.1 to 60 min",
-    "time kept in memory, at the scene's rate; 1.6 KB a cycle",
+    "time kept in memory, at the scene's rate; 1.6 KB a cycle, in all at most a quarter of the machine's memory",
 );
 pub(super) const KEEP: Key = Key::integer(
     "flight.keep",

@@ -12,7 +12,7 @@ use super::file::Flight;
 use super::record::{FlightRecord, Key};
 use super::ring::Ring;
 use super::store::Store;
-use crate::config::Config;
+use crate::config::{Config, ConfigError, FlightConfig};
 use crate::law::Law;
 
 /// Faults within this time of the last written one are in the log only: features that come and go must not fill a disk.
@@ -74,13 +74,39 @@ impl Recorder {
     /// A recorder for this configuration and law.
     pub fn new(config: &Config, law: &Law) -> Self {
         let flight = &config.flight;
-        let cycles = flight.minutes * 60.0 / law.scene().sampling_time();
         let store = Store::new(flight.directory.clone(), flight.keep);
         Self {
             store: Some((store, About::new(config, law))),
             at_exit: flight.at_exit,
-            ..Self::nowhere(cycles.round() as usize)
+            ..Self::nowhere(flight.cycles(law.scene().camera.rate_hz))
         }
+    }
+
+    /// Whether the cycles that are to be kept at this rate (Hz) fit in a quarter of a machine's memory (bytes): while a
+    /// file is written there are two of each, and the rest is not ours. `source` names the configuration in messages.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] names the minutes that fit.
+    pub fn check_room(
+        flight: &FlightConfig,
+        rate_hz: f64,
+        memory_bytes: u64,
+        source: String,
+    ) -> Result<(), ConfigError> {
+        let fitting = memory_bytes / 4 / Ring::BYTES_PER_CYCLE as u64;
+        if flight.cycles(rate_hz) as u64 <= fitting {
+            return Ok(());
+        }
+        let minutes = (fitting as f64 / rate_hz / 6.0).floor() / 10.0;
+        let memory_gb = memory_bytes as f64 / 1e9;
+        Err(ConfigError::Value {
+            path: source,
+            key: "flight.minutes".to_owned(),
+            value: flight.minutes.to_string(),
+            allowed: format!(
+                "at most {minutes} min at the scene's {rate_hz} Hz, a quarter of this machine's {memory_gb:.1} GB"
+            ),
+        })
     }
 
     /// A recorder of so many cycles that writes nothing.
@@ -337,6 +363,28 @@ mod tests {
         assert_eq!(look(200, TwistState::Moving, Hold::None, false), 5);
         assert_eq!(look(200, TwistState::Braking, Hold::Solver, false), 6);
         assert_eq!(look(200, TwistState::Disarmed, Hold::Solver, false), 6);
+    }
+
+    #[test]
+    fn more_minutes_than_the_machine_holds_are_refused_with_those_that_fit() {
+        let flight = |minutes| FlightConfig {
+            directory: "nowhere".into(),
+            minutes,
+            keep: 1,
+            at_exit: false,
+        };
+        let check = |minutes, rate_hz| {
+            Recorder::check_room(&flight(minutes), rate_hz, 8_000_000_000, "v.toml".into())
+        };
+        check(60.0, 30.0).unwrap();
+        check(5.0, 1000.0).unwrap();
+        let message = check(60.0, 1000.0).unwrap_err().to_string();
+        let start = "v.toml: flight.minutes = 60; allowed: at most ";
+        let end = " min at the scene's 1000 Hz, a quarter of this machine's 8.0 GB";
+        let fitting = message.strip_prefix(start).unwrap().strip_suffix(end);
+        let fitting: f64 = fitting.unwrap().parse().unwrap();
+        check(fitting, 1000.0).unwrap();
+        check(fitting + 0.2, 1000.0).unwrap_err();
     }
 
     #[test]

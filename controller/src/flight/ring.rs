@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::record::{FlightRecord, Key};
+use super::record::{FlightRecord, KEY_EVERY, Key};
 
 /// The latest records and their keys; the oldest fall out.
 #[derive(Debug)]
@@ -13,6 +13,10 @@ pub struct Ring {
 }
 
 impl Ring {
+    /// Bytes that a cycle takes, with its part of the keys.
+    pub const BYTES_PER_CYCLE: usize =
+        size_of::<FlightRecord>() + size_of::<Key>().div_ceil(KEY_EVERY as usize);
+
     /// A ring for so many cycles, at least one.
     pub fn new(capacity: usize) -> Self {
         let capacity = capacity.max(1);
