@@ -239,6 +239,9 @@ impl Law {
             Err(refusal) => return held(refused(refusal)),
         };
         tell(&step, record);
+        if step.status == vpc::Status::NumericalFailure {
+            return held(Hold::Solver);
+        }
         if !self.is_within_limits(&step.twist) {
             return held(Hold::BadTwist);
         }
@@ -391,9 +394,13 @@ mod tests {
     use super::*;
 
     fn law() -> Law {
+        law_with(Settings::default())
+    }
+
+    fn law_with(settings: Settings) -> Law {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         Law {
-            controller: boxed(&scene, Settings::default()).unwrap().unwrap(),
+            controller: boxed(&scene, settings).unwrap().unwrap(),
             memory: None,
             scene,
             text: scene::PAPER_SIM.to_owned(),
@@ -442,6 +449,22 @@ mod tests {
             let decision = law.step(&bad, 0, Link::Next, &mut CycleRecord::default());
             assert_eq!(decision, held(cause));
         }
+    }
+
+    #[test]
+    fn where_the_law_has_no_answer_the_camera_is_held() {
+        let mut law = law_with(Settings {
+            strategy: Strategy::Ibvs,
+            ..Settings::default()
+        });
+        // All points in one, nearly: the interaction matrix is singular.
+        let size = 1e-9;
+        let square = [[-size, -size], [size, -size], [size, size], [-size, size]];
+        let points = square.map(|[x, y]| [400.0 + x, 300.0 + y]);
+        let mut record = CycleRecord::default();
+        let decision = law.step(&Features::new(&points, 0), 0, Link::New, &mut record);
+        assert_eq!(decision, held(Hold::Solver));
+        assert_eq!(record.status, SolverStatus::NumericalFailure.code());
     }
 
     #[test]

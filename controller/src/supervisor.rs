@@ -8,7 +8,7 @@
 //! |---|---|
 //! | zero at once, disarm | operator's stop, robot fault, clock anomaly, a standstill of the loop |
 //! | brake, disarm | shutdown, operator's disarm, robot silent, overruns, bad twist, solver failure, recall out of range, frozen image, features lost |
-//! | brake, go on with the next good features | features stale, invalid, hidden, miscounted, not finite, off the image, mixed up, out of order; transport |
+//! | brake, go on with the next good features | features stale, invalid, hidden, miscounted, not finite, off the image, mixed up, out of order; transport; a solver that failed once or twice |
 //!
 //! Features are *lost* when none that the law could use came for a while, for whatever reason.
 
@@ -156,7 +156,7 @@ impl Supervisor {
         self.count(situation);
         let cause = self.cause(situation, now_ns, elapsed_ns);
         if let Some(cause) = cause {
-            match response(cause) {
+            match self.response(cause) {
                 Response::Stop => self.mode = Mode::Disarmed(cause),
                 Response::Disarm => self.disarm(cause),
                 Response::Wait => (),
@@ -231,6 +231,14 @@ impl Supervisor {
         self.refusals = in_a_row(self.refusals, situation.recall_refused);
     }
 
+    /// How a cause is met now: a solver that failed may find its way again, but not for long.
+    fn response(&self, cause: Hold) -> Response {
+        match cause {
+            Hold::Solver if self.failures < IN_A_ROW => Response::Wait,
+            _ => response(cause),
+        }
+    }
+
     /// The gravest cause against the law's twist.
     fn cause(&self, situation: &Situation, now_ns: u64, elapsed_ns: u64) -> Option<Hold> {
         let decided = situation.decision.hold;
@@ -302,7 +310,7 @@ fn in_a_row(before: u32, failed: Option<bool>) -> u32 {
     }
 }
 
-/// How a cause is met.
+/// How a cause is met that lasts.
 fn response(cause: Hold) -> Response {
     match cause {
         Hold::RobotFault | Hold::Clock | Hold::Standstill => Response::Stop,
@@ -475,12 +483,11 @@ mod tests {
     #[test]
     fn graver_causes_brake_and_disarm() {
         type Change = fn(&mut Situation);
-        let cases: [(Hold, Change); 7] = [
+        let cases: [(Hold, Change); 6] = [
             (Hold::Shutdown, |s| s.shutdown = true),
             (Hold::RobotLost, |s| s.robot = Some(Hold::RobotLost)),
             (Hold::BadTwist, |s| s.decision.hold = Hold::BadTwist),
             (Hold::Overruns, |s| s.missed = 1),
-            (Hold::Solver, |s| s.solver_failed = Some(true)),
             (Hold::Recall, |s| s.recall_refused = Some(true)),
             (Hold::Frozen, |s| s.decision.hold = Hold::Frozen),
         ];
@@ -510,10 +517,38 @@ mod tests {
         for _ in 0..50 {
             for (missed, failed) in [(1, true), (0, true), (0, false)] {
                 bench.situation.missed = missed;
-                bench.situation.solver_failed = Some(failed);
+                bench.situation.recall_refused = Some(failed);
                 assert_eq!(bench.good(), GOOD);
             }
         }
+    }
+
+    #[test]
+    fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
+        let mut bench = Bench::moving();
+        let mut look = |failed: bool| {
+            bench.situation.solver_failed = Some(failed);
+            match failed {
+                true => bench.bad(Hold::Solver),
+                false => bench.good(),
+            }
+        };
+        for _ in 0..10 {
+            for _ in 1..IN_A_ROW {
+                let decision = look(true);
+                assert_eq!(
+                    (decision.state, decision.hold),
+                    (TwistState::Braking, Hold::Solver)
+                );
+                assert!(!is_still(&decision));
+            }
+            assert_eq!(look(false), GOOD);
+        }
+        for _ in 0..IN_A_ROW {
+            assert_eq!(look(true).state, TwistState::Braking);
+        }
+        while look(false).state == TwistState::Braking {}
+        assert_eq!(look(false), still(Hold::Solver, TwistState::Disarmed));
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod clients;
 mod clock;
 mod configuration;
 mod deadlines;
+mod failures;
 mod faultless;
 mod fixture;
 mod hang;

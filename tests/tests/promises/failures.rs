@@ -1,0 +1,227 @@
+//! Failures of our own, brought about from outside: a processor that is taken away again and again, a memory whose
+//! advice is out of range, features for which the law has no answer. The camera is braked within its limits, and stands
+//! until somebody arms it again, however well it goes from then on. One late cycle alone disarms nothing.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use controller::clock::sleep_until;
+use ipc::{
+    Action, CameraPorts, CycleRecord, Domain, Features, Hold, Outcome, RecallCode, SolverStatus,
+    TwistState, now_ns,
+};
+use memory_blob::MemoryFile;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rustix::process::Pid;
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+use crate::fixture::{
+    CAMERA_PRIORITY, EndOnDrop, PERIOD_NS, Place, Running, Stage, Witness, assert_within_limits,
+    eventually, is_still, root, speed, tell, turn,
+};
+use crate::machine::{may_be_real_time, on_time, take_priority};
+
+/// Above the daemon's 60.
+const HOG_PRIORITY: i32 = 70;
+/// Time in which a twist at the limits is braked to zero, ns.
+const BRAKE_NS: f64 = 0.15e9;
+/// More than two periods.
+const HOG_NS: u64 = 80_000_000;
+/// Cycles in a row with a failure after which the camera is stopped.
+const IN_A_ROW: usize = 3;
+
+/// Watches until the camera is disarmed, for this cause, and for a second more. Gives the records.
+fn disarmed(witness: &mut Witness, cause: Hold) -> Vec<CycleRecord> {
+    let commands = witness.until("disarming", |twist| {
+        twist.state() == Some(TwistState::Disarmed)
+    });
+    commands.iter().for_each(assert_within_limits);
+    std::thread::sleep(Duration::from_nanos(30 * PERIOD_NS));
+    let after = witness.commands();
+    assert!(after.len() > 5, "{after:?}");
+    for twist in &after {
+        let stands = (twist.state(), is_still(twist));
+        assert_eq!(stands, (Some(TwistState::Disarmed), true), "{twist:?}");
+    }
+    let records = witness.records();
+    let last = records.last().unwrap();
+    assert_eq!(Hold::from_code(last.hold), Some(cause), "{last:?}");
+    // From the first cycle with this cause on there is no other, and no motion but braking within the limits.
+    let first = records.iter().position(|r| r.hold == cause.code()).unwrap();
+    let goes = [TwistState::Moving.code(), TwistState::Arrived.code()];
+    for record in &records[first..] {
+        assert!(
+            record.hold == cause.code() && !goes.contains(&record.state),
+            "{record:?}"
+        );
+    }
+    let decided_ns = |record: &CycleRecord| record.stamp.data_ns + record.receive_ns;
+    for pair in records[first.saturating_sub(1)..].windows(2) {
+        let lost = speed(&pair[0].twist) - speed(&pair[1].twist);
+        let elapsed_ns = decided_ns(&pair[1]) - decided_ns(&pair[0]);
+        assert!(lost <= elapsed_ns as f64 / BRAKE_NS + 1e-9, "{pair:?}");
+    }
+    records
+}
+
+/// Takes this processor away, for so long that a release is missed wherever it falls.
+fn hog(processor: usize) {
+    let mut set = CpuSet::new();
+    set.set(processor);
+    sched_setaffinity(None, &set).unwrap();
+    assert!(take_priority(HOG_PRIORITY));
+    let end = now_ns() + HOG_NS;
+    while now_ns() < end {
+        std::hint::spin_loop();
+    }
+}
+
+#[test]
+fn a_loop_that_is_late_again_and_again_disarms_and_a_late_cycle_does_not() {
+    let _turn = turn();
+    let processors = sched_getaffinity(None).unwrap();
+    let numbers: Vec<usize> = (0..CpuSet::MAX_CPU)
+        .filter(|number| processors.is_set(*number))
+        .collect();
+    let (Some(&processor), true) = (numbers.get(1), may_be_real_time()) else {
+        return tell("NOT RUN: overruns: it takes two processors and the right to real time");
+    };
+    let Stage {
+        place: _place,
+        mut witness,
+        daemon,
+        camera: _camera,
+    } = Stage::in_motion(0);
+    // The loop is the process's first thread.
+    let mut set = CpuSet::new();
+    set.set(processor);
+    sched_setaffinity(Pid::from_raw(daemon.id() as i32), &set).unwrap();
+    witness.records();
+    let missed = |records: &[CycleRecord]| records.last().unwrap().overruns;
+
+    // Once: releases are missed, and the camera goes on.
+    std::thread::scope(|threads| {
+        threads.spawn(|| hog(processor));
+    });
+    std::thread::sleep(Duration::from_nanos(6 * PERIOD_NS));
+    let once = witness.records();
+    assert!(missed(&once) >= 1, "{once:?}");
+    let states: Vec<_> = once.iter().map(|record| record.state).collect();
+    assert!(!states.contains(&TwistState::Disarmed.code()), "{states:?}");
+    witness.commands();
+
+    // Again and again.
+    let before = missed(&once);
+    let records = std::thread::scope(|threads| {
+        threads.spawn(|| {
+            for _ in 0..10 {
+                let hog = std::thread::spawn(move || hog(processor));
+                hog.join().unwrap();
+                sleep_until(now_ns() + 10_000_000);
+            }
+        });
+        disarmed(&mut witness, Hold::Overruns)
+    });
+    let first = records
+        .iter()
+        .position(|record| record.hold == Hold::Overruns.code())
+        .unwrap();
+    let overruns: Vec<u64> = std::iter::once(before)
+        .chain(records[..=first].iter().map(|record| record.overruns))
+        .collect();
+    let late = overruns.windows(2).filter(|pair| pair[1] > pair[0]).count();
+    assert!((IN_A_ROW..3 * IN_A_ROW).contains(&late), "{overruns:?}");
+    // It is armed again, and moves.
+    witness.set_in_motion();
+}
+
+#[test]
+fn a_memory_whose_advice_is_out_of_range_is_not_followed_and_disarms() {
+    let _turn = turn();
+    let place = Place::new();
+    // Right in its form, digests and probes, and far from any trajectory: weights a thousand times too large.
+    let shipped = root().join("memory-blob/default/paper-sim.vpcmem");
+    let mut contents = MemoryFile::open(&shipped, None).unwrap().contents();
+    let process = contents.regression.as_mut().unwrap();
+    process
+        .lambda
+        .iter_mut()
+        .flatten()
+        .for_each(|weight| *weight *= 1e3);
+    let wrong = place.path("wrong.vpcmem");
+    contents.write(&wrong).unwrap();
+
+    let mut witness = Witness::new(&place);
+    // Asked in every cycle, near occlusions or not.
+    let more = format!(
+        "memory = '{}'\n[law]\nstrategy = 'gpr'\ntrigger_px = 1e4",
+        wrong.display()
+    );
+    let _daemon = Running::start(place.vpcd(&more));
+    let _camera = Running::start(on_time(place.hw_sim(0), CAMERA_PRIORITY));
+    eventually("arming", || {
+        (witness.ask(Action::Arm) == Outcome::Done).then_some(())
+    });
+    // From before it was armed.
+    witness.commands();
+    let records = disarmed(&mut witness, Hold::Recall);
+    let refused = |record: &&CycleRecord| record.recalled == RecallCode::Refused.code();
+    assert!(
+        records.iter().filter(refused).count() >= IN_A_ROW,
+        "{records:?}"
+    );
+    let followed = |record: &CycleRecord| record.recalled == RecallCode::Followed.code();
+    assert!(!records.iter().any(followed), "{records:?}");
+}
+
+#[test]
+fn features_for_which_the_law_has_no_answer_brake_and_disarm() {
+    let _turn = turn();
+    let place = Place::new();
+    let mut witness = Witness::new(&place);
+    let _daemon = Running::start(place.vpcd("[law]\nstrategy = 'ibvs'"));
+    let (ended, collapsed) = (AtomicBool::new(false), AtomicBool::new(false));
+    std::thread::scope(|threads| {
+        let _end = EndOnDrop(&ended);
+        threads.spawn(|| {
+            take_priority(CAMERA_PRIORITY);
+            let domain = Domain::join(&place.domain()).unwrap();
+            let mut camera = CameraPorts::open(&domain).unwrap();
+            let mut random = ChaCha8Rng::seed_from_u64(1);
+            while !ended.load(Ordering::Relaxed) {
+                // All points in one, nearly: the interaction matrix is singular.
+                let size = if collapsed.load(Ordering::Relaxed) {
+                    1e-9
+                } else {
+                    100.0
+                };
+                // Not the last bit stays: the daemon would take the image for frozen.
+                let [u, v] = [400.0, 300.0].map(|x| x + random.random_range(-2.0..2.0));
+                let square = [[-size, -size], [size, -size], [size, size], [-size, size]];
+                let points = square.map(|[x, y]| [u + x, v + y]);
+                let features = Features::new(&points, now_ns());
+                camera.features.publish(&features).unwrap();
+                std::thread::sleep(Duration::from_nanos(PERIOD_NS));
+            }
+        });
+        witness.set_in_motion();
+        witness.records();
+        collapsed.store(true, Ordering::Relaxed);
+        let records = disarmed(&mut witness, Hold::Solver);
+        let failed: Vec<_> = records
+            .iter()
+            .filter(|record| record.status == SolverStatus::NumericalFailure.code())
+            .collect();
+        assert!(failed.len() >= IN_A_ROW, "{records:?}");
+        // The first time already: no jump to the zero of a law that has no answer.
+        let hold = Hold::from_code(failed[0].hold);
+        assert!(
+            hold == Some(Hold::Solver) && speed(&failed[0].twist) > 0.5,
+            "{:?}",
+            failed[0]
+        );
+        collapsed.store(false, Ordering::Relaxed);
+        witness.set_in_motion();
+    });
+}
