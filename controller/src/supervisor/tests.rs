@@ -1,0 +1,339 @@
+//! Each cause and its response, with a clock moved by hand.
+
+use super::*;
+
+const MS: u64 = 1_000_000;
+const PERIOD: u64 = 33 * MS;
+const FAST: [f64; 6] = [0.1, 0.0, 0.05, 0.0, 0.2, 0.0];
+const GOOD: Decision = Decision {
+    twist: FAST,
+    state: TwistState::Moving,
+    hold: Hold::None,
+};
+
+/// A supervisor whose clock is moved by hand.
+struct Bench {
+    supervisor: Supervisor,
+    now: u64,
+    situation: Situation,
+}
+
+impl Bench {
+    fn new(armed: bool) -> Self {
+        let rules = Rules {
+            limits: [0.1, 0.1, 0.1, 0.4, 0.4, 0.4],
+            brake_ns: 150 * MS,
+            lost_ns: Some(300 * MS),
+            armed,
+        };
+        Self {
+            supervisor: Supervisor::new(rules),
+            now: 1000 * MS,
+            situation: Situation {
+                decision: GOOD,
+                good_ns: Some(1000 * MS),
+                recall_refused: Some(false),
+                solver_failed: Some(false),
+                missed: 0,
+                robot: None,
+                shutdown: false,
+            },
+        }
+    }
+
+    fn moving() -> Self {
+        let mut bench = Self::new(true);
+        assert_eq!(bench.good(), GOOD);
+        bench
+    }
+
+    /// The next cycle, with good features.
+    fn good(&mut self) -> Decision {
+        self.situation.decision = GOOD;
+        self.situation.good_ns = Some(self.now + PERIOD);
+        self.cycle()
+    }
+
+    /// The next cycle, with this cause against the law.
+    fn bad(&mut self, hold: Hold) -> Decision {
+        self.situation.decision = still(hold, TwistState::Holding);
+        self.cycle()
+    }
+
+    fn cycle(&mut self) -> Decision {
+        self.now += PERIOD;
+        self.supervisor.supervise(&self.situation, self.now)
+    }
+
+    fn ask(&mut self, action: Action) -> Outcome {
+        self.supervisor.request(action)
+    }
+}
+
+fn is_still(decision: &Decision) -> bool {
+    decision.twist == [0.0; 6]
+}
+
+#[test]
+fn without_arming_nothing_moves() {
+    let mut bench = Bench::new(false);
+    assert_eq!(bench.ask(Action::Arm), Outcome::NoFeatures);
+    for _ in 0..10 {
+        assert_eq!(bench.good(), still(Hold::NotArmed, TwistState::Disarmed));
+    }
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    assert_eq!(bench.good(), GOOD);
+}
+
+#[test]
+fn braking_stays_on_the_path_and_within_its_time() {
+    let mut bench = Bench::moving();
+    let mut last = FAST;
+    for _ in 0..4 {
+        let decision = bench.bad(Hold::Hidden);
+        assert_eq!(
+            (decision.state, decision.hold),
+            (TwistState::Braking, Hold::Hidden)
+        );
+        let share = decision.twist[0] / FAST[0];
+        assert!((last[0] - decision.twist[0] - 0.1 * 33.0 / 150.0).abs() < 1e-12);
+        for k in 0..6 {
+            assert!((decision.twist[k] - share * FAST[k]).abs() < 1e-12);
+        }
+        last = decision.twist;
+    }
+    assert_eq!(
+        bench.bad(Hold::Hidden),
+        still(Hold::Hidden, TwistState::Holding)
+    );
+}
+
+#[test]
+fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
+    for cause in [
+        Hold::Stale,
+        Hold::Invalid,
+        Hold::Hidden,
+        Hold::Count,
+        Hold::NotFinite,
+        Hold::OffImage,
+        Hold::Transport,
+        Hold::Mixed,
+        Hold::Order,
+    ] {
+        let mut bench = Bench::moving();
+        assert_eq!(bench.bad(cause).state, TwistState::Braking);
+        assert_eq!(bench.good(), GOOD, "{cause}");
+    }
+}
+
+#[test]
+fn features_that_stay_away_disarm() {
+    let mut bench = Bench::moving();
+    let mut cycles = 0;
+    while bench.bad(Hold::Stale).state != TwistState::Disarmed {
+        cycles += 1;
+    }
+    assert_eq!(cycles, 300 / 33);
+    assert_eq!(bench.good(), still(Hold::Lost, TwistState::Disarmed));
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    assert_eq!(bench.good(), GOOD);
+}
+
+#[test]
+fn graver_causes_brake_and_disarm() {
+    type Change = fn(&mut Situation);
+    let cases: [(Hold, Change); 6] = [
+        (Hold::Shutdown, |s| s.shutdown = true),
+        (Hold::RobotLost, |s| s.robot = Some(Hold::RobotLost)),
+        (Hold::BadTwist, |s| s.decision.hold = Hold::BadTwist),
+        (Hold::Overruns, |s| s.missed = 1),
+        (Hold::Recall, |s| s.recall_refused = Some(true)),
+        (Hold::Frozen, |s| s.decision.hold = Hold::Frozen),
+    ];
+    for (cause, change) in cases {
+        let mut bench = Bench::moving();
+        let untouched = bench.situation;
+        change(&mut bench.situation);
+        let first = (0..IN_A_ROW)
+            .map(|_| bench.cycle())
+            .find(|d| d.hold != Hold::None);
+        let first = first.unwrap();
+        assert_eq!((first.state, first.hold), (TwistState::Braking, cause));
+        assert!(!is_still(&first));
+        // The cause is gone: it goes on braking, and stays.
+        bench.situation = untouched;
+        for _ in 0..4 {
+            assert_eq!(bench.good().hold, cause);
+        }
+        assert_eq!(bench.good(), still(cause, TwistState::Disarmed));
+        assert!(bench.supervisor.is_at_rest());
+    }
+}
+
+#[test]
+fn two_failures_and_an_overrun_in_three_cycles_are_forgiven() {
+    let mut bench = Bench::moving();
+    for _ in 0..50 {
+        for (missed, failed) in [(1, true), (0, true), (0, false)] {
+            bench.situation.missed = missed;
+            bench.situation.recall_refused = Some(failed);
+            assert_eq!(bench.good(), GOOD);
+        }
+    }
+}
+
+#[test]
+fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
+    let mut bench = Bench::moving();
+    let mut look = |failed: bool| {
+        bench.situation.solver_failed = Some(failed);
+        match failed {
+            true => bench.bad(Hold::Solver),
+            false => bench.good(),
+        }
+    };
+    for _ in 0..10 {
+        for _ in 1..IN_A_ROW {
+            let decision = look(true);
+            assert_eq!(
+                (decision.state, decision.hold),
+                (TwistState::Braking, Hold::Solver)
+            );
+            assert!(!is_still(&decision));
+        }
+        assert_eq!(look(false), GOOD);
+    }
+    for _ in 0..IN_A_ROW {
+        assert_eq!(look(true).state, TwistState::Braking);
+    }
+    while look(false).state == TwistState::Braking {}
+    assert_eq!(look(false), still(Hold::Solver, TwistState::Disarmed));
+}
+
+#[test]
+fn an_overrun_every_other_cycle_stops_the_camera_in_the_end() {
+    let mut bench = Bench::moving();
+    let mut missed = [1, 0].into_iter().cycle();
+    let forgiven = (0..100)
+        .take_while(|_| {
+            bench.situation.missed = missed.next().unwrap();
+            bench.good().hold == Hold::None
+        })
+        .count();
+    assert_eq!(forgiven, 8);
+    assert_eq!(
+        bench.supervisor.state(),
+        (TwistState::Braking, Hold::Overruns)
+    );
+}
+
+#[test]
+fn the_gravest_stop_at_once() {
+    let mut bench = Bench::moving();
+    bench.situation.robot = Some(Hold::RobotFault);
+    assert_eq!(bench.good(), still(Hold::RobotFault, TwistState::Disarmed));
+    assert_eq!(bench.ask(Action::Arm), Outcome::Robot);
+    bench.situation.robot = None;
+    bench.good();
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+
+    let mut bench = Bench::moving();
+    assert_eq!(bench.ask(Action::Stop), Outcome::Done);
+    assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+
+    let mut bench = Bench::moving();
+    assert_eq!(
+        bench.bad(Hold::Clock),
+        still(Hold::Clock, TwistState::Disarmed)
+    );
+}
+
+#[test]
+fn a_loop_that_stood_still_starts_no_motion() {
+    let mut bench = Bench::moving();
+    bench.now += 2000 * MS;
+    bench.situation.missed = 60;
+    assert_eq!(bench.good(), still(Hold::Standstill, TwistState::Disarmed));
+    bench.situation.missed = 0;
+    assert_eq!(bench.good(), still(Hold::Standstill, TwistState::Disarmed));
+}
+
+#[test]
+fn a_clock_that_goes_back_stops() {
+    let mut bench = Bench::moving();
+    bench.now -= 2 * PERIOD;
+    assert_eq!(bench.good(), still(Hold::Clock, TwistState::Disarmed));
+}
+
+#[test]
+fn an_operator_brakes_and_arms_again() {
+    let mut bench = Bench::moving();
+    assert_eq!(bench.ask(Action::Disarm), Outcome::Done);
+    let decision = bench.good();
+    assert_eq!(
+        (decision.state, decision.hold),
+        (TwistState::Braking, Hold::Operator)
+    );
+    assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
+    for _ in 0..4 {
+        bench.good();
+    }
+    assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    assert_eq!(bench.good(), GOOD);
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+}
+
+#[test]
+fn an_arm_behind_a_stop_in_the_same_cycle_does_not_undo_it() {
+    let mut bench = Bench::moving();
+    assert_eq!(bench.ask(Action::Stop), Outcome::Done);
+    assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
+    assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    assert_eq!(bench.good(), GOOD);
+}
+
+#[test]
+fn who_cannot_see_cannot_be_armed() {
+    let mut bench = Bench::new(false);
+    bench.bad(Hold::NoFeatures);
+    assert_eq!(bench.ask(Action::Arm), Outcome::NoFeatures);
+    bench.situation.shutdown = true;
+    bench.good();
+    assert_eq!(bench.ask(Action::Arm), Outcome::Shutdown);
+}
+
+#[test]
+fn the_gravest_of_several_causes_is_told() {
+    let mut bench = Bench::moving();
+    bench.situation.shutdown = true;
+    bench.situation.robot = Some(Hold::RobotLost);
+    assert_eq!(bench.bad(Hold::Hidden).hold, Hold::Shutdown);
+    bench.situation.robot = Some(Hold::RobotFault);
+    assert_eq!(
+        bench.bad(Hold::Hidden),
+        still(Hold::RobotFault, TwistState::Disarmed)
+    );
+}
+
+#[test]
+fn in_lockstep_braking_takes_no_time() {
+    let rules = Rules {
+        limits: [1.0; 6],
+        brake_ns: 0,
+        lost_ns: None,
+        armed: true,
+    };
+    let mut bench = Bench::moving();
+    bench.supervisor = Supervisor::new(rules);
+    assert_eq!(bench.good(), GOOD);
+    for _ in 0..100 {
+        assert_eq!(
+            bench.bad(Hold::Hidden),
+            still(Hold::Hidden, TwistState::Holding)
+        );
+    }
+    assert_eq!(bench.good(), GOOD);
+}

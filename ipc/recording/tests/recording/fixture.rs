@@ -1,0 +1,257 @@
+//! What these tests share: a place, somebody who publishes everything, a recorder beside, processes.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use ipc::{
+    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, OperatorPorts,
+    Outcome, RecorderPort, Reply, Request, RobotMode, RobotState, Stamp, StrategyCode,
+    TwistCommand, TwistState,
+};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use recording::{Context, Ledger, Notice, Options, Recorded, record};
+
+/// Messages of each topic.
+pub const MESSAGES: usize = 400;
+
+/// A directory for one test, with a domain in it. When the test ends, joining and leaving clears away what killed
+/// processes left in /dev/shm.
+pub struct Place(pub tempfile::TempDir);
+
+impl Place {
+    pub fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    pub fn domain(&self) -> PathBuf {
+        self.0.path().join("domain")
+    }
+
+    pub fn file(&self) -> PathBuf {
+        self.0.path().join("run.mcap")
+    }
+
+    pub fn options(&self) -> Options {
+        Options {
+            domain: self.domain(),
+            output: self.file(),
+            force: false,
+            duration: None,
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        if self.domain().exists() {
+            let _ = Domain::join(&self.domain());
+        }
+    }
+}
+
+pub fn scene_file() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../scene/scenes/paper-sim.toml")
+}
+
+pub fn context() -> Context {
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../controller/vpcd.toml");
+    Context::read(Some(&scene_file()), Some(&config)).unwrap()
+}
+
+pub fn eventually(what: &str, mut attempt: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !attempt() {
+        assert!(
+            start.elapsed() < Duration::from_secs(20),
+            "{what}: did not happen"
+        );
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Everybody who publishes, in one thread.
+pub struct Stage {
+    pub camera: CameraPorts,
+    pub controller: ControllerPorts,
+    pub telemetry: RecorderPort,
+    pub operator: OperatorPorts,
+    /// Who hears replies without any recorder.
+    pub listeners: usize,
+}
+
+/// All that was published.
+#[derive(Default)]
+pub struct Published {
+    pub features: Vec<Features>,
+    pub twist: Vec<TwistCommand>,
+    pub robot: Vec<RobotState>,
+    pub cycles: Vec<CycleRecord>,
+    pub requests: Vec<Request>,
+    pub replies: Vec<Reply>,
+}
+
+impl Stage {
+    pub fn open(directory: &Path) -> Self {
+        let domain = Domain::join(directory).unwrap();
+        let mut controller = ControllerPorts::open(&domain).unwrap();
+        let camera = CameraPorts::open(&domain).unwrap();
+        let telemetry = RecorderPort::open(&domain).unwrap();
+        let operator = OperatorPorts::open(&domain).unwrap();
+        let reply = reply(&Request::new(0, Action::Status));
+        let listeners = controller.replies.publish(&reply).unwrap().receivers;
+        Self {
+            camera,
+            controller,
+            telemetry,
+            operator,
+            listeners,
+        }
+    }
+
+    /// Waits until a recorder has opened its last port, replies, beside those who hear them anyway.
+    pub fn wait_for_recorder(&mut self) {
+        let reply = reply(&Request::new(0, Action::Status));
+        eventually("the recorder listens", || {
+            self.controller.replies.publish(&reply).unwrap().receivers > self.listeners
+        });
+    }
+
+    /// Publishes a message of each topic, with numbers of all sizes.
+    pub fn publish(&mut self, i: usize, random: &mut ChaCha8Rng, published: &mut Published) {
+        let mut any = || {
+            let size: f64 = random.random_range(-9.0..9.0);
+            random.random_range(-1.0..1.0) * 10f64.powf(size)
+        };
+        let count = 4 + i % 5;
+        let points: Vec<_> = (0..count).map(|_| [any(), any()]).collect();
+        let mut features = Features::new(&points, ipc::now_ns());
+        features.visible ^= 1 << (i % 4);
+        features.exposure_ns = i as u64;
+        let sent = self.camera.features.publish(&features).unwrap();
+        stamp(&mut features.stamp, &sent);
+
+        let mut state =
+            RobotState::free_camera([any(), any(), 0.5], [any(), any(), any()], ipc::now_ns());
+        state.mode = RobotMode::Moving.code();
+        state.q = std::array::from_fn(|_| any());
+        state.features_sequence = features.stamp.sequence;
+        let sent = self.camera.robot.publish(&state).unwrap();
+        stamp(&mut state.stamp, &sent);
+
+        let twist = std::array::from_fn(|_| any());
+        let mut command = TwistCommand::answer(&features, twist, TwistState::Moving);
+        let sent = self.controller.twist.publish(&command).unwrap();
+        stamp(&mut command.stamp, &sent);
+
+        let mut cycle = CycleRecord {
+            cycle: i as u64 + 1,
+            step_ns: 1_000 + i as u64,
+            features_sequence: features.stamp.sequence,
+            count: count as u32,
+            way_point_count: 4 * (i as u32 / 100 % 2),
+            state: TwistState::Moving.code(),
+            points: features.points,
+            way_point: std::array::from_fn(|_| any()),
+            twist,
+            error_px: any(),
+            clearance_px: f64::INFINITY,
+            ..CycleRecord::default()
+        };
+        if i % 50 == 7 {
+            (cycle.hold, cycle.state) = (Hold::Stale.code(), TwistState::Holding.code());
+        } else {
+            (cycle.cost, cycle.violation_px) = (any(), any());
+        }
+        let sent = self.telemetry.cycles.publish(&cycle).unwrap();
+        stamp(&mut cycle.stamp, &sent);
+
+        if i.is_multiple_of(8) {
+            let mut request = Request::strategy(u64::MAX - i as u64, StrategyCode::Knn, 3);
+            let sent = self.operator.requests.publish(&request).unwrap();
+            stamp(&mut request.stamp, &sent);
+            let mut reply = reply(&request);
+            let sent = self.controller.replies.publish(&reply).unwrap();
+            stamp(&mut reply.stamp, &sent);
+            published.requests.push(request);
+            published.replies.push(reply);
+        }
+        published.features.push(features);
+        published.robot.push(state);
+        published.twist.push(command);
+        published.cycles.push(cycle);
+    }
+}
+
+pub fn stamp(stamp: &mut Stamp, sent: &ipc::Sent) {
+    (stamp.sequence, stamp.published_ns) = (sent.sequence, sent.published_ns);
+}
+
+pub fn reply(request: &Request) -> Reply {
+    Reply {
+        stamp: Stamp::default(),
+        id: request.id,
+        action: request.action,
+        outcome: Outcome::NoMemory.code(),
+        state: TwistState::Moving.code(),
+        hold: Hold::None.code(),
+        strategy: StrategyCode::Gpr.code(),
+        neighbours: 0,
+    }
+}
+
+/// Records in another thread while `play` runs; what was counted, and what was told on the way.
+pub fn recorded(options: &Options, play: impl FnOnce()) -> (Ledger, Vec<Notice>) {
+    let stop = AtomicBool::new(false);
+    let mut notices = Vec::new();
+    let context = context();
+    let ledger = std::thread::scope(|threads| {
+        let recorder = threads.spawn(|| {
+            record(options, &context, &stop, |notice| {
+                notices.push(notice.clone());
+            })
+        });
+        // A test that fails must not leave the recorder running.
+        let stopped = Stopping(&stop);
+        play();
+        drop(stopped);
+        recorder.join().unwrap().unwrap()
+    });
+    (ledger, notices)
+}
+
+pub struct Stopping<'a>(pub &'a AtomicBool);
+
+impl Drop for Stopping<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A process that ends with its owner.
+pub struct Running(pub Child);
+
+impl Running {
+    pub fn signal(&self, name: &str) {
+        let id = self.0.id().to_string();
+        let done = Command::new("kill").args([name, &id]).status().unwrap();
+        assert!(done.success(), "kill {name} {id}");
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Equal bit for bit, NaN to NaN: by their JSON, whose exactness has a test of its own.
+pub fn same<T: Recorded>(read: &[T], published: &[T]) {
+    assert_eq!(read.len(), published.len(), "{}", T::TOPIC);
+    for (read, published) in read.iter().zip(published) {
+        assert_eq!(read.to_json(), published.to_json());
+    }
+}

@@ -1,0 +1,161 @@
+//! A recorder that is killed or hangs.
+
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use recording::{Options, Recording, record};
+
+use crate::fixture::{Place, Published, Running, Stage, context, eventually, same};
+use crate::python;
+
+/// Starts this executable as a recorder.
+fn recorder(place: &Place) -> Running {
+    let child = Command::new(std::env::current_exe().unwrap())
+        .args([
+            "--exact",
+            "interrupted::play_a_recorder",
+            "--ignored",
+            "--test-threads=1",
+        ])
+        .env("VPC_TEST_DOMAIN", place.domain())
+        .env("VPC_TEST_FILE", place.file())
+        .stdout(Stdio::null())
+        .spawn();
+    Running(child.unwrap())
+}
+
+#[test]
+#[ignore = "not a test: the recorder of the tests that kill or stop one"]
+fn play_a_recorder() {
+    let variable = |name| PathBuf::from(std::env::var_os(name).unwrap());
+    let options = Options {
+        domain: variable("VPC_TEST_DOMAIN"),
+        output: variable("VPC_TEST_FILE"),
+        force: false,
+        duration: None,
+    };
+    // Ends by a signal, or when the file that it is told by appears.
+    let stop = AtomicBool::new(false);
+    let enough = options.output.with_extension("enough");
+    let context = context();
+    std::thread::scope(|threads| {
+        threads.spawn(|| {
+            while !enough.exists() {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            stop.store(true, Ordering::Relaxed);
+        });
+        record(&options, &context, &stop, |_| ()).unwrap();
+    });
+}
+
+fn size(place: &Place) -> u64 {
+    std::fs::metadata(place.file()).map_or(0, |file| file.len())
+}
+
+/// Publishes until the recorder has flushed twice; the bound is on messages, not on time.
+fn until_flushed(
+    place: &Place,
+    stage: &mut Stage,
+    random: &mut ChaCha8Rng,
+    published: &mut Published,
+) {
+    let mut sizes = Vec::new();
+    eventually("two flushes", || {
+        stage.publish(published.features.len(), random, published);
+        sizes.push(size(place));
+        sizes.dedup();
+        sizes.len() > 2 && published.features.len() > 500
+    });
+}
+
+#[test]
+fn a_killed_recorder_leaves_a_file_that_can_be_read() {
+    let place = Place::new();
+    let mut stage = Stage::open(&place.domain());
+    let mut random = ChaCha8Rng::seed_from_u64(6);
+    let mut published = Published::default();
+    let mut recorder = recorder(&place);
+    stage.wait_for_recorder();
+    let begun = size(&place);
+    until_flushed(&place, &mut stage, &mut random, &mut published);
+    recorder.signal("-KILL");
+    recorder.0.wait().unwrap();
+
+    let recording = Recording::read(&place.file()).unwrap();
+    assert!(size(&place) > begun);
+    assert!(recording.cut.is_some() && recording.ledger.is_none());
+    assert_eq!(recording.scene_toml.as_deref(), Some(scene::PAPER_SIM));
+    let (count, cycles) = (recording.features.len(), recording.cycles.len());
+    assert!(count >= 100 && cycles >= 100, "{count}, {cycles}");
+    // Those before the last of them are there, but for those that a starved machine lost.
+    for (read, number) in recording.features.iter().zip(1_u64..) {
+        assert!(read.stamp.sequence >= number);
+        let published = &published.features[read.stamp.sequence as usize - 1];
+        same(&[*read], &[*published]);
+    }
+    for read in &recording.cycles {
+        let published = &published.cycles[read.stamp.sequence as usize - 1];
+        same(&[*read], &[*published]);
+    }
+
+    if let Some(python) = python::python("a_killed_recorder_leaves_a_file_that_can_be_read") {
+        let found = python::check(&python, "rest", &[&place.file()]);
+        for line in [
+            format!("count /vpc/features {count}"),
+            format!("count /vpc/cycles {cycles}"),
+        ] {
+            assert!(found.contains(&line), "{line}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn a_recorder_that_hangs_delays_nobody_and_counts_what_it_missed() {
+    let place = Place::new();
+    let mut stage = Stage::open(&place.domain());
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let mut published = Published::default();
+    let mut recorder = recorder(&place);
+    stage.wait_for_recorder();
+    until_flushed(&place, &mut stage, &mut random, &mut published);
+    recorder.signal("-STOP");
+    let before = published.features.len() as u64;
+    for i in 0..2_000 {
+        // Every `publish` in here succeeds.
+        stage.publish(i, &mut random, &mut published);
+    }
+    let all = before + 2_000;
+    recorder.signal("-CONT");
+    std::fs::write(place.file().with_extension("enough"), "").unwrap();
+    assert!(recorder.0.wait().unwrap().success());
+
+    let recording = Recording::read(&place.file()).unwrap();
+    let ledger = recording.ledger.unwrap();
+    for (topic, missing, last) in [
+        (
+            "/vpc/features",
+            Recording::missing(&recording.features),
+            recording.features.last().map(|m| m.stamp),
+        ),
+        (
+            "/vpc/cycles",
+            Recording::missing(&recording.cycles),
+            recording.cycles.last().map(|m| m.stamp),
+        ),
+    ] {
+        let account = ledger.of(topic);
+        // How many depends on when the recorder really stood still; the longest queue holds 1024.
+        assert!(account.lost >= 100, "{topic}: {account:?}");
+        assert_eq!(account.lost, missing, "{topic}");
+        assert_eq!(last.unwrap().sequence, all, "{topic}");
+        assert!(
+            account.recorded + account.lost <= all,
+            "{topic}: {account:?}"
+        );
+    }
+}
