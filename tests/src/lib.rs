@@ -15,10 +15,6 @@ pub mod spec;
 /// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo demo --help` asks the
 /// program; who writes `cargo demo -- --help`, as everywhere else, gets the same.
 pub fn arguments() -> impl Iterator<Item = std::ffi::OsString> {
-    let is_separator =
-        |(place, argument): &(usize, std::ffi::OsString)| *place == 1 && argument == "--";
-    let numbered = std::env::args_os().enumerate();
-    numbered
-        .filter(move |argument| !is_separator(argument))
-        .map(|(_, argument)| argument)
+    // Neither program takes words without a flag, which a separator would be for.
+    std::env::args_os().filter(|argument| argument != "--")
 }
