@@ -5,6 +5,8 @@ use std::process::{Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
+use rustix::process::Pid;
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use serde_json::Value;
 
 use crate::fixture::program;
@@ -43,6 +45,21 @@ pub fn take_priority(priority: i32) -> bool {
     };
     // SAFETY: 0 names the calling thread, and the parameters outlive the call.
     unsafe { libc::sched_setscheduler(0, policy, &raw const parameters) == 0 }
+}
+
+/// The processors that this process may run on, by their numbers.
+pub fn processors() -> Vec<usize> {
+    let allowed = sched_getaffinity(None).unwrap();
+    (0..CpuSet::MAX_CPU)
+        .filter(|number| allowed.is_set(*number))
+        .collect()
+}
+
+/// Keeps a thread, or the first one of a process, or with `None` the calling one, on one processor.
+pub fn keep(thread: Option<Pid>, processor: usize) {
+    let mut set = CpuSet::new();
+    set.set(processor);
+    sched_setaffinity(thread, &set).unwrap();
 }
 
 /// A command that runs as an instrument: at this SCHED_FIFO priority where that can be had, so that it is on time

@@ -15,7 +15,7 @@ use controller::clock::sleep_until;
 use ipc::now_ns;
 
 use crate::fixture::{WAKE_NS, tell};
-use crate::machine::take_priority;
+use crate::machine::{keep, processors, take_priority};
 
 /// Above whatever is tested.
 const PRIORITY: i32 = 95;
@@ -35,15 +35,11 @@ struct Watch {
 impl Watch {
     fn start() -> Self {
         let end = Arc::new(AtomicBool::new(false));
-        let processors = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = (0..processors).map(|processor| {
+        let threads = processors().into_iter().map(|processor| {
             let end = Arc::clone(&end);
             std::thread::spawn(move || {
-                let mut set = rustix::thread::CpuSet::new();
-                set.set(processor);
-                // Without the right to real time nobody has it: this thread is then as ordinary as the daemon. Where
-                // the processors are not numbered from 0 it stays where it is.
-                let _ = rustix::thread::sched_setaffinity(None, &set);
+                keep(None, processor);
+                // Without the right to real time nobody has it: this thread is then as ordinary as the daemon.
                 take_priority(PRIORITY);
                 let (mut release, mut latest) = (now_ns(), 0);
                 while !end.load(Ordering::Relaxed) {
@@ -93,10 +89,10 @@ pub fn fairly<T>(what: &str, mut trial: impl FnMut() -> anyhow::Result<T>) -> T 
 fn what_misses_a_bar_is_tried_again_only_where_the_machine_stood_still() {
     // A processor that is taken away: by threads above the watch, one on each.
     let hog = || {
-        let processors = std::thread::available_parallelism().map_or(1, usize::from);
         std::thread::scope(|threads| {
-            for _ in 0..processors {
-                threads.spawn(|| {
+            for processor in processors() {
+                threads.spawn(move || {
+                    keep(None, processor);
                     take_priority(PRIORITY + 1);
                     let end = now_ns() + 20 * TICK_NS;
                     while now_ns() < end {
