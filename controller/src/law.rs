@@ -351,7 +351,7 @@ fn refused(refusal: Refusal) -> Hold {
         Refusal::Count { .. } => Hold::Count,
         Refusal::NotFinite { .. } => Hold::NotFinite,
         Refusal::OffImage { .. } | Refusal::Lost => Hold::OffImage,
-        Refusal::Mixed { .. } => Hold::Mixed,
+        Refusal::Mixed { .. } | Refusal::Coincident { .. } | Refusal::Flat { .. } => Hold::Mixed,
         Refusal::Frozen { .. } => Hold::Frozen,
         Refusal::Late { .. } => Hold::Stale,
     }
@@ -440,11 +440,14 @@ mod tests {
         five.count = 5;
         let mut mixed = features(&law, 0.0);
         mixed.points[..4].rotate_left(2);
+        let mut zeros = features(&law, 0.0);
+        zeros.points.fill(0.0);
         for (bad, cause) in [
             (off, Hold::OffImage),
             (nan, Hold::NotFinite),
             (five, Hold::Count),
             (mixed, Hold::Mixed),
+            (zeros, Hold::Mixed),
         ] {
             let decision = law.step(&bad, 0, Link::Next, &mut CycleRecord::default());
             assert_eq!(decision, held(cause));
@@ -457,10 +460,13 @@ mod tests {
             strategy: Strategy::Ibvs,
             ..Settings::default()
         });
-        // All points in one, nearly: the interaction matrix is singular.
-        let size = 1e-9;
-        let square = [[-size, -size], [size, -size], [size, size], [-size, size]];
-        let points = square.map(|[x, y]| [400.0 + x, 300.0 + y]);
+        // Seen as a line, nearly: the interaction matrix is singular.
+        let points = [
+            [300.0, 299.0],
+            [500.0, 299.0],
+            [500.0, 301.0],
+            [300.0, 301.0],
+        ];
         let mut record = CycleRecord::default();
         let decision = law.step(&Features::new(&points, 0), 0, Link::New, &mut record);
         assert_eq!(decision, held(Hold::Solver));

@@ -106,7 +106,8 @@ codes! {
         Lost = 19 => "features lost",
         /// The loop itself stood still for that long.
         Standstill = 20 => "standstill of the loop",
-        /// Points lie in each other's places: they turn the other way than the pattern, or changed their names.
+        /// Points lie in each other's places (they turn the other way than the pattern, or changed their names), in one
+        /// place, or all on a line.
         Mixed = 21 => "points mixed up",
         /// Not one bit of the features changed, though the camera was commanded to move.
         Frozen = 22 => "frozen image",

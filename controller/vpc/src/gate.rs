@@ -65,6 +65,16 @@ pub enum Refusal {
         /// Indices of two of them.
         points: [usize; 2],
     },
+    /// Points lie in one place.
+    Coincident {
+        /// Indices of two of them.
+        points: [usize; 2],
+    },
+    /// All points lie on a line.
+    Flat {
+        /// Largest height of a triangle of them, px.
+        height_px: f64,
+    },
     /// Not one bit of them changed, though the camera was commanded to move.
     Frozen {
         /// How far the image should have moved, px.
@@ -113,6 +123,18 @@ impl core::fmt::Display for Refusal {
                     "features: points {i} and {j} lie in each other's places; allowed: the order of the pattern"
                 )
             }
+            Self::Coincident { points: [i, j] } => {
+                write!(
+                    f,
+                    "features: points {i} and {j} lie in one place; allowed: a view of the pattern"
+                )
+            }
+            Self::Flat { height_px } => {
+                write!(
+                    f,
+                    "features: all points lie on a line, within {height_px:.2} px; allowed: a view of the pattern"
+                )
+            }
             Self::Frozen { expected_px } => {
                 write!(
                     f,
@@ -138,7 +160,7 @@ impl core::fmt::Display for Refusal {
 }
 
 /// Lets a measurement pass that has the pattern's count of finite points, none further outside the image than
-/// `tolerance` px, in the pattern's sense of rotation.
+/// `tolerance` px, none in one place, not all on a line, and in the pattern's sense of rotation.
 ///
 /// # Errors
 /// [`Refusal`] names the first point that is wrong.
@@ -162,6 +184,7 @@ pub fn pass<'a>(
             return Err(Refusal::OffImage { point, pixel });
         }
     }
+    plausible::check_shape(task, points)?;
     plausible::check_sense(task, points)?;
     Ok(points)
 }

@@ -9,6 +9,8 @@ use crate::task::Task;
 
 /// Height of a triangle of points, px, from which on noise does not turn it over.
 const LEAST_HEIGHT_PX: f64 = 4.0;
+/// Points nearer to each other than this, px, are one point; and all of them nearer to a line, are on it.
+const LEAST_PX: f64 = 0.5;
 /// So many times nearer to another point's expected place than to its own, a point is that other point.
 const NEARER: f64 = 2.0;
 /// Motion of the image that was commanded, px, in which not one bit of the features changed: the image is frozen.
@@ -33,10 +35,38 @@ pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
     Ok(())
 }
 
+/// Refuses two points in one place, and points all on a line: those of a detector that found nothing, not of any view of
+/// the pattern.
+///
+/// # Errors
+/// [`Refusal::Coincident`] names two points, [`Refusal::Flat`] what is left of the pattern's height.
+pub fn check_shape(task: &Task, points: &Points) -> Result<(), Refusal> {
+    let (mut seen_px, mut goal_px) = (0.0_f64, 0.0_f64);
+    for k in 1..points.len() {
+        for j in 0..k {
+            let [seen, goal] = [points, &task.goal].map(|p| distance(p[j], p[k]));
+            if seen < LEAST_PX && goal > LEAST_HEIGHT_PX {
+                return Err(Refusal::Coincident { points: [j, k] });
+            }
+            for i in 0..j {
+                let [seen, goal] = [points, &task.goal].map(|p| height(p[i], p[j], p[k]).abs());
+                (seen_px, goal_px) = (seen_px.max(seen), goal_px.max(goal));
+            }
+        }
+    }
+    match seen_px < LEAST_PX && goal_px > LEAST_HEIGHT_PX {
+        true => Err(Refusal::Flat { height_px: seen_px }),
+        false => Ok(()),
+    }
+}
+
+fn distance(p: [f64; 2], q: [f64; 2]) -> f64 {
+    libm::hypot(q[0] - p[0], q[1] - p[1])
+}
+
 /// Height of a triangle over its longest side, px, negative where it turns the other way round.
 fn height(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
-    let side = |p: [f64; 2], q: [f64; 2]| libm::hypot(q[0] - p[0], q[1] - p[1]);
-    let longest = side(a, b).max(side(b, c)).max(side(c, a));
+    let longest = distance(a, b).max(distance(b, c)).max(distance(c, a));
     let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
     // Three points in one place have no sense.
     if longest > 0.0 {
@@ -52,7 +82,6 @@ fn height(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
 /// # Errors
 /// [`Refusal::Mixed`] names a point and the one that it seems to be.
 pub fn check_names(points: &Points, expected: &Points) -> Result<(), Refusal> {
-    let distance = |a: [f64; 2], b: [f64; 2]| libm::hypot(a[0] - b[0], a[1] - b[1]);
     let taken_for = |i: usize| {
         let own = distance(points[i], expected[i]);
         (0..expected.len()).find(|&j| NEARER * distance(points[i], expected[j]) < own)
@@ -156,8 +185,28 @@ mod tests {
         let task = task();
         let flat: Points = [[0.0, 1.0], [90.0, -1.0], [91.0, 2.0], [1.0, -2.0]].into();
         assert_eq!(check_sense(&task, &flat), Ok(()));
+        assert_eq!(check_shape(&task, &flat), Ok(()));
         let one: Points = [[5.0, 5.0]; 4].into();
         assert_eq!(check_sense(&task, &one), Ok(()));
+    }
+
+    #[test]
+    fn points_in_one_place_or_on_a_line_are_no_view_of_the_pattern() {
+        let task = task();
+        // From far away the pattern is small, and still one.
+        let small: Points = task.goal.iter().map(|p| p.map(|x| 0.01 * x)).collect();
+        assert_eq!(check_shape(&task, &small), Ok(()));
+        // A detector's zeros, or one marker found twice.
+        for (points, named) in [
+            ([[0.0, 0.0]; 4], [0, 1]),
+            ([[1.0, 2.0], [90.0, 0.0], [91.0, 90.0], [1.1, 2.2]], [0, 3]),
+        ] {
+            let refusal = check_shape(&task, &points.into());
+            assert_eq!(refusal, Err(Refusal::Coincident { points: named }));
+        }
+        let line: Points = [[0.0, 0.0], [30.0, 60.1], [60.0, 120.0], [90.0, 180.2]].into();
+        let refusal = check_shape(&task, &line);
+        assert!(matches!(refusal, Err(Refusal::Flat { .. })), "{refusal:?}");
     }
 
     #[test]

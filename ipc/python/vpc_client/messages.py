@@ -123,7 +123,8 @@ class Hold(enum.IntEnum):
     LOST = 19
     # The loop itself stood still for that long.
     STANDSTILL = 20
-    # Points lie in each other's places: they turn the other way than the pattern, or changed their names.
+    # Points lie in each other's places (they turn the other way than the pattern, or changed their names), in one
+    # place, or all on a line.
     MIXED = 21
     # Not one bit of the features changed, though the camera was commanded to move.
     FROZEN = 22

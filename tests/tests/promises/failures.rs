@@ -14,13 +14,12 @@ use memory_blob::MemoryFile;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Pid;
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 use crate::fixture::{
     CAMERA_PRIORITY, EndOnDrop, PERIOD_NS, Place, Running, Stage, Witness, assert_within_limits,
     eventually, is_still, root, speed, tell, turn,
 };
-use crate::machine::{may_be_real_time, on_time, take_priority};
+use crate::machine::{keep, may_be_real_time, on_time, processors, take_priority};
 
 /// Above the daemon's 60.
 const HOG_PRIORITY: i32 = 70;
@@ -67,9 +66,7 @@ fn disarmed(witness: &mut Witness, cause: Hold) -> Vec<CycleRecord> {
 
 /// Takes this processor away, for so long that a release is missed wherever it falls.
 fn hog(processor: usize) {
-    let mut set = CpuSet::new();
-    set.set(processor);
-    sched_setaffinity(None, &set).unwrap();
+    keep(None, processor);
     assert!(take_priority(HOG_PRIORITY));
     let end = now_ns() + HOG_NS;
     while now_ns() < end {
@@ -80,11 +77,7 @@ fn hog(processor: usize) {
 #[test]
 fn a_loop_that_is_late_again_and_again_disarms_and_a_late_cycle_does_not() {
     let _turn = turn();
-    let processors = sched_getaffinity(None).unwrap();
-    let numbers: Vec<usize> = (0..CpuSet::MAX_CPU)
-        .filter(|number| processors.is_set(*number))
-        .collect();
-    let (Some(&processor), true) = (numbers.get(1), may_be_real_time()) else {
+    let (Some(&processor), true) = (processors().get(1), may_be_real_time()) else {
         return tell("NOT RUN: overruns: it takes two processors and the right to real time");
     };
     let Stage {
@@ -94,9 +87,7 @@ fn a_loop_that_is_late_again_and_again_disarms_and_a_late_cycle_does_not() {
         camera: _camera,
     } = Stage::in_motion(0);
     // The loop is the process's first thread.
-    let mut set = CpuSet::new();
-    set.set(processor);
-    sched_setaffinity(Pid::from_raw(daemon.id() as i32), &set).unwrap();
+    keep(Pid::from_raw(daemon.id() as i32), processor);
     witness.records();
     let missed = |records: &[CycleRecord]| records.last().unwrap().overruns;
 
@@ -181,7 +172,7 @@ fn features_for_which_the_law_has_no_answer_brake_and_disarm() {
     let place = Place::new();
     let mut witness = Witness::new(&place);
     let _daemon = Running::start(place.vpcd("[law]\nstrategy = 'ibvs'"));
-    let (ended, collapsed) = (AtomicBool::new(false), AtomicBool::new(false));
+    let (ended, flattened) = (AtomicBool::new(false), AtomicBool::new(false));
     std::thread::scope(|threads| {
         let _end = EndOnDrop(&ended);
         threads.spawn(|| {
@@ -190,16 +181,16 @@ fn features_for_which_the_law_has_no_answer_brake_and_disarm() {
             let mut camera = CameraPorts::open(&domain).unwrap();
             let mut random = ChaCha8Rng::seed_from_u64(1);
             while !ended.load(Ordering::Relaxed) {
-                // All points in one, nearly: the interaction matrix is singular.
-                let size = if collapsed.load(Ordering::Relaxed) {
-                    1e-9
+                // Seen as a line, nearly: the interaction matrix is singular.
+                let height = if flattened.load(Ordering::Relaxed) {
+                    1.0
                 } else {
                     100.0
                 };
                 // Not the last bit stays: the daemon would take the image for frozen.
-                let [u, v] = [400.0, 300.0].map(|x| x + random.random_range(-2.0..2.0));
-                let square = [[-size, -size], [size, -size], [size, size], [-size, size]];
-                let points = square.map(|[x, y]| [u + x, v + y]);
+                let [u, v] = [400.0, 300.0].map(|x| x + random.random_range(-0.1..0.1));
+                let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+                let points = square.map(|[x, y]| [u + 100.0 * x, v + height * y]);
                 let features = Features::new(&points, now_ns());
                 camera.features.publish(&features).unwrap();
                 std::thread::sleep(Duration::from_nanos(PERIOD_NS));
@@ -207,7 +198,7 @@ fn features_for_which_the_law_has_no_answer_brake_and_disarm() {
         });
         witness.set_in_motion();
         witness.records();
-        collapsed.store(true, Ordering::Relaxed);
+        flattened.store(true, Ordering::Relaxed);
         let records = disarmed(&mut witness, Hold::Solver);
         let failed: Vec<_> = records
             .iter()
@@ -221,7 +212,7 @@ fn features_for_which_the_law_has_no_answer_brake_and_disarm() {
             "{:?}",
             failed[0]
         );
-        collapsed.store(false, Ordering::Relaxed);
+        flattened.store(false, Ordering::Relaxed);
         witness.set_in_motion();
     });
 }

@@ -45,6 +45,10 @@ enum Fault {
     Older,
     /// It loses sight of one point.
     Hidden,
+    /// It finds nothing, and says that all points are in a corner.
+    Zeros,
+    /// It finds the pattern's edge, and puts all points there.
+    Line,
     /// Its messages take 0.4 s from now on.
     Late,
 }
@@ -136,6 +140,12 @@ fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &
                 features.stamp.data_ns = exposure_ns - older_ns;
             }
             Fault::Hidden if is_failing => features.visible = 0b1011,
+            Fault::Zeros if is_failing => features.points.iter_mut().for_each(|x| *x *= 1e-3),
+            Fault::Line if is_failing => {
+                let v = features.points[1];
+                let heights = features.points.iter_mut().skip(1).step_by(2);
+                heights.take(FAR.len()).for_each(|x| *x = v);
+            }
             Fault::Pause if is_failing && !paused => {
                 std::thread::sleep(Duration::from_millis(400));
                 paused = true;
@@ -177,6 +187,8 @@ fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
         Fault::Pause,
         Fault::Older,
         Fault::Hidden,
+        Fault::Zeros,
+        Fault::Line,
         Fault::Late,
     ] {
         let mut worst = Worst::default();
