@@ -351,7 +351,10 @@ fn refused(refusal: Refusal) -> Hold {
         Refusal::Count { .. } => Hold::Count,
         Refusal::NotFinite { .. } => Hold::NotFinite,
         Refusal::OffImage { .. } | Refusal::Lost => Hold::OffImage,
-        Refusal::Mixed { .. } | Refusal::Coincident { .. } | Refusal::Flat { .. } => Hold::Mixed,
+        Refusal::Mixed { .. }
+        | Refusal::Leap { .. }
+        | Refusal::Coincident { .. }
+        | Refusal::Flat { .. } => Hold::Mixed,
         Refusal::Frozen { .. } => Hold::Frozen,
         Refusal::Late { .. } => Hold::Stale,
     }
@@ -512,6 +515,32 @@ mod tests {
         assert_eq!(step(&mut law, 20), Hold::Mixed);
         law.lose_sight();
         assert_eq!(step(&mut law, 21), Hold::None);
+    }
+
+    #[test]
+    fn on_a_live_robot_a_point_that_leaps_is_not_believed_at_once() {
+        const PERIOD: u64 = 33_000_000;
+        let mut law = law();
+        law.go_live(100 * PERIOD);
+        law.sent(&[0.0; 6], 0);
+        let good = features(&law, 60.0);
+        let mut leapt = good;
+        leapt.points[0] += 100.0;
+        let mut step = |k: u64, mut frame: Features| {
+            frame.stamp.data_ns = k * PERIOD;
+            // No two images are the same.
+            frame.points[1] += 1e-6 * k as f64;
+            law.step(&frame, k * PERIOD, Link::Next, &mut CycleRecord::default())
+                .hold
+        };
+        assert_eq!(step(1, good), Hold::None);
+        assert_eq!(step(2, leapt), Hold::Mixed);
+        assert_eq!(step(3, good), Hold::None);
+        // It stays where it went: whoever it was is now the point.
+        for k in 4..7 {
+            assert_eq!(step(k, leapt), Hold::Mixed, "{k}");
+        }
+        assert_eq!(step(7, leapt), Hold::None);
     }
 
     #[test]

@@ -107,7 +107,7 @@ codes! {
         /// The loop itself stood still for that long.
         Standstill = 20 => "standstill of the loop",
         /// Points lie in each other's places (they turn the other way than the pattern, or changed their names), in one
-        /// place, or all on a line.
+        /// place, all on a line, or leap.
         Mixed = 21 => "points mixed up",
         /// Not one bit of the features changed, though the camera was commanded to move.
         Frozen = 22 => "frozen image",

@@ -224,6 +224,10 @@ impl Controller {
         if let (true, Some(seen), Some(expected)) = (self.history.is_live(), &self.seen, &expected)
         {
             plausible::check_names(points, expected)?;
+            let since_s = exposed_ns.saturating_sub(seen.exposed_ns) as f64 * 1e-9;
+            if since_s < plausible::LEAP_PERIODS * self.task.ts {
+                plausible::check_leaps(&self.task, points, expected)?;
+            }
             let frozen = self.stillness.look(points, &seen.points, expected);
             if frozen.is_err() {
                 self.lose_sight();

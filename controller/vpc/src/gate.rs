@@ -65,6 +65,13 @@ pub enum Refusal {
         /// Indices of two of them.
         points: [usize; 2],
     },
+    /// A point lies far from where it is expected, and the others do not.
+    Leap {
+        /// Index of the point.
+        point: usize,
+        /// How far, px.
+        by_px: f64,
+    },
     /// Points lie in one place.
     Coincident {
         /// Indices of two of them.
@@ -121,6 +128,12 @@ impl core::fmt::Display for Refusal {
                 write!(
                     f,
                     "features: points {i} and {j} lie in each other's places; allowed: the order of the pattern"
+                )
+            }
+            Self::Leap { point, by_px } => {
+                write!(
+                    f,
+                    "features: point {point} lies {by_px:.0} px from where the motion of the others leads; allowed: a few times theirs"
                 )
             }
             Self::Coincident { points: [i, j] } => {

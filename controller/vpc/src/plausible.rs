@@ -3,9 +3,11 @@
 //! A detector may confuse points, and a driver may hand out its last image for ever, with fresh stamps. Both give
 //! features that are finite, inside the image and new, and a law that believed them would steer somewhere else.
 
-use crate::Points;
+use heapless::Vec;
+
 use crate::gate::Refusal;
 use crate::task::Task;
+use crate::{MAX_POINTS, Points};
 
 /// Height of a triangle of points, px, from which on noise does not turn it over.
 const LEAST_HEIGHT_PX: f64 = 4.0;
@@ -13,6 +15,13 @@ const LEAST_HEIGHT_PX: f64 = 4.0;
 const LEAST_PX: f64 = 0.5;
 /// So many times nearer to another point's expected place than to its own, a point is that other point.
 const NEARER: f64 = 2.0;
+/// A point leaps that lies this share of the image's larger side from where it is expected, and ...
+const LEAP: f64 = 0.04;
+/// ... so many times as far more as the nearer half of the points does. Within a frame no camera surprises one point so and
+/// not the rest: 40 px of 1024 are twice the way that it goes at the limits.
+const LEAP_RATIO: f64 = 4.0;
+/// Sampling times for which it is told where points are expected; after that a point that stays away is believed.
+pub const LEAP_PERIODS: f64 = 3.5;
 /// Motion of the image that was commanded, px, in which not one bit of the features changed: the image is frozen.
 const FROZEN_PX: f64 = 3.0;
 
@@ -90,6 +99,29 @@ pub fn check_names(points: &Points, expected: &Points) -> Result<(), Refusal> {
         .filter_map(|point| taken_for(point).map(|other| [point, other]));
     match (strangers.next(), strangers.next()) {
         (Some(points), Some(_)) => Err(Refusal::Mixed { points }),
+        _ => Ok(()),
+    }
+}
+
+/// Refuses points of which up to a half lie far from where they are expected while the rest does not: another spot was
+/// taken for a point. A camera that is pushed moves all of them.
+///
+/// # Errors
+/// [`Refusal::Leap`] names the point that is furthest away.
+pub fn check_leaps(task: &Task, points: &Points, expected: &Points) -> Result<(), Refusal> {
+    let pairs = points.iter().zip(expected);
+    let mut away: Vec<(usize, f64), MAX_POINTS> = pairs
+        .map(|(&seen, &expected)| distance(seen, expected))
+        .enumerate()
+        .collect();
+    away.sort_unstable_by(|a, b| a.1.total_cmp(&b.1));
+    let least_px = LEAP * task.camera.width.max(task.camera.height);
+    match (away.get(away.len().saturating_sub(1) / 2), away.last()) {
+        (Some(&(_, usual_px)), Some(&(point, by_px)))
+            if by_px > least_px + LEAP_RATIO * usual_px =>
+        {
+            Err(Refusal::Leap { point, by_px })
+        }
         _ => Ok(()),
     }
 }
@@ -221,6 +253,24 @@ mod tests {
         let mut one = expected.clone();
         one[0] = expected[1];
         assert_eq!(check_names(&one, &expected), Ok(()));
+    }
+
+    #[test]
+    fn a_point_that_leaps_alone_is_another_spot() {
+        let task = task();
+        let expected = &task.goal;
+        let leapt = |which: &[usize], by: f64| {
+            let mut points = shifted(expected, [3.0, -2.0]);
+            which.iter().for_each(|&i| points[i][0] -= by);
+            check_leaps(&task, &points, expected)
+        };
+        assert_eq!(leapt(&[], 0.0), Ok(()));
+        assert_eq!(leapt(&[2], 40.0), Ok(()));
+        let refusal = leapt(&[2], 80.0);
+        assert!(matches!(refusal, Err(Refusal::Leap { point: 2, .. })));
+        assert!(leapt(&[0, 3], 80.0).is_err());
+        // All of them: the camera was pushed, or the object was.
+        assert_eq!(leapt(&[0, 1, 2, 3], 300.0), Ok(()));
     }
 
     #[test]

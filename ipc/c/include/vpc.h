@@ -230,7 +230,7 @@ enum vpc_hold
     // The loop itself stood still for that long.
     VPC_HOLD_STANDSTILL = 20,
     // Points lie in each other's places (they turn the other way than the pattern, or changed their names), in one
-    // place, or all on a line.
+    // place, all on a line, or leap.
     VPC_HOLD_MIXED = 21,
     // Not one bit of the features changed, though the camera was commanded to move.
     VPC_HOLD_FROZEN = 22,

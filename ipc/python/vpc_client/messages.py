@@ -124,7 +124,7 @@ class Hold(enum.IntEnum):
     # The loop itself stood still for that long.
     STANDSTILL = 20
     # Points lie in each other's places (they turn the other way than the pattern, or changed their names), in one
-    # place, or all on a line.
+    # place, all on a line, or leap.
     MIXED = 21
     # Not one bit of the features changed, though the camera was commanded to move.
     FROZEN = 22
