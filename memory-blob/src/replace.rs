@@ -17,7 +17,12 @@ pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
         .filter(|directory| !directory.as_os_str().is_empty())
         .unwrap_or(Path::new("."));
     fs::create_dir_all(directory)?;
+    // What a killed writer leaves says whose it was.
+    let mut prefix = path.file_name().unwrap_or_default().to_owned();
+    prefix.push(".");
     let mut beside = Builder::new()
+        .prefix(&prefix)
+        .suffix(".tmp")
         .permissions(Permissions::from_mode(0o666)) // less the user's mask, as of any new file
         .tempfile_in(directory)?;
     beside.write_all(bytes)?;
