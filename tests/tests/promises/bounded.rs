@@ -5,7 +5,7 @@
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
-use vpc::plausible::check_sense;
+use vpc::plausible::{check_sense, check_shape};
 use vpc::solver::work;
 use vpc::{Controller, Measurement, Settings, Task};
 
@@ -29,19 +29,20 @@ fn points(task: &Task, scene: &Scene, random: &mut impl Rng) -> [[f64; 2]; 4] {
             [2, 3, 1, 0],
         ] {
             let ordered = order.map(|i| points[i]);
-            if check_sense(task, &ordered.into()).is_ok() {
+            let seen = ordered.into();
+            if check_shape(task, &seen).is_ok() && check_sense(task, &seen).is_ok() {
                 return ordered;
             }
         }
     }
 }
 
-/// Four points: at random, tiny, huge, or two of them together; most sets reach into an occlusion, where no plan is
+/// Four points: at random, tiny, huge, or two of them as close as points can be; most sets reach into an occlusion, where no plan is
 /// feasible and the solver looks longest.
 fn any_points(scene: &Scene, random: &mut impl Rng) -> [[f64; 2]; 4] {
     let kind = random.random_range(0..4);
     let size = match kind {
-        0 => random.random_range(0.01..2.0),
+        0 => random.random_range(0.5..3.0),
         1 => random.random_range(200.0..500.0),
         _ => random.random_range(20.0..200.0),
     };
@@ -65,7 +66,7 @@ fn any_points(scene: &Scene, random: &mut impl Rng) -> [[f64; 2]; 4] {
         *point = std::array::from_fn(|c| (point[c] + place[c]).clamp(0.0, SIZE - 1.0));
     }
     if kind == 3 {
-        points[2] = [points[0][0] + 1e-9, points[0][1]];
+        points[2] = [points[0][0] + 0.51, points[0][1]];
     }
     points
 }
