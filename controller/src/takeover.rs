@@ -131,12 +131,18 @@ impl Takeover {
         let is_away = [recorded, replayed].map(is_away);
         let tries = pilot.state().law.detour.tries;
         let other_target = way_point(recorded) != way_point(replayed);
-        let detour = (!self.stall && is_away[0] != is_away[1])
-            || (tries >= UNKNOWN_TRIES && is_away == [true; 2] && other_target);
+        // Which sample a search finds, and when, hangs on the number of tries.
+        let is_other = is_away[0] != is_away[1] || (is_away[0] && other_target);
+        let detour = if tries >= UNKNOWN_TRIES {
+            is_other
+        } else {
+            !self.stall && is_away[0] != is_away[1]
+        };
         let refused = !self.answered && recorded.recalled == RecallCode::Refused.code();
         // Another strategy asks the memory while a detour's trajectory is followed.
         let is_asked = !is_away[0] && recorded.recalled != RecallCode::Unasked.code();
-        let asked = is_asked && !self.stall && self.looks < FOLLOWING;
+        // The first of these cycles may be the one in which the detour ended, which still asked as before.
+        let asked = is_asked && !self.stall && self.looks <= FOLLOWING;
         let robot =
             recorded.hold == Hold::RobotLost.code() && pilot.state().robot.heard_ns.is_none();
         detour || refused || asked || robot || !self.suffices(strategy(recorded))

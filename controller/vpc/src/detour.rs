@@ -2,13 +2,16 @@
 //!
 //! Beside an occlusion the law can come to rest far from the goal: the way point lies across a border, and no plan over
 //! the window leads around. All samples of a memory belong to trajectories that reached the goal. So after a second
-//! without progress the target is, for a while, not the way point but the *features* of a sample nearby; from there its
-//! trajectory goes on. Where that does not help, the next try takes a sample further away.
+//! without progress the target is, for a while, not the way point but the *features* of a sample; from there its
+//! trajectory goes on. It is the nearest sample to which no way is blocked: the nearest ones of all mostly lie on the
+//! other side of the very border that stalls the law. The search for it looks at a share of the memory in each cycle.
+//! Where the detour does not help, the next try takes a sample further away.
 //!
 //! Not in the paper.
 
 use crate::recall::MotionMemory;
 use crate::settings::Strategy;
+use crate::sight::Sight;
 use crate::task::Task;
 use crate::{MAX_POINTS, Points, features};
 
@@ -19,10 +22,20 @@ const PROGRESS_PX: f64 = 3.0;
 /// Errors below so many times the scene's threshold of convergence are regulation around the goal, not a stall.
 const FAR: f64 = 10.0;
 /// Most cycles of a detour.
-const LENGTH: u32 = 40;
+const LENGTH: u32 = 90;
+/// Cycles of a detour without progress after which it is given up.
+const BLOCKED: u32 = 20;
+/// Samples looked at in a cycle of the search.
+const SHARE: usize = 256;
+/// Passes of the search through the memory, each through other samples.
+const PASSES: usize = 4;
+/// Each try takes a sample at least so many px further away than that of the try before ...
+const RING_PX: f64 = 30.0;
+/// ... until so many tries; then it begins again.
+const RINGS: u32 = 4;
 /// Cycles after a detour in which its trajectory is followed.
 pub const FOLLOWING: u32 = 40;
-/// The sample of each try is so many ranks further away than that of the try before.
+/// Where no way is free, the sample of each try is so many ranks further away than that of the try before.
 const STRIDE: usize = 13;
 /// Ranks of samples, by their distance.
 const RANKS: usize = 64;
@@ -30,9 +43,9 @@ const RANKS: usize = 64;
 /// Whether the law makes progress, and the detour under way. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detour {
-    /// Least largest error since the last detour or the start, px.
+    /// Least largest error since the last detour or the start, px; on a detour, towards its target.
     pub best_px: f64,
-    /// Cycles since it was reached.
+    /// Cycles since it was reached; they also tell how far the search has come.
     pub cycles: u32,
     /// Detours so far.
     pub tries: u32,
@@ -40,9 +53,9 @@ pub struct Detour {
     pub left: u32,
     /// Cycles left in which the trajectory is followed that a detour led to.
     pub following: u32,
-    /// Points in `target`, 0 to 8.
+    /// Points in `target`, 0 to 8; 0 while the search has found none.
     pub count: u32,
-    /// What it tracks (u, v), px; the rest is zero.
+    /// What it tracks, or the best that the search has found (u, v), px; the rest is zero.
     pub target: [[f64; 2]; MAX_POINTS],
 }
 
@@ -81,20 +94,22 @@ impl Detour {
         self.following = self.following.saturating_sub(1);
         if self.left > 0 {
             self.left -= 1;
-            let target = self.target();
-            if self.left == 0 || features::largest_error(points, &target) < converged_px {
+            let away_px = features::largest_error(points, &self.target());
+            self.note(away_px);
+            if self.left == 0 || self.cycles > BLOCKED || away_px < converged_px {
                 // Progress counts from here.
                 (self.left, self.best_px, self.cycles) = (0, error_px, 0);
                 self.following = FOLLOWING;
             }
-        } else if error_px < self.best_px - PROGRESS_PX {
-            (self.best_px, self.cycles) = (error_px, 0);
         } else {
-            self.cycles += 1;
+            self.note(error_px);
         }
         if self.left == 0 && self.cycles > PATIENCE {
-            (self.best_px, self.cycles) = (error_px, 0);
-            self.begin(task, points, memory);
+            let is_over = self.search(task, points, memory);
+            if is_over && self.left == 0 {
+                // Nothing to go to: patience begins again.
+                (self.best_px, self.cycles) = (error_px, 0);
+            }
         }
         (self.left > 0).then(|| self.target())
     }
@@ -138,31 +153,89 @@ impl Detour {
         if was_away == Some(true) && is_under_way && self.target() == target {
             return false;
         }
+        self.aim(target);
+        (self.left, self.best_px, self.cycles) = (LENGTH, f64::MAX, 0);
+        was_away == Some(false)
+    }
+
+    /// Counts a cycle in which so much was left to go, px.
+    fn note(&mut self, left_px: f64) {
+        if left_px < self.best_px - PROGRESS_PX {
+            (self.best_px, self.cycles) = (left_px, 0);
+        } else {
+            self.cycles += 1;
+        }
+    }
+
+    /// Looks through this cycle's share of the memory for the nearest sample that the features can go straight to. One in
+    /// [`PASSES`] samples is looked at before the others; the detour begins after the first pass that found one, and
+    /// after the last. Tells whether the search is over.
+    fn search(&mut self, task: &Task, points: &Points, memory: &dyn MotionMemory) -> bool {
+        let mut found = [0.0; features::MAX_INPUTS];
+        let input = task.recall_input(points);
+        let Some(found) = found.get_mut(..input.len()) else {
+            return true;
+        };
+        let count = memory.count();
+        let rows = count.div_ceil(PASSES);
+        let first = (self.cycles.saturating_sub(PATIENCE + 1) as usize).saturating_mul(SHARE);
+        if first == 0 {
+            self.count = 0;
+        }
+        let mut best_px = match self.count {
+            0 => f64::INFINITY,
+            _ => distance(points, &self.target()),
+        };
+        let least_px = RING_PX * f64::from(self.tries % RINGS);
+        let sight = Sight::from(task, points);
+        for look in first..first.saturating_add(SHARE) {
+            let (pass, row) = (look / rows.max(1), look % rows.max(1));
+            if pass >= PASSES || rows == 0 || (row == 0 && pass > 0 && self.count > 0) {
+                self.begin(points, &input, memory, found);
+                return true;
+            }
+            let index = row * PASSES + (pass + self.tries as usize) % PASSES;
+            if index >= count || !memory.sample(index, found) {
+                continue;
+            }
+            let sample = pairs(found, points.len());
+            let away_px = distance(points, &sample);
+            // What is not finite is no nearer.
+            if away_px >= least_px && away_px < best_px && sight.is_free(&sample) {
+                best_px = away_px;
+                self.aim(&sample);
+            }
+        }
+        false
+    }
+
+    /// Begins a detour to the sample that the search found; where all are out of sight, to one nearby.
+    fn begin(
+        &mut self,
+        points: &Points,
+        input: &[f64],
+        memory: &dyn MotionMemory,
+        found: &mut [f64],
+    ) {
+        let rank = 1 + (self.tries as usize).wrapping_mul(STRIDE) % RANKS;
+        self.tries = self.tries.saturating_add(1);
+        if self.count == 0 {
+            let is_finite = |found: &[f64]| found.iter().all(|x| x.is_finite());
+            if !memory.neighbour(input, rank, found) || !is_finite(found) {
+                return;
+            }
+            self.aim(&pairs(found, points.len()));
+        }
+        // What is progress on the way is known from its first cycle on.
+        (self.left, self.best_px, self.cycles) = (LENGTH, f64::MAX, 0);
+    }
+
+    fn aim(&mut self, target: &[[f64; 2]]) {
         self.target = [[0.0; 2]; MAX_POINTS];
         for (to, from) in self.target.iter_mut().zip(target) {
             *to = *from;
         }
         self.count = target.len().min(MAX_POINTS) as u32;
-        (self.left, self.best_px, self.cycles) = (LENGTH, error_px, 0);
-        was_away == Some(false)
-    }
-
-    fn begin(&mut self, task: &Task, points: &Points, memory: &dyn MotionMemory) {
-        let rank = 1 + (self.tries as usize).wrapping_mul(STRIDE) % RANKS;
-        self.tries = self.tries.saturating_add(1);
-        let mut found = [0.0; features::MAX_INPUTS];
-        let input = task.recall_input(points);
-        let Some(found) = found.get_mut(..input.len()) else {
-            return;
-        };
-        let is_finite = |found: &[f64]| found.iter().all(|x| x.is_finite());
-        if !memory.neighbour(&input, rank, found) || !is_finite(found) {
-            return;
-        }
-        for (to, from) in self.target.iter_mut().zip(found.chunks_exact(2)) {
-            to.copy_from_slice(from);
-        }
-        (self.count, self.left) = (points.len() as u32, LENGTH);
     }
 
     fn target(&self) -> Points {
@@ -171,11 +244,29 @@ impl Detour {
     }
 }
 
+/// The points of a sample's input.
+fn pairs(input: &[f64], count: usize) -> Points {
+    input
+        .chunks_exact(2)
+        .take(count)
+        .map(|pair| [pair[0], pair[1]])
+        .collect()
+}
+
+/// Root of the points' mean square distance, px.
+fn distance(a: &Points, b: &Points) -> f64 {
+    let square = |(p, q): (&[f64; 2], &[f64; 2])| {
+        let [du, dv] = [p[0] - q[0], p[1] - q[1]];
+        du * du + dv * dv
+    };
+    libm::sqrt(a.iter().zip(b).map(square).sum::<f64>() / a.len() as f64)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A memory whose sample of each rank lies that many px to the right.
+    /// A memory whose sample of each rank lies that many px to the right, none of them in sight.
     struct Ranks;
 
     impl MotionMemory for Ranks {
@@ -188,6 +279,81 @@ mod tests {
             found.iter_mut().step_by(2).for_each(|u| *u += rank as f64);
             true
         }
+
+        fn count(&self) -> usize {
+            0
+        }
+
+        fn sample(&self, _: usize, _: &mut [f64]) -> bool {
+            false
+        }
+    }
+
+    /// A memory of these samples; counts how often one was looked at.
+    struct Samples {
+        points: Vec<Points>,
+        looks: std::cell::Cell<usize>,
+    }
+
+    impl Samples {
+        fn of(points: Vec<Points>) -> Self {
+            let looks = std::cell::Cell::new(0);
+            Self { points, looks }
+        }
+    }
+
+    impl MotionMemory for Samples {
+        fn infer(&self, _: Strategy, _: &[f64], _: &mut [f64]) -> bool {
+            false
+        }
+
+        fn neighbour(&self, _: &[f64], _: usize, _: &mut [f64]) -> bool {
+            false
+        }
+
+        fn count(&self) -> usize {
+            self.points.len()
+        }
+
+        fn sample(&self, index: usize, input: &mut [f64]) -> bool {
+            self.looks.set(self.looks.get() + 1);
+            for (to, from) in input.iter_mut().zip(self.points[index].as_flattened()) {
+                *to = *from;
+            }
+            true
+        }
+    }
+
+    /// A pattern with one corner below the bar at the bottom, as the law gets stuck there: the goal is above it.
+    fn stuck_below() -> Points {
+        let points = [
+            [300.0, 310.0],
+            [724.0, 309.0],
+            [691.0, 946.0],
+            [334.0, 730.0],
+        ];
+        points.into_iter().collect()
+    }
+
+    /// The same with that corner elsewhere.
+    fn corner_at(pixel: [f64; 2]) -> Points {
+        let mut points = stuck_below();
+        points[2] = pixel;
+        points
+    }
+
+    /// The targets of so many cycles in which nothing moves, each once.
+    fn targets(memory: &dyn MotionMemory, points: &Points, cycles: u32) -> Vec<Points> {
+        let (task, mut detour) = (task(), Detour::default());
+        let mut targets = Vec::new();
+        for _ in 0..cycles {
+            if let Some(target) = detour.look(&task, points, 2.0, memory)
+                && targets.last() != Some(&target)
+            {
+                targets.push(target);
+            }
+        }
+        targets
     }
 
     fn task() -> Task {
@@ -213,6 +379,78 @@ mod tests {
             }
         }
         assert_eq!(targets[..3], [1.0, 14.0, 27.0]);
+    }
+
+    #[test]
+    fn a_stall_leads_to_the_nearest_sample_that_no_border_hides() {
+        let above = corner_at([691.0, 840.0]);
+        let (near, far) = (corner_at([760.0, 960.0]), corner_at([840.0, 960.0]));
+        for order in [[&above, &near, &far], [&far, &near, &above]] {
+            // Whatever the pass that each of them is looked at in.
+            for shift in 0..PASSES {
+                let mut points = vec![above.clone(); shift];
+                for point in order {
+                    points.push(point.clone());
+                    points.extend(vec![above.clone(); PASSES - 1]);
+                }
+                let memory = Samples::of(points);
+                let found = targets(&memory, &stuck_below(), PATIENCE + BLOCKED);
+                assert_eq!(found, std::slice::from_ref(&near), "{shift}");
+            }
+        }
+        let hidden = Samples::of(vec![above; 10]);
+        assert!(targets(&hidden, &stuck_below(), 10 * PATIENCE).is_empty());
+    }
+
+    #[test]
+    fn the_next_try_goes_to_a_sample_further_away() {
+        let at = |v: f64| corner_at([691.0 + v, 960.0]);
+        let memory = Samples::of([10.0, 70.0, 150.0, 190.0].map(at).into());
+        // 30 px of all points are 60 of the one that moves.
+        let found = targets(
+            &memory,
+            &stuck_below(),
+            5 * (PATIENCE + BLOCKED + PASSES as u32),
+        );
+        assert_eq!(found[..4], [10.0, 70.0, 150.0, 190.0].map(at));
+    }
+
+    #[test]
+    fn no_cycle_of_the_search_looks_at_more_than_its_share() {
+        let (task, mut detour) = (task(), Detour::default());
+        let above = corner_at([691.0, 840.0]);
+        let mut points = vec![above; 10 * SHARE];
+        // The last one of all passes.
+        points[10 * SHARE - 1] = corner_at([760.0, 960.0]);
+        let memory = Samples::of(points);
+        let mut cycles = 0;
+        while detour.look(&task, &stuck_below(), 2.0, &memory).is_none() {
+            assert!(memory.looks.replace(0) <= SHARE);
+            cycles += 1;
+            assert!(cycles < 100);
+        }
+        assert_eq!(cycles, PATIENCE + 1 + 10);
+    }
+
+    #[test]
+    fn a_detour_that_is_blocked_is_given_up_and_one_that_goes_on_is_not() {
+        let task = task();
+        let stuck = shifted(&task.goal, 200.0);
+        // That its target is nearer than nothing counts once as progress.
+        for (px_a_cycle, expected) in [(0.0, BLOCKED + 1), (1.0, LENGTH - 1)] {
+            let mut detour = Detour {
+                tries: RANKS as u32 - 1,
+                ..Detour::default()
+            };
+            (0..=PATIENCE + 1).find_map(|_| detour.look(&task, &stuck, 2.0, &Ranks));
+            detour.aim(&shifted(&stuck, 300.0));
+            let points = |k: u32| shifted(&stuck, px_a_cycle * f64::from(k));
+            let away = (0..200).take_while(|&k| {
+                let target = detour.look(&task, &points(k), 2.0, &Ranks);
+                target.is_some()
+            });
+            assert_eq!(away.count() as u32, expected);
+        }
     }
 
     #[test]

@@ -56,6 +56,7 @@ pub mod prediction;
 pub mod qp;
 pub mod recall;
 pub mod settings;
+pub mod sight;
 pub mod solver;
 mod sqp;
 pub mod state;

@@ -76,6 +76,13 @@ pub trait MotionMemory {
 
     /// Writes the input of the sample that is the `rank`-th nearest to this one, from 1; `false` where there is none.
     fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool;
+
+    /// How many samples there are to look at.
+    fn count(&self) -> usize;
+
+    /// Writes the input of the sample of this index, from 0 to [`MotionMemory::count`], in an order of the memory's own;
+    /// `false` where there is none.
+    fn sample(&self, index: usize, input: &mut [f64]) -> bool;
 }
 
 impl MotionMemory for memory_blob::Memory<'_> {
@@ -100,6 +107,15 @@ impl MotionMemory for memory_blob::Memory<'_> {
             .ok()
             .and_then(|found| found.indices().last().copied());
         furthest.is_some_and(|index| samples.input(index, found).is_ok())
+    }
+
+    fn count(&self) -> usize {
+        self.samples().map_or(0, |samples| samples.len())
+    }
+
+    fn sample(&self, index: usize, input: &mut [f64]) -> bool {
+        let samples = self.samples().filter(|samples| index < samples.len());
+        samples.is_some_and(|samples| samples.input(index, input).is_ok())
     }
 }
 

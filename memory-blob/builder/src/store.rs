@@ -175,4 +175,12 @@ impl MotionMemory for Store {
     fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
         false
     }
+
+    fn count(&self) -> usize {
+        0
+    }
+
+    fn sample(&self, _index: usize, _input: &mut [f64]) -> bool {
+        false
+    }
 }

@@ -1,0 +1,171 @@
+//! Whether features can go straight to others: no point's way there cuts an occlusion.
+
+use scene::Part;
+
+use crate::task::Task;
+use crate::{Points, constraint, field};
+
+/// A straight way may cut this deep into an occlusion, px: the solver slides round such a corner.
+const SLIDE_PX: f64 = 3.0;
+/// Distance between the places at which a way is looked at, px.
+const EVERY_PX: f64 = 6.0;
+
+/// What some features can see.
+pub struct Sight<'a> {
+    task: &'a Task,
+    points: &'a Points,
+    /// The point nearest to an occlusion, the one whose way is most likely blocked.
+    nearest: usize,
+}
+
+impl<'a> Sight<'a> {
+    /// The sight of features inside the image.
+    pub fn from(task: &'a Task, points: &'a Points) -> Self {
+        let clearances = points
+            .iter()
+            .map(|&pixel| constraint::least_clearance(task, pixel));
+        let nearest = clearances
+            .enumerate()
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map_or(0, |(index, _)| index);
+        Self {
+            task,
+            points,
+            nearest,
+        }
+    }
+
+    /// Whether every point has a straight way in the image to its place among others, inside the image as well: its
+    /// border is in no such way.
+    pub fn is_free(&self, there: &[[f64; 2]]) -> bool {
+        let count = self.points.len();
+        (self.nearest..count).chain(0..self.nearest).all(|index| {
+            match (self.points.get(index), there.get(index)) {
+                (Some(&from), Some(&to)) => Way { from, to }.is_free(self.task),
+                _ => false,
+            }
+        })
+    }
+}
+
+/// A straight way of one point, px.
+struct Way {
+    from: [f64; 2],
+    to: [f64; 2],
+}
+
+impl Way {
+    fn is_free(&self, task: &Task) -> bool {
+        let mut areas = task.areas.iter();
+        task.parts.iter().all(|part| self.passes_part(part))
+            && areas.all(|area| {
+                let (low, high) = (area.low(), area.high());
+                self.passes(low, high, |pixel| field::clearance(area, pixel).distance)
+            })
+    }
+
+    fn passes_part(&self, part: &Part) -> bool {
+        let low = core::array::from_fn(|k| part.center[k] - part.half[k]);
+        let high = core::array::from_fn(|k| part.center[k] + part.half[k]);
+        self.passes(low, high, |pixel| {
+            constraint::clearance(part, pixel).distance
+        })
+    }
+
+    /// Whether the clearance from what lies inside a box stays above the bound all along.
+    fn passes(&self, low: [f64; 2], high: [f64; 2], clearance: impl Fn([f64; 2]) -> f64) -> bool {
+        let Some((begin, end)) = self.inside(low, high) else {
+            return true;
+        };
+        let [du, dv] = self.along();
+        let length = (du.abs() + dv.abs()) * (end - begin);
+        let count = libm::ceil(length / EVERY_PX).max(1.0) as u32;
+        (0..=count).all(|i| {
+            let t = begin + (end - begin) * f64::from(i) / f64::from(count);
+            clearance([self.from[0] + t * du, self.from[1] + t * dv]) >= -SLIDE_PX
+        })
+    }
+
+    /// Where the way enters and leaves a box, each a share of it; `None` where it passes by.
+    fn inside(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
+        let (from, to) = (self.from, self.to);
+        // Most boxes lie on one side of the way.
+        if (0..2).any(|k| from[k].max(to[k]) <= low[k] || from[k].min(to[k]) >= high[k]) {
+            return None;
+        }
+        let (mut begin, mut end) = (0.0_f64, 1.0_f64);
+        let along = self.along();
+        // Where it does not move in a coordinate, that lies inside.
+        for k in (0..2).filter(|&k| along[k].abs() > 1e-9) {
+            let one = (low[k] - from[k]) / along[k];
+            let other = (high[k] - from[k]) / along[k];
+            begin = begin.max(one.min(other));
+            end = end.min(one.max(other));
+        }
+        (begin < end).then_some((begin, end))
+    }
+
+    fn along(&self) -> [f64; 2] {
+        [self.to[0] - self.from[0], self.to[1] - self.from[1]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn is_free(task: &Task, from: &[[f64; 2]], to: &[[f64; 2]]) -> bool {
+        Sight::from(task, &from.iter().copied().collect()).is_free(to)
+    }
+
+    fn task() -> Task {
+        Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn an_occlusion_blocks_what_cuts_it_and_nothing_else() {
+        // The bar at the top covers u 450 to 750, v 140 to 240.
+        let task = task();
+        for (from, to, expected) in [
+            ([600.0, 120.0], [600.0, 300.0], false),
+            ([600.0, 300.0], [600.0, 120.0], false),
+            ([430.0, 190.0], [770.0, 190.0], false),
+            ([430.0, 190.0], [430.0, 300.0], true),
+            ([440.0, 120.0], [770.0, 130.0], true),
+            ([600.0, 240.0], [700.0, 300.0], true),
+            ([600.0, 240.0], [600.0, 240.0], true),
+            ([500.0, 240.0], [700.0, 238.0], true),
+            ([500.0, 240.0], [700.0, 232.0], false),
+        ] {
+            assert_eq!(is_free(&task, &[from], &[to]), expected, "{from:?} {to:?}");
+        }
+        let (free, blocked) = ([430.0, 190.0], [600.0, 120.0]);
+        let there = [[430.0, 300.0], [600.0, 300.0]];
+        assert!(!is_free(&task, &[free, blocked], &there));
+    }
+
+    #[test]
+    fn it_is_what_the_clearance_says_all_along() {
+        let task = task();
+        let mut seen = [0; 2];
+        for k in 0..2000 {
+            let at = |m: usize| ((k * m) % 1021) as f64;
+            let (from, to) = ([at(7919), at(104_729)], [at(1299), at(15_485)]);
+            let depth = (0..=2000)
+                .map(|i| {
+                    let t = f64::from(i) / 2000.0;
+                    let pixel = [0, 1].map(|k| from[k] + t * (to[k] - from[k]));
+                    constraint::least_clearance(&task, pixel)
+                })
+                .fold(f64::INFINITY, f64::min);
+            let is_free = is_free(&task, &[from], &[to]);
+            seen[usize::from(is_free)] += 1;
+            // Between two places that are looked at, a corner may be missed.
+            match is_free {
+                true => assert!(depth >= -SLIDE_PX - EVERY_PX, "{depth} {from:?} {to:?}"),
+                false => assert!(depth < -SLIDE_PX, "{depth} {from:?} {to:?}"),
+            }
+        }
+        assert!(seen.iter().all(|&count| count > 200), "{seen:?}");
+    }
+}
