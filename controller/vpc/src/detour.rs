@@ -3,9 +3,10 @@
 //! Beside an occlusion the law can come to rest far from the goal: the way point lies across a border, and no plan over
 //! the window leads around. All samples of a memory belong to trajectories that reached the goal. So after a second
 //! without progress the target is, for a while, not the way point but the *features* of a sample; from there its
-//! trajectory goes on. It is the nearest sample to which no way is blocked: the nearest ones of all mostly lie on the
-//! other side of the very border that stalls the law. The search for it looks at a share of the memory in each cycle.
-//! Where the detour does not help, the next try takes a sample further away.
+//! trajectory goes on. The first tries take near samples, each further away than the one before, wherever they lie. Some
+//! can be reached round a corner; but many lie on the other side of the very border that stalls the law. So after these
+//! every other try takes the nearest sample to which no way is blocked. The search for it looks at a share of the memory
+//! in each cycle. A detour that is blocked is given up.
 //!
 //! Not in the paper.
 
@@ -22,20 +23,22 @@ const PROGRESS_PX: f64 = 3.0;
 /// Errors below so many times the scene's threshold of convergence are regulation around the goal, not a stall.
 const FAR: f64 = 10.0;
 /// Most cycles of a detour.
-const LENGTH: u32 = 90;
+const LENGTH: u32 = 40;
 /// Cycles of a detour without progress after which it is given up.
-const BLOCKED: u32 = 20;
+const BLOCKED: u32 = 10;
+/// So many tries, and every other one of the later, take a sample by its rank; the rest take one in sight.
+const RANKED: u32 = 4;
 /// Samples looked at in a cycle of the search.
 const SHARE: usize = 256;
 /// Passes of the search through the memory, each through other samples.
 const PASSES: usize = 4;
-/// Each try takes a sample at least so many px further away than that of the try before ...
+/// Each try in sight takes a sample at least so many px further away than the one before ...
 const RING_PX: f64 = 30.0;
-/// ... until so many tries; then it begins again.
+/// ... until so many of them; then it begins again.
 const RINGS: u32 = 4;
 /// Cycles after a detour in which its trajectory is followed.
 pub const FOLLOWING: u32 = 40;
-/// Where no way is free, the sample of each try is so many ranks further away than that of the try before.
+/// The sample of each try by rank is so many ranks further away than that of the one before.
 const STRIDE: usize = 13;
 /// Ranks of samples, by their distance.
 const RANKS: usize = 64;
@@ -167,14 +170,22 @@ impl Detour {
         }
     }
 
-    /// Looks through this cycle's share of the memory for the nearest sample that the features can go straight to. One in
-    /// [`PASSES`] samples is looked at before the others; the detour begins after the first pass that found one, and
-    /// after the last. Tells whether the search is over.
+    /// Takes a sample by its rank, where it is the turn of that; or looks through this cycle's share of the memory for the
+    /// nearest sample that the features can go straight to. One in [`PASSES`] samples is looked at before the others; the
+    /// detour begins after the first pass that found one, and after the last. Tells whether the search is over.
     fn search(&mut self, task: &Task, points: &Points, memory: &dyn MotionMemory) -> bool {
         let mut found = [0.0; features::MAX_INPUTS];
         let input = task.recall_input(points);
         let Some(found) = found.get_mut(..input.len()) else {
             return true;
+        };
+        let turn = match turn(self.tries) {
+            Turn::Ranked(turn) => {
+                self.count = 0;
+                self.begin(turn, points, &input, memory, found);
+                return true;
+            }
+            Turn::InSight(turn) => turn,
         };
         let count = memory.count();
         let rows = count.div_ceil(PASSES);
@@ -186,15 +197,15 @@ impl Detour {
             0 => f64::INFINITY,
             _ => distance(points, &self.target()),
         };
-        let least_px = RING_PX * f64::from(self.tries % RINGS);
+        let least_px = RING_PX * f64::from(turn % RINGS);
         let sight = Sight::from(task, points);
         for look in first..first.saturating_add(SHARE) {
             let (pass, row) = (look / rows.max(1), look % rows.max(1));
             if pass >= PASSES || rows == 0 || (row == 0 && pass > 0 && self.count > 0) {
-                self.begin(points, &input, memory, found);
+                self.begin(turn, points, &input, memory, found);
                 return true;
             }
-            let index = row * PASSES + (pass + self.tries as usize) % PASSES;
+            let index = row * PASSES + (pass + turn as usize) % PASSES;
             if index >= count || !memory.sample(index, found) {
                 continue;
             }
@@ -209,15 +220,16 @@ impl Detour {
         false
     }
 
-    /// Begins a detour to the sample that the search found; where all are out of sight, to one nearby.
+    /// Begins a detour to the sample that the search found; where it found none, to one by its rank.
     fn begin(
         &mut self,
+        turn: u32,
         points: &Points,
         input: &[f64],
         memory: &dyn MotionMemory,
         found: &mut [f64],
     ) {
-        let rank = 1 + (self.tries as usize).wrapping_mul(STRIDE) % RANKS;
+        let rank = 1 + (turn as usize).wrapping_mul(STRIDE) % RANKS;
         self.tries = self.tries.saturating_add(1);
         if self.count == 0 {
             let is_finite = |found: &[f64]| found.iter().all(|x| x.is_finite());
@@ -241,6 +253,23 @@ impl Detour {
     fn target(&self) -> Points {
         let target = self.target.iter().copied();
         target.take(self.count as usize).collect()
+    }
+}
+
+/// Which sample a try takes, and how many tries took theirs in this way before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Turn {
+    Ranked(u32),
+    InSight(u32),
+}
+
+/// After so many tries.
+fn turn(tries: u32) -> Turn {
+    let later = tries.saturating_sub(RANKED);
+    match (tries < RANKED, later % 2) {
+        (true, _) => Turn::Ranked(tries),
+        (false, 0) => Turn::InSight(later / 2),
+        (false, _) => Turn::Ranked(RANKED + later / 2),
     }
 }
 
@@ -342,9 +371,17 @@ mod tests {
         points
     }
 
-    /// The targets of so many cycles in which nothing moves, each once.
+    /// No detour yet, but so many tries: the next one takes a sample in sight.
+    fn in_sight() -> Detour {
+        Detour {
+            tries: RANKED,
+            ..Detour::default()
+        }
+    }
+
+    /// The targets of so many cycles in which nothing moves, each once; the first is in sight.
     fn targets(memory: &dyn MotionMemory, points: &Points, cycles: u32) -> Vec<Points> {
-        let (task, mut detour) = (task(), Detour::default());
+        let (task, mut detour) = (task(), in_sight());
         let mut targets = Vec::new();
         for _ in 0..cycles {
             if let Some(target) = detour.look(&task, points, 2.0, memory)
@@ -365,12 +402,21 @@ mod tests {
     }
 
     #[test]
+    fn four_tries_go_by_rank_then_every_other_one_in_sight() {
+        use Turn::{InSight, Ranked};
+        let first: Vec<_> = (0..9).map(turn).collect();
+        let later = [InSight(0), Ranked(4), InSight(1), Ranked(5), InSight(2)];
+        assert_eq!(first[..4], [0, 1, 2, 3].map(Ranked));
+        assert_eq!(first[4..], later);
+    }
+
+    #[test]
     fn a_stall_leads_to_samples_further_and_further_away() {
         let task = task();
         let stuck = shifted(&task.goal, 200.0);
         let mut detour = Detour::default();
         let mut targets = Vec::new();
-        for _ in 0..4 * (PATIENCE + LENGTH) {
+        for _ in 0..4 * (PATIENCE + BLOCKED + 2) {
             if let Some(target) = detour.look(&task, &stuck, 4.0, &Ranks) {
                 let by = target[0][0] - stuck[0][0];
                 if targets.last() != Some(&by) {
@@ -378,7 +424,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(targets[..3], [1.0, 14.0, 27.0]);
+        assert_eq!(targets, [1.0, 14.0, 27.0, 40.0]);
     }
 
     #[test]
@@ -406,18 +452,14 @@ mod tests {
     fn the_next_try_goes_to_a_sample_further_away() {
         let at = |v: f64| corner_at([691.0 + v, 960.0]);
         let memory = Samples::of([10.0, 70.0, 150.0, 190.0].map(at).into());
-        // 30 px of all points are 60 of the one that moves.
-        let found = targets(
-            &memory,
-            &stuck_below(),
-            5 * (PATIENCE + BLOCKED + PASSES as u32),
-        );
+        // 30 px of all points are 60 of the one that moves. Between them tries by rank find nothing.
+        let found = targets(&memory, &stuck_below(), 5 * (2 * PATIENCE + BLOCKED + 8));
         assert_eq!(found[..4], [10.0, 70.0, 150.0, 190.0].map(at));
     }
 
     #[test]
     fn no_cycle_of_the_search_looks_at_more_than_its_share() {
-        let (task, mut detour) = (task(), Detour::default());
+        let (task, mut detour) = (task(), in_sight());
         let above = corner_at([691.0, 840.0]);
         let mut points = vec![above; 10 * SHARE];
         // The last one of all passes.
