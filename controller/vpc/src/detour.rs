@@ -451,7 +451,9 @@ mod tests {
     #[test]
     fn the_next_try_goes_to_a_sample_further_away() {
         let at = |v: f64| corner_at([691.0 + v, 960.0]);
-        let memory = Samples::of([10.0, 70.0, 150.0, 190.0].map(at).into());
+        // All of them in every pass.
+        let of = |v: f64| vec![at(v); PASSES];
+        let memory = Samples::of([10.0, 70.0, 150.0, 190.0].map(of).concat());
         // 30 px of all points are 60 of the one that moves. Between them tries by rank find nothing.
         let found = targets(&memory, &stuck_below(), 5 * (2 * PATIENCE + BLOCKED + 8));
         assert_eq!(found[..4], [10.0, 70.0, 150.0, 190.0].map(at));
