@@ -19,6 +19,8 @@ use crate::machine::{is_without, may_be_real_time, press_out};
 
 /// Cycles that steer, after those in which the peers are met.
 const CYCLES: u64 = 18_000;
+/// Most runs of one strategy.
+const TRIALS: usize = 4;
 /// Cycles between two attempts of the kernel to take the daemon's memory.
 const PRESS: u64 = 1000;
 /// Longest wait for an answer.
@@ -65,6 +67,22 @@ fn run(strategy: &str) -> Report {
     serde_json::from_str(&text).unwrap()
 }
 
+/// A run of which all cycles are told. Lockstep is as fast as it can be, faster than an ordinary thread that a busy machine
+/// keeps from its records for half a second: such a run cannot tell, and is tried again.
+fn whole(strategy: &str) -> Report {
+    for _ in 1..TRIALS {
+        let report = run(strategy);
+        if report.lost_records == 0 {
+            return report;
+        }
+        tell(&format!(
+            "VOID, tried again: faultless, {strategy}: {} records lost",
+            report.lost_records
+        ));
+    }
+    run(strategy)
+}
+
 #[test]
 fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
     let _turn = turn();
@@ -73,7 +91,7 @@ fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
         return;
     }
     for strategy in ["previous", "knn", "gpr", "ibvs"] {
-        let report = run(strategy);
+        let report = whole(strategy);
         tell(&format!(
             "faultless: {strategy}: {} cycles, {} with the memory, {} + {} faults, {} blocked, {} heap calls, busy p99 {} us",
             report.armed,
