@@ -488,7 +488,7 @@ pub const VERDICTS: &[Row] = &[
         Runs(OK, &[Add(SMALL)]),
     ),
     (
-        "tests/figures/README.md",
+        "ipc/figures/README.md",
         "cargo table -- --scene ipc/scene/scenes/paper-sim.toml --starts ipc/scene/scenes/paper-sim-starts.csv --plots out/plots",
         Checked("minutes; the guide's table draws the same figures, and is run"),
     ),
