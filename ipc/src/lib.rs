@@ -73,3 +73,7 @@ pub use twist::{TwistCommand, TwistState};
 
 /// Most points that one message carries.
 pub const MAX_POINTS: usize = 8;
+
+/// Where the daemon leaves the scene that it runs on, for viewers: a path below the domain's directory. The masks that
+/// the scene names lie beside it.
+pub const SCENE_FILE: &str = "scene/scene.toml";
