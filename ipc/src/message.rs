@@ -3,12 +3,13 @@
 use core::fmt::Debug;
 
 use iceoryx2::prelude::ZeroCopySend;
+use serde::{Deserialize, Serialize};
 
 use crate::domain::Factories;
 
 /// Head of every message.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend, Serialize, Deserialize)]
 #[type_name("vpc/Stamp/1")]
 pub struct Stamp {
     /// Number of the message, from 1, by one more for each message of one publisher; a publisher that restarts
@@ -195,7 +196,7 @@ pub(crate) fn check_code(
 macro_rules! codes {
     ($(#[$outer:meta])* $name:ident { $($(#[$inner:meta])* $variant:ident = $code:literal => $text:literal,)+ }) => {
         $(#[$outer])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
         #[repr(u32)]
         pub enum $name {
             $($(#[$inner])* $variant = $code,)+

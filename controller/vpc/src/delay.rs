@@ -8,6 +8,8 @@
 //!
 //! Source: paper, Eq. (model), with the sampling time replaced by the length of each piece.
 
+use serde::{Deserialize, Serialize};
+
 use crate::prediction::{Model, Origin};
 use crate::task::Task;
 use crate::{DOF, Twist};
@@ -21,7 +23,7 @@ pub const CAPACITY: usize = 32;
 /// It never guesses. Where an interval begins before what it knows, [`History::advance`] says [`Unpredictable::Unknown`]
 /// and the law refuses the features; zero twists that are sent meanwhile are remembered too, so that the interval is
 /// known again after one delay.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
     /// Commands remembered, 0 to 32.
     pub count: u32,

@@ -10,6 +10,8 @@
 //!
 //! Not in the paper.
 
+use serde::{Deserialize, Serialize};
+
 use crate::recall::MotionMemory;
 use crate::settings::Strategy;
 use crate::sight::Sight;
@@ -44,7 +46,7 @@ const STRIDE: usize = 13;
 const RANKS: usize = 64;
 
 /// Whether the law makes progress, and the detour under way. Plain data.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Detour {
     /// Least largest error since the last detour or the start, px; on a detour, towards its target.
     pub best_px: f64,

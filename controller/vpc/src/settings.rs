@@ -2,12 +2,14 @@
 
 use core::fmt;
 
+use serde::{Deserialize, Serialize};
+
 use crate::prediction::Model;
 use crate::solver::Effort;
 use crate::{MAX_NC, MAX_NP};
 
 /// Where warm start and target come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Strategy {
     /// Warm start from the previous cycle's solution, target is the goal (the paper's "prev.-it.").
     Previous,

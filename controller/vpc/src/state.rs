@@ -1,5 +1,7 @@
 //! What one cycle of the law leaves to the next, as plain data.
 
+use serde::{Deserialize, Serialize};
+
 use crate::controller::{Controller, Seen};
 use crate::delay::History;
 use crate::detour::Detour;
@@ -10,7 +12,7 @@ use crate::{MAX_POINTS, MAX_VARIABLES, Points};
 /// All that a [`Controller`] remembers from one cycle to the next: put into another controller of the same task and
 /// settings it gives the same commands from there on, bit for bit. Solver and previews are workspace, written before
 /// they are read, and no part of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// The strategy at work, which an operator may change.
     pub strategy: Strategy,
