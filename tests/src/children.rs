@@ -1,33 +1,27 @@
-//! Child processes that do not outlive this program, whichever way it ends.
+//! Child processes that end with this program, whichever way it ends.
 //!
-//! A signal that can be heard ends them in order, and what they worked in is removed. One that cannot (SIGKILL), or a
-//! crash, leaves that to the kernel: it sends each child a SIGTERM, on which `vpcd` and `hw-sim` leave their domain as
-//! they do otherwise. Only the child itself can ask the kernel for that, and safe code of ours runs nowhere between
-//! fork and exec; so this program starts itself, asks, and becomes the child.
+//! SIGINT, SIGTERM and SIGHUP end the children in order and remove the directories that they work in. After SIGKILL or a
+//! crash the kernel sends each child a SIGTERM, on which `vpcd` and `hw-sim` leave their domain as they do otherwise.
 
+use std::ffi::OsStr;
+use std::io::Read;
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
-use std::process::{Child, Command, ExitCode, Output};
+use std::process::{Child, Command, ExitCode, ExitStatus};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-
-mod becoming;
-mod handle;
-
-use becoming::become_child;
-pub use becoming::command;
-use handle::Handle;
 
 /// Longest time for a child to end after a termination signal; then it is killed.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How soon a signal is seen.
+/// Between two looks at signals and children.
 const LOOK: Duration = Duration::from_millis(10);
-/// What the main thread has; its work moves to another one.
+/// Stack of the thread that does the work, like the main thread's, bytes.
 const STACK: usize = 8 << 20;
 
 /// All children of this program, and the directories that they work in.
@@ -36,27 +30,25 @@ pub struct Children(Mutex<State>);
 
 #[derive(Debug, Default)]
 struct State {
-    running: Vec<Arc<Handle>>,
+    /// Process groups, by their leaders, which have not been waited for.
+    running: Vec<Pid>,
     places: usize,
-    /// A signal was heard: nobody starts anything from here on.
+    /// A signal was heard: nothing is started any more.
     is_ending: bool,
 }
 
-/// Does a program's work, with children, and says what failed. A signal ends them, then the program, in the way of that
-/// signal. To be called first thing in `main`: this program may have been started to become a child.
+/// Does a program's work, with children, and prints why it failed. A signal ends the children, then the program, which
+/// dies of that signal.
 pub fn attended(
     program: &str,
     work: impl FnOnce(&Children) -> anyhow::Result<ExitCode> + Send,
 ) -> ExitCode {
-    if let Some(code) = become_child() {
-        return code;
-    }
     let heard = Arc::new(AtomicUsize::new(0));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        // Whoever started this program with `nohup` or in the background wants it to go on.
-        if is_ignored(signal) {
-            continue;
-        }
+    // Whoever started this program with `nohup` or in the background wants it to go on.
+    for signal in [SIGINT, SIGTERM, SIGHUP]
+        .into_iter()
+        .filter(|signal| !is_ignored(*signal))
+    {
         let number = signal.unsigned_abs() as usize;
         if let Err(error) = signal_hook::flag::register_usize(signal, Arc::clone(&heard), number) {
             eprintln!("{program}: signal {signal}: {error}");
@@ -64,63 +56,74 @@ pub fn attended(
         }
     }
     let children = Children::default();
-    thread::scope(|scope| {
-        let worker = thread::Builder::new()
-            .stack_size(STACK)
-            .spawn_scoped(scope, || work(&children));
-        let worker = match worker {
-            Ok(worker) => worker,
-            Err(error) => {
-                eprintln!("{program}: no thread: {error}");
-                return ExitCode::FAILURE;
-            }
-        };
-        loop {
+    let outcome = thread::scope(|scope| {
+        let worker = thread::Builder::new().stack_size(STACK);
+        let worker = worker.spawn_scoped(scope, || work(&children))?;
+        while !worker.is_finished() {
             let signal = heard.load(Ordering::Relaxed);
             if signal != 0 {
                 children.end();
                 let begin = Instant::now();
-                // What uses no directory has nothing to clear away.
                 while children.state().places > 0 && begin.elapsed() < PATIENCE {
                     thread::sleep(LOOK);
                 }
-                // As if nobody had listened: the shell sees by what it ended.
+                // The shell sees what it died of.
                 let _ = signal_hook::low_level::emulate_default_handler(signal as i32);
-            }
-            if worker.is_finished() {
-                return match worker.join() {
-                    Ok(Ok(code)) => code,
-                    Ok(Err(error)) => {
-                        eprintln!("{program}: {error:#}");
-                        ExitCode::FAILURE
-                    }
-                    // The panic has been told.
-                    Err(_) => ExitCode::FAILURE,
-                };
             }
             thread::sleep(LOOK);
         }
+        // A panic has printed its message.
+        worker.join().unwrap_or(Ok(ExitCode::FAILURE))
+    });
+    outcome.unwrap_or_else(|error| {
+        eprintln!("{program}: {error:#}");
+        ExitCode::FAILURE
     })
 }
 
 /// Whether this process was started with a signal ignored.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status
-        .lines()
-        .find_map(|line| line.strip_prefix("SigIgn:"))
-        .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+/// What [`Children::start`] takes: a command whose process the kernel ends with this one.
+pub fn command(program: impl AsRef<OsStr>) -> Command {
+    let mut command = Command::new("setpriv");
+    command.args(["--pdeathsig", "TERM", "--"]).arg(program);
+    command
+}
+
+/// Whether a child that has not been waited for has ended by then.
+fn has_ended(child: Pid, by: Instant) -> bool {
+    loop {
+        // A child that is left to be waited for keeps its number.
+        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        if !matches!(waitid(WaitId::Pid(child), options), Ok(None)) {
+            return true;
+        }
+        if Instant::now() >= by {
+            return false;
+        }
+        thread::sleep(LOOK);
+    }
+}
+
+/// Sends a signal to a child and all that it started.
+fn signal(child: Pid, signal: Signal) {
+    // An error means that nobody is left.
+    let _ = kill_process_group(child, signal);
 }
 
 impl Children {
     fn state(&self) -> MutexGuard<'_, State> {
-        // Lists stay lists wherever a panic came between.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a command of [`command`]; `name` is for messages. A process group of its own is ended as a whole. The
-    /// calling thread outlives the child, as the kernel takes it for the parent.
+    /// Starts a command of [`command`]; `name` is for messages. The thread that calls must outlive the child, because the
+    /// kernel takes the thread for the parent.
     ///
     /// # Errors
     /// It cannot be started, or this program is ending.
@@ -129,22 +132,12 @@ impl Children {
         if state.is_ending {
             bail!("cannot start {name}: a signal has ended this program");
         }
-        let mut child = command
-            .spawn()
-            .with_context(|| format!("cannot start {name}"))?;
-        let handle = match Handle::of(&child) {
-            Ok(handle) => Arc::new(handle),
-            Err(error) => {
-                let _ = child.kill();
-                let _ = child.wait();
-                bail!("cannot hold {name} (process {}): {error}", child.id());
-            }
-        };
-        state.running.push(Arc::clone(&handle));
+        let child = command.process_group(0).spawn();
+        let child = child.with_context(|| format!("cannot start {name}"))?;
+        state.running.push(Pid::from_child(&child));
         Ok(Running {
             name,
-            child: Some(child),
-            handle,
+            child,
             children: self,
         })
     }
@@ -163,14 +156,15 @@ impl Children {
     fn end(&self) {
         let mut state = self.state();
         state.is_ending = true;
-        for handle in state.running.iter().rev() {
-            handle.send(Signal::TERM);
-        }
+        state
+            .running
+            .iter()
+            .rev()
+            .for_each(|child| signal(*child, Signal::TERM));
         let end = Instant::now() + PATIENCE;
-        for handle in &state.running {
-            if !handle.ends_by(end) {
-                handle.send(Signal::KILL);
-                handle.ends_by(Instant::now() + PATIENCE);
+        for child in &state.running {
+            if !has_ended(*child, end) {
+                signal(*child, Signal::KILL);
             }
         }
     }
@@ -180,58 +174,68 @@ impl Children {
 #[derive(Debug)]
 pub struct Running<'a> {
     name: &'static str,
-    child: Option<Child>,
-    handle: Arc<Handle>,
+    child: Child,
     children: &'a Children,
 }
 
 impl Running<'_> {
-    /// Waits for its end, and gives its exit code and the outputs that are piped.
+    /// Waits for its end: how it ended, and its standard output where that is piped.
     ///
     /// # Errors
-    /// It cannot be waited for, or was ended with this program.
-    pub fn output(mut self) -> anyhow::Result<Output> {
-        let child = self.child.take().context("waited for before")?;
-        let output = child
-            .wait_with_output()
-            .with_context(|| format!("cannot wait for {}", self.name))?;
+    /// It was ended by a signal to this program.
+    pub fn output(mut self) -> anyhow::Result<(ExitStatus, String)> {
+        let mut said = Vec::new();
+        if let Some(mut output) = self.child.stdout.take() {
+            output.read_to_end(&mut said)?;
+        }
+        while !has_ended(Pid::from_child(&self.child), Instant::now() + PATIENCE) {}
+        let status = self.wait()?;
         if self.children.state().is_ending {
             bail!("{} was ended by a signal to this program", self.name);
         }
-        Ok(output)
+        Ok((status, String::from_utf8_lossy(&said).into_owned()))
     }
 
     /// Asks it to stop and waits for it.
     ///
     /// # Errors
-    /// It ended with another exit code than 0, or not at all.
-    pub fn stop(&mut self) -> anyhow::Result<()> {
-        let (name, pid) = (self.name, self.handle.pid());
-        self.handle.send(Signal::TERM);
-        if !self.handle.ends_by(Instant::now() + PATIENCE) {
-            bail!("{name} (process {pid}) did not stop within {PATIENCE:?} after SIGTERM");
+    /// It ended with another exit code than 0, or had to be killed.
+    pub fn stop(mut self) -> anyhow::Result<()> {
+        signal(Pid::from_child(&self.child), Signal::TERM);
+        if !has_ended(Pid::from_child(&self.child), Instant::now() + PATIENCE) {
+            bail!(
+                "{} did not stop within {PATIENCE:?} after SIGTERM",
+                self.name
+            );
         }
-        let mut child = self.child.take().context("stopped before")?;
-        let status = child.wait()?;
+        let status = self.wait()?;
         if !status.success() {
-            bail!("{name} ended with {status}");
+            bail!("{} ended with {status}", self.name);
         }
         Ok(())
+    }
+
+    /// Waits for it, once it has ended; from here on its number may be another process's.
+    fn wait(&mut self) -> std::io::Result<ExitStatus> {
+        let child = Pid::from_child(&self.child);
+        self.children
+            .state()
+            .running
+            .retain(|other| *other != child);
+        self.child.wait()
     }
 }
 
 impl Drop for Running<'_> {
     fn drop(&mut self) {
-        if let Some(child) = &mut self.child {
-            self.handle.send(Signal::TERM);
-            if !self.handle.ends_by(Instant::now() + PATIENCE) {
-                self.handle.send(Signal::KILL);
+        let child = Pid::from_child(&self.child);
+        if self.children.state().running.contains(&child) {
+            signal(child, Signal::TERM);
+            if !has_ended(child, Instant::now() + PATIENCE) {
+                signal(child, Signal::KILL);
             }
-            let _ = child.wait();
+            let _ = self.wait();
         }
-        let mut state = self.children.state();
-        let running = &mut state.running;
-        running.retain(|handle| !Arc::ptr_eq(handle, &self.handle));
     }
 }
 
@@ -252,10 +256,10 @@ impl Place<'_> {
 
 impl Drop for Place<'_> {
     fn drop(&mut self) {
-        let is_ending = self.children.state().is_ending;
-        if is_ending || !self.is_kept {
+        let mut state = self.children.state();
+        if state.is_ending || !self.is_kept {
             let _ = std::fs::remove_dir_all(&self.path);
         }
-        self.children.state().places -= 1;
+        state.places -= 1;
     }
 }

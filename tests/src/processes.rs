@@ -2,7 +2,6 @@
 //! each in a domain of its own.
 
 use std::fs;
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::Mutex;
@@ -140,7 +139,7 @@ fn pair(children: &Children, cell: &Cell, spec: Spec, start: usize) -> anyhow::R
     let mut daemon = children::command(cell.binaries.join("vpcd"));
     daemon.arg("--config").arg(&config).arg("--arm");
     daemon.arg("--domain").arg(&domain).stderr(log);
-    let mut daemon = children.start("vpcd", daemon)?;
+    let daemon = children.start("vpcd", daemon)?;
     let mut emulator = children::command(cell.binaries.join("hw-sim"));
     emulator
         .arg("--config")
@@ -148,13 +147,15 @@ fn pair(children: &Children, cell: &Cell, spec: Spec, start: usize) -> anyhow::R
     emulator.args(["--clock", "fixed", "--start", &start.to_string()]);
     emulator.args(["--seed", &cell.seed.wrapping_add(start as u64).to_string()]);
     emulator.args(&cell.camera).arg("--domain").arg(&domain);
-    emulator.stdout(Stdio::piped()).stderr(Stdio::piped());
-    let emulated = children.start("hw-sim", emulator)?.output()?;
-    let log = || format!("its log is in {}", here.display());
-    daemon.stop().with_context(log)?;
-    let words = String::from_utf8_lossy(&emulated.stderr);
-    serde_json::from_slice(&emulated.stdout)
-        .with_context(|| format!("no verdict of hw-sim: {}", words.trim()))
+    emulator
+        .stdout(Stdio::piped())
+        .stderr(fs::File::create(here.join("hw-sim.log"))?);
+    let (_, said) = children.start("hw-sim", emulator)?.output()?;
+    let logs = || format!("the logs are in {}", here.display());
+    daemon.stop().with_context(logs)?;
+    serde_json::from_str(&said)
+        .context("hw-sim gave no verdict")
+        .with_context(logs)
 }
 
 /// `vpcd-robot.toml` with another strategy, window and margin; its paths are absolute here.
@@ -211,29 +212,26 @@ pub fn row(spec: Spec, runs: &[ProcessRun]) -> String {
 pub const HEAD: &str = "| strategy | success | reflexes | limit violations | discontinuities | stale frames | \
 arrival (s) | lateness p99 (us) | worst (ms) | failed |\n|---|--:|--:|--:|--:|--:|--:|--:|--:|---|";
 
-/// Builds `vpcd` and `hw-sim` beside the program that runs, with the cargo that runs it; gives their directory.
+/// Builds these programs beside the program that runs, with the cargo that runs it; gives their directory.
 ///
 /// # Errors
 /// Cargo cannot be run, or fails.
-pub fn build(children: &Children, root: &Path) -> anyhow::Result<PathBuf> {
+pub fn build(children: &Children, root: &Path, programs: &[&str]) -> anyhow::Result<PathBuf> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = children::command(cargo);
-    // Its compilers end with it.
-    command.process_group(0);
-    command.current_dir(root).args(["build", "--quiet"]);
-    command.args(["--package", "controller", "--package", "hw-sim"]);
+    // No package is named, so that features are those of `cargo build`, and nothing is built twice.
+    command.current_dir(root).arg("build");
+    command.args(programs.iter().flat_map(|program| ["--bin", program]));
     if !cfg!(debug_assertions) {
         command.arg("--release");
     }
-    let built = children.start("cargo", command)?.output()?;
-    if !built.status.success() {
-        bail!("cargo build of vpcd and hw-sim failed");
+    let (status, _) = children.start("cargo", command)?.output()?;
+    if !status.success() {
+        bail!("cargo build of {} failed", programs.join(", "));
     }
     let program = std::env::current_exe()?;
-    Ok(program
-        .parent()
-        .context("no directory of binaries")?
-        .to_owned())
+    let directory = program.parent().context("no directory of binaries")?;
+    Ok(directory.to_owned())
 }
 
 #[cfg(test)]

@@ -120,7 +120,7 @@ fn demo(children: &Children, cli: &Cli) -> anyhow::Result<bool> {
         bail!("--start = {index}; allowed: 0 to {}", starts.len() - 1);
     };
     fs::create_dir_all(&cli.output).with_context(|| cli.output.display().to_string())?;
-    let binaries = build(children, root)?;
+    let binaries = build(children, root, &["vpcd", "hw-sim"])?;
 
     println!(
         "vpcd ({}) and hw-sim, two processes over shared memory: {}, start {index}",
@@ -153,7 +153,7 @@ fn demo(children: &Children, cli: &Cli) -> anyhow::Result<bool> {
     if cli.strategy.strategy.needs_memory() {
         daemon.arg("--memory").arg(&memory_path);
     }
-    let mut daemon = children.start("vpcd", daemon)?;
+    let daemon = children.start("vpcd", daemon)?;
     let mut emulator = children::command(binaries.join("hw-sim"));
     emulator
         .arg("--config")
@@ -174,12 +174,11 @@ fn demo(children: &Children, cli: &Cli) -> anyhow::Result<bool> {
         emulator.arg("--progress");
     }
     let watch = WayPoints::watch(&domain);
-    let emulated = children.start("hw-sim", emulator)?.output()?;
+    let (status, verdict) = children.start("hw-sim", emulator)?.output()?;
     let log = || format!("its log is in {}", cli.output.display());
     let stopped = daemon.stop().with_context(log);
     let way_points = watch.end();
     drop(place);
-    let verdict = String::from_utf8_lossy(&emulated.stdout);
     let verdict = verdict.trim();
     println!(
         "hw-sim: {}",
@@ -190,7 +189,7 @@ fn demo(children: &Children, cli: &Cli) -> anyhow::Result<bool> {
         }
     );
     stopped?;
-    let arrived = emulated.status.success();
+    let arrived = status.success();
 
     println!("\nThe strategies on the same start, in process:\n");
     let mut written = match cli.scene {

@@ -1,4 +1,4 @@
-//! `cargo run --release -p system-tests --bin processes`: the robot's cell as two processes in real time, from many
+//! `cargo run --release --bin processes`: the robot's cell as two processes in real time, from many
 //! starts.
 
 use std::fs;
@@ -29,7 +29,7 @@ struct Cli {
     /// Start after the last one, at most 100.
     #[arg(long, default_value_t = 100)]
     to: usize,
-    /// Only each so manieth of them.
+    /// Run only every N-th start.
     #[arg(long, default_value_t = 1, value_name = "N")]
     every: usize,
     /// Pairs of processes at a time.
@@ -78,7 +78,7 @@ fn processes(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     let starts: Vec<usize> = (cli.from..cli.to).step_by(cli.every).collect();
     let flag = |name: &str, value: f64| [name.to_owned(), value.to_string()];
     let cell = Cell {
-        binaries: build(children, root)?,
+        binaries: build(children, root, &["vpcd", "hw-sim"])?,
         root: root.to_owned(),
         place: std::env::temp_dir().join(format!("vpc-processes-{}", std::process::id())),
         camera: [["--camera".to_owned(), cli.camera.clone()]]

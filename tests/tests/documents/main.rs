@@ -1,16 +1,113 @@
-//! The documents keep their word: every command of the READMEs runs, the reference of the configuration is the code's,
-//! and the messages of the troubleshooting tables are the programs' own.
+//! The documents keep their word: links lead somewhere, what commands name exists, the commands of the READMEs run, and
+//! the reference of the configuration is the code's.
 
 mod call;
 mod markdown;
-mod readme;
 mod reference;
-mod troubleshooting;
-mod verdicts;
+mod session;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// The repository's root.
-fn root() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+use call::{Call, is_a_test};
+use markdown::documents;
+use testkit::root;
+
+#[test]
+fn every_link_leads_to_a_file_and_to_a_heading_of_it() {
+    let documents = documents();
+    let mut faults = Vec::new();
+    let mut count = 0;
+    for document in &documents {
+        let directory = Path::new(&document.name).parent().unwrap();
+        let links = document.links().into_iter();
+        for link in links.filter(|link| !link.text.contains(':')) {
+            count += 1;
+            let (path, anchor) = link.text.split_once('#').unwrap_or((&link.text, ""));
+            let target = match path {
+                "" => PathBuf::from(&document.name),
+                path => directory.join(path),
+            };
+            let Ok(found) = root().join(&target).canonicalize() else {
+                faults.push(format!("{}: {}: no such file", link.place, link.text));
+                continue;
+            };
+            let is_it = |name: &str| root().join(name).canonicalize().ok().as_ref() == Some(&found);
+            let other = documents.iter().find(|other| is_it(&other.name));
+            if let (false, Some(other)) = (anchor.is_empty(), other)
+                && !other.anchors().iter().any(|a| a == anchor)
+            {
+                faults.push(format!("{}: {}: no such heading", link.place, link.text));
+            }
+        }
+    }
+    assert!(count > 30, "{count}");
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn commands_name_what_exists() {
+    let mut faults = Vec::new();
+    let mut count = 0;
+    for document in documents() {
+        let mut pieces = document.commands();
+        let own = ["cargo ", "vpcd ", "vpcctl ", "vpc-memory ", "hw-sim "];
+        let code = document.inline_code().into_iter();
+        // With an ellipsis it is a sketch.
+        pieces.extend(code.filter(|code| {
+            own.iter().any(|start| code.text.starts_with(start)) && !code.text.contains("...")
+        }));
+        for piece in pieces {
+            for part in piece.text.split(" && ") {
+                count += 1;
+                if let Err(fault) = Call::read(part).check() {
+                    faults.push(format!("{}: {part}: {fault}", piece.place));
+                }
+            }
+        }
+    }
+    assert!(count > 60, "{count}");
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn files_in_the_text_exist() {
+    let mut faults = Vec::new();
+    let mut count = 0;
+    for document in documents() {
+        let directory = Path::new(&document.name).parent().unwrap().to_owned();
+        for code in document.inline_code() {
+            let path = code.text.split(['#', ':']).next().unwrap();
+            let is_file = path.contains('/') && !path.contains([' ', '*', '{', '<', '$', '=']);
+            let ends = [".rs", ".md", ".toml", ".py", ".c", ".h", ".sh", ".csv"];
+            if !is_file || path.starts_with('/') || !ends.iter().any(|end| path.ends_with(end)) {
+                continue;
+            }
+            count += 1;
+            // From the root, from the document, or from the sources beside it.
+            let places = ["", "src", "tests"].map(|place| directory.join(place).join(path));
+            let exists = |path: &PathBuf| root().join(path).exists();
+            if !places.iter().any(exists) && !exists(&path.into()) && !path.starts_with("own/") {
+                faults.push(format!("{}: {path} does not exist", code.place));
+            }
+        }
+    }
+    assert!(count > 30, "{count}");
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn every_promise_of_the_readme_names_its_test() {
+    let text = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let (_, table) = text.split_once("| promise | NAME | seen |").unwrap();
+    let (table, _) = table.split_once("\n\n").unwrap();
+    let mut count = 0;
+    for row in table.lines().filter(|row| row.starts_with("| ")) {
+        let column = row.split(" | ").nth(1).unwrap();
+        let names = column.split('`').skip(1).step_by(2);
+        for name in names.filter(|name| !name.starts_with("cargo")) {
+            is_a_test("system-tests", name).unwrap();
+            count += 1;
+        }
+    }
+    assert!(count > 15, "{count}");
 }

@@ -1,8 +1,8 @@
 //! What a Markdown file holds besides prose: commands, links, files to be written.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use crate::root;
+use testkit::root;
 
 /// A document of the repository.
 pub struct Document {
@@ -11,19 +11,12 @@ pub struct Document {
     lines: Vec<String>,
 }
 
-/// A piece of a document and the number of its first line, from 1.
+/// A piece of a document and where it is.
 #[derive(Clone, Debug)]
 pub struct Piece {
-    pub line: usize,
+    /// `FILE:LINE`.
+    pub place: String,
     pub text: String,
-}
-
-/// What a reader would do, in the order of the document.
-pub enum Act {
-    /// Type this command.
-    Command(Piece),
-    /// Write this text into this file.
-    File(PathBuf, String),
 }
 
 /// Every document of the repository, by name.
@@ -56,77 +49,74 @@ fn gather(directory: &Path, found: &mut Vec<Document>) {
 }
 
 impl Document {
-    /// The commands of its `sh` blocks, and the TOML blocks that follow a line "`PATH`:", in their order. Comments are
-    /// cut off, lines that end with a backslash are joined.
-    pub fn acts(&self) -> Vec<Act> {
-        let mut acts = Vec::new();
-        let mut block: Option<(String, Option<PathBuf>, String)> = None;
-        let mut command: Option<Piece> = None;
-        for (index, line) in self.lines.iter().enumerate() {
-            if let Some(fence) = line.trim_start().strip_prefix("```") {
-                match block.take() {
-                    Some((_, Some(path), text)) => acts.push(Act::File(path, text)),
-                    Some(_) => (),
-                    None => block = Some((fence.to_owned(), self.file_above(index), String::new())),
-                }
-                continue;
-            }
-            let Some((language, _, text)) = &mut block else {
-                continue;
-            };
-            if language != "sh" {
-                *text += line;
-                text.push('\n');
-                continue;
-            }
-            let words = without_comment(line).trim();
-            let (words, goes_on) = match words.strip_suffix('\\') {
-                Some(words) => (words.trim(), true),
-                None => (words, false),
-            };
-            if words.is_empty() {
-                continue;
-            }
-            let piece = command.get_or_insert(Piece {
-                line: index + 1,
-                text: String::new(),
-            });
-            if !piece.text.is_empty() {
-                piece.text.push(' ');
-            }
-            piece.text += words;
-            if !goes_on {
-                acts.extend(command.take().map(Act::Command));
+    /// A place in it, by the index of a line.
+    fn place(&self, index: usize) -> String {
+        format!("{}:{}", self.name, index + 1)
+    }
+
+    /// Its blocks in a language: the line above, the index of the first line, and the lines.
+    fn blocks(&self, language: &str) -> Vec<(&str, usize, &[String])> {
+        let fences = self.lines.iter().enumerate();
+        let fences = fences.filter(|(_, line)| line.trim_start().starts_with("```"));
+        let fences: Vec<usize> = fences.map(|(index, _)| index).collect();
+        assert!(
+            fences.len().is_multiple_of(2),
+            "{}: a block does not end",
+            self.name
+        );
+        let mut blocks = Vec::new();
+        for fence in fences.chunks_exact(2) {
+            if self.lines[fence[0]].trim_start() == format!("```{language}") {
+                let above = fence[0]
+                    .checked_sub(1)
+                    .map_or("", |above| self.lines[above].trim());
+                let first = fence[0] + 1;
+                blocks.push((above, first, &self.lines[first..fence[1]]));
             }
         }
-        assert!(block.is_none(), "{}: a block does not end", self.name);
-        acts
+        blocks
     }
 
-    /// The file that the line above a block announces: "`PATH`:".
-    fn file_above(&self, index: usize) -> Option<PathBuf> {
-        let above = self.lines.get(index.checked_sub(1)?)?.trim();
-        let path = above.strip_prefix('`')?.strip_suffix("`:")?;
-        Some(PathBuf::from(path))
-    }
-
-    /// The commands of its `sh` blocks.
+    /// The commands of its `sh` blocks. Comments are cut off, lines that end with a backslash are joined.
     pub fn commands(&self) -> Vec<Piece> {
-        let commands = self.acts().into_iter().filter_map(|act| match act {
-            Act::Command(piece) => Some(piece),
-            Act::File(..) => None,
+        let mut commands = Vec::new();
+        for (_, first, lines) in self.blocks("sh") {
+            let mut text = String::new();
+            for (index, line) in lines.iter().enumerate() {
+                text += without_comment(line).trim();
+                if let Some(begun) = text.strip_suffix('\\') {
+                    text = begun.to_owned();
+                } else if !text.is_empty() {
+                    let place = self.place(first + index);
+                    commands.push(Piece {
+                        place,
+                        text: std::mem::take(&mut text),
+                    });
+                }
+            }
+        }
+        commands
+    }
+
+    /// Its TOML blocks below a line "`PATH`:", with that path.
+    pub fn files(&self) -> Vec<(&str, String)> {
+        let named = |above: &str| above.strip_prefix('`')?.strip_suffix("`:").map(str::len);
+        let blocks = self.blocks("toml").into_iter();
+        let files = blocks.filter_map(|(above, _, lines)| {
+            Some((&above[1..=named(above)?], lines.join("\n") + "\n"))
         });
-        commands.collect()
+        files.collect()
     }
 
     /// What stands between single backticks outside of blocks, on one line or two.
     pub fn inline_code(&self) -> Vec<Piece> {
         let mut found = Vec::new();
-        for (line, text) in self.paragraphs() {
+        for (index, text) in self.paragraphs() {
             for code in text.split('`').skip(1).step_by(2) {
+                let text = code.split_whitespace().collect::<Vec<_>>().join(" ");
                 found.push(Piece {
-                    line,
-                    text: code.split_whitespace().collect::<Vec<_>>().join(" "),
+                    place: self.place(index),
+                    text,
                 });
             }
         }
@@ -136,10 +126,13 @@ impl Document {
     /// Targets of links outside of blocks.
     pub fn links(&self) -> Vec<Piece> {
         let mut found = Vec::new();
-        for (line, text) in self.paragraphs() {
+        for (index, text) in self.paragraphs() {
             for rest in text.split("](").skip(1) {
-                let target = rest.split(')').next().unwrap_or("").to_owned();
-                found.push(Piece { line, text: target });
+                let text = rest.split(')').next().unwrap_or("").to_owned();
+                found.push(Piece {
+                    place: self.place(index),
+                    text,
+                });
             }
         }
         found
@@ -160,7 +153,7 @@ impl Document {
         headings.map(anchor).collect()
     }
 
-    /// Runs of lines outside of blocks, each with the number of its first; rows of tables and items stand alone.
+    /// Runs of lines outside of blocks, each with the index of its first; rows of tables and items stand alone.
     fn paragraphs(&self) -> Vec<(usize, String)> {
         let mut found: Vec<(usize, String)> = Vec::new();
         let (mut in_block, mut fresh) = (false, true);
@@ -181,7 +174,7 @@ impl Document {
                     text.push(' ');
                     text.push_str(words);
                 }
-                _ => found.push((index + 1, words.to_owned())),
+                _ => found.push((index, words.to_owned())),
             }
             fresh = false;
         }
@@ -214,10 +207,5 @@ fn comments_continuations_and_quotes_are_read_as_a_shell_would() {
     };
     let commands: Vec<_> = document.commands().into_iter().map(|c| c.text).collect();
     assert_eq!(commands, ["a --b 'c # d'", "e f"]);
-    let files = document.acts().into_iter().filter_map(|act| match act {
-        Act::File(path, text) => Some((path, text)),
-        Act::Command(_) => None,
-    });
-    let files: Vec<_> = files.collect();
-    assert_eq!(files, [(PathBuf::from("own/x.toml"), "k = 1\n".to_owned())]);
+    assert_eq!(document.files(), [("own/x.toml", "k = 1\n".to_owned())]);
 }

@@ -111,7 +111,7 @@ fn check(np: usize, problems: usize) {
     }
     worked.sort_unstable();
     let (median, worst) = (worked[worked.len() / 2], worked[worked.len() - 1]);
-    tell(&format!(
+    tell(format!(
         "np {np}: {problems} problems, {refused} refused; counted work: median {median}, worst {worst}, ratio {:.2}",
         f64::from(worst) / f64::from(median)
     ));

@@ -2,7 +2,7 @@
 //! referee of its own, drives `vpcd` in lockstep from the paper's starts, and comes to what the built-in table comes
 //! to; the camera in C (`ipc/c/examples/camera.c`) arrives.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use memory_blob::MemoryFile;
@@ -12,11 +12,12 @@ use system_tests::run::run;
 use system_tests::spec::Spec;
 use vpc::{Controller, MotionMemory};
 
-use crate::fixture::{Place, Running, program, root, scene_file, tell, turn};
+use testkit::python::{self, Environment};
 
-#[path = "../../../ipc/tests/python/environment.rs"]
-pub mod environment;
-use environment::Environment;
+use crate::fixture::{
+    Place, Running, are_installed, ended, memory_file, program, root, scene_file, starts_file,
+    tell, turn,
+};
 
 /// The paper's starts.
 const STARTS: usize = 100;
@@ -25,14 +26,6 @@ const ALLOWED: usize = 2;
 
 /// What a run came to: success, reason, periods.
 type Outcome = (bool, Option<String>, u64);
-
-fn starts_file() -> PathBuf {
-    root().join("ipc/scene/scenes/paper-sim-starts.csv")
-}
-
-fn memory_file() -> PathBuf {
-    root().join("memory-blob/default/paper-sim.vpcmem")
-}
 
 /// `vpcd` in lockstep, with this strategy.
 fn daemon(place: &Place, strategy: &str) -> Running {
@@ -67,15 +60,14 @@ fn table(spec: &str, count: usize) -> Vec<Outcome> {
 
 /// The outcomes of the camera in Python against the real daemon.
 fn stand_in(python: &Path, place: &Place) -> Vec<Outcome> {
-    let client = root().join("ipc/python");
     let json = place.path("runs.json");
-    let mut camera = environment::script(python, &client, &client.join("camera.py"));
+    let mut camera = python::script(python, &root().join("ipc/python/camera.py"));
     camera.arg("--scene").arg(scene_file());
     camera.arg("--starts").arg(starts_file());
     camera.arg("--all");
     camera.arg("--domain").arg(place.domain());
     camera.arg("--json").arg(&json);
-    environment::run(&mut camera).unwrap();
+    python::run(&mut camera).unwrap();
     let document: Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
     let outcome = |run: &Value| {
         let reason = run["reason"].as_str().map(str::to_owned);
@@ -93,10 +85,7 @@ fn stand_in(python: &Path, place: &Place) -> Vec<Outcome> {
 #[test]
 fn the_camera_in_python_comes_to_what_the_table_comes_to() {
     let _turn = turn();
-    let name = "the_camera_in_python_comes_to_what_the_table_comes_to";
-    let tmp = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    let environment = Environment::of_client(&root().join("ipc/python"), tmp);
-    let Some(python) = environment.python(name) else {
+    let Some(python) = Environment::CLIENT.python("the camera in Python") else {
         return;
     };
     // The last knows no occlusions: what it comes to is the referees' verdict, which differ if one of them is wrong.
@@ -114,7 +103,7 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
             .map(|(start, (theirs, ours))| format!("start {start}: {theirs:?}, table {ours:?}"))
             .collect();
         let (theirs_good, ours_good) = (good(&theirs), good(&ours));
-        tell(&format!(
+        tell(format!(
             "{strategy}: camera in Python {theirs_good} of {STARTS}, table {ours_good}; other outcomes: {differing:?}"
         ));
         assert!(
@@ -129,16 +118,7 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
 #[test]
 fn the_camera_in_c_arrives() {
     let _turn = turn();
-    let compiler = Command::new("cc")
-        .arg("--version")
-        .stdout(Stdio::null())
-        .status();
-    if !compiler.is_ok_and(|status| status.success()) {
-        tell("the_camera_in_c_arrives: skipped: no C compiler (cc)");
-        assert!(
-            std::env::var_os("VPC_REQUIRE_PYTHON").is_none(),
-            "no C compiler (cc)"
-        );
+    if !are_installed("the camera in C", &["cc=gcc"]) {
         return;
     }
     let library = program("libvpcclient.so");
@@ -158,19 +138,12 @@ fn the_camera_in_c_arrives() {
     let starts = read_starts(&starts_file()).unwrap();
     let first = &starts[0];
     let numbers = first.translation.iter().chain(&first.rotation);
-    let said = Command::new(camera)
-        .arg(place.domain())
-        .arg("450")
-        .args(numbers.map(|x| x.to_string()))
-        .output()
-        .unwrap();
+    let mut camera = Command::new(camera);
+    camera.arg(place.domain()).arg("450");
+    let said = ended(camera.args(numbers.map(|x| x.to_string())));
     daemon.kill();
-    let text = String::from_utf8_lossy(&said.stdout).into_owned();
-    assert!(
-        said.status.success(),
-        "{text}{}",
-        String::from_utf8_lossy(&said.stderr)
-    );
+    assert_eq!(said.code, Some(0), "{said:?}");
+    let text = said.stdout;
     // The same steps as the law makes in this process.
     let (_, _, steps) = &table("gpr", 1)[0];
     assert!(

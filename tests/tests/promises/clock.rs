@@ -9,7 +9,7 @@ use anyhow::ensure;
 use ipc::Hold;
 use rustix::process::Signal;
 
-use crate::fixture::{Place, Stage, tell, turn};
+use crate::fixture::{Place, Stage, not_run, turn};
 use crate::stall::fairly;
 
 /// Stands before the C library: every second the wall clock is some hours elsewhere.
@@ -69,7 +69,7 @@ fn jumps_of_the_wall_clock_have_no_effect() {
     let place = Place::new();
     let library = match shim(&place) {
         Ok(library) => library,
-        Err(reason) => return tell(&format!("NOT RUN: jumps of the wall clock: {reason}")),
+        Err(reason) => return not_run("jumps of the wall clock", reason),
     };
     // The shim works: `date` shows hours that are not ours.
     let hours: Vec<_> = (0..4)
@@ -122,6 +122,6 @@ fn jump(library: &Path) -> anyhow::Result<()> {
         "{causes:?}"
     );
     daemon.signal(Signal::TERM);
-    assert_eq!(daemon.ended().0, Some(0));
+    assert_eq!(daemon.ended().code, Some(0));
     Ok(())
 }

@@ -17,7 +17,7 @@ use rustix::process::Pid;
 
 use crate::fixture::{
     CAMERA_PRIORITY, EndOnDrop, PERIOD_NS, Place, Running, Stage, Witness, assert_within_limits,
-    eventually, is_still, root, speed, tell, turn,
+    eventually, is_still, not_run, root, speed, turn,
 };
 use crate::machine::{keep, may_be_real_time, on_time, processors, take_priority};
 
@@ -78,7 +78,10 @@ fn hog(processor: usize) {
 fn a_loop_that_is_late_again_and_again_disarms_and_a_late_cycle_does_not() {
     let _turn = turn();
     let (Some(&processor), true) = (processors().get(1), may_be_real_time()) else {
-        return tell("NOT RUN: overruns: it takes two processors and the right to real time");
+        return not_run(
+            "overruns",
+            "needs two processors and the right to real time",
+        );
     };
     let Stage {
         place: _place,

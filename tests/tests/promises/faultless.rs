@@ -14,7 +14,7 @@ use rustix::process::Signal;
 use scene::Scene;
 
 use crate::camera::Camera;
-use crate::fixture::{Place, Running, program, root, scene_file, tell, turn};
+use crate::fixture::{Place, Running, memory_file, not_run, program, scene_file, tell, turn};
 use crate::machine::{is_without, may_be_real_time, press_out};
 
 /// Cycles that steer, after those in which the peers are met.
@@ -38,19 +38,14 @@ fn run(strategy: &str) -> Report {
     let mut daemon = Command::new(program("vpcd"));
     daemon.arg("--config").arg(config);
     daemon.arg("--scene").arg(scene_file());
-    daemon
-        .arg("--memory")
-        .arg(root().join("memory-blob/default/paper-sim.vpcmem"));
+    daemon.arg("--memory").arg(memory_file());
     daemon.args(["--clock", "lockstep", "--strategy", strategy]);
     daemon.arg("--domain").arg(place.domain());
     daemon.arg("--report").arg(&report);
     let scene = Scene::read(&scene_file()).unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
     let mut camera = Camera::new(&scene, &starts, &place.domain());
-    let daemon = {
-        daemon.stderr(Stdio::null());
-        Running::start(daemon)
-    };
+    let daemon = Running::start(daemon.stderr(Stdio::null()));
     // And those in which the camera has just jumped, and shows nothing.
     for cycle in 0..Report::WARM_UP + CYCLES + CYCLES / 20 {
         if cycle % PRESS == PRESS / 2 {
@@ -62,7 +57,7 @@ fn run(strategy: &str) -> Report {
     }
     // While the camera is there: its leaving is no part of the promise.
     daemon.signal(Signal::TERM);
-    assert_eq!(daemon.ended().0, Some(0));
+    assert_eq!(daemon.ended().code, Some(0));
     let text = std::fs::read_to_string(report).unwrap();
     serde_json::from_str(&text).unwrap()
 }
@@ -75,7 +70,7 @@ fn whole(strategy: &str) -> Report {
         if report.lost_records == 0 {
             return report;
         }
-        tell(&format!(
+        tell(format!(
             "VOID, tried again: faultless, {strategy}: {} records lost",
             report.lost_records
         ));
@@ -87,12 +82,11 @@ fn whole(strategy: &str) -> Report {
 fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
     let _turn = turn();
     if !may_be_real_time() {
-        tell("NOT CHECKED: faultless: no right to SCHED_FIFO and locked memory (vpcd --preflight)");
-        return;
+        return not_run("faultless", "no right to real time (vpcd --preflight)");
     }
     for strategy in ["previous", "knn", "gpr", "ibvs"] {
         let report = whole(strategy);
-        tell(&format!(
+        tell(format!(
             "faultless: {strategy}: {} cycles, {} with the memory, {} + {} faults, {} blocked, {} heap calls, busy p99 {} us",
             report.armed,
             report.recalled,

@@ -1,18 +1,19 @@
 //! What the promises share: turns, places, processes, a camera that moves, and a witness of what is commanded.
 
-use std::io::Read;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ipc::{
     Action, CycleRecord, Domain, Observer, OperatorPorts, Outcome, Request, TwistCommand,
     TwistState,
 };
 use rand::{Rng, RngExt};
-use rustix::process::{Pid, Signal, kill_process};
+pub use testkit::{
+    Ended, Running, are_installed, ended, eventually, memory_file, not_run, program, repeats, root,
+    scene_file, starts_file, tell, turn,
+};
 
 use crate::machine::on_time;
 
@@ -25,78 +26,21 @@ pub const CAMERA_PRIORITY: i32 = 50;
 /// Largest magnitude of each component of the twist in the paper's scene, m/s and rad/s.
 pub const LIMITS: [f64; 6] = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
 
-/// Waits until no other promise is being tested.
-pub fn turn() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    // A test that failed leaves nothing half-done behind: its turn is simply over.
-    TURN.lock().unwrap_or_else(PoisonError::into_inner)
-}
+/// A directory for one test, with a domain in it and the programs that work there.
+#[derive(Debug)]
+pub struct Place(testkit::Place);
 
-/// How often to repeat something: `long` times where `VPC_LONG` is set, else `short` times.
-pub fn repeats(what: &str, short: usize, long: usize) -> usize {
-    if std::env::var_os("VPC_LONG").is_some() {
-        return long;
+impl std::ops::Deref for Place {
+    type Target = testkit::Place;
+
+    fn deref(&self) -> &testkit::Place {
+        &self.0
     }
-    tell(&format!("{what}: {short} times; VPC_LONG=1: {long}"));
-    short
 }
-
-/// Says something past the capture of the test harness.
-pub fn tell(what: &str) {
-    use std::io::Write;
-    let _ = writeln!(std::io::stderr(), "{what}");
-}
-
-/// The repository's root.
-pub fn root() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
-}
-
-/// The scene file of the paper's simulation.
-pub fn scene_file() -> PathBuf {
-    root().join("ipc/scene/scenes/paper-sim.toml")
-}
-
-/// A program of the workspace, built in the profile of the tests.
-pub fn program(name: &str) -> PathBuf {
-    static BINARIES: OnceLock<PathBuf> = OnceLock::new();
-    let binaries = BINARIES.get_or_init(|| {
-        let mut build = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        build.current_dir(root()).args(["build", "--quiet"]);
-        build.args(["-p", "controller", "-p", "hw-sim", "-p", "vpcctl"]);
-        build.args(["-p", "vpc-client-c"]);
-        if !cfg!(debug_assertions) {
-            build.arg("--release");
-        }
-        assert!(build.status().unwrap().success(), "the build failed");
-        // target/debug/deps/promises-...: two up are the programs.
-        let tests = std::env::current_exe().unwrap();
-        tests.ancestors().nth(2).unwrap().to_owned()
-    });
-    binaries.join(name)
-}
-
-/// A directory for one test, with a domain in it. When the test ends, joining and leaving clears away what killed
-/// processes left in /dev/shm.
-pub struct Place(tempfile::TempDir);
 
 impl Place {
     pub fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    pub fn domain(&self) -> PathBuf {
-        self.path("domain")
-    }
-
-    pub fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    pub fn file(&self, name: &str, text: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.path(name);
-        std::fs::write(&path, text).unwrap();
-        path
+        Self(testkit::Place::new())
     }
 
     /// The daemon in this domain, in real time where that is permitted; `more` is TOML of its configuration.
@@ -115,96 +59,12 @@ impl Place {
     pub fn hw_sim(&self, start: usize) -> Command {
         let mut command = Command::new(program("hw-sim"));
         command.arg("--scene").arg(scene_file());
-        let starts = root().join("ipc/scene/scenes/paper-sim-starts.csv");
-        command.arg("--starts").arg(starts);
+        command.arg("--starts").arg(starts_file());
         command.args(["--start", &start.to_string(), "--clock", "fixed"]);
         command.arg("--domain").arg(self.domain());
         command.stdout(Stdio::null()).stderr(Stdio::piped());
         command
     }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        if self.domain().exists() {
-            let _ = Domain::join(&self.domain());
-        }
-    }
-}
-
-/// A process; killed when the test ends first.
-pub struct Running(Option<Child>);
-
-impl Running {
-    pub fn start(mut command: Command) -> Self {
-        Self(Some(command.spawn().unwrap()))
-    }
-
-    pub fn id(&self) -> u32 {
-        self.0.as_ref().unwrap().id()
-    }
-
-    pub fn signal(&self, signal: Signal) {
-        let pid = Pid::from_child(self.0.as_ref().unwrap());
-        kill_process(pid, signal).unwrap();
-    }
-
-    /// Waits for its end, which comes within twenty seconds: exit code and standard error.
-    pub fn ended(mut self) -> (Option<i32>, String) {
-        let stderr = self.0.as_mut().unwrap().stderr.take();
-        let reader = std::thread::spawn(move || {
-            let mut words = Vec::new();
-            // What it said before its end, or before it was killed.
-            let _ = stderr.map(|mut stderr| stderr.read_to_end(&mut words));
-            String::from_utf8_lossy(&words).into_owned()
-        });
-        let start = Instant::now();
-        let status = loop {
-            if let Some(status) = self.0.as_mut().unwrap().try_wait().unwrap() {
-                break status;
-            }
-            assert!(
-                start.elapsed() < Duration::from_secs(20),
-                "process {} does not end",
-                self.id()
-            );
-            std::thread::sleep(Duration::from_micros(200));
-        };
-        (status.code(), reader.join().unwrap())
-    }
-
-    pub fn is_running(&mut self) -> bool {
-        self.0.as_mut().unwrap().try_wait().unwrap().is_none()
-    }
-
-    pub fn kill(mut self) {
-        self.put_down();
-    }
-
-    fn put_down(&mut self) {
-        if let Some(mut child) = self.0.take() {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.put_down();
-    }
-}
-
-/// Calls `attempt` until it gives something; panics after ten seconds.
-pub fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    while start.elapsed() < Duration::from_secs(10) {
-        if let Some(value) = attempt() {
-            return value;
-        }
-        std::thread::sleep(Duration::from_micros(500));
-    }
-    panic!("{what}: did not happen");
 }
 
 /// Sleeps for a random part of so many periods.

@@ -22,7 +22,7 @@ fn when_the_daemon_hangs_the_robot_stops_and_a_gap_in_time_disarms() {
             hang(round, &mut random)
         }));
     }
-    tell(&format!(
+    tell(format!(
         "hang: the robot stands after {} ms at most",
         worst / 1_000_000
     ));
@@ -40,7 +40,7 @@ fn hang(round: usize, random: &mut impl Rng) -> anyhow::Result<u64> {
     daemon.signal(Signal::STOP);
     let stopped_ns = now_ns();
     let Some(stands_ns) = witness.until_it_stands(stopped_ns, &mut camera) else {
-        tell(&format!(
+        tell(format!(
             "start {round}: the run was decided just then: {:?}",
             camera.ended()
         ));

@@ -155,7 +155,7 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
         }
     }
     assert!(daemon.is_running());
-    tell(&format!(
+    tell(format!(
         "{messages} messages: {answered} answers, {moving} of them moving"
     ));
     // Not for want of work. One in ten moves or so: the others are answered disarmed, until somebody arms again.
@@ -164,9 +164,9 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
         "{answered} {moving}"
     );
     daemon.signal(rustix::process::Signal::TERM);
-    let (code, log) = daemon.ended();
-    assert_eq!(code, Some(0), "{log}");
-    assert!(!log.contains("panicked"), "{log}");
+    let ended = daemon.ended();
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(!ended.stderr.contains("panicked"), "{ended:?}");
 }
 
 /// A camera at its rate, for a daemon on the fixed clock.
@@ -259,7 +259,7 @@ fn floods_hoarders_and_churn_cost_no_release() {
     fairly("floods", || {
         let (cycles, baseline) = misses(false, seconds);
         let (cycles_attacked, attacked) = misses(true, seconds);
-        tell(&format!(
+        tell(format!(
             "missed releases: {baseline} of {cycles} in peace, {attacked} of {cycles_attacked} under attack"
         ));
         ensure!(cycles_attacked as f64 > 0.9 * 30.0 * seconds as f64);

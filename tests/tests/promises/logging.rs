@@ -46,8 +46,7 @@ fn run(place: &Place, log: Stdio) -> anyhow::Result<Value> {
     assert_eq!(witness.ask(Action::Status), Outcome::Done);
     let asked = Instant::now();
     daemon.signal(Signal::TERM);
-    let (code, _) = daemon.ended();
-    assert_eq!(code, Some(0));
+    assert_eq!(daemon.ended().code, Some(0));
     let took = asked.elapsed();
     ensure!(took <= Duration::from_millis(500), "ended after {took:?}");
     Ok(report(&path))
@@ -78,7 +77,7 @@ fn compare() -> anyhow::Result<()> {
     let (unread, pipe) = std::io::pipe().unwrap();
     let piped = run(&place, pipe.into())?;
     drop(unread);
-    tell(&format!(
+    tell(format!(
         "missed releases and lost records: file {:?}, full disk {:?}, unread pipe {:?}; lines lost {}, {}, {}",
         misses(&read),
         misses(&full),
@@ -107,8 +106,7 @@ fn a_failure_is_no_less_a_failure_when_nobody_reads_of_it() {
     let mut command = place.vpcd("[law]\nnp = 0");
     command.stderr(pipe);
     let born = Instant::now();
-    let (code, _) = Running::start(command).ended();
-    assert_eq!(code, Some(78));
+    assert_eq!(Running::start(command).ended().code, Some(78));
     assert!(
         born.elapsed() < Duration::from_secs(2),
         "{:?}",

@@ -1,20 +1,14 @@
 //! What this machine permits and has, for the promises about time.
 
 use std::os::fd::AsRawFd;
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
-use std::time::{Duration, Instant};
 
 use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use serde_json::Value;
 
-use crate::fixture::program;
-
-/// Whether a program of the machine can be started.
-pub fn has(program: &str) -> bool {
-    Command::new(program).arg("--help").output().is_ok()
-}
+use crate::fixture::{are_installed, not_run, program};
 
 /// Whether real time is ours to take: SCHED_FIFO and locked memory, as `vpcd --preflight` finds.
 pub fn may_be_real_time() -> bool {
@@ -31,6 +25,18 @@ fn may_be_real_time_now() -> bool {
         let mut checks = found["checks"].as_array().unwrap().iter();
         checks.any(|check| check["name"] == *name && check["state"] == "ok")
     })
+}
+
+/// Whether a process may take one of two processors in real time; reports `what` as not run where not.
+pub fn may_have_a_processor(what: &str) -> bool {
+    let may = processors().len() >= 2 && may_be_real_time();
+    if !may {
+        not_run(
+            what,
+            "needs two processors and the right to real time (vpcd --preflight)",
+        );
+    }
+    may
 }
 
 /// Gives the calling thread SCHED_FIFO at this priority, or with 0 the ordinary scheduler; whether that was permitted.
@@ -65,7 +71,7 @@ pub fn keep(thread: Option<Pid>, processor: usize) {
 /// A command that runs as an instrument: at this SCHED_FIFO priority where that can be had, so that it is on time
 /// whatever else the machine does.
 pub fn on_time(command: Command, priority: i32) -> Command {
-    if !(may_be_real_time() && has("chrt")) {
+    if !(may_be_real_time() && are_installed("cameras in real time", &["chrt=util-linux"])) {
         return command;
     }
     let mut timely = Command::new("chrt");
@@ -120,32 +126,4 @@ pub fn press_out(pid: u32) -> u64 {
         u64::try_from(bytes).unwrap_or(0)
     };
     ranges.iter().map(ask).sum()
-}
-
-/// A process that ends by itself, in a known time; killed when the test ends first.
-pub struct Finite(std::process::Child);
-
-impl Finite {
-    pub fn start(command: &mut Command) -> Self {
-        Self(command.spawn().unwrap())
-    }
-
-    /// Waits for its end; `None` where it takes longer than this.
-    pub fn end(&mut self, patience: Duration) -> Option<ExitStatus> {
-        let start = Instant::now();
-        while start.elapsed() < patience {
-            if let Some(status) = self.0.try_wait().unwrap() {
-                return Some(status);
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        None
-    }
-}
-
-impl Drop for Finite {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }

@@ -13,13 +13,15 @@ use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 use serde_json::Value;
 
-use crate::fixture::{PERIOD_NS, Place, Running, program, repeats, root, scene_file, turn};
+use crate::fixture::{
+    Ended, PERIOD_NS, Place, Running, ended, memory_file, program, repeats, scene_file, turn,
+};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// The memory that ships.
 fn shipped() -> Vec<u8> {
-    std::fs::read(root().join("memory-blob/default/paper-sim.vpcmem")).unwrap()
+    std::fs::read(memory_file()).unwrap()
 }
 
 /// The daemon, of this scene, with this memory of the place.
@@ -34,10 +36,10 @@ fn vpcd(place: &Place, scene: &Path, memory: &str) -> Command {
 }
 
 /// The daemon's answer to a memory: exit code and message.
-pub fn judged(place: &Place, name: &str) -> (Option<i32>, String) {
+pub fn judged(place: &Place, name: &str) -> Ended {
     let mut command = vpcd(place, &scene_file(), name);
     command.args(["--arm", "--cycles", "1"]);
-    Running::start(command).ended()
+    ended(command)
 }
 
 #[test]
@@ -102,7 +104,7 @@ fn the_daemon_refuses_it_with_its_exit_code_before_a_cycle() {
     let place = Place::new();
     let good = shipped();
     place.file("good.vpcmem", &good);
-    assert_eq!(judged(&place, "good.vpcmem").0, Some(0));
+    assert_eq!(judged(&place, "good.vpcmem").code, Some(0));
     let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
     let mut flipped = good.clone();
     flipped[header + 1000] ^= 1;
@@ -122,17 +124,17 @@ fn the_daemon_refuses_it_with_its_exit_code_before_a_cycle() {
     ];
     for (what, bytes) in cases {
         place.file("bad.vpcmem", bytes);
-        let (code, message) = judged(&place, "bad.vpcmem");
-        assert_eq!(code, Some(65), "{what}: {message}");
-        assert!(message.contains("bad.vpcmem"), "{what}: {message}");
+        let said = judged(&place, "bad.vpcmem");
+        assert_eq!(said.code, Some(65), "{what}: {said:?}");
+        assert!(said.stderr.contains("bad.vpcmem"), "{what}: {said:?}");
     }
     let other = scene::PAPER_SIM.replacen("fx = 800.0", "fx = 801.0", 1);
     let other = place.file("other.toml", other);
     let mut command = vpcd(&place, &other, "good.vpcmem");
     command.args(["--cycles", "1"]);
-    let (code, message) = Running::start(command).ended();
-    assert_eq!(code, Some(65), "{message}");
-    assert!(message.contains("another task"), "{message}");
+    let said = ended(command);
+    assert_eq!(said.code, Some(65), "{said:?}");
+    assert!(said.stderr.contains("another task"), "{said:?}");
 }
 
 /// Twists that answer some features, with something done to the memory file on the way.

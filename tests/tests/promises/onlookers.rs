@@ -10,20 +10,20 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::thread::Scope;
 use std::time::Duration;
 
 use controller::report::Report;
 use ipc::now_ns;
-use rustix::process::{Pid, Signal, kill_process};
 use scene::Scene;
 
 use crate::camera::Camera;
 use crate::deadlines::act_in_time;
-use crate::fixture::{EndOnDrop, Place, eventually, program, repeats, root, tell, turn};
-use crate::machine::{Finite, has, is_without, may_be_real_time};
+use crate::fixture::{
+    EndOnDrop, Place, Running, are_installed, eventually, program, repeats, root, tell, turn,
+};
+use crate::machine::{is_without, may_have_a_processor};
 
 /// The daemon's rate, Hz.
 const RATE: u32 = 250;
@@ -37,16 +37,6 @@ fn vpcctl(domain: &Path) -> Command {
     let mut command = Command::new(program("vpcctl"));
     command.arg("--domain").arg(domain).stdin(Stdio::null());
     command
-}
-
-/// A process that ends with its owner.
-struct Onlooker(Child);
-
-impl Drop for Onlooker {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// What the onlookers saw.
@@ -63,35 +53,28 @@ struct Seen {
 }
 
 /// Starts `record`, and waits until it hears what the camera will say.
-fn recorder(domain: &Path, scene: &Path, file: &Path) -> Onlooker {
+fn recorder(domain: &Path, scene: &Path, file: &Path) -> Running {
     let mut record = vpcctl(domain);
     record.arg("record").arg(file).arg("--scene").arg(scene);
     record.stdout(Stdio::piped()).stderr(Stdio::null());
-    let record = Onlooker(record.spawn().unwrap());
+    let record = Running::start(record);
     // Its file is made when all its ports are open.
     eventually("a recording", || file.exists().then_some(()));
     record
 }
 
 /// Ends `record`: commands that it recorded, by its last words.
-fn finished(mut record: Onlooker) -> u64 {
-    kill_process(Pid::from_child(&record.0), Signal::TERM).unwrap();
-    let mut words = String::new();
-    let mut output = record.0.stdout.take().unwrap();
-    output.read_to_string(&mut words).unwrap();
-    assert!(record.0.wait().unwrap().success(), "{words}");
+fn finished(record: Running) -> u64 {
+    let ended = record.terminated();
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let words = ended.stdout;
     let (_, count) = words.split_once("/vpc/twist ").expect(&words);
     let count = count.split_whitespace().next();
     count.and_then(|count| count.parse().ok()).unwrap_or(0)
 }
 
-/// Starts `watch` in a terminal of its own; counts what it draws.
-fn watch<'scope>(
-    threads: &'scope Scope<'scope, '_>,
-    domain: &Path,
-    scene: &Path,
-    seen: &'scope Seen,
-) -> Onlooker {
+/// Starts `watch` in a terminal of its own, which keeps what it draws.
+fn watch(domain: &Path, scene: &Path) -> Running {
     let (program, domain, scene) = (program("vpcctl"), domain.display(), scene.display());
     let program = program.display();
     let line =
@@ -100,28 +83,18 @@ fn watch<'scope>(
     script.args(["-q", "-e", "-c", &line, "/dev/null"]);
     script.env("TERM", "xterm").stderr(Stdio::null());
     script.stdin(Stdio::piped()).stdout(Stdio::piped());
-    let mut script = script.spawn().unwrap();
-    let mut output = script.stdout.take().unwrap();
-    threads.spawn(move || {
-        let mut piece = [0; 4096];
-        while let Ok(count @ 1..) = output.read(&mut piece) {
-            seen.drawn.fetch_add(count as u64, Ordering::Relaxed);
-        }
-    });
-    Onlooker(script)
+    Running::start(script)
 }
 
 /// Starts a server of `vpcctl`; with its address.
-fn server(domain: &Path, words: &[&str]) -> (Onlooker, String) {
+fn server(domain: &Path, words: &[&str]) -> (Running, String) {
     let mut command = vpcctl(domain);
     command.args(words).args(["--listen", "127.0.0.1:0"]);
-    let mut server = command.stdout(Stdio::piped()).spawn().unwrap();
-    let mut line = String::new();
-    let output = server.stdout.take().unwrap();
-    BufReader::new(output).read_line(&mut line).unwrap();
-    let address = line.split("http://").nth(1).unwrap();
+    let mut server = Running::start(command.stdout(Stdio::piped()));
+    let line = server.line("http://");
+    let (_, address) = line.split_once("http://").unwrap();
     let address = address.split('/').next().unwrap().to_owned();
-    (Onlooker(server), address)
+    (server, address)
 }
 
 /// Sends a request; what comes back is read from the stream.
@@ -209,23 +182,24 @@ fn run(cycles: u64, is_watched: bool) -> (Report, Seen) {
         if is_watched && !is_without("warm-up") {
             record = Some(recorder(&domain, &scene_file, &recording));
         }
-        let mut vpcd = Finite::start(&mut vpcd);
+        let vpcd = Running::start(vpcd);
         std::thread::sleep(period * u32::try_from(BEFORE).unwrap());
         let mut views = Vec::new();
         if is_watched {
             let record = &mut record;
             record.get_or_insert_with(|| recorder(&domain, &scene_file, &recording));
-            views.push(watch(threads, &domain, &scene_file, &seen));
             let (serve, page) =
                 server(&domain, &["serve", "--scene", scene_file.to_str().unwrap()]);
             let (metrics, address) = server(&domain, &["metrics"]);
-            views.extend([serve, metrics]);
+            let watch = watch(&domain, &scene_file);
+            views.extend([watch, serve, metrics]);
             let (seen, done) = (&seen, &done);
             threads.spawn(move || read_events(&page, seen));
             threads.spawn(move || scrape(&address, seen, done));
         }
-        let status = vpcd.end(patience);
-        assert!(status.is_some_and(|status| status.success()), "{status:?}");
+        assert_eq!(vpcd.ended_within(patience).code, Some(0));
+        let drawn = views.first().map_or(0, |watch| watch.stdout().len());
+        seen.drawn.store(drawn as u64, Ordering::Relaxed);
         if let Some(record) = record {
             seen.recorded.store(finished(record), Ordering::Relaxed);
         }
@@ -285,15 +259,8 @@ fn costs_no_release(cycles: u64) -> bool {
 #[test]
 fn watching_serving_metrics_and_recording_cost_the_loop_nothing() {
     let _turn = turn();
-    let lacks: Vec<&str> = ["script", "chrt", "taskset"]
-        .into_iter()
-        .filter(|program| !has(program))
-        .collect();
-    let processors = std::thread::available_parallelism().map_or(1, usize::from);
-    if processors < 2 || !lacks.is_empty() || !may_be_real_time() {
-        tell(&format!(
-            "NOT CHECKED: onlookers: two processors, the right to real time (vpcd --preflight) and util-linux are needed; missing programs: {lacks:?}"
-        ));
+    let programs = ["script=bsdutils", "chrt=util-linux", "taskset=util-linux"];
+    if !are_installed("onlookers", &programs) || !may_have_a_processor("onlookers") {
         return;
     }
     let cycles = repeats("onlookers, cycles at 250 Hz", 2500, 18_000) as u64;

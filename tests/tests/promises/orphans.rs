@@ -149,7 +149,7 @@ fn leaves_nothing(program: &str, arguments: &[&str]) {
             let is_ours = |name: &std::ffi::OsString| name.as_bytes().starts_with(b"vpc-");
             assert!(!left.iter().any(is_ours), "{name}, {signal:?}: {left:?}");
         }
-        tell(&format!(
+        tell(format!(
             "{name}, {signal:?}: ended after {} ms, its {} children after {} ms; segments left: {}",
             ended.as_millis(),
             before.len() - 1,

@@ -100,7 +100,7 @@ fn killed_peers_come_back_and_leave_nothing_behind() {
                 Domain::segments(&place.domain()).unwrap(),
             );
             let then = *plateau.get_or_insert(now);
-            tell(&format!(
+            tell(format!(
                 "after {} kills: {} descriptors, {} segments; heard again after {} ms at most",
                 2 * (round + 1),
                 now.0,
@@ -124,7 +124,7 @@ fn when_the_daemon_is_killed_the_emulator_stops_and_a_new_one_is_ready_in_a_seco
         let (stands, ready) = fairly(&format!("daemon {round}"), || fall(round, &mut random));
         worst = (worst.0.max(stands), worst.1.max(ready));
     }
-    tell(&format!(
+    tell(format!(
         "killed vpcd: the robot stands after {} ms, the next is READY and commands after {} ms, at most",
         worst.0 / 1_000_000,
         worst.1.as_millis()
@@ -146,7 +146,7 @@ fn fall(round: usize, random: &mut impl Rng) -> anyhow::Result<(u64, Duration)> 
     daemon.kill();
     // What the robot says of itself.
     let Some(stands_ns) = witness.until_it_stands(killed_ns, &mut camera) else {
-        tell(&format!(
+        tell(format!(
             "start {round}: the run was decided just then: {:?}",
             camera.ended()
         ));

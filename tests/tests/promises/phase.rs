@@ -41,10 +41,7 @@ fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
     daemon
         .args(["--arm", "--clock", clock, "--domain"])
         .arg(place.domain());
-    let daemon = {
-        daemon.stderr(Stdio::null());
-        Running::start(daemon)
-    };
+    let daemon = Running::start(daemon.stderr(Stdio::null()));
     // The camera is an instrument here: its frames are to be on time whatever else the machine does.
     let mut camera = on_time(Command::new(program("hw-sim")), 70);
     camera.arg("--scene").arg(camera_scene);
@@ -53,10 +50,7 @@ fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
         .arg(scenes.join("paper-sim-starts.csv"));
     camera.args(["--start", START, "--clock", "fixed", "--time-limit", "600"]);
     camera.arg("--domain").arg(place.domain());
-    let camera = {
-        camera.stdout(Stdio::null());
-        Running::start(camera)
-    };
+    let camera = Running::start(camera.stdout(Stdio::null()));
 
     let domain = Domain::join(&place.domain()).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
@@ -86,7 +80,7 @@ fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
     drop(observer);
     drop(domain);
     daemon.signal(Signal::TERM);
-    assert_eq!(daemon.ended().0, Some(0));
+    assert_eq!(daemon.ended().code, Some(0));
     found.sort_by(f64::total_cmp);
     (found, with_camera)
 }
@@ -106,7 +100,7 @@ fn compare() -> anyhow::Result<()> {
     for clock in ["fixed", "phase"] {
         let (found, with_camera) = latencies(clock);
         let (p1, p50, p99) = (share(&found, 0.01), share(&found, 0.5), share(&found, 0.99));
-        tell(&format!(
+        tell(format!(
             "phase: clock {clock}: features to command p1 {p1:.2}, p50 {p50:.2}, p99 {p99:.2} ms over {} answers",
             found.len()
         ));

@@ -1,22 +1,21 @@
 //! A memory whose Gaussian process scikit-learn fitted (`memory-blob/python/fit_gpr.py`) steers: `vpcd` reaches the goal
 //! with it from a start from which it does not without a memory. A damaged copy is refused.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use memory_blob::MemoryFile;
 use serde_json::Value;
 
-use crate::clients::environment::{self, Environment};
-use crate::fixture::{Place, Running, program, root, scene_file, tell, turn};
+use testkit::python::{Environment, run};
+
+use crate::fixture::{
+    Place, Running, memory_file, program, root, scene_file, starts_file, tell, turn,
+};
 use crate::memory::judged;
 
 /// The demo's start: without a memory, the camera stays in front of an occlusion.
 const START: &str = "82";
-
-fn shipped() -> PathBuf {
-    root().join("memory-blob/default/paper-sim.vpcmem")
-}
 
 /// What the referee says of a run of both processes, in lockstep.
 fn verdict(strategy: &str, memory: &Path) -> Value {
@@ -29,12 +28,12 @@ fn verdict(strategy: &str, memory: &Path) -> Value {
     let _vpcd = Running::start(vpcd);
     let mut camera = Command::new(program("hw-sim"));
     camera.arg("--scene").arg(scene_file()).arg("--starts");
-    camera.arg(root().join("ipc/scene/scenes/paper-sim-starts.csv"));
+    camera.arg(starts_file());
     camera.args(["--start", START, "--clock", "lockstep"]);
     let said = camera.arg("--domain").arg(place.domain()).output().unwrap();
     let verdict: Value = serde_json::from_slice(&said.stdout)
         .unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&said.stderr)));
-    tell(&format!(
+    tell(format!(
         "start {START}, {strategy}, {}: {} after {} frames, clearance {:.2} px",
         memory.file_name().unwrap().display(),
         verdict["verdict"],
@@ -47,35 +46,33 @@ fn verdict(strategy: &str, memory: &Path) -> Value {
 #[test]
 fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
     let _turn = turn();
-    let scripts = root().join("memory-blob/python");
     let environment = Environment {
-        place: Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-scikit"),
-        requirements: vec![scripts.join("requirements.txt")],
+        name: "python-scikit",
+        requirements: &["memory-blob/python/requirements.txt"],
         packages: &[],
     };
-    let name = "the_daemon_reaches_the_goal_with_a_process_of_scikit_learn";
-    let Some(python) = environment.python(name) else {
+    let Some(python) = environment.python("a process of scikit-learn") else {
         return;
     };
     let place = Place::new();
     let refit = place.path("refit.vpcmem");
     let mut fit = Command::new(python);
-    fit.arg(scripts.join("fit_gpr.py")).arg(shipped());
-    let said = environment::run(fit.arg(&refit)).unwrap();
-    tell(String::from_utf8_lossy(&said.stdout).trim());
+    fit.arg(root().join("memory-blob/python/fit_gpr.py"))
+        .arg(memory_file());
+    tell(run(fit.arg(&refit)).unwrap().trim());
 
     assert_ne!(verdict("previous", &refit)["verdict"], "arrived");
     let with_it = verdict("gpr", &refit);
     assert_eq!(with_it["verdict"], "arrived", "{with_it}");
     // Another process than that of the builder: other commands, and so another run.
-    let with_ours = verdict("gpr", &shipped());
+    let with_ours = verdict("gpr", &memory_file());
     assert_ne!(
         with_it["least_clearance_px"],
         with_ours["least_clearance_px"]
     );
 
     let good = std::fs::read(&refit).unwrap();
-    assert_eq!(judged(&place, "refit.vpcmem").0, Some(0));
+    assert_eq!(judged(&place, "refit.vpcmem").code, Some(0));
     let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
     let layout: Value = serde_json::from_slice(&good[8..header]).unwrap();
     let tensors = layout.as_object().unwrap().iter();
@@ -88,9 +85,9 @@ fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
         let mut bad = good.clone();
         bad[at] ^= 1;
         place.file("bad.vpcmem", bad);
-        let (code, message) = judged(&place, "bad.vpcmem");
-        assert_eq!(code, Some(65), "{name}: {message}");
-        assert!(message.contains(name.as_str()), "{name}: {message}");
+        let said = judged(&place, "bad.vpcmem");
+        assert_eq!(said.code, Some(65), "{name}: {said:?}");
+        assert!(said.stderr.contains(name.as_str()), "{name}: {said:?}");
     }
     assert!(MemoryFile::open(&refit, None).is_ok());
 }

@@ -157,8 +157,8 @@ fn fly(place: &Place) -> PathBuf {
             break;
         }
     }
-    let (code, log) = daemon.ended();
-    assert_eq!(code, Some(0), "{log}");
+    let ended = daemon.ended();
+    assert_eq!(ended.code, Some(0), "{ended:?}");
     newest(place).expect("a flight record")
 }
 
@@ -283,6 +283,6 @@ fn a_fault_in_real_time_leaves_a_record_that_replays() {
     let asked = (0..flight.count()).map(|record| flight.value(record, count));
     assert!(asked.sum::<u64>() >= 1);
     daemon.signal(Signal::TERM);
-    let (code, log) = daemon.ended();
-    assert_eq!(code, Some(0), "{log}");
+    let ended = daemon.ended();
+    assert_eq!(ended.code, Some(0), "{ended:?}");
 }

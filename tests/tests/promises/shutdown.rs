@@ -28,7 +28,7 @@ fn sigterm_brakes_and_ends_with_zero_in_time() {
         let took = fairly(&format!("SIGTERM {round}"), || sigterm(round, &mut random));
         worst = worst.max(took);
     }
-    tell(&format!(
+    tell(format!(
         "SIGTERM: ended after {} ms at most",
         worst.as_millis()
     ));
@@ -49,10 +49,10 @@ fn sigterm(round: usize, random: &mut impl Rng) -> anyhow::Result<Duration> {
         some_time(1, random);
         daemon.signal(Signal::TERM);
     }
-    let (code, log) = daemon.ended();
+    let ended = daemon.ended();
     let took = asked.elapsed();
-    assert_eq!(code, Some(0), "round {round}: {log}");
-    ensure!(took <= BAR, "ended after {took:?}: {log}");
+    assert_eq!(ended.code, Some(0), "round {round}: {ended:?}");
+    ensure!(took <= BAR, "ended after {took:?}: {ended:?}");
     camera.kill();
     ends_gently(&witness.commands())?;
     Ok(took)
@@ -92,8 +92,8 @@ fn a_run_of_so_many_cycles_ends_as_gently() {
         let camera = Running::start(place.hw_sim(0));
         let daemon = Running::start(command);
         witness.until("motion", |twist| speed(&twist.twist) > STEEPEST);
-        let (code, log) = daemon.ended();
-        assert_eq!(code, Some(0), "{log}");
+        let ended = daemon.ended();
+        assert_eq!(ended.code, Some(0), "{ended:?}");
         camera.kill();
         ends_gently(&witness.commands())
     });
@@ -109,7 +109,7 @@ fn sigterm_without_motion_ends_at_once() {
         eventually("a command", || witness.observer.twist.latest().unwrap());
         let asked = Instant::now();
         daemon.signal(Signal::TERM);
-        assert_eq!(daemon.ended().0, Some(0));
+        assert_eq!(daemon.ended().code, Some(0));
         let took = asked.elapsed();
         ensure!(took <= BAR, "ended after {took:?}");
         let last = witness.commands().pop().expect("a last word");

@@ -107,7 +107,7 @@ impl Worst {
 
     fn tell(&self, what: &str) {
         let [braking, zero] = self.0.map(|ns| ns / 1_000_000);
-        tell(&format!(
+        tell(format!(
             "{what}: brakes after {braking} ms, stands after {zero} ms, at most"
         ));
     }

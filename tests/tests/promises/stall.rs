@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use controller::clock::sleep_until;
 use ipc::now_ns;
 
-use crate::fixture::{WAKE_NS, tell};
+use crate::fixture::{WAKE_NS, not_run, tell};
 use crate::machine::{keep, processors, take_priority};
 
 /// Above whatever is tested.
@@ -80,7 +80,7 @@ pub fn fairly<T>(what: &str, mut trial: impl FnMut() -> anyhow::Result<T>) -> T 
             stood_ns > STALL_NS && count < TRIALS,
             "{what}, trial {count}: {missed}; {stood}"
         );
-        tell(&format!("VOID, tried again: {what}: {missed}; {stood}"));
+        tell(format!("VOID, tried again: {what}: {missed}; {stood}"));
     }
     unreachable!("the last trial has a result or panics")
 }
@@ -104,7 +104,7 @@ fn what_misses_a_bar_is_tried_again_only_where_the_machine_stood_still() {
     };
     let _turn = crate::fixture::turn();
     if !take_priority(0) || !crate::machine::may_be_real_time() {
-        return tell("NOT CHECKED: stall: no right to real time");
+        return not_run("stall", "no right to real time");
     }
     let mut trials = 0;
     let taken = fairly("a hog", || {

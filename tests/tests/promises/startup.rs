@@ -40,8 +40,8 @@ fn kills_during_start_up_do_no_harm_to_the_next_start() {
         let camera = Running::start(place.hw_sim(round % 100));
         witness.set_in_motion();
         daemon.signal(Signal::TERM);
-        let (code, log) = daemon.ended();
-        assert_eq!(code, Some(0), "round {round}: {log}");
+        let ended = daemon.ended();
+        assert_eq!(ended.code, Some(0), "round {round}: {ended:?}");
         let last = witness.commands().pop().expect("a last word");
         assert_eq!(last.state(), Some(TwistState::Stopped), "round {round}");
         camera.kill();
