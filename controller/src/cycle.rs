@@ -2,8 +2,8 @@
 
 use heapless::Vec;
 use ipc::{
-    ClockMode, ControllerPorts, CycleRecord, PublishError, RealTime, ReceiveError, Reply,
-    TwistCommand, TwistState, now_ns,
+    ClockMode, ControllerPorts, CycleFlags, CycleRecord, PublishError, RealTime, ReceiveError,
+    Reply, TwistCommand, TwistState, now_ns,
 };
 
 use crate::clock::{Grid, sleep_until};
@@ -74,6 +74,8 @@ pub struct Cycle {
     count: u64,
     /// Releases missed until the last cycle.
     missed: u64,
+    /// Requests taken since the last cycle.
+    requests: u32,
     replies: Vec<Reply, REQUESTS>,
     /// The thread's counters when it woke up.
     woken: Usage,
@@ -100,6 +102,7 @@ impl Cycle {
             blank,
             count: 0,
             missed: 0,
+            requests: 0,
             replies: Vec::new(),
             woken: Usage::now(),
         }
@@ -164,6 +167,10 @@ impl Cycle {
         self.reply();
         self.count += 1;
         record.cycle = self.count;
+        self.tell_inputs(&inputs, &mut record);
+        if sent.is_ok() {
+            record.flags |= CycleFlags::SENT.0;
+        }
         record.stamp.data_ns = woken_ns;
         record.receive_ns = received_ns.saturating_sub(woken_ns);
         record.step_ns = stepped_ns.saturating_sub(received_ns);
@@ -183,6 +190,18 @@ impl Cycle {
         self.tap
             .cycle(inputs, answer, sent.is_ok(), &record, &self.pilot);
         sent.map(|()| Some(record))
+    }
+
+    /// Notes what the cycle received.
+    fn tell_inputs(&mut self, inputs: &Inputs, record: &mut CycleRecord) {
+        let (features, robot) = (inputs.features.seen(), inputs.robot.seen());
+        (record.features_input, record.features_seen) = (features.0.code(), features.1);
+        (record.robot_input, record.robot_seen) = (robot.0.code(), robot.1);
+        record.requests = core::mem::take(&mut self.requests);
+        record.missed = u32::try_from(inputs.missed).unwrap_or(u32::MAX);
+        if inputs.shutdown {
+            record.flags |= CycleFlags::SHUTDOWN.0;
+        }
     }
 
     /// Most cycles that braking from the limits to zero takes, and one to begin with; none in lockstep.
@@ -263,6 +282,8 @@ impl Cycle {
             match self.ports.requests.oldest() {
                 Ok(Some(request)) => {
                     let mut reply = self.pilot.request(&request);
+                    reply.cycle = self.count + 1;
+                    self.requests += 1;
                     self.tap.ask(&request, &mut reply);
                     // There is room for as many as this loop takes.
                     let _ = self.replies.push(reply);

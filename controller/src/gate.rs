@@ -3,7 +3,7 @@
 //! It knows messages: their order, their age, whether all points were visible. The law's own gate then checks the
 //! numbers against the scene.
 
-use ipc::{Features, Hold, Order, ReceiveError, Received, Stamp};
+use ipc::{Features, Hold, InputCode, Message, Order, ReceiveError, Received, Stamp};
 
 /// What a cycle received, as far as it matters to what is done.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +16,18 @@ pub enum Input<T = Features> {
     Refused(Stamp),
     /// The connection failed.
     Failed,
+}
+
+impl<T: Message> Input<T> {
+    /// What came, and the head of the message; all zero where there is none.
+    pub fn seen(&self) -> (InputCode, Stamp) {
+        match self {
+            Self::Nothing => (InputCode::Nothing, Stamp::default()),
+            Self::Message(received) => (InputCode::Message, *received.message.stamp()),
+            Self::Refused(stamp) => (InputCode::Refused, *stamp),
+            Self::Failed => (InputCode::Failed, Stamp::default()),
+        }
+    }
 }
 
 impl<T> From<Result<Option<Received<T>>, ReceiveError>> for Input<T> {

@@ -119,7 +119,7 @@ impl Pilot {
         self.supervisor.is_at_rest()
     }
 
-    /// Takes an operator's request; it counts from the next decision on. The answer lacks its stamp only.
+    /// Takes an operator's request; it counts from the next decision on. The answer lacks its stamp and cycle only.
     pub fn request(&mut self, request: &Request) -> Reply {
         let outcome = match (request.action(), request.strategy_code()) {
             (None, _) | (_, None) => Outcome::Unknown,
@@ -136,6 +136,7 @@ impl Pilot {
                 ..Stamp::default()
             },
             id: request.id,
+            cycle: 0,
             action: request.action().unwrap_or(Action::Status).code(),
             outcome: outcome.code(),
             state: state.code(),

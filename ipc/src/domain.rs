@@ -1,5 +1,6 @@
-//! A domain: one set of the four services, in a directory of its own.
+//! A domain: one set of the contract's services, in a directory of its own.
 
+use std::any::Any;
 use std::fs::DirEntry;
 use std::io;
 use std::os::unix::ffi::OsStrExt;
@@ -7,123 +8,22 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Duration;
 
-use iceoryx2::node::{Node, NodeBuilder, NodeCreationFailure};
+use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::prelude::{Config, FileName, LogLevel, SemanticString, SignalHandlingMode};
-use iceoryx2::service::builder::publish_subscribe::{
-    PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
-};
 use iceoryx2::service::ipc::Service;
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use crate::ghost;
+use crate::error::JoinError;
 use crate::guard::{Guard, Startup};
 use crate::message::Message;
-use crate::port::{OpenError, Publisher, Subscriber};
-use crate::{CycleRecord, Features, Reply, Request, RobotState, TwistCommand};
+use crate::service::{self, Factory, OpenService};
+use crate::stale;
 
-/// Most processes in one domain.
-const MAX_NODES: usize = 32;
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
 
 /// Age from which on shared memory without a size is taken for the work of a killed process: giving it one is the next
 /// thing that its creator does.
 const UNBORN: Duration = Duration::from_millis(300);
-
-/// One opened service.
-pub type Factory<T> = PortFactory<Service, T, ()>;
-
-/// The services. Everybody opens all of them, so that each exists from the first participant to the last.
-#[derive(Debug)]
-pub struct Factories {
-    pub(crate) features: Factory<Features>,
-    pub(crate) twist: Factory<TwistCommand>,
-    pub(crate) robot: Factory<RobotState>,
-    pub(crate) cycles: Factory<CycleRecord>,
-    pub(crate) requests: Factory<Request>,
-    pub(crate) replies: Factory<Reply>,
-}
-
-/// Why a domain could not be joined.
-#[derive(Debug, thiserror::Error)]
-pub enum JoinError {
-    /// The directory cannot be used.
-    #[error("domain {path}: {source}")]
-    Directory {
-        /// The directory.
-        path: String,
-        /// The operating system's reason.
-        r#source: io::Error,
-    },
-    /// The directory belongs to somebody else, or is a link.
-    #[error("domain {path}: owned by user {owner}; allowed: a directory (no link) of user {us}")]
-    NotOurs {
-        /// The directory.
-        path: String,
-        /// Its owner.
-        owner: u32,
-        /// Who we are.
-        us: u32,
-    },
-    /// Other users may put files into the directory, or take ours away: the locks, and what the services are found by.
-    #[error(
-        "domain {path}: mode {mode:03o} lets other users put files into it; allowed: mode 700 (chmod 700 {path})"
-    )]
-    Open {
-        /// The directory.
-        path: String,
-        /// Its permissions.
-        mode: u32,
-    },
-    /// The path is longer than iceoryx2 takes, or not plain.
-    #[error(
-        "domain {path}: not a usable path; allowed: at most 200 bytes, letters, digits and . - _ /"
-    )]
-    Path {
-        /// The directory.
-        path: String,
-    },
-    /// Another process has been joining or leaving for too long.
-    #[error(
-        "domain {path}: another process is joining or leaving since {seconds} s; is one stopped? end it, or use another domain"
-    )]
-    Busy {
-        /// The directory.
-        path: String,
-        /// How long was waited.
-        seconds: u64,
-    },
-    /// iceoryx2 refused the node.
-    #[error("domain {path}: no node: {source}")]
-    Node {
-        /// The directory.
-        path: String,
-        /// Its reason.
-        r#source: NodeCreationFailure,
-    },
-    /// A service exists with other types or another quality of service.
-    #[error(
-        "domain {path}: {service} is of another version of the contract; stop every process of this domain first ({source})"
-    )]
-    OtherContract {
-        /// The directory.
-        path: String,
-        /// The service.
-        service: &'static str,
-        /// iceoryx2's reason.
-        r#source: PublishSubscribeOpenOrCreateError,
-    },
-    /// A service could not be opened.
-    #[error("domain {path}: {service}: {source}")]
-    Service {
-        /// The directory.
-        path: String,
-        /// The service.
-        service: &'static str,
-        /// iceoryx2's reason.
-        r#source: PublishSubscribeOpenOrCreateError,
-    },
-}
 
 /// Membership of a domain. Cheap to clone; ports keep it alive. Stays in the thread that made it: a second thread
 /// joins for itself.
@@ -135,7 +35,7 @@ pub struct Domain {
 /// What leaves the domain when the last port is gone.
 #[derive(Debug)]
 pub(crate) struct Shared {
-    factories: Option<Factories>,
+    services: Vec<Box<dyn OpenService>>,
     node: Option<Node<Service>>,
     config: Config,
     guard: Guard,
@@ -146,7 +46,7 @@ impl Drop for Shared {
         // Services are removed by their last user: not while somebody else is opening them. Should that somebody be
         // stopped, leave all the same.
         let startup = self.guard.startup();
-        drop(self.factories.take());
+        self.services.clear();
         drop(self.node.take());
         if let Ok(startup) = startup {
             // What cannot be removed now, the next one removes.
@@ -181,7 +81,7 @@ impl Domain {
         let config = configuration(guard.directory())
             .ok_or_else(|| JoinError::Path { path: path.clone() })?;
         remove_unborn(guard.directory());
-        ghost::clean(&config);
+        stale::clean(&config);
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -190,17 +90,10 @@ impl Domain {
                 path: path.clone(),
                 source,
             })?;
-        let factories = Factories {
-            features: open(&node, &path)?,
-            twist: open(&node, &path)?,
-            robot: open(&node, &path)?,
-            cycles: open(&node, &path)?,
-            requests: open(&node, &path)?,
-            replies: open(&node, &path)?,
-        };
-        ghost::lay(&factories, &config);
+        let services = service::open_all(&node, &path)?;
+        stale::reap(&services, &config);
         let shared = Shared {
-            factories: Some(factories),
+            services,
             node: Some(node),
             config,
             guard,
@@ -222,29 +115,16 @@ impl Domain {
         unborn(self.directory());
     }
 
-    /// The one publisher of `T`.
-    ///
-    /// # Errors
-    /// [`OpenError::Taken`] while another one lives, even if it is stopped.
-    pub fn publisher<T: Message>(&self) -> Result<Publisher<T>, OpenError> {
-        Publisher::open(&self.shared)
-    }
-
-    /// A subscriber of `T` that keeps the newest `buffer` messages, 1 to `T::QOS.buffer`.
-    ///
-    /// # Errors
-    /// [`OpenError::Full`] where the service has all the subscribers that it takes.
-    pub fn subscriber<T: Message>(&self, buffer: usize) -> Result<Subscriber<T>, OpenError> {
-        Subscriber::open(&self.shared, buffer.clamp(1, T::QOS.buffer))
+    pub(crate) fn shared(&self) -> &Rc<Shared> {
+        &self.shared
     }
 }
 
 impl Shared {
-    pub(crate) fn factory<T: Message>(&self) -> Result<&Factory<T>, OpenError> {
-        let gone = OpenError::Left {
-            service: T::SERVICE,
-        };
-        self.factories.as_ref().map(T::factory).ok_or(gone)
+    /// The opened service that carries `T`; `None` while the domain is being left.
+    pub(crate) fn factory<T: Message>(&self) -> Option<&Factory<T>> {
+        let mut services = self.services.iter();
+        services.find_map(|service| (service.as_ref() as &dyn Any).downcast_ref())
     }
 
     pub(crate) fn directory(&self) -> String {
@@ -255,56 +135,12 @@ impl Shared {
         self.guard.startup()
     }
 
-    /// Clears away participants that were killed, for who holds the right to start up.
-    pub(crate) fn bury_the_dead(&self) {
+    /// Removes what killed participants left. Call this only while holding the startup lock.
+    pub(crate) fn reap(&self) {
         remove_unborn(self.guard.directory());
-        ghost::clean(&self.config);
-        if let Some(services) = &self.factories {
-            ghost::lay(services, &self.config);
-        }
+        stale::clean(&self.config);
+        stale::reap(&self.services, &self.config);
     }
-}
-
-/// Opens a service; creates it where we are the first.
-fn open<T: Message>(node: &Node<Service>, path: &str) -> Result<Factory<T>, JoinError> {
-    use PublishSubscribeOpenError as Open;
-    use PublishSubscribeOpenOrCreateError as Error;
-    let service = T::SERVICE;
-    let refuse = |source: Error| match source {
-        Error::PublishSubscribeOpenError(
-            Open::IncompatibleTypes
-            | Open::IncompatibleMessagingPattern
-            | Open::IncompatibleOverflowBehavior
-            | Open::DoesNotSupportRequestedMinBufferSize
-            | Open::DoesNotSupportRequestedMinHistorySize
-            | Open::DoesNotSupportRequestedAmountOfPublishers
-            | Open::DoesNotSupportRequestedAmountOfSubscribers,
-        ) => JoinError::OtherContract {
-            path: path.to_owned(),
-            service,
-            source,
-        },
-        _ => JoinError::Service {
-            path: path.to_owned(),
-            service,
-            source,
-        },
-    };
-    // The names are constants of this crate, all of them valid.
-    let name = service
-        .try_into()
-        .map_err(|_| refuse(Error::SystemInFlux))?;
-    node.service_builder(&name)
-        .publish_subscribe::<T>()
-        .max_publishers(T::QOS.publishers)
-        .max_subscribers(T::QOS.subscribers)
-        .max_nodes(MAX_NODES)
-        .history_size(T::QOS.history)
-        .subscriber_max_buffer_size(T::QOS.buffer)
-        .subscriber_max_borrowed_samples(1)
-        .enable_safe_overflow(true)
-        .open_or_create()
-        .map_err(refuse)
 }
 
 /// iceoryx2's configuration, made here and not read from a file, with a root and a prefix that no other domain has.
@@ -319,7 +155,7 @@ fn configuration(directory: &Path) -> Option<Config> {
         .global
         .set_root_path(&iceoryx2::prelude::Path::new(root.as_os_str().as_bytes()).ok()?);
     config.global.prefix = FileName::new(shared_memory_prefix(directory).as_bytes()).ok()?;
-    // Who joins cleans up, under the guard (`ghost`).
+    // Cleaning up is done while joining, under the guard (`stale`).
     config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     Some(config)

@@ -1,66 +1,49 @@
 //! What the camera saw.
 
-use core::mem::{offset_of, size_of};
-
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::MAX_POINTS;
-use crate::message::{self, Invalid, Message, Qos, Stamp};
+use crate::field::Stamp;
+use crate::message::{Qos, message};
 
-/// Image features of one frame; service `vpc/features`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
-#[type_name("vpc/Features/1")]
-pub struct Features {
-    /// Head; `data_ns` is the middle of the exposure.
-    pub stamp: Stamp,
-    /// Length of the exposure, ns; 0 where unknown.
-    pub exposure_ns: u64,
-    /// Points in this message, 1 to 8, in the order of the pattern.
-    pub count: u32,
-    /// Bit i is set where point i was measured in this frame; a point that was not carries the tracker's guess.
-    pub visible: u32,
-    /// Image points u1 v1 u2 v2 ..., px; u to the right, v down, origin at the centre of the upper left pixel. The first
-    /// `2 * count` are finite; the rest is zero.
-    pub points: [f64; 2 * MAX_POINTS],
+message! {
+    /// Image features of one frame.
+    Features: "vpc/Features/1" {
+        /// Head; `data_ns` is the middle of the exposure.
+        stamp: Stamp,
+        /// Length of the exposure; 0 if unknown.
+        exposure_ns: u64 ["ns"],
+        /// Points in this message, in the order of the scene's pattern.
+        count: u32 [range(1, MAX_POINTS)],
+        /// Bit i is set if point i was measured in this frame; otherwise the point is a guess of the tracker.
+        visible: u32,
+        /// Image points u1 v1 u2 v2 ...; u to the right, v down, origin at the centre of the upper left pixel. The
+        /// first `2 * count` are finite, the rest is zero.
+        points: [f64; 2 * MAX_POINTS] ["px" finite_pairs],
+    }
+    // A history of one: a controller that comes late finds the message that a lockstep camera waits on.
+    "vpc/features" from "camera": Qos { history: 1, buffer: 64, subscribers: 8, publishers: 1 }
 }
-
-const _: () = {
-    assert!(size_of::<Features>() == 168);
-    assert!(offset_of!(Features, stamp) == 0);
-    assert!(offset_of!(Features, exposure_ns) == 24);
-    assert!(offset_of!(Features, count) == 32);
-    assert!(offset_of!(Features, visible) == 36);
-    assert!(offset_of!(Features, points) == 40);
-};
 
 impl Features {
     /// A message with these points (px, all visible), exposed at `data_ns`. Points past the eighth are left out of
-    /// the array but counted, so that the reception refuses the message instead of believing a part of it.
+    /// the array but counted, so that the receiver refuses the message instead of using a part of it.
     pub fn new(points: &[[f64; 2]], data_ns: u64) -> Self {
-        let mut stacked = [0.0; 2 * MAX_POINTS];
-        for (pair, point) in stacked.chunks_exact_mut(2).zip(points) {
-            pair.copy_from_slice(point);
-        }
-        Self {
-            stamp: Stamp {
-                data_ns,
-                ..Stamp::default()
-            },
-            exposure_ns: 0,
+        let mut features = Self {
             count: u32::try_from(points.len()).unwrap_or(u32::MAX),
             visible: all_of(points.len()),
-            points: stacked,
+            ..Self::default()
+        };
+        features.stamp.data_ns = data_ns;
+        for (pair, point) in features.points.chunks_exact_mut(2).zip(points) {
+            pair.copy_from_slice(point);
         }
+        features
     }
 
     /// The points (u, v), px: at most eight.
     pub fn pairs(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
-        let count = (self.count as usize).min(MAX_POINTS);
-        self.points
-            .chunks_exact(2)
-            .take(count)
-            .map(|p| [p[0], p[1]])
+        pairs(&self.points, self.count)
     }
 
     /// Whether every point was measured in this frame.
@@ -68,6 +51,12 @@ impl Features {
         let all = all_of(self.count as usize);
         self.visible & all == all
     }
+}
+
+/// The first `count` pairs of u1 v1 u2 v2 ....
+pub(crate) fn pairs(stacked: &[f64], count: u32) -> impl Iterator<Item = [f64; 2]> + '_ {
+    let count = (count as usize).min(MAX_POINTS);
+    stacked.chunks_exact(2).take(count).map(|p| [p[0], p[1]])
 }
 
 /// The mask of the first `count` bits.
@@ -78,29 +67,10 @@ fn all_of(count: usize) -> u32 {
     }
 }
 
-impl Message for Features {
-    const SERVICE: &'static str = "vpc/features";
-    /// A history of one, so that a controller that comes late finds the message that a lockstep camera waits on.
-    const QOS: Qos = Qos {
-        history: 1,
-        buffer: 64,
-        subscribers: 8,
-        publishers: 1,
-    };
-
-    message::carried_by!(features);
-
-    fn check(&self) -> Result<(), Invalid> {
-        message::check_stamp(Self::SERVICE, &self.stamp)?;
-        message::check_count(Self::SERVICE, "count", self.count, 1..=MAX_POINTS)?;
-        let count = self.count as usize;
-        message::check_finite(Self::SERVICE, "points", &self.points[..2 * count])
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::message::Message;
 
     fn square() -> Features {
         let mut features = Features::new(&[[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]], 9);

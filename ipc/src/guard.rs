@@ -20,7 +20,7 @@ use std::time::Duration;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
-use crate::domain::JoinError;
+use crate::error::JoinError;
 
 /// Permissions that the directory of a domain must not have: who can replace its files can take part.
 pub const WRITABLE_BY_OTHERS: u32 = 0o022;

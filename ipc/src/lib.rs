@@ -1,18 +1,24 @@
 //! The shared-memory contract between camera, robot, controller and everything that watches them.
 //!
-//! Four services carry plain `repr(C)` messages over iceoryx2 publish/subscribe (layouts, quality of service and the
-//! lockstep protocol: `CONTRACT.md` beside this crate; tour and decisions: `README.md`):
+//! Each service carries one plain `repr(C)` message over iceoryx2 publish/subscribe:
 //!
 //! | Service | Message | Publisher | Subscribers |
 //! |---|---|---|---|
-//! | `vpc/features` | [`Features`] | the camera, one | the controller, observers |
-//! | `vpc/twist` | [`TwistCommand`] | the controller, one | the camera's robot, observers |
-//! | `vpc/robot` | [`RobotState`] | the robot, one | observers |
-//! | `vpc/cycles` | [`CycleRecord`] | the controller, one | observers |
+//! | `vpc/features` | [`Features`] | camera | controller, observers |
+//! | `vpc/twist` | [`TwistCommand`] | controller | camera's robot, observers |
+//! | `vpc/robot` | [`RobotState`] | robot | controller, observers |
+//! | `vpc/cycles` | [`CycleRecord`] | controller | observers |
+//! | `vpc/snapshots` | [`Snapshot`] | controller | recorders |
+//! | `vpc/requests` | [`Request`] | operators | controller |
+//! | `vpc/replies` | [`Reply`] | controller | operators |
 //!
-//! A process joins a [`Domain`] (a directory of its own, so that two experiments on one machine do not meet) and
-//! opens the ports of its role: [`CameraPorts`], [`ControllerPorts`], [`RecorderPort`] or [`Observer`]. Peers may be
-//! absent, late, killed and restarted in any order.
+//! Layouts, quality of service and the lockstep protocol: `CONTRACT.md` beside this crate. Tour and decisions: `README.md`.
+//! The fields of a message are listed once, in its file; [`Wire::FIELDS`] tells them at run time, and the C header, the
+//! Python module, the tables of `CONTRACT.md` and the schemas of recordings are made from it.
+//!
+//! A process joins a [`Domain`], a directory that separates experiments on one machine, and opens the ports of its role:
+//! [`CameraPorts`], [`ControllerPorts`], [`RecorderPort`], [`OperatorPorts`] or [`Observer`]. Peers may be absent, late,
+//! killed and restarted in any order. Complete programs: `examples/camera.rs`, `examples/observer.rs`.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -43,32 +49,41 @@
 #![deny(unsafe_code)]
 
 mod clock;
+mod codes;
 mod cycle;
 mod domain;
+mod error;
 mod features;
-mod ghost;
+mod field;
 mod guard;
 mod message;
 mod operator;
 mod port;
 mod robot;
 mod role;
+mod service;
+mod snapshot;
+mod stale;
 mod twist;
 
 pub use clock::now_ns;
+pub use codes::{Name, Table};
 pub use cycle::{
-    ClockMode, CycleRecord, Hold, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
+    ClockMode, CycleFlags, CycleRecord, Hold, InputCode, PhaseCode, RealTime, RecallCode,
+    SolverStatus, StrategyCode,
 };
-pub use domain::{Domain, JoinError, default_directory, shared_memory_prefix};
+pub use domain::{Domain, default_directory, shared_memory_prefix};
+pub use error::{AskError, JoinError, OpenError, PublishError, ReceiveError};
 pub use features::Features;
+pub use field::{Field, FieldType, Kind, Meaning, Stamp, Values, ValuesMut, Wire};
 pub use guard::WRITABLE_BY_OTHERS;
-pub use message::{Invalid, Message, Qos, Stamp};
+pub use message::{Invalid, Message, Qos};
 pub use operator::{Action, Outcome, Reply, Request};
-pub use port::{
-    OpenError, Order, PublishError, Publisher, ReceiveError, Received, Sent, Subscriber,
-};
+pub use port::{Order, Publisher, Received, Sent, Subscriber};
 pub use robot::{RobotFaults, RobotMode, RobotState};
-pub use role::{AskError, CameraPorts, ControllerPorts, Observer, OperatorPorts, RecorderPort};
+pub use role::{CameraPorts, ControllerPorts, Observer, OperatorPorts, RecorderPort};
+pub use service::{MAX_NODES, SERVICES, Service};
+pub use snapshot::Snapshot;
 pub use twist::{TwistCommand, TwistState};
 
 /// Most points that one message carries.

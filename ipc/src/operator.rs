@@ -1,11 +1,11 @@
 //! What operators ask of the controller, and what it answers.
 
-use core::mem::{offset_of, size_of};
-
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::codes::codes;
 use crate::cycle::{Hold, StrategyCode};
-use crate::message::{self, Invalid, Message, Qos, Stamp, codes};
+use crate::field::Stamp;
+use crate::message::{self, Invalid, Qos, message};
 use crate::twist::TwistState;
 
 codes! {
@@ -50,43 +50,33 @@ codes! {
     }
 }
 
-/// An operator's request; service `vpc/requests`. Several operators may be at work.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
-#[type_name("vpc/Request/1")]
-pub struct Request {
-    /// Head; `data_ns` is zero.
-    pub stamp: Stamp,
-    /// Chosen by the operator, so that the answer can be told from those to others.
-    pub id: u64,
-    /// An [`Action`] code.
-    pub action: u32,
-    /// For `strategy`: a [`StrategyCode`]; else zero.
-    pub strategy: u32,
-    /// For `strategy` knn: neighbours averaged, 1 to 64; else zero.
-    pub neighbours: u32,
-    /// Zero.
-    pub reserved: u32,
+message! {
+    /// An operator's request. Several operators may be at work.
+    Request: "vpc/Request/1" {
+        /// Head; `data_ns` is zero.
+        stamp: Stamp,
+        /// Chosen by the operator at random; the reply has the same.
+        id: u64,
+        /// What is asked for. An unknown code is answered with outcome 8.
+        action: u32 [any_code(Action)],
+        /// For action `strategy`: which one, also answered if unknown; else zero.
+        strategy: u32 [any_code(StrategyCode)],
+        /// For strategy knn: neighbours averaged, 1 to 64; else zero.
+        neighbours: u32,
+        /// Zero.
+        reserved: u32,
+    }
+    // No history: a controller that restarts must not obey a request from before.
+    "vpc/requests" from "operators": Qos { history: 0, buffer: 16, subscribers: 4, publishers: 8 }
 }
 
-const _: () = {
-    assert!(size_of::<Request>() == 48);
-    assert!(offset_of!(Request, id) == 24);
-    assert!(offset_of!(Request, action) == 32);
-    assert!(offset_of!(Request, strategy) == 36);
-    assert!(offset_of!(Request, neighbours) == 40);
-};
-
 impl Request {
-    /// A request for an action that needs no more words.
+    /// A request for an action other than [`Action::Strategy`].
     pub fn new(id: u64, action: Action) -> Self {
         Self {
-            stamp: Stamp::default(),
             id,
             action: action.code(),
-            strategy: 0,
-            neighbours: 0,
-            reserved: 0,
+            ..Self::default()
         }
     }
 
@@ -99,81 +89,52 @@ impl Request {
         }
     }
 
-    /// The action; `None` where the code is unknown.
+    /// The action; `None` if the code is unknown.
     pub fn action(&self) -> Option<Action> {
         Action::from_code(self.action)
     }
 
-    /// The strategy; `None` where the code is unknown.
+    /// The strategy; `None` if the code is unknown.
     pub fn strategy_code(&self) -> Option<StrategyCode> {
         StrategyCode::from_code(self.strategy)
     }
 
-    /// Whether action and strategy are known.
+    /// Checks the codes of action and strategy, which reception does not.
     ///
     /// # Errors
-    /// [`Invalid`] names the one that is not, and its code.
+    /// [`Invalid`] names the unknown one.
     pub fn check_codes(&self) -> Result<(), Invalid> {
-        let (service, strategy) = (Self::SERVICE, self.strategy_code());
-        message::check_code(service, "action", self.action, self.action().is_some())?;
-        message::check_code(service, "strategy", self.strategy, strategy.is_some())
+        message::check(self, true)
     }
 }
 
-impl Message for Request {
-    const SERVICE: &'static str = "vpc/requests";
-    /// No history: a controller that restarts must not obey a request from before.
-    const QOS: Qos = Qos {
-        history: 0,
-        buffer: 16,
-        subscribers: 4,
-        publishers: 8,
-    };
-
-    message::carried_by!(requests);
-
-    /// The head only: an unknown action or strategy is answered, with [`Outcome::Unknown`].
-    fn check(&self) -> Result<(), Invalid> {
-        message::check_stamp(Self::SERVICE, &self.stamp)
+message! {
+    /// The controller's answer to a request.
+    Reply: "vpc/Reply/2" {
+        /// Head; `data_ns` is the publication of the request.
+        stamp: Stamp,
+        /// That of the request.
+        id: u64,
+        /// The cycle from which the request counts.
+        cycle: u64,
+        /// That of the request; zero if it is unknown.
+        action: u32 [code(Action)],
+        /// What became of the request.
+        outcome: u32 [code(Outcome)],
+        /// State after the request.
+        state: u32 [code(TwistState)],
+        /// Cause of that state.
+        hold: u32 [code(Hold)],
+        /// Strategy after the request.
+        strategy: u32 [code(StrategyCode)],
+        /// Its neighbours (knn), else zero.
+        neighbours: u32,
     }
+    "vpc/replies" from "controller": Qos { history: 0, buffer: 64, subscribers: 16, publishers: 1 }
 }
-
-/// The controller's answer to a request; service `vpc/replies`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
-#[type_name("vpc/Reply/1")]
-pub struct Reply {
-    /// Head; `data_ns` is the publication of the request.
-    pub stamp: Stamp,
-    /// The request's.
-    pub id: u64,
-    /// The request's [`Action`] code; zero where that is unknown.
-    pub action: u32,
-    /// An [`Outcome`] code.
-    pub outcome: u32,
-    /// A [`TwistState`] code: the state after the request.
-    pub state: u32,
-    /// A [`Hold`] code: the cause of that state.
-    pub hold: u32,
-    /// A [`StrategyCode`]: the strategy after the request.
-    pub strategy: u32,
-    /// Its neighbours (knn), else zero.
-    pub neighbours: u32,
-}
-
-const _: () = {
-    assert!(size_of::<Reply>() == 56);
-    assert!(offset_of!(Reply, id) == 24);
-    assert!(offset_of!(Reply, action) == 32);
-    assert!(offset_of!(Reply, outcome) == 36);
-    assert!(offset_of!(Reply, state) == 40);
-    assert!(offset_of!(Reply, hold) == 44);
-    assert!(offset_of!(Reply, strategy) == 48);
-    assert!(offset_of!(Reply, neighbours) == 52);
-};
 
 impl Reply {
-    /// What became of the request; `None` where the code is unknown, which reception refuses.
+    /// What became of the request; `None` if the code is unknown, which reception refuses.
     pub fn outcome(&self) -> Option<Outcome> {
         Outcome::from_code(self.outcome)
     }
@@ -189,44 +150,10 @@ impl Reply {
     }
 }
 
-impl Message for Reply {
-    const SERVICE: &'static str = "vpc/replies";
-    const QOS: Qos = Qos {
-        history: 0,
-        buffer: 64,
-        subscribers: 16,
-        publishers: 1,
-    };
-
-    message::carried_by!(replies);
-
-    fn check(&self) -> Result<(), Invalid> {
-        let service = Self::SERVICE;
-        message::check_stamp(service, &self.stamp)?;
-        for (field, found, known) in [
-            (
-                "action",
-                self.action,
-                Action::from_code(self.action).is_some(),
-            ),
-            ("outcome", self.outcome, self.outcome().is_some()),
-            ("state", self.state, self.state().is_some()),
-            ("hold", self.hold, self.hold().is_some()),
-            (
-                "strategy",
-                self.strategy,
-                StrategyCode::from_code(self.strategy).is_some(),
-            ),
-        ] {
-            message::check_code(service, field, found, known)?;
-        }
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::message::Message;
 
     #[test]
     fn a_request_with_an_unknown_action_is_received_so_that_it_can_be_answered() {
@@ -249,6 +176,7 @@ mod tests {
         let mut reply = Reply {
             stamp: Stamp::default(),
             id: 7,
+            cycle: 0,
             action: Action::Arm.code(),
             outcome: Outcome::NoFeatures.code(),
             state: TwistState::Disarmed.code(),

@@ -6,102 +6,29 @@ use std::rc::Rc;
 use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::port::update_connections::{ConnectionFailure, UpdateConnections};
-use iceoryx2::port::{LoanError, SendError};
 use iceoryx2::service::ipc::Service;
 
-use crate::domain::{JoinError, Shared};
-use crate::message::{Invalid, Message, Stamp};
+use crate::domain::{Domain, Shared};
+use crate::error::{OpenError, PublishError, ReceiveError};
+use crate::field::Stamp;
+use crate::message::Message;
 
-/// Why a port could not be opened.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The service has its one publisher.
-    #[error(
-        "{service}: another publisher is at work in domain {domain}; allowed: {most} (stop the other, or use another domain)"
-    )]
-    Taken {
-        /// The service.
-        service: &'static str,
-        /// The domain's directory.
-        domain: String,
-        /// Most publishers.
-        most: usize,
-    },
-    /// The service has all the subscribers that it takes.
-    #[error("{service}: {most} subscribers are at work; allowed: {most}")]
-    Full {
-        /// The service.
-        service: &'static str,
-        /// Most subscribers.
-        most: usize,
-    },
-    /// iceoryx2 refused the publisher.
-    #[error("{service}: no publisher: {source}")]
-    Publisher {
-        /// The service.
-        service: &'static str,
-        /// Its reason.
-        r#source: PublisherCreateError,
-    },
-    /// iceoryx2 refused the subscriber.
-    #[error("{service}: no subscriber: {source}")]
-    Subscriber {
-        /// The service.
-        service: &'static str,
-        /// Its reason.
-        r#source: SubscriberCreateError,
-    },
-    /// The domain is being left.
-    #[error("{service}: the domain is being left")]
-    Left {
-        /// The service.
-        service: &'static str,
-    },
-    /// The guard of the domain.
-    #[error(transparent)]
-    Guard(#[from] JoinError),
-}
+impl Domain {
+    /// Opens a publisher of `T`.
+    ///
+    /// # Errors
+    /// [`OpenError::Taken`] if the service has all the publishers that it takes, even if they are stopped.
+    pub fn publisher<T: Message>(&self) -> Result<Publisher<T>, OpenError> {
+        Publisher::open(self.shared())
+    }
 
-/// Why a message was not published.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum PublishError {
-    /// No room for the message.
-    #[error("{service}: no room for a message: {source}")]
-    Loan {
-        /// The service.
-        service: &'static str,
-        /// iceoryx2's reason.
-        r#source: LoanError,
-    },
-    /// Not delivered.
-    #[error("{service}: not delivered: {source}")]
-    Send {
-        /// The service.
-        service: &'static str,
-        /// iceoryx2's reason.
-        r#source: SendError,
-    },
-}
-
-/// Why nothing could be received.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum ReceiveError {
-    /// A message came and was refused.
-    #[error("{invalid}")]
-    Invalid {
-        /// What is wrong with it.
-        invalid: Invalid,
-        /// Its head, so that it can be answered.
-        stamp: Stamp,
-    },
-    /// The connection failed.
-    #[error("{service}: cannot receive: {source}")]
-    Transport {
-        /// The service.
-        service: &'static str,
-        /// iceoryx2's reason.
-        r#source: iceoryx2::port::ReceiveError,
-    },
+    /// Opens a subscriber of `T` that keeps the newest `buffer` messages, 1 to `T::QOS.buffer`.
+    ///
+    /// # Errors
+    /// [`OpenError::Full`] if the service has all the subscribers that it takes.
+    pub fn subscriber<T: Message>(&self, buffer: usize) -> Result<Subscriber<T>, OpenError> {
+        Subscriber::open(self.shared(), buffer.clamp(1, T::QOS.buffer))
+    }
 }
 
 /// What became of a message that was published.
@@ -129,7 +56,10 @@ impl<T: Message> Publisher<T> {
         let service = T::SERVICE;
         let _startup = domain.startup()?;
         let create = || -> Result<_, OpenError> {
-            let builder = domain.factory::<T>()?.publisher_builder();
+            let builder = domain
+                .factory::<T>()
+                .ok_or(OpenError::Left { service })?
+                .publisher_builder();
             let port = builder.max_loaned_samples(1).create();
             port.map_err(|source| match source {
                 PublisherCreateError::ExceedsMaxSupportedPublishers => OpenError::Taken {
@@ -143,7 +73,7 @@ impl<T: Message> Publisher<T> {
         let port = match create() {
             // The other one may have been killed since we joined.
             Err(OpenError::Taken { .. }) => {
-                domain.bury_the_dead();
+                domain.reap();
                 create()?
             }
             result => result?,
@@ -278,7 +208,10 @@ impl<T: Message> Subscriber<T> {
         let service = T::SERVICE;
         let _startup = domain.startup()?;
         let create = || -> Result<_, OpenError> {
-            let builder = domain.factory::<T>()?.subscriber_builder();
+            let builder = domain
+                .factory::<T>()
+                .ok_or(OpenError::Left { service })?
+                .subscriber_builder();
             let port = builder.buffer_size(buffer).create();
             port.map_err(|source| match source {
                 SubscriberCreateError::ExceedsMaxSupportedSubscribers => OpenError::Full {
@@ -290,7 +223,7 @@ impl<T: Message> Subscriber<T> {
         };
         let port = match create() {
             Err(OpenError::Full { .. }) => {
-                domain.bury_the_dead();
+                domain.reap();
                 create()?
             }
             result => result?,

@@ -1,10 +1,13 @@
 //! Where the robot and its camera are.
 
-use core::mem::{offset_of, size_of};
-
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::message::{self, Invalid, Message, Qos, Stamp, codes};
+use crate::codes::{bits, codes};
+use crate::field::Stamp;
+use crate::message::{Qos, message};
+
+/// Most joints of a robot.
+const JOINTS: usize = 7;
 
 codes! {
     /// What the robot does with commands.
@@ -20,137 +23,82 @@ codes! {
     }
 }
 
-/// Bits of [`RobotState::faults`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RobotFaults(pub u32);
-
-impl RobotFaults {
-    /// A command was not valid in time.
-    pub const STALE_COMMAND: Self = Self(1);
-    /// A command was outside the limits and was cut.
-    pub const COMMAND_LIMITED: Self = Self(1 << 1);
-    /// The robot's own reflex stopped it (Panda: a discontinuity or a limit of a joint).
-    pub const REFLEX: Self = Self(1 << 2);
-    /// A joint is at the limit of its range.
-    pub const JOINT_LIMIT: Self = Self(1 << 3);
-    /// The pattern left the image or went behind the camera.
-    pub const PATTERN_LOST: Self = Self(1 << 4);
-
-    /// Whether any of these bits is set.
-    pub fn any(self, of: Self) -> bool {
-        self.0 & of.0 != 0
+bits! {
+    /// What is wrong with the robot.
+    RobotFaults {
+        /// A command was no longer valid when the next one was due.
+        STALE_COMMAND = 1 => "stale command",
+        /// A command was outside the limits and was clipped.
+        COMMAND_LIMITED = 2 => "command limited",
+        /// The robot's own reflex stopped it (Panda: a discontinuity or a limit of a joint).
+        REFLEX = 4 => "reflex",
+        /// A joint is at the limit of its range.
+        JOINT_LIMIT = 8 => "joint limit",
+        /// The pattern left the image or went behind the camera.
+        PATTERN_LOST = 16 => "pattern lost",
     }
 }
 
-/// State of the robot that carries the camera, at the instant `stamp.data_ns`; service `vpc/robot`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
-#[type_name("vpc/RobotState/1")]
-pub struct RobotState {
-    /// Head.
-    pub stamp: Stamp,
-    /// Sequence number of the features exposed at this instant; 0 where none were.
-    pub features_sequence: u64,
-    /// A [`RobotMode`] code.
-    pub mode: u32,
-    /// Bits of [`RobotFaults`].
-    pub faults: u32,
-    /// Object in the camera frame: translation, m.
-    pub translation: [f64; 3],
-    /// Object in the camera frame: rotation vector (axis times angle), rad.
-    pub rotation: [f64; 3],
-    /// Camera velocity in the camera frame as it is carried out: vx vy vz in m/s, wx wy wz in rad/s.
-    pub twist: [f64; 6],
-    /// Joints in `q` and `dq`, 0 for a free-flying camera, 7 for a Panda.
-    pub joints: u32,
-    /// Zero.
-    pub reserved: u32,
-    /// Joint positions, base to flange, rad.
-    pub q: [f64; 7],
-    /// Joint velocities, base to flange, rad/s.
-    pub dq: [f64; 7],
-    /// Zero; room for what a real arm will want to say.
-    pub room: [f64; 8],
+message! {
+    /// State of the robot that carries the camera, at the instant `stamp.data_ns`.
+    RobotState: "vpc/RobotState/1" {
+        /// Head.
+        stamp: Stamp,
+        /// Sequence number of the features exposed at this instant; 0 if there are none.
+        features_sequence: u64,
+        /// What it does with commands.
+        mode: u32 [code(RobotMode)],
+        /// What is wrong.
+        faults: u32 [bits(RobotFaults)],
+        /// Object in the camera frame: translation.
+        translation: [f64; 3] ["m" finite],
+        /// Object in the camera frame: rotation vector (axis times angle).
+        rotation: [f64; 3] ["rad" finite],
+        /// Camera velocity that is carried out, in the camera frame: vx vy vz wx wy wz.
+        twist: [f64; 6] ["m/s, rad/s" finite],
+        /// Valid entries of `q` and `dq`: 0 for a free-flying camera, 7 for a Panda.
+        joints: u32 [range(0, JOINTS)],
+        /// Zero.
+        reserved: u32,
+        /// Joint positions, base to flange.
+        q: [f64; JOINTS] ["rad" finite],
+        /// Joint velocities, base to flange.
+        dq: [f64; JOINTS] ["rad/s" finite],
+        /// Zero for a free-flying camera; for an arm see below.
+        room: [f64; 8],
+    }
+    "vpc/robot" from "robot": Qos { history: 1, buffer: 64, subscribers: 8, publishers: 1 }
 }
-
-const _: () = {
-    assert!(size_of::<RobotState>() == 320);
-    assert!(offset_of!(RobotState, stamp) == 0);
-    assert!(offset_of!(RobotState, features_sequence) == 24);
-    assert!(offset_of!(RobotState, mode) == 32);
-    assert!(offset_of!(RobotState, faults) == 36);
-    assert!(offset_of!(RobotState, translation) == 40);
-    assert!(offset_of!(RobotState, rotation) == 64);
-    assert!(offset_of!(RobotState, twist) == 88);
-    assert!(offset_of!(RobotState, joints) == 136);
-    assert!(offset_of!(RobotState, reserved) == 140);
-    assert!(offset_of!(RobotState, q) == 144);
-    assert!(offset_of!(RobotState, dq) == 200);
-    assert!(offset_of!(RobotState, room) == 256);
-};
 
 impl RobotState {
     /// A free-flying camera at rest in front of the object.
     ///
     /// `translation` (m) and `rotation` (rotation vector, rad) are the object in the camera frame.
     pub fn free_camera(translation: [f64; 3], rotation: [f64; 3], data_ns: u64) -> Self {
-        Self {
-            stamp: Stamp {
-                data_ns,
-                ..Stamp::default()
-            },
-            features_sequence: 0,
-            mode: RobotMode::Idle.code(),
-            faults: 0,
+        let mut state = Self {
             translation,
             rotation,
-            twist: [0.0; 6],
-            joints: 0,
-            reserved: 0,
-            q: [0.0; 7],
-            dq: [0.0; 7],
-            room: [0.0; 8],
-        }
+            ..Self::default()
+        };
+        state.stamp.data_ns = data_ns;
+        state
     }
 
-    /// The mode; `None` where the code is unknown, which reception refuses.
+    /// The mode; `None` if the code is unknown, which reception refuses.
     pub fn mode(&self) -> Option<RobotMode> {
         RobotMode::from_code(self.mode)
     }
 
-    /// The faults.
+    /// What is wrong.
     pub fn faults(&self) -> RobotFaults {
         RobotFaults(self.faults)
-    }
-}
-
-impl Message for RobotState {
-    const SERVICE: &'static str = "vpc/robot";
-    const QOS: Qos = Qos {
-        history: 1,
-        buffer: 64,
-        subscribers: 8,
-        publishers: 1,
-    };
-
-    message::carried_by!(robot);
-
-    fn check(&self) -> Result<(), Invalid> {
-        let service = Self::SERVICE;
-        message::check_stamp(service, &self.stamp)?;
-        message::check_code(service, "mode", self.mode, self.mode().is_some())?;
-        message::check_count(service, "joints", self.joints, 0..=self.q.len())?;
-        message::check_finite(service, "translation", &self.translation)?;
-        message::check_finite(service, "rotation", &self.rotation)?;
-        message::check_finite(service, "twist", &self.twist)?;
-        message::check_finite(service, "q", &self.q)?;
-        message::check_finite(service, "dq", &self.dq)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::message::Message;
 
     #[test]
     fn a_state_is_checked_field_by_field() {

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use crate::domain::Domain;
-use crate::port::{OpenError, PublishError, Publisher, ReceiveError, Received, Sent, Subscriber};
-use crate::{CycleRecord, Features, Message, Reply, Request, RobotState, TwistCommand};
+use crate::error::{AskError, OpenError, ReceiveError};
+use crate::port::{Publisher, Received, Sent, Subscriber};
+use crate::{CycleRecord, Features, Message, Reply, Request, RobotState, Snapshot, TwistCommand};
 
 /// The camera and the robot that carries it: publishes features and state, executes twists.
 #[derive(Debug)]
@@ -114,6 +115,8 @@ impl ControllerPorts {
 pub struct RecorderPort {
     /// Out: a record of each cycle.
     pub cycles: Publisher<CycleRecord>,
+    /// Out: the controller's state, now and then.
+    pub snapshots: Publisher<Snapshot>,
     /// In: what operators ask for.
     pub requests: Subscriber<Request>,
     /// In: what they are answered.
@@ -128,14 +131,16 @@ impl RecorderPort {
     pub fn open(domain: &Domain) -> Result<Self, OpenError> {
         Ok(Self {
             cycles: domain.publisher()?,
+            snapshots: domain.publisher()?,
             requests: domain.subscriber(Request::QOS.buffer)?,
             replies: domain.subscriber(Reply::QOS.buffer)?,
         })
     }
 }
 
-/// Somebody who watches; each port keeps as many messages as the service allows. Read them with
-/// [`Subscriber::oldest`] (all of them) or [`Subscriber::latest`].
+/// A process that only watches. Each port keeps as many messages as the service allows; read them with
+/// [`Subscriber::oldest`] (all of them) or [`Subscriber::latest`]. Recorders also subscribe [`Request`], [`Reply`] and
+/// [`Snapshot`] with [`Domain::subscriber`].
 #[derive(Debug)]
 pub struct Observer {
     /// What the camera saw.
@@ -213,14 +218,3 @@ impl OperatorPorts {
 
 /// Sleep between two looks for an answer.
 const ANSWER_POLL: Duration = Duration::from_millis(1);
-
-/// Why an operator could not ask.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum AskError {
-    /// The request was not sent.
-    #[error(transparent)]
-    Publish(#[from] PublishError),
-    /// The answers cannot be received.
-    #[error(transparent)]
-    Receive(#[from] ReceiveError),
-}

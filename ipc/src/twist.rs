@@ -1,16 +1,16 @@
 //! What the controller commands.
 
-use core::mem::{offset_of, size_of};
-
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::codes::codes;
 use crate::features::Features;
-use crate::message::{self, Invalid, Message, Qos, Stamp, codes};
+use crate::field::Stamp;
+use crate::message::{Qos, message};
 
 codes! {
-    /// What the controller is about.
+    /// State of the controller.
     TwistState {
-        /// No run is under way: start-up or shutdown; the twist is zero.
+        /// No run is under way: start-up or shutdown. The twist is zero.
         Stopped = 0 => "stopped",
         /// On the way to the goal.
         Moving = 1 => "moving",
@@ -18,69 +18,55 @@ codes! {
         Arrived = 2 => "arrived",
         /// Features are missing, stale or refused; the twist is zero until good ones come.
         Holding = 3 => "holding",
-        /// Slowing down to zero, at the deceleration of the configuration.
+        /// Slowing down to zero at the configured deceleration.
         Braking = 4 => "braking",
         /// The twist is zero until an operator arms the controller.
         Disarmed = 5 => "disarmed",
     }
 }
 
-/// Camera velocity command; service `vpc/twist`.
-///
-/// Whoever executes it stops when it is no longer valid: a silent controller never leaves its last command standing.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
-#[type_name("vpc/TwistCommand/1")]
-pub struct TwistCommand {
-    /// Head; `data_ns` is that of the features it answers.
-    pub stamp: Stamp,
-    /// Sequence number of the features it answers; 0 where it answers none.
-    pub features_sequence: u64,
-    /// `published_ns` of the features it answers, which tells a restarted camera's message from its predecessor's.
-    pub features_published_ns: u64,
-    /// The command holds until this instant, CLOCK_MONOTONIC, ns; afterwards the camera must stop. `u64::MAX` in
-    /// lockstep, where time does not pass between frames.
-    pub valid_until_ns: u64,
-    /// A [`TwistState`] code.
-    pub state: u32,
-    /// Zero.
-    pub reserved: u32,
-    /// Velocity of the camera in the camera frame (x right, y down, z forward): vx vy vz in m/s, wx wy wz in rad/s;
-    /// finite, inside the scene's limits.
-    pub twist: [f64; 6],
+message! {
+    /// Camera velocity command. Stop executing it when it is no longer valid: the controller may have died.
+    TwistCommand: "vpc/TwistCommand/1" {
+        /// Head; `data_ns` is that of the features it answers.
+        stamp: Stamp,
+        /// Sequence number of the features it answers; 0 if it answers none.
+        features_sequence: u64,
+        /// `published_ns` of the features it answers: tells a restarted camera's message from its predecessor's.
+        features_published_ns: u64 ["ns"],
+        /// The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop. 2^64-1 in lockstep,
+        /// where time does not pass between frames.
+        valid_until_ns: u64 ["ns"],
+        /// State of the controller.
+        state: u32 [code(TwistState)],
+        /// Zero.
+        reserved: u32,
+        /// Camera velocity in the camera frame (x right, y down, z forward): vx vy vz wx wy wz, within the scene's
+        /// limits.
+        twist: [f64; 6] ["m/s, rad/s" finite],
+    }
+    // No history: a camera that restarts must not execute a command from before.
+    "vpc/twist" from "controller": Qos { history: 0, buffer: 64, subscribers: 8, publishers: 1 }
 }
 
-const _: () = {
-    assert!(size_of::<TwistCommand>() == 104);
-    assert!(offset_of!(TwistCommand, stamp) == 0);
-    assert!(offset_of!(TwistCommand, features_sequence) == 24);
-    assert!(offset_of!(TwistCommand, features_published_ns) == 32);
-    assert!(offset_of!(TwistCommand, valid_until_ns) == 40);
-    assert!(offset_of!(TwistCommand, state) == 48);
-    assert!(offset_of!(TwistCommand, reserved) == 52);
-    assert!(offset_of!(TwistCommand, twist) == 56);
-};
-
 impl TwistCommand {
-    /// The answer to some features, valid for ever (lockstep); see [`TwistCommand::valid_for_ns`].
+    /// The answer to `features`, valid for ever: what lockstep wants. See [`TwistCommand::valid_for_ns`].
     pub fn answer(features: &Features, twist: [f64; 6], state: TwistState) -> Self {
         Self::answer_to(&features.stamp, twist, state)
     }
 
-    /// The answer to the features message with this head.
+    /// As [`TwistCommand::answer`], to the features message with this head.
     pub fn answer_to(features: &Stamp, twist: [f64; 6], state: TwistState) -> Self {
-        Self {
-            stamp: Stamp {
-                data_ns: features.data_ns,
-                ..Stamp::default()
-            },
+        let mut command = Self {
             features_sequence: features.sequence,
             features_published_ns: features.published_ns,
             valid_until_ns: u64::MAX,
             state: state.code(),
-            reserved: 0,
             twist,
-        }
+            ..Self::default()
+        };
+        command.stamp.data_ns = features.data_ns;
+        command
     }
 
     /// The zero twist that answers nothing: at start-up, at shutdown, and while no features come.
@@ -104,34 +90,16 @@ impl TwistCommand {
         now_ns < self.valid_until_ns
     }
 
-    /// The state; `None` where the code is unknown, which reception refuses.
+    /// The state; `None` if the code is unknown, which reception refuses.
     pub fn state(&self) -> Option<TwistState> {
         TwistState::from_code(self.state)
-    }
-}
-
-impl Message for TwistCommand {
-    const SERVICE: &'static str = "vpc/twist";
-    /// No history: a camera that restarts must not execute a command from before.
-    const QOS: Qos = Qos {
-        history: 0,
-        buffer: 64,
-        subscribers: 8,
-        publishers: 1,
-    };
-
-    message::carried_by!(twist);
-
-    fn check(&self) -> Result<(), Invalid> {
-        message::check_stamp(Self::SERVICE, &self.stamp)?;
-        message::check_code(Self::SERVICE, "state", self.state, self.state().is_some())?;
-        message::check_finite(Self::SERVICE, "twist", &self.twist)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::message::Message;
 
     #[test]
     fn an_answer_is_told_from_the_answer_to_a_restarted_camera() {

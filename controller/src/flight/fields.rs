@@ -474,17 +474,17 @@ macro_rules! told {
     ($($field:ident: $word:ident $whose:ident,)+) => {
         impl Words for CycleRecord {
             fn words<V: Visit>(&mut self, visit: &mut V) {
-                let Self { stamp, room, $($field,)+ } = self;
+                let Self { stamp, reserved, $($field,)+ } = self;
                 visit.part("stamp", stamp);
                 $(visit.$word(stringify!($field), $field);)+
-                visit.field("room", Kind::Unsigned, room);
+                visit.u32("reserved", reserved);
             }
         }
 
         /// What of a telemetry record does not come from the pilot but from the loop: clocks, counters, meters.
         pub fn measured(told: &CycleRecord) -> CycleRecord {
-            let CycleRecord { stamp, room, $($field,)+ } = *told;
-            let mut measured = CycleRecord { stamp, room, ..CycleRecord::default() };
+            let CycleRecord { stamp, reserved, $($field,)+ } = *told;
+            let mut measured = CycleRecord { stamp, reserved, ..CycleRecord::default() };
             $(told!(@ $whose measured.$field, $field);)+
             measured
         }
@@ -529,4 +529,11 @@ told! {
     major_faults: u32 loop,
     blocked: u32 loop,
     allocations: u32 loop,
+    features_input: u32 loop,
+    robot_input: u32 loop,
+    features_seen: part loop,
+    robot_seen: part loop,
+    requests: u32 loop,
+    missed: u32 loop,
+    flags: u32 loop,
 }

@@ -1,9 +1,10 @@
-/* Watches a controller: prints its cycles as they come, and what they came to.
+/* Watches a controller: prints its cycles as they come, and a summary.
  *
  *     ./observer [DOMAIN [CYCLES [SECONDS]]]
  *
- * DOMAIN: directory of the domain, - for /tmp/vpc-<uid>. Ends after so many cycles [100] or seconds [10]. Exit code 0:
+ * DOMAIN: directory of the domain, - for /tmp/vpc-<uid>. Ends after CYCLES cycles [100] or SECONDS [10]. Exit code 0:
  * all of them came. */
+#define _POSIX_C_SOURCE 200809L /* nanosleep */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -26,7 +27,7 @@ int main(int count, char **words) {
     vpc_observer *observer = NULL;
     if (vpc_domain_join(directory, &domain) != VPC_STATUS_OK) return complain("joining");
     if (vpc_observer_open(domain, &observer) != VPC_STATUS_OK) return complain("opening the ports");
-    /* Receiving connects: a publisher keeps nothing for who never received while it lived. */
+    /* Receiving connects: messages of a publisher that ended before the first call are lost. */
     vpc_cycle_record cycle;
     uint64_t missed = 0, lost = 0, slowest_ns = 0;
     long cycles = 0;
@@ -40,7 +41,7 @@ int main(int count, char **words) {
             nanosleep(&pause, NULL);
             continue;
         }
-        if (status == VPC_STATUS_INVALID) { /* a message that breaks the contract: the next one may be good */
+        if (status == VPC_STATUS_INVALID) { /* a message that breaks the contract: the next one may be valid */
             complain("a message");
             continue;
         }

@@ -1,63 +1,42 @@
 //! Codes in words.
 
-use std::ffi::{CString, c_char};
-use std::fmt::Display;
-use std::sync::OnceLock;
+use std::ffi::c_char;
 
-use ipc::{Hold, Outcome, SolverStatus, StrategyCode, TwistState};
+use ipc::{Hold, Outcome, SolverStatus, StrategyCode, Table, TwistState};
 
-/// The words of one enumeration, made when they are first asked for.
-struct Words(OnceLock<Vec<CString>>);
-
-impl Words {
-    const fn new() -> Self {
-        Self(OnceLock::new())
-    }
-
-    fn of<T: Display>(&self, code: u32, from_code: fn(u32) -> Option<T>) -> *const c_char {
-        // Codes count from 0 without gaps; nothing here panics, so no guard is needed.
-        let words = self.0.get_or_init(|| {
-            (0..)
-                .map_while(from_code)
-                .filter_map(|value| CString::new(value.to_string()).ok())
-                .collect()
-        });
-        let index = usize::try_from(code).unwrap_or(usize::MAX);
-        words.get(index).map_or(c"unknown".as_ptr(), |w| w.as_ptr())
-    }
+fn name(table: &Table, code: u32) -> *const c_char {
+    table
+        .get(code)
+        .map_or(c"unknown", |name| name.c_text)
+        .as_ptr()
 }
 
-/// A vpc_state in words; "unknown" for other numbers. Valid for ever, as those below.
+/// The name of a vpc_state for people; "unknown" for other numbers. Always valid, as are those below.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_state_name(code: u32) -> *const c_char {
-    static WORDS: Words = Words::new();
-    WORDS.of(code, TwistState::from_code)
+    name(&TwistState::TABLE, code)
 }
 
-/// A vpc_hold in words.
+/// The name of a vpc_hold.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_hold_name(code: u32) -> *const c_char {
-    static WORDS: Words = Words::new();
-    WORDS.of(code, Hold::from_code)
+    name(&Hold::TABLE, code)
 }
 
-/// A vpc_outcome in words.
+/// The name of a vpc_outcome.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_outcome_name(code: u32) -> *const c_char {
-    static WORDS: Words = Words::new();
-    WORDS.of(code, Outcome::from_code)
+    name(&Outcome::TABLE, code)
 }
 
-/// A vpc_strategy in words.
+/// The name of a vpc_strategy.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_strategy_name(code: u32) -> *const c_char {
-    static WORDS: Words = Words::new();
-    WORDS.of(code, StrategyCode::from_code)
+    name(&StrategyCode::TABLE, code)
 }
 
-/// A vpc_solver in words.
+/// The name of a vpc_solver.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_solver_name(code: u32) -> *const c_char {
-    static WORDS: Words = Words::new();
-    WORDS.of(code, SolverStatus::from_code)
+    name(&SolverStatus::TABLE, code)
 }

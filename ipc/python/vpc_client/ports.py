@@ -7,23 +7,17 @@ from typing import NamedTuple
 
 from .errors import BadMessage, NoAnswer, Refused
 from .messages import (
+    CODES,
+    FINITE,
     MAX_POINTS,
+    RANGES,
     SERVICES,
     Action,
-    ClockMode,
-    CycleRecord,
     Features,
     Hold,
     Outcome,
-    PhaseCode,
-    RecallCode,
-    Reply,
     Request,
-    RobotMode,
-    RobotState,
-    SolverStatus,
     StrategyCode,
-    TwistCommand,
     TwistState,
 )
 
@@ -33,49 +27,20 @@ PATIENCE_S = 10.0
 POLL_S = 20e-6
 SLOW_POLL_S = 1e-3
 
-# Fields that are codes, fields that are counts with their ranges, and fields that are finite numbers.
-_CODES = {
-    TwistCommand: {"state": TwistState},
-    RobotState: {"mode": RobotMode},
-    CycleRecord: {
-        "clock": ClockMode,
-        "status": SolverStatus,
-        "strategy": StrategyCode,
-        "hold": Hold,
-        "state": TwistState,
-        "phase": PhaseCode,
-        "recalled": RecallCode,
-    },
-    Request: {"action": Action, "strategy": StrategyCode},
-    Reply: {"action": Action, "outcome": Outcome, "state": TwistState, "hold": Hold, "strategy": StrategyCode},
-}
-_COUNTS = {
-    Features: {"count": (1, MAX_POINTS)},
-    RobotState: {"joints": (0, 7)},
-    CycleRecord: {"count": (0, MAX_POINTS), "way_point_count": (0, MAX_POINTS)},
-}
-_NUMBERS = {
-    Features: ("points",),
-    TwistCommand: ("twist",),
-    RobotState: ("translation", "rotation", "twist", "q", "dq"),
-    CycleRecord: ("twist",),
-}
-
-
 def check(service, message):
     """Raises BadMessage where a message breaks the contract."""
     kind = type(message)
     if message.stamp.sequence == 0:
         raise BadMessage(f"{service}: sequence = 0; allowed: 1 and more")
-    for field, codes in _CODES.get(kind, {}).items():
+    for field, codes in CODES.get(kind, {}).items():
         if getattr(message, field) >= len(codes):
             raise BadMessage(f"{service}: {field} = {getattr(message, field)}; allowed: 0 to {len(codes) - 1}")
-    for field, (least, most) in _COUNTS.get(kind, {}).items():
+    for field, (least, most) in RANGES.get(kind, {}).items():
         if not least <= getattr(message, field) <= most:
             raise BadMessage(f"{service}: {field} = {getattr(message, field)}; allowed: {least} to {most}")
-    for field in _NUMBERS.get(kind, ()):
+    for field, count in FINITE.get(kind, {}).items():
         numbers = getattr(message, field)
-        used = 2 * message.count if kind is Features else len(numbers)
+        used = 2 * getattr(message, count) if count else len(numbers)
         for i in range(used):
             if not math.isfinite(numbers[i]):
                 raise BadMessage(f"{service}: {field}[{i}] = {numbers[i]}; allowed: finite numbers")

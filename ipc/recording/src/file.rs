@@ -409,7 +409,7 @@ impl RecordingFile {
     }
 
     fn channel<T: Recorded>(&mut self) -> Result<(), WriteError> {
-        self.open(T::TOPIC, T::SCHEMA, &T::schema())
+        self.open(T::TOPIC, &T::schema_name(), &T::schema())
     }
 
     fn open(&mut self, topic: &'static str, schema: &str, text: &Value) -> Result<(), WriteError> {
@@ -557,6 +557,8 @@ fn caption(record: &CycleRecord) -> String {
 
 #[cfg(test)]
 mod tests {
+    use ipc::Message;
+
     use super::*;
 
     /// Fields of a topic's messages.

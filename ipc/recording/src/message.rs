@@ -1,52 +1,104 @@
 //! The messages of the contract as a recording holds them: their topics, their JSON schemas, their JSON.
 
-use ipc::{
-    Action, ClockMode, CycleRecord, Features, Hold, Outcome, PhaseCode, Reply, Request, RobotMode,
-    RobotState, SolverStatus, StrategyCode, TwistCommand, TwistState,
-};
+use ipc::{Field, Kind, Meaning, Message, Stamp, Wire};
 use serde_json::{Map, Value, json};
 
-use crate::field::{Field, FieldError, NON_FINITE, Object, Source};
-
-/// Codes of an enumeration are looked for up to here.
-const MOST_CODES: u32 = 64;
+use crate::field::{self, FieldError, NON_FINITE};
 
 /// A message of the contract that recordings hold: each field under its own name, numbers exact.
-pub trait Recorded: ipc::Message {
-    /// Topic of its channel.
-    const TOPIC: &'static str;
+pub trait Recorded: Message {
     /// Name of its schema.
-    const SCHEMA: &'static str;
+    fn schema_name() -> String {
+        schema_name::<Self>()
+    }
 
     /// Its JSON schema.
-    fn schema() -> Value;
+    fn schema() -> Value {
+        let mut schema = object_schema::<Self>();
+        schema["properties"][NON_FINITE] = json!({
+            "type": "array",
+            "items": { "type": "string" },
+            "description": "Numbers that JSON does not have, as name=value",
+        });
+        schema
+    }
 
     /// The message as JSON.
-    fn to_json(&self) -> String;
+    fn to_json(&self) -> String {
+        field::write(self)
+    }
 
     /// The message of some JSON, equal to the one that was written (all NaN count as equal).
     ///
     /// # Errors
     /// [`FieldError`] names the field that is missing or of another type.
-    fn from_json(json: &Value) -> Result<Self, FieldError>;
+    fn from_json(json: &Value) -> Result<Self, FieldError> {
+        field::read(json)
+    }
 }
 
-/// The schema of a field that is found in a message by `_`, which tells its type only.
-fn schema_of<T, F: Field>(
-    _: impl Fn(&T) -> &F,
-    about: &str,
-    codes: impl Fn(u32) -> Option<String>,
-) -> Value {
-    let known: Vec<Value> = (0..MOST_CODES)
-        .filter_map(|code| Some(json!({ "title": constant(&codes(code)?), "const": code })))
-        .collect();
-    let mut schema = if known.is_empty() {
-        F::schema()
-    } else {
-        json!({ "oneOf": known })
+impl<T: Message> Recorded for T {}
+
+/// `vpc.CycleRecord.3`.
+fn schema_name<T: Wire>() -> String {
+    T::TYPE_NAME.replace('/', ".")
+}
+
+fn object_schema<T: Wire>() -> Value {
+    let field = |field: &Field| (field.name.to_owned(), field_schema(field));
+    let properties: Map<String, Value> = T::FIELDS.iter().map(field).collect();
+    json!({
+        "title": schema_name::<T>(),
+        "description": plain(T::DOC),
+        "type": "object",
+        "properties": properties,
+    })
+}
+
+fn field_schema(field: &Field) -> Value {
+    let number = match field.kind {
+        Kind::U8 => json!({ "type": "string", "contentEncoding": "base64" }),
+        Kind::U32 | Kind::U64 => json!({ "type": "integer", "minimum": 0 }),
+        Kind::I64 => json!({ "type": "integer" }),
+        Kind::F64 => json!({ "type": "number" }),
+        Kind::Stamp => object_schema::<Stamp>(),
     };
-    schema["description"] = about.into();
+    let mut schema = match (field.kind, field.count, field.meaning) {
+        (.., Meaning::Code(table) | Meaning::AnyCode(table)) => {
+            let names = table.names.iter();
+            let known: Vec<Value> = names
+                .map(|name| json!({ "title": constant(name.text), "const": name.number }))
+                .collect();
+            json!({ "oneOf": known })
+        }
+        (Kind::U8, ..) | (_, 1, _) => number,
+        (_, count, _) => {
+            json!({ "type": "array", "items": number, "minItems": count, "maxItems": count })
+        }
+    };
+    schema["description"] = description(field).into();
     schema
+}
+
+/// Documentation with unit and bits.
+fn description(field: &Field) -> String {
+    let mut text = plain(field.doc);
+    if !field.unit.is_empty() {
+        text += &format!(" Unit: {}.", field.unit);
+    }
+    if let Meaning::Bits(table) = field.meaning {
+        let bits = table.names.iter();
+        let bits: Vec<String> = bits
+            .map(|bit| format!("{} {}", bit.number, bit.text))
+            .collect();
+        text += &format!(" Sum of bits: {}.", bits.join(", "));
+    }
+    text
+}
+
+/// Documentation in one line.
+fn plain(doc: &str) -> String {
+    doc.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// A name as constants have it: `FEATURES_OUT_OF_ORDER`.
@@ -59,141 +111,10 @@ fn constant(name: &str) -> String {
         .join("_")
 }
 
-macro_rules! recorded {
-    ($message:ident, $topic:literal, $schema:literal, $about:literal {
-        $($field:ident $(($codes:ty))? => $text:literal,)+
-    }) => {
-        impl Recorded for $message {
-            const TOPIC: &'static str = $topic;
-            const SCHEMA: &'static str = $schema;
-
-            fn schema() -> Value {
-                let mut fields = Map::new();
-                $(
-                    let codes = |_code: u32| -> Option<String> {
-                        $(if let Some(value) = <$codes>::from_code(_code) { return Some(value.to_string()); })?
-                        None
-                    };
-                    let schema = schema_of(|message: &Self| &message.$field, $text, codes);
-                    fields.insert(stringify!($field).to_owned(), schema);
-                )+
-                fields.insert(NON_FINITE.to_owned(), json!({
-                    "type": "array",
-                    "items": { "type": "string" },
-                    "description": "Numbers that JSON cannot carry, as name=value",
-                }));
-                json!({ "title": $schema, "description": $about, "type": "object", "properties": fields })
-            }
-
-            fn to_json(&self) -> String {
-                let mut object = Object::default();
-                $(object.field(stringify!($field), &self.$field);)+
-                object.finish()
-            }
-
-            fn from_json(json: &Value) -> Result<Self, FieldError> {
-                let source = Source::of(json)?;
-                Ok(Self { $($field: source.field(stringify!($field))?,)+ })
-            }
-        }
-    };
-}
-
-recorded!(Features, "/vpc/features", "vpc.Features", "Image features of one frame" {
-    stamp => "Head; data_ns is the middle of the exposure",
-    exposure_ns => "Length of the exposure, ns; 0 where unknown",
-    count => "Points, 1 to 8",
-    visible => "Bit i: point i was measured in this frame",
-    points => "u1 v1 u2 v2 ..., px; zero past the count",
-});
-
-recorded!(TwistCommand, "/vpc/twist", "vpc.TwistCommand", "Camera velocity command" {
-    stamp => "Head; data_ns is that of the features answered",
-    features_sequence => "Features answered, 0 for none",
-    features_published_ns => "Their published_ns",
-    valid_until_ns => "The camera stops from here on, CLOCK_MONOTONIC, ns; 2^64-1 in lockstep",
-    state (TwistState) => "What the controller is about",
-    reserved => "0",
-    twist => "Camera frame: vx vy vz m/s, wx wy wz rad/s",
-});
-
-recorded!(RobotState, "/vpc/robot", "vpc.RobotState", "State of the robot that carries the camera" {
-    stamp => "Head",
-    features_sequence => "Features exposed at this instant, 0 for none",
-    mode (RobotMode) => "What it does with commands",
-    faults => "Bits: 0 stale command, 1 command limited, 2 reflex, 3 joint limit, 4 pattern lost",
-    translation => "Object in the camera frame, m",
-    rotation => "Object in the camera frame, rotation vector, rad",
-    twist => "Velocity carried out, camera frame, m/s and rad/s",
-    joints => "Valid entries of q and dq, 0 to 7",
-    reserved => "0",
-    q => "Joint positions, rad",
-    dq => "Joint velocities, rad/s",
-    room => "0",
-});
-
-recorded!(CycleRecord, "/vpc/cycles", "vpc.CycleRecord2", "Telemetry of one cycle of the controller" {
-    stamp => "Head; data_ns is when the cycle woke up",
-    cycle => "Number, from 1",
-    clock (ClockMode) => "What starts a cycle",
-    status (SolverStatus) => "How the solver ended",
-    wake_latency_ns => "Wake-up after the release, ns",
-    receive_ns => "Receiving and the gate, ns",
-    step_ns => "The law, ns",
-    send_ns => "Sending, ns",
-    overruns => "Releases missed since the start",
-    features_sequence => "Features used, 0 for none",
-    features_age_ns => "Their age at wake-up, ns",
-    lost_records => "Records lost in the daemon since the start",
-    count => "Points used, 0 to 8",
-    way_point_count => "Points of the way point, 0 where the goal is tracked",
-    recalled => "what the memory had to say: 0 it was not asked, 1 followed, 2 out of range",
-    strategy (StrategyCode) => "Strategy of the law",
-    neighbours => "Neighbours of knn",
-    np => "Steps previewed",
-    iterations => "Iterations of the solver",
-    qp_iterations => "Active-set changes in its quadratic programs",
-    hold (Hold) => "Why the law's twist was not sent",
-    state (TwistState) => "What the controller is about",
-    points => "Features used, u1 v1 ..., px",
-    way_point => "Way point tracked instead of the goal, u1 v1 ..., px",
-    twist => "Sent: vx vy vz m/s, wx wy wz rad/s, camera frame",
-    cost => "The paper's running cost of the command sent",
-    violation_px => "Worst violation predicted, px",
-    clearance_px => "Least clearance from an occlusion, px",
-    error_px => "Largest component of s - s*, px",
-    realtime => "Bits of what the loop's thread got of real time, as in CONTRACT.md",
-    phase (PhaseCode) => "How the grid follows the camera",
-    phase_error_ns => "This release after the one that the camera's phase asks for, ns",
-    minor_faults => "Page faults from wake to send, without a disk",
-    major_faults => "Page faults from wake to send that waited for a disk",
-    blocked => "Times that a call blocked from wake to send",
-    allocations => "Calls of the heap from wake to send, where they are counted",
-    room => "0",
-});
-
-recorded!(Request, "/vpc/requests", "vpc.Request", "An operator's request" {
-    stamp => "Head",
-    id => "Chosen by the operator; the reply bears it",
-    action (Action) => "What is asked for",
-    strategy (StrategyCode) => "Of the action strategy",
-    neighbours => "Of knn",
-    reserved => "0",
-});
-
-recorded!(Reply, "/vpc/replies", "vpc.Reply", "The controller's answer to a request" {
-    stamp => "Head; data_ns is the publication of the request",
-    id => "The request's",
-    action (Action) => "The request's",
-    outcome (Outcome) => "What became of it",
-    state (TwistState) => "State after the request",
-    hold (Hold) => "Its cause",
-    strategy (StrategyCode) => "Strategy after the request",
-    neighbours => "Of knn",
-});
-
 #[cfg(test)]
 mod tests {
+    use ipc::{CycleRecord, Features, Snapshot};
+
     use super::*;
 
     fn back<T: Recorded>(message: &T) -> T {
@@ -252,5 +173,13 @@ mod tests {
         );
         assert_eq!(schema["properties"]["twist"]["maxItems"], 6);
         assert_eq!(schema["properties"]["cycle"]["type"], "integer");
+    }
+
+    #[test]
+    fn bytes_come_back_without_their_zeros_at_the_end() {
+        let snapshot = Snapshot::new(7, 1, &[1, 0, 255, 0]).unwrap();
+        let text = snapshot.to_json();
+        assert!(text.contains("\"state\":\"AQD/\""), "{text}");
+        assert_eq!(back(&snapshot), snapshot);
     }
 }

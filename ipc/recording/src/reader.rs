@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
-use ipc::{CycleRecord, Features, Reply, Request, RobotState, TwistCommand};
+use ipc::{CycleRecord, Features, Message, Reply, Request, RobotState, TwistCommand};
 use mcap::McapError;
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};

@@ -4,14 +4,14 @@
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read};
-use std::mem::{align_of, offset_of, size_of};
+use std::mem::offset_of;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use ipc::{
-    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Message, Observer,
-    Outcome, Qos, RecorderPort, Reply, Request, RobotMode, RobotState, Stamp, StrategyCode,
-    TwistCommand, TwistState,
+    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Field, Hold, Observer,
+    Outcome, Qos, RecorderPort, Reply, RobotMode, RobotState, Stamp, StrategyCode, TwistCommand,
+    TwistState, Wire,
 };
 
 use super::{directory, eventually};
@@ -41,73 +41,42 @@ fn script(python: &Path, within: &str) -> Command {
     environment::script(python, &sources("python"), &sources(within))
 }
 
-/// Size of a field.
-fn size_of_field<T, F>(_: impl Fn(&T) -> &F) -> usize {
-    size_of::<F>()
-}
-
-/// A line for the service of each message, and lines for the layout of each message and its fields, as peer.py has
-/// them.
-macro_rules! layout {
-    ($($message:ident { $($field:ident)* })*) => {{
-        let mut lines = String::new();
-        $(
-            let (size, align) = (size_of::<$message>(), align_of::<$message>());
-            let _ = writeln!(lines, "{} {size} {align}", stringify!($message));
-            $(
-                let size = size_of_field(|message: &$message| &message.$field);
-                let offset = offset_of!($message, $field);
-                let names = concat!(stringify!($message), ".", stringify!($field));
-                let _ = writeln!(lines, "{names} {offset} {size}");
-            )*
-        )*
-        lines
-    }};
-}
-
-fn service<T: Message>(lines: &mut String, name: &str) {
-    let Qos {
-        history,
-        buffer,
-        subscribers,
-        publishers,
-    } = T::QOS;
-    let service = T::SERVICE;
-    let _ = writeln!(
-        lines,
-        "{service} vpc/{name} {history} {buffer} {subscribers} {publishers}"
-    );
+/// Lines for the layout of a message and of its fields, as peer.py has them.
+fn layout(lines: &mut String, name: &str, size: usize, fields: &[Field]) {
+    // Every message has a field of eight bytes.
+    let _ = writeln!(lines, "{name} {size} 8");
+    for field in fields {
+        let Field {
+            name: field,
+            offset,
+            size,
+            ..
+        } = field;
+        let _ = writeln!(lines, "{name}.{field} {offset} {size}");
+    }
 }
 
 fn layouts_agree(python: &Path) {
     let output = run(script(python, "tests/python/peer.py").arg("layout")).unwrap();
     let theirs = String::from_utf8(output.stdout).unwrap();
     let mut ours = String::new();
-    service::<Features>(&mut ours, "Features/1");
-    service::<TwistCommand>(&mut ours, "TwistCommand/1");
-    service::<RobotState>(&mut ours, "RobotState/1");
-    service::<CycleRecord>(&mut ours, "CycleRecord/2");
-    service::<Request>(&mut ours, "Request/1");
-    service::<Reply>(&mut ours, "Reply/1");
-    ours += &layout! {
-        Stamp { sequence published_ns data_ns }
-        Features { stamp exposure_ns count visible points }
-        TwistCommand {
-            stamp features_sequence features_published_ns valid_until_ns state reserved twist
-        }
-        RobotState {
-            stamp features_sequence mode faults translation rotation twist joints reserved q dq room
-        }
-        CycleRecord {
-            stamp cycle clock status wake_latency_ns receive_ns step_ns send_ns overruns
-            features_sequence features_age_ns lost_records count way_point_count recalled strategy
-            neighbours np iterations qp_iterations hold state points way_point twist cost
-            violation_px clearance_px error_px realtime phase phase_error_ns minor_faults
-            major_faults blocked allocations room
-        }
-        Request { stamp id action strategy neighbours reserved }
-        Reply { stamp id action outcome state hold strategy neighbours }
-    };
+    for service in ipc::SERVICES {
+        let Qos {
+            history,
+            buffer,
+            subscribers,
+            publishers,
+        } = service.qos;
+        let (name, type_name) = (service.name, service.type_name);
+        let _ = writeln!(
+            ours,
+            "{name} {type_name} {history} {buffer} {subscribers} {publishers}"
+        );
+    }
+    layout(&mut ours, Stamp::NAME, size_of::<Stamp>(), Stamp::FIELDS);
+    for service in ipc::SERVICES {
+        layout(&mut ours, service.message, service.size, service.fields);
+    }
     for (theirs, ours) in theirs.lines().zip(ours.lines()) {
         assert_eq!(theirs, ours, "Python first, then Rust");
     }
@@ -210,6 +179,7 @@ fn messages_go_both_ways(python: &Path) {
     let reply = Reply {
         stamp: Stamp::default(),
         id: !request.id,
+        cycle: 0,
         action: request.action,
         outcome: Outcome::Done.code(),
         state: TwistState::Moving.code(),
@@ -220,6 +190,7 @@ fn messages_go_both_ways(python: &Path) {
     controller.replies.publish(&reply).unwrap();
     let mut reply = Reply {
         id: request.id,
+        cycle: 0,
         outcome: Outcome::NoMemory.code(),
         ..reply
     };

@@ -126,6 +126,7 @@ mod tests {
         Reply {
             stamp: Stamp::default(),
             id: 1,
+            cycle: 0,
             action: Action::Arm.code(),
             outcome: outcome.code(),
             state: TwistState::Disarmed.code(),

@@ -34,7 +34,7 @@ const OWN: [&str; 14] = [
     "told.lost_records",
     "told.stamp.",
     "_ns",
-    "told.room",
+    "told.robot_",
 ];
 
 /// A file of a flight record, taken apart by its own description.

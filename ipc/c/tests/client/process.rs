@@ -7,12 +7,9 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ipc::{
-    Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RealTime, RecorderPort, Reply,
-    RobotFaults, Stamp, StrategyCode, TwistCommand, TwistState,
+    Action, ControllerPorts, CycleRecord, Domain, Field, Hold, Outcome, RealTime, RecorderPort,
+    Reply, RobotFaults, SERVICES, Stamp, StrategyCode, TwistCommand, TwistState, Wire,
 };
-
-use crate::layout::layouts;
-use crate::source::{root, snake};
 
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
@@ -67,8 +64,7 @@ impl Place {
             libraries.display()
         );
         let mut cc = Command::new("cc");
-        cc.args(["-std=c11", "-D_POSIX_C_SOURCE=200809L", "-pedantic"]);
-        cc.args(["-Wall", "-Wextra", "-Werror", "-I"]);
+        cc.args(["-std=c11", "-pedantic", "-Wall", "-Wextra", "-Werror", "-I"]);
         cc.arg(root().join("ipc/c/include"))
             .arg(source)
             .arg("-o")
@@ -126,6 +122,21 @@ fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
     panic!("{what}: did not happen");
 }
 
+/// `RobotState` as `robot_state`.
+fn snake(name: &str) -> String {
+    let letters = name.char_indices();
+    let parts = letters.map(|(i, letter)| match (i, letter.is_uppercase()) {
+        (0, _) | (_, false) => letter.to_lowercase().to_string(),
+        (_, true) => format!("_{}", letter.to_lowercase()),
+    });
+    parts.collect()
+}
+
+/// The root of the repository.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
 #[test]
 fn the_compiler_of_c_has_the_layouts_of_rust() {
     if !compiler("the_compiler_of_c_has_the_layouts_of_rust") {
@@ -135,14 +146,23 @@ fn the_compiler_of_c_has_the_layouts_of_rust() {
         "#include <stdalign.h>\n#include <stdio.h>\n#include \"vpc.h\"\nint main(void) {\n"
             .to_owned();
     let mut expected = String::new();
-    for layout in layouts() {
-        let message = format!("vpc_{}", snake(layout.name));
+    let messages = SERVICES.iter().map(|s| (s.message, s.size, s.fields));
+    let head = (Stamp::NAME, size_of::<Stamp>(), Stamp::FIELDS);
+    for (name, size, fields) in messages.chain([head]) {
+        let message = format!("vpc_{}", snake(name));
         let _ = writeln!(
             source,
             "printf(\"{message} %zu %zu\\n\", sizeof({message}), alignof({message}));"
         );
-        let _ = writeln!(expected, "{message} {} {}", layout.size, layout.align);
-        for (field, offset, size) in &layout.fields {
+        // Every message has a field of eight bytes.
+        let _ = writeln!(expected, "{message} {size} 8");
+        for Field {
+            name: field,
+            offset,
+            size,
+            ..
+        } in fields
+        {
             let _ = writeln!(
                 source,
                 "printf(\"{field} %zu %zu\\n\", offsetof({message}, {field}), sizeof((({message} *)0)->{field}));"
@@ -303,6 +323,7 @@ fn an_operator_in_c_is_heard_and_told() {
             stamp: Stamp::default(),
             // To somebody else first: it must be passed over.
             id: !request.id,
+            cycle: 0,
             action: request.action,
             outcome: Outcome::Shutdown.code(),
             state: TwistState::Disarmed.code(),

@@ -193,6 +193,7 @@ pub fn reply(request: &Request) -> Reply {
     Reply {
         stamp: Stamp::default(),
         id: request.id,
+        cycle: 0,
         action: request.action,
         outcome: Outcome::NoMemory.code(),
         state: TwistState::Moving.code(),

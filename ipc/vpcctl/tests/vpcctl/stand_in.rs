@@ -131,6 +131,7 @@ impl Law {
         Reply {
             stamp: Stamp::default(),
             id: request.id,
+            cycle: 0,
             action: request.action,
             outcome: outcome.code(),
             state: self.state.code(),

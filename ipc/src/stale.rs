@@ -1,18 +1,18 @@
-//! What iceoryx2 0.9.3 leaves of processes that were killed: nodes that it cannot clean up, and places in a service that
-//! nobody holds.
+//! What killed processes leave behind and iceoryx2 0.9.3 cannot clean up: stale nodes, and taken places in services.
 //!
 //! Its own cleaning gives up for good in three cases, each of them a kill at the wrong moment:
 //!
-//! - A process died between the file that announces a port (its tag) and the port itself. The cleaner keeps such a tag,
-//!   fails to remove the directory around it, and has by then deleted the node's details, without which later cleaners
-//!   look for the node in the default domain, and find nothing.
-//! - A cleaner died between a port's tag and the port's place in the service: later ones skip a port without a tag, and
-//!   the place stays taken.
-//! - A cleaner died between two of the three files of a node's monitor: later ones cannot tell whether the node lives.
+//! - A process died between creating the file that announces a port (its tag) and the port itself. The cleaner keeps
+//!   such a tag, so it fails to remove the directory around it, but has already deleted the node's details. Without
+//!   them later cleaners look for the node in the default domain and find nothing.
+//! - A cleaner died between removing a port's tag and the port's place in the service: later ones skip a port without a
+//!   tag, and the place stays taken.
+//! - A cleaner died between removing two of the three files of a node's monitor: later ones cannot tell whether the node
+//!   is alive.
 //!
-//! Here one rule replaces them. Who holds the right to start up is the only one in the domain that makes or removes
-//! nodes, so **what belongs to a node that is not alive belongs to nobody**: it is taken out of each service, the tags
-//! that this needs are made again, and its files are removed.
+//! One rule replaces them. Only the holder of the startup lock creates or removes nodes, so **what belongs to a node that
+//! is not alive belongs to nobody**: it is removed from each service, after restoring the tags that this needs, and its
+//! files are deleted.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -24,16 +24,14 @@ use std::path::{Path, PathBuf};
 
 use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::{DeadNodeView, Node, NodeDetails, NodeState, NodeView};
-use iceoryx2::prelude::{CallbackProgression, Config, PortFactory, SemanticString};
-use iceoryx2::service::internal::ServiceInternal;
+use iceoryx2::prelude::{CallbackProgression, Config, SemanticString};
 use iceoryx2::service::ipc::Service;
 
-use crate::domain::{Factories, Factory};
-use crate::message::Message;
+use crate::service::OpenService;
 
 /// The nodes of a domain.
 struct Nodes {
-    /// At work, or not to be judged by us.
+    /// Alive, or not known to be dead.
     alive: BTreeSet<u128>,
     dead: Vec<UniqueNodeId>,
 }
@@ -59,56 +57,39 @@ impl Nodes {
     }
 }
 
-/// Cleans up after dead nodes as far as iceoryx2 can, given the domain that they were in. Only for who holds the right
-/// to start up.
+/// Removes dead nodes as far as iceoryx2 can. Call this only while holding the startup lock.
 pub(crate) fn clean(config: &Config) {
     for id in Nodes::list(config).map_or(Vec::new(), |nodes| nodes.dead) {
         let details = NodeDetails::__internal_new(&None, config);
-        // What stands against it is left to `lay`, and that to the next one.
+        // What fails here is left to `reap`.
         let _ = DeadNodeView::<Service>::__internal_try_remove_stale_resources(id, details);
     }
 }
 
-/// Frees all that nobody holds and [`clean`] has left. Only for who holds the right to start up: then no node is just
-/// being made. Where something stands against it, it stays as before.
-pub(crate) fn lay(services: &Factories, config: &Config) {
+/// Removes what [`clean`] has left. Call this only while holding the startup lock: then no node is being created. What
+/// cannot be removed stays as before, and the next process that joins tries again.
+pub(crate) fn reap(services: &[Box<dyn OpenService>], config: &Config) {
     let Some(nodes) = Nodes::list(config) else {
         return;
     };
-    leave(&services.features, &nodes, config);
-    leave(&services.twist, &nodes, config);
-    leave(&services.robot, &nodes, config);
-    leave(&services.cycles, &nodes, config);
-    leave(&services.requests, &nodes, config);
-    leave(&services.replies, &nodes, config);
-    // The next one tries again.
-    let _ = sweep(&nodes, config);
-}
-
-/// Takes the ports of nobody, and the nodes that are dead, out of a service.
-fn leave<T: Message>(factory: &Factory<T>, nodes: &Nodes, config: &Config) {
-    let mut ghosts = nodes.dead.clone();
-    let mut haunt = |node: UniqueNodeId, port: u128| {
-        if nodes.alive.contains(&node.value()) {
-            return CallbackProgression::Continue;
+    for service in services {
+        let mut stale = nodes.dead.clone();
+        for (node, port) in service.ports() {
+            if !nodes.alive.contains(&node.value()) {
+                // iceoryx2 would skip a port without its tag.
+                let _ = make_tag(config, node, port);
+                stale.push(node);
+            }
         }
-        // A port without its tag would be skipped.
-        let _ = make_tag(config, node, port);
-        if !ghosts.contains(&node) {
-            ghosts.push(node);
+        for node in stale {
+            service.remove(&node, config);
         }
-        CallbackProgression::Continue
-    };
-    let dynamic = factory.dynamic_config();
-    dynamic.list_publishers(|port| haunt(port.node_id, port.publisher_id.value()));
-    dynamic.list_subscribers(|port| haunt(port.node_id, port.subscriber_id.value()));
-    for node in ghosts {
-        let _ = Service::__internal_remove_node_from_service(&node, factory.service_hash(), config);
     }
+    let _ = remove_files(&nodes, config);
 }
 
 /// Removes the files of all nodes that are not alive.
-fn sweep(nodes: &Nodes, config: &Config) -> io::Result<()> {
+fn remove_files(nodes: &Nodes, config: &Config) -> io::Result<()> {
     let prefix = config.global.prefix.as_bytes();
     for entry in std::fs::read_dir(node_directory(config))? {
         let path = entry?.path();
@@ -132,7 +113,7 @@ fn sweep(nodes: &Nodes, config: &Config) -> io::Result<()> {
     Ok(())
 }
 
-/// Where the nodes of a domain note what they have.
+/// The directory in which the nodes of a domain list what they have.
 fn node_directory(config: &Config) -> PathBuf {
     let nodes = config.global.node_dir();
     Path::new(OsStr::from_bytes(nodes.as_bytes())).to_path_buf()

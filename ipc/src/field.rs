@@ -1,0 +1,266 @@
+//! Structs on the wire. The macro `wire!` lists the fields of each once and derives from the list the `repr(C)` struct,
+//! its default, the check that it has no padding, and the table [`Wire::FIELDS`].
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::codes::Table;
+
+/// One field of a struct on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Name in all languages.
+    pub name: &'static str,
+    /// Documentation, a line each, without the unit.
+    pub doc: &'static str,
+    /// Unit of the numbers; empty if they have none.
+    pub unit: &'static str,
+    /// Type of one element.
+    pub kind: Kind,
+    /// Elements: 1, or the length of an array.
+    pub count: usize,
+    /// Bytes before it.
+    pub offset: usize,
+    /// Bytes in it.
+    pub size: usize,
+    /// What the numbers stand for, and which are valid.
+    pub meaning: Meaning,
+}
+
+/// What the numbers of a field stand for. A message with other numbers is refused on reception.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Meaning {
+    /// Any number.
+    Any,
+    /// Finite numbers.
+    Finite,
+    /// Pairs, of which as many are finite as the last field with a range says.
+    FinitePairs,
+    /// A count from `.0` to `.1`, both included.
+    Range(u32, u32),
+    /// A code of the table.
+    Code(&'static Table),
+    /// A code of the table; others are received all the same, because they are answered.
+    AnyCode(&'static Table),
+    /// A sum of the table's bits.
+    Bits(&'static Table),
+}
+
+impl Meaning {
+    /// The names of the numbers.
+    pub fn table(&self) -> Option<&'static Table> {
+        match self {
+            Self::Code(table) | Self::AnyCode(table) | Self::Bits(table) => Some(table),
+            Self::Any | Self::Finite | Self::FinitePairs | Self::Range(..) => None,
+        }
+    }
+}
+
+/// A struct on the wire: plain `repr(C)` data without padding.
+pub trait Wire: ZeroCopySend + Copy + Default + 'static {
+    /// Name in Rust.
+    const NAME: &'static str;
+    /// Name that iceoryx2 compares. It ends in a number that rises with each change of the layout.
+    const TYPE_NAME: &'static str;
+    /// Documentation, a line each.
+    const DOC: &'static str;
+    /// The fields, in order.
+    const FIELDS: &'static [Field];
+
+    /// Each field with its values.
+    fn fields(&self) -> impl Iterator<Item = (&'static Field, Values<'_>)>;
+
+    /// Each field with its values, to be changed.
+    fn fields_mut(&mut self) -> impl Iterator<Item = (&'static Field, ValuesMut<'_>)>;
+}
+
+/// A type that a field may have.
+pub trait FieldType: Copy {
+    /// Type of one element.
+    const KIND: Kind;
+    /// Elements.
+    const COUNT: usize;
+    /// The default.
+    const ZERO: Self;
+
+    /// The elements.
+    fn values(&self) -> Values<'_>;
+
+    /// The elements, to be changed.
+    fn values_mut(&mut self) -> ValuesMut<'_>;
+}
+
+macro_rules! kinds {
+    ($($number:ident $kind:ident $zero:literal,)+) => {
+        /// Type of the elements of a field.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[allow(missing_docs)]
+        pub enum Kind {
+            $($kind,)+
+            Stamp,
+        }
+
+        /// The elements of a field: one, or those of an array.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        #[allow(missing_docs)]
+        pub enum Values<'a> {
+            $($kind(&'a [$number]),)+
+            Stamp(&'a Stamp),
+        }
+
+        /// As [`Values`], to be changed.
+        #[derive(Debug)]
+        #[allow(missing_docs)]
+        pub enum ValuesMut<'a> {
+            $($kind(&'a mut [$number]),)+
+            Stamp(&'a mut Stamp),
+        }
+
+        $(
+            impl FieldType for $number {
+                const KIND: Kind = Kind::$kind;
+                const COUNT: usize = 1;
+                const ZERO: Self = $zero;
+
+                fn values(&self) -> Values<'_> {
+                    Values::$kind(core::slice::from_ref(self))
+                }
+
+                fn values_mut(&mut self) -> ValuesMut<'_> {
+                    ValuesMut::$kind(core::slice::from_mut(self))
+                }
+            }
+
+            impl<const N: usize> FieldType for [$number; N] {
+                const KIND: Kind = Kind::$kind;
+                const COUNT: usize = N;
+                const ZERO: Self = [$zero; N];
+
+                fn values(&self) -> Values<'_> {
+                    Values::$kind(self)
+                }
+
+                fn values_mut(&mut self) -> ValuesMut<'_> {
+                    ValuesMut::$kind(self)
+                }
+            }
+        )+
+    };
+}
+
+kinds! {
+    u8 U8 0,
+    u32 U32 0,
+    u64 U64 0,
+    i64 I64 0,
+    f64 F64 0.0,
+}
+
+impl FieldType for Stamp {
+    const KIND: Kind = Kind::Stamp;
+    const COUNT: usize = 1;
+    const ZERO: Self = Self {
+        sequence: 0,
+        published_ns: 0,
+        data_ns: 0,
+    };
+
+    fn values(&self) -> Values<'_> {
+        Values::Stamp(self)
+    }
+
+    fn values_mut(&mut self) -> ValuesMut<'_> {
+        ValuesMut::Stamp(self)
+    }
+}
+
+/// Declares a struct on the wire: `name: type [unit meaning] = default`, the last two only where needed.
+///
+/// Meanings: `finite`, `finite_pairs`, `range(least, most)`, `code(Type)`, `any_code(Type)`, `bits(Type)`.
+macro_rules! wire {
+    ($(#[doc = $doc:expr])+ $(#[derive($($derive:path),+)])? $name:ident: $type_name:tt {
+        $(
+            $(#[doc = $field_doc:literal])+
+            $field:ident: $type:ty
+                $([$($unit:literal)? $($meaning:ident $(($($argument:tt)+))?)?])?
+                $(= $default:expr)?,
+        )+
+    }) => {
+        $(#[doc = $doc])+
+        #[repr(C)]
+        #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend $(, $($derive),+)?)]
+        #[type_name($type_name)]
+        pub struct $name {
+            $(
+                $(#[doc = $field_doc])+
+                $($(#[doc = concat!(" Unit: ", $unit, ".")])?)?
+                pub $field: $type,
+            )+
+        }
+
+        const _: () = assert!(
+            size_of::<$name>() == 0 $(+ size_of::<$type>())+,
+            concat!(stringify!($name), " has padding: add or move a field of 4 bytes"),
+        );
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $crate::field::wire!(@default $type $(, $default)?),)+ }
+            }
+        }
+
+        impl $crate::field::Wire for $name {
+            const NAME: &'static str = stringify!($name);
+            const TYPE_NAME: &'static str = $type_name;
+            const DOC: &'static str = concat!($($doc, "\n"),+);
+            const FIELDS: &'static [$crate::field::Field] = &[$($crate::field::Field {
+                name: stringify!($field),
+                doc: concat!($($field_doc, "\n"),+),
+                unit: concat!($($($unit)?)?),
+                kind: <$type as $crate::field::FieldType>::KIND,
+                count: <$type as $crate::field::FieldType>::COUNT,
+                offset: core::mem::offset_of!($name, $field),
+                size: size_of::<$type>(),
+                meaning: $crate::field::wire!(@meaning $($($meaning $(($($argument)+))?)?)?),
+            },)+];
+
+            fn fields(
+                &self,
+            ) -> impl Iterator<Item = (&'static $crate::field::Field, $crate::field::Values<'_>)> {
+                let values = [$($crate::field::FieldType::values(&self.$field),)+];
+                Self::FIELDS.iter().zip(values)
+            }
+
+            fn fields_mut(
+                &mut self,
+            ) -> impl Iterator<Item = (&'static $crate::field::Field, $crate::field::ValuesMut<'_>)> {
+                let values = [$($crate::field::FieldType::values_mut(&mut self.$field),)+];
+                Self::FIELDS.iter().zip(values)
+            }
+        }
+    };
+    (@default $type:ty) => { <$type as $crate::field::FieldType>::ZERO };
+    (@default $type:ty, $value:expr) => { $value };
+    (@meaning) => { $crate::field::Meaning::Any };
+    (@meaning finite) => { $crate::field::Meaning::Finite };
+    (@meaning finite_pairs) => { $crate::field::Meaning::FinitePairs };
+    (@meaning range($least:expr, $most:expr)) => {
+        $crate::field::Meaning::Range($least as u32, $most as u32)
+    };
+    (@meaning code($codes:ty)) => { $crate::field::Meaning::Code(&<$codes>::TABLE) };
+    (@meaning any_code($codes:ty)) => { $crate::field::Meaning::AnyCode(&<$codes>::TABLE) };
+    (@meaning bits($bits:ty)) => { $crate::field::Meaning::Bits(&<$bits>::TABLE) };
+}
+pub(crate) use wire;
+
+wire! {
+    /// Head of every message. Times are CLOCK_MONOTONIC.
+    #[derive(Eq, serde::Serialize, serde::Deserialize)]
+    Stamp: "vpc/Stamp/1" {
+        /// Number of the message. Each publisher counts from 1, and starts again from 1 when it restarts.
+        sequence: u64,
+        /// When the message was published.
+        published_ns: u64 ["ns"],
+        /// The instant that the data describe; for features the middle of the exposure.
+        data_ns: u64 ["ns"],
+    }
+}

@@ -1,0 +1,80 @@
+//! Commands for developers. `cargo xtask codegen` writes every file that is made from the code, `cargo xtask codegen
+//! --check` fails if one of them is stale. Each kind of file has a module here; [`ARTEFACTS`] lists them.
+
+mod c_header;
+mod contract;
+mod doc;
+mod python;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, ensure};
+use clap::Parser;
+
+/// A file that is made from the code.
+struct Artefact {
+    /// Below the root of the repository.
+    path: &'static str,
+    /// Its new text, given the present one (empty if there is none).
+    make: fn(present: &str) -> anyhow::Result<String>,
+}
+
+const ARTEFACTS: &[Artefact] = &[
+    Artefact {
+        path: "ipc/c/include/vpc.h",
+        make: |_| c_header::make(),
+    },
+    Artefact {
+        path: "ipc/python/vpc_client/messages.py",
+        make: |_| Ok(python::make()),
+    },
+    Artefact {
+        path: "ipc/CONTRACT.md",
+        make: contract::make,
+    },
+];
+
+/// Commands for developers.
+#[derive(Parser)]
+enum Command {
+    /// Write the files that are made from the code
+    Codegen {
+        /// Only check: fail if a file is stale
+        #[arg(long)]
+        check: bool,
+    },
+}
+
+/// The root of the repository.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+fn codegen(check: bool) -> anyhow::Result<()> {
+    let mut stale = Vec::new();
+    for Artefact { path, make } in ARTEFACTS {
+        let file = root().join(path);
+        let present = std::fs::read_to_string(&file).unwrap_or_default();
+        let text = make(&present).with_context(|| format!("{path}: cannot be made"))?;
+        if text == present {
+            continue;
+        }
+        if check {
+            let lines = || present.lines().zip(text.lines());
+            let same = lines().take_while(|(old, new)| old == new).count();
+            stale.push(format!("{path} (line {})", same + 1));
+        } else {
+            std::fs::write(&file, text).with_context(|| format!("{path}: cannot be written"))?;
+            println!("{path}: written");
+        }
+    }
+    let stale = stale.join(", ");
+    ensure!(stale.is_empty(), "stale: {stale}; run cargo xtask codegen");
+    Ok(())
+}
+
+fn main() -> anyhow::Result<()> {
+    match Command::parse() {
+        Command::Codegen { check } => codegen(check),
+    }
+}
