@@ -21,6 +21,8 @@ const AS_NOBODY: &str = "setpriv --reuid=65534 --regid=65534 --clear-groups";
 /// A package in a place of its own.
 struct Package {
     file: PathBuf,
+    /// The files that `vpcctl man` wrote, one a line.
+    pages: String,
     _place: Place,
 }
 
@@ -56,6 +58,12 @@ impl Package {
             }
             std::os::unix::fs::symlink(built, release.join(program)).unwrap();
         }
+        let share = Command::new(release.join("vpcctl"))
+            .arg("man")
+            .arg(release.join("share"))
+            .output()
+            .unwrap();
+        assert!(share.status.success(), "{share:?}");
         let file = place.path("vpcd.deb");
         let output = Command::new(cargo_deb)
             .args(["--package=controller", "--no-build", "--locked"])
@@ -71,6 +79,7 @@ impl Package {
         assert!(!said.contains("warning"), "cargo-deb: {said}");
         Some(Self {
             file,
+            pages: String::from_utf8(share.stdout).unwrap(),
             _place: place,
         })
     }
@@ -114,7 +123,7 @@ fn a_debian_installs_starts_upgrades_removes_and_purges_it() {
     install(&machine);
     neither_enables_nor_starts_it(&machine);
     makes_user_and_directory(&machine);
-    has_all_files_in_their_places(&machine);
+    has_all_files_in_their_places(&machine, &package.pages);
     starts_ready_and_confined(&machine);
     finds_real_time_in_the_service(&machine);
     is_nobody_elses(&machine);
@@ -179,7 +188,7 @@ fn makes_user_and_directory(machine: &Machine) {
     assert_eq!(found, "700 vpcd vpcd");
 }
 
-fn has_all_files_in_their_places(machine: &Machine) {
+fn has_all_files_in_their_places(machine: &Machine, pages: &str) {
     let listed = machine.must("dpkg --listfiles vpcd");
     let listed: Vec<_> = listed.lines().collect();
     for path in &listed {
@@ -189,11 +198,8 @@ fn has_all_files_in_their_places(machine: &Machine) {
     for name in ["copyright", "changelog.Debian.gz", "README.md", "vpcd.toml"] {
         wanted.push(format!("/usr/share/doc/vpcd/{name}"));
     }
-    for entry in fs::read_dir(root().join("ipc/vpcctl/share")).unwrap() {
-        let name = entry.unwrap().file_name().into_string().unwrap();
-        if name.ends_with(".1") {
-            wanted.push(format!("/usr/share/man/man1/{name}.gz"));
-        }
+    for name in pages.lines().filter(|name| name.ends_with(".1")) {
+        wanted.push(format!("/usr/share/man/man1/{name}.gz"));
     }
     for path in &wanted {
         assert!(listed.contains(&path.as_str()), "{path} is not packaged");

@@ -44,7 +44,7 @@ pub(crate) fn camera_in_object(
 }
 
 /// The pattern's points in the image at the goal, px, by the pinhole model.
-pub(crate) fn goal(scene: &Scene) -> Vec<[f64; 2]> {
+pub fn goal(scene: &Scene) -> Vec<[f64; 2]> {
     let turn = quaternion(scene.goal.rotation);
     let [tx, ty, tz] = scene.goal.translation;
     let camera = &scene.camera;

@@ -29,6 +29,7 @@ pub use clock::WallClock;
 pub use context::{Context, ContextError, MaskFile, Text};
 pub use field::FieldError;
 pub use file::{CONFIG_FILE, RecordingFile, SCENE, SCENE_FILE, WriteError};
+pub use geometry::goal;
 pub use ledger::{Account, Ledger, Notice};
 pub use message::Recorded;
 pub use plot::{PlotError, plot};

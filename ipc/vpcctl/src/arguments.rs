@@ -13,9 +13,10 @@ use crate::replay::ReplayArguments;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
-/// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something is to be mended (doctor); 2 the
-/// request was refused; 3 no daemon; 4 the daemon does not answer; 5 disarmed (status); 64 command line; 65 a file is
-/// wrong; 66 a file is missing; 69 shared memory, place or address not available; 70 failure of vpcctl.
+/// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be mended
+/// (doctor); 2 the request was refused; 3 no daemon; 4 the daemon does not answer; 5 disarmed
+/// (status); 64 command line; 65 a file is wrong; 66 a file is missing; 69 shared memory, place or
+/// address not available; 70 failure of vpcctl.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "vpcctl", version, max_term_width = 100)]
 pub struct Arguments {
@@ -38,40 +39,40 @@ impl Arguments {
 /// What to do.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Command {
-    /// Tell on one screen what the daemon does.
+    /// Print on one screen what the daemon does.
     Status(StatusArguments),
-    /// Show live what the daemon does: image plane, twist, times, states; keys command it.
+    /// Show live in the terminal what the daemon does; keys command it.
     Watch(WatchArguments),
-    /// Let the law move the camera.
+    /// Let the controller move the camera.
     Arm(RequestArguments),
     /// Brake to zero and stay there until the next arm.
     Disarm(RequestArguments),
-    /// Zero at once, without braking, and stay there until the next arm. Needs no observer's place.
+    /// Stop at once, without braking, and stay there until the next arm.
     Stop(RequestArguments),
-    /// Change the strategy of the law.
+    /// Change the strategy.
     Strategy(StrategyArguments),
-    /// Have the daemon write out its flight record.
+    /// Make the daemon write its flight record.
     Flight(RequestArguments),
-    /// Say what is wrong with this machine or set-up, and how to mend it.
+    /// Find out what is wrong with this machine or set-up, and how to mend it.
     Doctor(DoctorArguments),
-    /// Metrics in the Prometheus text format, served or printed.
+    /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
-    /// Serve a live view for the browser, on loopback.
+    /// Serve a live view for the browser, to this machine.
     Serve(ServeArguments),
     /// Print the completions for a shell.
     Completions {
         /// bash, zsh, fish, elvish, powershell.
         shell: clap_complete::Shell,
     },
-    /// Write the man pages into a directory.
+    /// Write man pages and completions into a directory, as a package ships them.
     Man {
-        /// The directory.
+        /// The directory; it is created.
         #[arg(value_name = "DIR")]
         directory: PathBuf,
     },
-    /// Record what the domain says, for Foxglove, the mcap tools, plot and replay.
+    /// Record all messages to an MCAP file, for Foxglove, the mcap tools, plot and replay.
     Record(RecordArguments),
-    /// Draw a recording: paths, commands, latencies; and report deadlines.
+    /// Draw a recording (paths, commands, latencies) and report deadlines.
     Plot(PlotArguments),
     /// Run the law again on a recording and compare.
     Replay(ReplayArguments),
@@ -80,7 +81,7 @@ pub enum Command {
 /// `status`.
 #[derive(Clone, Debug, Args)]
 pub struct StatusArguments {
-    /// JSON instead of text; numbers that are not known are null.
+    /// Print JSON; numbers that are not known are null.
     #[arg(long)]
     pub json: bool,
 
@@ -92,11 +93,11 @@ pub struct StatusArguments {
 /// `watch`.
 #[derive(Clone, Debug, Args)]
 pub struct WatchArguments {
-    /// Scene file: image size, goal, occlusions and limits to draw.
+    /// Scene file to draw: image size, goal, occlusions, limits. [default: the daemon's]
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
 
-    /// Neighbours that the key 2 asks for, 1 to 64.
+    /// Neighbours of knn for the key 2, 1 to 64.
     #[arg(long, value_name = "K", default_value = "1",
         value_parser = clap::value_parser!(u32).range(1..=64))]
     pub neighbours: u32,
@@ -125,7 +126,7 @@ pub struct MetricsArguments {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9469")]
     pub listen: SocketAddr,
 
-    /// Allow an address that other machines reach. There is no encryption and no password.
+    /// Allow an address that other machines can reach, without encryption or password.
     #[arg(long)]
     pub expose: bool,
 
@@ -141,7 +142,7 @@ pub struct MetricsArguments {
 /// `serve`.
 #[derive(Clone, Debug, Args)]
 pub struct ServeArguments {
-    /// Scene file: image size, goal, occlusions and limits to draw.
+    /// Scene file to draw: image size, goal, occlusions, limits. [default: the daemon's]
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
 
@@ -149,11 +150,11 @@ pub struct ServeArguments {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9470")]
     pub listen: SocketAddr,
 
-    /// Allow an address that other machines reach, for watching. There is no encryption and no password.
+    /// Allow an address that other machines can reach, for watching, without encryption or password.
     #[arg(long)]
     pub expose: bool,
 
-    /// Let the page arm, disarm and stop; for who has the address with its token, as it is printed.
+    /// Let the page arm, disarm and stop, when opened at the printed address with its token.
     #[arg(long)]
     pub control: bool,
 }
@@ -169,45 +170,13 @@ pub struct RequestArguments {
 /// `strategy`.
 #[derive(Clone, Debug, Args)]
 pub struct StrategyArguments {
-    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr, ibvs.
+    /// previous, knn (or knn2 ... knn64: the mean of that many neighbours), gpr, ibvs.
     #[arg(value_name = "NAME", value_parser = strategy)]
-    pub strategy: Choice,
+    pub strategy: (StrategyCode, u32),
 
-    /// Neighbours averaged by knn, 1 to 64.
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
-    pub neighbours: Option<u32>,
-
-    /// How long to wait.
     #[command(flatten)]
+    #[allow(missing_docs)]
     pub request: RequestArguments,
-}
-
-/// A strategy with the neighbours that its name gives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Choice {
-    /// The strategy.
-    pub strategy: StrategyCode,
-    /// Neighbours of knn, 1 to 64; else 0.
-    pub neighbours: u32,
-}
-
-impl StrategyArguments {
-    /// The strategy asked for; the flag wins over the name.
-    ///
-    /// # Errors
-    /// Neighbours for a strategy that has none.
-    pub fn choice(&self) -> Result<Choice, String> {
-        match (self.strategy.strategy, self.neighbours) {
-            (_, None) => Ok(self.strategy),
-            (StrategyCode::Knn, Some(neighbours)) => Ok(Choice {
-                neighbours,
-                ..self.strategy
-            }),
-            (other, Some(k)) => Err(format!(
-                "--neighbours {k} with strategy {other}; allowed: with knn only"
-            )),
-        }
-    }
 }
 
 /// Reads a duration in seconds.
@@ -219,22 +188,17 @@ fn seconds(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// Reads the name of a strategy as `vpcd --strategy` does.
-fn strategy(text: &str) -> Result<Choice, String> {
-    let plain = |strategy, neighbours| Choice {
-        strategy,
-        neighbours,
-    };
-    match text {
-        "previous" => Ok(plain(StrategyCode::Previous, 0)),
-        "knn" => Ok(plain(StrategyCode::Knn, 1)),
-        "gpr" => Ok(plain(StrategyCode::Gpr, 0)),
-        "ibvs" => Ok(plain(StrategyCode::Ibvs, 0)),
-        _ => text
-            .strip_prefix("knn")
-            .and_then(|digits| digits.parse().ok())
-            .filter(|neighbours| (1..=64).contains(neighbours))
-            .map(|neighbours| plain(StrategyCode::Knn, neighbours))
+/// Reads the name of a strategy as `vpcd --strategy` does, with its neighbours.
+fn strategy(text: &str) -> Result<(StrategyCode, u32), String> {
+    let neighbours = |digits: &str| digits.parse().ok().filter(|k| (1..=64).contains(k));
+    match (text, text.strip_prefix("knn")) {
+        ("previous", _) => Ok((StrategyCode::Previous, 0)),
+        ("gpr", _) => Ok((StrategyCode::Gpr, 0)),
+        ("ibvs", _) => Ok((StrategyCode::Ibvs, 0)),
+        ("knn", _) => Ok((StrategyCode::Knn, 1)),
+        (_, digits) => digits
+            .and_then(neighbours)
+            .map(|k| (StrategyCode::Knn, k))
             .ok_or_else(|| "allowed: previous, knn, knn2 ... knn64, gpr, ibvs".to_owned()),
     }
 }
@@ -250,25 +214,12 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_come_from_the_name_or_the_flag() {
-        let choice = |words: &[&str]| {
-            let line = ["vpcctl", "strategy"].iter().chain(words);
-            match Arguments::try_parse_from(line).unwrap().command {
-                Command::Strategy(arguments) => arguments.choice(),
-                other => panic!("{other:?}"),
-            }
-        };
-        let knn = |neighbours| {
-            Ok(Choice {
-                strategy: StrategyCode::Knn,
-                neighbours,
-            })
-        };
-        assert_eq!(choice(&["knn"]), knn(1));
-        assert_eq!(choice(&["knn8"]), knn(8));
-        assert_eq!(choice(&["knn", "--neighbours", "5"]), knn(5));
-        let refused = choice(&["gpr", "--neighbours", "5"]).unwrap_err();
-        assert!(refused.contains("with knn only"), "{refused}");
+    fn neighbours_come_from_the_name() {
+        assert_eq!(strategy("knn"), Ok((StrategyCode::Knn, 1)));
+        assert_eq!(strategy("knn8"), Ok((StrategyCode::Knn, 8)));
+        assert_eq!(strategy("gpr"), Ok((StrategyCode::Gpr, 0)));
+        let refused = strategy("gpr8").unwrap_err();
+        assert!(refused.contains("knn64"), "{refused}");
     }
 
     #[test]
@@ -276,7 +227,7 @@ mod tests {
         for words in [
             ["strategy", "knn65"].as_slice(),
             &["strategy", "magic"],
-            &["strategy", "knn", "--neighbours", "0"],
+            &["strategy", "knn0"],
             &["arm", "--timeout", "0"],
             &["arm", "--timeout", "nan"],
         ] {

@@ -1,20 +1,25 @@
-//! Exit codes for scripts, and the failures that lead to them.
+//! Exit codes, and failures with their exit codes.
 
+use std::fmt::Display;
 use std::io;
+use std::path::Path;
 
-/// How the command ends. Small numbers are answers, those from 64 are `vpcd`'s (after `sysexits.h`).
+use recording::{ContextError, PlotError, ReadError, RecordError, WriteError};
+use scene::SceneError;
+
+/// How the command ends. Small numbers are answers; those from 64 on are `vpcd`'s (after `sysexits.h`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
-    /// `status`: moving or arrived. A request: done. `doctor`: nothing to mend.
+    /// `status`: moving or arrived. A request: done. `doctor`: no failure.
     Ok = 0,
-    /// `status`: the camera stands or brakes: stopped, holding, braking. `doctor`: something must be mended.
+    /// `status`: stopped, holding or braking. `doctor`: at least one failure.
     Attention = 1,
-    /// A request: refused by the controller.
+    /// The daemon refused the request.
     Refused = 2,
-    /// No daemon is at work in the domain.
+    /// No daemon runs in the domain.
     NoDaemon = 3,
-    /// A daemon is at work and does not answer, or its cycles have stopped.
+    /// A daemon runs and does not answer, or its cycles have stopped.
     NoAnswer = 4,
     /// `status`: disarmed.
     Disarmed = 5,
@@ -26,7 +31,7 @@ pub enum Exit {
     NoInput = 66,
     /// The shared memory, a port or an address cannot be used.
     Unavailable = 69,
-    /// vpcctl failed by itself, or could not write.
+    /// vpcctl itself failed, or could not write.
     Software = 70,
 }
 
@@ -36,127 +41,80 @@ impl From<Exit> for std::process::ExitCode {
     }
 }
 
-/// Why a command could not do what was asked.
+/// Why a command could not do what was asked: one line for standard error, and the exit code.
 #[derive(Debug, thiserror::Error)]
-pub enum Failure {
-    /// Nobody serves the domain.
-    #[error(
-        "domain {domain}: no vpcd is at work; start it (vpcd --domain {domain} ...), or name its domain with --domain"
-    )]
-    NoDaemon {
-        /// The domain's directory.
-        domain: String,
-    },
-    /// Nobody answered.
-    #[error(
-        "domain {domain}: {process} did not answer within {seconds} s; see `vpcctl doctor`, or end it with `kill -TERM` (zero twist, controlled stop)"
-    )]
-    NoAnswer {
-        /// The domain's directory.
-        domain: String,
-        /// Who should have.
-        process: String,
-        /// How long was waited.
-        seconds: f64,
-    },
-    /// The domain cannot be joined.
-    #[error(transparent)]
-    Join(#[from] ipc::JoinError),
-    /// A port cannot be opened.
-    #[error(transparent)]
-    Open(#[from] ipc::OpenError),
-    /// A request cannot be sent, or its answer cannot be read.
-    #[error(transparent)]
-    Ask(#[from] ipc::AskError),
-    /// Records cannot be received.
-    #[error(transparent)]
-    Receive(#[from] ipc::ReceiveError),
-    /// The scene is wrong.
-    #[error(transparent)]
-    Scene(#[from] scene::SceneError),
-    /// The view needs a terminal.
-    #[error("watch: standard output is no terminal; use `vpcctl status`, --json for scripts")]
-    NoTerminal,
-    /// The address is not of this machine alone.
-    #[error(
-        "--listen {address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"
-    )]
-    Exposed {
-        /// The address.
-        address: String,
-    },
-    /// Commands over the network.
-    #[error(
-        "--control: token and commands would be readable on the network; allowed: with 127.0.0.0/8 and [::1] (from afar: ssh -L 9470:127.0.0.1:9470 HOST)"
-    )]
-    ExposedControl,
-    /// The address cannot be used.
-    #[error(
-        "--listen {address}: {source}; allowed: a free address of this machine (port 0: any free port)"
-    )]
-    Listen {
-        /// The address.
-        address: String,
-        /// The operating system's reason.
-        source: io::Error,
-    },
-    /// A file cannot be written.
-    #[error("{path}: cannot write: {source}")]
-    Write {
-        /// The file.
-        path: String,
-        /// The operating system's reason.
-        source: io::Error,
-    },
-    /// Scene or configuration of a recording.
-    #[error(transparent)]
-    Context(#[from] recording::ContextError),
-    /// A recording cannot be made.
-    #[error(transparent)]
-    Record(#[from] recording::RecordError),
-    /// A recording cannot be read.
-    #[error(transparent)]
-    Recording(#[from] recording::ReadError),
-    /// A recording cannot be drawn.
-    #[error(transparent)]
-    Plot(#[from] recording::PlotError),
-    /// A program that does the work is missing.
-    #[error("{program}: cannot run: {source}; allowed: beside vpcctl, or in PATH")]
-    Program {
-        /// The program.
-        program: String,
-        /// The operating system's reason.
-        source: io::Error,
-    },
-    /// The output cannot be written.
-    #[error("cannot write the output: {0}")]
-    Output(#[from] io::Error),
+#[error("{message}")]
+pub struct Failure {
+    /// The exit code.
+    pub exit: Exit,
+    message: String,
 }
 
 impl Failure {
-    /// The exit code that goes with it.
-    pub fn exit(&self) -> Exit {
-        use recording::{ContextError, PlotError, ReadError, RecordError, WriteError};
-        match self {
-            Self::Record(RecordError::Join(_) | RecordError::Open(_) | RecordError::Receive(_)) => {
-                Exit::Unavailable
-            }
-            Self::Record(RecordError::Write(WriteError::Exists { .. })) => Exit::Usage,
-            Self::Context(ContextError::Read { .. })
-            | Self::Recording(ReadError::Read { .. })
-            | Self::Program { .. } => Exit::NoInput,
-            Self::Context(_)
-            | Self::Recording(_)
-            | Self::Plot(PlotError::NoScene | PlotError::Empty) => Exit::Data,
-            Self::Record(_) | Self::Plot(_) => Exit::Software,
-            Self::NoDaemon { .. } => Exit::NoDaemon,
-            Self::NoAnswer { .. } => Exit::NoAnswer,
-            Self::Join(_) | Self::Open(_) | Self::Ask(_) | Self::Receive(_) => Exit::Unavailable,
-            Self::NoTerminal | Self::Exposed { .. } | Self::ExposedControl => Exit::Usage,
-            Self::Listen { .. } => Exit::Unavailable,
-            Self::Scene(scene::SceneError::Read { .. }) => Exit::NoInput,
-            Self::Scene(_) => Exit::Data,
-            Self::Write { .. } | Self::Output(_) => Exit::Software,
+    /// A failure with this message.
+    pub fn new(exit: Exit, message: impl Display) -> Self {
+        Self {
+            exit,
+            message: message.to_string(),
         }
     }
+
+    /// No daemon runs in the domain of this directory.
+    pub fn no_daemon(directory: &Path) -> Self {
+        let domain = directory.display();
+        let message = format!(
+            "domain {domain}: no vpcd is at work; start it (vpcd --domain {domain} ...), or name its domain with --domain"
+        );
+        Self::new(Exit::NoDaemon, message)
+    }
+
+    /// The file or directory cannot be written.
+    pub fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        move |source| {
+            let message = format!("{}: cannot write: {source}", path.display());
+            Self::new(Exit::Software, message)
+        }
+    }
+}
+
+/// Lists errors of libraries with the exit codes that they lead to.
+macro_rules! exits {
+    ($($error:ty => $exit:expr,)+) => {$(
+        impl From<$error> for Failure {
+            fn from(error: $error) -> Self {
+                let exit: fn(&$error) -> Exit = $exit;
+                Self::new(exit(&error), error)
+            }
+        }
+    )+};
+}
+
+exits! {
+    ipc::JoinError => |_| Exit::Unavailable,
+    ipc::OpenError => |_| Exit::Unavailable,
+    ipc::AskError => |_| Exit::Unavailable,
+    ipc::ReceiveError => |_| Exit::Unavailable,
+    io::Error => |_| Exit::Software,
+    serde_json::Error => |_| Exit::Software,
+    SceneError => |error| match error {
+        SceneError::Read { .. } => Exit::NoInput,
+        _ => Exit::Data,
+    },
+    ContextError => |error| match error {
+        ContextError::Read { .. } => Exit::NoInput,
+        _ => Exit::Data,
+    },
+    RecordError => |error| match error {
+        RecordError::Join(_) | RecordError::Open(_) | RecordError::Receive(_) => Exit::Unavailable,
+        RecordError::Write(WriteError::Exists { .. }) => Exit::Usage,
+        _ => Exit::Software,
+    },
+    ReadError => |error| match error {
+        ReadError::Read { .. } => Exit::NoInput,
+        _ => Exit::Data,
+    },
+    PlotError => |error| match error {
+        PlotError::NoScene | PlotError::Empty => Exit::Data,
+        _ => Exit::Software,
+    },
 }

@@ -1,62 +1,62 @@
 //! `vpcctl`: watch and command the daemon `vpcd` through shared memory.
 //!
-//! A pure client: it knows the contract (`ipc`) and the scene file (`scene`), and nothing of the daemon's code. Tour,
-//! exit codes and decisions: `README.md` beside this crate.
+//! A client of the contract (`ipc`); it knows nothing of the daemon's code. Exit codes and decisions
+//! are in `README.md` beside this crate.
 #![forbid(unsafe_code)]
 
 pub mod arguments;
 pub mod doctor;
 pub mod exit;
-pub mod http;
+pub mod image_plane;
+pub mod latency;
 pub mod manual;
 pub mod metrics;
 pub mod output;
-pub mod phase;
 pub mod plot;
 pub mod presence;
 pub mod record;
 pub mod replay;
 pub mod request;
 pub mod serve;
-pub mod stage;
+pub mod server;
 pub mod status;
+pub mod units;
 pub mod view;
 pub mod watch;
 pub mod watcher;
-pub mod words;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
-use clap::error::ErrorKind;
 use ipc::{Action, Request};
 
 use arguments::{Arguments, Command, RequestArguments};
 use exit::{Exit, Failure};
-use stage::Stage;
+use image_plane::ImagePlane;
 use status::Asking;
+use watcher::Watcher;
 
 /// Runs the command line; a failure is one line on standard error.
 pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let arguments = match Arguments::try_parse_from(line) {
-        Ok(arguments) => arguments,
+    let result = match Arguments::try_parse_from(line) {
+        Ok(arguments) => run(&arguments),
         Err(error) => {
             // Nothing better can be done where even this cannot be written.
             let _ = error.print();
-            return match error.kind() {
-                ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => Exit::Ok.into(),
-                _ => Exit::Usage.into(),
+            let exit = if error.use_stderr() {
+                Exit::Usage
+            } else {
+                Exit::Ok
             };
+            return exit.into();
         }
     };
-    match run(&arguments) {
+    match result {
         Ok(exit) => exit.into(),
         Err(failure) => {
             eprintln!("vpcctl: {failure}");
-            failure.exit().into()
+            failure.exit.into()
         }
     }
 }
@@ -64,93 +64,58 @@ pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
 fn run(arguments: &Arguments) -> Result<Exit, Failure> {
     let directory = arguments.directory();
     let ask = |request: Request, with: &RequestArguments| -> Result<Exit, Failure> {
-        let reply = request::send(&directory, &request, with.timeout)?;
-        let (line, exit) = request::verdict(&reply);
+        let (line, exit) = request::outcome(&request::send(&directory, &request, with.timeout)?);
         output::write(&line)?;
         Ok(exit)
     };
-    match &arguments.command {
+    let text = match &arguments.command {
+        Command::Arm(with) => return ask(request::plain(Action::Arm), with),
+        Command::Disarm(with) => return ask(request::plain(Action::Disarm), with),
+        Command::Stop(with) => return ask(request::plain(Action::Stop), with),
+        Command::Flight(with) => return ask(request::plain(Action::Record), with),
+        Command::Strategy(with) => {
+            let (strategy, neighbours) = with.strategy;
+            return ask(request::strategy(strategy, neighbours), &with.request);
+        }
         Command::Status(with) => {
             let status = status::look(&directory, with.watch, Asking::IfSilent)?;
             let text = match with.json {
-                true => serde_json::to_string_pretty(&status).map_err(std::io::Error::from)? + "\n",
+                true => serde_json::to_string_pretty(&status.json())? + "\n",
                 false => status.text(output::colours()),
             };
             output::write(&text)?;
-            Ok(status.exit())
+            return Ok(status.exit());
         }
-        Command::Watch(with) => {
-            let stage = Stage::read(with.scene.as_deref())?;
-            watch::run(&directory, &stage, with.neighbours)
-        }
-        Command::Arm(with) => ask(request::plain(Action::Arm), with),
-        Command::Disarm(with) => ask(request::plain(Action::Disarm), with),
-        Command::Stop(with) => ask(request::plain(Action::Stop), with),
         Command::Doctor(with) => {
-            let findings = doctor::examine(&doctor::Patient {
-                directory,
-                scene: with.scene.clone(),
-                memory: with.memory.clone(),
-                watch: with.watch,
-            });
+            let findings = doctor::examine(&directory, with);
             let (text, exit) = doctor::report(&findings, output::colours());
             output::write(&text)?;
-            Ok(exit)
+            return Ok(exit);
         }
-        Command::Metrics(with) if with.once => metrics::once(&directory, with.watch),
+        Command::Watch(with) => {
+            let plane = ImagePlane::open(&directory, with.scene.as_deref())?;
+            return watch::run(&directory, plane, with.neighbours);
+        }
+        Command::Metrics(with) if with.once => return metrics::once(&directory, with.watch),
         Command::Metrics(with) => {
-            http::allow(with.listen, with.expose)?;
-            metrics::serve(&directory, with.listen, &*until_signalled()?)
+            server::allow(with.listen, with.expose)?;
+            return metrics::serve(Watcher::open(&directory)?, with.listen);
         }
         Command::Serve(with) => {
-            http::allow(with.listen, with.expose)?;
-            let stage = Stage::read(with.scene.as_deref())?;
-            let service = serve::Service {
-                directory,
-                address: with.listen,
-                control: with.control,
-            };
-            serve::allow(&service)?;
-            serve::run(&service, &stage, &*until_signalled()?)
+            server::allow(with.listen, with.expose)?;
+            serve::allow(with.listen, with.control)?;
+            let plane = ImagePlane::open(&directory, with.scene.as_deref())?;
+            let watcher = Watcher::open(&directory)?;
+            return serve::run(watcher, plane, with.listen, with.control);
         }
+        Command::Replay(with) => return Err(replay::run(with)),
         Command::Completions { shell } => {
-            output::write(&manual::completions(*shell))?;
-            Ok(Exit::Ok)
+            String::from_utf8_lossy(&manual::completions(*shell)).into_owned()
         }
-        Command::Man { directory } => {
-            let names = manual::write(directory)?;
-            output::write(&format!("{}\n", names.join("\n")))?;
-            Ok(Exit::Ok)
-        }
-        Command::Flight(with) => ask(request::plain(Action::Record), with),
-        Command::Record(with) => {
-            output::write(&record::run(&directory, with)?)?;
-            Ok(Exit::Ok)
-        }
-        Command::Plot(with) => {
-            output::write(&plot::run(with)?)?;
-            Ok(Exit::Ok)
-        }
-        Command::Replay(with) => Err(replay::run(with)),
-        Command::Strategy(with) => match with.choice() {
-            Ok(choice) => ask(
-                request::strategy(choice.strategy, choice.neighbours),
-                &with.request,
-            ),
-            Err(message) => {
-                eprintln!("vpcctl: {message}");
-                Ok(Exit::Usage)
-            }
-        },
-    }
-}
-
-/// A flag that SIGINT, SIGTERM and SIGHUP raise.
-fn until_signalled() -> std::io::Result<Arc<AtomicBool>> {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    let end = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&end))?;
-    }
-    Ok(end)
+        Command::Man { directory } => manual::write(directory)?.join("\n") + "\n",
+        Command::Record(with) => record::run(&directory, with)?,
+        Command::Plot(with) => plot::run(with)?,
+    };
+    output::write(&text)?;
+    Ok(Exit::Ok)
 }

@@ -1,138 +1,174 @@
-//! `vpcctl metrics`: the Prometheus text format, from what watching tells.
+//! `vpcctl metrics`: the Prometheus text format, 0.0.4.
 
-use std::fmt::{Display, Write};
-use std::net::{IpAddr, SocketAddr};
+use std::fmt::Display;
+use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use ipc::{Domain, Hold, PhaseCode, RealTime, RobotMode, TwistState};
+use axum::Router;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::Html;
+use axum::routing::get;
+use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RobotMode, TwistState};
 
 use crate::exit::{Exit, Failure};
-use crate::http::{Request, Response, Server};
-use crate::output;
-use crate::phase::{BOUNDS, Histogram, Phase};
-use crate::presence::Presence;
+use crate::latency::{BOUNDS, Histogram, STAGES};
 use crate::request::strategy_name;
-use crate::view::View;
+use crate::status::{self, Status};
+use crate::view::{FAULTS, View};
 use crate::watcher::Watcher;
-use crate::words::fault_names;
+use crate::{output, server};
 
 /// Time between two looks at the ports.
 const LOOK: Duration = Duration::from_millis(50);
-/// Time between two renewals of the text that is served.
-const RENEWAL: Duration = Duration::from_millis(250);
-/// Silence after which the daemon does not count as up: three seconds, or a hundred periods of 30 Hz.
+/// Silence after which the daemon does not count as up: three seconds, or 100 periods of 30 Hz.
 const SILENCE_NS: u64 = 3_000_000_000;
 /// The media type of the text format.
 const MEDIA: &str = "text/plain; version=0.0.4; charset=utf-8";
+/// What the root has.
+const INDEX: &str = "<!doctype html><title>vpcctl</title><a href=\"/metrics\">metrics</a>\n";
 
-/// Watches for a while and prints the metrics.
+/// Type, name and help of each family. Counters of the daemon begin with it; those of the observer,
+/// and histograms, with vpcctl.
+const FAMILIES: [&str; 28] = [
+    "gauge vpc_up Whether cycles are coming.",
+    "counter vpc_observer_missed_records_total Records of cycles that this exporter missed.",
+    "counter vpc_observer_refused_messages_total Messages that broke the contract.",
+    "counter vpc_observer_restarts_total Starts of the daemon after the first one seen.",
+    "counter vpc_observed_cycles_total Cycles watched, by what kept the law's twist back.",
+    "counter vpc_observed_recalls_total Cycles watched in which the memory was asked.",
+    "counter vpc_observed_page_faults_total Page faults of the loop's thread from wake to send.",
+    "counter vpc_observed_blocking_calls_total Calls of the loop's thread that blocked from wake to send.",
+    "counter vpc_observed_heap_calls_total Calls of the heap by the loop's thread from wake to send.",
+    "histogram vpc_cycle_duration_seconds From waking up to having sent.",
+    "histogram vpc_phase_duration_seconds Stages of a cycle; wake is the time after the release.",
+    "counter vpc_cycles_total Cycles since the daemon's start.",
+    "counter vpc_overruns_total Releases missed since the daemon's start.",
+    "counter vpc_lost_records_total Records lost since the daemon's start.",
+    "gauge vpc_last_cycle_age_seconds Since the newest cycle.",
+    "gauge vpc_cycle_rate_hertz Cycles a second, measured.",
+    "gauge vpc_state 1 for the present state, 0 for the others.",
+    "gauge vpc_strategy_info The strategy in use.",
+    "gauge vpc_realtime_degraded 1 where real time was asked for and something of it is missing.",
+    "gauge vpc_phase_state The grid of releases against the camera's frames.",
+    "gauge vpc_phase_error_seconds This release after the one aimed at.",
+    "gauge vpc_features_age_seconds Age of the features at wake-up.",
+    "gauge vpc_error_pixels Largest component of s - s*.",
+    "gauge vpc_clearance_pixels Least clearance from an occlusion.",
+    "gauge vpc_twist_linear_meters_per_second Camera velocity sent, camera frame.",
+    "gauge vpc_twist_angular_radians_per_second Camera velocity sent, camera frame.",
+    "gauge vpc_robot_mode 1 for the present mode, 0 for the others.",
+    "gauge vpc_robot_fault 1 where the robot reports it.",
+];
+
+/// Watches for this time and prints the metrics.
 ///
 /// # Errors
-/// What stands against joining, watching and writing.
+/// The domain cannot be joined or watched; the output cannot be written.
 pub fn once(directory: &Path, watch: Duration) -> Result<Exit, Failure> {
     let end = Instant::now() + watch;
-    let mut watcher = open(directory)?;
+    let mut watcher = Watcher::open(directory)?;
+    let mut status = Status::new(&watcher);
+    status.update(&mut watcher)?;
     while Instant::now() < end {
-        watcher.poll()?;
         std::thread::sleep(LOOK.min(watch));
+        status.update(&mut watcher)?;
     }
-    output::write(&text(&watcher.view, ipc::now_ns()))?;
+    output::write(&text(&status.view, ipc::now_ns()))?;
     Ok(Exit::Ok)
 }
 
-/// Serves the metrics at this address until `end`.
+/// Serves the metrics until a signal comes.
 ///
 /// # Errors
-/// What stands against joining, watching and listening.
-pub fn serve(directory: &Path, address: SocketAddr, end: &AtomicBool) -> Result<Exit, Failure> {
-    let mut watcher = open(directory)?;
-    let page = Arc::new(Mutex::new(text(&watcher.view, ipc::now_ns())));
-    let served = Arc::clone(&page);
-    let server = Server::start(address, move |request| answer(request, address, &served))?;
-    output::write(&format!("metrics at http://{}/metrics\n", server.address()))?;
-    let mut renewed: Option<Instant> = None;
-    while !end.load(Ordering::Relaxed) {
-        watcher.poll()?;
-        if renewed.is_none_or(|at| at.elapsed() >= RENEWAL) {
-            let text = text(&watcher.view, ipc::now_ns());
-            *page.lock().unwrap_or_else(PoisonError::into_inner) = text;
-            renewed = Some(Instant::now());
-        }
-        std::thread::sleep(LOOK);
-    }
-    Ok(Exit::Ok)
+/// The domain cannot be watched; the address cannot be used.
+pub fn serve(mut watcher: Watcher, address: SocketAddr) -> Result<Exit, Failure> {
+    let status: &'static Mutex<Status> = Box::leak(Box::new(Mutex::new(Status::new(&watcher))));
+    let page = async || {
+        let status = status.lock().unwrap_or_else(PoisonError::into_inner);
+        ([(CONTENT_TYPE, MEDIA)], text(&status.view, ipc::now_ns()))
+    };
+    let routes = Router::new()
+        .route("/metrics", get(page))
+        .route("/", get(Html(INDEX)));
+    let routes = match address.ip().is_loopback() {
+        true => server::for_plain_hosts(routes),
+        false => routes,
+    };
+    let line = |address| format!("metrics at http://{address}/metrics\n");
+    server::serve(
+        address,
+        routes,
+        line,
+        status::keep(status, &mut watcher, LOOK),
+    )
 }
 
-fn open(directory: &Path) -> Result<Watcher, Failure> {
-    if Presence::of(directory) == Presence::NoDomain {
-        let domain = directory.display().to_string();
-        return Err(Failure::NoDaemon { domain });
-    }
-    let mut watcher = Watcher::open(&Domain::join(directory)?)?;
-    watcher.poll()?;
-    Ok(watcher)
+/// Text under construction.
+#[derive(Default)]
+struct Text {
+    text: String,
+    family: &'static str,
 }
-
-fn answer(request: &Request, address: SocketAddr, page: &Mutex<String>) -> Response {
-    let is_local = IpAddr::is_loopback(&address.ip());
-    match (request.method.as_str(), request.path.as_str()) {
-        _ if is_local && !request.host_is_plain() => Response::refusal(403, "host not allowed"),
-        ("GET" | "HEAD", "/metrics") => {
-            let text = page.lock().unwrap_or_else(PoisonError::into_inner).clone();
-            Response::whole(200, MEDIA, text)
-        }
-        ("GET" | "HEAD", "/") => Response::whole(
-            200,
-            "text/html; charset=utf-8",
-            "<!doctype html><title>vpcctl</title><a href=\"/metrics\">metrics</a>\n".to_owned(),
-        ),
-        ("GET" | "HEAD", _) => Response::refusal(404, "see /metrics"),
-        _ => Response::refusal(405, "allowed: GET"),
-    }
-}
-
-/// Text under construction. Writing to a string does not fail.
-struct Text(String);
 
 impl Text {
-    fn family(&mut self, name: &str, kind: &str, help: &str) {
-        let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
+    /// A sample of a family of one kind of samples.
+    fn sample(&mut self, family: &'static str, labels: &str, value: impl Display) {
+        self.head(family);
+        self.line(family, labels, value);
     }
 
-    fn sample(&mut self, name: &str, labels: &str, value: impl Display) {
+    /// The head of a family, before its first sample.
+    fn head(&mut self, name: &'static str) {
+        let families = FAMILIES.iter().map(|family| family.splitn(3, ' '));
+        let family = families.map(Vec::from_iter).find(|words| words[1] == name);
+        if let Some([kind, _, help]) = family.as_deref()
+            && self.family != name
+        {
+            self.text += &format!("# HELP {name} {help}\n# TYPE {name} {kind}\n");
+            self.family = name;
+        }
+    }
+
+    fn line(&mut self, name: &str, labels: &str, value: impl Display) {
         let labels = match labels {
             "" => String::new(),
             labels => format!("{{{labels}}}"),
         };
-        let _ = writeln!(self.0, "{name}{labels} {value}");
+        self.text += &format!("{name}{labels} {value}\n");
     }
 
-    fn counter(&mut self, name: &str, help: &str, value: u64) {
-        self.family(name, "counter", help);
-        self.sample(name, "", value);
-    }
-
-    fn gauge(&mut self, name: &str, help: &str, value: f64) {
-        self.family(name, "gauge", help);
-        self.sample(name, "", number(value));
-    }
-
-    fn histogram(&mut self, name: &str, labels: &str, histogram: &Histogram) {
-        let comma = if labels.is_empty() { "" } else { "," };
-        let bucket = format!("{name}_bucket");
-        let mut below = 0;
-        for (count, bound) in histogram.counts.iter().zip(BOUNDS) {
-            below += count;
-            let le = seconds(bound);
-            self.sample(&bucket, &format!("{labels}{comma}le=\"{le}\""), below);
+    /// A family with a sample for each code of the contract: 1 for the present one.
+    fn codes<T: Display>(
+        &mut self,
+        family: &'static str,
+        label: &str,
+        of: fn(u32) -> Option<T>,
+        present: u32,
+    ) {
+        for (code, word) in (0..).map_while(of).enumerate() {
+            let label = format!("{label}=\"{word}\"");
+            self.sample(family, &label, u8::from(code == present as usize));
         }
-        let total = histogram.total();
-        self.sample(&bucket, &format!("{labels}{comma}le=\"+Inf\""), total);
-        self.sample(&format!("{name}_sum"), labels, seconds(histogram.sum_ns));
-        self.sample(&format!("{name}_count"), labels, total);
+    }
+
+    fn histogram(&mut self, family: &'static str, labels: &str, histogram: &Histogram) {
+        self.head(family);
+        let comma = if labels.is_empty() { "" } else { "," };
+        let bounds = BOUNDS.iter().map(|&bound| seconds(bound).to_string());
+        let mut below = 0;
+        for (count, bound) in histogram
+            .counts
+            .iter()
+            .zip(bounds.chain(["+Inf".to_owned()]))
+        {
+            below += count;
+            let labels = format!("{labels}{comma}le=\"{bound}\"");
+            self.line(&format!("{family}_bucket"), &labels, below);
+        }
+        self.line(&format!("{family}_sum"), labels, seconds(histogram.sum_ns));
+        self.line(&format!("{family}_count"), labels, below);
     }
 }
 
@@ -143,197 +179,88 @@ fn seconds(ns: u64) -> f64 {
 /// A number as the format writes it.
 fn number(value: f64) -> String {
     match value {
-        _ if value == f64::INFINITY => "+Inf".to_owned(),
-        _ if value == f64::NEG_INFINITY => "-Inf".to_owned(),
+        f64::INFINITY => "+Inf".to_owned(),
+        f64::NEG_INFINITY => "-Inf".to_owned(),
         _ => value.to_string(),
     }
 }
 
-/// The metrics in the Prometheus text format, 0.0.4. Counters of the daemon start again with it; histograms and those
-/// of causes count what was watched.
+/// The metrics. Gauges of a daemon that is silent are left out.
 pub fn text(view: &View, now_ns: u64) -> String {
-    let mut out = Text(String::new());
+    let mut out = Text::default();
     let silence = view.silence_ns(now_ns);
-    let up = silence.is_some_and(|silence| silence < SILENCE_NS);
-    out.gauge(
-        "vpc_up",
-        "Whether cycles are coming.",
-        f64::from(u8::from(up)),
-    );
-    watched(&mut out, view);
-    if let Some(silence) = silence.filter(|_| up) {
-        present(&mut out, view, silence, now_ns);
+    let up = silence.filter(|&silence| silence < SILENCE_NS);
+    out.sample("vpc_up", "", u8::from(up.is_some()));
+    observer(&mut out, view);
+    if let (Some(silence), Some(last)) = (up, view.latest()) {
+        out.sample("vpc_last_cycle_age_seconds", "", seconds(silence));
+        daemon(&mut out, last);
+        if let Some(rate) = view.rate_hz() {
+            out.sample("vpc_cycle_rate_hertz", "", rate);
+        }
+        robot(&mut out, view, now_ns);
     }
-    out.0
+    out.text
 }
 
-fn watched(out: &mut Text, view: &View) {
-    let name = "vpc_observer_missed_records_total";
-    out.counter(
-        name,
-        "Records of cycles that this exporter missed.",
-        view.missed,
-    );
-    let name = "vpc_observer_refused_messages_total";
-    out.counter(name, "Messages that broke the contract.", view.refused);
-    let name = "vpc_observer_restarts_total";
-    out.counter(
-        name,
-        "Starts of the daemon after the first one seen.",
-        view.restarts,
-    );
-    let name = "vpc_observed_cycles_total";
-    out.family(
-        name,
-        "counter",
-        "Cycles watched, by what kept the law's twist back.",
-    );
+fn observer(out: &mut Text, view: &View) {
+    out.sample("vpc_observer_missed_records_total", "", view.missed);
+    out.sample("vpc_observer_refused_messages_total", "", view.refused);
+    out.sample("vpc_observer_restarts_total", "", view.restarts);
     for hold in (0..).map_while(Hold::from_code) {
         let count = view.held.get(&hold.code()).copied().unwrap_or(0);
-        out.sample(name, &format!("cause=\"{hold}\""), count);
+        let cause = format!("cause=\"{hold}\"");
+        out.sample("vpc_observed_cycles_total", &cause, count);
     }
-    let name = "vpc_observed_recalls_total";
-    out.counter(
-        name,
-        "Cycles watched in which the memory was asked.",
-        view.recalled,
-    );
+    out.sample("vpc_observed_recalls_total", "", view.recalled);
     let [minor, major, blocked, heap] = view.disturbances;
-    let name = "vpc_observed_page_faults_total";
-    out.family(
-        name,
-        "counter",
-        "Page faults of the loop's thread from wake to send.",
-    );
-    out.sample(name, "kind=\"minor\"", minor);
-    out.sample(name, "kind=\"major\"", major);
-    let name = "vpc_observed_blocking_calls_total";
-    out.counter(
-        name,
-        "Calls of the loop's thread that blocked from wake to send.",
-        blocked,
-    );
-    let name = "vpc_observed_heap_calls_total";
-    out.counter(
-        name,
-        "Calls of the heap by the loop's thread from wake to send.",
-        heap,
-    );
-    let [phases @ .., cycle] = &view.histograms;
-    let name = "vpc_cycle_duration_seconds";
-    out.family(name, "histogram", "From waking up to having sent.");
-    out.histogram(name, "", cycle);
-    let name = "vpc_phase_duration_seconds";
-    out.family(
-        name,
-        "histogram",
-        "Phases of a cycle; wake is the time after the release.",
-    );
-    for (phase, histogram) in Phase::ALL.into_iter().zip(phases) {
-        out.histogram(name, &format!("phase=\"{}\"", phase.name()), histogram);
+    out.sample("vpc_observed_page_faults_total", "kind=\"minor\"", minor);
+    out.sample("vpc_observed_page_faults_total", "kind=\"major\"", major);
+    out.sample("vpc_observed_blocking_calls_total", "", blocked);
+    out.sample("vpc_observed_heap_calls_total", "", heap);
+    let [stages @ .., cycle] = &view.histograms;
+    out.histogram("vpc_cycle_duration_seconds", "", cycle);
+    for (stage, histogram) in STAGES.iter().zip(stages) {
+        let label = format!("phase=\"{stage}\"");
+        out.histogram("vpc_phase_duration_seconds", &label, histogram);
     }
 }
 
-fn present(out: &mut Text, view: &View, silence_ns: u64, now_ns: u64) {
-    let Some(last) = view.latest() else { return };
-    out.counter(
-        "vpc_cycles_total",
-        "Cycles since the daemon's start.",
-        last.cycle,
-    );
-    out.counter(
-        "vpc_overruns_total",
-        "Releases missed since the daemon's start.",
-        last.overruns,
-    );
-    let name = "vpc_lost_records_total";
-    out.counter(
-        name,
-        "Records lost since the daemon's start.",
-        last.lost_records,
-    );
-    out.gauge(
-        "vpc_last_cycle_age_seconds",
-        "Since the newest cycle.",
-        seconds(silence_ns),
-    );
-    if let Some(rate) = view.rate_hz() {
-        out.gauge("vpc_cycle_rate_hertz", "Cycles a second, measured.", rate);
-    }
-    out.family(
-        "vpc_state",
-        "gauge",
-        "1 for the present state, 0 for the others.",
-    );
-    for state in (0..).map_while(TwistState::from_code) {
-        let now = u8::from(state.code() == last.state);
-        out.sample("vpc_state", &format!("state=\"{state}\""), now);
-    }
+fn daemon(out: &mut Text, last: &CycleRecord) {
+    out.sample("vpc_cycles_total", "", last.cycle);
+    out.sample("vpc_overruns_total", "", last.overruns);
+    out.sample("vpc_lost_records_total", "", last.lost_records);
+    out.codes("vpc_state", "state", TwistState::from_code, last.state);
     let strategy = strategy_name(last.strategy, last.neighbours);
-    out.family("vpc_strategy_info", "gauge", "The strategy in use.");
-    out.sample("vpc_strategy_info", &format!("strategy=\"{strategy}\""), 1);
-    let degraded = RealTime(last.realtime).is_degraded();
-    let help = "1 where real time was asked for and something of it is missing.";
-    out.gauge("vpc_realtime_degraded", help, f64::from(u8::from(degraded)));
-    out.family(
-        "vpc_phase_state",
-        "gauge",
-        "The grid against the camera's frames.",
-    );
-    for phase in (0..).map_while(PhaseCode::from_code) {
-        let now = u8::from(phase.code() == last.phase);
-        out.sample("vpc_phase_state", &format!("phase=\"{phase}\""), now);
-    }
-    let error = last.phase_error_ns as f64 / 1e9;
-    out.gauge(
-        "vpc_phase_error_seconds",
-        "This release after the one aimed at.",
-        error,
-    );
+    let label = format!("strategy=\"{strategy}\"");
+    out.sample("vpc_strategy_info", &label, 1);
+    let is_degraded = RealTime(last.realtime).is_degraded();
+    out.sample("vpc_realtime_degraded", "", u8::from(is_degraded));
+    out.codes("vpc_phase_state", "phase", PhaseCode::from_code, last.phase);
+    let error_s = last.phase_error_ns as f64 / 1e9;
+    out.sample("vpc_phase_error_seconds", "", error_s);
     if last.features_sequence > 0 {
-        let age = seconds(last.features_age_ns);
-        out.gauge(
-            "vpc_features_age_seconds",
-            "Age of the features at wake-up.",
-            age,
-        );
+        let age_s = seconds(last.features_age_ns);
+        out.sample("vpc_features_age_seconds", "", age_s);
     }
-    out.gauge(
-        "vpc_error_pixels",
-        "Largest component of s - s*.",
-        last.error_px,
-    );
-    let name = "vpc_clearance_pixels";
-    out.gauge(
-        name,
-        "Least clearance from an occlusion.",
-        last.clearance_px,
-    );
-    for (name, values) in [
-        ("vpc_twist_linear_meters_per_second", &last.twist[..3]),
-        ("vpc_twist_angular_radians_per_second", &last.twist[3..]),
-    ] {
-        out.family(name, "gauge", "Camera velocity sent, camera frame.");
-        for (axis, value) in ["x", "y", "z"].iter().zip(values) {
-            out.sample(name, &format!("axis=\"{axis}\""), number(*value));
-        }
+    out.sample("vpc_error_pixels", "", number(last.error_px));
+    out.sample("vpc_clearance_pixels", "", number(last.clearance_px));
+    let linear = "vpc_twist_linear_meters_per_second";
+    let angular = "vpc_twist_angular_radians_per_second";
+    for (i, value) in last.twist.iter().enumerate() {
+        let axis = ["axis=\"x\"", "axis=\"y\"", "axis=\"z\""][i % 3];
+        out.sample(if i < 3 { linear } else { angular }, axis, number(*value));
     }
+}
+
+fn robot(out: &mut Text, view: &View, now_ns: u64) {
     let Some(robot) = view.robot_at(now_ns) else {
         return;
     };
-    out.family(
-        "vpc_robot_mode",
-        "gauge",
-        "1 for the present mode, 0 for the others.",
-    );
-    for mode in (0..).map_while(RobotMode::from_code) {
-        let now = u8::from(mode.code() == robot.mode);
-        out.sample("vpc_robot_mode", &format!("mode=\"{mode}\""), now);
-    }
-    out.family("vpc_robot_fault", "gauge", "1 where the robot reports it.");
-    for (fault, name) in fault_names() {
-        let set = u8::from(robot.faults().any(fault));
-        out.sample("vpc_robot_fault", &format!("fault=\"{name}\""), set);
+    out.codes("vpc_robot_mode", "mode", RobotMode::from_code, robot.mode);
+    for (fault, name) in FAULTS {
+        let is_set = u8::from(robot.faults().any(fault));
+        out.sample("vpc_robot_fault", &format!("fault=\"{name}\""), is_set);
     }
 }
 
@@ -376,6 +303,38 @@ mod tests {
                 "{line} is missing:\n{text}"
             );
         }
+    }
+
+    #[test]
+    fn every_family_has_one_head_before_its_samples() {
+        let mut view = view();
+        let mut robot = ipc::RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], 0);
+        robot.stamp.published_ns = 30_000_000;
+        view.robot = Some(robot);
+        let text = text(&view, 30_000_000);
+        let mut heads = std::collections::BTreeSet::new();
+        let mut family = "";
+        for line in text.lines() {
+            match line
+                .strip_prefix("# TYPE ")
+                .and_then(|head| head.split_once(' '))
+            {
+                Some((name, _)) => {
+                    assert!(heads.insert(name), "{name} twice");
+                    family = name;
+                }
+                None if line.starts_with('#') => (),
+                None => {
+                    let name = line.split(['{', ' ']).next().unwrap();
+                    assert!(name.starts_with(family), "{line} below {family}");
+                }
+            }
+        }
+        assert_eq!(
+            heads.len() + 1,
+            FAMILIES.len(),
+            "all but the age of features"
+        );
     }
 
     #[test]

@@ -1,23 +1,30 @@
-//! Writing to standard output: colours where a person reads, quiet where the reader left.
+//! Writing to standard output: colours on a terminal, no error where the reader left.
 
 use std::io::{self, ErrorKind, IsTerminal, Write};
+
+use ipc::{Hold, TwistState};
+
+use crate::exit::{Exit, Failure};
 
 /// Writes text to standard output. A reader that left, as `head` does, is no failure.
 ///
 /// # Errors
-/// What the operating system says of any other failure.
-pub fn write(text: &str) -> io::Result<()> {
+/// [`Exit::Software`] with the operating system's reason.
+pub fn write(text: &str) -> Result<(), Failure> {
     let mut output = io::stdout().lock();
     match output
         .write_all(text.as_bytes())
         .and_then(|()| output.flush())
     {
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-        result => result,
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            let message = format!("cannot write the output: {error}");
+            Err(Failure::new(Exit::Software, message))
+        }
+        _ => Ok(()),
     }
 }
 
-/// Whether colours may be used: standard output is a terminal, and NO_COLOR (if it is there at all) is empty.
+/// Whether colours may be used: standard output is a terminal, and NO_COLOR is empty or not set.
 pub fn colours() -> bool {
     io::stdout().is_terminal() && no_color_allows(std::env::var_os("NO_COLOR").as_deref())
 }
@@ -27,15 +34,37 @@ fn no_color_allows(value: Option<&std::ffi::OsStr>) -> bool {
     value.is_none_or(|value| value.is_empty())
 }
 
-/// How a word is to be seen.
+/// How a word is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
     /// As it should be.
     Good,
-    /// To be looked at.
+    /// Worth a look.
     Warning,
     /// Wrong.
     Bad,
+}
+
+impl Tone {
+    /// The tone of a state with its cause. A camera that stays away, at the end of a run for
+    /// instance, is worth a look; so is what an operator asked for.
+    pub fn of(state: TwistState, hold: Hold) -> Self {
+        match (state, hold) {
+            (TwistState::Moving | TwistState::Arrived, _) => Self::Good,
+            (TwistState::Braking | TwistState::Disarmed, _) => Self::Warning,
+            (_, Hold::None | Hold::NoFeatures | Hold::Stale | Hold::Lost) => Self::Warning,
+            (TwistState::Holding | TwistState::Stopped, _) => Self::Bad,
+        }
+    }
+
+    /// `good`, `warning` or `bad`: a class of the page.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Warning => "warning",
+            Self::Bad => "bad",
+        }
+    }
 }
 
 /// The text in the colour of the tone, where colours are wanted.
@@ -66,5 +95,14 @@ mod tests {
     fn text_without_colours_is_plain() {
         assert_eq!(paint("moving", Tone::Good, false), "moving");
         assert_eq!(paint("moving", Tone::Good, true), "\x1b[32mmoving\x1b[0m");
+    }
+
+    #[test]
+    fn a_camera_that_ended_is_no_error_and_a_wrong_message_is() {
+        for hold in [Hold::NoFeatures, Hold::Stale] {
+            assert_eq!(Tone::of(TwistState::Holding, hold), Tone::Warning);
+        }
+        assert_eq!(Tone::of(TwistState::Disarmed, Hold::Lost), Tone::Warning);
+        assert_eq!(Tone::of(TwistState::Holding, Hold::Invalid), Tone::Bad);
     }
 }

@@ -43,7 +43,7 @@ pub fn run(arguments: &PlotArguments) -> Result<String, Failure> {
     }
     let report = Report::of(&recording);
     let mut text = match arguments.json {
-        true => serde_json::to_string_pretty(&report).map_err(std::io::Error::from)? + "\n",
+        true => serde_json::to_string_pretty(&report)? + "\n",
         false => report.to_string(),
     };
     if let Some(directory) = &arguments.output {

@@ -1,25 +1,41 @@
-//! Whether a daemon serves a domain, found out without joining it: joining would create what is not there.
+//! Whether a daemon serves a domain, found out without joining it.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// Name of the file in which the daemon leaves its process id and which it keeps locked.
+use ipc::Domain;
+
+use crate::exit::Failure;
+
+/// The file in which the daemon leaves its process id, and which it keeps locked.
 const FILE: &str = "vpcd.pid";
+
+/// Joins a domain that exists.
+///
+/// # Errors
+/// [`Exit::NoDaemon`](crate::exit::Exit) where the directory does not exist, which joining would
+/// create; [`ipc::JoinError`].
+pub fn join(directory: &Path) -> Result<Domain, Failure> {
+    match Presence::of(directory) {
+        Presence::NoDomain => Err(Failure::no_daemon(directory)),
+        _ => Ok(Domain::join(directory)?),
+    }
+}
 
 /// Who serves a domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
     /// There is no such directory.
     NoDomain,
-    /// The directory is there; no daemon has claimed it.
+    /// The directory exists; no daemon has claimed it.
     NoDaemon,
-    /// The process of the daemon.
+    /// The daemon's process id.
     Process(u32),
 }
 
 impl Presence {
-    /// Looks who serves the domain in this directory. A lock is looked up in `/proc/locks` and never tried, since a
-    /// daemon that starts at this very instant would take us for another one.
+    /// Looks for the daemon of the domain in this directory. The lock is looked up in `/proc/locks`
+    /// and never tried: a daemon that starts at that instant would find it taken.
     pub fn of(directory: &Path) -> Self {
         if !directory.is_dir() {
             return Self::NoDomain;
@@ -28,17 +44,10 @@ impl Presence {
         let written = std::fs::read_to_string(&file)
             .ok()
             .and_then(|text| text.trim().parse().ok());
-        let inode = std::fs::metadata(&file).map(|found| found.ino());
-        let locks = std::fs::read_to_string("/proc/locks");
-        let holder = match (inode, locks) {
-            (Ok(inode), Ok(locks)) => holder(&locks, inode, written),
-            _ => None,
-        };
-        // Some file systems show another inode in the table: then the name of the process decides.
-        match holder.or_else(|| written.filter(|&pid| is_daemon(pid))) {
-            Some(process) => Self::Process(process),
-            None => Self::NoDaemon,
-        }
+        // Some file systems show another inode in the table; then the process's name decides.
+        let process = holder(&holders(&file), written)
+            .or_else(|| written.filter(|&process| is_daemon(process)));
+        process.map_or(Self::NoDaemon, Self::Process)
     }
 
     /// The daemon's process id.
@@ -50,48 +59,44 @@ impl Presence {
     }
 }
 
-/// The process that holds an exclusive `flock` on this inode. Inodes of two file systems may be equal: the process that
-/// the file names is preferred.
-fn holder(locks: &str, inode: u64, written: Option<u32>) -> Option<u32> {
-    let holders = locks.lines().filter_map(flock);
-    let holders = holders.filter(|lock| lock.is_exclusive && lock.inode == inode);
-    let holders: Vec<u32> = holders.map(|lock| lock.process).collect();
-    written
-        .filter(|process| holders.contains(process))
-        .or_else(|| holders.first().copied())
-}
-
-/// Whether some process holds a `flock` on this file.
-pub fn is_locked(file: &Path) -> bool {
-    let (Ok(found), Ok(locks)) = (
-        std::fs::metadata(file),
-        std::fs::read_to_string("/proc/locks"),
-    ) else {
-        return false;
-    };
-    locks
-        .lines()
-        .filter_map(flock)
-        .any(|lock| lock.inode == found.ino())
-}
-
-/// A line of `/proc/locks`.
-struct Flock {
-    is_exclusive: bool,
+/// A holder of a `flock`.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Holder {
     process: u32,
-    inode: u64,
+    is_exclusive: bool,
 }
 
-fn flock(line: &str) -> Option<Flock> {
-    let mut words = line.split_whitespace().skip(1);
-    let (kind, _, mode) = (words.next()?, words.next()?, words.next()?);
-    let process = words.next()?.parse().ok()?;
-    let inode = words.next()?.rsplit(':').next()?.parse().ok()?;
-    (kind == "FLOCK").then_some(Flock {
+/// The processes that hold a `flock` on this file.
+pub fn holders(file: &Path) -> Vec<Holder> {
+    let inode = std::fs::metadata(file).map(|found| found.ino());
+    match (inode, std::fs::read_to_string("/proc/locks")) {
+        (Ok(inode), Ok(locks)) => locks
+            .lines()
+            .filter_map(|line| parse(line, inode))
+            .collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Reads a line of `/proc/locks`; `None` where it is not a `flock` on this inode.
+fn parse(line: &str, inode: u64) -> Option<Holder> {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let &[_, "FLOCK", _, mode, process, place, ..] = words.as_slice() else {
+        return None;
+    };
+    let found: u64 = place.rsplit(':').next()?.parse().ok()?;
+    (found == inode).then_some(Holder {
+        process: process.parse().ok()?,
         is_exclusive: mode == "WRITE",
-        process,
-        inode,
     })
+}
+
+/// The exclusive holder. Two file systems may use the same inode number: the process that the file
+/// names is preferred.
+fn holder(holders: &[Holder], written: Option<u32>) -> Option<u32> {
+    let exclusive = || holders.iter().filter(|holder| holder.is_exclusive);
+    let named = exclusive().find(|holder| Some(holder.process) == written);
+    Some(named.or_else(|| exclusive().next())?.process)
 }
 
 fn is_daemon(process: u32) -> bool {
@@ -112,10 +117,17 @@ mod tests {
 
     #[test]
     fn the_holder_of_an_exclusive_flock_is_found_by_inode() {
-        assert_eq!(holder(LOCKS, 770, None), Some(13));
-        assert_eq!(holder(LOCKS, 7, None), None);
-        assert_eq!(holder(LOCKS, 77, Some(15)), Some(15));
-        assert_eq!(holder(LOCKS, 77, Some(99)), Some(14));
+        let of = |inode, written| {
+            let holders: Vec<_> = LOCKS
+                .lines()
+                .filter_map(|line| parse(line, inode))
+                .collect();
+            holder(&holders, written)
+        };
+        assert_eq!(of(770, None), Some(13));
+        assert_eq!(of(7, None), None);
+        assert_eq!(of(77, Some(15)), Some(15));
+        assert_eq!(of(77, Some(99)), Some(14));
     }
 
     #[test]

@@ -10,6 +10,7 @@ use recording::{Context, Ledger, Options};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::exit::Failure;
+use crate::image_plane::scene_file;
 
 /// `record`.
 #[derive(Clone, Debug, Args)]
@@ -48,7 +49,12 @@ fn duration(text: &str) -> Result<Duration, String> {
 /// # Errors
 /// [`Failure`].
 pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure> {
-    let context = Context::read(arguments.scene.as_deref(), arguments.config.as_deref())?;
+    // A configuration names the scene; else it is the daemon's.
+    let scene = match arguments.config {
+        Some(_) => arguments.scene.clone(),
+        None => scene_file(domain, arguments.scene.as_deref()),
+    };
+    let context = Context::read(scene.as_deref(), arguments.config.as_deref())?;
     if context.scene.is_none() {
         eprintln!("vpcctl: no scene in this recording: `plot` and `replay` will need --scene");
     }

@@ -8,7 +8,7 @@ use std::process::Command;
 
 use clap::Args;
 
-use crate::exit::Failure;
+use crate::exit::{Exit, Failure};
 
 /// The program.
 const PROGRAM: &str = "vpc-replay";
@@ -30,10 +30,9 @@ pub struct ReplayArguments {
 pub fn run(arguments: &ReplayArguments) -> Failure {
     let program = beside().unwrap_or_else(|| PathBuf::from(PROGRAM));
     let source = Command::new(&program).args(&arguments.words).exec();
-    Failure::Program {
-        program: program.display().to_string(),
-        source,
-    }
+    let program = program.display();
+    let message = format!("{program}: cannot run: {source}; allowed: beside vpcctl, or in PATH");
+    Failure::new(Exit::NoInput, message)
 }
 
 /// The program in the directory of this one; else it is looked for in PATH.

@@ -1,54 +1,47 @@
 //! Requests: arm, disarm, stop, strategy, flight.
 
-use std::hash::{BuildHasher, Hasher, RandomState};
+use std::hash::{BuildHasher, RandomState};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ipc::{Action, Domain, OpenError, OperatorPorts, Outcome, Reply, Request, StrategyCode};
 
 use crate::exit::{Exit, Failure};
-use crate::presence::Presence;
+use crate::presence::{self, Presence};
+use crate::view::word;
 
 /// Pause between two attempts to get an operator's place.
 const PAUSE: Duration = Duration::from_millis(10);
-/// How long `stop` waits for an answer before it asks again.
+/// How long `stop` waits for an answer before it is sent again.
 const AGAIN: Duration = Duration::from_millis(250);
 
-/// A number that no other operator uses: the standard library seeds its hash tables from the operating system's
-/// random numbers.
+/// A number that no other operator uses: the standard library's hashers are seeded with the
+/// operating system's random numbers.
 fn fresh_id() -> u64 {
-    let mut hasher = RandomState::new().build_hasher();
-    hasher.write_u64(ipc::now_ns());
-    hasher.finish()
+    RandomState::new().hash_one(ipc::now_ns())
 }
 
-/// A request for an action that needs no more words.
+/// A request for an action without parameters.
 pub fn plain(action: Action) -> Request {
     Request::new(fresh_id(), action)
 }
 
-/// A request for another strategy; `neighbours` is for knn.
+/// A request for another strategy; `neighbours` is for knn, else 0.
 pub fn strategy(strategy: StrategyCode, neighbours: u32) -> Request {
     Request::strategy(fresh_id(), strategy, neighbours)
 }
 
-/// Sends a request to the daemon of this domain, as an operator and nothing else, and waits for its answer.
+/// Sends a request to the daemon of this domain and waits for its answer.
 ///
-/// `stop` is sent again while no answer comes: a daemon that starts meanwhile is stopped as well, and asking twice
-/// changes nothing. Other requests are sent once.
+/// `stop` is sent again while no answer comes: a daemon that starts meanwhile is stopped as well,
+/// and asking twice changes nothing. Other requests are sent once.
 ///
 /// # Errors
-/// [`Failure::NoDaemon`], [`Failure::NoAnswer`], or what stands against joining and sending.
+/// No daemon, no answer; the domain or its ports cannot be used.
 pub fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Reply, Failure> {
     let end = Instant::now() + timeout;
-    let presence = Presence::of(directory);
-    let domain = directory.display().to_string();
-    // Joining would create the directory.
-    if presence == Presence::NoDomain {
-        return Err(Failure::NoDaemon { domain });
-    }
-    let joined = Domain::join(directory)?;
-    let mut operator = place(&joined, end)?;
+    let domain = presence::join(directory)?;
+    let mut operator = open(&domain, end)?;
     let patience = match request.action() {
         Some(Action::Stop) => AGAIN,
         _ => timeout,
@@ -58,24 +51,25 @@ pub fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Re
         if let Some(reply) = operator.ask(request, patience.min(left))? {
             return Ok(reply);
         }
-        if Instant::now() < end {
-            continue;
+        if Instant::now() >= end {
+            return Err(no_answer(directory, timeout));
         }
-        let seconds = timeout.as_secs_f64();
-        // Asked again: it may have ended since.
-        return Err(match Presence::of(directory).process() {
-            Some(process) => Failure::NoAnswer {
-                domain,
-                process: format!("process {process}"),
-                seconds,
-            },
-            None => Failure::NoDaemon { domain },
-        });
     }
 }
 
-/// An operator's place; others leave theirs within moments.
-fn place(domain: &Domain, end: Instant) -> Result<OperatorPorts, OpenError> {
+fn no_answer(directory: &Path, timeout: Duration) -> Failure {
+    let Some(process) = Presence::of(directory).process() else {
+        return Failure::no_daemon(directory);
+    };
+    let (domain, seconds) = (directory.display(), timeout.as_secs_f64());
+    let message = format!(
+        "domain {domain}: process {process} did not answer within {seconds} s; see `vpcctl doctor`, or end it with `kill -TERM` (zero twist, controlled stop)"
+    );
+    Failure::new(Exit::NoAnswer, message)
+}
+
+/// Takes an operator's place; other operators give theirs back within moments.
+fn open(domain: &Domain, end: Instant) -> Result<OperatorPorts, OpenError> {
     loop {
         match OperatorPorts::open(domain) {
             Err(OpenError::Taken { .. } | OpenError::Full { .. }) if Instant::now() < end => {
@@ -86,22 +80,16 @@ fn place(domain: &Domain, end: Instant) -> Result<OperatorPorts, OpenError> {
     }
 }
 
-/// What became of a request, in one line, with the exit code that goes with it.
-pub fn verdict(reply: &Reply) -> (String, Exit) {
-    let word = |text: Option<String>| text.unwrap_or_else(|| "unknown".to_owned());
-    let action = word(Action::from_code(reply.action).map(|action| action.to_string()));
-    let outcome = word(reply.outcome().map(|outcome| outcome.to_string()));
-    let mut line = format!(
-        "{action}: {outcome}; {}",
-        word(reply.state().map(|s| s.to_string()))
-    );
-    if let Some(hold) = reply.hold().filter(|&hold| hold != ipc::Hold::None) {
-        line += &format!(" ({hold})");
-    }
-    line += &format!(
-        ", strategy {}\n",
-        strategy_name(reply.strategy, reply.neighbours)
-    );
+/// The outcome of a request in one line, and its exit code.
+pub fn outcome(reply: &Reply) -> (String, Exit) {
+    let action = word(Action::from_code(reply.action));
+    let (outcome, state) = (word(reply.outcome()), word(reply.state()));
+    let cause = match reply.hold() {
+        Some(hold) if hold != ipc::Hold::None => format!(" ({hold})"),
+        _ => String::new(),
+    };
+    let strategy = strategy_name(reply.strategy, reply.neighbours);
+    let line = format!("{action}: {outcome}; {state}{cause}, strategy {strategy}\n");
     match reply.outcome() {
         Some(Outcome::Done) => (line, Exit::Ok),
         _ => (line, Exit::Refused),
@@ -138,13 +126,13 @@ mod tests {
 
     #[test]
     fn a_refusal_says_why_and_has_its_exit_code() {
-        let (line, exit) = verdict(&reply(Outcome::NoFeatures));
+        let (line, exit) = outcome(&reply(Outcome::NoFeatures));
         assert_eq!(
             line,
             "arm: refused: no good features are coming; disarmed (not armed), strategy knn5\n"
         );
         assert_eq!(exit, Exit::Refused);
-        assert_eq!(verdict(&reply(Outcome::Done)).1, Exit::Ok);
+        assert_eq!(outcome(&reply(Outcome::Done)).1, Exit::Ok);
     }
 
     #[test]

@@ -1,22 +1,25 @@
-//! What is known of a daemon from watching it: pure bookkeeping, fed message by message.
+//! What is known of a daemon from watching it: pure bookkeeping, message by message.
 
 use std::collections::{BTreeMap, VecDeque};
 
-use ipc::{CycleRecord, Features, Hold, Order, Received, RobotState, TwistState};
+use ipc::{CycleRecord, Features, Hold, Order, Received, RobotFaults, RobotState, TwistState};
 
-use crate::phase::{Histogram, Phase};
+use crate::latency::{Histogram, STAGES, durations};
+use crate::units::duration;
 
 /// Most records kept.
-const KEPT: usize = 1024;
+const RECORDS: usize = 1024;
 /// Most changes of state kept.
 const CHANGES: usize = 16;
+/// Age from which the robot's state, and the camera's features, count as missing, ns.
+const SILENT_NS: [u64; 2] = [1_000_000_000, 500_000_000];
 
-/// A change of state or of its cause.
+/// A change of the state or its cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Change {
     /// When it began, CLOCK_MONOTONIC, ns.
     pub at_ns: u64,
-    /// The state.
+    /// The state from then on.
     pub state: TwistState,
     /// Why the law's twist is not sent.
     pub hold: Hold,
@@ -27,26 +30,28 @@ pub struct Change {
 pub struct View {
     recent: VecDeque<CycleRecord>,
     changes: VecDeque<Change>,
+    /// The newest cycle that used features: what a run came to, also when it is over.
+    pub seen: Option<CycleRecord>,
     /// The newest state of the robot.
     pub robot: Option<RobotState>,
     /// The newest message of the camera.
     pub features: Option<Features>,
-    /// Times of each phase since the watching began, in the order of [`Phase::ALL`].
-    pub histograms: [Histogram; Phase::ALL.len()],
+    /// Durations of each of [`STAGES`].
+    pub histograms: [Histogram; STAGES.len()],
     /// Cycles received.
     pub received: u64,
-    /// Cycles in which each cause kept the law's twist back, by its code; 0 is none.
+    /// Cycles by the code of what kept the law's twist back; 0 is nothing.
     pub held: BTreeMap<u32, u64>,
     /// Cycles in which the memory was asked.
     pub recalled: u64,
-    /// Page faults without a disk, page faults with one, calls that blocked and calls of the heap, all of the loop's
-    /// thread between wake and send in the cycles watched.
+    /// Page faults without a disk and with one, blocking calls and calls of the heap by the loop's
+    /// thread between wake and send.
     pub disturbances: [u64; 4],
-    /// Cycles that were published and that we missed.
+    /// Cycles that were published and not received.
     pub missed: u64,
     /// Messages that broke the contract.
     pub refused: u64,
-    /// Starts of the daemon after the first that we saw.
+    /// Restarts of the daemon.
     pub restarts: u64,
 }
 
@@ -59,50 +64,41 @@ impl View {
             Order::Restarted => {
                 self.restarts += 1;
                 self.recent.clear();
+                self.seen = None;
             }
             Order::First | Order::Next | Order::Repeated => (),
         }
         self.received += 1;
-        for (phase, histogram) in Phase::ALL.into_iter().zip(&mut self.histograms) {
-            histogram.count(phase.of(&record));
+        for (histogram, ns) in self.histograms.iter_mut().zip(durations(&record)) {
+            histogram.count(ns);
         }
         self.recalled += u64::from(record.recalled == ipc::RecallCode::Followed.code());
         *self.held.entry(record.hold).or_default() += 1;
-        let counts = [
-            record.minor_faults,
-            record.major_faults,
-            record.blocked,
-            record.allocations,
-        ];
-        for (sum, count) in self.disturbances.iter_mut().zip(counts) {
-            *sum += u64::from(count);
+        let faults = [record.minor_faults, record.major_faults];
+        let calls = [record.blocked, record.allocations];
+        for (sum, count) in self
+            .disturbances
+            .iter_mut()
+            .zip(faults.iter().chain(&calls))
+        {
+            *sum += u64::from(*count);
+        }
+        if record.count > 0 {
+            self.seen = Some(record);
         }
         self.note_change(&record);
-        if self.recent.len() == KEPT {
-            self.recent.pop_front();
-        }
-        self.recent.push_back(record);
+        keep(&mut self.recent, record, RECORDS);
     }
 
     fn note_change(&mut self, record: &CycleRecord) {
         let (Some(state), Some(hold)) = (TwistState::from_code(record.state), record.hold()) else {
             return;
         };
-        if self
-            .changes
-            .back()
-            .is_some_and(|last| (last.state, last.hold) == (state, hold))
-        {
-            return;
+        let last = self.changes.back();
+        if last.is_none_or(|last| (last.state, last.hold) != (state, hold)) {
+            let at_ns = record.stamp.data_ns;
+            keep(&mut self.changes, Change { at_ns, state, hold }, CHANGES);
         }
-        if self.changes.len() == CHANGES {
-            self.changes.pop_front();
-        }
-        self.changes.push_back(Change {
-            at_ns: record.stamp.data_ns,
-            state,
-            hold,
-        });
     }
 
     /// The newest cycle.
@@ -112,13 +108,20 @@ impl View {
 
     /// The cycles of the last `span_ns` before the newest, oldest first; at most 1024.
     pub fn recent(&self, span_ns: u64) -> impl DoubleEndedIterator<Item = &CycleRecord> {
-        let from = self
-            .latest()
-            .map_or(0, |last| last.stamp.data_ns.saturating_sub(span_ns));
+        let newest = self.latest().map_or(0, |last| last.stamp.data_ns);
+        let from = newest.saturating_sub(span_ns);
         let first = self
             .recent
             .partition_point(|record| record.stamp.data_ns < from);
         self.recent.range(first..)
+    }
+
+    /// The cycles that used features, of the last `span_ns` before the newest of them, oldest first.
+    pub fn trail(&self, span_ns: u64) -> impl Iterator<Item = &CycleRecord> {
+        let newest = self.seen.map_or(0, |seen| seen.stamp.data_ns);
+        let from = newest.saturating_sub(span_ns);
+        let used = self.recent.iter().filter(|record| record.count > 0);
+        used.filter(move |record| record.stamp.data_ns >= from)
     }
 
     /// Changes of state and cause, oldest first; the last one is the present.
@@ -126,7 +129,7 @@ impl View {
         self.changes.iter()
     }
 
-    /// The last cause that kept the law's twist back, and when it was over (`None` while it lasts), ns.
+    /// The last cause that kept the law's twist back, and when it ended, ns; `None` while it lasts.
     pub fn last_cause(&self) -> Option<(Change, Option<u64>)> {
         let place = self
             .changes
@@ -136,35 +139,86 @@ impl View {
         Some((change, self.changes.get(place + 1).map(|next| next.at_ns)))
     }
 
-    /// Cycles a second, from the times at which the newest cycles woke up: those of the last two seconds.
+    /// Measured rate of the cycles of the last two seconds, Hz. Cycles that were missed count.
     pub fn rate_hz(&self) -> Option<f64> {
-        let (mut first, mut count) = (None, 0_u32);
-        for record in self.recent(2_000_000_000) {
-            first.get_or_insert((record.stamp.data_ns, record.cycle));
-            count += 1;
-        }
-        let ((from, first), last) = (first?, self.latest()?);
-        let time = last
-            .stamp
-            .data_ns
-            .checked_sub(from)
-            .filter(|&time| time > 0)?;
-        // Cycles that we missed count as well; numbers that fall back are no daemon's of ours.
-        let cycles = last.cycle.checked_sub(first).filter(|_| count > 1)?;
-        Some(cycles as f64 / (time as f64 * 1e-9))
+        let (first, last) = (self.recent(2_000_000_000).next()?, self.latest()?);
+        let time_ns = last.stamp.data_ns.checked_sub(first.stamp.data_ns)?;
+        let cycles = last.cycle.checked_sub(first.cycle)?;
+        (time_ns > 0).then(|| cycles as f64 / (time_ns as f64 * 1e-9))
     }
 
-    /// The newest state of the robot, unless that is older than a second: then it is silent.
+    /// The newest state of the robot, unless it is older than a second.
     pub fn robot_at(&self, now_ns: u64) -> Option<&RobotState> {
         let heard = self.robot.as_ref()?;
         let age = now_ns.saturating_sub(heard.stamp.published_ns);
-        (age <= 1_000_000_000).then_some(heard)
+        (age <= SILENT_NS[0]).then_some(heard)
+    }
+
+    /// What the robot does, with its faults.
+    pub fn robot_words(&self, now_ns: u64) -> String {
+        let Some(robot) = self.robot_at(now_ns) else {
+            return "silent".to_owned();
+        };
+        let mode = word(robot.mode());
+        match faults(robot.faults()).join(", ") {
+            none if none.is_empty() => mode,
+            names => format!("{mode}: {names}"),
+        }
+    }
+
+    /// How long ago the camera sent the newest features, ns, where that is too long.
+    pub fn camera_silence_ns(&self, now_ns: u64) -> Option<u64> {
+        let sent = self.features.map(|features| features.stamp.published_ns);
+        let used = self.seen.map(|record| record.stamp.data_ns);
+        let age = now_ns.saturating_sub(sent.max(used)?);
+        (age > SILENT_NS[1]).then_some(age)
+    }
+
+    /// Why the law's twist is not sent: the words of the contract, but of a camera that was there
+    /// and is no more, since when. `None` where the twist is sent.
+    pub fn cause_words(&self, now_ns: u64) -> Option<String> {
+        let hold = self.latest()?.hold()?;
+        match (hold, self.camera_silence_ns(now_ns)) {
+            (Hold::None, _) => None,
+            (Hold::Stale | Hold::Lost | Hold::NoFeatures, Some(age)) => {
+                Some(format!("camera silent for {}", duration(age)))
+            }
+            _ => Some(hold.to_string()),
+        }
     }
 
     /// Age of the newest cycle, ns.
     pub fn silence_ns(&self, now_ns: u64) -> Option<u64> {
         Some(now_ns.saturating_sub(self.latest()?.stamp.published_ns))
     }
+}
+
+/// Appends a value; the oldest makes room.
+fn keep<T>(queue: &mut VecDeque<T>, value: T, most: usize) {
+    if queue.len() == most {
+        queue.pop_front();
+    }
+    queue.push_back(value);
+}
+
+/// A value of the contract in its words; "unknown" where its code is.
+pub fn word(value: Option<impl ToString>) -> String {
+    value.map_or_else(|| "unknown".to_owned(), |value| value.to_string())
+}
+
+/// Every fault of a robot with its name.
+pub const FAULTS: [(RobotFaults, &str); 5] = [
+    (RobotFaults::STALE_COMMAND, "stale command"),
+    (RobotFaults::COMMAND_LIMITED, "command limited"),
+    (RobotFaults::REFLEX, "reflex"),
+    (RobotFaults::JOINT_LIMIT, "joint limit"),
+    (RobotFaults::PATTERN_LOST, "pattern lost"),
+];
+
+/// The names of the faults that are set.
+pub fn faults(faults: RobotFaults) -> Vec<&'static str> {
+    let set = FAULTS.iter().filter(|(bit, _)| faults.any(*bit));
+    set.map(|(_, name)| *name).collect()
 }
 
 #[cfg(test)]
@@ -247,6 +301,38 @@ pub(crate) mod tests {
         let view = fed(&(1..=2000).map(cycle).collect::<Vec<_>>());
         assert_eq!(view.recent(u64::MAX).count(), 1024);
         assert_eq!(view.recent(1_000_000_000).count(), 101);
-        assert_eq!(view.histograms[Phase::Step as usize].total(), 2000);
+        assert_eq!(view.histograms[2].counts.iter().sum::<u64>(), 2000);
+    }
+
+    #[test]
+    fn a_camera_that_ended_is_told_as_such_and_its_last_features_stay() {
+        let mut used = record(4, TwistState::Moving, Hold::None);
+        used.count = 4;
+        let stale = record(60, TwistState::Holding, Hold::Stale);
+        let view = fed(&[used, stale]);
+        let words = |now_ns| view.cause_words(now_ns);
+        assert_eq!(words(100_000_000).as_deref(), Some("stale features"));
+        assert_eq!(
+            words(2_040_000_000).as_deref(),
+            Some("camera silent for 2.00 s")
+        );
+        assert_eq!(view.seen.map(|record| record.cycle), Some(4));
+        // Without features there was no camera; another cause is another matter.
+        assert_eq!(
+            fed(&[stale]).cause_words(u64::MAX).as_deref(),
+            Some("stale features")
+        );
+        let robot = record(61, TwistState::Holding, Hold::RobotFault);
+        assert_eq!(
+            fed(&[used, robot]).cause_words(u64::MAX).as_deref(),
+            Some("robot fault")
+        );
+        assert_eq!(fed(&[used]).cause_words(u64::MAX), None);
+    }
+
+    #[test]
+    fn faults_are_named_bit_by_bit() {
+        assert_eq!(faults(RobotFaults(0b10100)), ["reflex", "pattern lost"]);
+        assert_eq!(faults(RobotFaults(0)).len(), 0);
     }
 }

@@ -1,89 +1,94 @@
-//! The ports of who watches, feeding a [`View`].
+//! The ports of an observer, feeding a [`View`].
+
+use std::path::Path;
 
 use ipc::{CycleRecord, Domain, Features, Message, OpenError, ReceiveError, Received};
 use ipc::{RobotState, Subscriber};
 
+use crate::exit::Failure;
+use crate::presence;
 use crate::view::View;
 
 /// Most messages taken from one port in one go: a publisher may be faster than we are.
 const BATCH: usize = 4096;
 
-/// Watches a daemon. Twists are read from the records of its cycles, so that no port is taken for them.
+/// Watches a daemon. Twists are read from the records of its cycles, so that no port is taken for
+/// them.
 #[derive(Debug)]
 pub struct Watcher {
+    /// The domain that is watched.
+    pub domain: Domain,
+    /// Services that are left out, since all subscribers' places were taken.
+    pub full: Vec<&'static str>,
     cycles: Option<Subscriber<CycleRecord>>,
     robot: Option<Subscriber<RobotState>>,
     features: Option<Subscriber<Features>>,
-    /// What is known by now.
-    pub view: View,
-    /// Services whose subscribers' places were all taken; they are left out.
-    pub full: Vec<&'static str>,
 }
 
 impl Watcher {
-    /// Opens the ports.
+    /// Joins the domain in this directory and opens the ports.
     ///
     /// # Errors
-    /// [`OpenError`], but not for services that are full: see [`Watcher::full`].
-    pub fn open(domain: &Domain) -> Result<Self, OpenError> {
+    /// As [`presence::join`], and [`OpenError`]; services that are full are no error.
+    pub fn open(directory: &Path) -> Result<Self, Failure> {
+        let domain = presence::join(directory)?;
         let mut full = Vec::new();
         Ok(Self {
-            cycles: optional(domain, CycleRecord::QOS.buffer, &mut full)?,
-            robot: optional(domain, 1, &mut full)?,
-            features: optional(domain, 1, &mut full)?,
-            view: View::default(),
+            cycles: optional(&domain, CycleRecord::QOS.buffer, &mut full)?,
+            robot: optional(&domain, 1, &mut full)?,
+            features: optional(&domain, 1, &mut full)?,
+            domain,
             full,
         })
     }
 
-    /// Takes in all that came since the last call; does not wait.
+    /// Takes in all that came since the last call; does not wait. Messages that break the contract
+    /// are counted and left out.
     ///
     /// # Errors
-    /// A connection that failed. Messages that break the contract are counted, and left out.
-    pub fn poll(&mut self) -> Result<(), ReceiveError> {
+    /// A connection that failed.
+    pub fn poll(&mut self, view: &mut View) -> Result<(), ReceiveError> {
         if let Some(port) = &mut self.cycles {
             for _ in 0..BATCH {
-                match heard(port.oldest(), &mut self.view.refused)? {
-                    Heard::Message(record) => self.view.cycle(&record),
-                    Heard::Refused => (),
-                    Heard::Nothing => break,
+                let Some(result) = port.oldest().transpose() else {
+                    break;
+                };
+                if let Some(record) = valid(result, &mut view.refused)? {
+                    view.cycle(&record);
                 }
             }
         }
-        if let Some(port) = &mut self.robot {
-            match heard(port.latest(), &mut self.view.refused)? {
-                Heard::Message(state) => self.view.robot = Some(state.message),
-                Heard::Refused | Heard::Nothing => (),
-            }
+        if let Some(result) = self
+            .robot
+            .as_mut()
+            .and_then(|port| port.latest().transpose())
+        {
+            let state = valid(result, &mut view.refused)?;
+            view.robot = state.map(|state| state.message).or(view.robot);
         }
-        if let Some(port) = &mut self.features {
-            match heard(port.latest(), &mut self.view.refused)? {
-                Heard::Message(features) => self.view.features = Some(features.message),
-                Heard::Refused | Heard::Nothing => (),
-            }
+        if let Some(result) = self
+            .features
+            .as_mut()
+            .and_then(|port| port.latest().transpose())
+        {
+            let features = valid(result, &mut view.refused)?;
+            view.features = features.map(|features| features.message).or(view.features);
         }
         Ok(())
     }
 }
 
-enum Heard<T> {
-    Message(Received<T>),
-    Refused,
-    Nothing,
-}
-
-fn heard<T>(
-    result: Result<Option<Received<T>>, ReceiveError>,
+/// The message, if it keeps the contract; else it is counted.
+fn valid<T>(
+    result: Result<Received<T>, ReceiveError>,
     refused: &mut u64,
-) -> Result<Heard<T>, ReceiveError> {
+) -> Result<Option<Received<T>>, ReceiveError> {
     match result {
-        Ok(Some(message)) => Ok(Heard::Message(message)),
-        Ok(None) => Ok(Heard::Nothing),
         Err(ReceiveError::Invalid { .. }) => {
             *refused += 1;
-            Ok(Heard::Refused)
+            Ok(None)
         }
-        Err(error) => Err(error),
+        result => result.map(Some),
     }
 }
 

@@ -3,64 +3,58 @@
 use std::path::Path;
 use std::time::Duration;
 
+use ipc::{CycleRecord, Hold, RealTime};
+
 use super::Finding;
-use crate::exit::Failure;
+use crate::exit::Exit;
 use crate::presence::Presence;
-use crate::status::{self, Asking, Cycles, Status};
-use crate::words::duration;
+use crate::status::{self, Asking, Status, lacks};
+use crate::units::duration;
+use crate::view::word;
+
+/// Age from which features count as missing, ns.
+const SILENT_NS: u64 = 500_000_000;
+/// Place of the state in `/proc/PID/stat`, counted from behind the name.
+const STATE: usize = 0;
+/// Place of the scheduling policy.
+const POLICY: usize = 38;
 
 pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
-    let what = "daemon";
-    let presence = Presence::of(directory);
     let mut findings = Vec::new();
-    match presence {
-        // Joining would create it.
-        Presence::NoDomain => return vec![nobody(directory)],
-        Presence::NoDaemon => (),
-        Presence::Process(process) => findings.push(life(process)),
+    if let Presence::Process(process) = Presence::of(directory) {
+        findings.push(life(process));
     }
     match status::look(directory, watch, Asking::Always) {
         Ok(status) => findings.extend(health(&status)),
-        Err(Failure::NoDaemon { .. }) => findings.push(nobody(directory)),
+        Err(failure) if failure.exit == Exit::NoDaemon => {
+            let path = directory.display();
+            let remedy =
+                format!("start it: vpcd --domain {path} --config FILE, or systemctl start vpcd");
+            let words = format!("none is at work in {path}");
+            findings.push(Finding::warn("daemon", words, remedy));
+        }
         Err(failure) => {
-            let remedy = "mend what the line says; other versions of vpcd and vpcctl do not mix";
-            findings.push(Finding::fail(what, failure.to_string(), remedy));
+            let remedy = "do what the line says; other versions of vpcd and vpcctl do not mix";
+            findings.push(Finding::fail("daemon", failure.to_string(), remedy));
         }
     }
     findings
 }
 
-fn nobody(directory: &Path) -> Finding {
-    let path = directory.display();
-    let remedy = format!("start it: vpcd --domain {path} --config FILE, or systemctl start vpcd");
-    Finding::warn("daemon", format!("none is at work in {path}"), remedy)
-}
-
 /// What the kernel says of the process.
 fn life(process: u32) -> Finding {
-    let what = "process";
     let Ok(stat) = std::fs::read_to_string(format!("/proc/{process}/stat")) else {
-        return Finding::warn(
-            what,
-            format!("{process}: hidden, or ended just now"),
-            "look again",
-        );
+        let words = format!("{process}: hidden, or ended just now");
+        return Finding::warn("process", words, "look again");
     };
-    let is_realtime = std::fs::read_dir(format!("/proc/{process}/task"))
+    let tasks = std::fs::read_dir(format!("/proc/{process}/task"));
+    let is_realtime = tasks
         .into_iter()
         .flatten()
         .filter_map(|task| std::fs::read_to_string(task.ok()?.path().join("stat")).ok())
         .any(|stat| field(&stat, POLICY) == Some("1"));
     judge(process, field(&stat, STATE).unwrap_or("?"), is_realtime)
 }
-
-/// Age from which on features are none, ns.
-const SILENT_NS: u64 = 500_000_000;
-
-/// Place of the state in `/proc/PID/stat`, counted from behind the name.
-const STATE: usize = 0;
-/// Place of the scheduling policy.
-const POLICY: usize = 38;
 
 /// A field of `/proc/PID/stat`; the name before them may have blanks and brackets in it.
 fn field(stat: &str, place: usize) -> Option<&str> {
@@ -72,14 +66,11 @@ fn judge(process: u32, state: &str, is_realtime: bool) -> Finding {
     match (state, is_realtime) {
         ("T" | "t", _) => {
             let remedy = format!("kill -CONT {process}, or end it: kill -KILL {process}");
-            Finding::fail(
-                what,
-                format!("{process}: stopped by a signal or a debugger"),
-                remedy,
-            )
+            let words = format!("{process}: stopped by a signal or a debugger");
+            Finding::fail(what, words, remedy)
         }
         ("Z" | "X", _) => {
-            let remedy = "its parent must collect it; start the daemon anew";
+            let remedy = "its parent must collect it; start the daemon again";
             Finding::fail(what, format!("{process}: dead"), remedy)
         }
         (_, true) => Finding::ok(what, format!("{process}: alive, real-time (SCHED_FIFO)")),
@@ -96,120 +87,107 @@ fn health(status: &Status) -> Vec<Finding> {
     if status.hangs() {
         let remedy = match status.process {
             Some(process) => {
-                format!("see its log; kill -TERM {process}, then -KILL, and start anew")
+                format!("see its log; kill -TERM {process}, then -KILL, and start it again")
             }
-            None => "the last process of this domain that published cycles is gone".to_owned(),
+            None => "the last process that published cycles in this domain has ended".to_owned(),
         };
-        return vec![Finding::fail(
-            what,
-            "neither answers nor goes on with its cycles",
-            remedy,
-        )];
+        let words = "neither answers nor goes on with its cycles";
+        return vec![Finding::fail(what, words, remedy)];
     }
-    let state = status.state.as_deref().unwrap_or("unknown");
-    let mut findings = vec![match &status.cause {
-        Some(cause) => Finding::warn(what, format!("{state}: {cause}"), remedy(cause)),
+    let state = word(status.state());
+    let mut findings = vec![match status.hold() {
+        Some(hold) => Finding::warn(what, format!("{state}: {hold}"), remedy(hold)),
         None => Finding::ok(what, state),
     }];
+    let mut warn = |what, words: String, remedy| findings.push(Finding::warn(what, words, remedy));
     if status.answered == Some(false) {
-        let words = "publishes cycles, but did not answer";
-        findings.push(Finding::warn(
-            "requests",
-            words,
-            "is it overloaded? see its log",
-        ));
+        let words = "publishes cycles, but did not answer".to_owned();
+        warn("requests", words, "is it overloaded? see its log");
     }
     for service in &status.full {
         let words = format!("{service}: all subscribers' places are taken");
-        findings.push(Finding::warn(
-            "places",
-            words,
-            "end observers that are not needed",
-        ));
+        warn("places", words, "end observers that are not needed");
     }
-    let Some(cycles) = &status.cycles else {
-        let remedy = "in lockstep it waits for features: is the camera (hw-sim) at work?";
-        findings.push(Finding::warn("cycles", "none came while watching", remedy));
-        return findings;
-    };
-    findings.push(camera(cycles));
-    let words = format!("{} overruns in {} cycles", cycles.overruns, cycles.cycle);
-    findings.push(match cycles.overruns {
-        0 => Finding::ok("deadline", words),
-        _ => {
-            let remedy = "real-time priority, an idle machine: `vpcd --preflight` says what lacks";
-            Finding::warn("deadline", words, remedy)
+    if let Some(robot) = status.view.robot_at(status.now_ns)
+        && robot.faults().0 != 0
+    {
+        let words = status.view.robot_words(status.now_ns);
+        warn("robot", words, "clear the fault at the robot");
+    }
+    match status.view.latest() {
+        Some(last) => findings.extend(cycles(last)),
+        None => {
+            let remedy = "in lockstep it waits for features: is the camera (hw-sim) at work?";
+            warn("cycles", "none came while watching".to_owned(), remedy);
         }
-    });
-    if let Some(lacks) = cycles
-        .realtime_lacks
-        .as_ref()
-        .filter(|lacks| !lacks.is_empty())
-    {
-        let remedy = "`vpcd --preflight` says how to get it";
-        findings.push(Finding::warn("real time", lacks.join(", "), remedy));
-    }
-    if cycles.lost_records > 0 {
-        let words = format!("{} lost by the daemon", cycles.lost_records);
-        let remedy = "its ordinary thread gets too little time: fewer processes on its core";
-        findings.push(Finding::warn("records", words, remedy));
-    }
-    if let Some(robot) = status
-        .robot
-        .as_ref()
-        .filter(|robot| !robot.faults.is_empty())
-    {
-        let words = format!("{}: {}", robot.mode, robot.faults.join(", "));
-        findings.push(Finding::warn(
-            "robot",
-            words,
-            "clear the fault at the robot",
-        ));
     }
     findings
 }
 
-/// Whether features come: a daemon that is disarmed does not complain of it, and cannot be armed without.
-fn camera(cycles: &Cycles) -> Finding {
+/// What the newest cycle tells.
+fn cycles(last: &CycleRecord) -> Vec<Finding> {
+    let words = format!("{} overruns in {} cycles", last.overruns, last.cycle);
+    let deadline = match last.overruns {
+        0 => Finding::ok("deadline", words),
+        _ => {
+            let remedy =
+                "real-time priority, an idle machine: `vpcd --preflight` says what is missing";
+            Finding::warn("deadline", words, remedy)
+        }
+    };
+    let mut findings = vec![camera(last), deadline];
+    let lacks = lacks(RealTime(last.realtime)).unwrap_or_default();
+    if !lacks.is_empty() {
+        let remedy = "`vpcd --preflight` says how to get it";
+        findings.push(Finding::warn("real time", lacks.join(", "), remedy));
+    }
+    if last.lost_records > 0 {
+        let words = format!("{} lost by the daemon", last.lost_records);
+        let remedy = "its ordinary thread gets too little time: fewer processes on its core";
+        findings.push(Finding::warn("records", words, remedy));
+    }
+    findings
+}
+
+/// Whether features come: a daemon that is disarmed does not complain of their absence, and cannot
+/// be armed without.
+fn camera(last: &CycleRecord) -> Finding {
     let what = "camera";
     let remedy = "start the camera in this domain: hw-sim --domain DIR, or your own (CONTRACT.md)";
-    match cycles.features_age_ns {
-        None => Finding::warn(what, "no features came, or no good ones", remedy),
-        Some(age) if age > SILENT_NS => {
-            let words = format!("the newest features are {} old", duration(age));
-            Finding::warn(what, words, remedy)
+    let age = duration(last.features_age_ns);
+    match (last.features_sequence, last.features_age_ns) {
+        (0, _) => Finding::warn(what, "no features came, or no good ones", remedy),
+        (_, SILENT_NS..) => {
+            Finding::warn(what, format!("the newest features are {age} old"), remedy)
         }
-        Some(age) => {
-            let words = format!("{} points, {} old", cycles.count, duration(age));
-            Finding::ok(what, words)
-        }
+        _ => Finding::ok(what, format!("{} points, {age} old", last.count)),
     }
 }
 
-/// What helps against a cause, in the words of the contract.
-fn remedy(cause: &str) -> &'static str {
-    match cause {
-        "no features" | "stale features" | "features lost" => {
+/// What helps against a cause.
+fn remedy(hold: Hold) -> &'static str {
+    match hold {
+        Hold::NoFeatures | Hold::Stale | Hold::Lost => {
             "start the camera in this domain; if its points are late, see its rate and delay"
         }
-        "invalid message" | "wrong count" | "not finite" => {
+        Hold::Invalid | Hold::Count | Hold::NotFinite => {
             "the camera breaks the contract: CONTRACT.md, and the pattern of the scene"
         }
-        "hidden point" | "off image" => "bring the whole pattern into the image",
-        "points mixed up" => {
+        Hold::Hidden | Hold::OffImage => "bring the whole pattern into the image",
+        Hold::Mixed => {
             "the camera must name its points as the scene does, and keep the names: pattern.points"
         }
-        "frozen image" => "the camera sends one picture again and again: start its driver anew",
-        "recall out of range" => {
+        Hold::Frozen => "the camera sends one picture again and again: start its driver again",
+        Hold::Recall => {
             "the memory does not suit what is seen: vpc-memory build, or vpcctl strategy previous"
         }
-        "features out of order" | "clock anomaly" => {
-            "data_ns must be CLOCK_MONOTONIC of this machine, and grow"
+        Hold::Order | Hold::Clock => "data_ns must be CLOCK_MONOTONIC of this machine, and grow",
+        Hold::RobotFault | Hold::RobotLost => "clear the fault at the robot, or start its client",
+        Hold::Overruns | Hold::Standstill => "the machine is overloaded: `vpcd --preflight`",
+        Hold::NotArmed | Hold::Operator => "vpcctl arm",
+        Hold::None | Hold::Transport | Hold::BadTwist | Hold::Solver | Hold::Shutdown => {
+            "see the daemon's log"
         }
-        "robot fault" | "robot silent" => "clear the fault at the robot, or start its client",
-        "overruns" | "standstill of the loop" => "the machine is overloaded: `vpcd --preflight`",
-        "not armed" | "operator" => "vpcctl arm",
-        _ => "see the daemon's log",
     }
 }
 
@@ -217,7 +195,6 @@ fn remedy(cause: &str) -> &'static str {
 mod tests {
     use super::super::Verdict;
     use super::*;
-    use crate::view::View;
     use crate::view::tests::record;
     use ipc::{Hold, Order, Received, TwistState};
 
@@ -242,13 +219,13 @@ mod tests {
     #[test]
     fn a_camera_that_is_not_there_or_silent_is_missed_though_the_daemon_does_not_complain() {
         let seen = |features_sequence, age_ns| {
-            let mut view = View::default();
+            let mut status = Status::default();
             let mut message = record(5, TwistState::Disarmed, Hold::NotArmed);
             (message.features_sequence, message.features_age_ns) = (features_sequence, age_ns);
             let order = Order::First;
-            view.cycle(&Received { message, order });
-            let now_ns = message.stamp.published_ns;
-            let findings = health(&Status::of(&view, None, now_ns));
+            status.view.cycle(&Received { message, order });
+            status.now_ns = message.stamp.published_ns;
+            let findings = health(&status);
             findings
                 .into_iter()
                 .find(|finding| finding.what == "camera")
@@ -260,19 +237,5 @@ mod tests {
         assert_eq!(silent.verdict, Verdict::Warn);
         assert!(silent.found.contains("2.00 s old"), "{silent:?}");
         assert_eq!(seen(7, 33_000_000).unwrap().verdict, Verdict::Ok);
-    }
-
-    #[test]
-    fn every_cause_has_a_remedy_of_its_own_but_those_inside_the_daemon() {
-        let general = remedy("");
-        let without: Vec<String> = (1..)
-            .map_while(ipc::Hold::from_code)
-            .map(|hold| hold.to_string())
-            .filter(|cause| remedy(cause) == general)
-            .collect();
-        assert_eq!(
-            without,
-            ["transport", "bad twist", "solver failure", "shutdown"]
-        );
     }
 }

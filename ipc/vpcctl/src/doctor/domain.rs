@@ -1,17 +1,16 @@
 //! The directory of the domain and its shared memory.
 
+use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::Duration;
 
 use super::Finding;
-use crate::presence::{Presence, is_locked};
+use crate::presence::{Presence, holders};
 
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
-/// Room below which services may fail to be created, bytes: a domain takes about 3 MiB.
-const ROOM: u64 = 8 << 20;
-/// Age from which shared memory without a size is a killed process's.
+/// Age from which shared memory without a size is left over from a killed process.
 const UNBORN: Duration = Duration::from_secs(1);
 /// The domain of the service (systemd/vpcd.service).
 const SERVICE: &str = "/run/vpcd";
@@ -20,7 +19,6 @@ pub(super) fn examine(directory: &Path) -> Vec<Finding> {
     let mut findings = vec![place(directory, rustix::process::geteuid().as_raw())];
     findings.extend(elsewhere(directory, Path::new(SERVICE)));
     findings.push(leftovers(directory, Path::new(SHARED_MEMORY)));
-    findings.push(room(Path::new(SHARED_MEMORY)));
     findings
 }
 
@@ -30,70 +28,58 @@ fn place(directory: &Path, us: u32) -> Finding {
     let path = directory.display();
     let found = match std::fs::symlink_metadata(directory) {
         Ok(found) => found,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            return Finding::ok(
-                what,
-                format!("{path}: not there yet; the first process makes it"),
-            );
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            let words = format!("{path}: does not exist yet; the first process creates it");
+            return Finding::ok(what, words);
         }
         Err(error) => {
             let remedy = "run as the user of the daemon, or name another --domain";
             return Finding::fail(what, format!("{path}: {error}"), remedy);
         }
     };
+    let (owner, mode) = (found.uid(), found.mode() & 0o777);
     if !found.is_dir() {
         let remedy = format!("remove it, or name the directory itself with --domain: ls -l {path}");
-        return Finding::fail(
+        Finding::fail(
             what,
             format!("{path}: a link or a file, no directory"),
             remedy,
-        );
-    }
-    let owner = found.uid();
-    if owner != us {
+        )
+    } else if owner != us {
         let remedy =
             format!("sudo -u '#{owner}' vpcctl --domain {path} ..., or name another domain");
         let words = format!("{path}: belongs to user {owner}, and we are user {us}");
-        return Finding::fail(what, words, remedy);
-    }
-    let mode = found.mode() & 0o777;
-    if mode & ipc::WRITABLE_BY_OTHERS != 0 {
+        Finding::fail(what, words, remedy)
+    } else if mode & ipc::WRITABLE_BY_OTHERS != 0 {
         let words = format!("{path}: mode {mode:03o} lets others put files into it");
-        return Finding::fail(what, words, format!("chmod 700 {path}"));
-    }
-    if mode & 0o077 != 0 {
+        Finding::fail(what, words, format!("chmod 700 {path}"))
+    } else if mode & 0o077 != 0 {
         let words = format!("{path}: mode {mode:03o} lets others look into it");
-        return Finding::warn(what, words, format!("chmod 700 {path}"));
+        Finding::warn(what, words, format!("chmod 700 {path}"))
+    } else {
+        Finding::ok(what, format!("{path}: ours, mode {mode:03o}"))
     }
-    Finding::ok(what, format!("{path}: ours, mode {mode:03o}"))
 }
 
-/// Whether the daemon is at work in the service's domain instead of the one asked for.
+/// Whether the service's domain exists, where no daemon runs in the one asked for.
 fn elsewhere(directory: &Path, service: &Path) -> Option<Finding> {
     if directory == service || Presence::of(directory).process().is_some() {
         return None;
     }
-    let found = std::fs::symlink_metadata(service).ok()?;
-    // Its inside is hidden from other users: that it is there tells that the service was started.
-    let words = format!(
-        "{} is there: the service's domain, of user {}",
-        service.display(),
-        found.uid()
-    );
-    let remedy = format!(
-        "to reach the service: sudo -u vpcd vpcctl --domain {}",
-        service.display()
-    );
+    // Other users cannot see inside: that it exists tells that the service was started.
+    let owner = std::fs::symlink_metadata(service).ok()?.uid();
+    let path = service.display();
+    let words = format!("{path} exists: the service's domain, of user {owner}");
+    let remedy = format!("to reach the service: sudo -u vpcd vpcctl --domain {path}");
     Some(Finding::warn("other domain", words, remedy))
 }
 
-/// What killed processes left.
+/// Shared memory that killed processes left.
 fn leftovers(directory: &Path, shared: &Path) -> Finding {
     let what = "leftovers";
     let Ok(canonical) = directory.canonicalize() else {
         return Finding::ok(what, "no domain, no shared memory");
     };
-    let prefix = ipc::shared_memory_prefix(&canonical);
     let Ok(entries) = std::fs::read_dir(shared) else {
         let remedy = "mount -t tmpfs tmpfs /dev/shm (in a container: --ipc or --shm-size)";
         return Finding::fail(
@@ -102,8 +88,9 @@ fn leftovers(directory: &Path, shared: &Path) -> Finding {
             remedy,
         );
     };
+    let prefix = ipc::shared_memory_prefix(&canonical);
     let ours = entries
-        .filter_map(Result::ok)
+        .flatten()
         .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))
         .filter_map(|entry| entry.metadata().ok());
     let (mut count, mut bytes, mut unborn) = (0, 0, 0);
@@ -115,47 +102,23 @@ fn leftovers(directory: &Path, shared: &Path) -> Finding {
     }
     let size = format!("{count} files, {} KiB in {}", bytes >> 10, shared.display());
     let lock = canonical.join("lock");
-    if let Err(error) = std::fs::metadata(&lock)
-        && error.kind() == std::io::ErrorKind::PermissionDenied
-    {
-        return Finding::ok(what, format!("{size}; in use or not is hidden from us"));
+    let access = std::fs::metadata(&lock).map_err(|error| error.kind());
+    if access.is_err_and(|kind| kind == ErrorKind::PermissionDenied) {
+        return Finding::ok(
+            what,
+            format!("{size}; we may not see whether they are in use"),
+        );
     }
-    let somebody = is_locked(&lock);
-    let remedy = format!(
-        "any process that joins clears them away: vpcctl --domain {} status",
-        directory.display()
-    );
-    match (somebody, count, unborn) {
+    let path = directory.display();
+    let remedy = format!("any process that joins clears them away: vpcctl --domain {path} status");
+    match (holders(&lock).is_empty(), count, unborn) {
         (_, 0, _) => Finding::ok(what, "none"),
-        (true, _, 0) => Finding::ok(what, format!("none; {size} are in use")),
-        (true, _, _) => {
+        (false, _, 0) => Finding::ok(what, format!("none; {size} are in use")),
+        (false, _, _) => {
             let words = format!("{unborn} of a process killed at its start, beside {size}");
             Finding::warn(what, words, remedy)
         }
-        (false, _, _) => Finding::warn(what, format!("{size}, and nobody uses them"), remedy),
-    }
-}
-
-/// Room for shared memory.
-fn room(shared: &Path) -> Finding {
-    let what = "room";
-    match rustix::fs::statvfs(shared) {
-        Ok(found) => {
-            let free = found.f_bavail.saturating_mul(found.f_frsize);
-            let words = format!("{} MiB free in {}", free >> 20, shared.display());
-            match free {
-                ROOM.. => Finding::ok(what, words),
-                _ => Finding::fail(
-                    what,
-                    words,
-                    "remove what fills it; in a container: --shm-size=64m",
-                ),
-            }
-        }
-        Err(error) => {
-            let words = format!("{}: {error}", shared.display());
-            Finding::fail(what, words, "mount -t tmpfs tmpfs /dev/shm")
-        }
+        (true, _, _) => Finding::warn(what, format!("{size}, and nobody uses them"), remedy),
     }
 }
 

@@ -1,75 +1,23 @@
-//! The machine: limits, clock, logind, the unit.
+//! The machine: logind, the unit. What it lacks for real time, `vpcd --preflight` tells.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
-
-use rustix::process::{Resource, getrlimit};
+use std::process::Command;
 
 use super::Finding;
 
-/// Patience with systemctl.
-const PATIENCE: Duration = Duration::from_secs(2);
 /// The first number of an ordinary user, as systemd draws the line.
 const ORDINARY: u32 = 1000;
 
 pub(super) fn examine() -> Vec<Finding> {
-    let us = rustix::process::geteuid().as_raw();
-    let mut findings = vec![limits(
-        us == 0,
-        getrlimit(Resource::Rtprio).current,
-        getrlimit(Resource::Memlock).current,
-    )];
-    let source = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
-    findings.extend(
-        std::fs::read_to_string(source)
-            .ok()
-            .map(|name| clock(name.trim())),
-    );
+    let mut findings = Vec::new();
     if Path::new("/run/systemd/system").is_dir() {
+        let us = rustix::process::geteuid().as_raw();
         findings.push(logind(us, Path::new("/")));
         findings.extend(unit().map(|properties| judge(&properties)));
     }
+    let hint = "`vpcd --preflight` tells what this machine lacks";
+    findings.push(Finding::ok("real time", hint));
     findings
-}
-
-/// Limits of this session, which a daemon started by hand would have; `None` is unlimited.
-fn limits(is_root: bool, priority: Option<u64>, memory: Option<u64>) -> Finding {
-    let what = "limits";
-    let remedy = "`vpcd --preflight` tells all; raise rtprio and memlock in /etc/security/limits.d, \
-         or run the service, which has them";
-    match (is_root, priority, memory) {
-        (true, ..) => Finding::ok(
-            what,
-            "root: real-time priority and locked memory may be had",
-        ),
-        (_, Some(0), _) => Finding::warn(
-            what,
-            "no real-time priority for this user (RLIMIT_RTPRIO 0)",
-            remedy,
-        ),
-        (_, _, Some(bytes)) => {
-            let words = format!("only {} KiB may be locked (RLIMIT_MEMLOCK)", bytes >> 10);
-            Finding::warn(what, words, remedy)
-        }
-        (_, priority, None) => {
-            let most = priority.map_or("any".to_owned(), |most| format!("up to {most}"));
-            Finding::ok(
-                what,
-                format!("real-time priority {most}, memory may be locked"),
-            )
-        }
-    }
-}
-
-fn clock(source: &str) -> Finding {
-    match source {
-        "hpet" | "acpi_pm" | "pit" | "jiffies" | "refined-jiffies" => {
-            let remedy = "the kernel gave up on tsc: see dmesg | grep -i tsc; reading it is slow";
-            Finding::warn("clock", format!("clock source {source}"), remedy)
-        }
-        _ => Finding::ok("clock", format!("clock source {source}")),
-    }
 }
 
 /// Whether logind would remove our shared memory at the end of the session.
@@ -83,10 +31,8 @@ fn logind(us: u32, root: &Path) -> Finding {
     }
     let name = user(us, &root.join("etc/passwd")).unwrap_or_else(|| us.to_string());
     if root.join("var/lib/systemd/linger").join(&name).exists() {
-        return Finding::ok(
-            what,
-            format!("{name} lingers: shared memory outlives sessions"),
-        );
+        let words = format!("{name} lingers: shared memory outlives sessions");
+        return Finding::ok(what, words);
     }
     let words = format!("shared memory of {name} is removed at the end of the last session");
     let remedy =
@@ -97,63 +43,40 @@ fn logind(us: u32, root: &Path) -> Finding {
 /// RemoveIPC of logind's configuration: the last word wins, drop-ins after the file; yes by default.
 fn removes(root: &Path) -> bool {
     let mut files = vec![root.join("etc/systemd/logind.conf")];
-    for place in [
-        "usr/lib/systemd/logind.conf.d",
-        "run/systemd/logind.conf.d",
-        "etc/systemd/logind.conf.d",
-    ] {
-        let mut parts: Vec<_> = std::fs::read_dir(root.join(place))
-            .into_iter()
-            .flatten()
-            .filter_map(|entry| Some(entry.ok()?.path()))
-            .collect();
+    for place in ["usr/lib", "run", "etc"] {
+        let place = root.join(place).join("systemd/logind.conf.d");
+        let entries = std::fs::read_dir(place).into_iter().flatten().flatten();
+        let mut parts: Vec<_> = entries.map(|entry| entry.path()).collect();
         parts.sort();
         files.extend(parts);
     }
-    let texts: Vec<String> = files
+    let texts = files
         .iter()
-        .filter_map(|file| std::fs::read_to_string(file).ok())
-        .collect();
-    let last = texts
-        .iter()
-        .flat_map(|text| text.lines())
-        .filter_map(|line| line.trim().strip_prefix("RemoveIPC="))
-        .next_back();
-    !matches!(last.map(str::trim), Some("no" | "false" | "off" | "0"))
+        .filter_map(|file| std::fs::read_to_string(file).ok());
+    let text = texts.collect::<Vec<_>>().join("\n");
+    let mut words = text
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix("RemoveIPC="));
+    let last = words.next_back().map(str::trim);
+    !matches!(last, Some("no" | "false" | "off" | "0"))
 }
 
 fn user(number: u32, passwd: &Path) -> Option<String> {
-    let text = std::fs::read_to_string(passwd).ok()?;
+    let (text, number) = (std::fs::read_to_string(passwd).ok()?, number.to_string());
     let mut lines = text.lines().map(|line| line.split(':').collect::<Vec<_>>());
-    let line = lines.find(|words| words.get(2) == Some(&number.to_string().as_str()))?;
-    line.first().map(|name| (*name).to_owned())
+    let line = lines.find(|words| words.get(2) == Some(&number.as_str()))?;
+    Some(line[0].to_owned())
 }
 
-/// What systemd says of the unit; `None` where it does not say anything in time.
+/// What systemd says of the unit; `None` where it says nothing in time.
 fn unit() -> Option<String> {
-    let mut child = Command::new("systemctl")
-        .args([
-            "show",
-            "vpcd.service",
-            "-p",
-            "LoadState,ActiveState,SubState,Result,NRestarts",
-        ])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .ok()?;
-    let end = Instant::now() + PATIENCE;
-    while child.try_wait().ok()?.is_none() {
-        if Instant::now() >= end {
-            // It hangs: nothing to be learnt from it.
-            let _ = child.kill();
-            let _ = child.wait();
-            return None;
-        }
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let output = child.wait_with_output().ok()?;
+    let properties = "LoadState,ActiveState,SubState,Result,NRestarts";
+    let mut command = Command::new("timeout");
+    command.args(["2", "systemctl", "show", "vpcd.service", "-p", properties]);
+    let output = command
+        .output()
+        .ok()
+        .filter(|output| output.status.success())?;
     Some(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
@@ -161,16 +84,12 @@ fn judge(properties: &str) -> Finding {
     let what = "unit";
     let value = |name: &str| {
         let mut lines = properties.lines().filter_map(|line| line.split_once('='));
-        lines
-            .find(|(key, _)| *key == name)
-            .map_or("", |(_, value)| value)
+        let found = lines.find(|(key, _)| *key == name);
+        found.map_or("", |(_, value)| value)
     };
-    let words = format!(
-        "vpcd.service is {} ({})",
-        value("ActiveState"),
-        value("SubState")
-    );
-    match (value("LoadState"), value("ActiveState"), value("NRestarts")) {
+    let (active, sub) = (value("ActiveState"), value("SubState"));
+    let words = format!("vpcd.service is {active} ({sub})");
+    match (value("LoadState"), active, value("NRestarts")) {
         ("not-found" | "", ..) => Finding::ok(what, "vpcd.service is not installed"),
         ("masked", ..) => Finding::warn(what, "vpcd.service is masked", "systemctl unmask vpcd"),
         (_, "failed", _) => {
@@ -190,24 +109,6 @@ fn judge(properties: &str) -> Finding {
 mod tests {
     use super::super::Verdict;
     use super::*;
-
-    #[test]
-    fn limits_that_are_too_low_are_named() {
-        assert_eq!(limits(true, Some(0), Some(0)).verdict, Verdict::Ok);
-        assert!(limits(false, Some(0), None).found.contains("RTPRIO"));
-        assert!(
-            limits(false, Some(90), Some(8 << 20))
-                .found
-                .contains("8192 KiB")
-        );
-        assert_eq!(limits(false, Some(90), None).verdict, Verdict::Ok);
-    }
-
-    #[test]
-    fn slow_clocks_are_warned_of() {
-        assert_eq!(clock("tsc").verdict, Verdict::Ok);
-        assert_eq!(clock("hpet").verdict, Verdict::Warn);
-    }
 
     #[test]
     fn an_ordinary_user_must_linger_unless_logind_spares_shared_memory() {

@@ -2,93 +2,107 @@
 
 mod daemon;
 mod domain;
-mod files;
 mod machine;
 
-use std::path::PathBuf;
-use std::time::Duration;
+use std::path::Path;
 
+use memory_blob::MemoryFile;
+use scene::{Scene, SceneError};
+
+use crate::arguments::DoctorArguments;
 use crate::exit::Exit;
 use crate::output::{Tone, paint};
 
-/// How it is with one thing.
+/// How one thing is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// As it should be.
     Ok,
-    /// Works, but look at it.
+    /// It works, but deserves a look.
     Warn,
-    /// Must be mended.
+    /// It must be mended.
     Fail,
 }
 
 /// One thing that was looked at.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// What was looked at, one or two words.
+    /// What was looked at, in one or two words.
     pub what: &'static str,
     /// How it is.
     pub verdict: Verdict,
     /// What was found.
     pub found: String,
-    /// How to mend it; empty where nothing is to be.
+    /// How to mend it; empty where nothing is wrong.
     pub remedy: String,
 }
 
 impl Finding {
     fn ok(what: &'static str, found: impl Into<String>) -> Self {
-        Self::new(what, Verdict::Ok, found, "")
+        Self {
+            what,
+            verdict: Verdict::Ok,
+            found: found.into(),
+            remedy: String::new(),
+        }
     }
 
     fn warn(what: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(what, Verdict::Warn, found, remedy)
+        Self {
+            verdict: Verdict::Warn,
+            remedy: remedy.into(),
+            ..Self::ok(what, found)
+        }
     }
 
     fn fail(what: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(what, Verdict::Fail, found, remedy)
-    }
-
-    fn new(
-        what: &'static str,
-        verdict: Verdict,
-        found: impl Into<String>,
-        remedy: impl Into<String>,
-    ) -> Self {
         Self {
-            what,
-            verdict,
-            found: found.into(),
-            remedy: remedy.into(),
+            verdict: Verdict::Fail,
+            ..Self::warn(what, found, remedy)
         }
     }
 }
 
-/// What to look at.
-#[derive(Clone, Debug)]
-pub struct Patient {
-    /// The domain's directory.
-    pub directory: PathBuf,
-    /// A scene file.
-    pub scene: Option<PathBuf>,
-    /// A memory of motion.
-    pub memory: Option<PathBuf>,
-    /// How long to watch a running daemon.
-    pub watch: Duration,
-}
-
-/// Looks at everything. A domain that is not there is not created.
-pub fn examine(patient: &Patient) -> Vec<Finding> {
-    let mut findings = domain::examine(&patient.directory);
-    findings.extend(daemon::examine(&patient.directory, patient.watch));
-    findings.extend(files::examine(
-        patient.scene.as_deref(),
-        patient.memory.as_deref(),
-    ));
+/// Looks at everything. A domain that does not exist is not created.
+pub fn examine(directory: &Path, arguments: &DoctorArguments) -> Vec<Finding> {
+    let mut findings = domain::examine(directory);
+    findings.extend(daemon::examine(directory, arguments.watch));
+    let scene = arguments.scene.as_deref().map(Scene::read);
+    findings.extend(scene.as_ref().map(scene_file));
+    let scene = scene.and_then(Result::ok);
+    let memory = arguments.memory.as_deref();
+    findings.extend(memory.map(|path| memory_of_motion(path, scene.as_ref())));
     findings.extend(machine::examine());
     findings
 }
 
-/// The findings as text, a line each and another one for a remedy, and the exit code.
+fn scene_file(scene: &Result<Scene, SceneError>) -> Finding {
+    match scene {
+        Ok(scene) => {
+            let (points, areas) = (scene.pattern.len(), scene.occlusions.len());
+            Finding::ok("scene", format!("{points} points, {areas} occlusions"))
+        }
+        Err(error) => Finding::fail("scene", error.to_string(), "correct the line that it names"),
+    }
+}
+
+/// Whether the memory is intact and, where a scene is given, built for it.
+fn memory_of_motion(path: &Path, scene: Option<&Scene>) -> Finding {
+    let task = scene.map(|scene| *scene.fingerprint().bytes());
+    let name = path.display();
+    match MemoryFile::open(path, task.as_ref()) {
+        Ok(memory) => {
+            let samples = memory.view().samples().map_or(0, |samples| samples.len());
+            Finding::ok("memory", format!("{name}: {samples} samples"))
+        }
+        Err(error) => {
+            let remedy = format!("vpc-memory build SCENE -o {name}");
+            Finding::fail("memory", error.to_string(), remedy)
+        }
+    }
+}
+
+/// The findings as text, one line each and one more for the remedy, and the exit code.
 pub fn report(findings: &[Finding], colours: bool) -> (String, Exit) {
     let mut text = String::new();
     for finding in findings {
@@ -103,13 +117,15 @@ pub fn report(findings: &[Finding], colours: bool) -> (String, Exit) {
             text += &format!("                  -> {}\n", finding.remedy);
         }
     }
-    match findings
+    let has_failed = findings
         .iter()
-        .any(|finding| finding.verdict == Verdict::Fail)
-    {
-        true => (text, Exit::Attention),
-        false => (text, Exit::Ok),
-    }
+        .any(|finding| finding.verdict == Verdict::Fail);
+    let exit = if has_failed {
+        Exit::Attention
+    } else {
+        Exit::Ok
+    };
+    (text, exit)
 }
 
 #[cfg(test)]
@@ -127,5 +143,48 @@ mod tests {
         assert_eq!(exit, Exit::Ok);
         let failure = Finding::fail("domain", "gone", "mkdir");
         assert_eq!(report(&[warning, failure], false).1, Exit::Attention);
+    }
+
+    fn paths() -> (std::path::PathBuf, std::path::PathBuf) {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let memory = root.join("memory-blob/default/paper-sim.vpcmem");
+        (root.join("ipc/scene/scenes/paper-sim.toml"), memory)
+    }
+
+    #[test]
+    fn the_default_memory_was_built_for_the_papers_scene_and_no_other() {
+        let (path, memory) = paths();
+        let verdict = |path: &Path| {
+            let scene = Scene::read(path).unwrap();
+            memory_of_motion(&memory, Some(&scene)).verdict
+        };
+        assert_eq!(verdict(&path), Verdict::Ok);
+        let other = path.with_file_name("paper-robot.toml");
+        assert_eq!(verdict(&other), Verdict::Fail);
+    }
+
+    #[test]
+    fn a_memory_that_was_cut_off_is_seen() {
+        let (_, memory) = paths();
+        let directory = tempfile::tempdir().unwrap();
+        let cut = directory.path().join("cut.vpcmem");
+        let bytes = std::fs::read(&memory).unwrap();
+        for part in [&bytes[..bytes.len() - 1], b"hello"] {
+            std::fs::write(&cut, part).unwrap();
+            let finding = memory_of_motion(&cut, None);
+            assert_eq!(finding.verdict, Verdict::Fail);
+            assert!(
+                finding.found.contains("not an intact memory"),
+                "{finding:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_scene_that_is_wrong_is_named_with_its_key() {
+        let wrong = scene::PAPER_SIM.replace("rate_hz = ", "rate_hz = -");
+        let finding = scene_file(&Scene::parse(&wrong, "scene.toml"));
+        assert_eq!(finding.verdict, Verdict::Fail);
+        assert!(finding.found.contains("rate_hz"), "{finding:?}");
     }
 }

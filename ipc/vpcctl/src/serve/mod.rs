@@ -2,203 +2,164 @@
 
 mod feed;
 
+use std::convert::Infallible;
 use std::fs::File;
 use std::io::{self, Read};
 use std::net::SocketAddr;
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use ipc::{Action, Domain};
+use axum::Router;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::sse::{Event, Sse};
+use axum::response::{Html, IntoResponse, Response};
+use axum::routing::{get, post};
+use futures_util::stream::{self, Stream};
+use ipc::Action;
+use tokio::time::Interval;
 
 use crate::exit::{Exit, Failure};
-use crate::http::{Request, Response, Server};
-use crate::output;
-use crate::presence::Presence;
+use crate::image_plane::ImagePlane;
 use crate::request;
-use crate::stage::Stage;
+use crate::server::{self, field, is_same_origin, refusal};
+use crate::status::{self, Status};
 use crate::watcher::Watcher;
-
-use feed::{Feed, Teller};
+use feed::Feed;
 
 /// The page: plain JavaScript, nothing from elsewhere.
 const PAGE: &str = include_str!("page.html");
 /// Time between two events.
 const EVENT: Duration = Duration::from_millis(50);
-/// Time between two looks for the daemon's process.
-const LOOK: Duration = Duration::from_secs(1);
-/// Patience with the daemon's answer.
+/// How long to wait for the daemon's answer.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// What is served.
-#[derive(Clone, Debug)]
-pub struct Service {
-    /// The domain's directory.
-    pub directory: PathBuf,
-    /// Where to listen.
-    pub address: SocketAddr,
-    /// Whether the page may command.
-    pub control: bool,
-}
-
-/// Serves the page until `end`.
-///
-/// # Errors
-/// [`Failure::NoDaemon`] where there is no domain; what stands against joining, watching and listening.
-pub fn run(service: &Service, stage: &Stage, end: &AtomicBool) -> Result<Exit, Failure> {
-    let directory = service.directory.as_path();
-    if Presence::of(directory) == Presence::NoDomain {
-        let domain = directory.display().to_string();
-        return Err(Failure::NoDaemon { domain });
-    }
-    let domain = Domain::join(directory)?;
-    let mut watcher = Watcher::open(&domain)?;
-    watcher.poll()?;
-    let token = service.control.then(token).transpose()?;
-    let desk = Arc::new(Desk {
-        directory: domain.directory().to_owned(),
-        feed: Arc::new(Feed::default()),
-        stage: Mutex::new(String::new()),
-        token,
-    });
-    desk.place(stage, &watcher);
-    let clerk = Arc::clone(&desk);
-    let server = Server::start(service.address, move |request| clerk.answer(request))?;
-    // The part behind # stays in the browser: it is not sent, and not logged.
-    let token = desk
-        .token
-        .as_ref()
-        .map_or(String::new(), |token| format!("#{token}"));
-    output::write(&format!(
-        "live view at http://{}/{token}\n",
-        server.address()
-    ))?;
-    let mut teller = Teller::default();
-    let mut looked: Option<Instant> = None;
-    let mut process = None;
-    while !end.load(Ordering::Relaxed) {
-        watcher.poll()?;
-        if looked.is_none_or(|at| at.elapsed() >= LOOK) {
-            process = Presence::of(directory).process();
-            desk.place(stage, &watcher);
-            looked = Some(Instant::now());
-        }
-        let event = teller.event(&watcher.view, process, ipc::now_ns());
-        desk.feed.tell(&event);
-        std::thread::sleep(EVENT);
-    }
-    Ok(Exit::Ok)
-}
-
-/// 128 bits that nobody guesses, as hexadecimal digits.
-fn token() -> io::Result<String> {
-    let mut bytes = [0; 16];
-    File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
-}
-
-/// What the threads that answer share.
+/// What the handlers share.
 #[derive(Debug)]
-struct Desk {
-    directory: PathBuf,
-    feed: Arc<Feed>,
-    stage: Mutex<String>,
+struct Server {
+    status: Mutex<Status>,
+    plane: ImagePlane,
     /// `None` where the page may not command.
     token: Option<String>,
 }
 
-impl Desk {
-    /// Renews what is told of the stage: without a scene it grows with what was seen.
-    fn place(&self, stage: &Stage, watcher: &Watcher) {
-        let mut told = feed::stage(stage, &watcher.view);
-        told["control"] = self.token.is_some().into();
-        told["domain"] = self.directory.display().to_string().into();
-        told["full"] = watcher.full.clone().into();
-        *self.stage.lock().unwrap_or_else(PoisonError::into_inner) = told.to_string();
-    }
+/// Serves the page until a signal comes; with `control`, the page may arm, disarm and stop.
+///
+/// # Errors
+/// The domain cannot be joined or watched; the address cannot be used.
+pub fn run(
+    mut watcher: Watcher,
+    plane: ImagePlane,
+    address: SocketAddr,
+    control: bool,
+) -> Result<Exit, Failure> {
+    let server = Arc::new(Server {
+        status: Mutex::new(Status::new(&watcher)),
+        plane,
+        token: control.then(token).transpose()?,
+    });
+    // The part behind # stays in the browser: it is not sent, and not logged.
+    let token = server.token.as_ref().map(|token| format!("#{token}"));
+    let token = token.unwrap_or_default();
+    let line = |address| format!("live view at http://{address}/{token}\n");
+    let routes = Router::new()
+        .route("/", get(Html(PAGE)))
+        .route("/events", get(events))
+        .route(
+            "/arm",
+            post(|server, headers| command(server, headers, Action::Arm)),
+        )
+        .route(
+            "/disarm",
+            post(|server, headers| command(server, headers, Action::Disarm)),
+        )
+        .route(
+            "/stop",
+            post(|server, headers| command(server, headers, Action::Stop)),
+        )
+        .with_state(Arc::clone(&server));
+    let routes = server::for_plain_hosts(routes);
+    server::serve(
+        address,
+        routes,
+        line,
+        status::keep(&server.status, &mut watcher, EVENT),
+    )
+}
 
-    fn answer(&self, request: &Request) -> Response {
-        if !request.host_is_plain() {
-            return Response::refusal(403, "host not allowed: ask by address or as localhost");
-        }
-        match (request.method.as_str(), request.path.as_str()) {
-            ("GET" | "HEAD", "/") => {
-                Response::whole(200, "text/html; charset=utf-8", PAGE.to_owned())
-            }
-            ("GET" | "HEAD", "/stage") => {
-                let stage = self
-                    .stage
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .clone();
-                Response::whole(200, "application/json", stage)
-            }
-            ("GET", "/events") => self.events(),
-            ("POST", "/arm") => self.command(request, Action::Arm),
-            ("POST", "/disarm") => self.command(request, Action::Disarm),
-            ("POST", "/stop") => self.command(request, Action::Stop),
-            ("GET" | "HEAD", _) => Response::refusal(404, "see /"),
-            _ => Response::refusal(405, "allowed: GET"),
-        }
-    }
+async fn events(
+    State(server): State<Arc<Server>>,
+) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
+    let feed = Feed::new(server.plane.clone());
+    let ticks = tokio::time::interval(EVENT);
+    let next = async |(server, mut feed, mut ticks): (Arc<Server>, Feed, Interval)| {
+        ticks.tick().await;
+        let mut event = feed.event(&server.status.lock().unwrap_or_else(PoisonError::into_inner));
+        event["control"] = server.token.is_some().into();
+        let event = Event::default().data(event.to_string());
+        Some((Ok(event), (server, feed, ticks)))
+    };
+    Sse::new(stream::unfold((server, feed, ticks), next))
+}
 
-    fn events(&self) -> Response {
-        let feed = Arc::clone(&self.feed);
-        let mut number = feed.end();
-        Response::Events(Box::new(move || {
-            // A comment where nothing is new keeps the connection, or finds that the page has left.
-            let (text, next) = feed
-                .next(number)
-                .unwrap_or_else(|| (": idle\n\n".into(), number));
-            number = next;
-            Some(text)
-        }))
+/// Commands come from our own page, with the token that was printed.
+async fn command(
+    State(server): State<Arc<Server>>,
+    headers: HeaderMap,
+    action: Action,
+) -> Response {
+    let forbidden = |reason| refusal(StatusCode::FORBIDDEN, reason);
+    let Some(token) = &server.token else {
+        return forbidden("only watching: start with --control to command");
+    };
+    if !is_same_origin(&headers) {
+        return forbidden("not from this page");
     }
-
-    /// Commands come from our own page, with the token that only who started us knows.
-    fn command(&self, request: &Request, action: Action) -> Response {
-        let Some(token) = &self.token else {
-            return Response::refusal(403, "only watching: start with --control to command");
-        };
-        if !request.is_same_origin() {
-            return Response::refusal(403, "not from this page");
-        }
-        let known = request
-            .field("x-vpc-token")
-            .is_some_and(|found| equal(found, token));
-        if !known {
-            return Response::refusal(403, "wrong token: open the address that vpcctl printed");
-        }
-        match request::send(&self.directory, &request::plain(action), PATIENCE) {
-            Ok(reply) => {
-                let (line, exit) = request::verdict(&reply);
-                let status = if exit == Exit::Ok { 200 } else { 409 };
-                Response::whole(status, "text/plain; charset=utf-8", line)
+    if !field(&headers, "x-vpc-token").is_some_and(|found| equal(found, token)) {
+        return forbidden("wrong token: open the address that vpcctl printed");
+    }
+    let directory = {
+        let status = server.status.lock().unwrap_or_else(PoisonError::into_inner);
+        status.directory.clone()
+    };
+    let asked = move || request::send(&directory, &request::plain(action), PATIENCE);
+    match tokio::task::spawn_blocking(asked).await {
+        Ok(Ok(reply)) => {
+            let (line, exit) = request::outcome(&reply);
+            match exit {
+                Exit::Ok => line.into_response(),
+                _ => (StatusCode::CONFLICT, line).into_response(),
             }
-            Err(failure) => Response::refusal(503, &failure.to_string()),
         }
+        Ok(Err(failure)) => refusal(StatusCode::SERVICE_UNAVAILABLE, &failure.to_string()),
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }
 
-/// Whether two words are equal, in a time that does not tell how far they are.
+/// 128 random bits in hexadecimal.
+fn token() -> io::Result<String> {
+    let mut bytes = [0; 16];
+    File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+    Ok(format!("{:032x}", u128::from_ne_bytes(bytes)))
+}
+
+/// Whether two words are equal, in a time that does not tell where they differ.
 fn equal(a: &str, b: &str) -> bool {
-    let differing = a
-        .bytes()
-        .zip(b.bytes())
-        .fold(0, |all, (a, b)| all | (a ^ b));
+    let pairs = a.bytes().zip(b.bytes());
+    let differing = pairs.fold(0, |all, (a, b)| all | (a ^ b));
     a.len() == b.len() && differing == 0
 }
 
-/// Refuses commands over an address that other machines reach: token and commands would be readable on the way.
+/// Checks that commands are for this machine only.
 ///
 /// # Errors
-/// [`Failure::ExposedControl`].
-pub fn allow(service: &Service) -> Result<(), Failure> {
-    match service.control && !service.address.ip().is_loopback() {
-        true => Err(Failure::ExposedControl),
-        false => Ok(()),
+/// Other machines reach the address: token and commands would be readable on the way.
+pub fn allow(address: SocketAddr, control: bool) -> Result<(), Failure> {
+    if !control || address.ip().is_loopback() {
+        return Ok(());
     }
+    let message = "--control: token and commands would be readable on the network; allowed: with 127.0.0.0/8 and [::1] (from afar: ssh -L 9470:127.0.0.1:9470 HOST)";
+    Err(Failure::new(Exit::Usage, message))
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
-//! Watching and asking for the status.
+//! Watching, and asking where watching does not tell.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{Domain, OperatorPorts, Reply};
+use ipc::{Action, Domain, OpenError, OperatorPorts, Reply};
 
 use super::Status;
 use crate::exit::Failure;
@@ -11,60 +11,50 @@ use crate::presence::Presence;
 use crate::request;
 use crate::watcher::Watcher;
 
+/// How long to wait for the daemon's answer, which takes it a period.
+const PATIENCE: Duration = Duration::from_millis(300);
 /// Pause between two looks at the ports.
 const PAUSE: Duration = Duration::from_millis(5);
-/// Patience with the answer to a question for the state; a daemon answers within a period.
-const PATIENCE: Duration = Duration::from_millis(300);
 
 /// Whether the daemon is asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asking {
-    /// Only where no cycles come: each new operator costs the loop of the daemon a connection.
+    /// Only where no cycles come: each new operator costs the daemon's loop a connection.
     IfSilent,
     /// In any case.
     Always,
 }
 
-/// Watches the domain for a while, and asks the daemon for its state where that is needed.
+/// Watches the domain for this time, and asks the daemon for its state where that is needed.
 ///
 /// # Errors
-/// [`Failure::NoDaemon`] where neither a daemon, a record nor an answer is found; what stands against joining.
+/// No daemon, record or answer was found; the domain cannot be joined.
 pub fn look(directory: &Path, watch: Duration, asking: Asking) -> Result<Status, Failure> {
-    let nobody = || Failure::NoDaemon {
-        domain: directory.display().to_string(),
-    };
-    let presence = Presence::of(directory);
-    if presence == Presence::NoDomain {
-        return Err(nobody());
-    }
     let end = Instant::now() + watch;
-    let domain = Domain::join(directory)?;
-    let mut watcher = Watcher::open(&domain)?;
-    watcher.poll()?;
-    watch_until(&mut watcher, end.min(Instant::now() + PATIENCE))?;
-    let is_silent = watcher.view.latest().is_none();
-    let answer = match asking == Asking::Always || is_silent {
-        true => Some(ask(&domain, watch)?),
-        false => None,
-    };
-    watch_until(&mut watcher, end)?;
-    let reply = answer.flatten();
-    // The daemon may have started or ended since.
-    let process = Presence::of(directory).process();
-    if process.is_none() && reply.is_none() && watcher.view.latest().is_none() {
-        return Err(nobody());
+    let mut watcher = Watcher::open(directory)?;
+    let mut status = Status::new(&watcher);
+    watch_until(
+        end.min(Instant::now() + PATIENCE),
+        &mut watcher,
+        &mut status,
+    )?;
+    if asking == Asking::Always || status.view.latest().is_none() {
+        status.reply = ask(&watcher.domain, PATIENCE.min(watch))?;
+        status.answered = Some(status.reply.is_some());
     }
-    let mut status = Status::of(&watcher.view, reply.as_ref(), ipc::now_ns());
-    status.domain = domain.directory().display().to_string();
-    status.process = process;
-    status.answered = answer.map(|reply| reply.is_some());
-    status.full = watcher.full;
-    Ok(status)
+    watch_until(end, &mut watcher, &mut status)?;
+    // The daemon may have started or ended since.
+    status.process = Presence::of(directory).process();
+    let is_silent = status.reply.is_none() && status.view.latest().is_none();
+    match status.process.is_none() && is_silent {
+        true => Err(Failure::no_daemon(directory)),
+        false => Ok(status),
+    }
 }
 
-fn watch_until(watcher: &mut Watcher, end: Instant) -> Result<(), Failure> {
+fn watch_until(end: Instant, watcher: &mut Watcher, status: &mut Status) -> Result<(), Failure> {
     loop {
-        watcher.poll()?;
+        status.update(watcher)?;
         if Instant::now() >= end {
             return Ok(());
         }
@@ -72,14 +62,11 @@ fn watch_until(watcher: &mut Watcher, end: Instant) -> Result<(), Failure> {
     }
 }
 
-/// The daemon's own word; `None` where it says nothing, or all operators' places are taken.
-fn ask(domain: &Domain, watch: Duration) -> Result<Option<Reply>, Failure> {
+/// The daemon's answer; `None` where none came, or all operators' places are taken.
+fn ask(domain: &Domain, patience: Duration) -> Result<Option<Reply>, Failure> {
     match OperatorPorts::open(domain) {
-        Ok(mut operator) => {
-            let patience = PATIENCE.min(watch);
-            Ok(operator.ask(&request::plain(ipc::Action::Status), patience)?)
-        }
-        Err(ipc::OpenError::Taken { .. } | ipc::OpenError::Full { .. }) => Ok(None),
+        Ok(mut operator) => Ok(operator.ask(&request::plain(Action::Status), patience)?),
+        Err(OpenError::Taken { .. } | OpenError::Full { .. }) => Ok(None),
         Err(error) => Err(error.into()),
     }
 }

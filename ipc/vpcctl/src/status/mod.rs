@@ -1,184 +1,347 @@
 //! `vpcctl status`: one screen, or JSON.
 
-mod cycles;
 mod look;
 
-use std::fmt::Write;
+use std::convert::Infallible;
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
-use ipc::{Hold, Reply, TwistState};
-use serde::Serialize;
+use ipc::{ClockMode, CycleRecord, Hold, PhaseCode, RealTime, ReceiveError, Reply};
+use ipc::{SolverStatus, TwistState};
+use serde_json::{Value, json};
 
-pub use cycles::Cycles;
 pub use look::{Asking, look};
 
-use crate::exit::Exit;
+use crate::exit::{Exit, Failure};
+use crate::latency::{Percentiles, STAGES, durations};
 use crate::output::{Tone, paint};
-use crate::request;
-use crate::view::View;
-use crate::words::{duration, faults};
+use crate::presence::Presence;
+use crate::request::strategy_name;
+use crate::units::{duration, pixels};
+use crate::view::{View, faults, word};
+use crate::watcher::Watcher;
 
-/// What a daemon does, for people (`Display` is [`Status::text`]) and as JSON. Times are ns, image errors px, twists
-/// m/s and rad/s in the camera frame; numbers that are not known are null.
-#[derive(Clone, Debug, Serialize)]
+/// Time between two looks for the daemon's process, ns.
+const LOOK_NS: u64 = 1_000_000_000;
+/// Silence from which on cycles count as stopped, ns.
+const SILENT_NS: u64 = 500_000_000;
+
+/// What a daemon does.
+#[derive(Clone, Debug, Default)]
 pub struct Status {
     /// The domain's directory.
-    pub domain: String,
-    /// Process of the daemon; null where it is not `vpcd` that serves the domain.
+    pub directory: PathBuf,
+    /// Process of the daemon; `None` where it is not `vpcd` that serves the domain.
     pub process: Option<u32>,
-    /// stopped, moving, arrived, holding, braking, disarmed; null where nobody tells.
-    pub state: Option<String>,
-    /// Why the law's twist is not sent at present, in the words of the contract.
-    pub cause: Option<String>,
-    /// The last cause seen while watching, though it may be over.
-    pub last_cause: Option<String>,
-    /// How long ago that was over; null while it lasts.
-    pub last_cause_over_ns: Option<u64>,
-    /// Whether the daemon answered when asked for its state; null where its cycles made asking unnecessary.
+    /// Whether the daemon answered; `None` where its cycles made asking unnecessary.
     pub answered: Option<bool>,
-    /// Strategy, with the neighbours of knn in its name.
-    pub strategy: Option<String>,
-    /// From the records of its cycles; null where none came.
-    pub cycles: Option<Cycles>,
-    /// From the robot; null where it says nothing.
-    pub robot: Option<Robot>,
+    /// Its answer, older than the newest cycle.
+    pub reply: Option<Reply>,
     /// Services that could not be watched, since all places were taken.
     pub full: Vec<&'static str>,
-    #[serde(skip)]
-    exit: Option<TwistState>,
-}
-
-/// What the robot says.
-#[derive(Clone, Debug, Serialize)]
-pub struct Robot {
-    /// idle, moving, stale, fault.
-    pub mode: String,
-    /// Names of the faults.
-    pub faults: Vec<&'static str>,
-    /// Since it said so.
-    pub age_ns: u64,
+    /// What was watched.
+    pub view: View,
+    /// The present, CLOCK_MONOTONIC, ns.
+    pub now_ns: u64,
+    looked_ns: u64,
 }
 
 impl Status {
-    /// From what was watched and, where the daemon answered, from its answer, which is the elder of the two.
-    pub fn of(view: &View, reply: Option<&Reply>, now_ns: u64) -> Self {
-        let latest = view.latest();
-        let state = latest.map_or(reply.and_then(Reply::state), |r| {
-            TwistState::from_code(r.state)
-        });
-        let hold = latest.map_or(reply.and_then(Reply::hold), |record| record.hold());
-        let strategy = latest
-            .map(|r| (r.strategy, r.neighbours))
-            .or(reply.map(|r| (r.strategy, r.neighbours)));
-        let (last, over) = view.last_cause().unzip();
+    /// Of a domain that is about to be watched.
+    pub fn new(watcher: &Watcher) -> Self {
         Self {
-            domain: String::new(),
-            process: None,
-            state: state.map(|state| state.to_string()),
-            cause: hold
-                .filter(|&hold| hold != Hold::None)
-                .map(|hold| hold.to_string()),
-            last_cause: last.map(|change| change.hold.to_string()),
-            last_cause_over_ns: over.flatten().map(|at| now_ns.saturating_sub(at)),
-            answered: reply.map(|_| true),
-            strategy: strategy.map(|(code, k)| request::strategy_name(code, k)),
-            cycles: Cycles::of(view, now_ns),
-            robot: view.robot_at(now_ns).map(|state| Robot {
-                mode: state
-                    .mode()
-                    .map_or_else(|| "unknown".to_owned(), |mode| mode.to_string()),
-                faults: faults(state.faults()),
-                age_ns: now_ns.saturating_sub(state.stamp.published_ns),
-            }),
-            full: Vec::new(),
-            exit: state,
+            directory: watcher.domain.directory().to_owned(),
+            full: watcher.full.clone(),
+            ..Self::default()
         }
     }
 
-    /// Whether neither an answer nor a record came, or the records have stopped: for half a second or ten periods.
-    pub fn hangs(&self) -> bool {
-        if self.answered == Some(true) {
-            return false;
+    /// Takes in all that came since the last call; does not wait.
+    ///
+    /// # Errors
+    /// As [`Watcher::poll`].
+    pub fn update(&mut self, watcher: &mut Watcher) -> Result<(), ReceiveError> {
+        watcher.poll(&mut self.view)?;
+        self.now_ns = ipc::now_ns();
+        if self.now_ns.saturating_sub(self.looked_ns) >= LOOK_NS {
+            self.process = Presence::of(&self.directory).process();
+            self.looked_ns = self.now_ns;
         }
-        self.cycles.as_ref().is_none_or(|cycles| {
-            let period_ns = cycles.rate_hz.map_or(0.0, |rate| 1e9 / rate);
-            cycles.silence_ns as f64 > (10.0 * period_ns).max(0.5e9)
-        })
+        Ok(())
+    }
+
+    /// The state of the newest cycle, else of the answer.
+    pub fn state(&self) -> Option<TwistState> {
+        match self.view.latest() {
+            Some(record) => TwistState::from_code(record.state),
+            None => self.reply.as_ref()?.state(),
+        }
+    }
+
+    /// What keeps the law's twist back.
+    pub fn hold(&self) -> Option<Hold> {
+        let hold = match self.view.latest() {
+            Some(record) => record.hold(),
+            None => self.reply.as_ref()?.hold(),
+        };
+        hold.filter(|&hold| hold != Hold::None)
+    }
+
+    /// State and cause in words, with their tone. A run that is over is told as such, without alarm.
+    pub fn headline(&self) -> (String, Option<String>, Tone) {
+        let (view, now_ns) = (&self.view, self.now_ns);
+        let (Some(state), Some(silence)) = (self.state(), view.silence_ns(now_ns)) else {
+            return ("waiting for cycles".to_owned(), None, Tone::Warning);
+        };
+        let cause = view.cause_words(now_ns);
+        if silence <= SILENT_NS {
+            let tone = Tone::of(state, self.hold().unwrap_or(Hold::None));
+            return (state.to_string(), cause, tone);
+        }
+        let since = duration(silence);
+        match (self.process, view.camera_silence_ns(now_ns)) {
+            (None, _) => (format!("ended {since} ago"), cause, Tone::Warning),
+            // In lockstep, there is no cycle without a frame.
+            (_, Some(_)) => (format!("no frame for {since}"), cause, Tone::Warning),
+            _ => (format!("no cycle for {since}"), cause, Tone::Bad),
+        }
+    }
+
+    /// The strategy, as `vpcd --strategy` takes it.
+    pub fn strategy(&self) -> Option<String> {
+        let reply = self.reply.as_ref().map(|r| (r.strategy, r.neighbours));
+        let codes = self.view.latest().map(|r| (r.strategy, r.neighbours));
+        codes.or(reply).map(|(code, k)| strategy_name(code, k))
+    }
+
+    /// Whether neither an answer nor a record came, or the records have stopped: for half a second
+    /// or ten periods.
+    pub fn hangs(&self) -> bool {
+        let period_ns = self.view.rate_hz().map_or(0.0, |rate| 1e9 / rate);
+        let most = (10.0 * period_ns).max(SILENT_NS as f64);
+        let silence = self.view.silence_ns(self.now_ns);
+        self.answered != Some(true) && silence.is_none_or(|silence| silence as f64 > most)
     }
 
     /// The exit code.
     pub fn exit(&self) -> Exit {
-        if self.hangs() {
-            return Exit::NoAnswer;
-        }
-        match self.exit {
+        match self.state() {
+            _ if self.hangs() => Exit::NoAnswer,
             Some(TwistState::Moving | TwistState::Arrived) => Exit::Ok,
             Some(TwistState::Disarmed) => Exit::Disarmed,
-            Some(TwistState::Stopped | TwistState::Holding | TwistState::Braking) => {
-                Exit::Attention
-            }
+            Some(_) => Exit::Attention,
             None => Exit::NoAnswer,
         }
     }
 
-    /// One screen of at most 80 columns.
-    pub fn text(&self, colours: bool) -> String {
-        let mut lines = String::new();
-        // Writing to a string does not fail.
-        let _ = self.write(&mut lines, colours);
-        lines
+    /// As JSON: times in ns, image errors in px, twists in m/s and rad/s in the camera frame; null
+    /// for what is not known.
+    pub fn json(&self) -> Value {
+        let (view, now_ns) = (&self.view, self.now_ns);
+        let (last, over) = view.last_cause().unzip();
+        let robot = view.robot_at(now_ns).map(|robot| {
+            let age_ns = now_ns.saturating_sub(robot.stamp.published_ns);
+            json!({ "mode": word(robot.mode()), "faults": faults(robot.faults()), "age_ns": age_ns })
+        });
+        json!({
+            "domain": self.directory.display().to_string(),
+            "process": self.process,
+            "state": self.state().map(|state| state.to_string()),
+            "cause": self.hold().map(|hold| hold.to_string()),
+            "last_cause": last.map(|change| change.hold.to_string()),
+            "last_cause_over_ns": over.flatten().map(|at| now_ns.saturating_sub(at)),
+            "answered": self.answered,
+            "strategy": self.strategy(),
+            "cycles": view.latest().map(|last| cycles(last, view, now_ns)),
+            "robot": robot,
+            "full": self.full,
+        })
     }
 
-    fn write(&self, out: &mut String, colours: bool) -> std::fmt::Result {
-        let process = self
-            .process
-            .map_or("not vpcd".to_owned(), |p| format!("process {p}"));
-        writeln!(out, "daemon    {process}, domain {}", self.domain)?;
+    /// One screen of at most 80 columns.
+    pub fn text(&self, colours: bool) -> String {
+        let process = self.process.map(|process| format!("process {process}"));
+        let process = process.unwrap_or_else(|| "not vpcd".to_owned());
+        let mut lines = vec![format!(
+            "daemon    {process}, domain {}",
+            self.directory.display()
+        )];
         if self.hangs() {
             let words = paint("does not answer, no cycles are coming", Tone::Bad, colours);
-            writeln!(out, "          {words}; see `vpcctl doctor`")?;
+            lines.push(format!("          {words}; see `vpcctl doctor`"));
         }
-        let state = self.state.as_deref().unwrap_or("unknown");
-        let tone = match self.exit() {
-            Exit::Ok => Tone::Good,
-            Exit::NoAnswer => Tone::Bad,
-            _ => Tone::Warning,
-        };
-        write!(out, "state     {}", paint(state, tone, colours))?;
-        match (&self.cause, &self.last_cause) {
-            (Some(cause), _) => writeln!(out, ": {cause}")?,
-            (None, Some(last)) => {
-                let ago = self.last_cause_over_ns.unwrap_or(0);
-                writeln!(out, " (before: {last}, until {} ago)", duration(ago))?;
-            }
-            (None, None) => writeln!(out)?,
-        }
-        let strategy = self.strategy.as_deref().unwrap_or("unknown");
-        match &self.cycles {
-            Some(cycles) => cycles.write(out, strategy, colours)?,
+        lines.push(self.state_line(colours));
+        let strategy = self.strategy().unwrap_or_else(|| "unknown".to_owned());
+        match self.view.latest() {
+            Some(last) => lines.extend(self.cycle_lines(last, &strategy, colours)),
             None => {
-                writeln!(out, "strategy  {strategy}")?;
-                writeln!(out, "cycles    none came while watching")?;
+                lines.push(format!("strategy  {strategy}"));
+                lines.push("cycles    none came while watching".to_owned());
             }
         }
-        match &self.robot {
-            Some(robot) => {
-                let faults = match robot.faults.as_slice() {
-                    [] => "no faults".to_owned(),
-                    faults => paint(&faults.join(", "), Tone::Bad, colours),
-                };
-                let age = duration(robot.age_ns);
-                writeln!(out, "robot     {}, {faults}, {age} ago", robot.mode)?;
-            }
-            None => writeln!(out, "robot     says nothing")?,
-        }
-        for service in &self.full {
-            writeln!(
-                out,
-                "not seen  {service}: all subscribers' places are taken"
-            )?;
-        }
-        Ok(())
+        let robot = self.view.robot_at(self.now_ns).map(|robot| {
+            let age = duration(self.now_ns.saturating_sub(robot.stamp.published_ns));
+            let faults = match faults(robot.faults()).join(", ") {
+                none if none.is_empty() => "no faults".to_owned(),
+                names => paint(&names, Tone::Bad, colours),
+            };
+            format!("{}, {faults}, {age} ago", word(robot.mode()))
+        });
+        let robot = robot.as_deref().unwrap_or("says nothing");
+        lines.push(format!("robot     {robot}"));
+        let full = self.full.iter();
+        lines.extend(full.map(|s| format!("not seen  {s}: all subscribers' places are taken")));
+        lines.join("\n") + "\n"
     }
+
+    fn state_line(&self, colours: bool) -> String {
+        let hold = self.hold();
+        let tone = match self.state() {
+            Some(state) if !self.hangs() => Tone::of(state, hold.unwrap_or(Hold::None)),
+            _ => Tone::Bad,
+        };
+        let state = paint(&word(self.state()), tone, colours);
+        let cause = self.view.cause_words(self.now_ns);
+        let cause = cause.or_else(|| hold.map(|hold| hold.to_string()));
+        match (cause, self.view.last_cause()) {
+            (Some(cause), _) => format!("state     {state}: {cause}"),
+            (None, Some((last, over))) => {
+                let ago = duration(over.map_or(0, |at| self.now_ns.saturating_sub(at)));
+                format!("state     {state} (before: {}, until {ago} ago)", last.hold)
+            }
+            (None, None) => format!("state     {state}"),
+        }
+    }
+
+    fn cycle_lines(&self, last: &CycleRecord, strategy: &str, colours: bool) -> Vec<String> {
+        let view = &self.view;
+        let target = match last.way_point_count {
+            0 => "goal",
+            _ => "way point",
+        };
+        let clock = word(ClockMode::from_code(last.clock));
+        let rate = view.rate_hz().map(|rate| format!("{rate:.1} Hz"));
+        let rate = rate.unwrap_or_else(|| "unknown rate".to_owned());
+        let mut lines = vec![
+            format!(
+                "strategy  {strategy}, {} steps previewed, towards the {target}",
+                last.np
+            ),
+            format!("clock     {clock}, {rate} measured, cycle {}", last.cycle),
+            format!("times     {:>9}{:>10}{:>10}", "p50", "p99", "max"),
+        ];
+        for (name, of) in STAGES.iter().zip(stages(view)) {
+            let [p50, p99, max] = [of.p50_ns, of.p99_ns, of.max_ns].map(duration);
+            lines.push(format!("  {name:<8}{p50:>9}{p99:>10}{max:>10}"));
+        }
+        let counts = [last.overruns, last.lost_records, view.missed];
+        let [overruns, lost, missed] = counts.map(|count| match count {
+            0 => count.to_string(),
+            _ => paint(&count.to_string(), Tone::Warning, colours),
+        });
+        lines.push(format!(
+            "deadline  {overruns} overruns, {lost} records lost, {missed} missed here"
+        ));
+        let realtime = match lacks(RealTime(last.realtime)) {
+            None => "not asked for".to_owned(),
+            Some(lacks) if lacks.is_empty() => "held".to_owned(),
+            Some(lacks) => paint(&lacks.join(", "), Tone::Warning, colours),
+        };
+        let [minor, major, blocked, heap] = view.disturbances;
+        let faults = minor + major;
+        lines.push(format!(
+            "real time {realtime}; {faults} page faults, {blocked} blocked, {heap} heap calls"
+        ));
+        let (error, clearance) = (pixels(last.error_px), pixels(last.clearance_px));
+        lines.push(match last.features_sequence {
+            0 => "features  none used".to_owned(),
+            _ => {
+                let (count, age) = (last.count, duration(last.features_age_ns));
+                format!("features  {count} points, {age} old, error {error}, clearance {clearance}")
+            }
+        });
+        let solver = word(SolverStatus::from_code(last.status));
+        lines.push(format!(
+            "solver    {solver}, {} iterations",
+            last.iterations
+        ));
+        let [vx, vy, vz, wx, wy, wz] = last.twist;
+        lines.push(format!(
+            "twist     {vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s"
+        ));
+        lines
+    }
+}
+
+/// Keeps a status that others read up to date.
+///
+/// # Errors
+/// As [`Watcher::poll`].
+pub async fn keep(
+    status: &Mutex<Status>,
+    watcher: &mut Watcher,
+    pause: Duration,
+) -> Result<Infallible, Failure> {
+    loop {
+        status
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .update(watcher)?;
+        tokio::time::sleep(pause).await;
+    }
+}
+
+/// Percentiles of each of [`STAGES`].
+fn stages(view: &View) -> [Percentiles; STAGES.len()] {
+    std::array::from_fn(|i| Percentiles::of(view.recent(u64::MAX).map(|r| durations(r)[i])))
+}
+
+/// What the records of the cycles say.
+fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
+    let [wake, receive, step, send, total] = stages(view);
+    let [minor, major, blocked, heap_calls] = view.disturbances;
+    json!({
+        "clock": word(ClockMode::from_code(last.clock)),
+        "cycle": last.cycle,
+        "silence_ns": view.silence_ns(now_ns),
+        "watched": view.received,
+        "rate_hz": view.rate_hz(),
+        "overruns": last.overruns,
+        "lost_records": last.lost_records,
+        "missed_records": view.missed,
+        "realtime_lacks": lacks(RealTime(last.realtime)),
+        "phase": word(PhaseCode::from_code(last.phase)),
+        "page_faults": minor + major,
+        "blocked": blocked,
+        "heap_calls": heap_calls,
+        "wake": wake,
+        "receive": receive,
+        "step": step,
+        "send": send,
+        "total": total,
+        "solver": word(SolverStatus::from_code(last.status)),
+        "iterations": last.iterations,
+        "np": last.np,
+        "count": last.count,
+        "features_age_ns": (last.features_sequence > 0).then_some(last.features_age_ns),
+        "way_point": last.way_point_count > 0,
+        "error_px": last.error_px,
+        "clearance_px": last.clearance_px,
+        "twist": last.twist,
+    })
+}
+
+/// What is missing of the real time that was asked for; `None` where none was.
+pub fn lacks(realtime: RealTime) -> Option<Vec<&'static str>> {
+    let names = [
+        (RealTime::NO_FIFO, "no SCHED_FIFO"),
+        (RealTime::NO_CPU, "not on its processor"),
+        (RealTime::NO_LOCK, "memory not locked"),
+    ];
+    let missing = names.into_iter().filter(|(bit, _)| realtime.has(*bit));
+    let lacks = missing.map(|(_, name)| name).collect();
+    realtime.has(RealTime::ASKED).then_some(lacks)
 }
 
 #[cfg(test)]
@@ -188,11 +351,12 @@ mod tests {
     use ipc::{Order, Received};
 
     fn status(state: TwistState, hold: Hold, silence_ns: u64) -> Status {
-        let mut view = View::default();
+        let mut status = Status::default();
         let message = record(5, state, hold);
         let order = Order::First;
-        view.cycle(&Received { message, order });
-        Status::of(&view, None, message.stamp.published_ns + silence_ns)
+        status.view.cycle(&Received { message, order });
+        status.now_ns = message.stamp.published_ns + silence_ns;
+        status
     }
 
     #[test]
@@ -220,9 +384,17 @@ mod tests {
 
     #[test]
     fn json_has_null_for_what_is_not_known() {
-        let json = serde_json::to_value(status(TwistState::Moving, Hold::None, 0)).unwrap();
+        let json = status(TwistState::Moving, Hold::None, 0).json();
         assert_eq!(json["state"], "moving");
         assert_eq!(json["cycles"]["cycle"], 5);
         assert!(json["cycles"]["error_px"].is_null() && json["robot"].is_null());
+    }
+
+    #[test]
+    fn what_real_time_lacks_is_told_from_none_asked_for() {
+        assert_eq!(lacks(RealTime::default()), None);
+        assert_eq!(lacks(RealTime::ASKED), Some(vec![]));
+        let without = RealTime::ASKED.with(RealTime::NO_LOCK);
+        assert_eq!(lacks(without), Some(vec!["memory not locked"]));
     }
 }

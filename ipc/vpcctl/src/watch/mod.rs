@@ -1,6 +1,6 @@
 //! `vpcctl watch`: a live view in the terminal.
 
-mod pending;
+mod palette;
 mod plane;
 mod screen;
 
@@ -8,194 +8,196 @@ use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, TryRecvError};
 use std::time::{Duration, Instant};
 
-use ipc::{Action, Domain, StrategyCode};
+use ipc::{Action, Request, StrategyCode};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-
 use rustix::event::{PollFd, PollFlags, Timespec};
-use rustix::io::Errno;
 
 use crate::exit::{Exit, Failure};
-use crate::output;
-use crate::presence::Presence;
-use crate::request;
-use crate::stage::Stage;
+use crate::image_plane::ImagePlane;
+use crate::status::Status;
+use crate::view::word;
 use crate::watcher::Watcher;
-
-use pending::Pending;
-pub use screen::{Screen, draw};
+use crate::{output, request};
+use palette::Palette;
+use screen::{Screen, draw};
 
 /// Time between two pictures.
 const FRAME: Duration = Duration::from_millis(50);
-/// Time between two looks for the daemon's process.
+/// Time between two looks for a changed scene.
 const LOOK: Duration = Duration::from_secs(1);
+/// How long to wait for an answer.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// What a key asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wish {
+enum Command {
     Quit,
     Ask(Action),
     Strategy(StrategyCode),
 }
 
-fn wish(key: &KeyEvent) -> Option<Wish> {
-    if key.kind == KeyEventKind::Release {
-        return None;
-    }
+fn command(key: &KeyEvent) -> Option<Command> {
     let control = key.modifiers.contains(KeyModifiers::CONTROL);
-    match key.code {
-        KeyCode::Char('c') if control => Some(Wish::Quit),
-        KeyCode::Char('q') | KeyCode::Esc => Some(Wish::Quit),
-        KeyCode::Char('a') => Some(Wish::Ask(Action::Arm)),
-        KeyCode::Char('d') => Some(Wish::Ask(Action::Disarm)),
-        KeyCode::Char('s' | ' ') => Some(Wish::Ask(Action::Stop)),
-        KeyCode::Char('f') => Some(Wish::Ask(Action::Record)),
-        KeyCode::Char('1') => Some(Wish::Strategy(StrategyCode::Previous)),
-        KeyCode::Char('2') => Some(Wish::Strategy(StrategyCode::Knn)),
-        KeyCode::Char('3') => Some(Wish::Strategy(StrategyCode::Gpr)),
-        KeyCode::Char('4') => Some(Wish::Strategy(StrategyCode::Ibvs)),
-        _ => None,
-    }
+    Some(match key.code {
+        _ if key.kind == KeyEventKind::Release => return None,
+        KeyCode::Char('c') if control => Command::Quit,
+        KeyCode::Char('q') | KeyCode::Esc => Command::Quit,
+        KeyCode::Char('a') => Command::Ask(Action::Arm),
+        KeyCode::Char('d') => Command::Ask(Action::Disarm),
+        KeyCode::Char('s' | ' ') => Command::Ask(Action::Stop),
+        KeyCode::Char('f') => Command::Ask(Action::Record),
+        KeyCode::Char('1') => Command::Strategy(StrategyCode::Previous),
+        KeyCode::Char('2') => Command::Strategy(StrategyCode::Knn),
+        KeyCode::Char('3') => Command::Strategy(StrategyCode::Gpr),
+        KeyCode::Char('4') => Command::Strategy(StrategyCode::Ibvs),
+        _ => return None,
+    })
 }
 
-/// Shows the domain until `q`, Ctrl-C, SIGTERM or SIGHUP. A daemon may start, end and start again meanwhile.
+/// Shows the domain until `q`, Ctrl-C, SIGTERM or SIGHUP. A daemon may start, end and start again
+/// meanwhile. `neighbours` are those of knn.
 ///
 /// # Errors
-/// [`Failure::NoDaemon`] where there is no domain; what stands against joining it or using the terminal.
-pub fn run(directory: &Path, stage: &Stage, neighbours: u32) -> Result<Exit, Failure> {
-    if Presence::of(directory) == Presence::NoDomain {
-        let domain = directory.display().to_string();
-        return Err(Failure::NoDaemon { domain });
-    }
+/// The domain cannot be joined or watched; there is no terminal.
+pub fn run(directory: &Path, plane: ImagePlane, neighbours: u32) -> Result<Exit, Failure> {
+    let mut watcher = Watcher::open(directory)?;
     if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
-        return Err(Failure::NoTerminal);
+        let message =
+            "watch: standard output is no terminal; use `vpcctl status`, --json for scripts";
+        return Err(Failure::new(Exit::Usage, message));
     }
-    let domain = Domain::join(directory)?;
-    let mut watcher = Watcher::open(&domain)?;
     let end = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&end))?;
     }
-    end_at_last(Arc::clone(&end));
     // Restores the terminal also when we panic.
     let mut terminal = ratatui::try_init()?;
-    let result = show(
-        &mut terminal,
-        &domain,
-        &mut watcher,
-        stage,
+    let mut session = Session {
+        status: Status::new(&watcher),
+        plane,
         neighbours,
-        &end,
-    );
-    ratatui::try_restore()?;
+        message: String::new(),
+        answer: None,
+    };
+    let result = session.show(&mut terminal, &mut watcher, &end);
+    // The terminal may be gone.
+    let _ = ratatui::try_restore();
+    if let Some(answer) = session.answer {
+        // A stop must reach the daemon before this process ends.
+        let _ = answer.recv_timeout(PATIENCE);
+    }
     result.map(|()| Exit::Ok)
 }
 
-/// What the terminal says.
-enum Heard {
-    Nothing,
-    Keys,
-    HangUp,
-}
-
-/// Waits a frame for keys. crossterm 0.29 reads a terminal that is gone (a dropped connection) for ever, at full speed:
-/// it is asked only where there is something to read.
-fn heard() -> std::io::Result<Heard> {
-    let input = std::io::stdin();
-    let mut ports = [PollFd::new(&input, PollFlags::IN)];
-    let frame = Timespec {
-        tv_sec: 0,
-        tv_nsec: i64::from(FRAME.subsec_nanos()),
-    };
-    match rustix::event::poll(&mut ports, Some(&frame)) {
-        // A change of the window's size: the next picture has it.
-        Err(Errno::INTR) => return Ok(Heard::Nothing),
-        result => result?,
-    };
-    let found = ports[0].revents();
-    if found.intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
-        return Ok(Heard::HangUp);
-    }
-    match found.contains(PollFlags::IN) && event::poll(Duration::ZERO)? {
-        true => Ok(Heard::Keys),
-        false => Ok(Heard::Nothing),
-    }
-}
-
-/// Ends the process a second after it was asked to, should it hang in reading a terminal that went at a bad instant.
-fn end_at_last(end: Arc<AtomicBool>) {
+/// Keys, from a thread of its own: crossterm 0.29 may hang in reading a terminal that is gone.
+fn keys() -> Receiver<KeyEvent> {
+    let (sender, keys) = mpsc::channel();
     std::thread::spawn(move || {
-        while !end.load(Ordering::Relaxed) {
-            std::thread::sleep(LOOK / 5);
+        while let Ok(event) = event::read() {
+            if let Event::Key(key) = event
+                && sender.send(key).is_err()
+            {
+                return;
+            }
         }
-        std::thread::sleep(LOOK);
-        // The terminal may be gone.
-        let _ = ratatui::try_restore();
-        std::process::exit(Exit::Ok as i32);
     });
+    keys
 }
 
-fn show(
-    terminal: &mut ratatui::DefaultTerminal,
-    domain: &Domain,
-    watcher: &mut Watcher,
-    stage: &Stage,
+/// Whether the terminal is gone, as after a dropped connection.
+fn has_hung_up() -> bool {
+    let input = std::io::stdin();
+    let mut ports = [PollFd::new(&input, PollFlags::empty())];
+    let at_once = Timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
+    rustix::event::poll(&mut ports, Some(&at_once)).is_ok() && ports[0].revents().intersects(gone)
+}
+
+/// What is shown.
+struct Session {
+    status: Status,
+    plane: ImagePlane,
     neighbours: u32,
-    end: &AtomicBool,
-) -> Result<(), Failure> {
-    let directory = domain.directory();
-    let colours = output::colours();
-    let mut pending: Option<Pending> = None;
-    let mut message = String::new();
-    let (mut process, mut looked) = (Presence::of(directory).process(), Instant::now());
-    while !end.load(Ordering::Relaxed) {
-        watcher.poll()?;
-        if let Some(answer) = pending.as_mut().and_then(Pending::poll) {
-            (message, pending) = (answer, None);
-        }
-        if looked.elapsed() >= LOOK {
-            (process, looked) = (Presence::of(directory).process(), Instant::now());
-        }
-        let screen = Screen {
-            view: &watcher.view,
-            stage,
-            domain: directory,
-            process,
-            full: &watcher.full,
-            message: &message,
-            now_ns: ipc::now_ns(),
-            colours,
+    message: String,
+    answer: Option<Receiver<String>>,
+}
+
+impl Session {
+    fn show(
+        &mut self,
+        terminal: &mut ratatui::DefaultTerminal,
+        watcher: &mut Watcher,
+        end: &AtomicBool,
+    ) -> Result<(), Failure> {
+        let palette = Palette {
+            colours: output::colours(),
         };
-        terminal.draw(|frame| draw(frame, &screen))?;
-        match heard()? {
-            Heard::Nothing => continue,
-            Heard::HangUp => break,
-            Heard::Keys => (),
-        }
-        let Event::Key(key) = event::read()? else {
-            continue;
-        };
-        let asked = match wish(&key) {
-            Some(Wish::Quit) => break,
-            Some(Wish::Ask(action)) => request::plain(action),
-            Some(Wish::Strategy(StrategyCode::Knn)) => {
-                request::strategy(StrategyCode::Knn, neighbours)
+        let (keys, mut looked) = (keys(), Instant::now());
+        while !end.load(Ordering::Relaxed) && !has_hung_up() {
+            self.status.update(watcher)?;
+            self.take_answer();
+            if looked.elapsed() >= LOOK {
+                self.plane.refresh();
+                looked = Instant::now();
             }
-            Some(Wish::Strategy(strategy)) => request::strategy(strategy, 0),
-            None => continue,
-        };
-        // A newer request replaces one that nobody has answered: stop must not wait for arm.
-        pending = None;
-        match Pending::ask(domain, asked) {
-            Ok(asked) => {
-                message = format!("{}: asked", asked.action());
-                pending = Some(asked);
+            let screen = Screen {
+                status: &self.status,
+                plane: &self.plane,
+                message: &self.message,
+                palette,
+            };
+            terminal.draw(|frame| draw(frame, &screen))?;
+            let key = match keys.recv_timeout(FRAME) {
+                Ok(key) => key,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => break,
+            };
+            match command(&key) {
+                Some(Command::Quit) => break,
+                Some(Command::Ask(action)) => self.ask(request::plain(action)),
+                Some(Command::Strategy(strategy)) => {
+                    let is_knn = strategy == StrategyCode::Knn;
+                    let neighbours = if is_knn { self.neighbours } else { 0 };
+                    self.ask(request::strategy(strategy, neighbours));
+                }
+                None => (),
             }
-            Err(error) => message = error.to_string(),
         }
+        Ok(())
     }
-    Ok(())
+
+    /// Sends a request from a thread of its own, so that the picture goes on; its answer replaces
+    /// that of an earlier one.
+    fn ask(&mut self, request: Request) {
+        let action = word(request.action());
+        self.message = format!("{action}: asked");
+        let (sender, answer) = mpsc::channel();
+        let directory = self.status.directory.clone();
+        std::thread::spawn(move || {
+            let line = match request::send(&directory, &request, PATIENCE) {
+                Ok(reply) => request::outcome(&reply).0,
+                Err(failure) => format!("{action}: {failure}"),
+            };
+            // A newer request may have been made.
+            let _ = sender.send(line);
+        });
+        self.answer = Some(answer);
+    }
+
+    fn take_answer(&mut self) {
+        match self.answer.as_ref().map(Receiver::try_recv) {
+            Some(Ok(line)) => self.message = line.trim_end().to_owned(),
+            Some(Err(TryRecvError::Empty)) | None => return,
+            Some(Err(TryRecvError::Disconnected)) => (),
+        }
+        self.answer = None;
+    }
 }
 
 #[cfg(test)]
@@ -204,18 +206,21 @@ mod tests {
 
     #[test]
     fn space_and_s_stop_and_letters_do_what_the_last_line_says() {
-        let press = |code| wish(&KeyEvent::new(code, KeyModifiers::NONE));
+        let press = |code| command(&KeyEvent::new(code, KeyModifiers::NONE));
         for code in [KeyCode::Char('s'), KeyCode::Char(' ')] {
-            assert_eq!(press(code), Some(Wish::Ask(Action::Stop)));
+            assert_eq!(press(code), Some(Command::Ask(Action::Stop)));
         }
-        assert_eq!(press(KeyCode::Char('a')), Some(Wish::Ask(Action::Arm)));
-        assert_eq!(press(KeyCode::Char('d')), Some(Wish::Ask(Action::Disarm)));
+        assert_eq!(press(KeyCode::Char('a')), Some(Command::Ask(Action::Arm)));
+        assert_eq!(
+            press(KeyCode::Char('d')),
+            Some(Command::Ask(Action::Disarm))
+        );
         assert_eq!(
             press(KeyCode::Char('3')),
-            Some(Wish::Strategy(StrategyCode::Gpr))
+            Some(Command::Strategy(StrategyCode::Gpr))
         );
         assert_eq!(press(KeyCode::Char('x')), None);
         let interrupt = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
-        assert_eq!(wish(&interrupt), Some(Wish::Quit));
+        assert_eq!(command(&interrupt), Some(Command::Quit));
     }
 }

@@ -8,20 +8,21 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::Block;
 use ratatui::widgets::canvas::{Canvas, Context, Painter, Points, Shape};
 
-use super::screen::Screen;
-use crate::stage::Stage;
+use super::palette::Palette;
+use crate::image_plane::ImagePlane;
+use crate::view::View;
 
 /// How much of the past a trail shows, ns.
 const TRAIL_NS: u64 = 5_000_000_000;
 
-/// Columns, borders and all, of an image plane of this many rows whose pixels are square: a character is twice as high
-/// as wide.
+/// Columns with borders of an image plane of this many rows with square pixels: a character is twice
+/// as high as wide.
 pub fn columns(rows: u16, size: [f64; 2]) -> u16 {
     let inner = f64::from(rows.saturating_sub(2));
     (2.0 * inner * size[0] / size[1]).round() as u16 + 2
 }
 
-/// Rows, borders and all, for this many columns.
+/// Rows with borders for this many columns.
 pub fn rows(columns: u16, size: [f64; 2]) -> u16 {
     let inner = f64::from(columns.saturating_sub(2));
     (inner * size[1] / size[0] / 2.0).round() as u16 + 2
@@ -29,7 +30,7 @@ pub fn rows(columns: u16, size: [f64; 2]) -> u16 {
 
 /// Areas in which no feature may be: every second dot, so that what is drawn above stays readable.
 struct Hatch<'a> {
-    stage: &'a Stage,
+    plane: &'a ImagePlane,
     height: f64,
     color: Color,
 }
@@ -48,7 +49,7 @@ impl Shape for Hatch<'_> {
                 let (du, dv) = (half(right - left, columns), half(top - bottom, rows));
                 let u = left + part(x, columns) * (right - left);
                 let v = self.height - (top - part(y, rows) * (top - bottom));
-                if (x + y) % 2 == 0 && self.stage.touches([u - du, v - dv], [u + du, v + dv]) {
+                if (x + y) % 2 == 0 && self.plane.touches([u - du, v - dv], [u + du, v + dv]) {
                     painter.paint(x, y, self.color);
                 }
             }
@@ -57,60 +58,52 @@ impl Shape for Hatch<'_> {
 }
 
 /// Draws the image plane into this area.
-pub fn draw(frame: &mut Frame, area: Rect, screen: &Screen) {
-    let size = screen.stage.size(screen.view);
-    let title = format!(" image {:.0} x {:.0} px ", size[0], size[1]);
+pub fn draw(frame: &mut Frame, area: Rect, plane: &ImagePlane, view: &View, palette: Palette) {
+    let size = plane.size(view);
+    let hint = match plane.has_scene() {
+        true => "",
+        false => "without scene ",
+    };
+    let title = format!(" image {:.0} x {:.0} px {hint}", size[0], size[1]);
     let canvas = Canvas::default()
         .block(Block::bordered().title(title))
         .marker(Marker::Braille)
         .x_bounds([0.0, size[0]])
         .y_bounds([0.0, size[1]])
-        .paint(|context| paint(context, screen, size[1]));
+        .paint(|context| paint(context, plane, view, size[1], palette));
     frame.render_widget(canvas, area);
 }
 
-fn paint(context: &mut Context, screen: &Screen, height: f64) {
-    let color = |color| screen.color(color);
-    if !screen.stage.is_bare() {
-        context.draw(&Hatch {
-            stage: screen.stage,
-            height,
-            color: color(Color::DarkGray),
-        });
-        context.layer();
-    }
-    let up = |[u, v]: [f64; 2]| (u, height - v);
-    let trail: Vec<(f64, f64)> = screen
-        .view
-        .recent(TRAIL_NS)
-        .flat_map(|record| record.pairs())
-        .map(up)
-        .collect();
-    context.draw(&Points::new(&trail, color(Color::Blue)));
+fn paint(context: &mut Context, plane: &ImagePlane, view: &View, height: f64, palette: Palette) {
+    let color = palette.color(Color::DarkGray);
+    context.draw(&Hatch {
+        plane,
+        height,
+        color,
+    });
     context.layer();
-    let mut print = |[u, v]: [f64; 2], text: String, style: Style| {
+    let trail: Vec<(f64, f64)> = view
+        .trail(TRAIL_NS)
+        .flat_map(|record| record.pairs())
+        .map(|[u, v]| (u, height - v))
+        .collect();
+    context.draw(&Points::new(&trail, palette.color(Color::Blue)));
+    context.layer();
+    let mut print = |[u, v]: [f64; 2], text: String, color: Color| {
+        let style: Style = palette.style(color).bold();
         context.print(u, height - v, Line::from(Span::styled(text, style)));
     };
-    for point in screen.stage.goal() {
-        print(
-            point,
-            "+".to_owned(),
-            Style::new().fg(color(Color::Green)).bold(),
-        );
+    for point in plane.goal() {
+        print(point, "+".to_owned(), Color::Green);
     }
-    let Some(record) = screen.view.latest() else {
+    let Some(seen) = &view.seen else {
         return;
     };
-    for point in record.way_point_pairs() {
-        print(
-            point,
-            "o".to_owned(),
-            Style::new().fg(color(Color::Yellow)).bold(),
-        );
+    for point in seen.way_point_pairs() {
+        print(point, "o".to_owned(), Color::Yellow);
     }
-    for (index, point) in record.pairs().enumerate() {
-        let style = Style::new().fg(color(Color::Cyan)).bold();
-        print(point, (index + 1).to_string(), style);
+    for (index, point) in seen.pairs().enumerate() {
+        print(point, (index + 1).to_string(), Color::Cyan);
     }
 }
 

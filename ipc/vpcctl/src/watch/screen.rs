@@ -1,70 +1,42 @@
 //! The screen: pure drawing of what is known at an instant.
 
-use std::path::Path;
-
-use ipc::{Hold, TwistState};
+use ipc::Hold;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Paragraph};
 
+use super::palette::Palette;
 use super::plane;
-use crate::phase::{BOUNDS, Phase, Times};
-use crate::request::strategy_name;
-use crate::stage::Stage;
-use crate::view::View;
-use crate::words::{duration, faults, pixels};
+use crate::image_plane::ImagePlane;
+use crate::latency::{BOUNDS, CYCLE, Percentiles, WAKE, durations};
+use crate::output::Tone;
+use crate::status::Status;
+use crate::units::{duration, pixels};
 
 /// Least columns of the panels beside the image.
 const PANELS: u16 = 32;
-/// Rows of the panel of twists, title and all.
+/// Rows of the panel of twists, with its title.
 const TWISTS: u16 = 7;
-/// Rows of the panel of numbers, title and all.
+/// Rows of the panel of numbers, with its title.
 const NUMBERS: u16 = 6;
 /// What the percentiles look back on, ns.
 const WINDOW_NS: u64 = 10_000_000_000;
+/// What the keys do.
+const HELP: &str = " q quit  a arm  d disarm  s stop  1 previous  2 knn  3 gpr  4 ibvs  f flight";
 
 /// What is drawn.
 #[derive(Debug)]
 pub struct Screen<'a> {
     /// What is known.
-    pub view: &'a View,
+    pub status: &'a Status,
     /// The image plane.
-    pub stage: &'a Stage,
-    /// The domain's directory.
-    pub domain: &'a Path,
-    /// The daemon's process.
-    pub process: Option<u32>,
-    /// Services that could not be watched.
-    pub full: &'a [&'static str],
+    pub plane: &'a ImagePlane,
     /// The answer to the last request.
     pub message: &'a str,
-    /// The present, CLOCK_MONOTONIC, ns.
-    pub now_ns: u64,
-    /// Whether colours may be used.
-    pub colours: bool,
-}
-
-impl Screen<'_> {
-    /// The colour, where colours may be used.
-    pub fn color(&self, color: Color) -> Color {
-        match self.colours {
-            true => color,
-            false => Color::Reset,
-        }
-    }
-
-    fn state_style(&self, state: TwistState) -> Style {
-        let color = match state {
-            TwistState::Moving | TwistState::Arrived => Color::Green,
-            TwistState::Braking | TwistState::Disarmed => Color::Yellow,
-            TwistState::Holding | TwistState::Stopped => Color::Red,
-        };
-        Style::new()
-            .fg(self.color(color))
-            .add_modifier(Modifier::BOLD)
-    }
+    /// Colours.
+    pub palette: Palette,
 }
 
 /// Draws the screen; 80 x 24 characters are enough for all of it.
@@ -78,13 +50,20 @@ pub fn draw(frame: &mut Frame, screen: &Screen) {
         Constraint::Length(1),
     ])
     .areas(frame.area());
-    let size = screen.stage.size(screen.view);
+    let view = &screen.status.view;
+    let size = screen.plane.size(view);
     let most = middle.width.saturating_sub(PANELS);
     let width = plane::columns(middle.height, size).min(most);
     let [image, panels] =
         Layout::horizontal([Constraint::Length(width), Constraint::Fill(1)]).areas(middle);
     let height = plane::rows(width, size).min(image.height);
-    plane::draw(frame, Rect { height, ..image }, screen);
+    plane::draw(
+        frame,
+        Rect { height, ..image },
+        screen.plane,
+        view,
+        screen.palette,
+    );
     let [twists, times, numbers] = Layout::vertical([
         Constraint::Length(TWISTS),
         Constraint::Fill(1),
@@ -97,43 +76,31 @@ pub fn draw(frame: &mut Frame, screen: &Screen) {
     number_panel(frame, numbers, screen);
     past_panel(frame, past, screen);
     frame.render_widget(Line::from(format!(" {}", screen.message)), answer);
-    let help = " q quit  a arm  d disarm  s stop  1 previous  2 knn  3 gpr  4 ibvs  f flight";
-    let style = Style::new().fg(screen.color(Color::DarkGray));
-    frame.render_widget(Line::styled(help, style), keys);
+    let style = screen.palette.style(Color::DarkGray);
+    frame.render_widget(Line::styled(HELP, style), keys);
 }
 
-/// One line: who, state, strategy, clock.
+/// One line: who, state, cause, strategy, rate.
 fn headline<'a>(screen: &Screen) -> Line<'a> {
-    let who = match screen.process {
+    let status = screen.status;
+    let who = match status.process {
         Some(process) => format!(" vpcd {process}  "),
         None => " no vpcd  ".to_owned(),
     };
-    let mut spans = vec![Span::raw(who)];
-    let Some(last) = screen.view.latest() else {
-        let domain = screen.domain.display();
-        spans.push(Span::raw(format!("waiting for cycles in {domain}")));
-        return Line::from(spans);
+    let (state, cause, tone) = status.headline();
+    let Some(last) = status.view.latest() else {
+        let domain = status.directory.display();
+        return Line::from(format!("{who}{state} in {domain}"));
     };
-    if let Some(state) = TwistState::from_code(last.state) {
-        let style = screen.state_style(state).add_modifier(Modifier::REVERSED);
-        spans.push(Span::styled(format!(" {state} "), style));
-    }
-    if let Some(hold) = last.hold().filter(|&hold| hold != Hold::None) {
-        spans.push(Span::raw(format!(" {hold}")));
-    }
-    let strategy = strategy_name(last.strategy, last.neighbours);
-    let rate = screen.view.rate_hz().unwrap_or(0.0);
-    spans.push(Span::raw(format!(
-        "  {strategy} np {}  {rate:.1} Hz",
-        last.np
-    )));
-    let silence = screen.view.silence_ns(screen.now_ns).unwrap_or(0);
-    if silence > 500_000_000 {
-        let style = Style::new().fg(screen.color(Color::Red));
-        let text = format!("  no cycle for {}", duration(silence));
-        spans.push(Span::styled(text, style));
-    }
-    Line::from(spans)
+    let style = screen.palette.tone(tone).add_modifier(Modifier::REVERSED);
+    let cause = cause.map(|cause| format!(" {cause}")).unwrap_or_default();
+    let strategy = status.strategy().unwrap_or_default();
+    let rate = status.view.rate_hz().unwrap_or(0.0);
+    Line::from(vec![
+        Span::raw(who),
+        Span::styled(format!(" {state} "), style),
+        Span::raw(format!("{cause}  {strategy} np {}  {rate:.1} Hz", last.np)),
+    ])
 }
 
 /// A panel under a line with its title: rows are scarce.
@@ -154,28 +121,24 @@ fn bar(share: f64, width: usize) -> String {
 }
 
 fn twist_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
-    let limits = screen.stage.limits(screen.view);
-    let twist = screen.view.latest().map_or([0.0; 6], |last| last.twist);
+    let view = &screen.status.view;
+    let [linear, angular] = screen.plane.limits(view);
+    let twist = view.latest().map_or([0.0; 6], |last| last.twist);
     let width = usize::from(area.width).saturating_sub(14);
-    let lines = ["vx", "vy", "vz", "wx", "wy", "wz"]
-        .iter()
-        .enumerate()
-        .map(|(i, name)| {
-            let share = twist[i] / limits[i];
-            let color = match share.abs() >= 0.999 {
-                true => Color::Yellow,
-                false => Color::Cyan,
-            };
-            Line::from(vec![
-                Span::raw(format!("{name} ")),
-                Span::styled(bar(share, width), Style::new().fg(screen.color(color))),
-                Span::raw(format!("{:+.3}", twist[i])),
-            ])
-        });
-    let title = format!(
-        " twist, limits {:.2} m/s {:.2} rad/s ",
-        limits[0], limits[3]
-    );
+    let names = ["vx", "vy", "vz", "wx", "wy", "wz"];
+    let lines = names.iter().enumerate().map(|(i, name)| {
+        let share = twist[i] / if i < 3 { linear } else { angular };
+        let color = match share.abs() >= 0.999 {
+            true => Color::Yellow,
+            false => Color::Cyan,
+        };
+        Line::from(vec![
+            Span::raw(format!("{name} ")),
+            Span::styled(bar(share, width), screen.palette.style(color)),
+            Span::raw(format!("{:+.3}", twist[i])),
+        ])
+    });
+    let title = format!(" twist, limits {linear:.2} m/s {angular:.2} rad/s ");
     let panel = Paragraph::new(lines.collect::<Vec<_>>()).block(titled(&title));
     frame.render_widget(panel, area);
 }
@@ -190,7 +153,7 @@ fn histogram_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
     if inner.height < 2 {
         return;
     }
-    let counts = &screen.view.histograms[Phase::Cycle as usize].counts;
+    let counts = &screen.status.view.histograms[CYCLE].counts;
     let most = counts.iter().copied().max().unwrap_or(0).max(1);
     let wide = usize::from(inner.width) / counts.len();
     let rows = usize::from(inner.height) - 1;
@@ -206,7 +169,7 @@ fn histogram_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
                 let level = eighths(count).saturating_sub(below).min(8);
                 std::iter::repeat_n(LEVELS[level], wide.max(1))
             });
-            let style = Style::new().fg(screen.color(Color::Cyan));
+            let style = screen.palette.style(Color::Cyan);
             Line::styled(columns.collect::<String>(), style)
         })
         .collect();
@@ -225,101 +188,90 @@ fn histogram_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
 }
 
 fn number_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
-    let view = screen.view;
+    let (status, view) = (screen.status, &screen.status.view);
     let block = titled(" numbers, p50 / p99 ");
     let Some(last) = view.latest() else {
         frame.render_widget(block, area);
         return;
     };
-    let times = Times::of(view.recent(WINDOW_NS).map(|record| Phase::Cycle.of(record)));
-    let wake = Times::of(view.recent(WINDOW_NS).map(|record| Phase::Wake.of(record)));
-    let age = match last.features_sequence {
-        0 => "-".to_owned(),
-        _ => duration(last.features_age_ns),
+    let times = |name: &str, stage: usize| {
+        let of = Percentiles::of(
+            view.recent(WINDOW_NS)
+                .map(|record| durations(record)[stage]),
+        );
+        Line::from(format!(
+            "{name} {} / {}",
+            duration(of.p50_ns),
+            duration(of.p99_ns)
+        ))
     };
-    let robot = view
-        .robot_at(screen.now_ns)
-        .map_or("silent".to_owned(), |state| {
-            let mode = state
-                .mode()
-                .map_or("unknown".to_owned(), |mode| mode.to_string());
-            let names = faults(state.faults());
-            match names.is_empty() {
-                true => mode,
-                false => format!("{mode}: {}", names.join(", ")),
-            }
-        });
     let missed = last.overruns + last.lost_records + view.missed;
     let counted = match missed {
         0 => Style::new(),
-        _ => Style::new().fg(screen.color(Color::Yellow)),
+        _ => screen.palette.style(Color::Yellow),
+    };
+    let counts = format!(
+        "overruns {} lost {} missed {}",
+        last.overruns, last.lost_records, view.missed
+    );
+    // Of the newest features, also after the end of a run.
+    let seen = view.seen.as_ref().unwrap_or(last);
+    let (error, clearance) = (pixels(seen.error_px), pixels(seen.clearance_px));
+    let age = match (
+        view.camera_silence_ns(status.now_ns),
+        last.features_sequence,
+    ) {
+        (Some(silence), _) => format!("camera silent for {}", duration(silence)),
+        (None, 0) => "age -".to_owned(),
+        (None, _) => format!("age {}", duration(last.features_age_ns)),
     };
     let lines = vec![
-        Line::from(format!(
-            "cycle {} / {}",
-            duration(times.p50_ns),
-            duration(times.p99_ns)
-        )),
-        Line::from(format!(
-            "wake  {} / {}",
-            duration(wake.p50_ns),
-            duration(wake.p99_ns)
-        )),
-        Line::styled(
-            format!(
-                "overruns {} lost {} missed {}",
-                last.overruns, last.lost_records, view.missed
-            ),
-            counted,
-        ),
-        Line::from(format!(
-            "err {} clear {}",
-            pixels(last.error_px),
-            pixels(last.clearance_px)
-        )),
-        Line::from(format!("age {age}, robot {robot}")),
+        times("cycle", CYCLE),
+        times("wake ", WAKE),
+        Line::styled(counts, counted),
+        Line::from(format!("err {error} clear {clearance}")),
+        Line::from(format!("{age}, robot {}", view.robot_words(status.now_ns))),
     ];
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }
 
 fn past_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
-    let mut lines: Vec<Line> = screen
-        .view
-        .changes()
-        .rev()
-        .map(|change| {
-            let ago = duration(screen.now_ns.saturating_sub(change.at_ns));
-            let mut spans = vec![
-                Span::raw(format!("{ago:>8} ago  ")),
-                Span::styled(change.state.to_string(), screen.state_style(change.state)),
-            ];
-            if change.hold != Hold::None {
-                spans.push(Span::raw(format!(": {}", change.hold)));
-            }
-            Line::from(spans)
-        })
-        .collect();
-    if !screen.full.is_empty() {
-        let services = screen.full.join(", ");
-        let style = Style::new().fg(screen.color(Color::Red));
-        lines.insert(
-            0,
-            Line::styled(format!("not seen, all places taken: {services}"), style),
-        );
+    let (status, palette) = (screen.status, screen.palette);
+    let mut lines = Vec::new();
+    if !status.full.is_empty() {
+        let services = status.full.join(", ");
+        let text = format!("not seen, all places taken: {services}");
+        lines.push(Line::styled(text, palette.tone(Tone::Bad)));
     }
+    lines.extend(status.view.changes().rev().map(|change| {
+        let ago = duration(status.now_ns.saturating_sub(change.at_ns));
+        let tone = Tone::of(change.state, change.hold);
+        let cause = match change.hold {
+            Hold::None => String::new(),
+            hold => format!(": {hold}"),
+        };
+        Line::from(vec![
+            Span::raw(format!("{ago:>8} ago  ")),
+            Span::styled(change.state.to_string(), palette.tone(tone)),
+            Span::raw(cause),
+        ])
+    }));
     let block = titled(" state and cause, newest first ");
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }
 
 #[cfg(test)]
 mod tests {
-    use ipc::{CycleRecord, Order, Received, RobotFaults, RobotState};
+    use ipc::{CycleRecord, Order, Received, RobotFaults, RobotState, TwistState};
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use scene::Scene;
 
     use super::*;
+    use crate::image_plane::tests::{painted, paper};
+    use crate::view::View;
     use crate::view::tests::record;
+
+    const NOW_NS: u64 = 3_020_000_000;
 
     /// Three seconds of a run: a hold, then features on their way, a way point, a rare slow cycle.
     fn run() -> View {
@@ -378,61 +330,68 @@ mod tests {
         view
     }
 
-    fn picture(columns: u16, rows: u16, view: &View, stage: &Stage) -> String {
+    fn picture(columns: u16, rows: u16, view: &View, plane: &ImagePlane, now_ns: u64) -> String {
+        let mut status = Status::default();
+        status.directory = "/tmp/vpc-1000".into();
+        status.process = Some(4321);
+        (status.view, status.now_ns) = (view.clone(), now_ns);
         let screen = Screen {
-            view,
-            stage,
-            domain: Path::new("/tmp/vpc-1000"),
-            process: Some(4321),
-            full: &[],
+            status: &status,
+            plane,
             message: "arm: done; moving, strategy knn5",
-            now_ns: 3_020_000_000,
-            colours: true,
+            palette: Palette { colours: true },
         };
         let mut terminal = Terminal::new(TestBackend::new(columns, rows)).unwrap();
         terminal.draw(|frame| draw(frame, &screen)).unwrap();
         terminal.backend().to_string()
     }
 
-    fn paper() -> Stage {
-        Stage::new(Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap())
-    }
-
     #[test]
     fn a_run_on_a_small_terminal() {
-        insta::assert_snapshot!(picture(80, 24, &run(), &paper()));
+        insta::assert_snapshot!(picture(80, 24, &run(), &paper(), NOW_NS));
     }
 
     #[test]
     fn a_run_on_a_large_terminal() {
-        insta::assert_snapshot!(picture(160, 50, &run(), &paper()));
+        insta::assert_snapshot!(picture(160, 50, &run(), &paper(), NOW_NS));
     }
 
     #[test]
     fn a_run_before_a_painted_mask() {
         // A ring, and a scratch three pixels wide: a dot stands for five.
-        let stage = crate::stage::tests::painted(|i, j| {
+        let plane = painted(|i, j| {
             let square = i.abs_diff(300).pow(2) + j.abs_diff(700).pow(2);
             (120 * 120..200 * 200).contains(&square) || (j.abs_diff(i / 4 + 100) < 2 && i > 200)
         });
-        insta::assert_snapshot!(picture(160, 50, &run(), &stage));
+        insta::assert_snapshot!(picture(160, 50, &run(), &plane, NOW_NS));
     }
 
     #[test]
     fn a_run_without_a_scene() {
-        insta::assert_snapshot!(picture(80, 24, &run(), &Stage::default()));
+        insta::assert_snapshot!(picture(80, 24, &run(), &ImagePlane::default(), NOW_NS));
+    }
+
+    #[test]
+    fn a_run_whose_camera_ended() {
+        let mut view = run();
+        for number in 301..=600 {
+            let message = record(number, TwistState::Holding, Hold::Stale);
+            let order = Order::Next;
+            view.cycle(&Received { message, order });
+        }
+        insta::assert_snapshot!(picture(80, 24, &view, &paper(), 6_010_000_000));
     }
 
     #[test]
     fn nothing_yet() {
-        insta::assert_snapshot!(picture(80, 24, &View::default(), &paper()));
+        insta::assert_snapshot!(picture(80, 24, &View::default(), &paper(), NOW_NS));
     }
 
     #[test]
     fn any_size_is_drawn_without_a_panic() {
-        let (view, stage) = (run(), paper());
+        let (view, plane) = (run(), paper());
         for (columns, rows) in [(1, 1), (10, 3), (33, 9), (300, 5), (5, 80)] {
-            picture(columns, rows, &view, &stage);
+            picture(columns, rows, &view, &plane, NOW_NS);
         }
     }
 

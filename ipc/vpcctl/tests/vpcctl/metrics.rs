@@ -45,22 +45,61 @@ impl Server {
         }
     }
 
-    /// Sends a request with these head fields; gives the whole answer, or of a stream what comes in this many bytes.
+    pub fn connect(&self) -> TcpStream {
+        TcpStream::connect(&self.address).unwrap()
+    }
+
+    /// Sends a request with these head fields; the answer, at most this many bytes of it. What a
+    /// server that hangs up leaves unsent or unread is no failure.
     pub fn ask(&self, first: &str, fields: &str, most: u64) -> String {
-        let mut stream = TcpStream::connect(&self.address).unwrap();
-        write!(stream, "{first} HTTP/1.1\r\n{fields}\r\n").unwrap();
+        let mut stream = self.connect();
         let mut answer = Vec::new();
-        stream.take(most).read_to_end(&mut answer).unwrap();
+        let _ = write!(stream, "{first} HTTP/1.1\r\n{fields}\r\n");
+        let _ = stream.take(most).read_to_end(&mut answer);
         String::from_utf8_lossy(&answer).into_owned()
     }
 
     /// Sends a request to the right host.
     pub fn get(&self, path: &str) -> String {
-        self.ask(
-            &format!("GET {path}"),
-            &format!("Host: {}\r\n", self.address),
-            1 << 20,
+        let answer = self.try_get(path);
+        assert!(!answer.is_empty(), "GET {path}: no answer");
+        answer
+    }
+
+    /// The same, of a server that may have no place.
+    pub fn try_get(&self, path: &str) -> String {
+        let host = format!("Host: {}\r\n", self.address);
+        self.ask(&format!("GET {path}"), &host, 1 << 20)
+    }
+
+    /// The head of the stream of events, and this many of them.
+    pub fn events(&self, count: usize) -> String {
+        let mut stream = self.connect();
+        write!(
+            stream,
+            "GET /events HTTP/1.1\r\nHost: {}\r\n\r\n",
+            self.address
         )
+        .unwrap();
+        let (mut text, mut events) = (String::new(), 0);
+        for line in BufReader::new(stream).split(b'\n') {
+            let line = String::from_utf8_lossy(&line.unwrap()).into_owned();
+            events += usize::from(line.starts_with("data: "));
+            text += &line;
+            text.push('\n');
+            if events == count {
+                return text;
+            }
+        }
+        panic!("{events} of {count} events:\n{text}");
+    }
+
+    /// Ends it by SIGTERM; its exit code.
+    pub fn terminate(&mut self) -> Option<i32> {
+        let process = self.child.id().to_string();
+        let kill = Command::new("kill").arg(process).status().unwrap();
+        assert!(kill.success());
+        testkit::eventually("the server ends", || self.child.try_wait().unwrap()).code()
     }
 }
 
@@ -102,7 +141,7 @@ fn the_python_client_of_prometheus_reads_what_is_printed() {
         .stderr(Stdio::piped())
         .spawn();
     let Ok(mut parser) = parser else {
-        println!("NOT RUN: no python3");
+        testkit::not_run("the parser of Prometheus", "no python3");
         return;
     };
     parser
@@ -113,7 +152,7 @@ fn the_python_client_of_prometheus_reads_what_is_printed() {
         .unwrap();
     let parsed = parser.wait_with_output().unwrap();
     if parsed.status.code() == Some(77) {
-        println!("NOT RUN: pip install prometheus-client");
+        testkit::not_run("the parser of Prometheus", "pip install prometheus-client");
         return;
     }
     assert!(

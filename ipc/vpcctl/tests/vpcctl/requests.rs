@@ -18,7 +18,7 @@ fn arm_strategy_flight_and_disarm_are_answered_with_their_outcome() {
         ("arm: done; moving, strategy previous\n".into(), Some(0))
     );
     assert_eq!(
-        ask(&["strategy", "knn", "--neighbours", "5"]),
+        ask(&["strategy", "knn5"]),
         ("strategy: done; moving, strategy knn5\n".into(), Some(0))
     );
     assert_eq!(
@@ -120,10 +120,7 @@ fn nothing_is_created_where_no_domain_is() {
 #[test]
 fn a_wrong_command_line_has_vpcds_exit_code() {
     let directory = tempfile::tempdir().unwrap();
-    for words in [
-        ["dance"].as_slice(),
-        &["strategy", "gpr", "--neighbours", "3"],
-    ] {
+    for words in [["dance"].as_slice(), &["strategy", "gpr3"]] {
         let output = vpcctl(directory.path(), words);
         assert_eq!(output.status.code(), Some(64), "{words:?}");
         assert!(!stderr(&output).is_empty());

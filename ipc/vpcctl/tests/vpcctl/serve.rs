@@ -1,6 +1,8 @@
 //! `serve`: who may see, who may command, and the page in a real browser where one is installed.
 
+use std::io::{Read, Write};
 use std::path::Path;
+use std::time::Duration;
 
 use crate::browser::Browser;
 use crate::metrics::Server;
@@ -8,18 +10,23 @@ use crate::stand_in::StandIn;
 use crate::{painted_scene, stderr, stdout, vpcctl};
 
 #[test]
-fn the_page_its_stage_and_its_events_are_served() {
+fn the_page_and_its_events_are_served() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
     let server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
     let page = server.get("/");
     assert!(page.starts_with("HTTP/1.1 200 OK\r\n") && page.contains("<canvas id=\"image\">"));
     assert!(page.contains("default-src 'none'"), "{page}");
-    assert!(server.get("/stage").contains("\"control\":false"));
-    let host = format!("Host: {}\r\n", server.address);
-    let events = server.ask("GET /events", &host, 3000);
-    assert!(events.contains("\r\n\r\ndata: {"), "{events}");
+    let events = server.events(2);
+    assert!(
+        events.contains("Content-Type: text/event-stream\r\n"),
+        "{events}"
+    );
+    assert!(events.contains("\r\ndata: {"), "{events}");
+    assert!(events.contains("\"control\":false"), "{events}");
     assert!(events.contains("\"state\":\"disarmed\""), "{events}");
+    // The scene is not told again with each event.
+    assert_eq!(events.matches("\"scene\":{").count(), 1, "{events}");
 }
 
 #[test]
@@ -71,7 +78,7 @@ fn only_the_page_with_the_token_commands_and_only_with_control() {
         );
     }
     let get = server.get("/arm");
-    assert!(get.starts_with("HTTP/1.1 404"), "{get}");
+    assert!(get.starts_with("HTTP/1.1 405"), "{get}");
     let status = vpcctl(directory.path(), &["status", "--watch", "0.2"]);
     assert_eq!(
         status.status.code(),
@@ -84,6 +91,66 @@ fn only_the_page_with_the_token_commands_and_only_with_control() {
         done.starts_with("HTTP/1.1 200") && done.contains("arm: done; moving"),
         "{done}"
     );
+}
+
+#[test]
+fn clients_are_bounded_in_number_head_and_time() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    let endless = format!("X: {}\r\n", "a".repeat(20_000));
+    let answer = server.ask("GET /", &endless, 1 << 16);
+    assert!(
+        answer.is_empty() || answer.starts_with("HTTP/1.1 431"),
+        "{answer}"
+    );
+    let nonsense = server.ask("hello", "", 1 << 16);
+    assert!(
+        nonsense.is_empty() || nonsense.starts_with("HTTP/1.1 400"),
+        "{nonsense}"
+    );
+    // Clients that say nothing, and such as never take what they asked for.
+    let mut idle: Vec<_> = (0..32).map(|_| server.connect()).collect();
+    for stream in &mut idle[..16] {
+        let address = &server.address;
+        write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    }
+    std::thread::sleep(Duration::from_millis(200));
+    let answer = server.try_get("/");
+    assert!(answer.is_empty(), "more than 32 clients:\n{answer}");
+    testkit::eventually("silent clients are left", || {
+        server
+            .try_get("/")
+            .starts_with("HTTP/1.1 200")
+            .then_some(())
+    });
+}
+
+#[test]
+fn a_server_ends_on_a_signal_though_a_page_reads() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let mut server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    let mut stream = server.connect();
+    let address = &server.address;
+    write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    stream.read_exact(&mut [0; 1000]).unwrap();
+    assert_eq!(server.terminate(), Some(0));
+}
+
+#[test]
+fn the_scene_that_the_daemon_left_in_the_domain_is_shown() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    let without = server.events(1);
+    assert!(without.contains("\"known\":false"), "{without}");
+    let path = directory.path().join(ipc::SCENE_FILE);
+    std::fs::create_dir(path.parent().unwrap()).unwrap();
+    std::fs::write(path, scene::PAPER_SIM).unwrap();
+    let with = server.events(1);
+    assert!(with.contains("\"known\":true"), "{with}");
+    assert!(with.contains("\"size\":[1024.0,1024.0]"), "{with}");
 }
 
 #[test]
@@ -105,7 +172,7 @@ fn browse(domain: &Path, options: &[&str]) -> Option<(Server, Browser)> {
     let url = server.line.trim().rsplit(' ').next()?;
     let browser = Browser::open(domain, url);
     if browser.is_none() {
-        println!("NOT RUN: no chromium");
+        testkit::not_run("the page in a browser", "no chromium");
     }
     Some((server, browser?))
 }

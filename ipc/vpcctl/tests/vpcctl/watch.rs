@@ -104,7 +104,7 @@ fn keys_command_the_daemon_and_q_quits() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
     let Some(mut terminal) = Terminal::start(directory.path()) else {
-        println!("NOT RUN: no script(1)");
+        testkit::not_run("watch in a terminal", "no script(1)");
         return;
     };
     let becomes = |code: i32| {
@@ -131,7 +131,7 @@ fn a_terminal_that_goes_away_ends_the_view() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
     let Some(mut terminal) = Terminal::start(directory.path()) else {
-        println!("NOT RUN: no script(1)");
+        testkit::not_run("watch in a terminal", "no script(1)");
         return;
     };
     terminal.script.kill().unwrap();

@@ -1,0 +1,219 @@
+//! HTTP for the page and the metrics: `axum` on one thread, with bounds on clients, heads and
+//! time, and one request a connection.
+
+use std::convert::Infallible;
+use std::future::Future;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::Request;
+use axum::http::StatusCode;
+use axum::http::header::{self, HeaderMap, HeaderName};
+use axum::http::uri::Authority;
+use axum::middleware::{Next, from_fn, map_response};
+use axum::response::{IntoResponse, Response};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::Semaphore;
+
+use crate::exit::{Exit, Failure};
+use crate::output;
+
+/// Longest head of a request, bytes.
+const HEAD: usize = 16 * 1024;
+/// How long a client may take to send its head, or to receive what it was sent.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Most connections at one time.
+const CONNECTIONS: usize = 32;
+
+/// Headers of every response: nothing is loaded from elsewhere, framed or kept.
+const HEADERS: [(HeaderName, &str); 4] = [
+    (header::CACHE_CONTROL, "no-store"),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; \
+         connect-src 'self'; frame-ancestors 'none'",
+    ),
+];
+
+/// Checks the address to listen at.
+///
+/// # Errors
+/// Other machines reach it, without `expose`.
+pub fn allow(address: SocketAddr, expose: bool) -> Result<(), Failure> {
+    if expose || address.ip().is_loopback() {
+        return Ok(());
+    }
+    let message = format!(
+        "--listen {address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"
+    );
+    Err(Failure::new(Exit::Usage, message))
+}
+
+/// Serves these routes at this address, beside `work`, until SIGINT, SIGTERM or SIGHUP. `line` is
+/// what to print, given the address.
+///
+/// # Errors
+/// The address cannot be used; `work` failed.
+pub fn serve(
+    address: SocketAddr,
+    routes: Router,
+    line: impl FnOnce(SocketAddr) -> String,
+    work: impl Future<Output = Result<Infallible, Failure>>,
+) -> Result<Exit, Failure> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    let end = runtime.block_on(async {
+        let unusable = |source| {
+            let message = format!(
+                "--listen {address}: {source}; allowed: a free address of this machine (port 0: any free port)"
+            );
+            Failure::new(Exit::Unavailable, message)
+        };
+        let listener = TcpListener::bind(address).await.map_err(unusable)?;
+        let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+        let [mut interrupt, mut terminate, mut hangup] = {
+            let [a, b, c] = kinds.map(signal);
+            [a?, b?, c?]
+        };
+        output::write(&line(listener.local_addr().map_err(unusable)?))?;
+        let routes = routes.layer(map_response(add_headers));
+        tokio::select! {
+            never = accept(listener, routes) => match never {},
+            result = work => result.map(|never| match never {}),
+            _ = interrupt.recv() => Ok(Exit::Ok),
+            _ = terminate.recv() => Ok(Exit::Ok),
+            _ = hangup.recv() => Ok(Exit::Ok),
+        }
+    });
+    // A command that is under way in a thread of its own must not keep the process.
+    runtime.shutdown_background();
+    end
+}
+
+async fn accept(listener: TcpListener, routes: Router) -> Infallible {
+    let places = Arc::new(Semaphore::new(CONNECTIONS));
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // Out of descriptors, for instance: others must close first.
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            continue;
+        };
+        if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
+            let routes = routes.clone();
+            tokio::spawn(async move {
+                // A client that left or talks nonsense is its own affair.
+                let _ = converse(stream, routes).await;
+                drop(place);
+            });
+        }
+    }
+}
+
+async fn converse(stream: TcpStream, routes: Router) -> Result<(), Box<dyn std::error::Error>> {
+    stream.set_nodelay(true)?;
+    // The kernel closes the connection of a client that takes nothing for so long.
+    let patience = u32::try_from(PATIENCE.as_millis())?;
+    rustix::net::sockopt::set_tcp_user_timeout(&stream, patience)?;
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(PATIENCE)
+        .max_buf_size(HEAD)
+        .keep_alive(false)
+        .title_case_headers(true)
+        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes));
+    Ok(connection.await?)
+}
+
+async fn add_headers(mut response: Response) -> Response {
+    for (name, value) in HEADERS {
+        let value = header::HeaderValue::from_static(value);
+        response.headers_mut().insert(name, value);
+    }
+    response
+}
+
+/// Refuses requests to a host other than an address or `localhost`: a name that somebody's DNS
+/// points at this machine would make the browser take his page for one of ours.
+pub fn for_plain_hosts(routes: Router) -> Router {
+    routes.layer(from_fn(
+        async |request: Request, next: Next| match is_plain(request.headers()) {
+            true => next.run(request).await,
+            false => refusal(
+                StatusCode::FORBIDDEN,
+                "host not allowed: ask by address or as localhost",
+            ),
+        },
+    ))
+}
+
+fn is_plain(headers: &HeaderMap) -> bool {
+    let Some(host) = field(headers, header::HOST).and_then(|host| host.parse::<Authority>().ok())
+    else {
+        return false;
+    };
+    let name = host.host().trim_matches(['[', ']']);
+    name == "localhost" || name.parse::<IpAddr>().is_ok()
+}
+
+/// Whether the request comes from a page that we served: its origin is the host asked for.
+pub fn is_same_origin(headers: &HeaderMap) -> bool {
+    let origin = field(headers, header::ORIGIN).and_then(|origin| origin.strip_prefix("http://"));
+    origin.is_some() && origin == field(headers, header::HOST)
+}
+
+/// The value of a header; `None` where it is missing, comes twice, or is not text.
+pub fn field(headers: &HeaderMap, name: impl header::AsHeaderName) -> Option<&str> {
+    let mut values = headers.get_all(name).iter();
+    match (values.next(), values.next()) {
+        (Some(value), None) => value.to_str().ok(),
+        _ => None,
+    }
+}
+
+/// A refusal with its reason.
+pub fn refusal(status: StatusCode, reason: &str) -> Response {
+    (status, format!("{reason}\n")).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(fields: &[(HeaderName, &str)]) -> HeaderMap {
+        let fields = fields.iter().cloned();
+        let mut headers = HeaderMap::new();
+        for (name, value) in fields {
+            headers.append(name, value.parse().unwrap());
+        }
+        headers
+    }
+
+    #[test]
+    fn a_host_must_be_an_address_or_localhost() {
+        let plain = |host: &str| is_plain(&headers(&[(header::HOST, host)]));
+        assert!(plain("127.0.0.1:9470") && plain("localhost") && plain("[::1]:9470"));
+        assert!(!plain("evil.example:9470") && !plain("localhost.evil.example"));
+        assert!(!is_plain(&HeaderMap::new()));
+        let twice = [(header::HOST, "localhost"), (header::HOST, "localhost")];
+        assert!(!is_plain(&headers(&twice)));
+    }
+
+    #[test]
+    fn only_our_own_page_has_our_origin() {
+        let host = (header::HOST, "127.0.0.1:1");
+        let same =
+            |origin: &str| is_same_origin(&headers(&[host.clone(), (header::ORIGIN, origin)]));
+        assert!(same("http://127.0.0.1:1"));
+        assert!(!same("http://127.0.0.1:2") && !same("null"));
+        assert!(!is_same_origin(&headers(&[host])));
+    }
+}
