@@ -362,7 +362,7 @@ fn camera_in_object(translation: [f64; 3], rotation: [f64; 3]) -> (Vector3, Quat
 }
 
 /// The pattern's points in the image at the goal, px, by the pinhole model.
-pub(crate) fn goal(scene: &Scene) -> Vec<[f64; 2]> {
+pub fn goal(scene: &Scene) -> Vec<[f64; 2]> {
     let (goal, camera) = (&scene.goal, &scene.camera);
     let object = Isometry3::new(goal.translation.into(), goal.rotation.into());
     let points = scene
