@@ -2,10 +2,16 @@
 
 use std::fmt::Write;
 
-/// Colours of features, in the order of the pattern; distinguishable to the colour-blind (Okabe and Ito).
+/// Colours of features, in the order of the pattern; distinguishable to the colour-blind (Okabe and
+/// Ito).
 pub(crate) const FEATURES: [&str; 8] = [
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6d31", "#555555",
 ];
+
+/// Style of lines across a panel.
+pub(crate) const GRID: &str = "stroke=\"#e4e6ea\"";
+/// Style of lines at limits.
+pub(crate) const LIMIT: &str = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
 
 /// An SVG drawing under construction.
 #[derive(Clone, Debug)]
@@ -95,8 +101,8 @@ impl Canvas {
         ));
     }
 
-    /// An axis of time below a panel that ends at `y`: `x` gives the place of each of `times` (s), `middle` that of the
-    /// title.
+    /// An axis of time below a panel that ends at `y`: `x` gives the place of each of `times` (s),
+    /// `middle` that of the title.
     pub(crate) fn time_axis(&mut self, times: &[f64], x: impl Fn(f64) -> f64, y: f64, middle: f64) {
         for &t in times {
             let x = x(t);

@@ -1,4 +1,5 @@
-//! Strategies side by side: image planes above, velocity commands below, like the paper's figure of one execution.
+//! Strategies side by side: image planes above, velocity commands below, like the paper's figure of
+//! one execution.
 
 use crate::canvas::Canvas;
 use crate::{ImagePlane, Velocity};

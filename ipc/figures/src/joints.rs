@@ -1,6 +1,6 @@
 //! Joint positions and velocities against their limits.
 
-use crate::canvas::{Canvas, FEATURES, label, ticks};
+use crate::canvas::{Canvas, FEATURES, GRID, LIMIT, label, ticks};
 
 const WIDTH: f64 = 852.0;
 const PANEL: f64 = 58.0;
@@ -11,8 +11,8 @@ const BOTTOM: f64 = 40.0;
 const LEFT: [f64; 2] = [62.0, 490.0];
 const COLUMN: f64 = 346.0;
 
-/// Every joint in a row: its position between the ends of its range, its velocity at the scale of what it does, with
-/// the share of its limit in words.
+/// Every joint in a row: its position between the ends of its range, its velocity at the scale of
+/// what it does, with the share of its limit in words.
 #[derive(Clone, Debug)]
 pub struct Joints {
     /// Time of each sample, s.
@@ -97,14 +97,12 @@ impl Joints {
         let y = |v: f64| top + PANEL * (0.5 - 0.5 * v.clamp(-range, range) / range);
         let right = LEFT[1] + COLUMN;
         for value in ticks(-range, range, 4) {
-            let style = "stroke=\"#e4e6ea\"";
-            canvas.line([LEFT[1], y(value)], [right, y(value)], style);
+            canvas.line([LEFT[1], y(value)], [right, y(value)], GRID);
             canvas.text(LEFT[1] - 6.0, y(value) + 3.5, 9.0, "end", &label(value));
         }
         if range >= limit {
             for value in [-limit, limit] {
-                let style = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
-                canvas.line([LEFT[1], y(value)], [right, y(value)], style);
+                canvas.line([LEFT[1], y(value)], [right, y(value)], LIMIT);
             }
         }
         self.curve(canvas, LEFT[1], joint, &self.dq, y);

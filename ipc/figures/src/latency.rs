@@ -1,6 +1,6 @@
 //! Distributions of times, one below the other.
 
-use crate::canvas::{Canvas, FEATURES, label};
+use crate::canvas::{Canvas, FEATURES, GRID, label};
 
 const WIDTH: f64 = 560.0;
 const PANEL: f64 = 84.0;
@@ -9,14 +9,14 @@ const GAP: f64 = 26.0;
 /// Bars for each tenfold of time.
 const BARS: usize = 20;
 
-/// Some times of one kind.
+/// Times of one kind.
 #[derive(Clone, Debug)]
 pub struct Times {
-    /// What they are of.
+    /// Title on the left.
     pub name: String,
     /// us, in any order.
     pub values_us: Vec<f64>,
-    /// What to say about them, on the right.
+    /// Text on the right.
     pub note: String,
 }
 
@@ -25,7 +25,7 @@ pub struct Times {
 pub struct Latency {
     /// From above.
     pub panels: Vec<Times>,
-    /// The period, us, to be drawn as what no time may exceed.
+    /// The period, us, drawn as the longest time allowed.
     pub limit_us: Option<f64>,
     /// Title.
     pub title: String,
@@ -78,7 +78,7 @@ impl Latency {
         let bottom = top + PANEL;
         for decade in axis.0..=axis.1 {
             let x = position(axis, 10f64.powi(decade));
-            canvas.line([x, top], [x, bottom], "stroke=\"#e4e6ea\"");
+            canvas.line([x, top], [x, bottom], GRID);
         }
         let counts = bars(axis, &times.values_us);
         let most = counts.iter().copied().max().unwrap_or(0).max(1) as f64;
@@ -109,7 +109,7 @@ fn position(axis: (i32, i32), us: f64) -> f64 {
     MARGIN[0] + (WIDTH - MARGIN[0] - MARGIN[2]) * share.clamp(0.0, 1.0)
 }
 
-/// How many times fall into each bar; what is zero falls into the first.
+/// How many times fall into each bar; zeros fall into the first.
 fn bars(axis: (i32, i32), values_us: &[f64]) -> Vec<usize> {
     let mut counts = vec![0; (axis.1 - axis.0) as usize * BARS];
     let last = counts.len() - 1;

@@ -1,14 +1,11 @@
-//! Figures like the paper's, as SVG and PNG with the same content.
-//!
-//! The pictures are an image plane with equal axes and v downwards, translucent p-norm shapes, and markers; no
-//! charting library that was tried draws those, so this crate writes the SVG itself ([`Canvas`], one small module) and
-//! `resvg` with the DejaVu font (bundled by the crate `dejavu`, so that every machine draws the same bytes) makes the
-//! PNG. There is no projection here: goals come in as pixels. Decisions stand in the crate's
-//! `README.md`.
+//! Figures like the paper's, as SVG and PNG with the same content: each type's `canvas` draws it,
+//! [`Canvas::write`] writes both files. All points are pixels; nothing is projected here.
+//! Decisions: `README.md`.
 #![forbid(unsafe_code)]
 
 mod canvas;
 mod comparison;
+mod frame;
 mod image_plane;
 mod joints;
 mod latency;
@@ -19,6 +16,7 @@ mod velocity;
 
 pub use canvas::Canvas;
 pub use comparison::Comparison;
+pub use frame::outline;
 pub use image_plane::ImagePlane;
 pub use joints::Joints;
 pub use latency::{Latency, Times};

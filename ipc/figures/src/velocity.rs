@@ -2,7 +2,7 @@
 
 use scene::Limits;
 
-use crate::canvas::{Canvas, FEATURES, label, ticks};
+use crate::canvas::{Canvas, FEATURES, GRID, LIMIT, label, ticks};
 
 const WIDTH: f64 = 426.0;
 const PANEL: f64 = 120.0;
@@ -60,12 +60,11 @@ impl Velocity {
         let y = |value: f64| top + PANEL * (0.5 - 0.5 * value.clamp(-range, range) / range);
         let (left, right) = (MARGIN[0], WIDTH - MARGIN[2]);
         for value in ticks(-limit, limit, 4) {
-            canvas.line([left, y(value)], [right, y(value)], "stroke=\"#e4e6ea\"");
+            canvas.line([left, y(value)], [right, y(value)], GRID);
             canvas.text(left - 7.0, y(value) + 3.5, 10.0, "end", &label(value));
         }
         for value in [-limit, limit] {
-            let style = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
-            canvas.line([left, y(value)], [right, y(value)], style);
+            canvas.line([left, y(value)], [right, y(value)], LIMIT);
         }
         for (k, axis) in ["x", "y", "z"].iter().enumerate() {
             let colour = FEATURES[k];

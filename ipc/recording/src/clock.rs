@@ -1,9 +1,9 @@
-//! From the monotonic clock, which the contract uses, to the wall clock, which recordings are shown by.
+//! Monotonic time, as in messages, to wall time, as in recordings.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// A pair of readings taken together; every stamp of a recording is translated by the same difference, so that
-/// intervals stay exact whatever the wall clock does later.
+/// Readings of both clocks taken together. All stamps of a recording are translated by the same
+/// difference, so that intervals stay exact even if the wall clock jumps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WallClock {
     /// CLOCK_MONOTONIC, ns.

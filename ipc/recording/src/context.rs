@@ -1,4 +1,4 @@
-//! What a recording needs besides messages: the scene with its masks, and the daemon's configuration.
+//! What a recording needs besides messages: scene, masks and the daemon's configuration.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -44,7 +44,8 @@ pub struct Context {
 }
 
 impl Context {
-    /// Reads the scene and the daemon's configuration. Without a scene, the one that the configuration names.
+    /// Reads the scene and the daemon's configuration. Without a scene, the one that the
+    /// configuration names.
     ///
     /// # Errors
     /// [`ContextError`] names the file and what is wrong with it.
@@ -65,7 +66,7 @@ impl Context {
         Ok(context)
     }
 
-    /// Takes the scene that the daemon left in the domain, where there is none yet; with what should be told about it.
+    /// Adds the scene that the daemon left in the domain, or returns why there is none.
     pub(crate) fn completed(mut self, domain: &Path) -> (Self, Option<Notice>) {
         let read = self.read_scene(&domain.join(ipc::SCENE_FILE));
         let notice = read.err().map(|error| Notice::NoScene {
@@ -77,7 +78,7 @@ impl Context {
     fn read_scene(&mut self, path: &Path) -> Result<(), ContextError> {
         let file = text(path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
-        // Kept as they were read: a mask that is painted over meanwhile must not get into the recording.
+        // Kept as they were read: a mask may be painted over while the recording goes on.
         let masks = RefCell::new(BTreeMap::new());
         let scene = Scene::parse_with(&file.text, &file.path, &|name| {
             let png = std::fs::read(directory.join(name))?;
@@ -98,7 +99,7 @@ fn text(path: &Path) -> Result<TextFile, ContextError> {
     }
 }
 
-/// The scene file that a configuration of `vpcd` names; its path is relative to the configuration's.
+/// The scene file that a configuration of `vpcd` names, relative to the configuration.
 fn named(config: &TextFile) -> Result<Option<PathBuf>, ContextError> {
     let table: toml::Table =
         config

@@ -1,8 +1,9 @@
 //! How the fields of a message become JSON, and come back bit for bit.
 //!
-//! JSON has finite numbers only. A number that is NaN or infinite is left out (an element of an array becomes 0), and
-//! the message's list `non_finite` has its name and value: `clearance_px=inf`, `points[3]=NaN`. Schemas then need no
-//! unions of types, which Foxglove refuses. Bytes become base64 without the zeros at their end.
+//! JSON has finite numbers only. A number that is NaN or infinite is left out (an element of an
+//! array becomes 0), and the message's list `non_finite` has its name and value:
+//! `clearance_px=inf`, `points[3]=NaN`. Schemas then need no unions of types, which Foxglove
+//! refuses. Bytes become base64 without the zeros at their end.
 
 use std::fmt::{Display, Write};
 

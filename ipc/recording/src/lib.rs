@@ -1,5 +1,6 @@
-//! Recordings of a domain: the messages of its services as an [MCAP](https://mcap.dev) file that Foxglove, the `mcap`
-//! tools and Python open without this project's code. Topics and decisions: `README.md`.
+//! Recordings of a domain: the messages of its services as an [MCAP](https://mcap.dev) file that
+//! Foxglove, the `mcap` tools and Python open without this project's code. Topics and decisions:
+//! `README.md`.
 //!
 //! Without features, for programs that keep records of their own:
 //!
@@ -8,7 +9,7 @@
 //!
 //! With the feature `views`, for tools:
 //!
-//! - `record` subscribes to a domain and writes all that is published, beside it what Foxglove draws,
+//! - `record` subscribes to a domain and writes what is published and what Foxglove draws,
 //! - `plot` draws figures of a recording, `Report` says how long its cycles took.
 #![forbid(unsafe_code)]
 

@@ -1,11 +1,11 @@
-//! The messages of the contract as a recording holds them: their topics, their JSON schemas, their JSON.
+//! The messages of the contract in a recording: JSON schemas and JSON.
 
 use ipc::{Field, Kind, Meaning, Message, Stamp, Wire};
 use serde_json::{Map, Value, json};
 
 use crate::field::{self, FieldError, NON_FINITE};
 
-/// A message of the contract that recordings hold: each field under its own name, numbers exact.
+/// A message of the contract as JSON: each field under its own name, numbers exact.
 pub trait Recorded: Message {
     /// Name of its schema.
     fn schema_name() -> String {

@@ -1,4 +1,4 @@
-//! Figures like the paper's, and the latency report, of a recording.
+//! Figures and latency report of a recording.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,9 +11,9 @@ use crate::reader::Recording;
 use crate::report::Report;
 use crate::views::goal;
 
-/// Longest pause in a run that is drawn as the command standing, periods; the camera stops by itself then.
+/// Periods without a record for which the last command is drawn; after that the camera has stopped.
 const STANDING: usize = 3;
-/// Longest drawing, commands: a recording that was left running is not one figure.
+/// Most commands in a figure: a recording may have run for days.
 const LONGEST: usize = 100_000;
 
 /// Why nothing was drawn.
@@ -38,8 +38,8 @@ pub enum PlotError {
     Empty,
 }
 
-/// Draws each run of a recording and its latencies into a directory, and returns the files written. `scene` replaces
-/// the recording's own.
+/// Draws the runs of a recording and its latencies into a directory and returns the files. `scene`
+/// replaces the recording's own.
 ///
 /// # Errors
 /// [`PlotError`].
@@ -70,7 +70,7 @@ pub fn plot(
         );
     }
     if runs.is_empty() {
-        // Nobody controlled: what the camera saw.
+        // No cycles: what the camera saw.
         let path = recording.features.iter().map(|f| f.pairs().collect());
         let plane = ImagePlane {
             scene,
@@ -101,7 +101,7 @@ pub fn plot(
     Ok(files)
 }
 
-/// Cycles of one camera's run under one daemon, those with features only.
+/// The cycles with features, split where the camera or the daemon started again.
 fn runs(cycles: &[CycleRecord]) -> Vec<Vec<&CycleRecord>> {
     let mut runs: Vec<Vec<&CycleRecord>> = Vec::new();
     let mut last: Option<&CycleRecord> = None;
@@ -115,7 +115,7 @@ fn runs(cycles: &[CycleRecord]) -> Vec<Vec<&CycleRecord>> {
         }
         last = Some(cycle);
     }
-    // A single picture moves nowhere.
+    // A single frame is no path.
     runs.retain(|run| run.len() > 1);
     runs
 }
@@ -159,7 +159,7 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     }
 }
 
-/// The command of each period. On a grid in time, periods without a record keep the last command for a while.
+/// The command of each period; where records are missing, the last one for a while, then zero.
 fn twists(run: &[&CycleRecord], period_s: f64) -> Vec<[f64; 6]> {
     let mut twists: Vec<[f64; 6]> = Vec::new();
     let Some(first) = run.first() else {
@@ -207,7 +207,7 @@ fn latency(report: &Report) -> Latency {
     }
 }
 
-/// A time in the unit that suits it.
+/// A time in a suitable unit.
 fn words(us: f64) -> String {
     match us {
         1e6.. => format!("{:.2} s", us / 1e6),

@@ -16,7 +16,7 @@ use crate::message::Recorded;
 use crate::writer::ORIGIN;
 use crate::{CONFIG_FILE, SCENE_FILE};
 
-/// Longest record that is believed: a damaged length must not take all memory.
+/// Longest record, bytes: a damaged length must not take all memory.
 const LONGEST: usize = 256 << 20;
 
 /// Why a recording could not be read.
@@ -52,7 +52,7 @@ pub struct Recording {
     pub attachments: BTreeMap<String, Vec<u8>>,
     /// Metadata records by their names; the entries of those of one name are together.
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
-    /// Where the file is cut short or damaged: the reader's words.
+    /// Why reading ended before the end of the file.
     pub cut: Option<String>,
 }
 
@@ -60,7 +60,8 @@ impl Recording {
     /// Reads a file. One that was not finished is read as far as it goes, and says so in `cut`.
     ///
     /// # Errors
-    /// [`ReadError`]: no file, not MCAP from its first bytes on, or a message that is not of the contract.
+    /// [`ReadError`]: no file, not MCAP from its first bytes on, or a message that is not of the
+    /// contract.
     pub fn read(path: &Path) -> Result<Self, ReadError> {
         let name = path.display().to_string();
         let failed = |source| ReadError::Read {
@@ -80,7 +81,7 @@ impl Recording {
         };
         let mut channels = HashMap::new();
         let mut is_first = true;
-        // The checksum of a chunk comes after its messages: one that cannot be read may turn out to be damaged.
+        // A message that cannot be read may turn out to be damaged: its chunk's checksum follows.
         let mut wrong = None;
         while let Some(event) = reader.next_event() {
             let record = match event {
@@ -108,8 +109,8 @@ impl Recording {
         wrong.map_or(Ok(recording), Err)
     }
 
-    /// Messages between the first and the last number that are not in the recording, by the sequence numbers; a
-    /// publisher that starts again starts a new count.
+    /// Number of messages missing between the first and the last, by sequence numbers; a publisher
+    /// that starts again starts a new count.
     pub fn missing<T: Message>(messages: &[T]) -> u64 {
         let pairs = messages.windows(2);
         pairs
@@ -120,7 +121,7 @@ impl Recording {
             .sum()
     }
 
-    /// An entry about the origin of the file: `version`, `cause`, the paths of `vpcd.toml` and `scene.toml`, ...
+    /// An entry about the origin of the file: `version`, `cause`, or the path of an attached file.
     pub fn origin(&self, key: &str) -> Option<&str> {
         Some(self.metadata.get(ORIGIN)?.get(key)?.as_str())
     }

@@ -1,8 +1,8 @@
 //! Recording a domain while it works.
 //!
-//! One thread takes messages off the ports' queues, another turns them into JSON, compresses and writes. Where the disk
-//! is slow the queue between the two fills, then the subscribers' queues, and those overflow at the recorder's expense:
-//! publishers never wait, and the gap is counted.
+//! One thread takes messages off the ports' queues, another turns them into JSON, compresses and
+//! writes. If the disk is slow, the queue between the two fills, then those of the ports, and the
+//! recorder loses messages and counts them; publishers never wait.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,7 +20,7 @@ use crate::recorder::Recorder;
 use crate::views::Viewed;
 use crate::writer::WriteError;
 
-/// Sleep between two looks at the queues. The shortest queue holds 64 messages: enough for 30,000 a second.
+/// Sleep between two looks at the queues. The shortest holds 64 messages, so 30,000 a second.
 const PAUSE: Duration = Duration::from_millis(2);
 /// Time between two flushes, and until it is said that nothing is heard.
 const FLUSH: Duration = Duration::from_secs(1);
@@ -64,8 +64,8 @@ pub enum RecordError {
 /// What the writing thread is to do with a message.
 type Item = Box<dyn FnOnce(&mut Recorder) -> Result<Option<Notice>, WriteError> + Send>;
 
-/// Records until `stop` is set or the duration is over. Where `context` has no scene, the one that the daemon left in
-/// the domain is taken when its first cycle comes. `tell` is called from another thread.
+/// Records until `stop` is set or the duration is over. If `context` has no scene, the one that the
+/// daemon left in the domain is taken at its first cycle. `tell` is called from another thread.
 ///
 /// # Errors
 /// [`RecordError`]. What was written until then can be read.
@@ -75,7 +75,7 @@ pub fn record(
     stop: &AtomicBool,
     tell: impl FnMut(&Notice) + Send,
 ) -> Result<Ledger, RecordError> {
-    // The file first: a refusal must not disturb anybody.
+    // The file first: if it is refused, nothing has happened in the domain.
     let recorder = Recorder::create(&options.output, options.force)?;
     let domain = Domain::join(&options.domain)?;
     let mut ports = ports(&domain)?;
@@ -104,7 +104,8 @@ trait Source {
     fn drain(&mut self, items: &SyncSender<Item>) -> Result<(), ReceiveError>;
 }
 
-/// All that a domain publishes, causes before effects, so that a finished recording holds no answer without its question.
+/// Ports for all that a domain publishes, causes before effects: a finished recording has no answer
+/// without its question.
 fn ports(domain: &Domain) -> Result<[Box<dyn Source>; 7], OpenError> {
     Ok([
         Port::<Features>::open(domain)?,

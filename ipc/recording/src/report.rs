@@ -54,7 +54,8 @@ pub struct Phase {
     pub p999_us: f64,
     /// Longest, us.
     pub max_us: f64,
-    /// Counts between the round numbers 1, 2, 5, 10, 20, ...: each entry's upper end (us) and count.
+    /// Counts between the round numbers 1, 2, 5, 10, 20, ...: each entry's upper end (us) and
+    /// count.
     pub histogram: Vec<(f64, u64)>,
     /// The times, us, in the order of the cycles.
     #[serde(skip)]
@@ -249,7 +250,8 @@ fn round_up(us: f64) -> f64 {
     end_ns as f64 / 1e3
 }
 
-/// Rounds to three digits after the point: times are whole nanoseconds, and their means are no better.
+/// Rounds to three digits after the point: times are whole nanoseconds, and their means are no
+/// better.
 fn rounded(x: f64) -> f64 {
     (x * 1e3).round() / 1e3
 }

@@ -1,5 +1,6 @@
 //! What Foxglove draws: messages of its own schemas, beside those of the contract.
 
+use figures::outline;
 use foxglove::messages::{
     CameraCalibration, CircleAnnotation, Color, FrameTransform, ImageAnnotations, Point2,
     PointsAnnotation, Pose, PoseInFrame, Quaternion, RawImage, TextAnnotation, Timestamp, Vector3,
@@ -10,7 +11,7 @@ use ipc::{
     TwistState,
 };
 use nalgebra::{Isometry3, Point3};
-use scene::{Mask, Part, Scene};
+use scene::{Mask, Scene};
 
 use crate::message::Recorded;
 use crate::recorder::Recorder;
@@ -234,7 +235,7 @@ pub(crate) fn scenery(scene: &Scene, wall_ns: u64) -> ImageAnnotations {
     let frame = [[-0.5, -0.5], [right, -0.5], [right, lower], [-0.5, lower]];
     let parts = scene
         .parts()
-        .map(|part| lines(at, Type::LineLoop, outline(part), GREY));
+        .map(|part| lines(at, Type::LineLoop, outline(part, CORNERS), GREY));
     let masks = scene
         .masks()
         .map(|mask| lines(at, Type::LineList, borders(mask).into_iter(), GREY));
@@ -247,19 +248,6 @@ pub(crate) fn scenery(scene: &Scene, wall_ns: u64) -> ImageAnnotations {
         points: parts.chain(masks).chain([frame]).collect(),
         ..ImageAnnotations::default()
     }
-}
-
-/// The border of a part: |x|^p + |y|^p = 1, by its direction from the centre.
-fn outline(part: &Part) -> impl Iterator<Item = [f64; 2]> {
-    let part = *part;
-    (0..CORNERS).map(move |i| {
-        let (s, c) = (std::f64::consts::TAU * i as f64 / CORNERS as f64).sin_cos();
-        let radius = (c.abs().powf(part.p) + s.abs().powf(part.p)).powf(-1.0 / part.p);
-        [
-            part.center[0] + part.half[0] * radius * c,
-            part.center[1] + part.half[1] * radius * s,
-        ]
-    })
 }
 
 /// The borders of a mask: both ends of each straight run of pixel edges between forbidden and free.
@@ -290,7 +278,8 @@ fn borders(mask: &Mask) -> Vec<[f64; 2]> {
     ends
 }
 
-/// The image plane as a picture, occlusions grey on white: Foxglove's Image panel needs an image to annotate.
+/// The image plane as a picture, occlusions grey on white: Foxglove's Image panel needs an image to
+/// annotate.
 pub(crate) fn image(scene: &Scene, wall_ns: u64) -> RawImage {
     let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
     let mut pixels = vec![250_u8; width * height];

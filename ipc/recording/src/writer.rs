@@ -40,9 +40,9 @@ pub(crate) struct Encoding {
 
 /// A recording that is being written.
 ///
-/// It is readable up to the last [`flush`](Self::flush) whatever happens to the process, and indexed after
-/// [`finish`](Self::finish). Compression takes milliseconds: use it from an ordinary thread. The times of messages in
-/// the file are their `published_ns` moved to the wall clock.
+/// It is readable up to the last [`flush`](Self::flush) whatever happens to the process, and
+/// indexed after [`finish`](Self::finish). Compression takes milliseconds: use it from an ordinary
+/// thread. The times of messages in the file are their `published_ns` moved to the wall clock.
 ///
 /// A record of what happened before a fault:
 ///
@@ -50,16 +50,16 @@ pub(crate) struct Encoding {
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// # let directory = tempfile::tempdir()?;
 /// # let path = directory.path().join("fault.mcap");
-/// # let (features, cycles) = ([ipc::Features::new(&[[1.0; 2]; 4], 0); 2], [ipc::CycleRecord::default(); 3]);
-/// use recording::{CONFIG_FILE, Recording, RecordingFile, SCENE_FILE};
+/// # let (features, cycles) = ([ipc::Features::new(&[[1.0; 2]; 4], 0); 2],
+/// [ipc::CycleRecord::default(); 3]); use recording::{CONFIG_FILE, Recording, RecordingFile,
+/// SCENE_FILE};
 ///
-/// let mut file = RecordingFile::create(&path, false)?;
-/// file.origin([("cause", "fault".to_owned())])?;
-/// file.attach(CONFIG_FILE, b"[law]\nnp = 4\n")?;
-/// file.attach(SCENE_FILE, scene::PAPER_SIM.as_bytes())?; // then each mask, by its name in the scene
+/// let mut file = RecordingFile::create(&path, false)?; file.origin([("cause",
+/// "fault".to_owned())])?; file.attach(CONFIG_FILE, b"[law]\nnp = 4\n")?; file.attach(SCENE_FILE,
+/// scene::PAPER_SIM.as_bytes())?; // then each mask, by its name in the scene
 /// features.iter().try_for_each(|message| file.write(message))?;
-/// cycles.iter().try_for_each(|message| file.write(message))?;
-/// file.finish()?; // synchronised to the disk
+/// cycles.iter().try_for_each(|message| file.write(message))?; file.finish()?; // synchronised to
+/// the disk
 ///
 /// let recording = Recording::read(&path)?;
 /// assert_eq!((recording.features.len(), recording.cycles.len()), (2, 3));
@@ -93,8 +93,8 @@ impl RecordingFile {
                 source,
             },
         })?;
-        // Chunks are written whole, when they are full or flushed, and never mended afterwards: a writer that is killed
-        // leaves whole chunks.
+        // Chunks are written whole, when they are full or flushed, and never mended afterwards: a
+        // writer that is killed leaves whole chunks.
         let options = WriteOptions::new()
             .disable_seeking(true)
             .library(concat!("vpcd recording ", env!("CARGO_PKG_VERSION")))
@@ -126,7 +126,8 @@ impl RecordingFile {
         self.clock
     }
 
-    /// Adds to what the file says about its origin; version and clocks are there from the beginning.
+    /// Adds to what the file says about its origin; version and clocks are there from the
+    /// beginning.
     ///
     /// # Errors
     /// [`WriteError`].
@@ -224,7 +225,8 @@ impl RecordingFile {
         self.written(|mcap| mcap.write_to_known_channel(&header, data))
     }
 
-    /// Hands everything so far to the operating system: from here on it survives the end of this process.
+    /// Hands everything so far to the operating system: from here on it survives the end of this
+    /// process.
     ///
     /// # Errors
     /// [`WriteError`].

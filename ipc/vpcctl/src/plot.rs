@@ -15,7 +15,8 @@ pub struct PlotArguments {
     #[arg(value_name = "FILE.mcap")]
     pub recording: PathBuf,
 
-    /// Directory for figures (SVG and PNG) and report; without it only the report, on standard output.
+    /// Directory for figures (SVG and PNG) and report; without it only the report, on standard
+    /// output.
     #[arg(long, short, value_name = "DIR")]
     pub output: Option<PathBuf>,
 

@@ -42,8 +42,8 @@ fn duration(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// Records until the time is over or a signal comes, and returns the summary; what happens meanwhile, such as lost
-/// messages, goes to standard error at once.
+/// Records until the time is over or a signal comes, and returns the summary; what happens
+/// meanwhile, such as lost messages, goes to standard error at once.
 ///
 /// # Errors
 /// [`Failure`].

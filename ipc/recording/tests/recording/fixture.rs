@@ -166,7 +166,8 @@ pub fn reply(request: &Request) -> Reply {
     }
 }
 
-/// Records in another thread while `play` runs; what was counted, and what was told on the way but for waiting.
+/// Records in another thread while `play` runs; what was counted, and what was told on the way but
+/// for waiting.
 pub fn recorded(options: &Options, play: impl FnOnce()) -> (Ledger, Vec<Notice>) {
     let stop = AtomicBool::new(false);
     let mut notices = Vec::new();

@@ -244,7 +244,8 @@ fn others_read_the_same(
     }
     let layout = Path::new(env!("CARGO_MANIFEST_DIR")).join("foxglove-layout.json");
     assert_eq!(check(python, "layout", &[&layout]).len(), 8);
-    // Every topic and path that the layout names is in the recording; numbers that are not finite are left out.
+    // Every topic and path that the layout names is in the recording; numbers that are not finite
+    // are left out.
     let paths = check(python, "paths", &[file, &layout]);
     assert!(paths.len() > 15, "{paths:?}");
     for line in &paths {

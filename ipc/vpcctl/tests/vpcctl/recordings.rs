@@ -45,7 +45,8 @@ fn flight() -> &'static Flight {
     })
 }
 
-/// Three seconds of the paper's scene from its 82nd start under `gpr`; the recording is begun before.
+/// Three seconds of the paper's scene from its 82nd start under `gpr`; the recording is begun
+/// before.
 fn fly() -> Flight {
     let place = Place::new();
     let config = place.file(
@@ -142,7 +143,8 @@ fn a_run_is_recorded_as_others_count_it() {
             let line = format!("count {topic} {count}");
             assert!(found.contains(&line), "{line}");
         }
-        // The values, too: as many exact messages as were counted (`check.py` compares numbers and stamps inside).
+        // The values, too: as many exact messages as were counted (`check.py` compares numbers and
+        // stamps inside).
         let twists = found
             .iter()
             .filter(|line| line.starts_with("message /vpc/twist "));
@@ -216,8 +218,8 @@ fn one_changed_byte_and_a_cut_file_are_told_and_what_is_left_is_used() {
     let whole = bytes.len();
     std::fs::write(&file, &bytes[..whole * 2 / 3]).unwrap();
     assert!(is_told());
-    // In the compressed messages: their checksum tells, also where the damage makes a message unreadable before. A place
-    // in an index between them is not looked at.
+    // In the compressed messages: their checksum tells, also where the damage makes a message
+    // unreadable before. A place in an index between them is not looked at.
     let mut told = 0;
     for tenth in 4..9 {
         bytes[whole * tenth / 10] ^= 1;
