@@ -19,7 +19,11 @@ pub fn program(name: &str) -> PathBuf {
         build(name);
     }
     let path = profile_directory().join(name);
-    assert!(path.exists(), "{} is not built: cargo build", path.display());
+    assert!(
+        path.exists(),
+        "{} is not built: cargo build",
+        path.display()
+    );
     path
 }
 
@@ -37,7 +41,10 @@ fn build(name: &str) {
         cargo.arg("--release");
     }
     let status = cargo.status();
-    assert!(status.is_ok_and(|status| status.success()), "{name} does not build");
+    assert!(
+        status.is_ok_and(|status| status.success()),
+        "{name} does not build"
+    );
 }
 
 /// Where this build's programs are: `target/debug` or `target/release`.

@@ -278,7 +278,7 @@ impl<'a> Demo<'a> {
             ..defaults()
         };
         let strategies =
-            ["previous:3", "gpr:3"].map(|text| text.parse().map_err(anyhow::Error::msg));
+            ["previous:3", "gpr:3"].map(|text| text.parse::<Spec>().map_err(anyhow::Error::msg));
         let common = Common {
             strategies: strategies.into_iter().collect::<anyhow::Result<_>>()?,
             noise: 0.3,

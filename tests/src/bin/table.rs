@@ -229,7 +229,7 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
     }
     if let Some(path) = &cli.json {
         let runs = all.iter().flat_map(|(spec, runs)| {
-            (first..).zip(runs).map(|(start, run)| Record {
+            (first..).zip(runs).map(move |(start, run)| Record {
                 start,
                 strategy: spec.to_string(),
                 run,

@@ -14,7 +14,9 @@ use rustix::process::Signal;
 use scene::Scene;
 
 use crate::camera::Camera;
-use crate::fixture::{Place, Running, memory_file, not_run, program, repeats, scene_file, tell, turn};
+use crate::fixture::{
+    Place, Running, memory_file, not_run, program, repeats, scene_file, tell, turn,
+};
 use crate::machine::{is_without, may_be_real_time, press_out};
 
 /// Most runs of one strategy.

@@ -10,7 +10,8 @@ fn the_bridge_to_copy_takes_the_robot_to_the_goal_without_a_reflex() {
     let _turn = turn();
     let place = Place::new();
     let mut vpcd = Command::new(program("vpcd"));
-    vpcd.arg("--scene").arg(root().join("ipc/scene/scenes/paper-robot.toml"));
+    vpcd.arg("--scene")
+        .arg(root().join("ipc/scene/scenes/paper-robot.toml"));
     vpcd.arg("--arm").arg("--domain").arg(place.domain());
     let vpcd = Running::start(vpcd.stdout(Stdio::null()).stderr(Stdio::null()));
     let mut bridge = Command::new(program("examples/own_robot"));
