@@ -99,7 +99,9 @@ fn processes(children: &Children, cli: &Cli) -> anyhow::Result<()> {
             let said = &run.said;
             eprintln!(
                 "{spec}, start {}: {} after {:.1} s",
-                run.start, said.verdict, said.time_s
+                run.start,
+                said["verdict"].as_str().unwrap_or("no verdict"),
+                said["time_s"].as_f64().unwrap_or(f64::NAN)
             );
         })?;
         writeln!(out, "{}", row(spec, &runs))?;
