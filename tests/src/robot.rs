@@ -16,7 +16,7 @@ const PERIODS: f64 = 3.0;
 const LOST_NS: u64 = 300_000_000;
 
 /// What came of a run.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct RobotRun {
     /// Whether the object was released at the goal and the robot retreated, without any violation.
     pub success: bool,
@@ -31,12 +31,14 @@ pub struct RobotRun {
     /// True s - s* at the end, largest component, px.
     pub error_px: f64,
     /// Frames with a hidden marker.
+    #[serde(rename = "hidden_frames")]
     pub hidden: u64,
     /// Mean over the cycles of l(v) / Np, against the goal.
     pub cost: f64,
     /// What the robot's referee reports.
     pub arm: ArmReport,
     /// What was seen and sent at each exposure.
+    #[serde(skip)]
     pub history: Vec<Sample>,
 }
 

@@ -9,7 +9,7 @@ use serde::Serialize;
 use vpc::{Controller, Measurement, MotionMemory, Refusal, Step};
 
 /// What happened in a run.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Run {
     /// Whether the goal was reached in time without a violation.
     pub success: bool,
@@ -20,12 +20,14 @@ pub struct Run {
     /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
     pub cost: f64,
     /// Time of each cycle of the law until the run was decided, us: filled by [`time`].
+    #[serde(skip)]
     pub cycles_us: Vec<f64>,
     /// Iterations of the solver in those cycles.
     pub iterations: u64,
     /// Cycles whose solver ended without convergence.
     pub not_converged: u64,
     /// What was seen and sent, until the run was decided.
+    #[serde(skip)]
     pub history: Vec<Moment>,
 }
 
@@ -71,9 +73,9 @@ pub fn run(
     flawed(scene, controller, memory, start, Flaws::default())
 }
 
-/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is decided when the features arrive, when a constraint is
-/// violated, or when time is up; a run that arrived goes on regulating, watched, so that the mean cost of every run
-/// is taken over the same time.
+/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is decided when the
+/// features arrive, when a constraint is violated, or when time is up; a run that arrived goes on regulating, watched, so
+/// that the mean cost of every run is taken over the same time.
 ///
 /// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and what answers it
 /// takes effect when it is delivered. Where no frame comes the last twist stands, after three periods the zero twist.

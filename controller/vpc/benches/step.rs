@@ -1,4 +1,4 @@
-//! What a solution costs, ours and a peer's, on the problems of the fixture: `cargo bench -p vpc --bench step`.
+//! What a solution costs, ours and a peer's, on the problems of the fixture: `cargo bench -p vpc-bench`.
 //!
 //! Each iteration takes the next problem of its window. The table at the end compares problem by problem, all solvers
 //! in turn from standing still, and says what their answers are worth.

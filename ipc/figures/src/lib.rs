@@ -7,6 +7,7 @@
 //! `README.md`.
 #![forbid(unsafe_code)]
 
+mod animation;
 mod canvas;
 mod comparison;
 mod image_plane;
@@ -17,8 +18,9 @@ mod preview;
 mod samples;
 mod velocity;
 
+pub use animation::Animation;
 pub use canvas::Canvas;
-pub use comparison::Comparison;
+pub use comparison::{Comparison, side_by_side};
 pub use image_plane::ImagePlane;
 pub use joints::Joints;
 pub use latency::{Latency, Times};

@@ -1,13 +1,13 @@
 //! The memory is worth having: with the default memory more starts arrive than without one, and nothing is hit.
 
-use std::path::Path;
-
 use memory_blob::MemoryFile;
 use scene::Scene;
 use system_tests::row::Row;
 use system_tests::run::{Run, run};
 use system_tests::spec::Spec;
 use vpc::{Controller, MotionMemory};
+
+use crate::fixture::{memory_file, turn};
 
 /// Every fourth of the hundred starts, and those at which the memory-less strategy is known to stay behind.
 const STARTS: [usize; 30] = [
@@ -17,11 +17,10 @@ const STARTS: [usize; 30] = [
 
 #[test]
 fn knn_and_gpr_arrive_where_previous_stays_behind() {
+    let _turn = turn();
     let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "paper-sim-starts.csv").unwrap();
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../memory-blob/default/paper-sim.vpcmem");
-    let memory = MemoryFile::open(&path, Some(scene.fingerprint().bytes())).unwrap();
+    let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes())).unwrap();
     let view = memory.view();
     let row = |text: &str| {
         let spec: Spec = text.parse().unwrap();
