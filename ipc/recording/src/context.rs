@@ -4,14 +4,14 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 
 /// Why the scene or the configuration could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ContextError {
     /// The scene.
     #[error(transparent)]
-    Scene(#[from] SceneError),
+    Scene(#[from] FileError),
     /// A file could not be read.
     #[error("{path}: cannot read: {source}")]
     Read {

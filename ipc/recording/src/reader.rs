@@ -9,7 +9,7 @@ use ipc::{CycleRecord, Features, Message, Reply, Request, RobotState, TwistComma
 use mcap::McapError;
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 use serde_json::Value;
 
 use crate::clock::WallClock;
@@ -58,7 +58,7 @@ pub enum ReadError {
         /// The file.
         path: String,
         /// What is wrong with it.
-        source: SceneError,
+        source: FileError,
     },
 }
 
@@ -238,7 +238,7 @@ impl Recording {
 }
 
 /// The scene with the masks that were recorded.
-fn parsed(text: &str, masks: &HashMap<String, Vec<u8>>) -> Result<Scene, SceneError> {
+fn parsed(text: &str, masks: &HashMap<String, Vec<u8>>) -> Result<Scene, FileError> {
     Scene::parse_with(text, SCENE_FILE, &|name| {
         let mask = masks.get(name).cloned();
         mask.ok_or_else(|| {
