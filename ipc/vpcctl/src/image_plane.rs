@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use scene::{Mask, Part, Scene, FileError};
+use scene::{FileError, Mask, Part, Scene};
 
 use crate::view::View;
 

@@ -15,7 +15,10 @@ language server (taplo, Even Better TOML, tombi) complete and check keys from it
 /// Returns the page.
 pub fn make() -> String {
     let section = |title: &str, command: &str, schema: &Value| {
-        format!("\n## {title}\n\n{command}\n{}", toml_schema::reference(schema))
+        format!(
+            "\n## {title}\n\n{command}\n{}",
+            toml_schema::reference(schema)
+        )
     };
     [
         HEAD.to_owned(),

@@ -7,7 +7,7 @@ mod machine;
 use std::path::Path;
 
 use memory_blob::MemoryFile;
-use scene::{Scene, FileError};
+use scene::{FileError, Scene};
 
 use crate::arguments::DoctorArguments;
 use crate::exit::Exit;
