@@ -9,9 +9,10 @@ use toml_schema::{Document, FileError, reference, schema, schema_file};
 /// A file for these tests.
 #[derive(Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
+#[schemars(extend("required" = ["picture"]))]
 struct File {
     /// A file.
-    #[schemars(required, extend("x-allowed" = "a file"))]
+    #[schemars(extend("x-allowed" = "a file"))]
     picture: Option<String>,
     camera: Camera,
     #[schemars(length(max = 2))]
