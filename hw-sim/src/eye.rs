@@ -4,10 +4,13 @@ use std::collections::VecDeque;
 use std::sync::mpsc;
 use std::thread;
 
+use clap::ValueEnum;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use scene::{Pose, Scene};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use vision::{
     Detector, DetectorError, DetectorSettings, Fate, Latency, LatencyError, Look, LookError,
     Renderer, Transit,
@@ -18,7 +21,9 @@ use crate::occlusion;
 use crate::pose::RigidPose;
 
 /// Where features come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize, clap::ValueEnum)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
     /// True projections with pixel noise; a marker whose centre is covered is hidden.

@@ -12,7 +12,6 @@ pub mod carrier;
 pub mod config;
 pub mod emulator;
 pub mod eye;
-pub mod keys;
 pub mod lateness;
 pub mod occlusion;
 pub mod pose;

@@ -4,8 +4,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use clap::Parser;
-use hw_sim::config::{Arguments, Config};
+use clap::CommandFactory;
+use hw_sim::config::{Arguments, Config, exit_code};
 use hw_sim::emulator;
 use hw_sim::robot::rig::RigError;
 
@@ -14,8 +14,8 @@ const UNAVAILABLE: u8 = 69;
 const CONFIGURATION: u8 = 78;
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
+    let matches = match Arguments::command().try_get_matches() {
+        Ok(matches) => matches,
         Err(error) => {
             // Help and version are not errors.
             let code = if error.use_stderr() { USAGE } else { 0 };
@@ -23,11 +23,11 @@ fn main() -> ExitCode {
             return ExitCode::from(code);
         }
     };
-    let config = match Config::load(&arguments) {
+    let config = match Config::load(&matches) {
         Ok(config) => config,
         Err(error) => {
             eprintln!("hw-sim: {error}");
-            return ExitCode::from(error.exit_code());
+            return ExitCode::from(exit_code(&error));
         }
     };
     let stop = Arc::new(AtomicBool::new(false));

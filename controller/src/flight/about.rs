@@ -9,7 +9,7 @@ use vpc::{Settings, Strategy};
 
 use super::record::{FlightRecord, Key};
 use super::words::Field;
-use crate::config::{Config, model, model_name};
+use crate::config::Config;
 use crate::law::Law;
 
 /// All that a replay needs beside keys and records, and what a reader of the file wants to know.
@@ -93,7 +93,8 @@ pub struct SettingsAbout {
     nc: usize,
     iterations: u32,
     tolerance: f64,
-    model: String,
+    #[serde(with = "crate::config::ModelWord")]
+    model: vpc::Model,
     trigger_px: f64,
     release: f64,
     margin_px: f64,
@@ -124,7 +125,7 @@ impl From<&Settings> for SettingsAbout {
             nc,
             iterations: effort.max_iterations,
             tolerance: effort.tolerance,
-            model: model_name(model).to_owned(),
+            model,
             trigger_px,
             release,
             margin_px,
@@ -145,12 +146,6 @@ impl SettingsAbout {
             .strategy
             .parse()
             .map_err(|allowed| format!("strategy = {}; {allowed}", self.strategy))?;
-        let model = model(&self.model).ok_or_else(|| {
-            format!(
-                "model = {}; allowed: target-depth, area-depth, pose",
-                self.model
-            )
-        })?;
         let settings = Settings {
             strategy,
             np: self.np,
@@ -159,7 +154,7 @@ impl SettingsAbout {
                 max_iterations: self.iterations,
                 tolerance: self.tolerance,
             },
-            model,
+            model: self.model,
             trigger_px: self.trigger_px,
             release: self.release,
             margin_px: self.margin_px,

@@ -184,7 +184,13 @@ fn has_all_files_in_their_places(machine: &Machine, pages: &str) {
         machine.must(&format!("test -e '{path}'"));
     }
     let mut wanted: Vec<_> = PROGRAMS.map(|name| format!("/usr/bin/{name}")).into();
-    for name in ["copyright", "changelog.Debian.gz", "README.md", "vpcd.toml"] {
+    for name in [
+        "copyright",
+        "changelog.Debian.gz",
+        "README.md",
+        "vpcd.toml",
+        "vpcd.schema.json",
+    ] {
         wanted.push(format!("/usr/share/doc/vpcd/{name}"));
     }
     for name in pages.lines().filter(|name| name.ends_with(".1")) {

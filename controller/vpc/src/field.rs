@@ -10,13 +10,13 @@ use crate::constraint::Clearance;
 
 /// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the grid's edge.
 pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
-    let field = area.field();
-    let size = [field.columns(), field.rows()];
+    let field = &area.field;
+    let size = [field.columns, field.rows];
     let [(i, u), (j, v)] = core::array::from_fn(|k| Weights::at(field, size[k], pixel[k]));
     let (mut distance, mut gradient) = (0.0, [0.0; 2]);
     for q in 0..3 {
         let row = (j + q) * size[0] + i;
-        let nodes: [f64; 3] = core::array::from_fn(|p| f64::from(field.values()[row + p]));
+        let nodes: [f64; 3] = core::array::from_fn(|p| f64::from(field.values[row + p]));
         let along: f64 = dot(&nodes, &u.value);
         distance += v.value[q] * along;
         gradient[0] += v.value[q] * dot(&nodes, &u.slope);
@@ -31,7 +31,7 @@ pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
 /// How far a pixel lies outside the box that holds every point of negative clearance (largest component), px: never
 /// above the clearance outside the box; negative inside.
 pub fn outside_box(area: &Area, pixel: [f64; 2]) -> f64 {
-    let (low, high) = (area.low(), area.high());
+    let (low, high) = (area.low, area.high);
     let gap = |k: usize| (low[k] - pixel[k]).max(pixel[k] - high[k]);
     gap(0).max(gap(1))
 }
@@ -52,8 +52,8 @@ struct Weights {
 impl Weights {
     /// For coordinate `x` (px) among `count` nodes; with the index of the first of the three.
     fn at(field: &Field, count: usize, x: f64) -> (usize, Self) {
-        let step = field.step();
-        let asked = (x - field.origin()) / step;
+        let step = field.step;
+        let asked = (x - field.origin) / step;
         // Not a number becomes 1: the gate lets none through.
         let place = asked.max(1.0).min((count - 2) as f64);
         let middle = libm::floor(place + 0.5);

@@ -59,7 +59,7 @@ impl Way {
         let mut areas = task.areas.iter();
         task.parts.iter().all(|part| self.passes_part(part))
             && areas.all(|area| {
-                let (low, high) = (area.low(), area.high());
+                let (low, high) = (area.low, area.high);
                 self.passes(low, high, |pixel| field::clearance(area, pixel).distance)
             })
     }

@@ -386,8 +386,8 @@ fn collect<const N: usize>(
             }
         }
         for (index, area) in task.areas.iter().enumerate() {
-            let reached = (0..2)
-                .all(|c| high[c] > area.low()[c] - margin && low[c] < area.high()[c] + margin);
+            let reached =
+                (0..2).all(|c| high[c] > area.low[c] - margin && low[c] < area.high[c] + margin);
             if reached {
                 let side = 4 + task.parts.len() + index;
                 add(side, field::clearance(area, point.pixel));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use figures::{Comparison, FigureError, ImagePlane, Latency, Times, Velocity};
 use ipc::{ClockMode, CycleRecord, MAX_POINTS};
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 
 use crate::reader::Recording;
 use crate::report::Report;
@@ -29,7 +29,7 @@ pub enum PlotError {
     },
     /// The scene in the recording.
     #[error(transparent)]
-    Scene(#[from] SceneError),
+    Scene(#[from] FileError),
     #[error(
         "no scene in the recording; allowed: one recorded with --scene or --config, or --scene here"
     )]

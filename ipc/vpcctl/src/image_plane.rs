@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use scene::{Mask, Part, Scene, SceneError};
+use scene::{FileError, Mask, Part, Scene};
 
 use crate::view::View;
 
@@ -37,7 +37,7 @@ impl ImagePlane {
     ///
     /// # Errors
     /// As [`Scene::read`], of a scene that is given.
-    pub fn open(directory: &Path, given: Option<&Path>) -> Result<Self, SceneError> {
+    pub fn open(directory: &Path, given: Option<&Path>) -> Result<Self, FileError> {
         if let Some(path) = given {
             return Ok(Self {
                 scene: Some(Scene::read(path)?),

@@ -7,7 +7,6 @@
 
 pub mod build;
 pub mod clearance;
-pub mod keys;
 pub mod lbfgs;
 pub mod memory;
 pub mod mixture;

@@ -15,12 +15,13 @@ use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::{MemoryFile, Report};
 use memory_builder::build::{self, Progress};
-use memory_builder::settings::{BuildSettings, WayPoint};
+use memory_builder::settings::BuildSettings;
 use memory_builder::{memory, start};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
+use toml_schema::Document;
 use vpc::Task;
 
 /// Builds, inspects, verifies and refits memories of motion for vpcd.
@@ -109,10 +110,10 @@ struct Overrides {
     settings: Option<PathBuf>,
     /// Successful trajectories to collect [default: 900].
     #[arg(long)]
-    trajectories: Option<usize>,
+    trajectories: Option<u32>,
     /// Steps previewed by the solver [default: 10].
     #[arg(long)]
-    np: Option<usize>,
+    np: Option<u32>,
     /// Most iterations of the solver [default: 100].
     #[arg(long)]
     iterations: Option<u32>,
@@ -121,7 +122,7 @@ struct Overrides {
     tolerance: Option<f64>,
     /// Way points this many control periods ahead, as in the paper, instead of the last features in sight.
     #[arg(long)]
-    way_point_samples: Option<usize>,
+    way_point_samples: Option<u32>,
     /// Features closer than this to an occlusion are guided by the memory, px [default: 20].
     #[arg(long)]
     trigger_px: Option<f64>,
@@ -134,39 +135,37 @@ struct Overrides {
     no_planner: bool,
     /// Samples kept for regression [default: 800].
     #[arg(long)]
-    gpr_samples: Option<usize>,
+    gpr_samples: Option<u32>,
     /// Store the factor for predictive variances.
     #[arg(long)]
     variance: bool,
     /// Seed of every random choice [default: 1].
     #[arg(long)]
-    seed: Option<u64>,
+    seed: Option<i64>,
 }
 
 impl Overrides {
     fn settings(&self) -> anyhow::Result<BuildSettings> {
-        let mut settings: BuildSettings = match &self.settings {
-            Some(path) => {
-                let text = fs::read_to_string(path)
-                    .with_context(|| format!("{}: cannot read the settings", path.display()))?;
-                toml::from_str(&text).with_context(|| path.display().to_string())?
-            }
-            None => BuildSettings::default(),
-        };
-        settings.trajectories = self.trajectories.unwrap_or(settings.trajectories);
-        settings.np = self.np.unwrap_or(settings.np);
-        settings.iterations = self.iterations.unwrap_or(settings.iterations);
-        settings.tolerance = self.tolerance.unwrap_or(settings.tolerance);
-        settings.way_point = self
+        let mut document = Document::read(self.settings.as_deref())?;
+        document.set("trajectories", "--trajectories", self.trajectories);
+        document.set("np", "--np", self.np);
+        document.set("iterations", "--iterations", self.iterations);
+        document.set("tolerance", "--tolerance", self.tolerance);
+        let ahead = self
             .way_point_samples
-            .map_or(settings.way_point, WayPoint::Samples);
-        settings.trigger_px = self.trigger_px.unwrap_or(settings.trigger_px);
+            .map(|n| toml::Table::from_iter([("samples".to_owned(), n.into())]));
+        document.set("way_point", "--way-point-samples", ahead);
+        document.set("trigger_px", "--trigger-px", self.trigger_px);
+        document.set("planner", "--no-planner", self.no_planner.then_some(false));
+        document.set("regression.samples", "--gpr-samples", self.gpr_samples);
+        document.set(
+            "regression.variance",
+            "--variance",
+            self.variance.then_some(true),
+        );
+        document.set("seed", "--seed", self.seed);
+        let mut settings: BuildSettings = document.check()?;
         settings.grow.extend(self.grow.iter().cloned());
-        settings.planner &= !self.no_planner;
-        settings.regression.samples = self.gpr_samples.unwrap_or(settings.regression.samples);
-        settings.regression.variance |= self.variance;
-        settings.seed = self.seed.unwrap_or(settings.seed);
-        settings.check()?;
         Ok(settings)
     }
 }

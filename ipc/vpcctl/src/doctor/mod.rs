@@ -7,7 +7,7 @@ mod machine;
 use std::path::Path;
 
 use memory_blob::MemoryFile;
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 
 use crate::arguments::DoctorArguments;
 use crate::exit::Exit;
@@ -76,7 +76,7 @@ pub fn examine(directory: &Path, arguments: &DoctorArguments) -> Vec<Finding> {
     findings
 }
 
-fn scene_file(scene: &Result<Scene, SceneError>) -> Finding {
+fn scene_file(scene: &Result<Scene, FileError>) -> Finding {
     match scene {
         Ok(scene) => {
             let (points, areas) = (scene.pattern.len(), scene.occlusions.len());

@@ -187,7 +187,7 @@ fn thin(scene: &Scene, stride: f64) -> Vec<(&str, f64)> {
 
 /// Twice the greatest depth that a point in an area can have, px.
 fn thickness(area: &Area) -> f64 {
-    let (low, high) = (area.low(), area.high());
+    let (low, high) = (area.low, area.high);
     let share = |k: usize| (k as f64 + 0.5) / PLACES as f64;
     let depths = (0..PLACES * PLACES).map(|k| {
         let place = [share(k % PLACES), share(k / PLACES)];

@@ -4,8 +4,8 @@
 //! one arm and plan through the other; so an L is covered by its two arms, which overlap in the corner, as one would
 //! do with shapes. Round hollows need no pieces: their border turns as the point moves along.
 
-use super::distance::Shape;
-use super::patch::Patch;
+use crate::distance::Shape;
+use crate::patch::Patch;
 
 /// A corner inwards is sharp where a disc of this radius (share of the image's longer side) cannot touch it ...
 const RADIUS: f64 = 0.05;
@@ -57,7 +57,7 @@ impl Cut {
 }
 
 /// Pieces that cover a connected set, at most `most` of them; the set itself where it needs more.
-pub(super) fn cover(set: &Patch, most: usize) -> Vec<Patch> {
+pub fn cover(set: &Patch, most: usize) -> Vec<Patch> {
     let [width, height] = set.image();
     let cell = (width.max(height) / CELLS).max(1);
     let cells = set.in_cells(cell);

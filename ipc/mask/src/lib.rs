@@ -1,4 +1,10 @@
-//! Occlusions painted as pixels. Units: px; u to the right, v down.
+//! Occlusions painted as pixels: the image, and the areas and distance fields that the control law works with.
+//! Units: px; u to the right, v down.
+//!
+//! The `README.md` of this crate explains why masks are split into areas and how exact their fields are. Without the
+//! feature `file` the crate is `no_std` and never allocates.
+#![cfg_attr(not(feature = "file"), no_std)]
+#![forbid(unsafe_code)]
 
 use core::fmt;
 
@@ -11,21 +17,23 @@ mod distance;
 #[cfg(feature = "file")]
 mod patch;
 #[cfg(feature = "file")]
-pub(crate) mod picture;
+mod picture;
+
+#[cfg(feature = "file")]
+pub use picture::{MaskError, write_mask};
 
 /// Most areas of all masks of a scene.
 pub const MAX_AREAS: usize = 32;
 
 /// An occlusion painted as an image of the camera's size.
 ///
-/// Pixel (i, j) is the square of side 1 about (i, j): where OpenCV and ViSP see its centre.
-/// Pixels and fields live as long as the process: a scene is read once, and who holds them needs no heap.
+/// Pixel (i, j) is the square of side 1 whose centre is (i, j), as in OpenCV and ViSP. Pixels and fields live as long as
+/// the process, so that a type that holds a mask needs no heap.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Mask {
-    pub(crate) width: usize,
-    pub(crate) height: usize,
-    /// Row by row from the top left; 1 forbidden, 0 free.
-    pub(crate) pixels: &'static [u8],
+    width: usize,
+    height: usize,
+    pixels: &'static [u8],
     areas: &'static [Area],
 }
 
@@ -40,13 +48,22 @@ impl Mask {
         self.height
     }
 
-    /// Whether no feature may be in the pixel of this column and row; never outside the image.
+    /// A byte for each pixel, row by row from the top left: 1 forbidden, 0 free.
+    pub const fn pixels(&self) -> &'static [u8] {
+        self.pixels
+    }
+
+    /// Areas that together cover the forbidden pixels.
+    pub const fn areas(&self) -> &'static [Area] {
+        self.areas
+    }
+
+    /// Returns whether no feature may be in the pixel; `false` outside the image.
     pub fn is_forbidden(&self, column: usize, row: usize) -> bool {
         column < self.width && row < self.height && self.pixels[row * self.width + column] != 0
     }
 
-    /// The forbidden pixels as rectangles (columns from, to; rows from, to; the latter not included) that do not overlap:
-    /// the runs of a row, as high as the rows below have the same ones.
+    /// Returns the forbidden pixels as disjoint rectangles, each a range of columns and a range of rows.
     #[cfg(feature = "file")]
     pub fn rectangles(&self) -> Vec<[std::ops::Range<usize>; 2]> {
         let runs = |row: usize| -> Vec<std::ops::Range<usize>> {
@@ -71,89 +88,50 @@ impl Mask {
         }
         rectangles
     }
-
-    /// The areas that together cover the forbidden pixels.
-    pub const fn areas(&self) -> &'static [Area] {
-        self.areas
-    }
 }
 
 impl fmt::Debug for Mask {
-    /// Its size and the number of its areas: the pixels would hide everything else.
+    /// Without the pixels.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (width, height, areas) = (self.width, self.height, self.areas.len());
         write!(f, "Mask({width}x{height}, {areas} areas)")
     }
 }
 
-/// One area of a mask: connected forbidden pixels without a sharp corner inwards. Areas may overlap, as the arms of an L
+/// One area of a mask: connected forbidden pixels without a sharp concave corner. Areas may overlap, as the arms of an L
 /// do in its corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Area {
-    low: [f64; 2],
-    high: [f64; 2],
-    field: Field,
-}
-
-impl Area {
-    /// The top left corner of a box that holds every point of negative clearance, px.
-    pub const fn low(&self) -> [f64; 2] {
-        self.low
-    }
-
-    /// Its bottom right corner, px.
-    pub const fn high(&self) -> [f64; 2] {
-        self.high
-    }
-
+    /// Top left corner of a box that contains every point of negative clearance, px.
+    pub low: [f64; 2],
+    /// Bottom right corner of that box, px.
+    pub high: [f64; 2],
     /// The clearance from the area on a grid.
-    pub const fn field(&self) -> &Field {
-        &self.field
-    }
+    pub field: Field,
 }
 
 /// Clearances from an area at the nodes of a square grid: coefficients of a quadratic B-spline.
 ///
-/// The spline follows the signed Euclidean distance from the area's border (px, negative inside) and is never above
-/// it where that matters, near the border: see the README of this crate.
+/// The spline follows the signed Euclidean distance from the area's border (px, negative inside) and does not exceed it
+/// near the border.
 #[derive(Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Field {
-    origin: f64,
-    step: f64,
-    columns: usize,
-    rows: usize,
-    /// Row by row from the top left.
-    values: &'static [f32],
-}
-
-impl Field {
     /// Both coordinates of the first node, px.
-    pub const fn origin(&self) -> f64 {
-        self.origin
-    }
-
+    pub origin: f64,
     /// Distance between neighbouring nodes, px.
-    pub const fn step(&self) -> f64 {
-        self.step
-    }
-
+    pub step: f64,
     /// Nodes along u, at least 3.
-    pub const fn columns(&self) -> usize {
-        self.columns
-    }
-
+    pub columns: usize,
     /// Nodes along v, at least 3.
-    pub const fn rows(&self) -> usize {
-        self.rows
-    }
-
-    /// The coefficients, row by row from the top left: columns x rows of them.
-    pub const fn values(&self) -> &'static [f32] {
-        self.values
-    }
+    pub rows: usize,
+    /// The coefficients, row by row from the top left.
+    pub values: &'static [f32],
 }
 
 impl fmt::Debug for Field {
+    /// Without the coefficients.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (columns, rows, step) = (self.columns, self.rows, self.step);
         write!(f, "Field({columns}x{rows}, every {step} px)")

@@ -4,7 +4,7 @@
 ///
 /// What the set holds at the image's edge it holds beyond: an area that touches the edge offers no way out there.
 #[derive(Clone)]
-pub(super) struct Patch {
+pub struct Patch {
     /// Width and height of the image.
     image: [i64; 2],
     /// First column and row of the window.
@@ -17,7 +17,7 @@ pub(super) struct Patch {
 impl Patch {
     /// The connected sets of the pixels that are not 0, touching at a corner or along a side, in the order of their
     /// first pixels.
-    pub(super) fn connected(width: usize, height: usize, pixels: &[u8]) -> Vec<Self> {
+    pub fn connected(width: usize, height: usize, pixels: &[u8]) -> Vec<Self> {
         let image = [width as i64, height as i64];
         let mut rest = Self {
             image,
@@ -37,7 +37,7 @@ impl Patch {
     }
 
     /// The pixels of the set that can be reached from `seed` through such pixels, all of them with `keep`.
-    pub(super) fn reached(&self, seed: [i64; 2], keep: impl Fn([i64; 2]) -> bool) -> Self {
+    pub fn reached(&self, seed: [i64; 2], keep: impl Fn([i64; 2]) -> bool) -> Self {
         let mut found = self.empty();
         let mut open = Vec::new();
         let visit = |found: &mut Self, open: &mut Vec<[i64; 2]>, pixel: [i64; 2]| {
@@ -62,7 +62,7 @@ impl Patch {
     }
 
     /// The squares of `cell` x `cell` pixels that hold any of the set, as the pixels of a smaller image.
-    pub(super) fn in_cells(&self, cell: i64) -> Self {
+    pub fn in_cells(&self, cell: i64) -> Self {
         let (low, high) = self.window();
         let low = low.map(|x| x / cell);
         let size: [i64; 2] = std::array::from_fn(|k| high[k] / cell - low[k] + 1);
@@ -78,7 +78,7 @@ impl Patch {
     }
 
     /// The pixels of the set with `keep`.
-    pub(super) fn kept(&self, keep: impl Fn([i64; 2]) -> bool) -> Self {
+    pub fn kept(&self, keep: impl Fn([i64; 2]) -> bool) -> Self {
         let mut found = self.empty();
         self.pixels()
             .filter(|pixel| keep(*pixel))
@@ -95,49 +95,49 @@ impl Patch {
     }
 
     /// Takes the pixels of another set out of this one.
-    pub(super) fn remove(&mut self, other: &Self) {
+    pub fn remove(&mut self, other: &Self) {
         for index in 0..self.set.len() {
             self.set[index] &= !other.is_at(self.pixel(index));
         }
     }
 
     /// Adds a pixel of the window.
-    pub(super) fn add(&mut self, pixel: [i64; 2]) {
+    pub fn add(&mut self, pixel: [i64; 2]) {
         if let Some(index) = self.index(pixel) {
             self.set[index] = true;
         }
     }
 
     /// How many pixels there are.
-    pub(super) fn count(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.set.iter().filter(|is| **is).count()
     }
 
     /// The pixels, row by row.
-    pub(super) fn pixels(&self) -> impl Iterator<Item = [i64; 2]> {
+    pub fn pixels(&self) -> impl Iterator<Item = [i64; 2]> {
         (0..self.set.len())
             .filter(|index| self.set[*index])
             .map(|index| self.pixel(index))
     }
 
     /// Whether the set holds a pixel; for one beyond the image, whether it holds the nearest one inside.
-    pub(super) fn holds(&self, [x, y]: [i64; 2]) -> bool {
+    pub fn holds(&self, [x, y]: [i64; 2]) -> bool {
         self.is_at([x.clamp(0, self.image[0] - 1), y.clamp(0, self.image[1] - 1)])
     }
 
     /// Width and height of the image.
-    pub(super) fn image(&self) -> [i64; 2] {
+    pub fn image(&self) -> [i64; 2] {
         self.image
     }
 
     /// First and last column and row of the window.
-    pub(super) fn window(&self) -> ([i64; 2], [i64; 2]) {
+    pub fn window(&self) -> ([i64; 2], [i64; 2]) {
         let last = std::array::from_fn(|k| self.low[k] + self.size[k] - 1);
         (self.low, last)
     }
 
     /// The same set in its smallest window.
-    pub(super) fn tight(&self) -> Self {
+    pub fn tight(&self) -> Self {
         let (mut low, mut high) = ([i64::MAX; 2], [i64::MIN; 2]);
         for pixel in self.pixels() {
             for k in 0..2 {
@@ -157,7 +157,7 @@ impl Patch {
     }
 
     /// The pixel furthest from what the set does not hold, and how far: in steps to any of eight neighbours.
-    pub(super) fn deepest(&self) -> Option<([i64; 2], i64)> {
+    pub fn deepest(&self) -> Option<([i64; 2], i64)> {
         let [width, height] = self.size;
         let mut depth = vec![0i64; self.set.len()];
         let at = |depth: &[i64], i: i64, j: i64| {

@@ -1,6 +1,6 @@
 //! Exact distances from sets of pixels.
 
-use super::patch::Patch;
+use crate::patch::Patch;
 
 /// Squares of pixels, column by column from `left` on: in each, the runs from one v to another.
 struct Squares {
@@ -42,7 +42,7 @@ impl Squares {
 }
 
 /// A set of pixels and what lies round it.
-pub(super) struct Shape {
+pub struct Shape {
     inside: Squares,
     outside: Squares,
     low: [f64; 2],
@@ -52,7 +52,7 @@ pub(super) struct Shape {
 impl Shape {
     /// A set that is not empty, and of what lies round it as much as decides distances of points at most `beyond` px
     /// outside the image.
-    pub(super) fn of(patch: &Patch, beyond: i64) -> Self {
+    pub fn of(patch: &Patch, beyond: i64) -> Self {
         let image = patch.image();
         let (first, last) = patch.window();
         // A window at the image's edge goes on beyond it.
@@ -107,7 +107,7 @@ impl Shape {
     }
 
     /// Signed Euclidean distance of a point from the border, px: negative inside.
-    pub(super) fn distance(&self, point: [f64; 2]) -> f64 {
+    pub fn distance(&self, point: [f64; 2]) -> f64 {
         let distance = self.inside.distance(point);
         if distance > 0.0 {
             distance
@@ -117,7 +117,7 @@ impl Shape {
     }
 
     /// Corners of a box round the set, px.
-    pub(super) fn bounds(&self) -> ([f64; 2], [f64; 2]) {
+    pub fn bounds(&self) -> ([f64; 2], [f64; 2]) {
         (self.low, self.high)
     }
 }

@@ -1,12 +1,13 @@
 //! From the pixels of a mask to its areas and their fields.
 //!
-//! The one piece of mathematics of this crate: it needs the heap, which the control law does not have. Law and builder
-//! use the fields; the emulator's referee does not, and measures from the pixels by itself.
+//! This needs the heap, which the control law does not have. Law and builder use the fields; the emulator's referee
+//! measures from the pixels by itself, so that a mistake here cannot hide.
 
-use super::cover::cover;
-use super::distance::Shape;
-use super::patch::Patch;
-use super::{Area, Field, MAX_AREAS, Mask};
+use crate::cover::cover;
+use crate::distance::Shape;
+use crate::patch::Patch;
+use crate::picture::MaskError;
+use crate::{Area, Field, MAX_AREAS, Mask};
 
 /// Both coordinates of the upper left corner of the first pixel, px: its centre is at 0. Here and in the modules beside it
 /// lengths count from that corner, where pixels begin at whole numbers.
@@ -24,35 +25,20 @@ const BAND: f64 = 4.0;
 /// Places along each side of a node's cell at which it is.
 const PLACES: usize = 4;
 
-/// Why pixels make no mask.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum AreaError {
-    #[error("every pixel is black; allowed: white where no feature may be, black elsewhere")]
-    AllFree,
-    #[error("every pixel is white; allowed: white where no feature may be, black elsewhere")]
-    AllForbidden,
-    #[error(
-        "{count} separate white areas, the smallest of {smallest} px; allowed: at most {MAX_AREAS} in a scene: paint \
-         over the specks, or join areas that lie close together"
-    )]
-    TooMany { count: usize, smallest: usize },
-}
-
 impl Mask {
-    /// A mask of `width` columns; `pixels` row by row, not 0 where no feature may be.
-    pub(super) fn of(width: usize, height: usize, pixels: &[u8]) -> Result<Self, AreaError> {
-        let pixels: Vec<u8> = pixels.iter().map(|p| u8::from(*p != 0)).collect();
+    /// A mask of `width` columns; `pixels` row by row, 1 where no feature may be, else 0.
+    pub(crate) fn of(width: usize, height: usize, pixels: Vec<u8>) -> Result<Self, MaskError> {
         if !pixels.contains(&1) {
-            return Err(AreaError::AllFree);
+            return Err(MaskError::AllFree);
         }
         if !pixels.contains(&0) {
-            return Err(AreaError::AllForbidden);
+            return Err(MaskError::AllForbidden);
         }
         let sets = Patch::connected(width, height, &pixels);
         let count = sets.len();
         if count > MAX_AREAS {
             let smallest = sets.iter().map(Patch::count).min().unwrap_or(0);
-            return Err(AreaError::TooMany { count, smallest });
+            return Err(MaskError::Separate(count, smallest));
         }
         // Pieces share what is left when each connected set has one.
         let mut spare = MAX_AREAS - count;
