@@ -29,6 +29,12 @@ pub struct Arguments {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub keys: Keys,
+    /// Run every start from that one on, one after another, each as a new run.
+    #[arg(long, conflicts_with = "record")]
+    pub all: bool,
+    /// Begin again after the last start, until stopped; between two runs the camera rests at the goal.
+    #[arg(long = "loop", conflicts_with = "record")]
+    pub repeat: bool,
     /// Show a line of progress.
     #[arg(long)]
     pub progress: bool,
@@ -161,8 +167,10 @@ pub struct Config {
     pub scene: Scene,
     /// Its file, for messages and recordings.
     pub scene_file: String,
-    /// Where the object is at first.
-    pub start: Pose,
+    /// Where the object is at first, run after run, with the number of each start.
+    pub starts: Vec<(usize, Pose)>,
+    /// Whether to begin again after the last of them.
+    pub repeat: bool,
     /// Whose time it is.
     pub clock: Clock,
     /// Directory of the shared memory.
@@ -239,10 +247,16 @@ impl Config {
         );
         let scene = Scene::read(&scene_path)?;
         let starts = read_starts(&starts_path)?;
-        let start = *starts.get(keys.start as usize).ok_or_else(|| {
+        if keys.start as usize >= starts.len() {
             let allowed = format!("0 to {} ({})", starts.len() - 1, starts_path.display());
-            document.refuse("start", keys.start, allowed)
-        })?;
+            return Err(document.refuse("start", keys.start, allowed));
+        }
+        let many = if arguments.all { usize::MAX } else { 1 };
+        let starts = starts
+            .into_iter()
+            .enumerate()
+            .skip(keys.start as usize)
+            .take(many);
         if keys.jitter_ms > keys.latency_ms {
             let allowed = format!("0 to {} ms, the latency", keys.latency_ms);
             return Err(document.refuse("jitter_ms", keys.jitter_ms, allowed));
@@ -275,7 +289,8 @@ impl Config {
         (eye.latency.drop, eye.latency.seed) = (flaws.drop, flaws.seed);
         Ok(Self {
             scene_file: scene_path.display().to_string(),
-            start,
+            starts: starts.collect(),
+            repeat: arguments.repeat,
             clock: keys.clock,
             domain: keys.domain.unwrap_or_else(ipc::default_directory),
             record: keys.record,

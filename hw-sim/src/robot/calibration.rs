@@ -1,4 +1,4 @@
-//! What the bridge believes of camera and hand, and what is true instead.
+//! The hand-eye calibration that the bridge was given, and how the world differs from it.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 use panda::{Mount, Pose};
@@ -19,8 +19,9 @@ pub struct HandEye {
 }
 
 impl Default for HandEye {
-    /// A camera in front of the hand that looks along the fingers, its lower edge towards them: the hand is turned by
-    /// -45 deg on the flange, the camera by 90 deg on the hand, 7 cm before it and 4 cm above the flange.
+    /// A camera in front of the hand that looks along the fingers, its lower edge towards them: the
+    /// hand is turned by -45 deg on the flange, the camera by 90 deg on the hand, 7 cm before it
+    /// and 4 cm above the flange.
     fn default() -> Self {
         let diagonal = 0.07 * std::f64::consts::FRAC_1_SQRT_2;
         Self {
@@ -64,7 +65,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Whether everybody was told the truth.
+    /// Whether the configuration is right.
     pub fn is_exact(&self) -> bool {
         *self == Self::default()
     }
@@ -107,7 +108,7 @@ impl Truth {
 mod tests {
     use super::*;
     use crate::camera::project;
-    use crate::pose::RigidPose;
+    use crate::pose::from_scene;
 
     fn robot_scene() -> Scene {
         Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
@@ -123,8 +124,8 @@ mod tests {
         let real = truth.scene(&believed);
         let starts = scene::parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
         for start in starts.iter().chain([&believed.goal]) {
-            let seen = project(&believed, &RigidPose::new(start)).unwrap();
-            let really = project(&real, &RigidPose::new(&truth.start(start))).unwrap();
+            let seen = project(&believed, &from_scene(start)).unwrap();
+            let really = project(&real, &from_scene(&truth.start(start))).unwrap();
             for (a, b) in seen.iter().flatten().zip(really.iter().flatten()) {
                 assert!((a - b).abs() < 1e-9);
             }

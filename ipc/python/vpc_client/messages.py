@@ -19,6 +19,19 @@ class Code(enum.IntEnum):
         return _WORDS[type(self)][self]
 
 
+class Message(ctypes.Structure):
+    """A structure of the contract."""
+
+    @staticmethod
+    def type_name() -> str:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        values = ((field[0], getattr(self, field[0])) for field in self._fields_)
+        shown = (f"{name}={list(x) if isinstance(x, ctypes.Array) else x!r}" for name, x in values)
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
 class TwistState(Code):
     """State of the controller."""
 
@@ -259,7 +272,7 @@ class CycleFlags(enum.IntFlag):
     SHUTDOWN = 2
 
 
-_WORDS = {
+_WORDS: dict[type[Code], tuple[str, ...]] = {
     TwistState: (
         "stopped",
         "moving",
@@ -358,7 +371,7 @@ _WORDS = {
 }
 
 
-class Stamp(ctypes.Structure):
+class Stamp(Message):
     """Head of every message. Times are CLOCK_MONOTONIC."""
 
     _fields_ = [
@@ -376,7 +389,7 @@ class Stamp(ctypes.Structure):
         return "vpc/Stamp/1"
 
 
-class Features(ctypes.Structure):
+class Features(Message):
     """Image features of one frame. Service `vpc/features`."""
 
     _fields_ = [
@@ -399,7 +412,7 @@ class Features(ctypes.Structure):
         return "vpc/Features/1"
 
 
-class TwistCommand(ctypes.Structure):
+class TwistCommand(Message):
     """Camera velocity command. Stop executing it when it is no longer valid: the controller may have
     died. Service `vpc/twist`."""
 
@@ -428,7 +441,7 @@ class TwistCommand(ctypes.Structure):
         return "vpc/TwistCommand/1"
 
 
-class RobotState(ctypes.Structure):
+class RobotState(Message):
     """State of the robot that carries the camera, at the instant `stamp.data_ns`. Service
     `vpc/robot`."""
 
@@ -465,7 +478,7 @@ class RobotState(ctypes.Structure):
         return "vpc/RobotState/1"
 
 
-class CycleRecord(ctypes.Structure):
+class CycleRecord(Message):
     """Telemetry of one cycle. Numbers of the control law are NaN if it did not run. Service
     `vpc/cycles`."""
 
@@ -568,7 +581,7 @@ class CycleRecord(ctypes.Structure):
         return "vpc/CycleRecord/3"
 
 
-class Snapshot(ctypes.Structure):
+class Snapshot(Message):
     """All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
     replay by the same version of vpcd: `state` is private to it. Service `vpc/snapshots`."""
 
@@ -590,7 +603,7 @@ class Snapshot(ctypes.Structure):
         return "vpc/Snapshot/1"
 
 
-class Request(ctypes.Structure):
+class Request(Message):
     """An operator's request. Several operators may be at work. Service `vpc/requests`."""
 
     _fields_ = [
@@ -613,7 +626,7 @@ class Request(ctypes.Structure):
         return "vpc/Request/1"
 
 
-class Reply(ctypes.Structure):
+class Reply(Message):
     """The controller's answer to a request. Service `vpc/replies`."""
 
     _fields_ = [
@@ -656,7 +669,7 @@ for _message, _size in (
         raise ImportError(f"{_message.__name__}: {ctypes.sizeof(_message)} bytes; allowed: {_size}")
 
 # Fields that are codes.
-CODES = {
+CODES: dict[type[Message], dict[str, type[Code]]] = {
     TwistCommand: {"state": TwistState},
     RobotState: {"mode": RobotMode},
     CycleRecord: {"clock": ClockMode, "status": SolverStatus, "recalled": RecallCode, "strategy": StrategyCode, "hold": Hold, "state": TwistState, "phase": PhaseCode, "features_input": InputCode, "robot_input": InputCode},
@@ -665,7 +678,7 @@ CODES = {
 }
 
 # Fields that are counts, with the least and the greatest.
-RANGES = {
+RANGES: dict[type[Message], dict[str, tuple[int, int]]] = {
     Features: {"count": (1, 8)},
     RobotState: {"joints": (0, 7)},
     CycleRecord: {"count": (0, 8), "way_point_count": (0, 8)},
@@ -673,7 +686,7 @@ RANGES = {
 }
 
 # Fields that are finite numbers: all (`None`), or as many pairs as the field `count` says.
-FINITE = {
+FINITE: dict[type[Message], dict[str, str | None]] = {
     Features: {"points": "count"},
     TwistCommand: {"twist": None},
     RobotState: {"translation": None, "rotation": None, "twist": None, "q": None, "dq": None},
@@ -684,7 +697,7 @@ FINITE = {
 class Service(NamedTuple):
     """A service and its queues; the same for everybody who opens it."""
 
-    message: type
+    message: type[Message]
     history: int
     buffer: int
     subscribers: int

@@ -26,6 +26,19 @@ class Code(enum.IntEnum):
     def words(self) -> str:
         """The name for people."""
         return _WORDS[type(self)][self]
+
+
+class Message(ctypes.Structure):
+    """A structure of the contract."""
+
+    @staticmethod
+    def type_name() -> str:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        values = ((field[0], getattr(self, field[0])) for field in self._fields_)
+        shown = (f"{name}={list(x) if isinstance(x, ctypes.Array) else x!r}" for name, x in values)
+        return f"{type(self).__name__}({', '.join(shown)})"
 "#;
 
 const SERVICE: &str = r#"
@@ -33,7 +46,7 @@ const SERVICE: &str = r#"
 class Service(NamedTuple):
     """A service and its queues; the same for everybody who opens it."""
 
-    message: type
+    message: type[Message]
     history: int
     buffer: int
     subscribers: int
@@ -70,7 +83,7 @@ fn enumeration(text: &mut String, table: &Table, base: &str) {
 }
 
 fn structure(text: &mut String, message: &Struct) {
-    let _ = writeln!(text, "\n\nclass {}(ctypes.Structure):", message.name);
+    let _ = writeln!(text, "\n\nclass {}(Message):", message.name);
     *text += &docstring(&message.doc);
     *text += "    _fields_ = [\n";
     for field in message.fields {
@@ -89,9 +102,19 @@ fn structure(text: &mut String, message: &Struct) {
     );
 }
 
-/// A dictionary of what is checked on reception: message, field, and what `rule` says of the field.
-fn rules(text: &mut String, name: &str, about: &str, rule: impl Fn(&Field) -> Option<String>) {
-    let _ = writeln!(text, "\n# {about}\n{name} = {{");
+/// A dictionary of what is checked on reception: message, field, and what `rule` says of the field, in the
+/// type `value`.
+fn rules(
+    text: &mut String,
+    name: &str,
+    value: &str,
+    about: &str,
+    rule: impl Fn(&Field) -> Option<String>,
+) {
+    let _ = writeln!(
+        text,
+        "\n# {about}\n{name}: dict[type[Message], dict[str, {value}]] = {{"
+    );
     for message in structs() {
         let fields = message.fields.iter();
         let lines =
@@ -113,7 +136,7 @@ pub fn make() -> String {
     for table in tables(true) {
         enumeration(&mut text, table, "enum.IntFlag");
     }
-    text += "\n\n_WORDS = {\n";
+    text += "\n\n_WORDS: dict[type[Code], tuple[str, ...]] = {\n";
     for table in tables(false) {
         let _ = writeln!(text, "    {}: (", table.name);
         for value in table.names {
@@ -134,6 +157,7 @@ pub fn make() -> String {
     rules(
         &mut text,
         "CODES",
+        "type[Code]",
         "Fields that are codes.",
         |field| match field.meaning {
             Meaning::Code(table) | Meaning::AnyCode(table) => Some(table.name.to_owned()),
@@ -143,6 +167,7 @@ pub fn make() -> String {
     rules(
         &mut text,
         "RANGES",
+        "tuple[int, int]",
         "Fields that are counts, with the least and the greatest.",
         |field| match field.meaning {
             Meaning::Range(least, most) => Some(format!("({least}, {most})")),
@@ -152,6 +177,7 @@ pub fn make() -> String {
     rules(
         &mut text,
         "FINITE",
+        "str | None",
         "Fields that are finite numbers: all (`None`), or as many pairs as the field `count` says.",
         |field| match field.meaning {
             Meaning::Finite => Some("None".to_owned()),
