@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from .errors import BadArgument, BadMessage, NoAnswer, Refused
 from .messages import (
-    CODES,
-    FINITE,
+    CHECKS,
     MAX_POINTS,
-    RANGES,
     SERVICES,
     Action,
     Features,
@@ -43,18 +41,19 @@ def check(service: str, message: Any) -> None:
     kind = type(message)
     if message.stamp.sequence == 0:
         raise BadMessage(f"{service}: sequence = 0; allowed: 1 and more")
-    for field, codes in CODES.get(kind, {}).items():
-        if getattr(message, field) >= len(codes):
-            raise BadMessage(f"{service}: {field} = {getattr(message, field)}; allowed: 0 to {len(codes) - 1}")
-    for field, (least, most) in RANGES.get(kind, {}).items():
-        if not least <= getattr(message, field) <= most:
-            raise BadMessage(f"{service}: {field} = {getattr(message, field)}; allowed: {least} to {most}")
-    for field, count in FINITE.get(kind, {}).items():
-        values = getattr(message, field)
-        used = 2 * getattr(message, count) if count else len(values)
-        for i in range(used):
-            if not math.isfinite(values[i]):
-                raise BadMessage(f"{service}: {field}[{i}] = {values[i]}; allowed: finite numbers")
+    for field, rule in CHECKS[kind].items():
+        value = getattr(message, field)
+        if isinstance(rule, tuple):
+            least, most = rule
+            if not least <= value <= most:
+                raise BadMessage(f"{service}: {field} = {value}; allowed: {least} to {most}")
+        elif isinstance(rule, str):
+            used = 2 * getattr(message, rule) if rule else len(value)
+            for i in range(used):
+                if not math.isfinite(value[i]):
+                    raise BadMessage(f"{service}: {field}[{i}] = {value[i]}; allowed: finite numbers")
+        elif value >= len(rule):
+            raise BadMessage(f"{service}: {field} = {value}; allowed: 0 to {len(rule) - 1}")
 
 
 def now_ns() -> int:
