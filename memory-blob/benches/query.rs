@@ -50,7 +50,7 @@ fn each<R>(bencher: Bencher, queries: &[Vec<f64>], mut ask: impl FnMut(&[f64]) -
 fn neighbours_on_trajectories(bencher: Bencher, k: usize) {
     let contents = on_trajectories();
     let file = opened(&contents);
-    let (samples, mut y) = (file.view().samples().unwrap(), [0.0; OUTPUTS]);
+    let (samples, mut y) = (file.view().samples(), [0.0; OUTPUTS]);
     each(bencher, &queries(&contents), |x| {
         samples.nearest(x, k, &mut y).unwrap().distance()
     });
@@ -61,7 +61,7 @@ fn neighbours_on_trajectories(bencher: Bencher, k: usize) {
 fn neighbours_without_structure(bencher: Bencher, k: usize) {
     let contents = synthetic::noise(SAMPLES, 1);
     let file = opened(&contents);
-    let (samples, mut y) = (file.view().samples().unwrap(), [0.0; OUTPUTS]);
+    let (samples, mut y) = (file.view().samples(), [0.0; OUTPUTS]);
     let mut random = Random(78);
     let queries: Vec<_> = (0..QUERIES)
         .map(|_| synthetic::noisy_input(&mut random))

@@ -48,9 +48,9 @@ pub struct Regression {
     pub mean: Vec<f64>,
     /// (K + phi_s I)^{-1} (Y - m), one row for each row of `x`.
     pub lambda: Vec<Vec<f64>>,
-    /// What each output less its mean was divided by where the kernel's variances were chosen, in its units, above
-    /// zero; variances need it. Files of schema 1 have none.
-    pub output_scale: Option<Vec<f64>>,
+    /// What each output less its mean was divided by where the kernel's variances were chosen, in its
+    /// units, above zero: the scales of variances.
+    pub output_scale: Vec<f64>,
     /// Packed lower rows of the Cholesky factor of K + phi_s I, for variances.
     pub cholesky: Option<Vec<f64>>,
 }

@@ -115,12 +115,16 @@ impl<'a> Samples<'a> {
         if found != n {
             return Err(QueryError::InputLength { found, expected: n });
         }
-        let rows = &self.x[(index / BLOCK) * n * BLOCK..][..n * BLOCK];
         let Scaling { offset, scale } = self.scaling;
-        for (i, (x, row)) in input.iter_mut().zip(rows.chunks_exact(BLOCK)).enumerate() {
-            *x = row[index % BLOCK] * scale[i] + offset[i];
+        for (k, x) in input.iter_mut().enumerate() {
+            *x = self.scaled(index, k) * scale[k] + offset[k];
         }
         Ok(())
+    }
+
+    /// Entry `k` of the scaled input of a sample.
+    pub(crate) fn scaled(&self, index: usize, k: usize) -> f64 {
+        self.x[(index / BLOCK * self.inputs() + k) * BLOCK + index % BLOCK]
     }
 
     /// Writes the mean output of the `k` nearest samples (Euclidean distance in scaled inputs) and tells which they

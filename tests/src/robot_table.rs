@@ -15,8 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::solver::Effort;
-use vpc::{Controller, MotionMemory, Settings};
+use vpc::{Controller, MotionMemory, Settings, SolverOptions};
 
 use crate::robot::{Reason, RobotRun, run};
 use crate::spec::Spec;
@@ -160,12 +159,12 @@ pub fn law(spec: Spec, flags: &RobotFlags, base: Settings) -> Settings {
     Settings {
         strategy: spec.strategy,
         np: spec.np,
-        effort: Effort {
+        solver: SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
         },
         trigger_px: flags.trigger,
-        release: flags.release,
+        hysteresis: flags.release,
         margin_px: flags.margin,
         ..base
     }

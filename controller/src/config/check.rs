@@ -161,13 +161,13 @@ impl Checker<'_> {
             strategy,
             np: np as usize,
             nc: nc as usize,
-            effort: vpc::solver::Effort {
+            solver: vpc::SolverOptions {
                 max_iterations: iterations as u32,
                 tolerance: self.number(&keys::TOLERANCE, raw.tolerance)?,
             },
             model,
             trigger_px: self.number(&keys::TRIGGER, raw.trigger_px)?,
-            release: self.number(&keys::RELEASE, raw.release)?,
+            hysteresis: self.number(&keys::RELEASE, raw.release)?,
             margin_px: self.number(&keys::MARGIN_PX, raw.margin_px)?,
             lambda: self.number(&keys::LAMBDA, raw.lambda)?,
             detour: raw.detour,

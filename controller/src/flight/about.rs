@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use vpc::solver::Effort;
-use vpc::{Settings, Strategy};
+use vpc::{Settings, SolverOptions, Strategy};
 
 use super::record::{FlightRecord, Key};
 use super::words::Field;
@@ -109,10 +108,10 @@ impl From<&Settings> for SettingsAbout {
             strategy,
             np,
             nc,
-            effort,
+            solver,
             model,
             trigger_px,
-            release,
+            hysteresis: release,
             margin_px,
             lambda,
             detour,
@@ -122,8 +121,8 @@ impl From<&Settings> for SettingsAbout {
             strategy: strategy.to_string(),
             np,
             nc,
-            iterations: effort.max_iterations,
-            tolerance: effort.tolerance,
+            iterations: solver.max_iterations,
+            tolerance: solver.tolerance,
             model: model_name(model).to_owned(),
             trigger_px,
             release,
@@ -155,13 +154,13 @@ impl SettingsAbout {
             strategy,
             np: self.np,
             nc: self.nc,
-            effort: Effort {
+            solver: SolverOptions {
                 max_iterations: self.iterations,
                 tolerance: self.tolerance,
             },
             model,
             trigger_px: self.trigger_px,
-            release: self.release,
+            hysteresis: self.release,
             margin_px: self.margin_px,
             lambda: self.lambda,
             detour: self.detour,

@@ -16,7 +16,7 @@ use divan::Bencher;
 use scene::Scene;
 use subproblem::{Case, Fixture, Subproblem};
 use vpc::solver::Solver;
-use vpc::{DOF, Task, Twist, constraint};
+use vpc::{DOF, Task, Twist};
 
 const WINDOWS: [usize; 3] = [3, 10, 30];
 const REST: Twist = [0.0; DOF];
@@ -84,10 +84,7 @@ fn painted() -> Task {
     let directory = tempfile::tempdir().unwrap();
     let is_white = |i: u32, j: u32| {
         let middle = [f64::from(i) + 0.5, f64::from(j) + 0.5];
-        shapes
-            .parts
-            .iter()
-            .any(|part| constraint::hides(part, middle))
+        shapes.obstacles().any(|obstacle| obstacle.hides(middle))
     };
     scene::write_mask(&directory.path().join("mask.png"), 1024, 1024, is_white).unwrap();
     let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();

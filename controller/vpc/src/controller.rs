@@ -6,14 +6,16 @@ use crate::cost;
 use crate::delay::{History, Unpredictable};
 use crate::detour::Detour;
 use crate::features;
-use crate::gate::{self, Measurement, Refusal};
-use crate::plausible::{self, Stillness};
-use crate::prediction::{Origin, Plan, Preview};
+use crate::frozen::FrozenCheck;
+use crate::gate;
+use crate::measurement::{Measurement, Refusal};
+use crate::prediction::{InitialState, Plan, Preview};
 use crate::recall::{self, MotionMemory, OutOfRange, Recall, Trigger};
 use crate::settings::{Settings, SettingsError, Strategy};
-use crate::solver::{Problem, Solver, Status, work};
+use crate::problem::{Problem, Status};
+use crate::solver::Solver;
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Points, Twist, ibvs, limit};
+use crate::{DOF, MAX_VARIABLES, Points, Twist, ibvs, limit, work};
 
 /// The visual predictive controller: task, settings, workspace, and what one cycle leaves to the next. Large; made
 /// once and kept in place.
@@ -31,7 +33,7 @@ pub struct Controller {
     pub(crate) predicted: Option<Points>,
     pub(crate) seen: Option<Seen>,
     pub(crate) is_linked: bool,
-    pub(crate) stillness: Stillness,
+    pub(crate) frozen: FrozenCheck,
     pub(crate) history: History,
 }
 
@@ -84,16 +86,16 @@ impl Controller {
             task: Task::new(scene)?,
             off_image_px: scene.success.violation_px,
             converged_px: scene.success.convergence_px,
-            solver: Solver::new(settings.np, settings.nc, settings.effort)
-                .with_budget(work::budget(settings.np, settings.effort.max_iterations)),
+            solver: Solver::new(settings.np, settings.nc, settings.solver)
+                .with_budget(work::budget(settings.np, settings.solver.max_iterations)),
             one_step: Preview::new(1),
-            trigger: Trigger::new(settings.trigger_px, settings.release),
+            trigger: Trigger::new(settings.trigger_px, settings.hysteresis),
             detour: Detour::default(),
             previous: [0.0; MAX_VARIABLES],
             predicted: None,
             seen: None,
             is_linked: false,
-            stillness: Stillness::default(),
+            frozen: FrozenCheck::default(),
             history: History::new(),
             settings,
         })
@@ -158,7 +160,7 @@ impl Controller {
     /// Tells that points were out of sight since the last step: they may bear other names when they come back.
     pub fn lose_sight(&mut self) {
         self.seen = None;
-        self.stillness = Stillness::default();
+        self.frozen = FrozenCheck::default();
     }
 
     /// Forgets the prediction for this cycle, where the last command was not in force for one sampling time (a
@@ -177,12 +179,12 @@ impl Controller {
         measurement: &Measurement,
         memory: Option<&dyn MotionMemory>,
     ) -> Result<Step, Refusal> {
-        let (origin, mismatch) = self.receive(measurement).inspect_err(|_| {
+        let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
             self.skip_mismatch();
             self.overruled();
             self.previous = [0.0; MAX_VARIABLES];
         })?;
-        let points = &origin.points;
+        let points = &initial.points;
         let clearance_px = recall::clearance(&self.task, points);
         let mut step = Step {
             twist: [0.0; DOF],
@@ -200,35 +202,35 @@ impl Controller {
             error_px: features::largest_error(points, &self.task.goal),
         };
         if self.settings.strategy == Strategy::Ibvs {
-            self.servo(&origin, &mut step);
+            self.servo(&initial, &mut step);
         } else {
             let recall = self.recall(points, clearance_px, memory);
             step.recall_refused = matches!(recall, Some(Err(_)));
             let detour = self.take_detour(points, memory);
             step.detour = detour.is_some();
             let recall = detour.or(recall.and_then(Result::ok));
-            self.plan(&origin, recall, mismatch.as_ref(), &mut step);
+            self.plan(&initial, recall, mismatch.as_ref(), &mut step);
         }
-        self.predict(&origin, &step.twist);
-        step.cost = self.running_cost(&origin, &step.twist);
+        self.predict(&initial, &step.twist);
+        step.cost = self.running_cost(&initial, &step.twist);
         Ok(step)
     }
 
     /// Where the preview starts: the features that pass the gate, advanced to the command's effect; and eps.
-    fn receive(&mut self, measurement: &Measurement) -> Result<(Origin, Option<Points>), Refusal> {
+    fn receive(&mut self, measurement: &Measurement) -> Result<(InitialState, Option<Points>), Refusal> {
         let points = gate::pass(&self.task, measurement, self.off_image_px)?;
         let Settings { model, .. } = self.settings;
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
-        let measured = Origin::new(&self.task, model, points);
+        let measured = InitialState::new(&self.task, model, points);
         let expected = self.expected_at_exposure(exposed_ns, age_ns);
         if let (true, Some(seen), Some(expected)) = (self.history.is_live(), &self.seen, &expected)
         {
-            plausible::check_names(points, expected)?;
+            gate::check_names(points, expected)?;
             let since_s = exposed_ns.saturating_sub(seen.exposed_ns) as f64 * 1e-9;
-            if since_s < plausible::LEAP_PERIODS * self.task.ts {
-                plausible::check_leaps(&self.task, points, expected)?;
+            if since_s < gate::LEAP_PERIODS * self.task.ts {
+                gate::check_leaps(&self.task, points, expected)?;
             }
-            let frozen = self.stillness.look(points, &seen.points, expected);
+            let frozen = self.frozen.update(points, &seen.points, expected);
             if frozen.is_err() {
                 self.lose_sight();
             }
@@ -237,7 +239,7 @@ impl Controller {
         let mismatch = expected
             .filter(|_| self.is_linked)
             .map(|expected| difference(points, &expected));
-        let origin = if age_ns == 0 || !self.settings.delay_compensation {
+        let initial = if age_ns == 0 || !self.settings.delay_compensation {
             measured.clone()
         } else {
             let now_ns = measurement.effective_ns;
@@ -254,7 +256,7 @@ impl Controller {
             exposed_ns,
         });
         self.is_linked = true;
-        Ok((origin, mismatch))
+        Ok((initial, mismatch))
     }
 
     /// Where these features were expected: predicted for this exposure from the one before, with the commands that were
@@ -268,7 +270,7 @@ impl Controller {
             .as_ref()
             .filter(|seen| seen.exposed_ns < exposed_ns)?;
         let model = self.settings.model;
-        let before = Origin::new(&self.task, model, &seen.points);
+        let before = InitialState::new(&self.task, model, &seen.points);
         let expected =
             self.history
                 .advance(&self.task, model, &before, seen.exposed_ns, exposed_ns);
@@ -276,8 +278,8 @@ impl Controller {
     }
 
     /// The classic law, scaled as a whole into the limits.
-    fn servo(&mut self, origin: &Origin, step: &mut Step) {
-        match ibvs::twist(&self.task, origin, self.settings.lambda) {
+    fn servo(&mut self, initial: &InitialState, step: &mut Step) {
+        match ibvs::twist(&self.task, initial, self.settings.lambda) {
             Some(twist) => step.twist = limit::scale(&twist, &self.task.limits),
             None => step.status = Status::NumericalFailure,
         }
@@ -316,12 +318,12 @@ impl Controller {
     /// Solves the optimal-control problem towards way point or goal, and limits its first command.
     fn plan(
         &mut self,
-        origin: &Origin,
+        initial: &InitialState,
         recall: Option<Recall>,
         mismatch: Option<&Points>,
         step: &mut Step,
     ) {
-        let points = &origin.points;
+        let points = &initial.points;
         let (warm, tracked) = match &recall {
             Some(recall) => (repeated(&recall.twist), &recall.way_point),
             None => (self.previous, &self.task.goal),
@@ -329,7 +331,7 @@ impl Controller {
         let target = corrected(tracked, mismatch);
         let problem = Problem {
             task: &self.task,
-            origin,
+            initial,
             target: &target,
             r_share: cost::r_share(&self.task, points, tracked),
             margin: self.settings.margin_px,
@@ -351,8 +353,8 @@ impl Controller {
     }
 
     /// Remembers where the features should be one sampling time after `twist`.
-    fn predict(&mut self, origin: &Origin, twist: &Twist) {
-        let possible = self.one_step.look(&self.task, origin, twist);
+    fn predict(&mut self, initial: &InitialState, twist: &Twist) {
+        let possible = self.one_step.evaluate(&self.task, initial, twist);
         self.predicted = possible.then(|| self.one_step.step(0).iter().copied().collect());
     }
 
@@ -360,19 +362,19 @@ impl Controller {
     /// are expected where it leads.
     pub fn follow(&mut self, twist: &Twist) {
         if let Some(seen) = &self.seen {
-            let origin = Origin::new(&self.task, self.settings.model, &seen.points);
-            self.predict(&origin, twist);
+            let initial = InitialState::new(&self.task, self.settings.model, &seen.points);
+            self.predict(&initial, twist);
         }
     }
 
     /// l(v) of the command that is sent, held over the window, always against the goal with the fixed schedule of R.
-    fn running_cost(&mut self, origin: &Origin, twist: &Twist) -> f64 {
+    fn running_cost(&mut self, initial: &InitialState, twist: &Twist) -> f64 {
         let goal = &self.task.goal;
         let problem = Problem {
             task: &self.task,
-            origin,
+            initial,
             target: goal,
-            r_share: cost::r_share(&self.task, &origin.points, goal),
+            r_share: cost::r_share(&self.task, &initial.points, goal),
             margin: 0.0,
         };
         self.solver

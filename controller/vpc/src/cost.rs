@@ -103,7 +103,7 @@ impl<const N: usize> Expansion<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::prediction::{Model, Origin};
+    use crate::prediction::{Model, InitialState};
 
     #[test]
     fn the_gradient_matches_finite_differences() {
@@ -113,11 +113,11 @@ mod tests {
             rotation: [0.3, -0.2, 0.8],
         };
         let points = task.features_at(&pose).unwrap();
-        let origin = Origin::new(&task, Model::Pose, &points);
+        let initial = InitialState::new(&task, Model::Pose, &points);
         let mut preview = Box::new(Preview::<12>::new(7));
         let plan: [f64; 12] = core::array::from_fn(|k| 0.2 * libm::cos(k as f64));
         let mut at = |plan: &[f64; 12]| {
-            assert!(preview.run(&task, &origin, plan));
+            assert!(preview.linearize(&task, &initial, plan));
             Expansion::about(&task, &preview, plan, &task.goal, 0.7)
         };
         let exact = at(&plan);

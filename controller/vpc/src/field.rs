@@ -6,7 +6,7 @@
 
 use scene::{Area, Field};
 
-use crate::constraint::Clearance;
+use crate::clearance::Clearance;
 
 /// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the grid's edge.
 pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
@@ -26,14 +26,6 @@ pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
         distance: distance + gradient[0] * u.beyond + gradient[1] * v.beyond,
         normal: gradient,
     }
-}
-
-/// How far a pixel lies outside the box that holds every point of negative clearance (largest component), px: never
-/// above the clearance outside the box; negative inside.
-pub fn outside_box(area: &Area, pixel: [f64; 2]) -> f64 {
-    let (low, high) = (area.low(), area.high());
-    let gap = |k: usize| (low[k] - pixel[k]).max(pixel[k] - high[k]);
-    gap(0).max(gap(1))
 }
 
 fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {

@@ -5,7 +5,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::prediction::Origin;
+use crate::prediction::InitialState;
 use crate::task::Task;
 use crate::{Twist, camera, interaction};
 
@@ -16,10 +16,10 @@ const LEAST_PIVOT: f64 = 5e-7;
 
 /// The unlimited camera twist of the classic law with the gain `lambda` (1/s), or `None` where the interaction
 /// matrix is singular, or nearly so.
-pub fn twist(task: &Task, origin: &Origin, lambda: f64) -> Option<Twist> {
+pub fn twist(task: &Task, initial: &InitialState, lambda: f64) -> Option<Twist> {
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();
-    for ((&point, &goal), z) in origin.points.iter().zip(&task.goal).zip(origin.depths()) {
+    for ((&point, &goal), z) in initial.points.iter().zip(&task.goal).zip(initial.depths()) {
         let here = camera::normalise(&task.camera, point);
         let there = camera::normalise(&task.camera, goal);
         for (row, (p, q)) in interaction::of_point(here, z)
@@ -65,7 +65,7 @@ mod tests {
             rotation,
         };
         let points = task.features_at(&pose).unwrap();
-        let origin = Origin::new(&task, Model::Pose, &points);
+        let initial = InitialState::new(&task, Model::Pose, &points);
         let expected = [
             0.01711230355,
             -0.09658559499,
@@ -74,7 +74,7 @@ mod tests {
             -0.00330862137,
             0.6429081433,
         ];
-        for (found, expected) in twist(&task, &origin, 0.5).unwrap().iter().zip(expected) {
+        for (found, expected) in twist(&task, &initial, 0.5).unwrap().iter().zip(expected) {
             assert!((found - expected).abs() < 1e-6, "{found} {expected}");
         }
     }
@@ -85,7 +85,7 @@ mod tests {
         let seen = |model, height: f64| {
             let [low, high] = [512.0 - 0.5 * height, 512.0 + 0.5 * height];
             let points = [[400.0, low], [600.0, low], [600.0, high], [400.0, high]];
-            twist(&task, &Origin::new(&task, model, &points.into()), 0.5)
+            twist(&task, &InitialState::new(&task, model, &points.into()), 0.5)
         };
         for model in [Model::TargetDepth, Model::AreaDepth, Model::Pose] {
             assert!(seen(model, 200.0).is_some() && seen(model, 20.0).is_some());

@@ -1,7 +1,8 @@
 //! The last word before a command leaves: finite, inside the velocity box, and not worse than standing still.
 
 use crate::prediction::Plan;
-use crate::solver::{Problem, Solution, Solver};
+use crate::problem::{Problem, Solution};
+use crate::solver::Solver;
 use crate::{DOF, Twist};
 
 /// Halvings towards standing still before the command is zero.
@@ -12,7 +13,7 @@ pub const SLACK: f64 = 0.25;
 /// The first command of a solution, slowed down until its first step violates no constraint more than standing
 /// still does, and clamped to the limits. A command that cannot be made so is zero.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
-    let allowed = problem.worst_violation(&problem.origin.points) + SLACK;
+    let allowed = problem.worst_violation(&problem.initial.points) + SLACK;
     let mut plan = solution.plan;
     let mut violation = solution.next_violation_px;
     for _ in 0..HALVINGS {

@@ -119,51 +119,15 @@ struct Coefficients {
 
 impl Coefficients {
     fn at(square: f64) -> Self {
-        // Below 0.5 rad the closed forms lose digits to cancellation; five terms of the series are exact to 1e-13.
+        // Below 0.5 rad the closed forms lose digits to cancellation; six terms of the series are exact to 1e-13.
         if square < 0.25 {
-            let x = square;
-            let series = |c: [f64; 6]| c.iter().rev().fold(0.0, |sum, c| sum * x + c);
+            let at = |terms: &[f64; TERMS]| terms.iter().rev().fold(0.0, |sum, c| sum * square + c);
             Self {
-                sine: series([
-                    1.0,
-                    -1.0 / 6.0,
-                    1.0 / 120.0,
-                    -1.0 / 5040.0,
-                    1.0 / 362_880.0,
-                    -1.0 / 39_916_800.0,
-                ]),
-                versine: series([
-                    0.5,
-                    -1.0 / 24.0,
-                    1.0 / 720.0,
-                    -1.0 / 40_320.0,
-                    1.0 / 3_628_800.0,
-                    -1.0 / 479_001_600.0,
-                ]),
-                sine_gap: series([
-                    1.0 / 6.0,
-                    -1.0 / 120.0,
-                    1.0 / 5040.0,
-                    -1.0 / 362_880.0,
-                    1.0 / 39_916_800.0,
-                    -1.0 / 6_227_020_800.0,
-                ]),
-                cosine_gap: series([
-                    1.0 / 24.0,
-                    -1.0 / 720.0,
-                    1.0 / 40_320.0,
-                    -1.0 / 3_628_800.0,
-                    1.0 / 479_001_600.0,
-                    -1.0 / 87_178_291_200.0,
-                ]),
-                mixed: series([
-                    1.0 / 120.0,
-                    -1.0 / 2520.0,
-                    1.0 / 120_960.0,
-                    -1.0 / 9_979_200.0,
-                    1.0 / 1_245_404_160.0,
-                    -1.0 / 217_945_728_000.0,
-                ]),
+                sine: at(&const { series(1, false) }),
+                versine: at(&const { series(2, false) }),
+                sine_gap: at(&const { series(3, false) }),
+                cosine_gap: at(&const { series(4, false) }),
+                mixed: at(&const { series(5, true) }),
             }
         } else {
             let theta = sqrt(square);
@@ -177,6 +141,27 @@ impl Coefficients {
             }
         }
     }
+}
+
+/// Terms of a series in theta^2.
+const TERMS: usize = 6;
+
+/// The coefficients (-1)^k / (2 k + n)!, each times k + 1 where `rising`.
+const fn series(n: usize, rising: bool) -> [f64; TERMS] {
+    let mut coefficients = [0.0; TERMS];
+    let mut k = 0;
+    while k < TERMS {
+        let (mut factorial, mut i) = (1.0, 2);
+        while i <= 2 * k + n {
+            factorial *= i as f64;
+            i += 1;
+        }
+        let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
+        let share = if rising { (k + 1) as f64 } else { 1.0 };
+        coefficients[k] = sign * (share / factorial);
+        k += 1;
+    }
+    coefficients
 }
 
 /// The rotation matrix of a rotation vector (rad).

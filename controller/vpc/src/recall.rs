@@ -67,55 +67,52 @@ pub fn clearance(task: &Task, points: &[[f64; 2]]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// A memory of motion: infers y = (v, way point) from x = (s, area, angle), raw units, without the heap.
+/// A memory of motion: infers y = (v, way point) from x = (s, area, angle), raw units, without the
+/// heap. It need not let anybody look at its samples.
 ///
 /// The daemon asks a memory-mapped file, the builder the memory that it is growing.
 pub trait MotionMemory {
     /// Writes the inferred output; `false` where the memory has no answer for this strategy and input.
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
 
-    /// Writes the input of the sample that is the `rank`-th nearest to this one, from 1; `false` where there is none.
-    fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool;
+    /// Writes the input of the `rank`-th nearest sample, from 1; `false` where there is none.
+    fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
+        false
+    }
 
-    /// How many samples there are to look at.
-    fn count(&self) -> usize;
+    /// The number of samples to look at.
+    fn count(&self) -> usize {
+        0
+    }
 
-    /// Writes the input of the sample of this index, from 0 to [`MotionMemory::count`], in an order of the memory's own;
-    /// `false` where there is none.
-    fn sample(&self, index: usize, input: &mut [f64]) -> bool;
+    /// Writes the input of a sample, from 0 to [`MotionMemory::count`], in an order of the memory's
+    /// own; `false` where there is none.
+    fn sample(&self, _index: usize, _input: &mut [f64]) -> bool {
+        false
+    }
 }
 
 impl MotionMemory for memory_blob::Memory<'_> {
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool {
         match strategy {
-            Strategy::Knn { k } => self
-                .samples()
-                .is_some_and(|samples| samples.nearest(input, k, output).is_ok()),
-            Strategy::Gpr => self
-                .gpr()
-                .is_some_and(|gpr| gpr.mean(input, output).is_ok()),
+            Strategy::Knn { k } => self.samples().nearest(input, k, output).is_ok(),
+            Strategy::Gpr => self.gpr().is_some_and(|gpr| gpr.mean(input, output).is_ok()),
             Strategy::Previous | Strategy::Ibvs => false,
         }
     }
 
     fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool {
-        let Some(samples) = self.samples() else {
-            return false;
-        };
-        let nearest = samples.search(input, rank);
-        let furthest = nearest
-            .ok()
-            .and_then(|found| found.indices().last().copied());
-        furthest.is_some_and(|index| samples.input(index, found).is_ok())
+        let nearest = self.samples().search(input, rank);
+        let furthest = nearest.ok().and_then(|found| found.indices().last().copied());
+        furthest.is_some_and(|index| self.samples().input(index, found).is_ok())
     }
 
     fn count(&self) -> usize {
-        self.samples().map_or(0, |samples| samples.len())
+        self.samples().len()
     }
 
     fn sample(&self, index: usize, input: &mut [f64]) -> bool {
-        let samples = self.samples().filter(|samples| index < samples.len());
-        samples.is_some_and(|samples| samples.input(index, input).is_ok())
+        index < self.count() && self.samples().input(index, input).is_ok()
     }
 }
 

@@ -91,7 +91,7 @@ impl Controller {
             predicted,
             seen,
             is_linked,
-            stillness,
+            frozen,
             history,
         } = self;
         let mut state = State {
@@ -99,7 +99,7 @@ impl Controller {
             detour: *detour,
             previous: *previous,
             is_linked: *is_linked,
-            still_px: stillness.expected_px,
+            still_px: frozen.expected_px,
             history: *history,
             ..State::new(settings.strategy)
         };
@@ -125,7 +125,7 @@ impl Controller {
             exposed_ns: state.seen_ns,
         });
         self.is_linked = state.is_linked;
-        self.stillness.expected_px = state.still_px;
+        self.frozen.expected_px = state.still_px;
         self.history = state.history;
     }
 }

@@ -1,8 +1,9 @@
 //! Clearances from painted areas against geometry, and the law among them.
 
 use scene::{Area, Scene, write_mask};
-use vpc::constraint::{self, Clearance};
-use vpc::{Controller, Measurement, Settings, Strategy, Task, field};
+use vpc::clearance::Clearance;
+use vpc::obstacle::Obstacle;
+use vpc::{Controller, Measurement, Settings, Strategy, Task, constraint, field};
 
 /// The paper's simulated scene with a painted mask instead of its occlusions.
 fn painted(is_white: impl Fn(u32, u32) -> bool) -> Scene {
@@ -176,7 +177,7 @@ fn a_box_cheaply_bounds_the_clearance() {
     let scene = filled(box_);
     let area = only_area(&scene);
     for p in points() {
-        let bound = field::outside_box(area, p);
+        let bound = Obstacle::Area(area).outside_box(p);
         let clearance = field::clearance(area, p).distance;
         assert!(
             bound <= clearance.max(0.0) + 1e-6,

@@ -5,7 +5,7 @@ mod subproblem;
 
 use subproblem::{Case, Fixture, Subproblem};
 use vpc::Twist;
-use vpc::solver::{Solution, Status};
+use vpc::problem::{Solution, Status};
 
 /// A cost is as good as SciPy's up to this share.
 const COST_SHARE: f64 = 0.01;

@@ -341,7 +341,7 @@ fn run_build(build: &Build) -> anyhow::Result<()> {
 /// The progress that an interrupted build left, where it was of the same scene and settings.
 fn resume(path: &Path, scene: &Scene, settings: &BuildSettings) -> anyhow::Result<Progress> {
     if !path.exists() {
-        return Ok(Progress::new());
+        return Ok(Progress::default());
     }
     let text = fs::read(path).with_context(|| path.display().to_string())?;
     let partial: Partial = serde_json::from_slice(&text).with_context(|| {

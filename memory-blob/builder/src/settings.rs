@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use scene::Scene;
 use serde::{Deserialize, Serialize};
-use vpc::Model;
-use vpc::solver::Effort;
+use vpc::{Model, SolverOptions};
 
 /// How the memory is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -239,9 +238,9 @@ impl BuildSettings {
         }
     }
 
-    /// The solver's effort.
-    pub fn effort(&self) -> Effort {
-        Effort {
+    /// When the solver stops.
+    pub fn solver(&self) -> SolverOptions {
+        SolverOptions {
             max_iterations: self.iterations,
             tolerance: self.tolerance,
         }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use vpc::features::MAX_INPUTS;
-use vpc::{MotionMemory, Points, Strategy, Task, Twist, constraint, field};
+use vpc::{MotionMemory, Points, Strategy, Task, Twist, sight};
 
 use crate::settings::{BuildSettings, WayPoint};
 use crate::start::image_motion;
@@ -126,20 +126,7 @@ fn in_sight(task: &Task, far: f64, trajectory: &Trajectory, j: usize) -> Vec<[f6
 
 /// Whether no occlusion stops a point on its straight way from `a` to `b`.
 fn is_in_sight(task: &Task, a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
-    a.iter().zip(b).all(|(p, q)| {
-        let count = ((p[0] - q[0]).hypot(p[1] - q[1]) / CHECK_EVERY_PX).ceil() as usize;
-        (1..=count).all(|i| {
-            let t = i as f64 / count as f64;
-            let pixel = [p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])];
-            !task.parts.iter().any(|part| {
-                constraint::hides(part, pixel)
-                    && constraint::clearance(part, pixel).distance < -SLIDE * task.camera.width
-            }) && !task
-                .areas
-                .iter()
-                .any(|area| field::clearance(area, pixel).distance < -SLIDE * task.camera.width)
-        })
-    })
+    sight::is_free(task, a, b, SLIDE * task.camera.width, CHECK_EVERY_PX)
 }
 
 /// What inputs are divided by, so that an image motion of the whole pattern counts alike in points, area and angle:
@@ -169,18 +156,5 @@ impl MotionMemory for Store {
         let Some((_, y)) = nearest else { return false };
         output.copy_from_slice(y);
         true
-    }
-
-    /// The builder takes no detours.
-    fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
-        false
-    }
-
-    fn count(&self) -> usize {
-        0
-    }
-
-    fn sample(&self, _index: usize, _input: &mut [f64]) -> bool {
-        false
     }
 }

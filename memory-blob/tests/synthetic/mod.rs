@@ -150,7 +150,7 @@ pub fn regression(contents: &Contents, count: usize, factor: bool) -> Regression
         noise_variance: 0.01,
         mean: random.row(OUTPUTS, 5.0),
         lambda: (0..count).map(|_| random.row(OUTPUTS, 2.0)).collect(),
-        output_scale: Some((0..OUTPUTS).map(|o| 0.5 + o as f64).collect()),
+        output_scale: (0..OUTPUTS).map(|o| 0.5 + o as f64).collect(),
         cholesky: factor.then(|| (0..count).flat_map(|i| row(&mut random, i)).collect()),
     }
 }

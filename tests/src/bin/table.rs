@@ -360,7 +360,7 @@ fn built(scene: &Scene, task: &Task) -> anyhow::Result<MemoryFile> {
     let progress = build::collect(
         scene,
         &settings,
-        Progress::new(),
+        Progress::default(),
         &AtomicBool::new(false),
         |p| {
             bar.set_position(p.trajectories.len() as u64);

@@ -2,9 +2,10 @@
 
 use scene::Scene;
 use serde::Deserialize;
-use vpc::prediction::{Model, Origin, Plan, Preview};
-use vpc::solver::{Effort, Problem, Solution, Solver};
-use vpc::{DOF, MAX_VARIABLES, Points, Task, Twist, constraint, cost};
+use vpc::prediction::{Model, InitialState, Plan, Preview};
+use vpc::problem::{Problem, Solution};
+use vpc::solver::Solver;
+use vpc::{DOF, MAX_VARIABLES, Points, SolverOptions, Task, Twist, constraint, cost};
 
 /// The file that `fixtures/subproblems.py` writes.
 #[derive(Deserialize)]
@@ -56,7 +57,7 @@ pub struct Start {
 pub struct Case {
     pub np: usize,
     pub task: Task,
-    pub origin: Origin,
+    pub initial: InitialState,
     pub target: Points,
 }
 
@@ -80,7 +81,7 @@ impl Fixture {
         let points: Points = problem.features.iter().copied().collect();
         Case {
             np: problem.np,
-            origin: Origin::new(&task, Model::TargetDepth, &points),
+            initial: InitialState::new(&task, Model::TargetDepth, &points),
             target: problem.target.iter().copied().collect(),
             task,
         }
@@ -104,7 +105,7 @@ impl Case {
     pub fn problem(&self) -> Problem<'_> {
         Problem {
             task: &self.task,
-            origin: &self.origin,
+            initial: &self.initial,
             target: &self.target,
             r_share: 1.0,
             margin: 0.0,
@@ -113,11 +114,11 @@ impl Case {
 
     /// A solver for this window: ten iterations, tolerance 1e-6.
     pub fn solver(&self) -> Box<Solver> {
-        let effort = Effort {
+        let options = SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
         };
-        Box::new(Solver::new(self.np, 1, effort))
+        Box::new(Solver::new(self.np, 1, options))
     }
 
     /// The solution from the starts of `Controller::step`: the warm start, and standing still.
@@ -128,7 +129,7 @@ impl Case {
     /// Cost and worst violation (px) of a twist, by a preview of its own.
     pub fn judge(&self, twist: &Twist) -> (f64, f64) {
         let mut preview = Box::new(Preview::<DOF>::new(self.np));
-        assert!(preview.look(&self.task, &self.origin, twist));
+        assert!(preview.evaluate(&self.task, &self.initial, twist));
         let worst = (0..self.np)
             .flat_map(|j| preview.step(j))
             .map(|&pixel| constraint::violation(&self.task, pixel, 0.0))
