@@ -26,7 +26,9 @@ impl Draft {
             tensors: tensors::of_samples(contents, &layout),
         };
         if let Some(regression) = &contents.regression {
-            draft.tensors.extend(tensors::of_process(contents, &layout, regression));
+            draft
+                .tensors
+                .extend(tensors::of_process(contents, &layout, regression));
         }
         draft.add_probes(contents);
         draft.add_digests();
@@ -75,12 +77,18 @@ fn metadata(contents: &Contents, layout: &Layout) -> BTreeMap<String, String> {
         ("outputs", layout.outputs.to_string()),
         ("samples", layout.samples.to_string()),
         ("gpr_samples", layout.gpr_samples.to_string()),
-        ("provenance", Value::Object(contents.provenance.clone()).to_string()),
+        (
+            "provenance",
+            Value::Object(contents.provenance.clone()).to_string(),
+        ),
     ]);
     if layout.gpr_samples > 0 {
         metadata.insert("kernel", "rbf".to_owned());
         metadata.insert("signal_variance", format!("{:?}", layout.signal_variance));
         metadata.insert("noise_variance", format!("{:?}", layout.noise_variance));
     }
-    metadata.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+    metadata
+        .into_iter()
+        .map(|(key, value)| (key.to_owned(), value))
+        .collect()
 }

@@ -97,7 +97,10 @@ impl Header {
 
     /// Compares every digest.
     pub(crate) fn verify(&self, bytes: &[u8]) -> Result<(), String> {
-        let shapes = self.tensors.iter().map(|(name, (shape, _))| (name, shape.clone()));
+        let shapes = self
+            .tensors
+            .iter()
+            .map(|(name, (shape, _))| (name, shape.clone()));
         if self.text("digest")? != format::digest(&self.metadata, shapes) {
             return Err("metadata: the digest of the header differs; allowed: as written".into());
         }

@@ -48,13 +48,18 @@ impl Layout {
         let gpr_samples = count("gpr_samples", 0, 1_000_000)?;
         let variance = |key| match gpr_samples {
             0 => Ok(1.0),
-            _ => header.number(key, "a finite number above 0", |v: &f64| v.is_finite() && *v > 0.0),
+            _ => header.number(key, "a finite number above 0", |v: &f64| {
+                v.is_finite() && *v > 0.0
+            }),
         };
         if gpr_samples > 0 && header.text("kernel")? != "rbf" {
             let kernel = header.text("kernel")?;
             return Err(format!("metadata `kernel` = {kernel}; allowed: rbf"));
         }
-        let probes = header.tensors.get("probes.x").and_then(|(shape, _)| shape.first());
+        let probes = header
+            .tensors
+            .get("probes.x")
+            .and_then(|(shape, _)| shape.first());
         let probes = probes.copied().filter(|probes| *probes > 0);
         Ok(Self {
             inputs: count("inputs", 1, MAX_INPUTS)?,
@@ -71,7 +76,10 @@ impl Layout {
 
     /// Inputs and outputs, rounded up to a multiple of 8.
     pub(crate) fn padded(&self) -> (usize, usize) {
-        (round_up(self.inputs, 8), round_up(self.outputs, OUTPUT_LANES))
+        (
+            round_up(self.inputs, 8),
+            round_up(self.outputs, OUTPUT_LANES),
+        )
     }
 
     /// Blocks and groups of samples.
@@ -117,14 +125,22 @@ impl Layout {
             match header.tensors.get(*name) {
                 Some((found, _)) if found == shape => {}
                 Some((found, _)) => {
-                    return Err(format!("tensor {name}: shape {found:?}; allowed: {shape:?}"));
+                    return Err(format!(
+                        "tensor {name}: shape {found:?}; allowed: {shape:?}"
+                    ));
                 }
                 None => {
-                    return Err(format!("tensor {name} is missing; allowed: shape {shape:?}"));
+                    return Err(format!(
+                        "tensor {name} is missing; allowed: shape {shape:?}"
+                    ));
                 }
             }
         }
-        match header.tensors.keys().find(|name| !shapes.contains_key(name.as_str())) {
+        match header
+            .tensors
+            .keys()
+            .find(|name| !shapes.contains_key(name.as_str()))
+        {
             Some(name) => Err(format!("tensor {name}; allowed: only the documented ones")),
             None => Ok(()),
         }
@@ -134,7 +150,10 @@ impl Layout {
     pub(crate) fn view<'a>(&self, tensor: impl Fn(&str) -> &'a [f64]) -> Memory<'a> {
         let (n, (n8, _), (blocks, groups)) = (self.inputs, self.padded(), self.blocks());
         let (offset, scale) = tensor("scaling").split_at(n8);
-        let scaling = Scaling { offset: &offset[..n], scale: &scale[..n] };
+        let scaling = Scaling {
+            offset: &offset[..n],
+            scale: &scale[..n],
+        };
         let samples = Samples {
             scaling,
             count: self.samples,

@@ -11,7 +11,9 @@ impl Draft {
     pub(crate) fn add_probes(&mut self, contents: &Contents) {
         let (n8, p8) = self.layout.padded();
         let count = contents.x.len();
-        let memory = self.layout.view(|name| self.tensors.get(name).map_or(&[], Vec::as_slice));
+        let memory = self
+            .layout
+            .view(|name| self.tensors.get(name).map_or(&[], Vec::as_slice));
         let (mut inputs, mut knn, mut means) = (Vec::new(), Vec::new(), Vec::new());
         for probe in 0..PROBES {
             // A third of the way from one sample to another: inside the data, on no sample.
@@ -22,7 +24,10 @@ impl Draft {
             if memory.samples().nearest(&x, 1, &mut answer).is_ok() {
                 knn.extend(padded(&answer, p8, 0.0));
             }
-            if memory.gpr().is_some_and(|gpr| gpr.mean(&x, &mut answer).is_ok()) {
+            if memory
+                .gpr()
+                .is_some_and(|gpr| gpr.mean(&x, &mut answer).is_ok())
+            {
                 means.extend(padded(&answer, p8, 0.0));
             }
             inputs.extend(padded(&x, n8, 0.0));
@@ -30,7 +35,8 @@ impl Draft {
         let probes = [("probes.x", inputs, 0.0), ("probes.knn", knn, 0.0)];
         self.tensors.extend(filled(&self.layout, probes));
         if !means.is_empty() {
-            self.tensors.extend(filled(&self.layout, [("probes.gpr", means, 0.0)]));
+            self.tensors
+                .extend(filled(&self.layout, [("probes.gpr", means, 0.0)]));
         }
     }
 }

@@ -15,7 +15,10 @@ pub struct Report {
 impl Report {
     /// The summary of a file.
     pub fn of(file: &MemoryFile) -> Self {
-        Self { size: file.size(), contents: file.contents() }
+        Self {
+            size: file.size(),
+            contents: file.contents(),
+        }
     }
 }
 
@@ -26,14 +29,31 @@ impl fmt::Display for Report {
         let trajectories = c.trajectory.iter().collect::<BTreeSet<_>>().len();
         line("size", &format_args!("{} bytes", self.size))?;
         line("task", &crate::format::hex(&c.task))?;
-        line("samples", &format_args!("{} of {trajectories} trajectories", c.x.len()))?;
-        let inputs = format_args!("{} (points, area, angle), divided by {:.4?}", c.scale.len(), c.scale);
+        line(
+            "samples",
+            &format_args!("{} of {trajectories} trajectories", c.x.len()),
+        )?;
+        let inputs = format_args!(
+            "{} (points, area, angle), divided by {:.4?}",
+            c.scale.len(),
+            c.scale
+        );
         line("inputs", &inputs)?;
-        line("outputs", &format_args!("{} (twist, way point)", c.y[0].len()))?;
+        line(
+            "outputs",
+            &format_args!("{} (twist, way point)", c.y[0].len()),
+        )?;
         match &c.regression {
             Some(r) => {
-                let variance = if r.cholesky.is_some() { "stored" } else { "not stored" };
-                line("regression", &format_args!("{} samples, RBF kernel", r.x.len()))?;
+                let variance = if r.cholesky.is_some() {
+                    "stored"
+                } else {
+                    "not stored"
+                };
+                line(
+                    "regression",
+                    &format_args!("{} samples, RBF kernel", r.x.len()),
+                )?;
                 line("length scales", &format_args!("{:.4?}", r.length_scale))?;
                 line("signal variance", &format_args!("{:.6}", r.signal_variance))?;
                 line("noise variance", &format_args!("{:.6}", r.noise_variance))?;

@@ -31,16 +31,29 @@ pub(crate) fn of_samples(contents: &Contents, layout: &Layout) -> Tensors {
         let values: Vec<f64> = order.iter().map(|&i| f64::from(of[i])).collect();
         padded(&values, rows, 0.0)
     };
-    let y: Vec<f64> = order.iter().flat_map(|&i| contents.y[i].iter().copied()).collect();
-    let scaling = [padded(&contents.offset, n8, 0.0), padded(&contents.scale, n8, 1.0)];
-    filled(layout, [
-        ("scaling", scaling.concat(), 0.0),
-        ("samples.x", x, FAR),
-        ("samples.y", y, 0.0),
-        ("samples.boxes", boxes, FAR),
-        ("samples.groups", groups, FAR),
-        ("samples.origin", [origin(&contents.trajectory), origin(&contents.step)].concat(), 0.0),
-    ])
+    let y: Vec<f64> = order
+        .iter()
+        .flat_map(|&i| contents.y[i].iter().copied())
+        .collect();
+    let scaling = [
+        padded(&contents.offset, n8, 0.0),
+        padded(&contents.scale, n8, 1.0),
+    ];
+    filled(
+        layout,
+        [
+            ("scaling", scaling.concat(), 0.0),
+            ("samples.x", x, FAR),
+            ("samples.y", y, 0.0),
+            ("samples.boxes", boxes, FAR),
+            ("samples.groups", groups, FAR),
+            (
+                "samples.origin",
+                [origin(&contents.trajectory), origin(&contents.step)].concat(),
+                0.0,
+            ),
+        ],
+    )
 }
 
 /// The Gaussian process.
@@ -51,14 +64,21 @@ pub(crate) fn of_process(contents: &Contents, layout: &Layout, r: &Regression) -
         let over_length = |k: usize| block.iter().map(move |row| row[k] / r.length_scale[k]);
         (0..n).for_each(|k| x.extend(padded(&over_length(k).collect::<Vec<_>>(), LANES, FAR)));
     }
-    let lambda = r.lambda.iter().flat_map(|row| padded(row, p8, 0.0)).collect();
-    let mut tensors = filled(layout, [
-        ("gpr.x", x, FAR),
-        ("gpr.lambda", lambda, 0.0),
-        ("gpr.length_scale", r.length_scale.clone(), 1.0),
-        ("gpr.mean", r.mean.clone(), 0.0),
-        ("gpr.output_scale", r.output_scale.clone(), 1.0),
-    ]);
+    let lambda = r
+        .lambda
+        .iter()
+        .flat_map(|row| padded(row, p8, 0.0))
+        .collect();
+    let mut tensors = filled(
+        layout,
+        [
+            ("gpr.x", x, FAR),
+            ("gpr.lambda", lambda, 0.0),
+            ("gpr.length_scale", r.length_scale.clone(), 1.0),
+            ("gpr.mean", r.mean.clone(), 0.0),
+            ("gpr.output_scale", r.output_scale.clone(), 1.0),
+        ],
+    );
     if let Some(factor) = &r.cholesky {
         tensors.extend(filled(layout, [("gpr.cholesky", factor.clone(), 0.0)]));
     }
@@ -80,7 +100,10 @@ pub(crate) fn filled<const N: usize>(
 fn scaled(contents: &Contents, rows: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let scale = |row: &Vec<f64>| {
         let scaling = contents.offset.iter().zip(&contents.scale);
-        row.iter().zip(scaling).map(|(x, (o, s))| (x - o) / s).collect()
+        row.iter()
+            .zip(scaling)
+            .map(|(x, (o, s))| (x - o) / s)
+            .collect()
     };
     rows.iter().map(scale).collect()
 }

@@ -178,7 +178,10 @@ fn another_schema_and_a_missing_file_are_errors_of_their_own() {
     let error = forgery.open().unwrap_err();
     assert!(matches!(error, OpenError::Schema { .. }), "{error}");
     let message = error.to_string();
-    assert!(message.contains("schema 1; allowed: 2; build the memory again"), "{message}");
+    assert!(
+        message.contains("schema 1; allowed: 2; build the memory again"),
+        "{message}"
+    );
     let error = MemoryFile::open("/nowhere/missing.vpcmem".as_ref(), None).unwrap_err();
     assert!(matches!(error, OpenError::Read { .. }), "{error}");
     assert!(

@@ -24,9 +24,17 @@ pub fn border(camera: &Camera, [u, v]: [f64; 2]) -> [Clearance; 4] {
 /// The sum of all violations of a pixel, px, where every border is moved inwards by `margin` px.
 pub fn violation(task: &Task, pixel: [f64; 2], margin: f64) -> f64 {
     let sides = border(&task.camera, pixel);
-    let sides: f64 = sides.iter().map(|side| (margin - side.distance).max(0.0)).sum();
-    let obstacles = task.obstacles().filter(|obstacle| obstacle.outside_box(pixel) < margin);
-    sides + obstacles.map(|obstacle| (margin - obstacle.clearance(pixel).distance).max(0.0)).sum::<f64>()
+    let sides: f64 = sides
+        .iter()
+        .map(|side| (margin - side.distance).max(0.0))
+        .sum();
+    let obstacles = task
+        .obstacles()
+        .filter(|obstacle| obstacle.outside_box(pixel) < margin);
+    sides
+        + obstacles
+            .map(|obstacle| (margin - obstacle.clearance(pixel).distance).max(0.0))
+            .sum::<f64>()
 }
 
 /// The least clearance of a pixel from any occlusion, px; infinite without occlusions.

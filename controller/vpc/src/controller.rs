@@ -10,9 +10,9 @@ use crate::frozen::FrozenCheck;
 use crate::gate;
 use crate::measurement::{Measurement, Refusal};
 use crate::prediction::{InitialState, Plan, Preview};
+use crate::problem::{Problem, Status};
 use crate::recall::{self, MotionMemory, OutOfRange, Recall, Trigger};
 use crate::settings::{Settings, SettingsError, Strategy};
-use crate::problem::{Problem, Status};
 use crate::solver::Solver;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, ibvs, limit, work};
@@ -217,7 +217,10 @@ impl Controller {
     }
 
     /// Where the preview starts: the features that pass the gate, advanced to the command's effect; and eps.
-    fn receive(&mut self, measurement: &Measurement) -> Result<(InitialState, Option<Points>), Refusal> {
+    fn receive(
+        &mut self,
+        measurement: &Measurement,
+    ) -> Result<(InitialState, Option<Points>), Refusal> {
         let points = gate::pass(&self.task, measurement, self.off_image_px)?;
         let Settings { model, .. } = self.settings;
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
@@ -387,7 +390,10 @@ impl Controller {
 ///
 /// Source: paper, Eq. (warm_start).
 fn repeated(twist: &Twist) -> Plan {
-    core::array::from_fn(|k| twist[k % DOF])
+    let mut plan = [0.0; MAX_VARIABLES];
+    plan.chunks_exact_mut(DOF)
+        .for_each(|command| command.copy_from_slice(twist));
+    plan
 }
 
 /// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.

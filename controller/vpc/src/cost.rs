@@ -2,6 +2,10 @@
 //!
 //! Source: paper, Eq. (cost): every previewed step weighs the image error by Q, every command but the last step's
 //! by R.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: indices run over the N variables, and an offset leaves DOF of them"
+)]
 
 use crate::Points;
 use crate::features;
@@ -103,7 +107,7 @@ impl<const N: usize> Expansion<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::prediction::{Model, InitialState};
+    use crate::prediction::{InitialState, Model};
 
     #[test]
     fn the_gradient_matches_finite_differences() {

@@ -10,7 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::prediction::{Model, InitialState};
+use crate::prediction::{InitialState, Model};
 use crate::task::Task;
 use crate::{DOF, Twist};
 
@@ -102,7 +102,7 @@ impl History {
         if last.is_some_and(|last| last > at_ns) {
             self.forget();
         }
-        let mut count = (self.count as usize).min(CAPACITY);
+        let mut count = self.entries().len();
         if last == Some(at_ns) {
             count -= 1;
         } else if count >= CAPACITY {
@@ -111,16 +111,17 @@ impl History {
             self.from_rest = false;
             count = CAPACITY - 1;
         }
-        self.from_ns[count] = at_ns;
-        self.twists[count] = *twist;
+        if let (Some(from_ns), Some(to)) = (self.from_ns.get_mut(count), self.twists.get_mut(count))
+        {
+            (*from_ns, *to) = (at_ns, *twist);
+        }
         self.count = count as u32 + 1;
     }
 
     /// The commands with their times, the oldest first.
     fn entries(&self) -> impl DoubleEndedIterator<Item = (u64, &Twist)> + ExactSizeIterator {
-        let count = (self.count as usize).min(CAPACITY);
-        let entries = self.from_ns[..count].iter().zip(&self.twists[..count]);
-        entries.map(|(&from_ns, twist)| (from_ns, twist))
+        let entries = self.from_ns.iter().copied().zip(&self.twists);
+        entries.take(self.count as usize)
     }
 
     /// The features of `initial`, exposed at `from_ns`, as they are at `to_ns`. Its work is bounded.
@@ -396,7 +397,9 @@ mod tests {
             let initial = InitialState::new(&task, model, &task.goal);
             let mut history = History::new();
             history.push(&[0.0, 0.0, 50.0, 0.0, 0.0, 0.0], 0);
-            let refused = history.advance(&task, model, &initial, 0, 60 * PERIOD).err();
+            let refused = history
+                .advance(&task, model, &initial, 0, 60 * PERIOD)
+                .err();
             assert_eq!(refused, Some(Unpredictable::Lost), "{model:?}");
         }
     }

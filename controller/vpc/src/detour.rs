@@ -277,11 +277,7 @@ fn turn(tries: u32) -> Turn {
 
 /// The points of a sample's input.
 fn pairs(input: &[f64], count: usize) -> Points {
-    input
-        .chunks_exact(2)
-        .take(count)
-        .map(|pair| [pair[0], pair[1]])
-        .collect()
+    input.as_chunks().0.iter().copied().take(count).collect()
 }
 
 /// Root of the points' mean square distance, px.

@@ -60,7 +60,11 @@ mod tests {
         let points = Task::new(&scene).unwrap().goal;
         let mut check = FrozenCheck::default();
         let mut frame = |points: &Points, before: &Points, by: f64| {
-            check.update(points, before, &before.iter().map(|p| [p[0] + by, p[1]]).collect())
+            check.update(
+                points,
+                before,
+                &before.iter().map(|p| [p[0] + by, p[1]]).collect(),
+            )
         };
         assert_eq!(frame(&points, &points, 1.4), Ok(()));
         assert_eq!(frame(&points, &points, 1.4), Ok(()));

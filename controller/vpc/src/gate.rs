@@ -60,10 +60,11 @@ pub fn pass<'a>(
 /// # Errors
 /// [`Refusal::Mixed`] names two points of such a triangle.
 pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
-    for k in 2..points.len() {
-        for j in 1..k {
-            for i in 0..j {
-                let [seen, goal] = [points, &task.goal].map(|p| height(p[i], p[j], p[k]));
+    let pairs = || points.iter().zip(&task.goal).enumerate();
+    for (k, c) in pairs() {
+        for (j, b) in pairs().take(k) {
+            for (_, a) in pairs().take(j) {
+                let (seen, goal) = (height(*a.0, *b.0, *c.0), height(*a.1, *b.1, *c.1));
                 if seen * goal < 0.0 && seen.abs().min(goal.abs()) > LEAST_HEIGHT_PX {
                     return Err(Refusal::Mixed { points: [j, k] });
                 }
@@ -79,16 +80,16 @@ pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
 /// # Errors
 /// [`Refusal::Coincident`] names two points, [`Refusal::Flat`] what is left of the pattern's height.
 pub fn check_shape(task: &Task, points: &Points) -> Result<(), Refusal> {
+    let pairs = || points.iter().zip(&task.goal).enumerate();
     let (mut seen_px, mut goal_px) = (0.0_f64, 0.0_f64);
-    for k in 1..points.len() {
-        for j in 0..k {
-            let [seen, goal] = [points, &task.goal].map(|p| distance(p[j], p[k]));
-            if seen < LEAST_PX && goal > LEAST_HEIGHT_PX {
+    for (k, c) in pairs() {
+        for (j, b) in pairs().take(k) {
+            if distance(*b.0, *c.0) < LEAST_PX && distance(*b.1, *c.1) > LEAST_HEIGHT_PX {
                 return Err(Refusal::Coincident { points: [j, k] });
             }
-            for i in 0..j {
-                let [seen, goal] = [points, &task.goal].map(|p| height(p[i], p[j], p[k]).abs());
-                (seen_px, goal_px) = (seen_px.max(seen), goal_px.max(goal));
+            for (_, a) in pairs().take(j) {
+                seen_px = seen_px.max(height(*a.0, *b.0, *c.0).abs());
+                goal_px = goal_px.max(height(*a.1, *b.1, *c.1).abs());
             }
         }
     }
@@ -119,12 +120,19 @@ fn height(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
 /// # Errors
 /// [`Refusal::Mixed`] names a point and the one that it seems to be.
 pub fn check_names(points: &Points, expected: &Points) -> Result<(), Refusal> {
-    let taken_for = |i: usize| {
-        let own = distance(points[i], expected[i]);
-        (0..expected.len()).find(|&j| NEARER * distance(points[i], expected[j]) < own)
-    };
-    let mut strangers = (0..points.len().min(expected.len()))
-        .filter_map(|point| taken_for(point).map(|other| [point, other]));
+    let mut strangers =
+        points
+            .iter()
+            .zip(expected)
+            .enumerate()
+            .filter_map(|(point, (&seen, &own))| {
+                let is_nearer =
+                    |&other: &[f64; 2]| NEARER * distance(seen, other) < distance(seen, own);
+                expected
+                    .iter()
+                    .position(is_nearer)
+                    .map(|other| [point, other])
+            });
     match (strangers.next(), strangers.next()) {
         (Some(points), Some(_)) => Err(Refusal::Mixed { points }),
         _ => Ok(()),

@@ -16,6 +16,7 @@ const LEAST_PIVOT: f64 = 5e-7;
 
 /// The unlimited camera twist of the classic law with the gain `lambda` (1/s), or `None` where the interaction
 /// matrix is singular, or nearly so.
+#[expect(clippy::indexing_slicing, reason = "from_fn gives indices inside the matrix")]
 pub fn twist(task: &Task, initial: &InitialState, lambda: f64) -> Option<Twist> {
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();

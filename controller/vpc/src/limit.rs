@@ -28,7 +28,7 @@ pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) 
 
 /// The first command of a plan, clamped; zero where a component is not finite.
 pub fn twist(plan: &Plan, limits: &Twist) -> Twist {
-    clamp(&core::array::from_fn(|k| plan[k]), limits)
+    clamp(plan.first_chunk().unwrap_or(&[0.0; DOF]), limits)
 }
 
 /// A twist inside the limits, component by component; zero where a component is not finite.
@@ -36,16 +36,17 @@ pub fn clamp(twist: &Twist, limits: &Twist) -> Twist {
     if !twist.iter().all(|x| x.is_finite()) {
         return [0.0; DOF];
     }
-    core::array::from_fn(|k| twist[k].clamp(-limits[k], limits[k]))
+    let mut clamped = *twist;
+    for (x, limit) in clamped.iter_mut().zip(limits) {
+        *x = x.clamp(-limit, *limit);
+    }
+    clamped
 }
 
 /// A twist scaled down as a whole until it is inside the limits, so that its direction is kept.
 pub fn scale(twist: &Twist, limits: &Twist) -> Twist {
-    let excess = twist
-        .iter()
-        .zip(limits)
-        .map(|(v, limit)| v.abs() / limit)
-        .fold(1.0, f64::max);
+    let excess = twist.iter().zip(limits).map(|(v, limit)| v.abs() / limit);
+    let excess = excess.fold(1.0, f64::max);
     clamp(&twist.map(|v| v / excess), limits)
 }
 

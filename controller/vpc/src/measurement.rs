@@ -59,7 +59,9 @@ pub enum Refusal {
     Leap { point: usize, by_px: f64 },
     #[error("features: points {} and {} lie in one place; allowed: a view of the pattern", .points[0], .points[1])]
     Coincident { points: [usize; 2] },
-    #[error("features: all points lie on a line, within {height_px:.2} px; allowed: a view of the pattern")]
+    #[error(
+        "features: all points lie on a line, within {height_px:.2} px; allowed: a view of the pattern"
+    )]
     Flat { height_px: f64 },
     #[error(
         "features: unchanged to the last bit where {expected_px:.1} px of motion were commanded; allowed: an image that moves"
@@ -73,7 +75,9 @@ pub enum Refusal {
     )]
     Late { age_ns: u64, known_ns: u64 },
     /// By the commands sent since the exposure, the pattern is behind the camera now.
-    #[error("features: the pattern is out of sight by the commands since the exposure; allowed: in front of the camera")]
+    #[error(
+        "features: the pattern is out of sight by the commands since the exposure; allowed: in front of the camera"
+    )]
     Lost,
 }
 

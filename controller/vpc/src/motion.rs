@@ -80,6 +80,7 @@ impl Sensitivity {
     }
 
     /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu, omega).
+    #[expect(clippy::indexing_slicing, reason = "from_fn gives indices inside the two 3 x 3 blocks")]
     pub fn at(&self, moved: &Vector3<f64>) -> [Twist; 3] {
         // d(exp(tau) X) = [I, -[X']x] J_l d tau, and d tau = -ts d v.
         let angular = self.coupling - moved.cross_matrix() * self.linear;
@@ -147,6 +148,10 @@ impl Coefficients {
 const TERMS: usize = 6;
 
 /// The coefficients (-1)^k / (2 k + n)!, each times k + 1 where `rising`.
+#[expect(
+    clippy::indexing_slicing,
+    reason = "k is below TERMS; a const fn has no iterators"
+)]
 const fn series(n: usize, rising: bool) -> [f64; TERMS] {
     let mut coefficients = [0.0; TERMS];
     let mut k = 0;

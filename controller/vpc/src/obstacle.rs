@@ -32,9 +32,11 @@ impl Obstacle<'_> {
     /// The least and the greatest (u, v) of the box that holds every point of negative clearance, px.
     pub fn bounding_box(self) -> [[f64; 2]; 2] {
         match self {
-            Self::Part(part) => [-1.0, 1.0].map(|sign| {
-                core::array::from_fn(|k| part.center[k] + sign * part.half[k])
-            }),
+            Self::Part(Part {
+                center: [u, v],
+                half: [h, k],
+                ..
+            }) => [[u - h, v - k], [u + h, v + k]],
             Self::Area(area) => [area.low(), area.high()],
         }
     }
@@ -43,8 +45,8 @@ impl Obstacle<'_> {
     /// negative inside.
     pub fn outside_box(self, pixel: [f64; 2]) -> f64 {
         let [low, high] = self.bounding_box();
-        let gap = |k: usize| (low[k] - pixel[k]).max(pixel[k] - high[k]);
-        gap(0).max(gap(1))
+        let gap = |x: f64, low: f64, high: f64| (low - x).max(x - high);
+        gap(pixel[0], low[0], high[0]).max(gap(pixel[1], low[1], high[1]))
     }
 
     /// Whether a pixel lies inside.
@@ -72,10 +74,14 @@ fn clearance(part: &Part, [u, v]: [f64; 2]) -> Clearance {
     let largest = size[0].max(size[1]);
     if largest < 1e-9 {
         // The centre has no gradient: leave along the shorter half size.
-        let short = usize::from(part.half[1] < part.half[0]);
-        let normal = if short == 0 { [1.0, 0.0] } else { [0.0, 1.0] };
+        let [half_u, half_v] = part.half;
+        let normal = if half_v < half_u {
+            [0.0, 1.0]
+        } else {
+            [1.0, 0.0]
+        };
         return Clearance {
-            distance: -part.half[short],
+            distance: -half_u.min(half_v),
             normal,
         };
     }

@@ -1,4 +1,8 @@
 //! Pose of a known planar pattern from its image: homography, then Gauss-Newton on the reprojection error.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "constant indices of vectors whose length is in the type, and k below 3"
+)]
 
 use heapless::Vec;
 use libm::sqrt;

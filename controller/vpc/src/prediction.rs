@@ -1,6 +1,10 @@
 //! Prediction of the features over the preview window, with exact first derivatives.
 //!
 //! Source: paper, Eq. (model): s_j = s_{j-1} + Ts L_j v_j.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: np, nc and the count of points are bounded where they are set"
+)]
 
 use heapless::Vec;
 use libm::sqrt;

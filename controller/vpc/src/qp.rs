@@ -19,6 +19,10 @@
 //!
 //! Source: D. Goldfarb and A. Idnani, "A numerically stable dual method for solving strictly convex quadratic
 //! programs", Math. Programming 27 (1983); the cap on multipliers is ours.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: indices run over 0..N of arrays of N, or below the counts kept beside them"
+)]
 
 use libm::sqrt;
 
@@ -172,7 +176,13 @@ impl<const N: usize> Entering<N> {
         }
         let is_row = matches!(constraint, Constraint::Row(_));
         let cap = if is_row { rho } else { f64::INFINITY };
-        Self { constraint, normal, slack, multiplier: 0.0, cap }
+        Self {
+            constraint,
+            normal,
+            slack,
+            multiplier: 0.0,
+            cap,
+        }
     }
 }
 
@@ -329,7 +339,11 @@ impl<const N: usize> ActiveSet<N> {
             f64::INFINITY
         };
         let mut step = full.min(entering.cap - entering.multiplier);
-        let mut end = if step < full { StepEnd::Yields } else { StepEnd::Active };
+        let mut end = if step < full {
+            StepEnd::Yields
+        } else {
+            StepEnd::Active
+        };
         for k in 0..self.count {
             let change = directions.exchange[k];
             let is_row = matches!(self.active[k], Constraint::Row(_));
@@ -342,7 +356,10 @@ impl<const N: usize> ActiveSet<N> {
             };
             if room < step {
                 step = room.max(0.0);
-                end = StepEnd::Leaves { position: k, yields: change < 0.0 };
+                end = StepEnd::Leaves {
+                    position: k,
+                    yields: change < 0.0,
+                };
             }
         }
         (step, end)

@@ -96,14 +96,18 @@ impl MotionMemory for memory_blob::Memory<'_> {
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool {
         match strategy {
             Strategy::Knn { k } => self.samples().nearest(input, k, output).is_ok(),
-            Strategy::Gpr => self.gpr().is_some_and(|gpr| gpr.mean(input, output).is_ok()),
+            Strategy::Gpr => self
+                .gpr()
+                .is_some_and(|gpr| gpr.mean(input, output).is_ok()),
             Strategy::Previous | Strategy::Ibvs => false,
         }
     }
 
     fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool {
         let nearest = self.samples().search(input, rank);
-        let furthest = nearest.ok().and_then(|found| found.indices().last().copied());
+        let furthest = nearest
+            .ok()
+            .and_then(|found| found.indices().last().copied());
         furthest.is_some_and(|index| self.samples().input(index, found).is_ok())
     }
 
@@ -157,13 +161,11 @@ impl Recall {
         if !twists.all(|(v, limit)| v.abs() <= MOST_TWIST * limit) || !ways.all(is_near) {
             return Err(OutOfRange);
         }
-        let way_point = way_point
-            .chunks_exact(2)
-            .map(|p| [p[0].clamp(0.0, size[0]), p[1].clamp(0.0, size[1])])
-            .collect();
+        let (way_point, _) = way_point.as_chunks();
+        let inside = |[u, v]: &[f64; 2]| [u.clamp(0.0, size[0]), v.clamp(0.0, size[1])];
         Ok(Self {
             twist: limit::clamp(&twist, &task.limits),
-            way_point,
+            way_point: way_point.iter().map(inside).collect(),
         })
     }
 }

@@ -129,7 +129,11 @@ pub enum SettingsError {
     /// A setting is outside its range.
     #[error("{name} = {value}; allowed: {allowed}")]
     #[allow(missing_docs)]
-    Range { name: &'static str, value: f64, allowed: &'static str },
+    Range {
+        name: &'static str,
+        value: f64,
+        allowed: &'static str,
+    },
 }
 
 impl Settings {
@@ -138,7 +142,10 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Range`] names the first one that is wrong.
     pub fn check(&self) -> Result<(), SettingsError> {
-        let SolverOptions { max_iterations, tolerance } = self.solver;
+        let SolverOptions {
+            max_iterations,
+            tolerance,
+        } = self.solver;
         let neighbours = match self.strategy {
             Strategy::Knn { k } => k,
             _ => 1,
@@ -147,17 +154,36 @@ impl Settings {
         let ranges = [
             ("np", self.np as f64, 1.0, MAX_NP as f64, "1 to 40"),
             ("nc", self.nc as f64, 1.0, most_nc, "1 to 4, at most np"),
-            ("iterations", f64::from(max_iterations), 1.0, 1000.0, "1 to 1000"),
+            (
+                "iterations",
+                f64::from(max_iterations),
+                1.0,
+                1000.0,
+                "1 to 1000",
+            ),
             ("tolerance", tolerance, 1e-15, 1.0, "1e-15 to 1"),
             ("trigger_px", self.trigger_px, 0.0, 1e4, "0 to 1e4 px"),
             ("hysteresis", self.hysteresis, 1.0, 100.0, "1 to 100"),
             ("margin_px", self.margin_px, 0.0, 1e3, "0 to 1e3 px"),
             ("lambda", self.lambda, 1e-6, 100.0, "1e-6 to 100 per s"),
-            ("k", neighbours as f64, 1.0, MAX_NEIGHBOURS as f64, "1 to 64"),
+            (
+                "k",
+                neighbours as f64,
+                1.0,
+                MAX_NEIGHBOURS as f64,
+                "1 to 64",
+            ),
         ];
         // A NaN is in no range.
-        match ranges.iter().find(|(_, value, low, high, _)| !(low..=high).contains(&value)) {
-            Some(&(name, value, _, _, allowed)) => Err(SettingsError::Range { name, value, allowed }),
+        match ranges
+            .iter()
+            .find(|(_, value, low, high, _)| !(low..=high).contains(&value))
+        {
+            Some(&(name, value, _, _, allowed)) => Err(SettingsError::Range {
+                name,
+                value,
+                allowed,
+            }),
             None => Ok(()),
         }
     }

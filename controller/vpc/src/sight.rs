@@ -69,7 +69,8 @@ struct Way {
 impl Way {
     /// Whether the way cuts no occlusion deeper than `slide_px`, looked at every `every_px`.
     fn is_free(&self, task: &Task, slide_px: f64, every_px: f64) -> bool {
-        task.obstacles().all(|obstacle| self.passes(obstacle, slide_px, every_px))
+        task.obstacles()
+            .all(|obstacle| self.passes(obstacle, slide_px, every_px))
     }
 
     fn passes(&self, obstacle: Obstacle<'_>, slide_px: f64, every_px: f64) -> bool {
@@ -88,6 +89,10 @@ impl Way {
     }
 
     /// Where the way enters and leaves a box, each a share of it; `None` where it passes by.
+    #[expect(
+        clippy::indexing_slicing,
+        reason = "k is 0 or 1, of arrays of two coordinates"
+    )]
     fn inside(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
         let (from, to) = (self.from, self.to);
         // Most boxes lie on one side of the way.

@@ -2,10 +2,10 @@
 //!
 //! Source: paper, Eq. (vpc); the method is in [`crate::sqp`].
 
+use crate::DOF;
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution, SolverOptions};
 use crate::sqp::Sqp;
-use crate::DOF;
 
 /// Shares of the budget of work, in quarters: the whole, and what the first of several starts may use up.
 const WHOLE: u32 = 4;

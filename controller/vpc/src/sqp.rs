@@ -15,6 +15,10 @@
 //! | rho | [`Progress::rho`] | the penalty weight, 1/px |
 //!
 //! Source: J. Nocedal and S. Wright, "Numerical Optimization", Ch. 18 (S l1 QP).
+#![expect(
+    clippy::indexing_slicing,
+    reason = "indices run over the N variables, the DOF components or the 2 coordinates of arrays of that length"
+)]
 
 use crate::clearance::Clearance;
 use crate::constraint;
@@ -80,7 +84,10 @@ impl Source {
         let side = usize::from(self.side);
         match constraint::border(&task.camera, pixel).get(side) {
             Some(&border) => Some(border),
-            None => task.obstacles().nth(side - 4).map(|obstacle| obstacle.clearance(pixel)),
+            None => task
+                .obstacles()
+                .nth(side - 4)
+                .map(|obstacle| obstacle.clearance(pixel)),
         }
     }
 }
@@ -114,7 +121,11 @@ pub(crate) struct Sqp<const N: usize> {
 
 impl<const N: usize> Sqp<N> {
     pub(crate) fn new(np: usize, options: SolverOptions) -> Self {
-        let nowhere = Source { step: 0, point: 0, side: 0 };
+        let nowhere = Source {
+            step: 0,
+            point: 0,
+            side: 0,
+        };
         Self {
             preview: Preview::new(np),
             rows: Rows::new(),
@@ -139,7 +150,9 @@ impl<const N: usize> Sqp<N> {
 
     /// The greatest violation at the first step of a plan, px; infinite where the plan is impossible.
     pub(crate) fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
-        let possible = self.preview.evaluate(problem.task, problem.initial, &head(plan));
+        let possible = self
+            .preview
+            .evaluate(problem.task, problem.initial, &head(plan));
         if possible {
             problem.worst_violation(self.preview.step(0))
         } else {
@@ -156,7 +169,10 @@ impl<const N: usize> Sqp<N> {
         };
         let Some(mut here) = self.first(problem, warm) else {
             let work = self.progress.work;
-            return Solution { work, ..Solution::NONE };
+            return Solution {
+                work,
+                ..Solution::NONE
+            };
         };
         while self.may_go_on() {
             let (cost, quadratic) = self.expand(problem, &here.plan);
@@ -190,7 +206,12 @@ impl<const N: usize> Sqp<N> {
     }
 
     fn may_go_on(&self) -> bool {
-        let Progress { iterations, work, budget, .. } = self.progress;
+        let Progress {
+            iterations,
+            work,
+            budget,
+            ..
+        } = self.progress;
         iterations < self.options.max_iterations && work < budget
     }
 
@@ -223,7 +244,11 @@ impl<const N: usize> Sqp<N> {
             let [low, high] = reach(&point, bounds);
             let mut add = |side: usize, clearance: Clearance| {
                 if let Some(source) = self.sources.get_mut(self.rows.len()) {
-                    *source = Source { step: j as u8, point: i as u8, side: side as u8 };
+                    *source = Source {
+                        step: j as u8,
+                        point: i as u8,
+                        side: side as u8,
+                    };
                     let ([a, b], [u, v]) = (clearance.normal, point.gradient);
                     let gradient = core::array::from_fn(|k| a * u[k] + b * v[k]);
                     self.rows.push(gradient, clearance.distance - margin);
@@ -264,7 +289,9 @@ impl<const N: usize> Sqp<N> {
     /// Solves the quadratic program in as many changes as a hard one takes, unless the budget ends
     /// first.
     fn solve_program(&mut self, quadratic: &Quadratic<N>) -> Answer<N> {
-        let Progress { work, budget, rho, .. } = self.progress;
+        let Progress {
+            work, budget, rho, ..
+        } = self.progress;
         let limit = (QP_CHANGES_PER_VARIABLE * N as u32).min(budget.saturating_sub(work));
         let answer = self.program.solve(quadratic, &mut self.rows, rho, limit);
         self.progress.qp_iterations += answer.iterations;
@@ -312,7 +339,8 @@ impl<const N: usize> Sqp<N> {
         (0..MAX_HALVINGS).find_map(|_| {
             share *= 0.5;
             let there = self.outcome(problem, moved(&here.plan, step, share))?;
-            self.is_descent(here, &there, share * decrease).then_some(there)
+            self.is_descent(here, &there, share * decrease)
+                .then_some(there)
         })
     }
 
@@ -341,7 +369,12 @@ impl<const N: usize> Sqp<N> {
             return None;
         }
         let cost = self.cost(problem, &plan);
-        let mut outcome = Outcome { cost, total: 0.0, worst: 0.0, next: 0.0 };
+        let mut outcome = Outcome {
+            cost,
+            total: 0.0,
+            worst: 0.0,
+            next: 0.0,
+        };
         for j in 0..self.preview.np() {
             for &pixel in self.preview.step(j) {
                 let violation = constraint::violation(problem.task, pixel, problem.margin);
@@ -358,15 +391,29 @@ impl<const N: usize> Sqp<N> {
 
     /// Cost of the plan that was previewed last.
     fn cost(&self, problem: &Problem<'_>, plan: &[f64; N]) -> f64 {
-        cost::value(problem.task, &self.preview, plan, problem.target, problem.r_share)
+        cost::value(
+            problem.task,
+            &self.preview,
+            plan,
+            problem.target,
+            problem.r_share,
+        )
     }
 
     fn solution(&self, problem: &Problem<'_>, at: &Iterate<N>, status: Status) -> Solution {
-        let Progress { iterations, qp_iterations, work, rho, .. } = self.progress;
+        let Progress {
+            iterations,
+            qp_iterations,
+            work,
+            rho,
+            ..
+        } = self.progress;
         let violates = at.outcome.worst > problem.margin.max(0.0) + FEASIBLE;
         let clamped = clamped(&at.plan, problem.task);
         let mut plan = [0.0; MAX_VARIABLES];
-        plan.iter_mut().zip(clamped).for_each(|(to, from)| *to = from);
+        plan.iter_mut()
+            .zip(clamped)
+            .for_each(|(to, from)| *to = from);
         Solution {
             plan,
             status: match status {
@@ -399,7 +446,11 @@ fn moved<const N: usize>(plan: &[f64; N], step: &[f64; N], share: f64) -> [f64; 
 fn clamped<const N: usize>(plan: &[f64; N], task: &Task) -> [f64; N] {
     core::array::from_fn(|k| {
         let limit = task.limits[k % DOF];
-        if plan[k].is_finite() { plan[k].clamp(-limit, limit) } else { 0.0 }
+        if plan[k].is_finite() {
+            plan[k].clamp(-limit, limit)
+        } else {
+            0.0
+        }
     })
 }
 
@@ -425,8 +476,7 @@ fn first_rho(problem: &Problem<'_>, np: usize) -> f64 {
     let task = problem.task;
     let floor = 0.01 * task.camera.width;
     let pairs = problem.initial.points.iter().zip(problem.target);
-    let pulls = pairs.map(|(s, t)| {
-        2.0 * task.cost.k_q * libm::hypot(s[0] - t[0], s[1] - t[1]).max(floor)
-    });
+    let pulls =
+        pairs.map(|(s, t)| 2.0 * task.cost.k_q * libm::hypot(s[0] - t[0], s[1] - t[1]).max(floor));
     10.0 * pulls.sum::<f64>() * np as f64
 }

@@ -49,7 +49,11 @@ pub enum TaskError {
         "goal: point {point} of the pattern is at ({:.1}, {:.1}) px, inside part {part} of the occlusions",
         .pixel[0], .pixel[1]
     )]
-    GoalOccluded { point: usize, pixel: [f64; 2], part: usize },
+    GoalOccluded {
+        point: usize,
+        pixel: [f64; 2],
+        part: usize,
+    },
     #[error("goal: point {point} of the pattern is at ({:.1}, {:.1}) px, inside a mask", .pixel[0], .pixel[1])]
     GoalMasked { point: usize, pixel: [f64; 2] },
     #[error("occlusions: {count} parts; allowed: at most {MAX_ALL_PARTS}")]
@@ -80,7 +84,10 @@ impl Task {
             if !(0.0..=camera.width).contains(&u) || !(0.0..=camera.height).contains(&v) {
                 return Err(TaskError::GoalOffImage { point, pixel });
             }
-            if let Some(part) = parts.iter().position(|part| Obstacle::Part(part).hides(pixel)) {
+            if let Some(part) = parts
+                .iter()
+                .position(|part| Obstacle::Part(part).hides(pixel))
+            {
                 return Err(TaskError::GoalOccluded { point, pixel, part });
             }
             if areas.iter().any(|area| Obstacle::Area(area).hides(pixel)) {
@@ -113,7 +120,9 @@ impl Task {
     /// point is behind the camera.
     pub fn features_at(&self, pose: &Pose) -> Option<Points> {
         let points = placed(&self.pattern, pose);
-        points.map(|x| camera::project(&self.camera, x.into())).collect()
+        points
+            .map(|x| camera::project(&self.camera, x.into()))
+            .collect()
     }
 
     /// The recall input x of some features: (s, area, angle).
@@ -129,5 +138,7 @@ impl Task {
 pub fn placed(pattern: &[[f64; 3]], pose: &Pose) -> impl Iterator<Item = Vector3<f64>> {
     let rotation = motion::rotation(pose.rotation);
     let translation = Vector3::from(pose.translation);
-    pattern.iter().map(move |&p| rotation * Vector3::from(p) + translation)
+    pattern
+        .iter()
+        .map(move |&p| rotation * Vector3::from(p) + translation)
 }

@@ -135,8 +135,8 @@ fn draw_starts(
     progress: &Progress,
     rng: &mut ChaCha8Rng,
 ) -> Result<Vec<Pose>, NoStart> {
-    let adapting = progress.trajectories.len() as f64
-        >= settings.adapt_after * settings.trajectories as f64;
+    let adapting =
+        progress.trajectories.len() as f64 >= settings.adapt_after * settings.trajectories as f64;
     let latest = progress.failures.len().saturating_sub(REMEMBERED_FAILURES);
     let mixture = Mixture::over(&progress.failures[latest..]).filter(|_| adapting);
     (0..settings.batch)

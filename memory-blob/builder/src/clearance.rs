@@ -208,7 +208,9 @@ mod tests {
         for u in (150..450).step_by(7) {
             for v in (100..300).step_by(7) {
                 let pixel = [f64::from(u), f64::from(v)];
-                let first_order = vpc::obstacle::Obstacle::Part(&part).clearance(pixel).distance;
+                let first_order = vpc::obstacle::Obstacle::Part(&part)
+                    .clearance(pixel)
+                    .distance;
                 let euclidean = distance(&part, pixel);
                 if euclidean > 0.0 {
                     assert!(first_order <= euclidean + 1e-6, "{pixel:?}");

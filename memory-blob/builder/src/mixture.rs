@@ -63,8 +63,11 @@ mod tests {
     fn drawn(seed: u64) -> Vec<[f64; DIMENSION]> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut cloud = |x: f64, count: usize| {
-            let mut point = || std::array::from_fn(|_| x + 0.02 * rng.sample::<f64, _>(StandardNormal));
-            (0..count).map(|_| point()).collect::<Vec<[f64; DIMENSION]>>()
+            let mut point =
+                || std::array::from_fn(|_| x + 0.02 * rng.sample::<f64, _>(StandardNormal));
+            (0..count)
+                .map(|_| point())
+                .collect::<Vec<[f64; DIMENSION]>>()
         };
         let failures = [cloud(0.0, 200), cloud(0.6, 100)].concat();
         let mixture = Mixture::over(&failures).unwrap();
@@ -82,7 +85,10 @@ mod tests {
         let variance = starts.iter().map(square).sum::<f64>() / 3000.0;
         let whole: f64 = 0.08 + 0.0004;
         let expected = whole * (1.0 + 300.0f64.powf(-0.2));
-        assert!((variance / expected - 1.0).abs() < 0.1, "{variance} {expected}");
+        assert!(
+            (variance / expected - 1.0).abs() < 0.1,
+            "{variance} {expected}"
+        );
     }
 
     #[test]

@@ -8,11 +8,21 @@ impl Contents {
     pub(super) fn check(&self) -> Result<(), WriteError> {
         let (n, p) = (self.scale.len(), self.y.first().map_or(0, Vec::len));
         let count = self.x.len();
-        require((1..=MAX_INPUTS).contains(&n), "scale", entries(n), || format!("1 to {MAX_INPUTS}"))?;
-        require((1..=MAX_OUTPUTS).contains(&p), "y", format!("{} rows of {p}", self.y.len()), || {
-            format!("rows of 1 to {MAX_OUTPUTS}")
+        require((1..=MAX_INPUTS).contains(&n), "scale", entries(n), || {
+            format!("1 to {MAX_INPUTS}")
         })?;
-        require(self.offset.len() == n, "offset", entries(self.offset.len()), || n.to_string())?;
+        require(
+            (1..=MAX_OUTPUTS).contains(&p),
+            "y",
+            format!("{} rows of {p}", self.y.len()),
+            || format!("rows of 1 to {MAX_OUTPUTS}"),
+        )?;
+        require(
+            self.offset.len() == n,
+            "offset",
+            entries(self.offset.len()),
+            || n.to_string(),
+        )?;
         positive("scale", &self.scale, n)?;
         let lengths = [
             ("y", self.y.len()),
@@ -35,16 +45,23 @@ impl Regression {
         rows("regression.x", &self.x, n)?;
         rows("regression.lambda", &self.lambda, p)?;
         let (m, lambdas) = (self.x.len(), self.lambda.len());
-        require(lambdas == m, "regression.lambda", format!("{lambdas} rows for {m} inputs"), || {
-            "one row an input".into()
-        })?;
+        require(
+            lambdas == m,
+            "regression.lambda",
+            format!("{lambdas} rows for {m} inputs"),
+            || "one row an input".into(),
+        )?;
         positive("regression.length_scale", &self.length_scale, n)?;
         rows("regression.mean", std::slice::from_ref(&self.mean), p)?;
         positive("regression.signal_variance", &[self.signal_variance], 1)?;
         positive("regression.noise_variance", &[self.noise_variance], 1)?;
         positive("regression.output_scale", &self.output_scale, p)?;
         match &self.cholesky {
-            Some(c) => rows("regression.cholesky", std::slice::from_ref(c), m * (m + 1) / 2),
+            Some(c) => rows(
+                "regression.cholesky",
+                std::slice::from_ref(c),
+                m * (m + 1) / 2,
+            ),
             None => Ok(()),
         }
     }
@@ -60,23 +77,36 @@ fn require(
     found: String,
     allowed: impl FnOnce() -> String,
 ) -> Result<(), WriteError> {
-    let wrong = |()| WriteError::Contents { what, found, allowed: allowed() };
+    let wrong = |()| WriteError::Contents {
+        what,
+        found,
+        allowed: allowed(),
+    };
     holds.then_some(()).ok_or(()).map_err(wrong)
 }
 
 fn positive(what: &'static str, values: &[f64], count: usize) -> Result<(), WriteError> {
     let fine = values.len() == count && values.iter().all(|x| x.is_finite() && *x > 0.0);
-    require(fine, what, format!("{values:?}"), || format!("{count} finite numbers above 0"))
+    require(fine, what, format!("{values:?}"), || {
+        format!("{count} finite numbers above 0")
+    })
 }
 
 fn rows(what: &'static str, rows: &[Vec<f64>], length: usize) -> Result<(), WriteError> {
-    require(!rows.is_empty(), what, "empty".into(), || "at least one row".into())?;
+    require(!rows.is_empty(), what, "empty".into(), || {
+        "at least one row".into()
+    })?;
     for (i, row) in rows.iter().enumerate() {
-        require(row.len() == length, what, format!("{} entries in row {i}", row.len()), || {
-            length.to_string()
-        })?;
+        require(
+            row.len() == length,
+            what,
+            format!("{} entries in row {i}", row.len()),
+            || length.to_string(),
+        )?;
         if let Some(x) = row.iter().find(|x| !x.is_finite()) {
-            require(false, what, format!("{x} in row {i}"), || "finite numbers".into())?;
+            require(false, what, format!("{x} in row {i}"), || {
+                "finite numbers".into()
+            })?;
         }
     }
     Ok(())

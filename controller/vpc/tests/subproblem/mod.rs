@@ -2,7 +2,7 @@
 
 use scene::Scene;
 use serde::Deserialize;
-use vpc::prediction::{Model, InitialState, Plan, Preview};
+use vpc::prediction::{InitialState, Model, Plan, Preview};
 use vpc::problem::{Problem, Solution};
 use vpc::solver::Solver;
 use vpc::{DOF, MAX_VARIABLES, Points, SolverOptions, Task, Twist, constraint, cost};

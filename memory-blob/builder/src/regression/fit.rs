@@ -47,7 +47,9 @@ pub fn fit(
         Some(scales) => scales.clone(),
         None => differences.col_iter().map(root_mean_square).collect(),
     };
-    let varying: Vec<usize> = (0..mean.len()).filter(|&column| varies(outputs, column)).collect();
+    let varying: Vec<usize> = (0..mean.len())
+        .filter(|&column| varies(outputs, column))
+        .collect();
     let scaled = |rows: &[usize]| {
         let y = faer::Mat::from_fn(rows.len(), varying.len(), |row, at| {
             differences[(rows[row], varying[at])] / output_scales[varying[at]]
@@ -70,12 +72,17 @@ pub fn fit(
     let factor = Factor::new(&columns.covariance(kernel.signal_variance), &kernel)?;
     let mut weights = differences;
     factor.solve_in_place(&mut weights);
-    let packed = all.iter().flat_map(|&row| (0..=row).map(move |column| (row, column)));
+    let packed = all
+        .iter()
+        .flat_map(|&row| (0..=row).map(move |column| (row, column)));
     Ok(Fit {
         jitter: factor.jitter,
         log_marginal_likelihood,
         output_scales,
-        lambda: all.iter().map(|&row| weights.row(row).iter().copied().collect()).collect(),
+        lambda: all
+            .iter()
+            .map(|&row| weights.row(row).iter().copied().collect())
+            .collect(),
         cholesky: packed.map(|at| factor.lower[at]).collect(),
         evaluations,
         kernel,
@@ -84,7 +91,11 @@ pub fn fit(
 
 fn root_mean_square(column: faer::ColRef<'_, f64>) -> f64 {
     let square = column.iter().map(|d| d * d).sum::<f64>() / column.nrows() as f64;
-    if square.is_normal() { square.sqrt() } else { 1.0 }
+    if square.is_normal() {
+        square.sqrt()
+    } else {
+        1.0
+    }
 }
 
 fn varies(outputs: &[Vec<f64>], column: usize) -> bool {

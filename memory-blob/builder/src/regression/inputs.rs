@@ -17,10 +17,16 @@ impl Inputs {
         let (mut columns, mut count) = (Vec::new(), 0);
         for row in rows {
             columns.resize(row.len(), Vec::new());
-            columns.iter_mut().zip(row).for_each(|(column, x): (&mut Vec<f64>, _)| column.push(*x));
+            columns
+                .iter_mut()
+                .zip(row)
+                .for_each(|(column, x): (&mut Vec<f64>, _)| column.push(*x));
             count += 1;
         }
-        Self { columns, rows: count }
+        Self {
+            columns,
+            rows: count,
+        }
     }
 
     pub(super) fn rows(&self) -> usize {

@@ -128,7 +128,10 @@ impl Likelihood {
     ///
     /// # Errors
     /// [`NotPositiveDefinite`].
-    pub fn value_and_gradient(&self, kernel: &Kernel) -> Result<(f64, Vec<f64>), NotPositiveDefinite> {
+    pub fn value_and_gradient(
+        &self,
+        kernel: &Kernel,
+    ) -> Result<(f64, Vec<f64>), NotPositiveDefinite> {
         let scaled = self.inputs.scaled(kernel);
         let mut covariance = scaled.covariance(kernel.signal_variance);
         let factor = Factor::new(&covariance, kernel)?;

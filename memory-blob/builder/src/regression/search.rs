@@ -95,7 +95,11 @@ pub(super) fn first_start(inputs: &[Vec<f64>], bounds: &HyperBounds) -> Vec<f64>
     let root = (columns as f64).sqrt();
     let spread = |column: usize| {
         let (_, deviation) = moments(inputs.iter().map(|row| row[column]));
-        if deviation > 0.0 { deviation * root } else { 1.0 }
+        if deviation > 0.0 {
+            deviation * root
+        } else {
+            1.0
+        }
     };
     let lengths = (0..columns).map(|column| spread(column).ln());
     let start: Vec<f64> = lengths.chain([0.0, 0.01f64.ln()]).collect();

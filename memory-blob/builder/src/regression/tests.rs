@@ -76,7 +76,9 @@ fn predict(fit: &Fit, inputs: &[Vec<f64>], mean: &[f64], query: &[f64]) -> Predi
     let k: Vec<f64> = inputs.iter().map(|x| fit.kernel.value(query, x)).collect();
     let mut mean = mean.to_vec();
     for (row, k) in fit.lambda.iter().zip(&k) {
-        mean.iter_mut().zip(row).for_each(|(mean, weight)| *mean += k * weight);
+        mean.iter_mut()
+            .zip(row)
+            .for_each(|(mean, weight)| *mean += k * weight);
     }
     // Forward substitution: v = L^-1 k, and the variance is phi_o^2 - v^T v.
     let mut v: Vec<f64> = Vec::new();
@@ -354,7 +356,13 @@ fn constant_input_does_no_harm() {
 fn repeated_samples_are_fitted() {
     let fixture = Fixture::read();
     let inputs = vec![fixture.inputs[0].clone(); 12];
-    let fitted = fit(&inputs, &fixture.outputs[..12], &fixture.mean, &fixture.settings()).unwrap();
+    let fitted = fit(
+        &inputs,
+        &fixture.outputs[..12],
+        &fixture.mean,
+        &fixture.settings(),
+    )
+    .unwrap();
     let found = predict(&fitted, &inputs, &fixture.mean, &fixture.inputs[0]);
     assert!(found.mean.iter().all(|mean| mean.is_finite()) && found.variance >= 0.0);
 }
@@ -411,7 +419,11 @@ fn noise_that_vanished_on_the_subset_comes_back_by_polishing() {
         })
     };
     let (rough, polished) = (with(0), with(40));
-    assert!(rough.kernel.noise_variance < 1.1e-6, "{}", rough.kernel.noise_variance);
+    assert!(
+        rough.kernel.noise_variance < 1.1e-6,
+        "{}",
+        rough.kernel.noise_variance
+    );
     assert!(
         polished.kernel.noise_variance > 1e-3,
         "{}",
