@@ -13,15 +13,20 @@ pub type Points = Vec<[f64; 2], MAX_POINTS>;
 /// Most entries of a recall input x = (s, a, alpha).
 pub const MAX_INPUTS: usize = 2 * MAX_POINTS + 2;
 
-/// Area of the polygon whose vertexes are the points, px^2 (the absolute value of the shoelace formula).
+/// Area of the polygon whose vertexes are the points, px^2.
 pub fn area(points: &[[f64; 2]]) -> f64 {
+    signed_area(points).abs()
+}
+
+/// The same, negative where the polygon turns the other way round (the shoelace formula).
+pub fn signed_area(points: &[[f64; 2]]) -> f64 {
     let next = points.iter().cycle().skip(1);
     let twice: f64 = points
         .iter()
         .zip(next)
         .map(|(p, q)| p[0] * q[1] - q[0] * p[1])
         .sum();
-    0.5 * twice.abs()
+    0.5 * twice
 }
 
 /// Orientation of the pattern: the image direction of its first edge, rad, in (-pi, pi].

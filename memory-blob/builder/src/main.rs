@@ -247,15 +247,19 @@ fn run_verify(path: &Path, scene: Option<&Path>) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn run_starts(scene: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
-    let scene = Scene::read(scene)?;
+fn run_starts(path: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
+    let scene = Scene::read(path)?;
     let task = Task::new(&scene)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let starts = (0..count)
-        .map(|_| start::valid(&scene, &task, None, &mut rng))
-        .collect::<Result<Vec<_>, _>>()?;
+    let starts = (0..count).map(|_| start::valid(&scene, &task, None, &mut rng));
+    let starts = starts.collect::<Result<Vec<_>, _>>()?;
+    let (scene, file) = (path.display(), output.display());
     fs::write(output, scene::starts_csv(&starts))
-        .with_context(|| format!("{}: cannot write", output.display()))
+        .with_context(|| format!("{file}: cannot write"))?;
+    print(&format!(
+        "wrote {file}: {count} valid starts of {scene}, seed {seed}; next: cargo table -- --scene {scene} --starts {file}\n"
+    ));
+    Ok(())
 }
 
 fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> anyhow::Result<()> {

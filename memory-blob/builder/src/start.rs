@@ -4,7 +4,8 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
-use vpc::{Points, Task, constraint, features};
+use vpc::features::signed_area;
+use vpc::{Points, Task, constraint};
 
 use crate::clearance;
 use crate::mixture::Mixture;
@@ -21,7 +22,7 @@ const MAX_DRAWS: usize = 100_000;
 pub struct NoStart;
 
 /// A number uniformly between `low` and `high`.
-pub(crate) fn uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
+fn uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
@@ -60,7 +61,7 @@ pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Poin
         .sum::<f64>()
         / points.len() as f64;
     // The camera must see the front of the pattern.
-    let facing = orientation(&points) == orientation(&task.goal);
+    let facing = signed_area(&points) * signed_area(&task.goal) > 0.0;
     (clear && facing && mean >= region.min_error_px).then_some(points)
 }
 
@@ -130,28 +131,12 @@ fn inside(scene: &Scene, pose: &Pose) -> bool {
         && roll.abs() <= region.roll_max + 1e-9
 }
 
-/// Whether the polygon of the points turns left or right.
-fn orientation(points: &[[f64; 2]]) -> bool {
-    let next = points.iter().cycle().skip(1);
-    points
-        .iter()
-        .zip(next)
-        .map(|(p, q)| p[0] * q[1] - q[0] * p[1])
-        .sum::<f64>()
-        > 0.0
-}
-
 /// Largest distance between corresponding points, px: how far an image has moved.
 pub fn image_motion(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
     a.iter()
         .zip(b)
         .map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]))
         .fold(0.0, f64::max)
-}
-
-/// Largest component of s - s*, px.
-pub fn error(task: &Task, points: &[[f64; 2]]) -> f64 {
-    features::largest_error(points, &task.goal)
 }
 
 #[cfg(test)]

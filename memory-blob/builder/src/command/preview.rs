@@ -130,11 +130,12 @@ fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize
     if occlusion.is_finite() {
         let _ = write!(said, ", {occlusion:.0} px from the occlusions");
     }
-    let parts = scene.parts().count();
-    let (masks, areas) = (scene.masks().count(), scene.areas().count());
+    let parts = counted(scene.parts().count(), "part");
+    let masks = counted(scene.masks().count(), "mask");
+    let areas = counted(scene.areas().count(), "area");
     let _ = writeln!(
         said,
-        "\nocclusions  {parts} parts, {masks} masks of {areas} areas; the memory is asked below {trigger:.0} px (orange)"
+        "\nocclusions  {parts}, {masks} of {areas}; the memory is asked below {trigger:.0} px (orange)"
     );
     let share = 100.0 * found as f64 / drawn.max(1) as f64;
     let _ = writeln!(
@@ -156,6 +157,12 @@ fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize
         );
     }
     said
+}
+
+/// A count with its noun.
+fn counted(count: usize, noun: &str) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{count} {noun}{plural}")
 }
 
 /// How far the camera's translation across the image can move a feature in one period near the goal, px.
