@@ -191,7 +191,7 @@ impl Takeover {
         }
         state.law.history.push(&recorded.twist, told.effective_ns);
         self.commands |=
-            state.law.seen_count > 0 && state.law.seen_ns >= state.law.history.from_ns[0];
+            state.law.seen.count > 0 && state.law.seen_ns >= state.law.history.from_ns[0];
         let strategy = strategy(recorded).unwrap_or(settings.strategy);
         state.law.strategy = strategy;
         let has_planned = has_stepped(recorded) && strategy != Strategy::Ibvs;

@@ -1,7 +1,8 @@
 //! What a query costs: `cargo bench -p memory-blob --bench query`.
 //!
-//! Sizes of a large memory: 16,000 samples of 10 inputs and 14 outputs, 800 of them in the process. Each iteration
-//! takes the next of 1,024 queries, so that neither caches nor branches know it. The naive search stands beside ours.
+//! Sizes of a large memory: 16,000 samples of 10 inputs and 14 outputs, 800 of them in the process.
+//! Each iteration takes the next of 1,024 queries, so that neither caches nor branches know it. The
+//! naive search stands beside ours.
 
 #[path = "../tests/synthetic/mod.rs"]
 mod synthetic;
@@ -71,7 +72,8 @@ fn neighbours_without_structure(bencher: Bencher, k: usize) {
     });
 }
 
-/// One neighbour by comparing with every row of a flat table, already scaled: what there is to beat.
+/// One neighbour by comparing with every row of a flat table, already scaled: what there is to
+/// beat.
 #[divan::bench(sample_count = 1000)]
 fn one_neighbour_naively(bencher: Bencher) {
     let contents = on_trajectories();

@@ -45,8 +45,8 @@ impl Draft {
         self.metadata.insert("digest".into(), digest);
     }
 
-    /// The safetensors container: header length, header padded with spaces to the alignment, tensors in the order of
-    /// their names.
+    /// The safetensors container: header length, header padded with spaces to the alignment,
+    /// tensors in the order of their names.
     pub(crate) fn bytes(&self) -> Vec<u8> {
         let mut header = Map::new();
         header.insert("__metadata__".into(), json!(self.metadata));

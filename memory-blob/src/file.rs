@@ -72,8 +72,8 @@ pub struct MemoryFile {
 }
 
 impl MemoryFile {
-    /// Opens a file and verifies all of it: structure, digests, ranges, probes, and that it was built for `task`
-    /// where one is given.
+    /// Opens a file and verifies all of it: structure, digests, ranges, probes, and that it was
+    /// built for `task` where one is given.
     ///
     /// # Errors
     /// [`OpenError`] names the file, the part and what is allowed.

@@ -16,7 +16,8 @@ pub(crate) const ALIGNMENT: usize = 64;
 pub(crate) const PROBES: usize = 8;
 /// A probe's answer may differ from the stored one by this much, relative to 1 + its size.
 pub(crate) const PROBE_TOLERANCE: f64 = 1e-6;
-/// What fills boxes of no block and samples of no row: far from every query, and finite when squared.
+/// What fills boxes of no block and samples of no row: far from every query, and finite when
+/// squared.
 pub(crate) const FAR: f64 = 1e150;
 
 /// `count` rounded up to a multiple of `of`.
@@ -34,8 +35,8 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The digest of a header: SHA-256 of `key=value\n` for every metadata key but `digest`, in the order of their
-/// bytes, then `name:[dim,dim]\n` for every tensor, likewise.
+/// The digest of a header: SHA-256 of `key=value\n` for every metadata key but `digest`, in the
+/// order of their bytes, then `name:[dim,dim]\n` for every tensor, likewise.
 pub(crate) fn digest<N: std::fmt::Display>(
     metadata: &BTreeMap<String, String>,
     shapes: impl IntoIterator<Item = (N, Vec<usize>)>,

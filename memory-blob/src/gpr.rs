@@ -79,9 +79,9 @@ impl<'a> Gpr<'a> {
         Ok(())
     }
 
-    /// Writes the latent predictive variance of each output at a raw input, in its squared units: the noise is not in
-    /// it. One kernel serves all outputs, so they share k(x, x) - |L^{-1} k(X, x)|^2 and differ by their squared
-    /// scales. `scratch` holds [`Gpr::len`] numbers.
+    /// Writes the latent predictive variance of each output at a raw input, in its squared units:
+    /// the noise is not in it. One kernel serves all outputs, so they share k(x, x) - |L^{-1} k(X,
+    /// x)|^2 and differ by their squared scales. `scratch` holds [`Gpr::len`] numbers.
     ///
     /// # Errors
     /// [`QueryError`] where a length or an entry is wrong, or the file holds no factor.

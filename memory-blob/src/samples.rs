@@ -1,8 +1,9 @@
 //! The samples of a memory, and the search for nearest neighbours.
 //!
-//! Samples are stored in the order of a k-d tree, 32 to a block, each block with its bounding box, and 16 blocks to a
-//! group with one of its own. A search visits groups and blocks by their lower bounds and skips what cannot hold a
-//! nearer sample, so the answer is that of comparing with every sample, at a small part of the work.
+//! Samples are stored in the order of a k-d tree, 32 to a block, each block with its bounding box,
+//! and 16 blocks to a group with one of its own. A search visits groups and blocks by their lower
+//! bounds and skips what cannot hold a nearer sample, so the answer is that of comparing with every
+//! sample, at a small part of the work.
 
 use crate::view::Scaling;
 use crate::{MAX_INPUTS, MAX_NEIGHBOURS, QueryError};
@@ -127,8 +128,8 @@ impl<'a> Samples<'a> {
         self.x[(index / BLOCK * self.inputs() + k) * BLOCK + index % BLOCK]
     }
 
-    /// Writes the mean output of the `k` nearest samples (Euclidean distance in scaled inputs) and tells which they
-    /// are.
+    /// Writes the mean output of the `k` nearest samples (Euclidean distance in scaled inputs) and
+    /// tells which they are.
     ///
     /// Source: paper, Eq. (knn).
     ///

@@ -4,8 +4,8 @@ use crate::exp::LANES;
 use crate::{Contents, Gpr, MemoryFile, Regression};
 
 impl MemoryFile {
-    /// Everything in the file, as its maker knew it: samples in the order of trajectories and steps.
-    /// Allocates; not for the control cycle.
+    /// Everything in the file, as its maker knew it: samples in the order of trajectories and
+    /// steps. Allocates; not for the control cycle.
     pub fn contents(&self) -> Contents {
         let view = self.view();
         let samples = view.samples();

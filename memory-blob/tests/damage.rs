@@ -1,4 +1,5 @@
-//! What no checksum catches: files that are wrong but hashed as if they were right, cut short, or no memory at all.
+//! What no checksum catches: files that are wrong but hashed as if they were right, cut short, or
+//! no memory at all.
 
 mod synthetic;
 
@@ -16,7 +17,8 @@ fn hex(bytes: &[u8]) -> String {
     digest.iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// A file taken apart, that can be changed and put together again with digests that fit, following FORMAT.md.
+/// A file taken apart, that can be changed and put together again with digests that fit, following
+/// FORMAT.md.
 struct Forgery {
     metadata: BTreeMap<String, String>,
     tensors: BTreeMap<String, (Value, Vec<f64>)>,
@@ -228,7 +230,8 @@ fn junk_is_refused_without_a_panic() {
     for trial in 0..2000 {
         let length = (random.next() * 300.0) as usize;
         let mut junk: Vec<u8> = (0..length).map(|_| (random.next() * 256.0) as u8).collect();
-        // Every other one gets a header length that could be true, so that more than its size is looked at.
+        // Every other one gets a header length that could be true, so that more than its size is
+        // looked at.
         if trial % 2 == 0 && length > 10 {
             junk[..8].copy_from_slice(&(length as u64 - 9).to_le_bytes());
             junk[8] = b'{';

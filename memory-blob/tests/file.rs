@@ -1,4 +1,5 @@
-//! The promises of the file: exact round trips, exact queries, and the refusal of everything that is not intact.
+//! The promises of the file: exact round trips, exact queries, and the refusal of everything that
+//! is not intact.
 
 mod synthetic;
 

@@ -1,5 +1,5 @@
-//! The search is exact: what comparing with every sample finds, for any number of neighbours, on trajectories, where
-//! samples lie close and way points repeat, and without any structure.
+//! The search is exact: what comparing with every sample finds, for any number of neighbours, on
+//! trajectories, where samples lie close and way points repeat, and without any structure.
 
 mod synthetic;
 

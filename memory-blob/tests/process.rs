@@ -1,5 +1,5 @@
-//! Regression against scikit-learn: `python/gpr_fixture.py` made the data, the kernel and the answers; the weights and
-//! the factor are solved for here, by the textbook.
+//! Regression against scikit-learn: `python/gpr_fixture.py` made the data, the kernel and the
+//! answers; the weights and the factor are solved for here, by the textbook.
 
 mod synthetic;
 

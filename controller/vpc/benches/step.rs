@@ -1,7 +1,8 @@
-//! What a solution costs, ours and a peer's, on the problems of the fixture: `cargo bench -p vpc --bench step`.
+//! What a solution costs, ours and a peer's, on the problems of the fixture: `cargo bench -p vpc
+//! --bench step`.
 //!
-//! Each iteration takes the next problem of its window. The table at the end compares problem by problem, all solvers
-//! in turn from standing still, and says what their answers are worth.
+//! Each iteration takes the next problem of its window. The table at the end compares problem by
+//! problem, all solvers in turn from standing still, and says what their answers are worth.
 
 #[allow(dead_code)] // the test asks for more
 #[path = "../tests/subproblem/mod.rs"]
@@ -94,7 +95,8 @@ fn painted() -> Task {
     Task::new(&Scene::read(&path).unwrap()).unwrap()
 }
 
-/// Shapes, the mask, and the shapes again, in turn, on every problem of a window of the paper's scene.
+/// Shapes, the mask, and the shapes again, in turn, on every problem of a window of the paper's
+/// scene.
 fn paint(np: usize, mask: &Task) {
     let fixture = Fixture::read();
     let mut solvers = Solvers::new();

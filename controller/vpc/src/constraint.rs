@@ -1,7 +1,8 @@
-//! Visibility constraints of the whole task: the image border and the occlusions, as signed clearances in px (negative:
-//! violated).
+//! Visibility constraints of the whole task: the image border and the occlusions, as signed
+//! clearances in px (negative: violated).
 //!
-//! An occlusion that is not convex is a union of parts: being outside the union is being outside each.
+//! An occlusion that is not convex is a union of parts: being outside the union is being outside
+//! each.
 //!
 //! Source: paper, Eqs. (visibility_const_a) and (visibility_const_b).
 

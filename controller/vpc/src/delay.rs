@@ -1,10 +1,10 @@
-//! Delay compensation: from the features of an exposure to those of the instant at which the new command takes
-//! effect, along the commands that were sent meanwhile.
+//! Delay compensation: from the features of an exposure to those of the instant at which the new
+//! command takes effect, along the commands that were sent meanwhile.
 //!
-//! A camera delivers s(t_e) at t_e + d. Between, it was carried by commands that this side knows, because it sent
-//! them: v_i from t_i to t_{i+1}. So the features of now follow from those of the exposure by the model, piece by
-//! piece: with [`Model::Pose`] by the product of the rigid motions, exp(-(t_{i+1} - t_i) v_i) X, which is exact; with
-//! the others by integrating s' = L(s, Z) v_i.
+//! A camera delivers s(t_e) at t_e + d. Between, it was carried by commands that this side knows,
+//! because it sent them: v_i from t_i to t_{i+1}. So the features of now follow from those of the
+//! exposure by the model, piece by piece: with [`Model::Pose`] by the product of the rigid motions,
+//! exp(-(t_{i+1} - t_i) v_i) X, which is exact; with the others by integrating s' = L(s, Z) v_i.
 //!
 //! Source: paper, Eq. (model), with the sampling time replaced by the length of each piece.
 
@@ -17,12 +17,12 @@ use crate::{DOF, Twist};
 /// Commands remembered: one second at 30 Hz, eight times the 100 to 130 ms of a real camera.
 pub const CAPACITY: usize = 32;
 
-/// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is forgotten first. Plain
-/// data: a copy goes on as the original does.
+/// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is
+/// forgotten first. Plain data: a copy goes on as the original does.
 ///
-/// It never guesses. Where an interval begins before what it knows, [`History::advance`] says [`Unpredictable::Unknown`]
-/// and the law refuses the features; zero twists that are sent meanwhile are remembered too, so that the interval is
-/// known again after one delay.
+/// It never guesses. Where an interval begins before what it knows, [`History::advance`] says
+/// [`Unpredictable::Unknown`] and the law refuses the features; zero twists that are sent meanwhile
+/// are remembered too, so that the interval is known again after one delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
     /// Commands remembered, 0 to 32.
@@ -56,7 +56,8 @@ impl Default for History {
 }
 
 impl History {
-    /// The history of a simulated run: the camera stood still before the first command, and obeys each until the next.
+    /// The history of a simulated run: the camera stood still before the first command, and obeys
+    /// each until the next.
     pub const fn new() -> Self {
         Self {
             count: 0,
@@ -67,8 +68,9 @@ impl History {
         }
     }
 
-    /// The history of a robot in real time: each command is obeyed for `validity_ns` at most, and what moved the camera
-    /// before the first one is unknown (a controller that was killed a moment ago, perhaps).
+    /// The history of a robot in real time: each command is obeyed for `validity_ns` at most, and
+    /// what moved the camera before the first one is unknown (a controller that was killed a moment
+    /// ago, perhaps).
     pub const fn live(validity_ns: u64) -> Self {
         Self {
             from_rest: false,
@@ -82,8 +84,8 @@ impl History {
         self.validity_ns != u64::MAX
     }
 
-    /// A new run. Simulated time begins again, from rest; on a live robot the camera's process began again, and what
-    /// was sent was executed all the same.
+    /// A new run. Simulated time begins again, from rest; on a live robot the camera's process
+    /// began again, and what was sent was executed all the same.
     pub fn restart(&mut self) {
         if !self.is_live() {
             *self = Self::new();
@@ -95,8 +97,8 @@ impl History {
         *self = Self::live(self.validity_ns);
     }
 
-    /// Remembers that `twist` was sent at `at_ns`, in the place of one sent at the same instant. A clock that runs
-    /// backwards makes all before worthless.
+    /// Remembers that `twist` was sent at `at_ns`, in the place of one sent at the same instant. A
+    /// clock that runs backwards makes all before worthless.
     pub fn push(&mut self, twist: &Twist, at_ns: u64) {
         let last = self.entries().last().map(|(from_ns, _)| from_ns);
         if last.is_some_and(|last| last > at_ns) {
@@ -124,7 +126,8 @@ impl History {
         entries.take(self.count as usize)
     }
 
-    /// The features of `initial`, exposed at `from_ns`, as they are at `to_ns`. Its work is bounded.
+    /// The features of `initial`, exposed at `from_ns`, as they are at `to_ns`. Its work is
+    /// bounded.
     ///
     /// # Errors
     /// [`Unpredictable`] where the commands are not known, or lead where no camera sees.
@@ -260,7 +263,8 @@ mod tests {
 
     #[test]
     fn the_depth_models_advance_to_their_accuracy() {
-        // What they do not know, the depths, is most of the error; without them it would be `moved`.
+        // What they do not know, the depths, is most of the error; without them it would be
+        // `moved`.
         for (model, share) in [(Model::AreaDepth, 0.25), (Model::TargetDepth, 0.6)] {
             let (error, moved) = error_of(model, 4, History::new());
             assert!(

@@ -1,8 +1,9 @@
 //! The clearance from an area of a mask: a quadratic B-spline over the nodes of its field.
 //!
-//! Three nodes a side weigh in at each point, so that the clearance and its gradient are continuous, linear functions
-//! come back exactly, and a query costs nine numbers. The scene's coefficients hold the spline below the signed
-//! Euclidean distance near the border, so that no margin is needed on top.
+//! Three nodes a side weigh in at each point, so that the clearance and its gradient are
+//! continuous, linear functions come back exactly, and a query costs nine numbers. The scene's
+//! coefficients hold the spline below the signed Euclidean distance near the border, so that no
+//! margin is needed on top.
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: the weights keep the three nodes of a side inside the grid"
@@ -12,7 +13,8 @@ use scene::{Area, Field};
 
 use crate::clearance::Clearance;
 
-/// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the grid's edge.
+/// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the
+/// grid's edge.
 pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
     let field = area.field();
     let size = [field.columns(), field.rows()];

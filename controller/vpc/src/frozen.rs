@@ -7,45 +7,35 @@ use crate::measurement::Refusal;
 /// image, px.
 const FROZEN_PX: f64 = 3.0;
 
-/// How far an image that has not changed in any bit should have moved by the commands.
+/// Compares features with those `before`; `expected` is where the commands should have moved them.
+/// Real features never repeat to the last bit under motion. At rest and without noise they do, and
+/// no motion is expected. `still_px` is the largest expected motion of a point since the bits
+/// changed, summed over the frames, px.
 ///
-/// Real features never repeat to the last bit under motion. At rest and without noise they do, and no
-/// motion is expected.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrozenCheck {
-    /// Largest expected motion of a point since the bits changed, summed over the frames, px.
-    pub expected_px: f64,
-}
-
-impl FrozenCheck {
-    /// Compares features with those `before`; `expected` is where the commands should have moved them.
-    ///
-    /// # Errors
-    /// [`Refusal::Frozen`] where more motion was commanded than a live image can hide.
-    pub fn update(
-        &mut self,
-        points: &Points,
-        before: &Points,
-        expected: &Points,
-    ) -> Result<(), Refusal> {
-        let moved_px = expected
-            .iter()
-            .zip(before)
-            .map(|(e, b)| libm::hypot(e[0] - b[0], e[1] - b[1]))
-            .fold(0.0, f64::max);
-        let mut pairs = points.iter().flatten().zip(before.iter().flatten());
-        let is_same = pairs.all(|(now, before)| now.to_bits() == before.to_bits());
-        if moved_px == 0.0 || !is_same {
-            *self = Self::default();
-            return Ok(());
-        }
-        self.expected_px += moved_px;
-        match self.expected_px > FROZEN_PX {
-            true => Err(Refusal::Frozen {
-                expected_px: self.expected_px,
-            }),
-            false => Ok(()),
-        }
+/// # Errors
+/// [`Refusal::Frozen`] where more motion was commanded than a live image can hide.
+pub fn check(
+    still_px: &mut f64,
+    points: &Points,
+    before: &Points,
+    expected: &Points,
+) -> Result<(), Refusal> {
+    let motions = expected.iter().zip(before);
+    let moved_px = motions
+        .map(|(e, b)| libm::hypot(e[0] - b[0], e[1] - b[1]))
+        .fold(0.0, f64::max);
+    let mut pairs = points.iter().flatten().zip(before.iter().flatten());
+    let is_same = pairs.all(|(now, before)| now.to_bits() == before.to_bits());
+    if moved_px == 0.0 || !is_same {
+        *still_px = 0.0;
+        return Ok(());
+    }
+    *still_px += moved_px;
+    match *still_px > FROZEN_PX {
+        true => Err(Refusal::Frozen {
+            expected_px: *still_px,
+        }),
+        false => Ok(()),
     }
 }
 
@@ -58,9 +48,10 @@ mod tests {
     fn an_image_that_ignores_the_commands_to_the_last_bit_is_frozen() {
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let points = Task::new(&scene).unwrap().goal;
-        let mut check = FrozenCheck::default();
+        let mut still_px = 0.0;
         let mut frame = |points: &Points, before: &Points, by: f64| {
-            check.update(
+            check(
+                &mut still_px,
                 points,
                 before,
                 &before.iter().map(|p| [p[0] + by, p[1]]).collect(),

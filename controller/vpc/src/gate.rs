@@ -11,8 +11,8 @@ use crate::{MAX_POINTS, Points, constraint};
 
 /// Height of a triangle of points from which on noise does not turn it over, px.
 const LEAST_HEIGHT_PX: f64 = 4.0;
-/// Points nearer to each other than this are one point, and points all nearer to a line than this are
-/// on it, px.
+/// Points nearer to each other than this are one point, and points all nearer to a line than this
+/// are on it, px.
 const LEAST_PX: f64 = 0.5;
 /// A point is taken for another one that is expected this many times nearer to it.
 const NEARER: f64 = 2.0;
@@ -21,11 +21,13 @@ const NEARER: f64 = 2.0;
 /// frame and not the rest. 40 px of 1024 are twice what the velocity limits allow.
 const LEAP: f64 = 0.04;
 const LEAP_RATIO: f64 = 4.0;
-/// Sampling times after the last measurement in which a leap is refused; then the point is believed.
+/// Sampling times after the last measurement in which a leap is refused; then the point is
+/// believed.
 pub const LEAP_PERIODS: f64 = 3.5;
 
-/// Lets a measurement pass that has the pattern's count of finite points, none further outside the image than
-/// `tolerance` px, none in one place, not all on a line, and in the pattern's sense of rotation.
+/// Lets a measurement pass that has the pattern's count of finite points, none further outside the
+/// image than `tolerance` px, none in one place, not all on a line, and in the pattern's sense of
+/// rotation.
 ///
 /// # Errors
 /// [`Refusal`] names the first point that is wrong.
@@ -74,11 +76,12 @@ pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
     Ok(())
 }
 
-/// Refuses two points in one place, and points all on a line: those of a detector that found nothing, not of any view of
-/// the pattern.
+/// Refuses two points in one place, and points all on a line: those of a detector that found
+/// nothing, not of any view of the pattern.
 ///
 /// # Errors
-/// [`Refusal::Coincident`] names two points, [`Refusal::Flat`] what is left of the pattern's height.
+/// [`Refusal::Coincident`] names two points, [`Refusal::Flat`] what is left of the pattern's
+/// height.
 pub fn check_shape(task: &Task, points: &Points) -> Result<(), Refusal> {
     let pairs = || points.iter().zip(&task.goal).enumerate();
     let (mut seen_px, mut goal_px) = (0.0_f64, 0.0_f64);
@@ -139,8 +142,8 @@ pub fn check_names(points: &Points, expected: &Points) -> Result<(), Refusal> {
     }
 }
 
-/// Refuses points of which up to a half lie far from where they are expected while the rest does not:
-/// another spot was taken for a point. A camera that is pushed moves all of them.
+/// Refuses points of which up to a half lie far from where they are expected while the rest does
+/// not: another spot was taken for a point. A camera that is pushed moves all of them.
 ///
 /// # Errors
 /// [`Refusal::Leap`] names the point that is furthest away.

@@ -1,7 +1,7 @@
 //! Classic image-based visual servoing, for comparison: v = -lambda L^+ (s - s*).
 //!
-//! Source: paper, Sect. I; F. Chaumette and S. Hutchinson, "Visual servo control, part I", Eq. (5), with the current
-//! interaction matrix and the depths of the chosen model.
+//! Source: paper, Sect. I; F. Chaumette and S. Hutchinson, "Visual servo control, part I", Eq. (5),
+//! with the current interaction matrix and the depths of the chosen model.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -9,14 +9,18 @@ use crate::prediction::InitialState;
 use crate::task::Task;
 use crate::{Twist, camera, interaction};
 
-/// Least pivot of L^T L with columns of length one below which L counts as singular: what is left of a column that the
-/// others do not explain. It is some 5e-5 for a square of 100 px in an image of 1024, 9e-7 for one of 10 px, and below 4e-7
-/// for a pattern seen as a strip 5 px high, where noise would decide the twist.
+/// Least pivot of L^T L with columns of length one below which L counts as singular: what is left
+/// of a column that the others do not explain. It is some 5e-5 for a square of 100 px in an image
+/// of 1024, 9e-7 for one of 10 px, and below 4e-7 for a pattern seen as a strip 5 px high, where
+/// noise would decide the twist.
 const LEAST_PIVOT: f64 = 5e-7;
 
-/// The unlimited camera twist of the classic law with the gain `lambda` (1/s), or `None` where the interaction
-/// matrix is singular, or nearly so.
-#[expect(clippy::indexing_slicing, reason = "from_fn gives indices inside the matrix")]
+/// The unlimited camera twist of the classic law with the gain `lambda` (1/s), or `None` where the
+/// interaction matrix is singular, or nearly so.
+#[expect(
+    clippy::indexing_slicing,
+    reason = "from_fn gives indices inside the matrix"
+)]
 pub fn twist(task: &Task, initial: &InitialState, lambda: f64) -> Option<Twist> {
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();
@@ -54,7 +58,8 @@ mod tests {
 
     #[test]
     fn the_first_twist_is_that_of_visp() {
-        // Four points at +-0.06 m, goal 0.36 m in front; the expected values were computed with ViSP.
+        // Four points at +-0.06 m, goal 0.36 m in front; the expected values were computed with
+        // ViSP.
         let text = scene::PAPER_SIM
             .replace("0.15", "0.06")
             .replace("[0.0, 0.0, 0.6]", "[0.0, 0.0, 0.36]");

@@ -1,4 +1,5 @@
-//! The last word before a command leaves: finite, inside the velocity box, and not worse than standing still.
+//! The last word before a command leaves: finite, inside the velocity box, and not worse than
+//! standing still.
 
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution};
@@ -10,8 +11,8 @@ const HALVINGS: usize = 6;
 /// A first step may deepen a violation by this much, px: below the accuracy of the model.
 pub const SLACK: f64 = 0.25;
 
-/// The first command of a solution, slowed down until its first step violates no constraint more than standing
-/// still does, and clamped to the limits. A command that cannot be made so is zero.
+/// The first command of a solution, slowed down until its first step violates no constraint more
+/// than standing still does, and clamped to the limits. A command that cannot be made so is zero.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
     let allowed = problem.worst_violation(&problem.initial.points) + SLACK;
     let mut plan = solution.plan;

@@ -14,8 +14,8 @@ pub struct Measurement {
 }
 
 impl Measurement {
-    /// A measurement of these points, of this very instant; those past [`MAX_POINTS`] are left out, and the gate
-    /// then refuses the count.
+    /// A measurement of these points, of this very instant; those past [`MAX_POINTS`] are left out,
+    /// and the gate then refuses the count.
     pub fn from_points(points: &[[f64; 2]]) -> Self {
         Self {
             points: points.iter().copied().take(MAX_POINTS).collect(),
@@ -24,8 +24,8 @@ impl Measurement {
         }
     }
 
-    /// The same points, exposed at `exposed_ns`, for a command that takes effect at `effective_ns`. An exposure after
-    /// that counts as one of that instant.
+    /// The same points, exposed at `exposed_ns`, for a command that takes effect at `effective_ns`.
+    /// An exposure after that counts as one of that instant.
     pub fn taken(mut self, exposed_ns: u64, effective_ns: u64) -> Self {
         (self.exposed_ns, self.effective_ns) = (exposed_ns.min(effective_ns), effective_ns);
         self
@@ -67,8 +67,8 @@ pub enum Refusal {
         "features: unchanged to the last bit where {expected_px:.1} px of motion were commanded; allowed: an image that moves"
     )]
     Frozen { expected_px: f64 },
-    /// The command takes effect `age_ns` after the exposure, and the commands are known for the last
-    /// `known_ns` only: where the features are by then is unknown.
+    /// The command takes effect `age_ns` after the exposure, and the commands are known for the
+    /// last `known_ns` only: where the features are by then is unknown.
     #[error(
         "features: exposed {:.1} ms ago; allowed: {:.1} ms, since when the commands are known",
         ms(.age_ns), ms(.known_ns)

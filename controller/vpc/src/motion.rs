@@ -1,7 +1,8 @@
 //! Rigid motion of what a moving camera sees: the exponential of SE(3) and its left Jacobian.
 //!
-//! Under a constant camera velocity v = (nu, omega), in the camera frame, a fixed point X (camera frame) moves by
-//! X' = -nu - omega x X. After the time t it is at exp(tau) X with tau = -t (nu, omega).
+//! Under a constant camera velocity v = (nu, omega), in the camera frame, a fixed point X (camera
+//! frame) moves by X' = -nu - omega x X. After the time t it is at exp(tau) X with tau = -t (nu,
+//! omega).
 //!
 //! Source: T. Barfoot, "State Estimation for Robotics", Sect. 7.1 (left Jacobian and its block Q).
 
@@ -26,7 +27,8 @@ impl Motion {
         translation: Vector3::new(0.0, 0.0, 0.0),
     };
 
-    /// The motion of a fixed point in the camera frame while the camera moves at `v` for `ts` seconds.
+    /// The motion of a fixed point in the camera frame while the camera moves at `v` for `ts`
+    /// seconds.
     pub fn of_camera(v: &Twist, ts: f64) -> Self {
         let (rho, phi) = exponent(v, ts);
         let series = Coefficients::at(phi.norm_squared());
@@ -79,8 +81,12 @@ impl Sensitivity {
         }
     }
 
-    /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu, omega).
-    #[expect(clippy::indexing_slicing, reason = "from_fn gives indices inside the two 3 x 3 blocks")]
+    /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu,
+    /// omega).
+    #[expect(
+        clippy::indexing_slicing,
+        reason = "from_fn gives indices inside the two 3 x 3 blocks"
+    )]
     pub fn at(&self, moved: &Vector3<f64>) -> [Twist; 3] {
         // d(exp(tau) X) = [I, -[X']x] J_l d tau, and d tau = -ts d v.
         let angular = self.coupling - moved.cross_matrix() * self.linear;
@@ -120,7 +126,8 @@ struct Coefficients {
 
 impl Coefficients {
     fn at(square: f64) -> Self {
-        // Below 0.5 rad the closed forms lose digits to cancellation; six terms of the series are exact to 1e-13.
+        // Below 0.5 rad the closed forms lose digits to cancellation; six terms of the series are
+        // exact to 1e-13.
         if square < 0.25 {
             let at = |terms: &[f64; TERMS]| terms.iter().rev().fold(0.0, |sum, c| sum * square + c);
             Self {

@@ -1,7 +1,8 @@
 //! What a feature must keep clear of: a convex part of an occlusion, or a painted area.
 //!
-//! A part covers a convex area; the paper's "left of it OR right of it" is one inequality ||d||_p >= 1 on the scaled
-//! offset d from its centre. An area of a mask has a signed distance of its own, in [`crate::field`].
+//! A part covers a convex area; the paper's "left of it OR right of it" is one inequality ||d||_p
+//! >= 1 on the scaled offset d from its centre. An area of a mask has a signed distance of its own,
+//! in [`crate::field`].
 //!
 //! Source: paper, Eq. (visibility_const_b).
 
@@ -29,7 +30,8 @@ impl Obstacle<'_> {
         }
     }
 
-    /// The least and the greatest (u, v) of the box that holds every point of negative clearance, px.
+    /// The least and the greatest (u, v) of the box that holds every point of negative clearance,
+    /// px.
     pub fn bounding_box(self) -> [[f64; 2]; 2] {
         match self {
             Self::Part(Part {
@@ -41,8 +43,8 @@ impl Obstacle<'_> {
         }
     }
 
-    /// How far a pixel lies outside that box (largest component), px: cheap, and never above the true distance;
-    /// negative inside.
+    /// How far a pixel lies outside that box (largest component), px: cheap, and never above the
+    /// true distance; negative inside.
     pub fn outside_box(self, pixel: [f64; 2]) -> f64 {
         let [low, high] = self.bounding_box();
         let gap = |x: f64, low: f64, high: f64| (low - x).max(x - high);
@@ -105,8 +107,9 @@ fn clearance(part: &Part, [u, v]: [f64; 2]) -> Clearance {
     }
 }
 
-/// A cheap lower bound of the clearance of a pixel from a part; none inside the part's bounding box. The p-norm is at
-/// least the largest entry of the offset, and no entry of its gradient by the offset is above 1.
+/// A cheap lower bound of the clearance of a pixel from a part; none inside the part's bounding
+/// box. The p-norm is at least the largest entry of the offset, and no entry of its gradient by the
+/// offset is above 1.
 fn at_least(part: &Part, [u, v]: [f64; 2]) -> f64 {
     let largest =
         ((u - part.center[0]).abs() / part.half[0]).max((v - part.center[1]).abs() / part.half[1]);
@@ -117,7 +120,8 @@ fn at_least(part: &Part, [u, v]: [f64; 2]) -> f64 {
     (largest - 1.0) * core::f64::consts::FRAC_1_SQRT_2 * short
 }
 
-/// The exponent p: for the powers of two that scenes use, powers cost only products and roots only square roots.
+/// The exponent p: for the powers of two that scenes use, powers cost only products and roots only
+/// square roots.
 #[derive(Clone, Copy)]
 enum Exponent {
     PowerOfTwo(u32),

@@ -21,16 +21,17 @@ use crate::{
 pub enum Model {
     /// The paper's: the interaction matrix with the depths that the points have at the goal.
     TargetDepth,
-    /// The interaction matrix with one depth Z = Z* sqrt(a*/a), from the measured area; no more geometry needed.
+    /// The interaction matrix with one depth Z = Z* sqrt(a*/a), from the measured area; no more
+    /// geometry needed.
     AreaDepth,
-    /// The paper's "global model": pose of the known pattern by homography, then exact rigid motion. Where no pose
-    /// fits the features it falls back to [`Model::AreaDepth`] for the cycle.
+    /// The paper's "global model": pose of the known pattern by homography, then exact rigid
+    /// motion. Where no pose fits the features it falls back to [`Model::AreaDepth`] for the cycle.
     #[default]
     Pose,
 }
 
-/// A pose whose reprojection error is above this share of the pattern's size in the image does not explain the
-/// features.
+/// A pose whose reprojection error is above this share of the pattern's size in the image does not
+/// explain the features.
 const POSE_RESIDUAL: f64 = 0.1;
 
 /// Where the preview starts: the measured features, and what the model knows of their depth.
@@ -41,7 +42,8 @@ pub struct InitialState {
     geometry: Geometry,
 }
 
-/// Longest step with which the motion of a depth model is integrated, as a share of the sampling time.
+/// Longest step with which the motion of a depth model is integrated, as a share of the sampling
+/// time.
 const STEP: f64 = 0.5;
 /// Most of these steps, so that the work is bounded.
 const MOST_STEPS: f64 = 128.0;
@@ -78,8 +80,8 @@ impl InitialState {
         }
     }
 
-    /// The features as the model explains them, px: for [`Model::Pose`] the projection of the pattern at its pose, else
-    /// the measured ones themselves.
+    /// The features as the model explains them, px: for [`Model::Pose`] the projection of the
+    /// pattern at its pose, else the measured ones themselves.
     pub fn explained(&self, task: &Task) -> Points {
         match &self.geometry {
             Geometry::Depths(_) => self.points.clone(),
@@ -87,8 +89,9 @@ impl InitialState {
         }
     }
 
-    /// The initial after the camera has moved at `twist` for `seconds`. What the model does not explain of the features
-    /// stays with them. `None` where a point would be behind the camera or run away.
+    /// The initial after the camera has moved at `twist` for `seconds`. What the model does not
+    /// explain of the features stays with them. `None` where a point would be behind the camera or
+    /// run away.
     pub fn moved(&self, task: &Task, model: Model, twist: &Twist, seconds: f64) -> Option<Self> {
         match &self.geometry {
             Geometry::Positions(before) => {
@@ -164,10 +167,12 @@ fn space(task: &Task, points: &Points) -> Option<Geometry> {
         .then(|| Geometry::Positions(pose::points(&estimate, &task.pattern)))
 }
 
-/// A plan: `nc` camera velocities; the last one holds to the end of the window. Only the first `6 nc` entries count.
+/// A plan: `nc` camera velocities; the last one holds to the end of the window. Only the first `6
+/// nc` entries count.
 pub type Plan = [f64; MAX_VARIABLES];
 
-/// The previewed features and their derivatives with respect to the first `N = 6 nc` entries of the plan.
+/// The previewed features and their derivatives with respect to the first `N = 6 nc` entries of the
+/// plan.
 #[derive(Clone, Debug)]
 pub struct Preview<const N: usize> {
     np: usize,
@@ -226,8 +231,8 @@ impl<const N: usize> Preview<N> {
         })
     }
 
-    /// Predicts the features under `plan`. `false` where a point would come behind the camera, which no command of
-    /// the arm may do: the caller treats the plan as impossible.
+    /// Predicts the features under `plan`. `false` where a point would come behind the camera,
+    /// which no command of the arm may do: the caller treats the plan as impossible.
     #[must_use]
     pub fn linearize(&mut self, task: &Task, initial: &InitialState, plan: &[f64; N]) -> bool {
         self.predict::<true>(task, initial, plan)

@@ -1,11 +1,13 @@
 //! A dense quadratic program with hard bounds and elastic rows, by a dual active-set method.
 //!
-//! minimise 1/2 d^T H d + g^T d + rho sum_i max(0, -(a_i^T d + c_i))  subject to  lower <= d <= upper
+//! minimise 1/2 d^T H d + g^T d + rho sum_i max(0, -(a_i^T d + c_i))  subject to  lower <= d <=
+//! upper
 //!
-//! The exact (L1) penalty caps the multiplier of a row at rho. The dual method starts at the unconstrained minimum
-//! and adds violated constraints one by one; when a row's multiplier reaches its cap the row *yields*: it stays
-//! violated, its pull rho a_i joins the linear term, and from then on it counts as violated when it is satisfied.
-//! Bounds never yield, so the answer is inside them whatever the rows ask for, and the program always has a solution.
+//! The exact (L1) penalty caps the multiplier of a row at rho. The dual method starts at the
+//! unconstrained minimum and adds violated constraints one by one; when a row's multiplier reaches
+//! its cap the row *yields*: it stays violated, its pull rho a_i joins the linear term, and from
+//! then on it counts as violated when it is satisfied. Bounds never yield, so the answer is inside
+//! them whatever the rows ask for, and the program always has a solution.
 //!
 //! The number of variables is part of the type: every inner loop has a fixed length.
 //!
@@ -17,8 +19,8 @@
 //! | rho | `rho` | penalty weight, the cap of the multipliers of rows |
 //! | J, R | `columns`, `triangle` | H = L L^T, L^{-1} A = Q R with the active normals A, J = L^{-T} Q |
 //!
-//! Source: D. Goldfarb and A. Idnani, "A numerically stable dual method for solving strictly convex quadratic
-//! programs", Math. Programming 27 (1983); the cap on multipliers is ours.
+//! Source: D. Goldfarb and A. Idnani, "A numerically stable dual method for solving strictly convex
+//! quadratic programs", Math. Programming 27 (1983); the cap on multipliers is ours.
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: indices run over 0..N of arrays of N, or below the counts kept beside them"
@@ -28,8 +30,8 @@ use libm::sqrt;
 
 /// Most elastic rows.
 pub const MAX_ROWS: usize = 1536;
-/// Most violated rows that are kept in sight between two looks at all rows: with a long window there are hundreds,
-/// and only a few decide.
+/// Most violated rows that are kept in sight between two looks at all rows: with a long window
+/// there are hundreds, and only a few decide.
 const MAX_SUSPECTS: usize = 24;
 /// A bound is violated beyond this, m/s or rad/s.
 const BOUND_TOLERANCE: f64 = 1e-12;
@@ -57,8 +59,8 @@ impl<const N: usize> Quadratic<N> {
     }
 }
 
-/// The elastic rows a^T d + c >= 0 of a program, in a store of fixed size: the linearised clearances (px) of
-/// previewed points.
+/// The elastic rows a^T d + c >= 0 of a program, in a store of fixed size: the linearised
+/// clearances (px) of previewed points.
 #[derive(Clone, Debug)]
 pub struct Rows<const N: usize> {
     gradients: [[f64; N]; MAX_ROWS],
@@ -101,7 +103,8 @@ impl<const N: usize> Rows<N> {
         true
     }
 
-    /// Row `i` from now on has this clearance (px) at `d`: its gradient stays, what it left out of the curvature comes in.
+    /// Row `i` from now on has this clearance (px) at `d`: its gradient stays, what it left out of
+    /// the curvature comes in.
     pub fn correct(&mut self, i: usize, clearance: f64, d: &[f64; N]) {
         self.clearances[i] = clearance - dot(&self.gradients[i], d);
     }
@@ -113,7 +116,8 @@ impl<const N: usize> Rows<N> {
         }
     }
 
-    /// What row `i` leaves free at `d`, px; negative where it is violated, or satisfied although it has yielded.
+    /// What row `i` leaves free at `d`, px; negative where it is violated, or satisfied although it
+    /// has yielded.
     fn slack(&self, i: usize, d: &[f64; N]) -> f64 {
         self.signs[i] * (dot(&self.gradients[i], d) + self.clearances[i])
     }
@@ -240,8 +244,8 @@ impl<const N: usize> ActiveSet<N> {
         }
     }
 
-    /// Solves a program. `rho` caps the multipliers of the rows (cost per px); at most `limit` changes
-    /// of the active set are made.
+    /// Solves a program. `rho` caps the multipliers of the rows (cost per px); at most `limit`
+    /// changes of the active set are made.
     pub fn solve(
         &mut self,
         quadratic: &Quadratic<N>,
@@ -325,8 +329,8 @@ impl<const N: usize> ActiveSet<N> {
         }
     }
 
-    /// The longest step of the entering multiplier, and what ends it: the constraint is satisfied, its
-    /// multiplier reaches its cap, or an active multiplier leaves [0, rho].
+    /// The longest step of the entering multiplier, and what ends it: the constraint is satisfied,
+    /// its multiplier reaches its cap, or an active multiplier leaves [0, rho].
     fn longest_step(
         &self,
         entering: &Entering<N>,
@@ -385,7 +389,8 @@ impl<const N: usize> ActiveSet<N> {
         entering.multiplier += step;
     }
 
-    /// J = L^{-T} from the Cholesky factor of the Hessian; `false` where it is not positive definite.
+    /// J = L^{-T} from the Cholesky factor of the Hessian; `false` where it is not positive
+    /// definite.
     fn factorise(&mut self, hessian: &[[f64; N]; N]) -> bool {
         let mut factor = [[0.0; N]; N];
         let mut inverse = [0.0; N];
@@ -433,8 +438,8 @@ impl<const N: usize> ActiveSet<N> {
         d
     }
 
-    /// A constraint that is violated by much, with its slack: the worst bound, else the worst suspect, else, where no
-    /// suspect is violated any more, the worst of all rows.
+    /// A constraint that is violated by much, with its slack: the worst bound, else the worst
+    /// suspect, else, where no suspect is violated any more, the worst of all rows.
     fn violated(
         &mut self,
         quadratic: &Quadratic<N>,

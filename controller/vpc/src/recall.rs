@@ -1,10 +1,11 @@
 //! Recall: when to ask the memory, and what it says.
 
-use crate::settings::Strategy;
+use crate::settings::{Settings, Strategy};
 use crate::task::Task;
 use crate::{DOF, MAX_POINTS, Points, Twist, constraint, limit};
 
-/// How far the memory's twist may pass the limits: it knows plans inside them, and a regression overshoots a little.
+/// How far the memory's twist may pass the limits: it knows plans inside them, and a regression
+/// overshoots a little.
 const MOST_TWIST: f64 = 2.0;
 /// How far its way point may lie outside the image, as a share of the image.
 const MOST_OUTSIDE: f64 = 0.25;
@@ -18,45 +19,21 @@ pub struct Recall {
     pub way_point: Points,
 }
 
-/// Decides whether features are close to an occlusion, with hysteresis: close below `on` px, and then until every
-/// feature is `off` px away, so that the law does not fall back on the goal at the edge of the zone.
-#[derive(Clone, Copy, Debug)]
-pub struct Trigger {
-    on: f64,
-    off: f64,
-    close: bool,
-}
-
-impl Trigger {
-    /// A trigger that closes below `on` px and opens above `release` times as much.
-    pub fn new(on: f64, release: f64) -> Self {
-        Self {
-            on,
-            off: on * release,
-            close: false,
+/// Whether the memory is asked at a clearance of the nearest feature, px: from `trigger_px` on, and
+/// then until every feature is `hysteresis` times as far away, so that the law does not fall back
+/// on the goal at the edge of the zone.
+pub fn is_near(was_near: bool, clearance_px: f64, settings: &Settings) -> bool {
+    let Settings {
+        trigger_px,
+        hysteresis,
+        ..
+    } = *settings;
+    clearance_px
+        < if was_near {
+            trigger_px * hysteresis
+        } else {
+            trigger_px
         }
-    }
-
-    /// Opens the trigger.
-    pub fn reset(&mut self) {
-        self.close = false;
-    }
-
-    /// Whether features are close.
-    pub fn is_close(&self) -> bool {
-        self.close
-    }
-
-    /// Goes on from another trigger's [`Trigger::is_close`].
-    pub fn set_close(&mut self, close: bool) {
-        self.close = close;
-    }
-
-    /// Takes the clearance of the nearest feature (px) and tells whether the memory is asked.
-    pub fn update(&mut self, clearance: f64) -> bool {
-        self.close = clearance < if self.close { self.off } else { self.on };
-        self.close
-    }
 }
 
 /// Least clearance of any feature from any occlusion, px.
@@ -72,7 +49,8 @@ pub fn clearance(task: &Task, points: &[[f64; 2]]) -> f64 {
 ///
 /// The daemon asks a memory-mapped file, the builder the memory that it is growing.
 pub trait MotionMemory {
-    /// Writes the inferred output; `false` where the memory has no answer for this strategy and input.
+    /// Writes the inferred output; `false` where the memory has no answer for this strategy and
+    /// input.
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
 
     /// Writes the input of the `rank`-th nearest sample, from 1; `false` where there is none.
@@ -143,11 +121,13 @@ pub fn query(
 }
 
 impl Recall {
-    /// Splits an output y = (v, way point), clamps the twist to the limits and the way point to the image.
+    /// Splits an output y = (v, way point), clamps the twist to the limits and the way point to the
+    /// image.
     ///
     /// # Errors
-    /// [`OutOfRange`] where a number is not finite, the twist beyond twice the limits, or a point of the way point
-    /// further outside the image than a quarter of it: no plan of the memory is like that.
+    /// [`OutOfRange`] where a number is not finite, the twist beyond twice the limits, or a point
+    /// of the way point further outside the image than a quarter of it: no plan of the memory is
+    /// like that.
     pub fn from_output(task: &Task, output: &[f64]) -> Result<Self, OutOfRange> {
         let (twist, way_point) = output.split_at_checked(DOF).ok_or(OutOfRange)?;
         let twist: Twist = twist.try_into().map_err(|_| OutOfRange)?;
@@ -176,10 +156,11 @@ mod tests {
 
     #[test]
     fn the_trigger_has_hysteresis() {
-        let mut trigger = Trigger::new(20.0, 2.0);
-        let seen: Vec<bool> = [30.0, 19.0, 30.0, 39.0, 41.0, 30.0]
-            .map(|c| trigger.update(c))
-            .into();
+        let (settings, mut near) = (Settings::default(), false);
+        let seen = [30.0, 19.0, 30.0, 39.0, 41.0, 30.0].map(|clearance_px| {
+            near = is_near(near, clearance_px, &settings);
+            near
+        });
         assert_eq!(seen, [false, true, true, true, false, false]);
     }
 

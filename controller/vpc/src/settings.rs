@@ -14,7 +14,8 @@ use crate::{MAX_NC, MAX_NP};
 pub enum Strategy {
     /// Warm start from the previous cycle's solution, target is the goal (the paper's "prev.-it.").
     Previous,
-    /// Near a constraint, warm start and way point from the mean of the `k` nearest samples of the memory.
+    /// Near a constraint, warm start and way point from the mean of the `k` nearest samples of the
+    /// memory.
     Knn {
         /// Neighbours averaged, from 1.
         k: usize,
@@ -85,8 +86,8 @@ pub struct Settings {
     pub model: Model,
     /// The memory is asked from here on: clearance of any feature from an occlusion, px.
     pub trigger_px: f64,
-    /// The memory is asked until every feature is this many times further away than `trigger_px`, at
-    /// least 1.
+    /// The memory is asked until every feature is this many times further away than `trigger_px`,
+    /// at least 1.
     pub hysteresis: f64,
     /// Extra clearance kept from every border, px.
     pub margin_px: f64,
@@ -94,7 +95,8 @@ pub struct Settings {
     pub lambda: f64,
     /// Whether a stall beside an occlusion is left by a detour over a sample of the memory.
     pub detour: bool,
-    /// Whether features are advanced from their exposure to the instant at which the command takes effect.
+    /// Whether features are advanced from their exposure to the instant at which the command takes
+    /// effect.
     pub delay_compensation: bool,
 }
 
@@ -142,50 +144,35 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Range`] names the first one that is wrong.
     pub fn check(&self) -> Result<(), SettingsError> {
-        let SolverOptions {
-            max_iterations,
-            tolerance,
-        } = self.solver;
-        let neighbours = match self.strategy {
-            Strategy::Knn { k } => k,
-            _ => 1,
+        let k = match self.strategy {
+            Strategy::Knn { k } => k as f64,
+            _ => 1.0,
         };
+        let (most_np, most_k) = (MAX_NP as f64, MAX_NEIGHBOURS as f64);
         let most_nc = MAX_NC.min(self.np) as f64;
+        let iterations = f64::from(self.solver.max_iterations);
         let ranges = [
-            ("np", self.np as f64, 1.0, MAX_NP as f64, "1 to 40"),
+            ("np", self.np as f64, 1.0, most_np, "1 to 40"),
             ("nc", self.nc as f64, 1.0, most_nc, "1 to 4, at most np"),
-            (
-                "iterations",
-                f64::from(max_iterations),
-                1.0,
-                1000.0,
-                "1 to 1000",
-            ),
-            ("tolerance", tolerance, 1e-15, 1.0, "1e-15 to 1"),
+            ("iterations", iterations, 1.0, 1e3, "1 to 1000"),
+            ("tolerance", self.solver.tolerance, 1e-15, 1.0, "1e-15 to 1"),
             ("trigger_px", self.trigger_px, 0.0, 1e4, "0 to 1e4 px"),
             ("hysteresis", self.hysteresis, 1.0, 100.0, "1 to 100"),
             ("margin_px", self.margin_px, 0.0, 1e3, "0 to 1e3 px"),
             ("lambda", self.lambda, 1e-6, 100.0, "1e-6 to 100 per s"),
-            (
-                "k",
-                neighbours as f64,
-                1.0,
-                MAX_NEIGHBOURS as f64,
-                "1 to 64",
-            ),
+            ("k", k, 1.0, most_k, "1 to 64"),
         ];
-        // A NaN is in no range.
-        match ranges
-            .iter()
-            .find(|(_, value, low, high, _)| !(low..=high).contains(&value))
-        {
-            Some(&(name, value, _, _, allowed)) => Err(SettingsError::Range {
-                name,
-                value,
-                allowed,
-            }),
-            None => Ok(()),
+        for (name, value, low, high, allowed) in ranges {
+            // A NaN is in no range.
+            if !(low..=high).contains(&value) {
+                return Err(SettingsError::Range {
+                    name,
+                    value,
+                    allowed,
+                });
+            }
         }
+        Ok(())
     }
 }
 

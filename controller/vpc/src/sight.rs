@@ -34,8 +34,8 @@ impl<'a> Sight<'a> {
         }
     }
 
-    /// Whether every point has a straight way in the image to its place among others, inside the image as well: its
-    /// border is in no such way.
+    /// Whether every point has a straight way in the image to its place among others, inside the
+    /// image as well: its border is in no such way.
     pub fn is_free(&self, there: &[[f64; 2]]) -> bool {
         let count = self.points.len();
         (self.nearest..count).chain(0..self.nearest).all(|index| {

@@ -7,7 +7,8 @@ use crate::prediction::Plan;
 use crate::problem::{Problem, Solution, SolverOptions};
 use crate::sqp::Sqp;
 
-/// Shares of the budget of work, in quarters: the whole, and what the first of several starts may use up.
+/// Shares of the budget of work, in quarters: the whole, and what the first of several starts may
+/// use up.
 const WHOLE: u32 = 4;
 const FIRST: u32 = 3;
 
@@ -38,8 +39,8 @@ macro_rules! window {
 }
 
 impl Solver {
-    /// A solver for a window of `np` steps (1 to [`crate::MAX_NP`]) and `nc` free commands (1 to [`crate::MAX_NC`]),
-    /// without a bound on its work.
+    /// A solver for a window of `np` steps (1 to [`crate::MAX_NP`]) and `nc` free commands (1 to
+    /// [`crate::MAX_NC`]), without a bound on its work.
     pub fn new(np: usize, nc: usize, options: SolverOptions) -> Self {
         Self(match nc {
             0 | 1 => Window::One(Sqp::new(np, options)),
@@ -61,7 +62,8 @@ impl Solver {
         window!(self, evaluate(problem, plan))
     }
 
-    /// The greatest violation at the first step of a plan, px; infinite where the plan is impossible.
+    /// The greatest violation at the first step of a plan, px; infinite where the plan is
+    /// impossible.
     pub fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
         window!(self, next_violation(problem, plan))
     }
@@ -71,8 +73,9 @@ impl Solver {
         window!(self, solve(problem, warm, WHOLE))
     }
 
-    /// Solves the problem from each start in turn until a solution violates nothing; otherwise returns the one that
-    /// violates least. All starts share one budget of work, of which the first leaves at least a quarter.
+    /// Solves the problem from each start in turn until a solution violates nothing; otherwise
+    /// returns the one that violates least. All starts share one budget of work, of which the first
+    /// leaves at least a quarter.
     pub fn solve_from(&mut self, problem: &Problem<'_>, starts: &[Plan]) -> Solution {
         let mut best: Option<Solution> = None;
         let (mut iterations, mut qp_iterations, mut work) = (0, 0, 0);

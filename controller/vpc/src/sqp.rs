@@ -148,7 +148,8 @@ impl<const N: usize> Sqp<N> {
         possible.then(|| self.cost(problem, &plan))
     }
 
-    /// The greatest violation at the first step of a plan, px; infinite where the plan is impossible.
+    /// The greatest violation at the first step of a plan, px; infinite where the plan is
+    /// impossible.
     pub(crate) fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
         let possible = self
             .preview
@@ -215,8 +216,8 @@ impl<const N: usize> Sqp<N> {
         iterations < self.options.max_iterations && work < budget
     }
 
-    /// Begins an iteration: the cost, and its expansion about the plan that was evaluated last, with
-    /// the bounds of a step.
+    /// Begins an iteration: the cost, and its expansion about the plan that was evaluated last,
+    /// with the bounds of a step.
     fn expand(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> (f64, Quadratic<N>) {
         self.progress.iterations += 1;
         self.progress.work += work::expansion(self.preview.np());
@@ -232,8 +233,8 @@ impl<const N: usize> Sqp<N> {
         (expansion.value, quadratic)
     }
 
-    /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can be
-    /// used up. Rows past the store's end belong to the last steps of the window, which the next
+    /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
+    /// be used up. Rows past the store's end belong to the last steps of the window, which the next
     /// cycles see again.
     fn collect_rows(&mut self, problem: &Problem<'_>, bounds: &Quadratic<N>) {
         self.rows.clear();
@@ -469,9 +470,9 @@ fn reach<const N: usize>(point: &Previewed<'_, N>, bounds: &Quadratic<N>) -> [[f
     [low, high]
 }
 
-/// Where rho starts. A multiplier balances the pull of the image errors on the features, so ten times
-/// the sum of all pulls (each at least that of an error of 1 % of the image width) is above it unless
-/// the geometry is extreme; then a row yields and rho is raised.
+/// Where rho starts. A multiplier balances the pull of the image errors on the features, so ten
+/// times the sum of all pulls (each at least that of an error of 1 % of the image width) is above
+/// it unless the geometry is extreme; then a row yields and rho is raised.
 fn first_rho(problem: &Problem<'_>, np: usize) -> f64 {
     let task = problem.task;
     let floor = 0.01 * task.camera.width;

@@ -1,5 +1,5 @@
-//! The building of a memory: batches of starts, each tried against the memory as it was before the batch, so that
-//! the same seed gives the same memory whatever the number of threads.
+//! The building of a memory: batches of starts, each tried against the memory as it was before the
+//! batch, so that the same seed gives the same memory whatever the number of threads.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -59,8 +59,8 @@ pub enum BuildError {
     },
 }
 
-/// Collects trajectories until there are enough, or `stop` is set; calls `report` after each batch. Going on from
-/// the progress of an earlier call gives the same memory as one uninterrupted call.
+/// Collects trajectories until there are enough, or `stop` is set; calls `report` after each batch.
+/// Going on from the progress of an earlier call gives the same memory as one uninterrupted call.
 ///
 /// # Errors
 /// [`BuildError`] where the scene leaves nothing to build.
@@ -127,7 +127,8 @@ pub fn collect(
     Ok(progress)
 }
 
-/// The starts of a batch: uniform at first; later a share of them from a mixture fitted to the failures.
+/// The starts of a batch: uniform at first; later a share of them from a mixture fitted to the
+/// failures.
 fn draw_starts(
     scene: &Scene,
     task: &Task,

@@ -35,8 +35,9 @@ struct Cli {
 enum Command {
     /// Build a memory for a scene: solve it from many random starts and fit the regression.
     ///
-    /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from there and ends with
-    /// the same file. The same seed gives the same file whatever the number of threads.
+    /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from
+    /// there and ends with the same file. The same seed gives the same file whatever the number of
+    /// threads.
     Build(Build),
     /// Say what is in a memory.
     Inspect {
@@ -51,8 +52,8 @@ enum Command {
         #[arg(long)]
         scene: Option<PathBuf>,
     },
-    /// Draw valid start poses from the scene's region, for `cargo table`; another seed than the build's gives starts
-    /// that the memory has not seen.
+    /// Draw valid start poses from the scene's region, for `cargo table`; another seed than the
+    /// build's gives starts that the memory has not seen.
     Starts {
         /// Scene file (TOML).
         scene: PathBuf,
@@ -68,9 +69,11 @@ enum Command {
     },
     /// Write the scene file of a task of your own; on a terminal, what no flag tells is asked for.
     New(command::new::New),
-    /// Draw a scene: occlusions, the zone in which the memory is asked, goal, starts; and describe it.
+    /// Draw a scene: occlusions, the zone in which the memory is asked, goal, starts; and describe
+    /// it.
     Preview(command::preview::Preview),
-    /// Paint the occlusions of a scene into an image of the camera's size, to go on from in any editor.
+    /// Paint the occlusions of a scene into an image of the camera's size, to go on from in any
+    /// editor.
     Mask(command::mask::Mask),
     /// Fit the regression again from the samples stored in a memory.
     Fit {
@@ -119,14 +122,15 @@ struct Overrides {
     /// Optimality precision of the solver [default: 1e-9].
     #[arg(long)]
     tolerance: Option<f64>,
-    /// Way points this many control periods ahead, as in the paper, instead of the last features in sight.
+    /// Way points this many control periods ahead, as in the paper, instead of the last features in
+    /// sight.
     #[arg(long)]
     way_point_samples: Option<usize>,
     /// Features closer than this to an occlusion are guided by the memory, px [default: 20].
     #[arg(long)]
     trigger_px: Option<f64>,
-    /// Draws an occlusion larger while trajectories are made, by its name: --grow "spot on the lens=1.2". The memory is
-    /// one for the scene as it is; its provenance tells what was grown.
+    /// Draws an occlusion larger while trajectories are made, by its name: --grow "spot on the
+    /// lens=1.2". The memory is one for the scene as it is; its provenance tells what was grown.
     #[arg(long, value_name = "NAME=FACTOR", value_parser = growth)]
     grow: Vec<(String, f64)>,
     /// Do without the planner in pose space: the paper's two algorithms only.

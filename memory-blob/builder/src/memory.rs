@@ -42,8 +42,8 @@ pub fn contents(
     })
 }
 
-/// The process fitted to the kept samples, with the constant mean (0, s*): no motion and the goal where the memory
-/// knows nothing.
+/// The process fitted to the kept samples, with the constant mean (0, s*): no motion and the goal
+/// where the memory knows nothing.
 ///
 /// Source: paper, Eq. (gpr).
 fn fit(
@@ -85,8 +85,8 @@ fn fit(
     })
 }
 
-/// Trajectories as a memory file keeps them, for refitting: the stored samples in their order. Commands between
-/// stored samples are not in the file, so the way points stay as they were built.
+/// Trajectories as a memory file keeps them, for refitting: the stored samples in their order.
+/// Commands between stored samples are not in the file, so the way points stay as they were built.
 pub fn refit(
     scene: &Scene,
     task: &Task,

@@ -1,10 +1,11 @@
-//! A Gaussian mixture over failed starts, from which starts are drawn that the memory cannot solve yet.
+//! A Gaussian mixture over failed starts, from which starts are drawn that the memory cannot solve
+//! yet.
 //!
 //! A start is a point of R^6: translation (m) and rotation vector (rad) of the object in the camera
-//! frame. The paper (Sect. IV) fits a Gaussian mixture model. Here each failed start is a component of
-//! its own, all with the same weight and the same deviations, by Scott's rule: nothing is fitted, and a
-//! trap with few failures is not taken for part of a larger one. Rotation vectors are treated as plain
-//! vectors: what is cut at pi rad lies on both sides of the cut.
+//! frame. The paper (Sect. IV) fits a Gaussian mixture model. Here each failed start is a component
+//! of its own, all with the same weight and the same deviations, by Scott's rule: nothing is
+//! fitted, and a trap with few failures is not taken for part of a larger one. Rotation vectors are
+//! treated as plain vectors: what is cut at pi rad lies on both sides of the cut.
 //!
 //! Source: D. Scott, "Multivariate Density Estimation" (1992), Eq. (6.42).
 
@@ -42,8 +43,8 @@ impl Mixture {
         })
     }
 
-    /// Draws one start. It is not limited to any region: the caller rejects what lies outside of its
-    /// own.
+    /// Draws one start. It is not limited to any region: the caller rejects what lies outside of
+    /// its own.
     pub fn sample(&self, rng: &mut ChaCha8Rng) -> [f64; DIMENSION] {
         // A range of u64, so that the same seed gives the same start on every machine.
         let centre = self.centres[rng.random_range(0..self.centres.len() as u64) as usize];
@@ -80,7 +81,8 @@ mod tests {
         let starts = drawn(1);
         let mean = starts.iter().map(|x| x[0]).sum::<f64>() / 3000.0;
         assert!((mean - 0.2).abs() < 0.02, "{mean}");
-        // Each axis has the clouds' own variance and that of the components: 300^(-1/5) of the whole.
+        // Each axis has the clouds' own variance and that of the components: 300^(-1/5) of the
+        // whole.
         let square = |x: &[f64; DIMENSION]| (x[3] - mean) * (x[3] - mean);
         let variance = starts.iter().map(square).sum::<f64>() / 3000.0;
         let whole: f64 = 0.08 + 0.0004;

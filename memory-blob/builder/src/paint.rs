@@ -11,7 +11,8 @@ pub fn is_forbidden(scene: &Scene, column: u32, row: u32) -> bool {
         || scene.masks().any(|mask| mask.is_forbidden(i, j))
 }
 
-/// The text of a scene file with its occlusions replaced by one mask; every other table stays as it is written.
+/// The text of a scene file with its occlusions replaced by one mask; every other table stays as it
+/// is written.
 pub fn with_mask(text: &str, mask: &str) -> String {
     let mut kept: Vec<&str> = Vec::new();
     let mut in_occlusion = false;

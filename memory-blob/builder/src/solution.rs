@@ -36,9 +36,10 @@ impl<'a> Finder<'a> {
         }
     }
 
-    /// The next command from the features `points`: guided by the memory where features are close to an occlusion
-    /// (`store` is given once it holds enough trajectories), else from the `previous` command; and where that gives
-    /// no success, from 12 predefined and 10 random directions. `None` where every start fails.
+    /// The next command from the features `points`: guided by the memory where features are close
+    /// to an occlusion (`store` is given once it holds enough trajectories), else from the
+    /// `previous` command; and where that gives no success, from 12 predefined and 10 random
+    /// directions. `None` where every start fails.
     ///
     /// Source: paper, the second algorithm.
     pub fn find(
@@ -72,8 +73,8 @@ impl<'a> Finder<'a> {
         })
     }
 
-    /// Solves one problem from `warm` towards `target`; `None` where the solution violates a constraint or did not
-    /// converge.
+    /// Solves one problem from `warm` towards `target`; `None` where the solution violates a
+    /// constraint or did not converge.
     pub fn solve(&mut self, points: &Points, target: &Points, warm: &Twist) -> Option<Twist> {
         let initial = InitialState::new(self.task, BuildSettings::MODEL, points);
         let problem = Problem {

@@ -15,8 +15,8 @@ use crate::store::{Store, Trajectory};
 
 /// Periods without motion after which a trajectory counts as stuck.
 const STUCK_PERIODS: usize = 6;
-/// Image motion below which a period counts as one without motion: share of the motion that the camera's linear limit
-/// gives the pattern at its goal.
+/// Image motion below which a period counts as one without motion: share of the motion that the
+/// camera's linear limit gives the pattern at its goal.
 const STILL: f64 = 2e-3;
 /// Constraint violation that an exact step may show after the solver's tolerance, px.
 const TOLERATED_PX: f64 = 1.0;
@@ -34,9 +34,11 @@ pub enum Failure {
     TimeOut,
 }
 
-/// Runs from a start to the goal, step by step; `command` gives the next command from features and last command.
+/// Runs from a start to the goal, step by step; `command` gives the next command from features and
+/// last command.
 ///
-/// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not failed").
+/// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not
+/// failed").
 pub(crate) fn run(
     scene: &Scene,
     task: &Task,
@@ -81,8 +83,8 @@ pub(crate) fn run(
     Err(Failure::TimeOut)
 }
 
-/// A trajectory by the paper's algorithms, guided by `store` where it is given; where that fails and the settings
-/// allow it, along a path that the planner finds.
+/// A trajectory by the paper's algorithms, guided by `store` where it is given; where that fails
+/// and the settings allow it, along a path that the planner finds.
 pub fn generate(
     scene: &Scene,
     finder: &mut Finder<'_>,
@@ -102,8 +104,8 @@ pub fn generate(
     }
 }
 
-/// Tracks a path of features by the controller: the way point runs ahead of the features by a distance that is
-/// halved until the trajectory gets through.
+/// Tracks a path of features by the controller: the way point runs ahead of the features by a
+/// distance that is halved until the trajectory gets through.
 fn follow(
     scene: &Scene,
     finder: &mut Finder<'_>,

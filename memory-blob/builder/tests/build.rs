@@ -1,4 +1,5 @@
-//! The same seed gives the same memory: whatever the number of threads, and however often it was interrupted.
+//! The same seed gives the same memory: whatever the number of threads, and however often it was
+//! interrupted.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -88,7 +89,8 @@ fn variances_are_in_the_units_of_the_outputs() {
     let process = contents.regression.as_ref().unwrap();
     let scales = &process.output_scale;
 
-    // What the outputs were divided by: the root mean square of y - m over the samples of the process.
+    // What the outputs were divided by: the root mean square of y - m over the samples of the
+    // process.
     let output_of = |x| &contents.y[contents.x.iter().position(|other| other == x).unwrap()];
     for (o, scale) in scales.iter().enumerate() {
         let square = |x| (output_of(x)[o] - process.mean[o]).powi(2);

@@ -120,7 +120,8 @@ fn nothing_is_overwritten_and_nothing_invalid_is_written() {
     assert!(words.contains("exists"), "{words}");
 }
 
-/// Types answers on a terminal, then the end of the input; what was asked and said, and whether it went well.
+/// Types answers on a terminal, then the end of the input; what was asked and said, and whether it
+/// went well.
 fn typed(directory: &Path, arguments: &str, answers: &str) -> (String, bool) {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
     grantpt(&master).unwrap();

@@ -1,6 +1,8 @@
-//! Solvers that a Rust user would otherwise take, on the same cost and constraints with exact gradients.
+//! Solvers that a Rust user would otherwise take, on the same cost and constraints with exact
+//! gradients.
 //!
-//! Both ask for cost, constraints and their gradients one by one; [`Nlp`] previews a command once for all of them.
+//! Both ask for cost, constraints and their gradients one by one; [`Nlp`] previews a command once
+//! for all of them.
 
 mod open;
 mod slsqp;
@@ -16,7 +18,8 @@ use crate::subproblem::Case;
 pub use open::open;
 pub use slsqp::slsqp;
 
-/// The problem of a case as a nonlinear program: the cost over its value at rest, and rows that must not be negative.
+/// The problem of a case as a nonlinear program: the cost over its value at rest, and rows that
+/// must not be negative.
 pub struct Nlp<'a> {
     case: &'a Case,
     unit: f64,

@@ -45,7 +45,8 @@ pub struct Subproblem {
 /// Where SciPy started, and what it found from there alone.
 #[derive(Deserialize)]
 pub struct Start {
-    /// "zero", "unconstrained" (the answer where features may be anywhere), "random 0" to "random 3".
+    /// "zero", "unconstrained" (the answer where features may be anywhere), "random 0" to "random
+    /// 3".
     pub name: String,
     /// The start.
     pub v: Twist,

@@ -29,7 +29,8 @@ pub struct New {
     /// Frame rate, Hz [default: 30].
     #[arg(long)]
     rate: Option<String>,
-    /// The pattern, m: SIDE of a square, WIDTHxHEIGHT of a rectangle, or X,Y of each point between semicolons.
+    /// The pattern, m: SIDE of a square, WIDTHxHEIGHT of a rectangle, or X,Y of each point between
+    /// semicolons.
     #[arg(long)]
     pattern: Option<String>,
     /// Where the camera shall see the pattern, m and rad: depth Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ.
@@ -58,8 +59,9 @@ pub struct New {
     force: bool,
 }
 
-/// Greatest roll of starts, rad, at which `opencv_camera.py` finds a pattern that looks the same after a
-/// quarter turn: it looks for turns up to 1.4 rad, and beyond this another one of those fits as well.
+/// Greatest roll of starts, rad, at which `opencv_camera.py` finds a pattern that looks the same
+/// after a quarter turn: it looks for turns up to 1.4 rad, and beyond this another one of those
+/// fits as well.
 const TOLD_APART: f64 = std::f64::consts::FRAC_PI_2 - 1.4;
 
 impl New {
@@ -167,7 +169,8 @@ impl New {
         })
     }
 
-    /// The mask as the scene file names it; on a terminal it is asked for where no occlusion is given.
+    /// The mask as the scene file names it; on a terminal it is asked for where no occlusion is
+    /// given.
     fn mask_path(&self) -> anyhow::Result<Option<String>> {
         let mut mask = self.mask.clone();
         if mask.is_none() && self.ellipse.is_empty() && self.boxes.is_empty() {
@@ -188,8 +191,8 @@ impl New {
     }
 }
 
-/// What a flag's value means; else, on a terminal, the answer to a question, which is asked again until
-/// it means something; else the default. `read` takes the flag and the text.
+/// What a flag's value means; else, on a terminal, the answer to a question, which is asked again
+/// until it means something; else the default. `read` takes the flag and the text.
 fn ask<T>(
     flag: &str,
     question: &str,

@@ -12,7 +12,8 @@ use rand_chacha::rand_core::SeedableRng;
 use scene::{Area, Scene};
 use vpc::{Settings, Task, constraint, field};
 
-/// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer side.
+/// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer
+/// side.
 const SQUARE: f64 = 1.0 / 256.0;
 /// Places across an area of a mask at which its thickness is looked for.
 const PLACES: usize = 64;
@@ -86,7 +87,8 @@ impl Preview {
     }
 }
 
-/// Where a feature is nearer to an occlusion than the trigger distance: rows of squares, joined along each row.
+/// Where a feature is nearer to an occlusion than the trigger distance: rows of squares, joined
+/// along each row.
 fn zone(task: &Task, trigger: f64) -> Vec<[f64; 4]> {
     let (width, height) = (task.camera.width, task.camera.height);
     let side = (SQUARE * width.max(height)).max(1.0);
@@ -165,7 +167,8 @@ fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{plural}")
 }
 
-/// How far the camera's translation across the image can move a feature in one period near the goal, px.
+/// How far the camera's translation across the image can move a feature in one period near the
+/// goal, px.
 fn stride(task: &Task) -> f64 {
     let nearest = task
         .goal_depth
@@ -176,7 +179,8 @@ fn stride(task: &Task) -> f64 {
     (task.camera.fx * vx).hypot(task.camera.fy * vy) / nearest * task.ts
 }
 
-/// Occlusions with a part or an area that is thinner than this, px: name and thickness of the thinnest.
+/// Occlusions with a part or an area that is thinner than this, px: name and thickness of the
+/// thinnest.
 fn thin(scene: &Scene, stride: f64) -> Vec<(&str, f64)> {
     let thinnest = scene.occlusions.iter().map(|occlusion| {
         let parts = occlusion.parts.iter();

@@ -13,8 +13,8 @@ const CONSTANT: f64 = 1e-12;
 pub struct Fit {
     /// The hyper-parameters.
     pub kernel: Kernel,
-    /// What was added to the diagonal besides phi_s for the factor to exist, in squared output scales;
-    /// mostly 0.
+    /// What was added to the diagonal besides phi_s for the factor to exist, in squared output
+    /// scales; mostly 0.
     pub jitter: f64,
     /// L (nats) of all samples, over the outputs that vary, after division by their scales.
     pub log_marginal_likelihood: f64,
@@ -29,8 +29,8 @@ pub struct Fit {
     pub evaluations: usize,
 }
 
-/// Fits a process with constant mean `mean` (p values) to as many rows of `inputs` (n values, already
-/// scaled) as of `outputs` (p values), all finite and at least one.
+/// Fits a process with constant mean `mean` (p values) to as many rows of `inputs` (n values,
+/// already scaled) as of `outputs` (p values), all finite and at least one.
 ///
 /// # Errors
 /// [`NotPositiveDefinite`] when the covariance cannot be factorised.

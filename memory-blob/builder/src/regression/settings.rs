@@ -5,7 +5,8 @@ use crate::lbfgs;
 /// Box of the search: each pair is (lowest, highest), above 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HyperBounds {
-    /// Every l_i, in units of the scaled inputs. An input that does not matter ends at the upper bound.
+    /// Every l_i, in units of the scaled inputs. An input that does not matter ends at the upper
+    /// bound.
     pub length_scale: (f64, f64),
     /// phi_o (a deviation, not a variance), in output scales.
     pub signal_deviation: (f64, f64),
@@ -30,18 +31,19 @@ pub struct FitSettings {
     pub seed: u64,
     /// Random starts besides the first, which is one spread of the inputs for every length scale.
     pub restarts: usize,
-    /// Samples that the hyper-parameters are searched on, at least 2; Lambda is always computed on all.
+    /// Samples that the hyper-parameters are searched on, at least 2; Lambda is always computed on
+    /// all.
     pub subset: usize,
     /// Evaluations on all samples that then improve on the best of the subset, each of which costs
     /// about 4 D^3 operations; 0 leaves the hyper-parameters of the subset.
     pub polish: usize,
-    /// What each output less its mean is divided by before the likelihood is taken, above 0; by default
-    /// its root mean square, or 1 if that is zero.
+    /// What each output less its mean is divided by before the likelihood is taken, above 0; by
+    /// default its root mean square, or 1 if that is zero.
     pub output_scales: Option<Vec<f64>>,
     /// Where the hyper-parameters may lie.
     pub bounds: HyperBounds,
-    /// When each start ends; the function is the negative likelihood divided by the number of output
-    /// values.
+    /// When each start ends; the function is the negative likelihood divided by the number of
+    /// output values.
     pub search: lbfgs::Settings,
 }
 

@@ -65,8 +65,8 @@ impl Fixture {
 
 use likelihood::{Inputs, Likelihood};
 
-/// What the process says about one query: the reference that the fast query of `memory-blob` is written
-/// after. Variance of the function without noise, in squared output scales.
+/// What the process says about one query: the reference that the fast query of `memory-blob` is
+/// written after. Variance of the function without noise, in squared output scales.
 struct Prediction {
     mean: Vec<f64>,
     variance: f64,
