@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use ipc::ClockMode;
 use toml_schema::Document;
-use vpc::solver::Effort;
 use vpc::{Settings, Strategy};
 
 use crate::arguments::Arguments;
@@ -232,13 +231,13 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
         strategy,
         np: law.np,
         nc: law.nc,
-        effort: Effort {
+        solver: vpc::SolverOptions {
             max_iterations: law.iterations,
             tolerance: law.tolerance,
         },
         model: law.model,
         trigger_px: law.trigger_px,
-        release: law.hysteresis,
+        hysteresis: law.hysteresis,
         margin_px: law.margin_px,
         lambda: law.lambda,
         detour: law.detour,

@@ -339,7 +339,6 @@ fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryF
 fn lacking(memory: &MemoryFile, strategy: Strategy) -> Option<&'static str> {
     let view = memory.view();
     match strategy {
-        Strategy::Knn { .. } if view.samples().is_none() => Some("samples"),
         Strategy::Gpr if view.gpr().is_none() => Some("regression"),
         _ => None,
     }

@@ -12,8 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::solver::Effort;
-use vpc::{Controller, MotionMemory, Settings};
+use vpc::{Controller, MotionMemory, Settings, SolverOptions};
 
 use crate::flags::{Common, RobotFlags};
 use crate::robot::{Reason, RobotRun, run};
@@ -49,12 +48,12 @@ pub struct RobotRow {
 /// The law's settings for the robot: the paper's on-line settings of its second experiment.
 fn law(flags: &RobotFlags, base: Settings) -> Settings {
     Settings {
-        effort: Effort {
+        solver: SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
         },
         trigger_px: flags.trigger,
-        release: flags.release,
+        hysteresis: flags.release,
         margin_px: flags.margin,
         ..base
     }

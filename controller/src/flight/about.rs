@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use vpc::solver::Effort;
-use vpc::{Settings, Strategy};
+use vpc::{Settings, SolverOptions, Strategy};
 
 use super::record::{FlightRecord, Key};
 use super::words::Field;
@@ -110,10 +109,10 @@ impl From<&Settings> for SettingsAbout {
             strategy,
             np,
             nc,
-            effort,
+            solver,
             model,
             trigger_px,
-            release,
+            hysteresis: release,
             margin_px,
             lambda,
             detour,
@@ -123,8 +122,8 @@ impl From<&Settings> for SettingsAbout {
             strategy: strategy.to_string(),
             np,
             nc,
-            iterations: effort.max_iterations,
-            tolerance: effort.tolerance,
+            iterations: solver.max_iterations,
+            tolerance: solver.tolerance,
             model,
             trigger_px,
             release,
@@ -150,13 +149,13 @@ impl SettingsAbout {
             strategy,
             np: self.np,
             nc: self.nc,
-            effort: Effort {
+            solver: SolverOptions {
                 max_iterations: self.iterations,
                 tolerance: self.tolerance,
             },
             model: self.model,
             trigger_px: self.trigger_px,
-            release: self.release,
+            hysteresis: self.release,
             margin_px: self.margin_px,
             lambda: self.lambda,
             detour: self.detour,

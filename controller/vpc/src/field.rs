@@ -1,14 +1,20 @@
 //! The clearance from an area of a mask: a quadratic B-spline over the nodes of its field.
 //!
-//! Three nodes a side weigh in at each point, so that the clearance and its gradient are continuous, linear functions
-//! come back exactly, and a query costs nine numbers. The scene's coefficients hold the spline below the signed
-//! Euclidean distance near the border, so that no margin is needed on top.
+//! Three nodes a side weigh in at each point, so that the clearance and its gradient are
+//! continuous, linear functions come back exactly, and a query costs nine numbers. The scene's
+//! coefficients hold the spline below the signed Euclidean distance near the border, so that no
+//! margin is needed on top.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: the weights keep the three nodes of a side inside the grid"
+)]
 
 use scene::{Area, Field};
 
-use crate::constraint::Clearance;
+use crate::clearance::Clearance;
 
-/// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the grid's edge.
+/// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the
+/// grid's edge.
 pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
     let field = &area.field;
     let size = [field.columns, field.rows];
@@ -26,14 +32,6 @@ pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
         distance: distance + gradient[0] * u.beyond + gradient[1] * v.beyond,
         normal: gradient,
     }
-}
-
-/// How far a pixel lies outside the box that holds every point of negative clearance (largest component), px: never
-/// above the clearance outside the box; negative inside.
-pub fn outside_box(area: &Area, pixel: [f64; 2]) -> f64 {
-    let (low, high) = (area.low, area.high);
-    let gap = |k: usize| (low[k] - pixel[k]).max(pixel[k] - high[k]);
-    gap(0).max(gap(1))
 }
 
 fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {

@@ -36,8 +36,9 @@ struct Cli {
 enum Command {
     /// Build a memory for a scene: solve it from many random starts and fit the regression.
     ///
-    /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from there and ends with
-    /// the same file. The same seed gives the same file whatever the number of threads.
+    /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from
+    /// there and ends with the same file. The same seed gives the same file whatever the number of
+    /// threads.
     Build(Build),
     /// Say what is in a memory.
     Inspect {
@@ -52,8 +53,8 @@ enum Command {
         #[arg(long)]
         scene: Option<PathBuf>,
     },
-    /// Draw valid start poses from the scene's region, for `cargo table`; another seed than the build's gives starts
-    /// that the memory has not seen.
+    /// Draw valid start poses from the scene's region, for `cargo table`; another seed than the
+    /// build's gives starts that the memory has not seen.
     Starts {
         /// Scene file (TOML).
         scene: PathBuf,
@@ -69,9 +70,11 @@ enum Command {
     },
     /// Write the scene file of a task of your own; on a terminal, what no flag tells is asked for.
     New(command::new::New),
-    /// Draw a scene: occlusions, the zone in which the memory is asked, goal, starts; and describe it.
+    /// Draw a scene: occlusions, the zone in which the memory is asked, goal, starts; and describe
+    /// it.
     Preview(command::preview::Preview),
-    /// Paint the occlusions of a scene into an image of the camera's size, to go on from in any editor.
+    /// Paint the occlusions of a scene into an image of the camera's size, to go on from in any
+    /// editor.
     Mask(command::mask::Mask),
     /// Fit the regression again from the samples stored in a memory.
     Fit {
@@ -120,14 +123,15 @@ struct Overrides {
     /// Optimality precision of the solver [default: 1e-9].
     #[arg(long)]
     tolerance: Option<f64>,
-    /// Way points this many control periods ahead, as in the paper, instead of the last features in sight.
+    /// Way points this many control periods ahead, as in the paper, instead of the last features in
+    /// sight.
     #[arg(long)]
     way_point_samples: Option<u32>,
     /// Features closer than this to an occlusion are guided by the memory, px [default: 20].
     #[arg(long)]
     trigger_px: Option<f64>,
-    /// Draws an occlusion larger while trajectories are made, by its name: --grow "spot on the lens=1.2". The memory is
-    /// one for the scene as it is; its provenance tells what was grown.
+    /// Draws an occlusion larger while trajectories are made, by its name: --grow "spot on the
+    /// lens=1.2". The memory is one for the scene as it is; its provenance tells what was grown.
     #[arg(long, value_name = "NAME=FACTOR", value_parser = growth)]
     grow: Vec<(String, f64)>,
     /// Do without the planner in pose space: the paper's two algorithms only.
@@ -246,15 +250,19 @@ fn run_verify(path: &Path, scene: Option<&Path>) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn run_starts(scene: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
-    let scene = Scene::read(scene)?;
+fn run_starts(path: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
+    let scene = Scene::read(path)?;
     let task = Task::new(&scene)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let starts = (0..count)
-        .map(|_| start::valid(&scene, &task, None, &mut rng))
-        .collect::<Result<Vec<_>, _>>()?;
+    let starts = (0..count).map(|_| start::valid(&scene, &task, None, &mut rng));
+    let starts = starts.collect::<Result<Vec<_>, _>>()?;
+    let (scene, file) = (path.display(), output.display());
     fs::write(output, scene::starts_csv(&starts))
-        .with_context(|| format!("{}: cannot write", output.display()))
+        .with_context(|| format!("{file}: cannot write"))?;
+    print(&format!(
+        "wrote {file}: {count} valid starts of {scene}, seed {seed}; next: cargo table -- --scene {scene} --starts {file}\n"
+    ));
+    Ok(())
 }
 
 fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> anyhow::Result<()> {
@@ -340,7 +348,7 @@ fn run_build(build: &Build) -> anyhow::Result<()> {
 /// The progress that an interrupted build left, where it was of the same scene and settings.
 fn resume(path: &Path, scene: &Scene, settings: &BuildSettings) -> anyhow::Result<Progress> {
     if !path.exists() {
-        return Ok(Progress::new());
+        return Ok(Progress::default());
     }
     let text = fs::read(path).with_context(|| path.display().to_string())?;
     let partial: Partial = serde_json::from_slice(&text).with_context(|| {

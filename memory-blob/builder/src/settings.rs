@@ -7,8 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use toml_schema::Refusal;
-use vpc::Model;
-use vpc::solver::Effort;
+use vpc::{Model, SolverOptions};
 
 /// Factors by which an occlusion may be drawn larger.
 const GROWTH: [f64; 2] = [1.0, 3.0];
@@ -166,9 +165,9 @@ impl BuildSettings {
         Ok(grown)
     }
 
-    /// The solver's effort.
-    pub fn effort(&self) -> Effort {
-        Effort {
+    /// When the solver stops.
+    pub fn solver(&self) -> SolverOptions {
+        SolverOptions {
             max_iterations: self.iterations,
             tolerance: self.tolerance,
         }
