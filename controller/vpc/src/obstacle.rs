@@ -39,7 +39,7 @@ impl Obstacle<'_> {
                 half: [h, k],
                 ..
             }) => [[u - h, v - k], [u + h, v + k]],
-            Self::Area(area) => [area.low(), area.high()],
+            Self::Area(area) => [area.low, area.high],
         }
     }
 

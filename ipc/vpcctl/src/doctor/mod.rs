@@ -90,7 +90,7 @@ fn memory_of_motion(path: &Path, scene: Option<&Scene>) -> Finding {
     let name = path.display();
     match MemoryFile::open(path, task.as_ref()) {
         Ok(memory) => {
-            let samples = memory.view().samples().map_or(0, |samples| samples.len());
+            let samples = memory.view().samples().len();
             Finding::ok("memory", format!("{name}: {samples} samples"))
         }
         Err(error) => {
