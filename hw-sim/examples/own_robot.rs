@@ -13,7 +13,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use hw_sim::camera::project;
-use hw_sim::pose::RigidPose;
+use hw_sim::pose::from_scene;
 use hw_sim::robot::arm::base_from_object;
 use hw_sim::robot::calibration::HandEye;
 use ipc::{
@@ -145,10 +145,6 @@ impl Camera {
     fn expose(&mut self, robot: &Emulated, mount: &Mount) -> Result<f64, Failure> {
         let camera = mount.camera(&robot.0.state().o_t_ee);
         let object = camera.inverse() * base_from_object();
-        let object = RigidPose {
-            rotation: object.rotation,
-            translation: object.translation.vector,
-        };
         let points = project(&self.scene, &object)?;
         self.features.publish(&Features::new(&points, now_ns()))?;
         let pairs = points.iter().flatten().zip(self.goal.iter().flatten());
@@ -175,10 +171,9 @@ fn run() -> Result<bool, Failure> {
     let mount = HandEye::default().mount();
 
     // The robot, 2 cm beside the goal.
-    let mut object = RigidPose::new(&scene.goal);
+    let mut object = from_scene(&scene.goal);
     let goal = project(&scene, &object)?.to_vec();
     object.translation.x += 0.02;
-    let object = panda::Pose::from_parts(object.translation.into(), object.rotation);
     let camera = base_from_object() * object.inverse();
     let settings = RobotSettings {
         // The flange is the end effector.

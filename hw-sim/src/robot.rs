@@ -4,7 +4,6 @@ pub mod arm;
 pub mod bridge;
 pub mod calibration;
 pub mod inspector;
-pub mod process;
 pub mod rig;
 pub mod sequence;
-pub mod telling;
+mod state;

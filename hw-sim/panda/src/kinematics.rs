@@ -162,7 +162,7 @@ impl Chain {
 /// The error from `actual` to `wanted`, as the twist (base axes) that mends it in one second.
 pub fn difference(wanted: &Pose, actual: &Pose) -> Twist {
     let linear = wanted.translation.vector - actual.translation.vector;
-    let angular = logarithm(&(wanted.rotation * actual.rotation.inverse()));
+    let angular = rotation_vector(&(wanted.rotation * actual.rotation.inverse()));
     Twist::new(
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
     )
@@ -171,7 +171,7 @@ pub fn difference(wanted: &Pose, actual: &Pose) -> Twist {
 /// The rotation vector, rad. nalgebra's own takes the angle from its cosine alone, which knows small angles to 1e-8
 /// only and is no number where rounding takes the cosine past one. Near half a turn, where the sine says nothing of
 /// the axis, the quaternion does.
-fn logarithm(rotation: &Rotation3<f64>) -> Vector3<f64> {
+pub fn rotation_vector(rotation: &Rotation3<f64>) -> Vector3<f64> {
     let m = rotation.matrix();
     let sine = Vector3::new(
         m[(2, 1)] - m[(1, 2)],

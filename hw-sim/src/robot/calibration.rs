@@ -120,7 +120,7 @@ impl Truth {
 mod tests {
     use super::*;
     use crate::camera::project;
-    use crate::pose::RigidPose;
+    use crate::pose::from_scene;
 
     fn robot_scene() -> Scene {
         Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
@@ -136,8 +136,8 @@ mod tests {
         let real = truth.scene(&believed);
         let starts = scene::parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
         for start in starts.iter().chain([&believed.goal]) {
-            let seen = project(&believed, &RigidPose::new(start)).unwrap();
-            let really = project(&real, &RigidPose::new(&truth.start(start))).unwrap();
+            let seen = project(&believed, &from_scene(start)).unwrap();
+            let really = project(&real, &from_scene(&truth.start(start))).unwrap();
             for (a, b) in seen.iter().flatten().zip(really.iter().flatten()) {
                 assert!((a - b).abs() < 1e-9);
             }

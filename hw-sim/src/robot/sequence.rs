@@ -114,16 +114,6 @@ impl Sequence {
         self.phase
     }
 
-    /// Since when, ns.
-    pub fn since_ns(&self) -> u64 {
-        self.since_ns
-    }
-
-    /// Whether the gripper no longer holds the object.
-    pub fn is_released(&self) -> bool {
-        matches!(self.phase, Phase::Retreating | Phase::Done)
-    }
-
     /// The camera velocity that the sequence itself wants, camera frame; `None` where the controller is obeyed.
     pub fn twist(&self) -> Option<[f64; 6]> {
         match self.phase {
@@ -243,7 +233,6 @@ mod tests {
         assert_eq!(sequence.phase(), Phase::Approach);
         frames(&mut sequence, 100, 560, Some(3.0));
         assert_eq!(sequence.phase(), Phase::Settling);
-        assert!(!sequence.is_released());
         assert_eq!(settled().phase(), Phase::Releasing);
     }
 
@@ -280,7 +269,6 @@ mod tests {
         assert_eq!(sequence.step(&at(2001, true)), None);
         assert_eq!(sequence.step(&at(2500, true)), None);
         assert_eq!(sequence.step(&at(2501, true)), Some(Phase::Retreating));
-        assert!(sequence.is_released());
         assert_eq!(sequence.twist(), Some([0.0, 0.0, -0.02, 0.0, 0.0, 0.0]));
         assert_eq!(sequence.step(&at(4500, false)), None);
         assert_eq!(sequence.step(&at(4502, false)), Some(Phase::Done));

@@ -115,8 +115,7 @@ impl Renderer {
         self.render_rolling(pose, pose)
     }
 
-    /// Draws a frame of a rolling shutter: the poses while the first and the last row are exposed; see
-    /// [`crate::Shutter::rows_ns`].
+    /// Draws a frame of a rolling shutter: the poses while the first and the last row are exposed.
     pub fn render_rolling(&mut self, first: &Pose, last: &Pose) -> &Image {
         let maps = [first, last].map(|pose| Homography::of_pose(&self.camera, pose));
         let (width, height) = (self.image.width(), self.image.height());

@@ -1,63 +1,38 @@
-//! The cell in the words of the contract. What an arm says beyond it stands in `room`, as `CONTRACT.md` lists.
+//! What an arm adds to the state of the cell: beyond the contract's fields it stands in `room`, as `CONTRACT.md` lists.
 
 use ipc::{RobotFaults, RobotMode, RobotState};
-use panda::{Errors, Flag, JOINTS, Mode};
+use panda::{Errors, Flag, JOINTS, Mode, State};
 
-use super::rig::Rig;
 use super::sequence::Phase;
+use crate::cell::raise;
 
-/// The state of the cell now; `is_exposure` where a frame is exposed at this instant.
-pub fn state(rig: &mut Rig, is_exposure: bool) -> RobotState {
-    let is_stale = rig.is_stale();
-    let is_begun = rig.time_s() > 0.0;
-    let arm = rig.arm();
-    let object = arm.object();
-    let told = arm.state();
-    let mut state = RobotState::free_camera(
-        object.translation.into(),
-        object.rotation_vector(),
-        rig.now_ns(),
-    );
-    state.features_sequence = if is_exposure { rig.frames() } else { 0 };
-    state.twist = arm.camera_twist();
+/// Adds what the robot tells, and what the sequence is about.
+pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: Phase) {
     state.joints = JOINTS as u32;
     (state.q, state.dq) = (told.q.into(), told.dq.into());
-    let step = rig.sequence().phase() as u32;
     state.room = [
         f64::from(told.robot_mode as u32 + 1),
         f64::from(bits(told.current_errors)),
         f64::from(bits(told.last_motion_errors)),
         told.control_command_success_rate,
-        f64::from(step + 1),
-        f64::from(gripper(rig.sequence().phase())),
+        f64::from(phase as u32 + 1),
+        f64::from(gripper(phase)),
         0.0,
         0.0,
     ];
-
-    let is_faulty = matches!(
-        told.robot_mode,
-        Mode::Reflex | Mode::UserStopped | Mode::AutomaticErrorRecovery
-    );
-    let mode = match (is_faulty, is_begun, is_stale) {
-        (true, ..) => RobotMode::Fault,
-        (_, false, _) => RobotMode::Idle,
-        (_, true, true) => RobotMode::Stale,
-        (_, true, false) => RobotMode::Moving,
-    };
-    state.mode = mode.code();
-    let joint_limit = told
-        .current_errors
-        .flags()
-        .any(|flag| flag.name().contains("position_limits"));
-    for (fault, raised) in [
-        (RobotFaults::STALE_COMMAND, is_begun && is_stale),
-        (RobotFaults::COMMAND_LIMITED, rig.was_limited()),
-        (RobotFaults::REFLEX, told.robot_mode == Mode::Reflex),
-        (RobotFaults::JOINT_LIMIT, joint_limit),
-    ] {
-        state.faults |= if raised { fault.0 } else { 0 };
+    let is_reflex = told.robot_mode == Mode::Reflex;
+    if is_reflex
+        || matches!(
+            told.robot_mode,
+            Mode::UserStopped | Mode::AutomaticErrorRecovery
+        )
+    {
+        state.mode = RobotMode::Fault.code();
     }
-    state
+    let mut errors = told.current_errors.flags();
+    let is_outside = errors.any(|flag| flag.name().contains("position_limits"));
+    raise(state, RobotFaults::REFLEX, is_reflex);
+    raise(state, RobotFaults::JOINT_LIMIT, is_outside);
 }
 
 /// A bit for each flag, in the order of [`Flag::ALL`], which the contract lists.
@@ -80,7 +55,8 @@ mod tests {
     use scene::Scene;
 
     use super::*;
-    use crate::robot::rig::RigSettings;
+    use crate::cell::Cell;
+    use crate::robot::rig::{Rig, RigSettings};
 
     #[test]
     fn the_bits_of_errors_are_those_that_the_contract_lists() {
@@ -102,14 +78,14 @@ mod tests {
         let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
         let mut settings = RigSettings::new(&scene);
         settings.arm.shaping = crate::robot::bridge::Shaping::Off;
-        let mut rig = Rig::new(&scene, &scene.goal, &settings, 0).unwrap();
-        assert_eq!(state(&mut rig, false).mode(), Some(RobotMode::Idle));
+        let mut rig = Rig::new(&scene, &scene.goal, &settings).unwrap();
+        assert_eq!(rig.state().mode(), Some(RobotMode::Idle));
         rig.command(&[0.01, 0.0, 0.0, 0.0, 0.0, 0.03], u64::MAX, true);
         for _ in 0..10 {
-            rig.look().unwrap();
+            rig.observe().unwrap();
             rig.advance();
         }
-        let state = state(&mut rig, false);
+        let state = rig.state();
         assert_eq!(state.mode(), Some(RobotMode::Fault));
         assert_eq!(state.room[0], 3.0);
         assert!(state.faults().any(RobotFaults::REFLEX) && state.room[1] != 0.0);
