@@ -19,10 +19,24 @@ class Code(enum.IntEnum):
         return code
 
 
+class Message(ctypes.Structure):
+    """A structure of the contract."""
+
+    @staticmethod
+    def type_name() -> str:
+        """The name by which shared memory knows it."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        values = ((field[0], getattr(self, field[0])) for field in self._fields_)
+        shown = (f"{name}={list(x) if isinstance(x, ctypes.Array) else x!r}" for name, x in values)
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
 class Service(NamedTuple):
     """A service and its queues; the same for everybody who opens it."""
 
-    message: type
+    message: type[Message]
     history: int
     buffer: int
     subscribers: int
@@ -271,7 +285,7 @@ class CycleFlags(enum.IntFlag):
     SHUTDOWN = 2
 
 
-class Stamp(ctypes.Structure):
+class Stamp(Message):
     """Head of every message. Times are CLOCK_MONOTONIC."""
 
     _fields_ = [
@@ -289,7 +303,7 @@ class Stamp(ctypes.Structure):
         return "vpc/Stamp/1"
 
 
-class Features(ctypes.Structure):
+class Features(Message):
     """Image features of one frame. Service `vpc/features`."""
 
     _fields_ = [
@@ -312,7 +326,7 @@ class Features(ctypes.Structure):
         return "vpc/Features/1"
 
 
-class TwistCommand(ctypes.Structure):
+class TwistCommand(Message):
     """Camera velocity command. Stop executing it when it is no longer valid: the controller may have
     died. Service `vpc/twist`."""
 
@@ -341,7 +355,7 @@ class TwistCommand(ctypes.Structure):
         return "vpc/TwistCommand/1"
 
 
-class RobotState(ctypes.Structure):
+class RobotState(Message):
     """State of the robot that carries the camera, at the instant `stamp.data_ns`. Service `vpc/robot`."""
 
     _fields_ = [
@@ -377,7 +391,7 @@ class RobotState(ctypes.Structure):
         return "vpc/RobotState/1"
 
 
-class CycleRecord(ctypes.Structure):
+class CycleRecord(Message):
     """Telemetry of one cycle. Numbers of the control law are NaN if it did not run. Service
     `vpc/cycles`."""
 
@@ -480,7 +494,7 @@ class CycleRecord(ctypes.Structure):
         return "vpc/CycleRecord/3"
 
 
-class Snapshot(ctypes.Structure):
+class Snapshot(Message):
     """All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
     replay by the same version of vpcd: `state` is private to it. Service `vpc/snapshots`."""
 
@@ -502,7 +516,7 @@ class Snapshot(ctypes.Structure):
         return "vpc/Snapshot/1"
 
 
-class Request(ctypes.Structure):
+class Request(Message):
     """An operator's request. Several operators may be at work. Service `vpc/requests`."""
 
     _fields_ = [
@@ -525,7 +539,7 @@ class Request(ctypes.Structure):
         return "vpc/Request/1"
 
 
-class Reply(ctypes.Structure):
+class Reply(Message):
     """The controller's answer to a request. Service `vpc/replies`."""
 
     _fields_ = [

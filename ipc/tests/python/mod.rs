@@ -282,18 +282,28 @@ fn refusals_have_words(python: &Path) {
     let said = run(peer.arg("refusals").arg(directory.path())).unwrap();
     let said = String::from_utf8(said.stdout).unwrap();
     let lines: Vec<&str> = said.lines().collect();
-    assert_eq!(lines.len(), 5, "{said}");
-    assert_eq!(lines[0], "vpc/features: count = 0; allowed: 1 to 8");
-    assert_eq!(
-        lines[1],
-        "vpc/features: points[1] = nan; allowed: finite numbers"
-    );
-    let taken = "taken: vpc/features: no publisher in domain";
-    assert!(lines[2].starts_with(taken), "{said}");
-    let waited = "vpc/twist: no answer to features 1 within 0.01 s; does vpcd run";
-    assert!(lines[3].starts_with(waited), "{said}");
-    let unknown = "service vpc/nothing; allowed: vpc/features, vpc/twist,";
-    assert!(lines[4].starts_with(unknown), "{said}");
+    let pairs = "allowed: pairs (u, v) of numbers, shape (N, 2)";
+    let expected = [
+        "vpc/features: count = 0; allowed: 1 to 8",
+        "vpc/features: points[1] = nan; allowed: finite numbers",
+        &format!("vpc/features: points of shape (8,); {pairs}"),
+        &format!("vpc/features: points of shape (4, 1, 2); {pairs}"),
+        "data_ns = -1; allowed: 0 to",
+        "taken: vpc/features: no publisher in domain",
+        "vpc/twist: no answer to features 1 within 0.01 s; does vpcd run",
+        "service vpc/nothing; allowed: vpc/features, vpc/twist,",
+        "vpc/twist: buffer = 65; allowed: 1 to 64",
+        &format!(
+            "domain {}: no controller; start vpcd",
+            directory.path().display()
+        ),
+        "vpc/features: this port was closed",
+        "domain '/dev/null': [Errno 17] File exists",
+    ];
+    assert_eq!(lines.len(), expected.len(), "{said}");
+    for (line, expected) in lines.iter().zip(expected) {
+        assert!(line.starts_with(expected), "{line}, not {expected}");
+    }
     assert_eq!(Domain::segments(directory.path()).unwrap(), 0);
 }
 

@@ -27,10 +27,24 @@ class Code(enum.IntEnum):
         return code
 
 
+class Message(ctypes.Structure):
+    """A structure of the contract."""
+
+    @staticmethod
+    def type_name() -> str:
+        """The name by which shared memory knows it."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        values = ((field[0], getattr(self, field[0])) for field in self._fields_)
+        shown = (f"{name}={list(x) if isinstance(x, ctypes.Array) else x!r}" for name, x in values)
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
 class Service(NamedTuple):
     """A service and its queues; the same for everybody who opens it."""
 
-    message: type
+    message: type[Message]
     history: int
     buffer: int
     subscribers: int
@@ -80,7 +94,7 @@ fn enumeration(text: &mut String, table: &Table, is_bits: bool) {
 }
 
 fn structure(text: &mut String, message: &Struct) {
-    *text += &class(message.name, "ctypes.Structure", message.doc);
+    *text += &class(message.name, "Message", message.doc);
     *text += "    _fields_ = [\n";
     for field in message.fields {
         let about = doc::of_field(field, |table| format!("`{}`", table.name));
