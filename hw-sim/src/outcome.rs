@@ -97,10 +97,8 @@ impl Outcome {
     fn clearance(&self) -> String {
         let (least, allowed) = (self.least_clearance_px, self.violation_px);
         if least < 0.0 {
-            format!(
-                "at most {:.1} px inside an occlusion, of {allowed} px allowed",
-                -least
-            )
+            let depth = -least;
+            format!("at most {depth:.1} px deep in an occlusion; the scene allows {allowed} px")
         } else {
             format!("{least:.1} px from occlusions and border, or more")
         }

@@ -21,7 +21,7 @@ pub(crate) type Assignment = [Option<usize>; MAX_POINTS];
 
 /// The turn of an affine view, rad, and the ratio of its singular values; none where it mirrors.
 pub(crate) fn view(map: &Homography) -> Option<(f64, f64)> {
-    let [[a, b, _], [c, d, _], _] = map.0;
+    let [a, b, c, d] = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|at| map.0[at]);
     let determinant = a * d - b * c;
     if determinant <= 0.0 {
         return None;

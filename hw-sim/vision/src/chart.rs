@@ -1,5 +1,6 @@
 //! Where each marker is to be seen: the pattern, and the map from its plane to the image.
 
+use nalgebra::{Matrix3, vector};
 use scene::{MAX_POINTS, Scene};
 
 use crate::assignment::{SQUEEZE_TRACKED, view};
@@ -62,7 +63,7 @@ impl Chart {
 
     /// Shifts all markers in the image, px.
     pub fn shift(&mut self, [u, v]: Point) {
-        let shift = Homography([[1.0, 0.0, u], [0.0, 1.0, v], [0.0, 0.0, 1.0]]);
+        let shift = Homography(Matrix3::new_translation(&vector![u, v]));
         self.map = self.map.then(&shift);
     }
 

@@ -43,10 +43,10 @@ mod spot;
 mod texture;
 mod truth;
 
-pub use criteria::{DetectorError, DetectorSettings, Polarity};
+pub use criteria::{DetectorError, DetectorSettings};
 pub use detector::{Detector, Sighting, Sightings};
 pub use image::{Image, ImageError};
 pub use latency::{Delivered, Latency, LatencyError, Transit};
-pub use look::{Kind, Look, LookError, SpotLook};
+pub use look::{Look, LookError, SpotLook};
 pub use renderer::Renderer;
 pub use truth::{Truth, truth};

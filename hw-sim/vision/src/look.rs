@@ -4,7 +4,7 @@ use scene::Occlusion;
 
 /// What an occlusion of the scene is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub(crate) enum Kind {
     /// Dirt on the lens: what lies behind is blurred and dimmed until it is lost.
     Spot,
     /// An object before the camera: what lies behind is hidden.
@@ -35,14 +35,6 @@ pub enum LookError {
         value: f64,
         /// What is allowed.
         allowed: &'static str,
-    },
-    /// The kinds do not fit the scene.
-    #[error("look: {found} kinds of occlusion; allowed: {expected}, one for each of the scene's")]
-    Kinds {
-        /// Kinds given.
-        found: usize,
-        /// Occlusions of the scene.
-        expected: usize,
     },
     /// The scene's image is out of range.
     #[error(transparent)]

@@ -194,7 +194,6 @@ fn centres_are_right_even_where_centroids_are_not() {
     let settings = DetectorSettings {
         marker_radius_m: 0.014,
         radius_px: [4.0, 40.0],
-        ..DetectorSettings::default()
     };
     let mut renderer = Renderer::new(&scene, &look).unwrap();
     let mut detector = Detector::new(&scene, &settings).unwrap();
@@ -244,8 +243,8 @@ fn a_dark_or_a_noisy_frame_has_no_markers() {
     let mut detector = detector(&scene);
     let mut random = random(4);
     let dark = Image::new(640, 480).unwrap();
-    let noise = (0..640 * 480).map(|_| random.random::<u8>()).collect();
-    let noisy = Image::from_pixels(640, 480, noise).unwrap();
+    let mut noisy = dark.clone();
+    noisy.pixels_mut().fill_with(|| random.random());
     for image in [dark, noisy] {
         detector.detect(&image).unwrap();
         assert_eq!(detector.visible(), 0);
