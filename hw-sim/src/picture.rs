@@ -4,7 +4,7 @@ use std::sync::mpsc::{self, TryRecvError};
 use std::thread;
 
 use scene::{Pose, Scene};
-use vision::{Detector, DetectorError, DetectorSettings, LatencyError, Look, LookError, Renderer};
+use vision::{Detector, DetectorError, DetectorSettings, ImageError, LatencyError, Look, Renderer};
 
 use crate::camera::Points;
 
@@ -16,7 +16,7 @@ pub enum EyeError {
     Latency(#[from] LatencyError),
     /// The picture.
     #[error(transparent)]
-    Look(#[from] LookError),
+    Image(#[from] ImageError),
     /// The detector.
     #[error(transparent)]
     Detector(#[from] DetectorError),

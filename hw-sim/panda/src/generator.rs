@@ -5,9 +5,8 @@ use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 use crate::errors::{Errors, Flag};
 use crate::ik::VelocityIk;
 use crate::interface::{Motion, MotionKind};
-use crate::kinematics::{Chain, Joints, Pose, Twist};
+use crate::kinematics::{Chain, Joints, Pose, Twist, split};
 use crate::limits::{Exceeded, PERIOD, Setpoint, cartesian};
-use crate::mount::split;
 
 /// The pose after a body moved at `twist` (its origin, base axes) for `dt` seconds, the linear and the angular
 /// velocity constant along base axes.
@@ -143,45 +142,47 @@ impl JointGenerator {
 
 fn cartesian_errors(commanded: Exceeded, joints: Exceeded) -> Errors {
     use Flag::*;
-    Errors::NONE
-        .with(
+    Errors::raised([
+        (
             CartesianMotionGeneratorVelocityLimitsViolation,
             commanded.velocity,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorVelocityDiscontinuity,
             commanded.acceleration,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorAccelerationDiscontinuity,
             commanded.jerk,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointPositionLimitsViolation,
             joints.position,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointVelocityLimitsViolation,
             joints.velocity,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointVelocityDiscontinuity,
             joints.acceleration,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointAccelerationDiscontinuity,
             joints.jerk,
-        )
+        ),
+    ])
 }
 
 fn joint_errors(joints: Exceeded) -> Errors {
     use Flag::*;
-    Errors::NONE
-        .with(JointMotionGeneratorPositionLimitsViolation, joints.position)
-        .with(JointMotionGeneratorVelocityLimitsViolation, joints.velocity)
-        .with(
+    Errors::raised([
+        (JointMotionGeneratorPositionLimitsViolation, joints.position),
+        (JointMotionGeneratorVelocityLimitsViolation, joints.velocity),
+        (
             JointMotionGeneratorVelocityDiscontinuity,
             joints.acceleration,
-        )
-        .with(JointMotionGeneratorAccelerationDiscontinuity, joints.jerk)
+        ),
+        (JointMotionGeneratorAccelerationDiscontinuity, joints.jerk),
+    ])
 }

@@ -7,9 +7,8 @@
 
 use nalgebra::{Cholesky, Const, Matrix6};
 
-use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, difference};
+use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, difference, split};
 use crate::limits::{JOINT, PERIOD, Setpoint};
-use crate::mount::split;
 use crate::ramp::Ramp;
 
 /// Manipulability sqrt(det(J J^T)) under which damping sets in, m^3; 0.08 in the ready position.

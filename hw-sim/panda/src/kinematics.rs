@@ -159,13 +159,26 @@ impl Chain {
     }
 }
 
+/// Linear and angular part.
+pub(crate) fn split(twist: &Twist) -> (Vector3<f64>, Vector3<f64>) {
+    (
+        twist.fixed_rows::<3>(0).into(),
+        twist.fixed_rows::<3>(3).into(),
+    )
+}
+
+/// A twist of a linear and an angular part.
+pub(crate) fn join(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Twist {
+    Twist::new(
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
+    )
+}
+
 /// The error from `actual` to `wanted`, as the twist (base axes) that mends it in one second.
 pub fn difference(wanted: &Pose, actual: &Pose) -> Twist {
     let linear = wanted.translation.vector - actual.translation.vector;
     let angular = rotation_vector(&(wanted.rotation * actual.rotation.inverse()));
-    Twist::new(
-        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
-    )
+    join(&linear, &angular)
 }
 
 /// The rotation vector, rad. nalgebra's own takes the angle from its cosine alone, which knows small angles to 1e-8

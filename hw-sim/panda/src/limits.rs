@@ -5,8 +5,7 @@
 
 use nalgebra::Vector3;
 
-use crate::kinematics::{JOINTS, Joints, Twist};
-use crate::mount::split;
+use crate::kinematics::{JOINTS, Joints, Twist, split};
 
 /// Period of the interface, s.
 pub const PERIOD: f64 = 1e-3;

@@ -5,9 +5,10 @@ use std::fmt;
 use thiserror::Error;
 
 /// The robot's mode. Guiding by hand is not modelled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// It stands and waits for a motion.
+    #[default]
     Idle,
     /// It executes a motion, or brakes at its end.
     Move,

@@ -7,9 +7,8 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use crate::kinematics::Twist;
+use crate::kinematics::{Twist, join, split};
 use crate::limits::{PERIOD, ROTATION, TRANSLATION};
-use crate::mount::split;
 use crate::ramp::Ramp;
 use crate::state::State;
 
@@ -137,9 +136,7 @@ fn shortened(twist: &Twist) -> Twist {
     let shorten = |x: Vector3<f64>, most: f64| x * (most / x.norm().max(most));
     let linear = shorten(linear, TRANSLATION.velocity);
     let angular = shorten(angular, ROTATION.velocity);
-    Twist::new(
-        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
-    )
+    join(&linear, &angular)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use crate::kinematics::{Joints, Pose, Twist};
 use crate::mode::Mode;
 
 /// The robot at one instant. Names as in `franka::RobotState`, in lower case: `o_t_ee_d` is O_T_EE_d.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
     /// Number that a command must carry to answer this state.
     pub id: u64,

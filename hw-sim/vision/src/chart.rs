@@ -1,6 +1,6 @@
 //! Where each marker is to be seen: the pattern, and the map from its plane to the image.
 
-use nalgebra::{Matrix3, vector};
+use nalgebra::{Matrix3, Vector2};
 use scene::{MAX_POINTS, Scene};
 
 use crate::assignment::{SQUEEZE_TRACKED, view};
@@ -63,7 +63,7 @@ impl Chart {
 
     /// Shifts all markers in the image, px.
     pub fn shift(&mut self, [u, v]: Point) {
-        let shift = Homography(Matrix3::new_translation(&vector![u, v]));
+        let shift = Homography(Matrix3::new_translation(&Vector2::new(u, v)));
         self.map = self.map.then(&shift);
     }
 

@@ -1,6 +1,6 @@
 //! Maps from the plane of the pattern (m) to the image (px).
 
-use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector3, matrix, vector};
+use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector2, Vector3};
 use scene::{Camera, Pose};
 
 /// A point of a plane: of the pattern (x, y), m, or of the image (u, v), px.
@@ -25,12 +25,12 @@ impl Homography {
         let Camera { fx, fy, cx, cy, .. } = *camera;
         let mut columns = Rotation3::new(Vector3::from(pose.rotation)).into_inner();
         columns.set_column(2, &Vector3::from(pose.translation));
-        Self(matrix![fx, 0.0, cx; 0.0, fy, cy; 0.0, 0.0, 1.0] * columns)
+        Self(Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0) * columns)
     }
 
     /// w (u, v, 1) of a point.
     fn homogeneous(&self, [x, y]: Point) -> Vector3<f64> {
-        self.0 * vector![x, y, 1.0]
+        self.0 * Vector3::new(x, y, 1.0)
     }
 
     /// Where a point is seen; none behind the camera.
@@ -63,7 +63,7 @@ impl Homography {
 
     /// Between this map and another, element by element.
     pub fn between(&self, other: &Self, share: f64) -> Self {
-        Self(self.0.lerp(&other.0, share))
+        Self(self.0 + (other.0 - self.0) * share)
     }
 
     /// The map back; none where the plane is seen edge-on.
@@ -87,15 +87,15 @@ impl Homography {
             let (x, y) = (x / unit, y / unit);
             let [u, v] = [0, 1].map(|k| (pixel[k] - center[k]) / spread);
             [
-                (vector![x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y], u),
-                (vector![0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y], v),
+                ([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y].into(), u),
+                ([0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y].into(), v),
             ]
         });
-        let h = least_squares(rows)?;
-        let normalized = matrix![h[0], h[1], h[2]; h[3], h[4], h[5]; h[6], h[7], 1.0];
+        let h = least_squares::<8>(rows)?;
+        let normalized = Matrix3::from_row_iterator(h.iter().copied().chain([1.0]));
         let [u, v] = center;
-        let image = matrix![spread, 0.0, u; 0.0, spread, v; 0.0, 0.0, 1.0];
-        let plane = Matrix3::from_diagonal(&vector![1.0 / unit, 1.0 / unit, 1.0]);
+        let image = Matrix3::new(spread, 0.0, u, 0.0, spread, v, 0.0, 0.0, 1.0);
+        let plane = Matrix3::from_diagonal(&Vector3::new(1.0 / unit, 1.0 / unit, 1.0));
         Some(Self(image * normalized * plane))
     }
 
@@ -111,7 +111,7 @@ impl Homography {
             .fold(1e-12, f64::max);
         let row = |k: usize| {
             let equations = pairs.iter().map(|(point, pixel)| {
-                let x = vector![(point[0] - from[0]) / unit, (point[1] - from[1]) / unit];
+                let x = Vector2::new(point[0] - from[0], point[1] - from[1]) / unit;
                 (x, pixel[k] - to[k])
             });
             least_squares(equations).map(|row| [row[0] / unit, row[1] / unit])
@@ -143,7 +143,7 @@ impl Homography {
     fn linear([[a, b], [c, d]]: [[f64; 2]; 2], from: Point, to: Point) -> Self {
         let u = to[0] - a * from[0] - b * from[1];
         let v = to[1] - c * from[0] - d * from[1];
-        Self(matrix![a, b, u; c, d, v; 0.0, 0.0, 1.0])
+        Self(Matrix3::new(a, b, u, c, d, v, 0.0, 0.0, 1.0))
     }
 
     /// This map first, `next` after it.

@@ -47,6 +47,6 @@ pub use criteria::{DetectorError, DetectorSettings};
 pub use detector::{Detector, Sighting, Sightings};
 pub use image::{Image, ImageError};
 pub use latency::{Delivered, Latency, LatencyError, Transit};
-pub use look::{Look, LookError, SpotLook};
+pub use look::{Look, SpotLook};
 pub use renderer::Renderer;
 pub use truth::{Truth, truth};

@@ -5,9 +5,9 @@ use rand_chacha::ChaCha8Rng;
 use scene::{Camera, Pose, Scene};
 
 use crate::homography::Homography;
-use crate::image::Image;
+use crate::image::{Image, ImageError};
 use crate::layer::{Area, coverage, relief};
-use crate::look::{Kind, Look, LookError};
+use crate::look::{Kind, Look};
 use crate::optics::Optics;
 use crate::plane::Plane;
 use crate::sensor::Sensor;
@@ -43,9 +43,8 @@ impl Renderer {
     /// lies behind; every other one is an object before the camera, which hides it.
     ///
     /// # Errors
-    /// [`LookError`] where a value of the look or the size of the scene's image is out of range.
-    pub fn new(scene: &Scene, look: &Look) -> Result<Self, LookError> {
-        look.check()?;
+    /// [`ImageError`] where the size of the scene's image is out of range.
+    pub fn new(scene: &Scene, look: &Look) -> Result<Self, ImageError> {
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
         let image = Image::new(width, height)?;
         let mut random = ChaCha8Rng::seed_from_u64(look.seed);
