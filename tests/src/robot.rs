@@ -2,7 +2,7 @@
 //! bits in every run. Everything else is what `hw-sim` steps in real time.
 
 use hw_sim::End;
-use hw_sim::cell::Exposed;
+use hw_sim::cell::{Cell, Exposed, Order};
 use hw_sim::eye::Shot;
 use hw_sim::recording::ArmRecord;
 use hw_sim::robot::inspector::ArmReport;
@@ -163,7 +163,7 @@ pub fn run(
     let mut lost = false;
     while rig.progress().end.is_none() && !lost {
         let now_ns = rig.now_ns();
-        let instant = rig.observe()?;
+        let instant = rig.look(now_ns)?;
         if let Some(shot) = &instant.shot {
             driver.answer(shot, now_ns);
             if !begun {
@@ -171,7 +171,12 @@ pub fn run(
             }
             begun = true;
             until_ns = now_ns + validity_ns;
-            rig.command(&driver.twist, until_ns, true);
+            rig.obey(&Order {
+                twist: driver.twist,
+                sent_ns: now_ns,
+                until_ns,
+                is_armed: true,
+            });
         } else if begun && now_ns == until_ns && driver.twist != [0.0; 6] {
             // The daemon brakes; the bridge's ramp is the quicker one.
             driver.send([0.0; 6], now_ns);

@@ -109,101 +109,9 @@ impl Rig {
         self.epoch_ns + self.steps * STEP_NS
     }
 
-    /// A command of the controller: camera velocity in the camera frame, to hold until `until_ns`. It counts while the
-    /// sequence obeys the controller. `is_armed` is false where the controller may not move the camera.
-    pub fn command(&mut self, twist: &[f64; 6], until_ns: u64, is_armed: bool) {
-        if is_armed {
-            self.progress.begin(self.now_ns());
-        }
-        if self.sequence.phase().obeys_controller() {
-            let limited = self.arm.bridge.command(twist, until_ns);
-            self.progress.limited += u64::from(limited);
-        }
-    }
-
-    /// What the camera does now.
-    ///
-    /// # Errors
-    /// A picture could not be made.
-    pub fn observe(&mut self) -> Result<Observation, EyeError> {
-        let mut seen = Observation::default();
-        let now_ns = self.now_ns();
-        // Frame k is exposed in the millisecond nearest to k periods: 33 or 34 steps apart, exact in the long run.
-        let frames = self.progress.frames;
-        let due = (1000.0 * frames as f64 / self.scene.camera.rate_hz).round() as u64;
-        if self.steps >= due {
-            self.progress.frames += 1;
-            let object = self.arm.object();
-            self.eye.expose(&object, &self.arm.camera_twist(), now_ns)?;
-            match project(&self.real, &object) {
-                Ok(points) => {
-                    self.judge(&points);
-                    seen.exposed = Some(Exposed { points, object });
-                }
-                Err(_) => self.progress.finish(End::LostSight),
-            }
-        }
-        seen.shot = self.eye.deliver(now_ns)?;
-        if let Some(shot) = &seen.shot {
-            self.visible = shot.visible;
-            let error = self.progress.referee.error(&shot.points);
-            self.news = Some(shot.is_whole().then_some(error));
-        }
-        Ok(seen)
-    }
-
-    /// The next millisecond.
-    pub fn advance(&mut self) {
-        let now_ns = self.now_ns();
-        let begun = self.sequence.step(&Situation {
-            now_ns,
-            is_commanded: self.progress.has_begun(),
-            frame: self.news.take(),
-            is_at_rest: self.arm.is_at_rest(),
-        });
-        if let Some(twist) = self.sequence.twist() {
-            self.arm.bridge.move_by_itself(&twist, now_ns + 2 * STEP_NS);
-        }
-        if let (Some(Phase::Retreating), Some(occlusion)) = (begun, self.grasped) {
-            self.eye.show(occlusion, false);
-        }
-        self.arm.step(now_ns);
-        self.steps += 1;
-        self.progress.tick(self.now_ns());
-        // What a run that arrived in time may take longer for the rest of the sequence.
-        let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0);
-        if self.arm.state().robot_mode == Mode::Reflex {
-            self.progress.finish(End::Reflex);
-        } else if self.sequence.phase() == Phase::Done && self.arm.is_at_rest() {
-            self.progress.finish(End::Arrived);
-        } else if self.progress.time_s >= self.settings.time_limit_s + grace_s {
-            self.progress.finish(End::TimeOut);
-        }
-    }
-
-    /// The run so far.
-    pub fn progress(&self) -> &Progress {
-        &self.progress
-    }
-
     /// What the sequence is about.
     pub fn phase(&self) -> Phase {
         self.sequence.phase()
-    }
-
-    /// The arm.
-    pub fn arm(&self) -> &Arm {
-        &self.arm
-    }
-
-    /// Whether no valid command moves the robot: the controller's is stale.
-    pub fn is_stale(&self) -> bool {
-        self.phase().obeys_controller() && self.arm.bridge.standing().is_stale(self.now_ns())
-    }
-
-    /// The camera velocity that the bridge aims at.
-    pub fn aimed(&self) -> [f64; 6] {
-        self.arm.bridge.standing().twist_at(self.now_ns())
     }
 
     /// What the referee of the robot reports.
@@ -241,16 +149,70 @@ impl Cell for Rig {
         self.now_ns()
     }
 
+    /// The command counts while the sequence obeys the controller.
     fn obey(&mut self, order: &Order) {
-        self.command(&order.twist, order.until_ns, order.is_armed);
+        if order.is_armed {
+            self.progress.begin(self.now_ns());
+        }
+        if self.phase().obeys_controller() {
+            let limited = self.arm.bridge.command(&order.twist, order.until_ns);
+            self.progress.limited += u64::from(limited);
+        }
     }
 
     fn look(&mut self, _now_ns: u64) -> Result<Observation, EyeError> {
-        self.observe()
+        let mut seen = Observation::default();
+        let now_ns = self.now_ns();
+        // Frame k is exposed in the millisecond nearest to k periods: 33 or 34 steps apart, exact in the long run.
+        let frames = self.progress.frames;
+        let due = (1000.0 * frames as f64 / self.scene.camera.rate_hz).round() as u64;
+        if self.steps >= due {
+            self.progress.frames += 1;
+            let object = self.arm.object();
+            self.eye.expose(&object, &self.arm.camera_twist(), now_ns)?;
+            match project(&self.real, &object) {
+                Ok(points) => {
+                    self.judge(&points);
+                    seen.exposed = Some(Exposed { points, object });
+                }
+                Err(_) => self.progress.finish(End::LostSight),
+            }
+        }
+        seen.shot = self.eye.deliver(now_ns)?;
+        if let Some(shot) = &seen.shot {
+            self.visible = shot.visible;
+            let error = self.progress.referee.error(&shot.points);
+            self.news = Some(shot.is_whole().then_some(error));
+        }
+        Ok(seen)
     }
 
     fn advance(&mut self) {
-        Rig::advance(self);
+        let now_ns = self.now_ns();
+        let begun = self.sequence.step(&Situation {
+            now_ns,
+            is_commanded: self.progress.has_begun(),
+            frame: self.news.take(),
+            is_at_rest: self.arm.is_at_rest(),
+        });
+        if let Some(twist) = self.sequence.twist() {
+            self.arm.bridge.move_by_itself(&twist, now_ns + 2 * STEP_NS);
+        }
+        if let (Some(Phase::Retreating), Some(occlusion)) = (begun, self.grasped) {
+            self.eye.show(occlusion, false);
+        }
+        self.arm.step(now_ns);
+        self.steps += 1;
+        self.progress.tick(self.now_ns());
+        // What a run that arrived in time may take longer for the rest of the sequence.
+        let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0);
+        if self.arm.state().robot_mode == Mode::Reflex {
+            self.progress.finish(End::Reflex);
+        } else if self.sequence.phase() == Phase::Done && self.arm.is_at_rest() {
+            self.progress.finish(End::Arrived);
+        } else if self.progress.time_s >= self.settings.time_limit_s + grace_s {
+            self.progress.finish(End::TimeOut);
+        }
     }
 
     fn progress(&mut self) -> &mut Progress {
@@ -258,11 +220,11 @@ impl Cell for Rig {
     }
 
     fn aimed(&self) -> [f64; 6] {
-        Rig::aimed(self)
+        self.arm.bridge.standing().twist_at(self.now_ns())
     }
 
     fn is_stale(&self) -> bool {
-        Rig::is_stale(self)
+        self.phase().obeys_controller() && self.arm.bridge.standing().is_stale(self.now_ns())
     }
 
     fn state(&self) -> RobotState {
@@ -297,13 +259,18 @@ mod tests {
         let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
         let settings = RigSettings::new(&scene);
         let mut rig = Rig::new(&scene, &scene.goal, &settings).unwrap();
-        rig.command(&[0.0; 6], u64::MAX, true);
-        for _ in 0..6000 {
-            rig.observe().unwrap();
+        rig.obey(&Order {
+            twist: [0.0; 6],
+            sent_ns: 0,
+            until_ns: u64::MAX,
+            is_armed: true,
+        });
+        for ms in 0..6000 {
+            rig.look(ms * STEP_NS).unwrap();
             rig.advance();
         }
         assert_eq!(rig.progress().end, Some(End::Arrived));
-        let away = rig.arm().object().translation.z - scene.goal.translation[2];
+        let away = rig.arm.object().translation.z - scene.goal.translation[2];
         assert!((away - settings.sequence.retreat_m).abs() < 1e-3, "{away}");
         assert!(rig.report().is_clean());
     }

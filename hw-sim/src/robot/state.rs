@@ -55,7 +55,7 @@ mod tests {
     use scene::Scene;
 
     use super::*;
-    use crate::cell::Cell;
+    use crate::cell::{Cell, Order};
     use crate::robot::rig::{Rig, RigSettings};
 
     #[test]
@@ -80,9 +80,14 @@ mod tests {
         settings.arm.shaping = crate::robot::bridge::Shaping::Off;
         let mut rig = Rig::new(&scene, &scene.goal, &settings).unwrap();
         assert_eq!(rig.state().mode(), Some(RobotMode::Idle));
-        rig.command(&[0.01, 0.0, 0.0, 0.0, 0.0, 0.03], u64::MAX, true);
-        for _ in 0..10 {
-            rig.observe().unwrap();
+        rig.obey(&Order {
+            twist: [0.01, 0.0, 0.0, 0.0, 0.0, 0.03],
+            sent_ns: 0,
+            until_ns: u64::MAX,
+            is_armed: true,
+        });
+        for ms in 0..10 {
+            rig.look(ms * 1_000_000).unwrap();
             rig.advance();
         }
         let state = rig.state();
