@@ -41,7 +41,8 @@ impl FreeCamera {
         project(&self.scene, &self.pose)
     }
 
-    /// Moves the camera with a constant twist (vx vy vz m/s, wx wy wz rad/s; camera frame) for `dt` seconds.
+    /// Moves the camera with a constant twist (vx vy vz m/s, wx wy wz rad/s; camera frame) for `dt`
+    /// seconds.
     pub fn advance(&mut self, twist: &[f64; 6], dt: f64) {
         self.pose = seen_after(&self.pose, twist, dt);
     }

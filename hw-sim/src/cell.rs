@@ -1,4 +1,5 @@
-//! What the process steps: a camera, what carries it, and a referee, in simulated time and without ports.
+//! What the process steps: a camera, what carries it, and a referee, in simulated time and without
+//! ports.
 
 use ipc::{RobotFaults, RobotMode, RobotState};
 
@@ -9,7 +10,7 @@ use crate::pose::{RigidPose, to_scene};
 use crate::progress::Progress;
 use crate::recording::ArmRecord;
 
-/// What an instant brought.
+/// What a step showed.
 #[derive(Clone, Debug, Default)]
 pub struct Observation {
     /// A frame was exposed: what is true of it.
@@ -51,8 +52,8 @@ pub trait Cell {
     /// Takes a command.
     fn obey(&mut self, order: &Order);
 
-    /// What the camera does at `now_ns`, `due_ns` or a little later: exposes where a frame is due, delivers what has
-    /// arrived. Call once a step.
+    /// What the camera does at `now_ns`, `due_ns` or a little later: exposes where a frame is due,
+    /// delivers what has arrived. Call once a step.
     ///
     /// # Errors
     /// A picture could not be made.

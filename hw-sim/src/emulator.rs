@@ -36,12 +36,12 @@ pub struct Tally {
     pub arrived: usize,
 }
 
-/// Runs the configured starts one after another, until all are decided or `stop` is set; tells each outcome, and the
-/// tally with it.
+/// Runs the configured starts one after another, until all are decided or `stop` is set; passes
+/// each outcome to `tell`, with the tally.
 ///
 /// # Errors
-/// The shared memory cannot be opened, a start is out of the robot's reach, nobody answers in lockstep, or the
-/// recording cannot be written.
+/// The shared memory cannot be opened, a start is out of the robot's reach, nobody answers in
+/// lockstep, or the recording cannot be written.
 pub fn run(
     config: &Config,
     stop: &AtomicBool,
@@ -119,7 +119,8 @@ impl<'a> Session<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// A camera, and what carries it, that sees the object at `start`. One that rests never releases the object.
+    /// A camera, and what carries it, that sees the object at `start`. One that rests never
+    /// releases the object.
     fn cell(&self, start: &Pose, is_resting: bool) -> anyhow::Result<Box<dyn Cell>> {
         let Config { scene, flaws, .. } = self.config;
         Ok(match self.config.robot {
@@ -137,7 +138,8 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Says that features go out: otherwise nothing is seen of a run that begins when somebody arms.
+    /// Says that features go out: otherwise nothing is seen of a run that begins when somebody
+    /// arms.
     fn announce(&self) {
         if self.is_live() {
             eprintln!(
@@ -150,8 +152,8 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// The camera rests at the goal for a while, obeying the controller, so that this stays armed. In lockstep time does
-    /// not pass between runs.
+    /// The camera rests at the goal for a while, obeying the controller, so that this stays armed.
+    /// In lockstep time does not pass between runs.
     fn rest(&mut self) -> anyhow::Result<()> {
         if self.is_live() {
             let mut cell = self.cell(&self.config.scene.goal, true)?;
@@ -245,8 +247,8 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Hands a command of this run to the cell, for as long as it says that it is valid, and never for longer than a
-    /// camera obeys a controller that is silent.
+    /// Hands a command of this run to the cell, for as long as it says that it is valid, and never
+    /// for longer than a camera obeys a controller that is silent.
     fn obey(&mut self, cell: &mut dyn Cell, command: TwistCommand) {
         if (1..self.since_ns).contains(&command.features_published_ns) {
             return;
@@ -310,7 +312,8 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Sleeps until an instant of the monotonic clock, or until `stop` is set by a signal that interrupts the sleep.
+/// Sleeps until an instant of the monotonic clock, or until `stop` is set by a signal that
+/// interrupts the sleep.
 fn sleep_until(ns: u64, stop: &AtomicBool) {
     let until = Timespec {
         tv_sec: (ns / 1_000_000_000) as i64,

@@ -1,4 +1,4 @@
-//! The camera in the robot's hand: what it sees of the object, late, with jitter, and some frames never.
+//! The camera in the robot's hand: frames come late, with jitter, and some never.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -89,9 +89,9 @@ pub struct Eye {
 }
 
 impl Eye {
-    /// A camera that looks at the scene as it is, `real`, with a detector that knows it as it is `believed`, from the
-    /// pose of the object at the start. Where it `is_live`, a frame that is not drawn in time comes later; otherwise
-    /// the caller waits for it.
+    /// A camera that looks at the scene as it is, `real`, with a detector that knows it as it is
+    /// `believed`, from the pose of the object at the start. Where it `is_live`, a frame that is
+    /// not drawn in time comes later; otherwise the caller waits for it.
     ///
     /// # Errors
     /// [`EyeError`] names the value that is out of range.
@@ -124,8 +124,8 @@ impl Eye {
         }
     }
 
-    /// Exposes a frame: the object in the camera frame at the middle of the exposure, `stamp_ns`, and the camera's
-    /// velocity meanwhile.
+    /// Exposes a frame: the object in the camera frame at the middle of the exposure, `stamp_ns`,
+    /// and the camera's velocity meanwhile.
     ///
     /// # Errors
     /// The picture could not be made.

@@ -1,4 +1,5 @@
-//! The paper's hand-held camera: it moves exactly as told, at once. A command takes effect when it was sent.
+//! The paper's hand-held camera: it moves exactly as told, at once. A command takes effect when it
+//! was sent.
 
 use ipc::RobotState;
 use scene::{Pose, Scene};

@@ -6,7 +6,7 @@ use serde::Serialize;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lateness(Vec<f32>);
 
-/// What they come to, us.
+/// Percentiles, us.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LatenessReport {
     /// Wake-ups.

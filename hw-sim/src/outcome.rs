@@ -12,8 +12,8 @@ use crate::robot::inspector::ArmReport;
 pub struct Outcome {
     /// Which start, from 0.
     pub start: usize,
-    /// `arrived`, `violation`, `time_out`, `lost_sight` or `stopped`; of an arm, too, `reflex`, and `arm_violation` where
-    /// it arrived but its referee saw a limit exceeded.
+    /// `arrived`, `violation`, `time_out`, `lost_sight` or `stopped`; of an arm, too, `reflex`, and
+    /// `arm_violation` where it arrived but its referee saw a limit exceeded.
     pub verdict: &'static str,
     /// Seconds from start to verdict.
     pub time_s: f64,
@@ -27,7 +27,8 @@ pub struct Outcome {
     pub error_px: f64,
     /// Least signed distance of any point from an occlusion or the border, px; negative inside.
     pub least_clearance_px: f64,
-    /// The depth from which on being inside is a violation, px: `success.violation_px` of the scene.
+    /// The depth from which on being inside is a violation, px: `success.violation_px` of the
+    /// scene.
     pub violation_px: f64,
     /// The violation, in words.
     pub violation: Option<String>,

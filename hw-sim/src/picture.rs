@@ -47,8 +47,8 @@ pub(crate) struct FrameRenderer {
 }
 
 impl FrameRenderer {
-    /// Draws the scene as it is, `real`; its detector knows the scene as it is `believed`, and where the object is at
-    /// the start.
+    /// Draws the scene as it is, `real`; its detector knows the scene as it is `believed`, and
+    /// where the object is at the start.
     pub fn new(real: &Scene, believed: &Scene, start: &Pose, seed: u64) -> Result<Self, EyeError> {
         let look = Look {
             seed,

@@ -22,10 +22,12 @@ pub fn to_scene(pose: &RigidPose) -> Pose {
     }
 }
 
-/// The pose after the camera has moved with a constant twist (m/s, rad/s; camera frame) for `dt` seconds.
+/// The pose after the camera has moved with a constant twist (m/s, rad/s; camera frame) for `dt`
+/// seconds.
 ///
-/// In its own moving frame the camera travels along a screw: after `dt` its new frame is turned by C = exp(w dt) and
-/// displaced by d = (integral of exp(w s) ds) v, both in the old frame. Points therefore change to C^T (X - d).
+/// In its own moving frame the camera travels along a screw: after `dt` its new frame is turned by
+/// C = exp(w dt) and displaced by d = (integral of exp(w s) ds) v, both in the old frame. Points
+/// therefore change to C^T (X - d).
 pub fn seen_after(pose: &RigidPose, twist: &[f64; 6], dt: f64) -> RigidPose {
     let [vx, vy, vz, wx, wy, wz] = *twist;
     let (v, w) = (Vector3::new(vx, vy, vz), Vector3::new(wx, wy, wz));

@@ -14,7 +14,8 @@ pub struct Progress {
     pub time_s: f64,
     /// Frames exposed.
     pub frames: u64,
-    /// Frames after the beginning at which no valid command was there, so that the camera stood still.
+    /// Frames after the beginning at which no valid command was there, so that the camera stood
+    /// still.
     pub stale: u64,
     /// Commands that were outside the limits.
     pub limited: u64,
@@ -59,7 +60,7 @@ impl Progress {
         self.time_s = now_ns.saturating_sub(begun) as f64 * 1e-9;
     }
 
-    /// Lets the referee judge the true features; gives what it says.
+    /// Has the referee judge the true features; returns its judgement.
     pub fn judge(&mut self, points: &Points) -> Option<End> {
         self.error_px = self.referee.error(points);
         let end = self.referee.judge(points);

@@ -1,4 +1,4 @@
-//! What happened, one JSON line a frame.
+//! A recording of runs: one JSON line a frame.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -55,7 +55,7 @@ pub struct ArmRecord {
     pub q: [f64; JOINTS],
     /// Measured joint velocities, rad/s.
     pub dq: [f64; JOINTS],
-    /// What the sequence is about.
+    /// The step of the task.
     pub phase: Phase,
     /// The robot's mode.
     pub mode: String,

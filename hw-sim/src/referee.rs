@@ -11,8 +11,8 @@ use crate::pose::from_scene;
 /// How a run ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum End {
-    /// At the goal: every component of s - s* is within the scene's convergence. A robot has released the object there
-    /// and backed away.
+    /// At the goal: every component of s - s* is within the scene's convergence. A robot has
+    /// released the object there and backed away.
     Arrived,
     /// A point is deeper in an occlusion, or farther outside the image, than the scene allows.
     Violation(Violation),
@@ -69,7 +69,8 @@ impl Referee {
         &self.goal
     }
 
-    /// Least signed distance of any judged point from an occlusion or the image border, px; negative inside.
+    /// Least signed distance of any judged point from an occlusion or the image border, px;
+    /// negative inside.
     pub fn least_clearance(&self) -> f64 {
         self.least_clearance
     }
@@ -80,7 +81,8 @@ impl Referee {
         pairs.map(|(s, goal)| (s - goal).abs()).fold(0.0, f64::max)
     }
 
-    /// Judges the true features: [`End::Violation`], [`End::Arrived`], or neither. Violations come first.
+    /// Judges the true features: [`End::Violation`], [`End::Arrived`], or neither. Violations come
+    /// first.
     pub fn judge(&mut self, points: &[[f64; 2]]) -> Option<End> {
         for (point, &pixel) in points.iter().enumerate() {
             let (clearance, occlusion) = if pixel.iter().all(|x| x.is_finite()) {
@@ -100,8 +102,8 @@ impl Referee {
         (self.error(points) <= self.scene.success.convergence_px).then_some(End::Arrived)
     }
 
-    /// The signed distance of a pixel from the border or from the occlusion nearest to it, where that is nearer than
-    /// any point before.
+    /// The signed distance of a pixel from the border or from the occlusion nearest to it, where
+    /// that is nearer than any point before.
     fn clearance(&self, [u, v]: [f64; 2]) -> (f64, Option<Name>) {
         let camera = &self.scene.camera;
         // Euclidean outside a corner, straight elsewhere.

@@ -1,4 +1,5 @@
-//! The robot's side of the experiment: a Panda with its bridge, the task around the servoing, and a referee of its own.
+//! The robot's side: a Panda with its bridge, the task around the servoing, and a referee of its
+//! own.
 
 pub mod arm;
 pub mod bridge;

@@ -2,7 +2,8 @@
 
 use scene::Limits;
 
-/// A camera velocity (camera frame; m/s, rad/s) that holds until an instant; then the camera stands still.
+/// A camera velocity (camera frame; m/s, rad/s) that holds until an instant; then the camera stands
+/// still.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Standing {
     twist: [f64; 6],
@@ -11,8 +12,8 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// A command cut to the limits; components that are not finite count as zero. Nothing is rescaled: a wrong command
-    /// must show, not be mended.
+    /// A command cut to the limits; components that are not finite count as zero. Nothing is
+    /// rescaled: a wrong command must show, not be mended.
     pub fn new(command: &[f64; 6], until_ns: u64, limits: &Limits) -> Self {
         let limit = |k: usize| if k < 3 { limits.linear } else { limits.angular };
         let cut = |k: usize| command[k].clamp(-limit(k), limit(k));

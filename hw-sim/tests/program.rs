@@ -1,4 +1,5 @@
-//! `hw-sim` as a process: its exit codes, what it says, its verdict, and that it leaves nothing behind.
+//! `hw-sim` as a process: its exit codes, what it says, its verdict, and that it leaves nothing
+//! behind.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};

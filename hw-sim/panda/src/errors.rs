@@ -1,8 +1,9 @@
-//! What the robot says when it stops itself, under the real robot's names.
+//! Why the robot stops itself, under the real robot's names.
 //!
-//! Source of the names: libfranka, `franka::Errors`. The list holds what this emulator can raise: what comes from
-//! torques and contacts (`joint_reflex`, `cartesian_reflex`, `tau_j_range_violation` ...), from pose and elbow
-//! commands and from Franka's own planners is not modelled.
+//! Source of the names: libfranka, `franka::Errors`. The list holds what this emulator can raise:
+//! what comes from torques and contacts (`joint_reflex`, `cartesian_reflex`,
+//! `tau_j_range_violation` ...), from pose and elbow commands and from Franka's own planners is not
+//! modelled.
 
 use std::fmt;
 

@@ -8,8 +8,8 @@ use crate::interface::{Motion, MotionKind};
 use crate::kinematics::{Chain, Joints, Pose, Twist, split};
 use crate::limits::{Exceeded, PERIOD, Setpoint, cartesian};
 
-/// The pose after a body moved at `twist` (its origin, base axes) for `dt` seconds, the linear and the angular
-/// velocity constant along base axes.
+/// The pose after a body moved at `twist` (its origin, base axes) for `dt` seconds, the linear and
+/// the angular velocity constant along base axes.
 pub(crate) fn moved(pose: &Pose, twist: &Twist, dt: f64) -> Pose {
     let (linear, angular) = split(twist);
     Pose::from_parts(
@@ -51,8 +51,9 @@ impl Generator {
         }
     }
 
-    /// The desired joints after a period of this motion, and what is wrong with them. With errors the step must not be
-    /// taken, and the generator is of no further use. A motion of another kind is the extrapolation.
+    /// The desired joints after a period of this motion, and what is wrong with them. With errors
+    /// the step must not be taken, and the generator is of no further use. A motion of another kind
+    /// is the extrapolation.
     pub fn advance(&mut self, motion: &Motion, from: &Setpoint) -> (Setpoint, Errors) {
         match (&mut *self, motion) {
             (Self::Cartesian(g), Motion::Cartesian(twist)) => g.advance(twist, from),
@@ -69,8 +70,8 @@ impl Generator {
 #[derive(Clone, Copy, Debug)]
 pub struct CartesianGenerator {
     ik: VelocityIk,
-    /// The integral of commands: where the end effector's origin is to be, m, and its orientation, which is held as a
-    /// quaternion because its length is cheaply kept.
+    /// The integral of commands: where the end effector's origin is to be, m, and its orientation,
+    /// which is held as a quaternion because its length is cheaply kept.
     position: Vector3<f64>,
     orientation: UnitQuaternion<f64>,
     twist: Twist,

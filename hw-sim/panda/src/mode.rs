@@ -1,4 +1,4 @@
-//! What the robot is about.
+//! Modes of the robot, and requests that they refuse.
 
 use std::fmt;
 

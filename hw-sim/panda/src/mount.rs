@@ -22,7 +22,8 @@ impl Mount {
         base_from_camera * self.flange_from_camera.inverse()
     }
 
-    /// Velocity of the flange's origin along base axes while the camera's origin moves at `twist` along camera axes.
+    /// Velocity of the flange's origin along base axes while the camera's origin moves at `twist`
+    /// along camera axes.
     pub fn to_base(&self, base_from_flange: &Rotation3<f64>, twist: &Twist) -> Twist {
         let base_from_camera = base_from_flange * self.flange_from_camera.rotation;
         let (linear, angular) = split(twist);

@@ -90,7 +90,8 @@ impl Robot {
         Ok(())
     }
 
-    /// Presses the user's stop: the robot brakes in any mode and refuses motions until it is released.
+    /// Presses the user's stop: the robot brakes in any mode and refuses motions until it is
+    /// released.
     pub fn press_user_stop(&mut self) {
         if self.motion.is_some() {
             self.end_motion(Errors::NONE);
@@ -131,7 +132,8 @@ impl Robot {
         self.push = acceleration;
     }
 
-    /// One millisecond, with the commands that `arrived` since the last state; returns the new state.
+    /// One millisecond, with the commands that `arrived` since the last state; returns the new
+    /// state.
     pub fn step(&mut self, arrived: &[Command]) -> &State {
         self.time += 1;
         match self.motion {

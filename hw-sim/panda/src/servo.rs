@@ -1,7 +1,7 @@
-//! What carries the desired joints out: measured positions follow, and lag.
+//! Measured joints: they follow the desired ones, and lag.
 //!
-//! Each joint is a second-order system behind a velocity feed-forward. The numbers are assumptions of the size that an
-//! impedance-controlled arm shows, not measurements of one.
+//! Each joint is a second-order system behind a velocity feed-forward. The numbers are assumptions
+//! of the size that an impedance-controlled arm shows, not measurements of one.
 
 use crate::kinematics::Joints;
 use crate::limits::{PERIOD, Setpoint};
@@ -10,8 +10,9 @@ use crate::limits::{PERIOD, Setpoint};
 const BANDWIDTH_HZ: f64 = 15.0;
 /// Damping ratio; 1 is critical.
 const DAMPING: f64 = 1.0;
-/// Share of the desired velocity that is fed forward. The lag in steady motion is 2 damping (1 - feedforward) / (2 pi
-/// bandwidth) seconds, 3 ms here after the period in which a set point already acts is taken off.
+/// Share of the desired velocity that is fed forward. The lag in steady motion is 2 damping (1 -
+/// feedforward) / (2 pi bandwidth) seconds, 3 ms here after the period in which a set point already
+/// acts is taken off.
 const FEEDFORWARD: f64 = 0.8;
 
 /// The measured joints.

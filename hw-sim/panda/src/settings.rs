@@ -1,4 +1,4 @@
-//! What a robot is made of, and what cannot be one.
+//! Settings of a robot.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -22,7 +22,7 @@ impl Walls {
     }
 }
 
-/// What a robot is made of.
+/// Settings of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotSettings {
     /// F_T_EE, the end effector in the flange; the flange itself by default.

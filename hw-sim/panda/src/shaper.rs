@@ -1,8 +1,9 @@
 //! From commands at 30 Hz to commands at 1 kHz that the robot accepts.
 //!
-//! Part of the bridge beside the robot, not of the law and not of the robot. Each axis follows the last target along
-//! the fastest ramp under bounds on acceleration and jerk. The ramp starts anew in every millisecond from what the robot
-//! says it was last commanded, so that a command which the robot lost, and extrapolated, leaves no step behind.
+//! Part of the bridge beside the robot, not of the law and not of the robot. Each axis follows the
+//! last target along the fastest ramp under bounds on acceleration and jerk. The ramp starts anew
+//! in every millisecond from what the robot says it was last commanded, so that a command which the
+//! robot lost, and extrapolated, leaves no step behind.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -22,8 +23,8 @@ pub struct ShaperSettings {
 }
 
 impl Default for ShaperSettings {
-    /// From rest to the limits of the scene `paper-robot` within a frame, and within the joints' bounds with room: see
-    /// the README.
+    /// From rest to the limits of the scene `paper-robot` within a frame, and within the joints'
+    /// bounds with room: see the README.
     fn default() -> Self {
         Self {
             linear: Ramp {
@@ -98,8 +99,9 @@ impl Shaper {
         })
     }
 
-    /// A new command: velocity of the end effector's origin along base axes, to hold until this instant. What is not
-    /// finite means standing still; what the robot's own bounds forbid is shortened.
+    /// A new command: velocity of the end effector's origin along base axes, to hold until this
+    /// instant. What is not finite means standing still; what the robot's own bounds forbid is
+    /// shortened.
     pub fn aim(&mut self, twist: &Twist, valid_until_ns: u64) {
         self.target = if twist.iter().all(|x| x.is_finite()) {
             shortened(twist)
@@ -114,7 +116,8 @@ impl Shaper {
         now_ns >= self.valid_until_ns
     }
 
-    /// The twist that answers the state with this echo. Where the command is stale, on the way to zero.
+    /// The twist that answers the state with this echo. Where the command is stale, on the way to
+    /// zero.
     pub fn step(&self, echo: &Echo, now_ns: u64) -> Twist {
         let stale = self.is_stale(now_ns);
         Twist::from_fn(|axis, _| {

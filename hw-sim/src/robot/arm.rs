@@ -12,8 +12,8 @@ use super::calibration::{HandEye, Truth};
 use super::inspector::Inspector;
 use crate::pose::{RigidPose, from_scene};
 
-/// Where the pattern lies in the robot's base: 0.5 m in front of it, 5 cm above its foot, facing up; its x axis points
-/// to the robot's right, its y axis towards the robot.
+/// Where the pattern lies in the robot's base: 0.5 m in front of it, 5 cm above its foot, facing
+/// up; its x axis points to the robot's right, its y axis towards the robot.
 pub fn base_from_object() -> Pose {
     let axes = Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
     Pose::from_parts(
@@ -22,12 +22,12 @@ pub fn base_from_object() -> Pose {
     )
 }
 
-/// What an arm is made of.
+/// Settings of an arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmSettings {
-    /// What the bridge believes.
+    /// The calibration that the bridge was given.
     pub hand_eye: HandEye,
-    /// What is true.
+    /// How the world differs from that.
     pub truth: Truth,
     /// Whether commands are shaped.
     pub shaping: Shaping,
@@ -101,7 +101,7 @@ impl Arm {
         self.robot.state()
     }
 
-    /// What was seen of the robot so far.
+    /// The robot's referee.
     pub fn inspector(&self) -> &Inspector {
         &self.inspector
     }
@@ -126,8 +126,9 @@ impl Arm {
             .into()
     }
 
-    /// Whether the end effector stands, by the commands and by the desired joints. The elbow may still be creeping back
-    /// to its place, which takes it 10 s and more in some postures: it moves nothing that the gripper holds.
+    /// Whether the end effector stands, by the commands and by the desired joints. The elbow may
+    /// still be creeping back to its place, which takes it 10 s and more in some postures: it moves
+    /// nothing that the gripper holds.
     pub fn is_at_rest(&self) -> bool {
         let state = self.robot.state();
         state.o_dp_ee_d.amax() < AT_REST && state.o_dp_ee_c.amax() < AT_REST
@@ -139,8 +140,8 @@ impl Arm {
     }
 }
 
-/// Speed below which the end effector stands, m/s, rad/s: what the inverse kinematics still draws to the integral of commands
-/// after a ramp has ended decays within a few tenths of a second from below this.
+/// Speed below which the end effector counts as standing, m/s and rad/s. After a ramp the feedback
+/// of the inverse kinematics decays from below this within a few tenths of a second.
 const AT_REST: f64 = 2e-4;
 
 /// The limits of the joints for a picture: least and greatest position, greatest speed.

@@ -1,11 +1,13 @@
-//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the flange.
+//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the
+//! flange.
 
 use panda::{Command, Echo, Motion, Mount, Shaper, ShaperError, ShaperSettings, State, Twist};
 use scene::Limits;
 
 use crate::standing::Standing;
 
-/// Turns camera twists into robot commands. It knows the calibration that a real bridge would be given, not the truth.
+/// Turns camera twists into robot commands. It knows the calibration that a real bridge would be
+/// given, not the truth.
 #[derive(Clone, Debug)]
 pub struct Bridge {
     mount: Mount,
@@ -16,7 +18,7 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// A bridge that stands still until it is told otherwise.
+    /// A bridge that commands standing still until its first command.
     ///
     /// # Errors
     /// A bound of the shaper that is not a positive number.
@@ -34,8 +36,8 @@ impl Bridge {
         })
     }
 
-    /// Takes a command of the controller: camera velocity in the camera frame (m/s, rad/s), to hold until `until_ns`.
-    /// Returns whether it was outside the limits and was cut.
+    /// Takes a command of the controller: camera velocity in the camera frame (m/s, rad/s), to hold
+    /// until `until_ns`. Returns whether it was outside the limits and was cut.
     pub fn command(&mut self, twist: &[f64; 6], until_ns: u64) -> bool {
         self.standing = Standing::new(twist, until_ns, &self.limits);
         self.standing.was_limited()
@@ -55,8 +57,8 @@ impl Bridge {
         &self.standing
     }
 
-    /// The command that answers a state of the robot. The camera's velocity is transported to the flange anew in every
-    /// millisecond, because the base axes turn under it.
+    /// The command that answers a state of the robot. The camera's velocity is transported to the
+    /// flange anew in every millisecond, because the base axes turn under it.
     pub fn answer(&mut self, state: &State, now_ns: u64) -> Command {
         let camera = Twist::from_column_slice(&self.standing.twist());
         let base = self.mount.to_base(&state.o_t_ee.rotation, &camera);
@@ -115,8 +117,8 @@ mod tests {
         Arm::new(&scene(), start, &settings).unwrap()
     }
 
-    /// Full-speed twists at 30 Hz that change their mind in every frame, back and forth so that the arm stays; some
-    /// frames bring none.
+    /// Full-speed twists at 30 Hz that change their mind in every frame, back and forth so that the
+    /// arm stays; some frames bring none.
     fn tear(arm: &mut Arm, random: &mut ChaCha8Rng, seconds: u64) {
         let limits = scene().limits;
         let mut twist = [0.0; 6];
@@ -167,7 +169,8 @@ mod tests {
         for ms in 100..160 {
             arm.step(ms * MS);
             let after = arm.camera_twist();
-            // A ramp, not a jump: 0.5 m/s^2 along each axis of the base are 0.9 mm/s in a millisecond.
+            // A ramp, not a jump: 0.5 m/s^2 along each axis of the base are 0.9 mm/s in a
+            // millisecond.
             let jump = (0..3)
                 .map(|k| (after[k] - before[k]).abs())
                 .fold(0.0, f64::max);

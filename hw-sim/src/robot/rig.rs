@@ -1,5 +1,6 @@
-//! The whole cell in simulated time: arm, camera, sequence and referees, a millisecond at a time. Without clocks and
-//! ports: the process steps it, in real time or in lockstep, and so does the table.
+//! The whole cell in simulated time: arm, camera, sequence and referees, a millisecond at a time.
+//! It has neither clock nor port: the process steps it in real time or in lockstep, and the table
+//! in process.
 
 use ipc::RobotState;
 use panda::Mode;
@@ -20,7 +21,7 @@ use crate::referee::End;
 /// Nanoseconds of a step.
 pub const STEP_NS: u64 = 1_000_000;
 
-/// What a cell is made of.
+/// Settings of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigSettings {
     /// The arm.
@@ -51,7 +52,7 @@ impl RigSettings {
     }
 }
 
-/// Why a cell cannot be, or cannot go on.
+/// A cell cannot be made, or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum RigError {
     /// The arm.
@@ -109,12 +110,12 @@ impl Rig {
         self.epoch_ns + self.steps * STEP_NS
     }
 
-    /// What the sequence is about.
+    /// The present step of the task.
     pub fn phase(&self) -> Phase {
         self.sequence.phase()
     }
 
-    /// What the referee of the robot reports.
+    /// The report of the robot's referee.
     pub fn report(&self) -> &ArmReport {
         self.arm.inspector().report()
     }
@@ -163,7 +164,8 @@ impl Cell for Rig {
     fn look(&mut self, _now_ns: u64) -> Result<Observation, EyeError> {
         let mut seen = Observation::default();
         let now_ns = self.now_ns();
-        // Frame k is exposed in the millisecond nearest to k periods: 33 or 34 steps apart, exact in the long run.
+        // Frame k is exposed in the millisecond nearest to k periods: 33 or 34 steps apart, exact
+        // in the long run.
         let frames = self.progress.frames;
         let due = (1000.0 * frames as f64 / self.scene.camera.rate_hz).round() as u64;
         if self.steps >= due {

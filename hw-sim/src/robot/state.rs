@@ -1,4 +1,5 @@
-//! What an arm adds to the state of the cell: beyond the contract's fields it stands in `room`, as `CONTRACT.md` lists.
+//! What an arm adds to the state of the cell: beyond the contract's fields it stands in `room`, as
+//! `CONTRACT.md` lists.
 
 use ipc::{RobotFaults, RobotMode, RobotState};
 use panda::{Errors, Flag, JOINTS, Mode, State};
@@ -6,7 +7,7 @@ use panda::{Errors, Flag, JOINTS, Mode, State};
 use super::sequence::Phase;
 use crate::cell::raise;
 
-/// Adds what the robot tells, and what the sequence is about.
+/// Adds the robot's own state and the step of the sequence.
 pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: Phase) {
     state.joints = JOINTS as u32;
     (state.q, state.dq) = (told.q.into(), told.dq.into());

@@ -1,4 +1,4 @@
-//! What markers look like, how far they move, and what is refused.
+//! Settings of the detector.
 
 /// How markers look: bright discs on the plane of the pattern.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -12,8 +12,8 @@ use crate::search::{near, whole_frame};
 
 /// How far a marker may be from its prediction, px.
 const GATE_PX: f64 = 25.0;
-/// How far the pattern may be turned against the last known arrangement when all markers were lost, rad. A pattern that
-/// looks the same after a half turn needs less than pi/2.
+/// How far the pattern may be turned against the last known arrangement when all markers were lost,
+/// rad. A pattern that looks the same after a half turn needs less than pi/2.
 const TURN_MAX: f64 = 1.4;
 /// Frames without two visible markers after which predictions are given up.
 const PATIENCE: u32 = 5;
@@ -23,7 +23,8 @@ const PATIENCE: u32 = 5;
 pub struct Sighting {
     /// It was measured in this frame, all of it.
     pub visible: bool,
-    /// Where its centre is seen, px; where it is not visible, where it is believed to be: finite, not to be relied upon.
+    /// Where its centre is seen, px; where it is not visible, where it is believed to be: finite,
+    /// not to be relied upon.
     pub pixel: [f64; 2],
 }
 
@@ -49,8 +50,8 @@ pub struct Detector {
 }
 
 impl Detector {
-    /// A detector of the pattern of a scene. Until [`Detector::expect`] says otherwise it takes the pattern to be turned
-    /// as at the scene's goal, give or take 80 deg.
+    /// A detector of the pattern of a scene. Until [`Detector::expect`] says otherwise it takes the
+    /// pattern to be turned as at the scene's goal, give or take 80 deg.
     ///
     /// # Errors
     /// [`DetectorError::Value`] where a setting is out of its range.
@@ -75,8 +76,9 @@ impl Detector {
         Ok(detector)
     }
 
-    /// Forgets all markers; the next frame is searched as a whole, for a pattern turned about as at `pose` (object in the
-    /// camera frame). Call it at the start of a run, and where the camera may have been moved meanwhile.
+    /// Forgets all markers; the next frame is searched as a whole, for a pattern turned about as at
+    /// `pose` (object in the camera frame). Call it at the start of a run, and where the camera may
+    /// have been moved meanwhile.
     pub fn expect(&mut self, pose: &Pose) {
         self.tracking = false;
         self.blind = 0;
@@ -107,7 +109,8 @@ impl Detector {
         &self.sightings
     }
 
-    /// Bit i is set where marker i was visible in the last frame: `Features::visible` of the contract.
+    /// Bit i is set where marker i was visible in the last frame: `Features::visible` of the
+    /// contract.
     pub fn visible(&self) -> u32 {
         let bits = self.sightings.iter().enumerate();
         bits.map(|(i, marker)| u32::from(marker.visible) << i).sum()
@@ -213,7 +216,8 @@ impl Detector {
         self.levels = disc.levels;
     }
 
-    /// Brings the chart into line with the markers that are visible; false where they do not look like the pattern.
+    /// Brings the chart into line with the markers that are visible; false where they do not look
+    /// like the pattern.
     fn fit(&mut self) -> bool {
         let pairs = self.pairs();
         self.chart.follow(&pairs)
@@ -301,7 +305,8 @@ mod tests {
         pose.translation[1] = -0.05;
         pose.rotation[2] = 3.0;
         detector.detect(renderer.render(&pose)).unwrap();
-        // It looks the same as one turned by 3.0 - pi, and is taken for it: the caller has to say what to expect.
+        // It looks the same as one turned by 3.0 - pi, and is taken for it: the caller has to say
+        // what to expect.
         assert!(seen(&scene, &pose, &detector).0 > 100.0);
         detector.expect(&pose);
         detector.detect(renderer.render(&pose)).unwrap();

@@ -25,8 +25,8 @@ const RING: f64 = 3.0;
 
 /// Least contrast of a disc to its background, levels.
 pub(crate) const CONTRAST: f64 = 50.0;
-/// Greatest distance of the rim of a whole disc from an ellipse, px. Smaller refuses discs that are barely touched by an
-/// occlusion, larger bears more noise.
+/// Greatest distance of the rim of a whole disc from an ellipse, px. Smaller refuses discs that are
+/// barely touched by an occlusion, larger bears more noise.
 const RIM_PX: f64 = 0.3;
 
 /// A disc that is seen whole.
@@ -161,7 +161,8 @@ pub(crate) fn measure(
     })
 }
 
-/// Centre and radius by where the level falls below the threshold, right and left, down and up; twice.
+/// Centre and radius by where the level falls below the threshold, right and left, down and up;
+/// twice.
 fn rough(image: &Image, seed: Point, threshold: f64, radius_px: [f64; 2]) -> Option<(Point, f64)> {
     // Specks of noise are not worth a look.
     if smooth(image, seed)? < threshold + 0.2 * CONTRAST {
@@ -193,7 +194,8 @@ fn rough(image: &Image, seed: Point, threshold: f64, radius_px: [f64; 2]) -> Opt
     plausible.then_some((center, mean))
 }
 
-/// The radius on each ray where the level falls to the half; none where it does not, or not sharply.
+/// The radius on each ray where the level falls to the half; none where it does not, or not
+/// sharply.
 fn rim(
     image: &Image,
     center: Point,
@@ -252,8 +254,8 @@ fn rim_center(center: Point, radii: &[f64; RAYS]) -> Point {
     [center[0] + shift[0], center[1] + shift[1]]
 }
 
-/// Centroid and area of the pixels by their share of the contrast, cut off below 15 % and above 85 % so that
-/// neither texture nor noise counts; and the share of the inner pixels that are missing.
+/// Centroid and area of the pixels by their share of the contrast, cut off below 15 % and above 85
+/// % so that neither texture nor noise counts; and the share of the inner pixels that are missing.
 fn centroid(
     image: &Image,
     center: Point,
@@ -316,7 +318,8 @@ mod tests {
 
     const RADIUS_PX: [f64; 2] = [4.0, 24.0];
 
-    /// An anti-aliased ellipse of half sizes (`a`, `b`) turned by `turn`, seen through `shade` (0 black, 1 clear).
+    /// An anti-aliased ellipse of half sizes (`a`, `b`) turned by `turn`, seen through `shade` (0
+    /// black, 1 clear).
     fn ellipse(
         center: Point,
         [a, b]: [f64; 2],

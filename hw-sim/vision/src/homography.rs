@@ -47,7 +47,8 @@ impl Homography {
         Some([row(0, u), row(1, v)])
     }
 
-    /// How a disc is seen, by the dual of its conic; none where it is not wholly in front of the camera.
+    /// How a disc is seen, by the dual of its conic; none where it is not wholly in front of the
+    /// camera.
     pub fn disc(&self, center: Point, radius: f64) -> Option<Ellipse> {
         let c = self.homogeneous(center);
         let rim = self.0.fixed_columns::<2>(0);
@@ -72,8 +73,9 @@ impl Homography {
         self.0.try_inverse().filter(|_| is_regular).map(Self)
     }
 
-    /// The map through pairs (point of the pattern, image point): from four pairs on a homography, exact or least
-    /// squares; none where the points do not fix it. `unit` is the size of the pattern, m.
+    /// The map through pairs (point of the pattern, image point): from four pairs on a homography,
+    /// exact or least squares; none where the points do not fix it. `unit` is the size of the
+    /// pattern, m.
     pub fn through(pairs: &[(Point, Point)], unit: f64) -> Option<Self> {
         if pairs.len() < 4 {
             return None;

@@ -1,12 +1,12 @@
-//! From exposure to delivery: frames arrive late, with jitter, in order, and some never. Pure: time is what the caller
-//! says it is.
+//! From exposure to delivery: frames arrive late, with jitter, in order, and some never. The time
+//! is an argument.
 
 use std::collections::VecDeque;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What happens to frames on their way.
+/// How late frames arrive, and how many are lost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latency {
     /// From the stamp of the exposure to the delivery, ns.
@@ -102,7 +102,8 @@ impl<T> Transit<T> {
         })
     }
 
-    /// Exposes a frame with this stamp, and returns whether it will be delivered; stamps are given in order.
+    /// Exposes a frame with this stamp, and returns whether it will be delivered; stamps are given
+    /// in order.
     pub fn expose(&mut self, payload: T, stamp_ns: u64) -> bool {
         // Both drawn for every frame, so that one flaw does not change the numbers of another.
         let lost = self.random.random::<f64>() < self.latency.drop;

@@ -1,7 +1,7 @@
-//! The emulated camera's picture, and what is read from it.
+//! Renders the emulated camera's picture, and finds the markers in it.
 //!
-//! * [`Renderer`]: pose of the object in the camera frame -> grey [`Image`] with round markers, the grasped object in
-//!   front of them, the blurred spot on the lens and pixel noise.
+//! * [`Renderer`]: pose of the object in the camera frame -> grey [`Image`] with round markers, the
+//!   grasped object in front of them, the blurred spot on the lens and pixel noise.
 //! * [`Detector`]: image -> one [`Sighting`] a marker: visible or not, and where, px.
 //! * [`Transit`]: frames exposed -> frames delivered, late, with jitter, and some never.
 //!

@@ -2,7 +2,7 @@
 
 use scene::Occlusion;
 
-/// What an occlusion of the scene is.
+/// Kinds of occlusions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// Dirt on the lens: what lies behind is blurred and dimmed until it is lost.

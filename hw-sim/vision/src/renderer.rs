@@ -1,4 +1,5 @@
-//! The picture: plane with markers, object, optics, spot, noise; in this order, as light meets them.
+//! The picture: plane with markers, object, optics, spot, noise; in this order, as light meets
+//! them.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -39,8 +40,9 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// A renderer of a scene. An occlusion whose name has the word "spot" is dirt on the lens, which blurs and dims what
-    /// lies behind; every other one is an object before the camera, which hides it.
+    /// A renderer of a scene. An occlusion whose name has the word "spot" is dirt on the lens,
+    /// which blurs and dims what lies behind; every other one is an object before the camera, which
+    /// hides it.
     ///
     /// # Errors
     /// [`ImageError`] where the size of the scene's image is out of range.
@@ -85,8 +87,8 @@ impl Renderer {
         })
     }
 
-    /// Shows or takes away an occlusion, by its index in the scene: the object that the gripper lets go.
-    /// An index that the scene has not does nothing.
+    /// Shows or takes away an occlusion, by its index in the scene: the object that the gripper
+    /// lets go. An index that the scene has not does nothing.
     pub fn show(&mut self, occlusion: usize, shown: bool) {
         if let Some(layer) = self.layers.get_mut(occlusion) {
             layer.1 = shown;
@@ -265,7 +267,8 @@ mod tests {
             let image = draw(&scene);
             let level = image.at(u as usize, v as usize);
             assert!(level < most, "{name}: {level}");
-            // The point spread reaches one pixel; a pixel is the square about its whole-numbered centre.
+            // The point spread reaches one pixel; a pixel is the square about its whole-numbered
+            // centre.
             for (i, j) in [
                 (column - 2, row + 20),
                 (column + 42, row + 20),

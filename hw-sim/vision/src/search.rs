@@ -16,8 +16,8 @@ const TRIES: usize = 6;
 
 /// Every disc of the frame, the first [`MAX_DISCS`] of them.
 ///
-/// Tried at thresholds that lie half of the least contrast apart: one of them separates each disc from what it lies on,
-/// whatever else is near.
+/// Tried at thresholds that lie half of the least contrast apart: one of them separates each disc
+/// from what it lies on, whatever else is near.
 pub(crate) fn whole_frame(image: &Image, radius_px: [f64; 2]) -> Discs {
     let mut discs = Discs::new();
     let longest = (2.0 * radius_px[1]) as usize / STEP + 1;
@@ -59,8 +59,9 @@ fn add(discs: &mut Discs, image: &Image, seed: Point, threshold: f64, radius_px:
     }
 }
 
-/// The disc nearest to a prediction and at most `gate` px away; `levels` are those of discs seen lately, `radius` is
-/// about theirs. None where there is no disc, or a second one within the gate: it is not clear then which.
+/// The disc nearest to a prediction and at most `gate` px away; `levels` are those of discs seen
+/// lately, `radius` is about theirs. None where there is no disc, or a second one within the gate:
+/// it is not clear then which.
 pub(crate) fn near(
     image: &Image,
     prediction: Point,

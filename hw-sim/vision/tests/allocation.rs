@@ -1,4 +1,5 @@
-//! Nothing is allocated per frame: drawing, detecting and delivering take their memory when they are made.
+//! Nothing is allocated per frame: drawing, detecting and delivering take their memory when they
+//! are made.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -41,7 +42,8 @@ fn a_frame_allocates_nothing() {
         ..Latency::default()
     })
     .unwrap();
-    // Down behind the object and out of the image, so that every path is taken: followed, hidden, lost, found again.
+    // Down behind the object and out of the image, so that every path is taken: followed, hidden,
+    // lost, found again.
     let mut frame = |k: u64| {
         let mut pose = scene.goal;
         pose.translation[1] += 0.25 * (std::f64::consts::PI * k as f64 / 60.0).sin();

@@ -1,5 +1,5 @@
-//! The camera client for OpenCV (`ipc/python/opencv_camera.py`) on rendered frames: its points against the truth, and what
-//! it says of a pattern that it cannot tell from itself turned.
+//! The camera client for OpenCV (`ipc/python/opencv_camera.py`) on rendered frames: its points
+//! against the truth, and what it says of a pattern that it cannot tell from itself turned.
 
 use std::fs::File;
 use std::path::Path;
@@ -36,7 +36,8 @@ fn write(path: &Path, image: &Image) {
     writer.write_image_data(image.pixels()).unwrap();
 }
 
-/// The object beside the goal, down behind the grasped object until its lower markers are hidden, and back.
+/// The object beside the goal, down behind the grasped object until its lower markers are hidden,
+/// and back.
 fn pose(scene: &Scene, frame: usize) -> Pose {
     let share = (std::f64::consts::PI * frame as f64 / (FRAMES - 1) as f64).sin();
     let mut pose = scene.goal;
@@ -46,7 +47,8 @@ fn pose(scene: &Scene, frame: usize) -> Pose {
     pose
 }
 
-/// A line of `--print`: frame, stamp, then "(u, v)" with a question mark where a marker is not seen.
+/// A line of `--print`: frame, stamp, then "(u, v)" with a question mark where a marker is not
+/// seen.
 fn points(line: &str) -> Vec<([f64; 2], bool)> {
     let (_, rest) = line.split_once('(').unwrap();
     let each = rest.split('(').map(|text| {
