@@ -41,23 +41,24 @@ fn main() -> ExitCode {
     let is_series = config.repeat || config.starts.len() > 1;
     let tell = |outcome: &Outcome, tally: Tally| {
         println!("{}", serde_json::json!(outcome));
+        let sentence = outcome.sentence();
         if is_series {
             let Tally { runs, arrived } = tally;
-            let sentence = outcome.sentence();
             eprintln!(
                 "hw-sim: start {}: {sentence} ({arrived} of {runs} arrived)",
                 outcome.start
             );
         } else {
-            let then = match config.clock {
-                Clock::Fixed => "; no more frames come, upon which vpcd disarms",
-                Clock::Lockstep => "",
-            };
-            eprintln!("hw-sim: {}{then}", outcome.sentence());
+            eprintln!("hw-sim: {sentence}");
         }
     };
     match emulator::run(&config, &stop, tell) {
-        Ok(tally) => ExitCode::from(u8::from(tally.runs == 0 || tally.arrived < tally.runs)),
+        Ok(tally) => {
+            if config.clock == Clock::Fixed {
+                eprintln!("hw-sim: no more frames come, so vpcd disarms");
+            }
+            ExitCode::from(u8::from(tally.runs == 0 || tally.arrived < tally.runs))
+        }
         Err(error) => {
             eprintln!("hw-sim: {error:#}");
             // An arm that cannot be: its start is out of reach, or a setting out of range.
