@@ -125,7 +125,10 @@ impl<'a> Session<'a> {
         let Config { scene, flaws, .. } = self.config;
         Ok(match self.config.robot {
             Body::Free => {
-                let limit_s = self.config.time_limit_s;
+                let limit_s = match is_resting {
+                    true => f64::INFINITY,
+                    false => self.config.time_limit_s,
+                };
                 Box::new(FreeCell::new(scene, start, *flaws, limit_s))
             }
             Body::Panda => {

@@ -28,7 +28,7 @@ pub struct FreeCell {
 }
 
 impl FreeCell {
-    /// A camera that sees the object at `start`.
+    /// A camera that sees the object at `start`. Without a limit of time its run never ends.
     pub fn new(scene: &Scene, start: &Pose, flaws: Flaws, time_limit_s: f64) -> Self {
         Self {
             scene: scene.clone(),
@@ -52,10 +52,12 @@ impl FreeCell {
     }
 
     fn judge(&mut self, points: &Points) {
-        if let Some(end) = self.progress.judge(points) {
+        let end = self.progress.judge(points);
+        let is_late = self.progress.time_s >= self.time_limit_s;
+        if let Some(end) = end.or(is_late.then_some(End::TimeOut))
+            && self.time_limit_s.is_finite()
+        {
             self.progress.finish(end);
-        } else if self.progress.time_s >= self.time_limit_s {
-            self.progress.finish(End::TimeOut);
         }
     }
 }
@@ -87,6 +89,9 @@ impl Cell for FreeCell {
             return Ok(Observation::default());
         };
         self.judge(&points);
+        if self.progress.end.is_some() {
+            return Ok(Observation::default());
+        }
         self.progress.frames += 1;
         let frame = self.sensor.expose(&points, now_ns);
         let shot = frame.map(|frame| Shot {
@@ -158,7 +163,7 @@ mod tests {
             delay_frames: 2,
             ..Flaws::default()
         };
-        let mut cell = FreeCell::new(&scene, &scene.goal, flaws, 15.0);
+        let mut cell = FreeCell::new(&scene, &scene.goal, flaws, f64::INFINITY);
         let mut numbers = Vec::new();
         for _ in 0..4 {
             let now_ns = cell.due_ns();
