@@ -13,7 +13,7 @@ class Code(enum.IntEnum):
 
     words: str
 
-    def __new__(cls, number: int, words: str) -> "Code":
+    def __new__(cls, number: int, words: str = "") -> "Code":
         code = int.__new__(cls, number)
         code._value_, code.words = number, words
         return code
