@@ -4,7 +4,7 @@ use serde::Serialize;
 
 /// The lateness of each wake-up, us.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Lateness(Vec<f32>);
+pub struct Lateness(Vec<f64>);
 
 /// Percentiles, us.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -22,16 +22,16 @@ pub struct LatenessReport {
 impl Lateness {
     /// A wake-up that was late by this, ns.
     pub fn add(&mut self, ns: u64) {
-        self.0.push(ns as f32 * 1e-3);
+        self.0.push(ns as f64 / 1e3);
     }
 
     /// Percentiles by rank.
     pub fn report(&self) -> LatenessReport {
         let mut sorted = self.0.clone();
-        sorted.sort_unstable_by(f32::total_cmp);
+        sorted.sort_unstable_by(f64::total_cmp);
         let at = |share: f64| {
             let rank = (share * sorted.len() as f64).ceil() as usize;
-            sorted.get(rank.max(1) - 1).map_or(0.0, |us| f64::from(*us))
+            sorted.get(rank.max(1) - 1).copied().unwrap_or(0.0)
         };
         LatenessReport {
             count: sorted.len() as u64,

@@ -13,16 +13,30 @@ class Code(enum.IntEnum):
 
     words: str
 
-    def __new__(cls, number: int, words: str) -> "Code":
+    def __new__(cls, number: int, words: str = "") -> "Code":
         code = int.__new__(cls, number)
         code._value_, code.words = number, words
         return code
 
 
+class Message(ctypes.Structure):
+    """A structure of the contract."""
+
+    @staticmethod
+    def type_name() -> str:
+        """The name by which shared memory knows it."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        values = ((field[0], getattr(self, field[0])) for field in self._fields_)
+        shown = (f"{name}={list(x) if isinstance(x, ctypes.Array) else x!r}" for name, x in values)
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
 class Service(NamedTuple):
     """A service and its queues; the same for everybody who opens it."""
 
-    message: type
+    message: type[Message]
     history: int
     buffer: int
     subscribers: int
@@ -284,7 +298,7 @@ class CycleFlags(enum.IntFlag):
     SHUTDOWN = 2
 
 
-class Stamp(ctypes.Structure):
+class Stamp(Message):
     """Head of every message. Times are CLOCK_MONOTONIC."""
 
     _fields_ = [
@@ -354,7 +368,7 @@ class TwistCommand(Message):
         return "vpc/TwistCommand/1"
 
 
-class RobotState(ctypes.Structure):
+class RobotState(Message):
     """State of the robot that carries the camera, at the instant `stamp.data_ns`. Service `vpc/robot`."""
 
     _fields_ = [

@@ -21,7 +21,7 @@ class Code(enum.IntEnum):
 
     words: str
 
-    def __new__(cls, number: int, words: str) -> "Code":
+    def __new__(cls, number: int, words: str = "") -> "Code":
         code = int.__new__(cls, number)
         code._value_, code.words = number, words
         return code
@@ -32,6 +32,7 @@ class Message(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
+        """The name by which shared memory knows it."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
