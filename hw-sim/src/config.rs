@@ -40,15 +40,15 @@ pub struct Arguments {
 /// Paths of scene and starts are relative to the file. Most keys have a flag, which wins over the file: `hw-sim --help`.
 #[derive(Args, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-#[schemars(title = "hw-sim")]
+#[schemars(title = "hw-sim", extend("required" = ["scene", "starts"]))]
 pub struct Keys {
     /// The scene file: camera, pattern, goal, what counts as success.
     #[arg(long)]
-    #[schemars(required, extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
     pub scene: Option<PathBuf>,
     /// File of start poses (CSV: tx,ty,tz,rx,ry,rz), of the object in the camera frame.
     #[arg(long)]
-    #[schemars(required, extend("x-allowed" = "a file of starts, by the key `starts` or the flag --starts"))]
+    #[schemars(extend("x-allowed" = "a file of starts, by the key `starts` or the flag --starts"))]
     pub starts: Option<PathBuf>,
     /// Index of the start in that file.
     #[arg(long, default_value_t = 0)]
@@ -134,10 +134,10 @@ impl Default for Keys {
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Body {
-    /// nothing: it moves exactly as told, at once.
+    /// Nothing: it moves exactly as told, at once.
     #[default]
     Free,
-    /// a Franka Emika Panda behind its 1 kHz velocity interface.
+    /// A Franka Emika Panda behind its 1 kHz velocity interface.
     Panda,
 }
 
@@ -147,10 +147,10 @@ pub enum Body {
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Clock {
-    /// the camera's rate on the monotonic clock.
+    /// The camera's rate on the monotonic clock.
     #[default]
     Fixed,
-    /// the controller: a frame for each answer.
+    /// The controller: a frame for each answer.
     Lockstep,
 }
 

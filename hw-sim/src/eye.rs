@@ -26,10 +26,10 @@ use crate::pose::RigidPose;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// true projections with pixel noise; a marker whose centre is covered is hidden.
+    /// True projections with pixel noise; a marker whose centre is covered is hidden.
     #[default]
     Ideal,
-    /// a detector's, from a rendered picture.
+    /// A detector's, from a rendered picture.
     Rendered,
 }
 

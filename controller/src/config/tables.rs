@@ -99,11 +99,11 @@ fn strategies() -> Vec<String> {
 #[derive(Deserialize, Serialize, JsonSchema)]
 #[serde(remote = "vpc::Model", rename_all = "kebab-case")]
 pub enum Model {
-    /// with the depths that the points have at the goal, as in the paper.
+    /// With the depths that the points have at the goal, as in the paper.
     TargetDepth,
-    /// with one depth, from the area of the features.
+    /// With one depth, from the area of the features.
     AreaDepth,
-    /// by the pose of the known pattern.
+    /// By the pose of the known pattern.
     Pose,
 }
 
@@ -127,12 +127,12 @@ pub struct Cycle {
 #[derive(Clone, Copy, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clock {
-    /// a grid in time at the scene's rate.
+    /// A grid in time at the scene's rate.
     #[default]
     Fixed,
-    /// the same grid, following the camera's frames.
+    /// The same grid, following the camera's frames.
     Phase,
-    /// each features message.
+    /// Each features message.
     Lockstep,
 }
 
