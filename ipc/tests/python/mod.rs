@@ -1,6 +1,6 @@
-//! The client in Python (`ipc/python`) against this crate: the same layouts, the same guard, real messages both ways,
-//! its camera driven to the goal, its logger's tables, its package installed. Needs Python 3.11 and, the first time, the
-//! network.
+//! The client in Python (`ipc/python`) against this crate: the same layouts, the same guard, real
+//! messages both ways, its camera driven to the goal, its logger's tables, its package installed.
+//! Needs Python 3.11 and, the first time, the network.
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read};
@@ -213,8 +213,9 @@ fn messages_go_both_ways(python: &Path) {
     );
 }
 
-/// Drives the camera of camera.py from a start (object in the camera frame, m and rotation vector in rad) by one twist,
-/// held for a second; returns what it says, and the first point at each step, px.
+/// Drives the camera of camera.py from a start (object in the camera frame, m and rotation vector
+/// in rad) by one twist, held for a second; returns what it says, and the first point at each step,
+/// px.
 fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64; 2]>) {
     let directory = directory();
     let domain = Domain::join(directory.path()).unwrap();
@@ -224,7 +225,8 @@ fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64;
         .arg("--scene")
         .arg(sources("scene/scenes/paper-sim.toml"));
     camera.arg("--domain").arg(directory.path());
-    // One more than are needed: with a wrong twist it says so instead of waiting for an answer for ever.
+    // One more than are needed: with a wrong twist it says so instead of waiting for an answer for
+    // ever.
     camera.args(["--steps", &(STEPS + 1).to_string(), "--start"]);
     camera.args(start.map(|x| x.to_string()));
     let mut camera = Running(camera.stdout(Stdio::piped()).spawn().unwrap());
@@ -245,7 +247,8 @@ fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64;
 
 fn the_camera_can_be_driven(python: &Path) {
     let arrives = format!("{STEPS} steps, final error 0.0");
-    // Straight to the goal, which is at 0.6 m: the first point of the pattern is at (-0.15, -0.15) m.
+    // Straight to the goal, which is at 0.6 m: the first point of the pattern is at (-0.15, -0.15)
+    // m.
     let (text, seen) = driven(
         python,
         [0.2, 0.0, 0.7, 0.0, 0.0, 0.0],

@@ -1,4 +1,5 @@
-//! Programs in C, compiled with the header and linked with the shared library: layouts, and the three examples.
+//! Programs in C, compiled with the header and linked with the shared library: layouts, and the
+//! three examples.
 
 use std::fmt::Write as _;
 use std::mem::offset_of;
@@ -117,7 +118,8 @@ fn a_camera_in_c_closes_the_loop() {
     if !compiler("a_camera_in_c_closes_the_loop") {
         return;
     }
-    // Straight to the goal, which is at 0.6 m; rolling on the way; along a screw. A twist held for a second.
+    // Straight to the goal, which is at 0.6 m; rolling on the way; along a screw. A twist held for
+    // a second.
     for (start, twist) in [
         (
             [0.2, 0.0, 0.7, 0.0, 0.0, 0.0],
