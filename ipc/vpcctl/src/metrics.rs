@@ -67,14 +67,9 @@ const FAMILIES: [&str; 28] = [
 /// # Errors
 /// The domain cannot be joined or watched; the output cannot be written.
 pub fn once(directory: &Path, watch: Duration) -> Result<Exit, Failure> {
-    let end = Instant::now() + watch;
     let mut watcher = Watcher::open(directory)?;
     let mut status = Status::new(&watcher);
-    status.update(&mut watcher)?;
-    while Instant::now() < end {
-        std::thread::sleep(LOOK.min(watch));
-        status.update(&mut watcher)?;
-    }
+    status::watch_until(Instant::now() + watch, &mut watcher, &mut status)?;
     output::write(&text(&status.view, ipc::now_ns()))?;
     Ok(Exit::Ok)
 }

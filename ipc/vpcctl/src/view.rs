@@ -169,8 +169,10 @@ impl View {
     /// How long ago the camera sent the newest features, ns, where that is too long.
     pub fn camera_silence_ns(&self, now_ns: u64) -> Option<u64> {
         let sent = self.features.map(|features| features.stamp.published_ns);
-        let used = self.seen.map(|record| record.stamp.data_ns);
-        let age = now_ns.saturating_sub(sent.max(used)?);
+        let newest = self.latest().filter(|last| last.features_sequence > 0);
+        let used = newest.map(|last| last.stamp.data_ns.saturating_sub(last.features_age_ns));
+        let seen = self.seen.map(|record| record.stamp.data_ns);
+        let age = now_ns.saturating_sub(sent.max(used).max(seen)?);
         (age > SILENT_NS[1]).then_some(age)
     }
 

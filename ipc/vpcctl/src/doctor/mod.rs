@@ -1,8 +1,7 @@
 //! `vpcctl doctor`: what is wrong with this machine or set-up, and how to mend it.
 
 mod daemon;
-mod domain;
-mod machine;
+mod logind;
 
 use std::path::Path;
 
@@ -65,14 +64,13 @@ impl Finding {
 
 /// Looks at everything. A domain that does not exist is not created.
 pub fn examine(directory: &Path, arguments: &DoctorArguments) -> Vec<Finding> {
-    let mut findings = domain::examine(directory);
-    findings.extend(daemon::examine(directory, arguments.watch));
+    let mut findings = daemon::examine(directory, arguments.watch);
     let scene = arguments.scene.as_deref().map(Scene::read);
     findings.extend(scene.as_ref().map(scene_file));
     let scene = scene.and_then(Result::ok);
     let memory = arguments.memory.as_deref();
     findings.extend(memory.map(|path| memory_of_motion(path, scene.as_ref())));
-    findings.extend(machine::examine());
+    findings.extend(logind::examine());
     findings
 }
 

@@ -1,26 +1,18 @@
-//! The machine: logind, the unit. What it lacks for real time, `vpcd --preflight` tells.
+//! Whether logind would remove our shared memory at the end of a session.
 
 use std::path::Path;
-use std::process::Command;
 
 use super::Finding;
 
 /// The first number of an ordinary user, as systemd draws the line.
 const ORDINARY: u32 = 1000;
 
-pub(super) fn examine() -> Vec<Finding> {
-    let mut findings = Vec::new();
-    if Path::new("/run/systemd/system").is_dir() {
-        let us = rustix::process::geteuid().as_raw();
-        findings.push(logind(us, Path::new("/")));
-        findings.extend(unit().map(|properties| judge(&properties)));
-    }
-    let hint = "`vpcd --preflight` tells what this machine lacks";
-    findings.push(Finding::ok("real time", hint));
-    findings
+pub(super) fn examine() -> Option<Finding> {
+    let us = rustix::process::geteuid().as_raw();
+    let has_systemd = Path::new("/run/systemd/system").is_dir();
+    has_systemd.then(|| logind(us, Path::new("/")))
 }
 
-/// Whether logind would remove our shared memory at the end of the session.
 fn logind(us: u32, root: &Path) -> Finding {
     let what = "logind";
     if us < ORDINARY {
@@ -68,43 +60,6 @@ fn user(number: u32, passwd: &Path) -> Option<String> {
     Some(line[0].to_owned())
 }
 
-/// What systemd says of the unit; `None` where it says nothing in time.
-fn unit() -> Option<String> {
-    let properties = "LoadState,ActiveState,SubState,Result,NRestarts";
-    let mut command = Command::new("timeout");
-    command.args(["2", "systemctl", "show", "vpcd.service", "-p", properties]);
-    let output = command
-        .output()
-        .ok()
-        .filter(|output| output.status.success())?;
-    Some(String::from_utf8_lossy(&output.stdout).into_owned())
-}
-
-fn judge(properties: &str) -> Finding {
-    let what = "unit";
-    let value = |name: &str| {
-        let mut lines = properties.lines().filter_map(|line| line.split_once('='));
-        let found = lines.find(|(key, _)| *key == name);
-        found.map_or("", |(_, value)| value)
-    };
-    let (active, sub) = (value("ActiveState"), value("SubState"));
-    let words = format!("vpcd.service is {active} ({sub})");
-    match (value("LoadState"), active, value("NRestarts")) {
-        ("not-found" | "", ..) => Finding::ok(what, "vpcd.service is not installed"),
-        ("masked", ..) => Finding::warn(what, "vpcd.service is masked", "systemctl unmask vpcd"),
-        (_, "failed", _) => {
-            let words = format!("{words}: {}", value("Result"));
-            let remedy = "journalctl -u vpcd -n 50; then systemctl reset-failed vpcd, and start it";
-            Finding::fail(what, words, remedy)
-        }
-        (_, _, "0" | "") => Finding::ok(what, words),
-        (_, _, restarts) => {
-            let words = format!("{words}, restarted {restarts} times");
-            Finding::warn(what, words, "journalctl -u vpcd -p warning")
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::Verdict;
@@ -139,19 +94,5 @@ mod tests {
             "[Login]\nRemoveIPC=no\n",
         );
         assert_eq!(judged(1001), Verdict::Ok);
-    }
-
-    #[test]
-    fn a_failed_unit_is_a_failure_and_a_missing_one_is_not() {
-        let failed = "LoadState=loaded\nActiveState=failed\nSubState=failed\nResult=watchdog\n";
-        assert_eq!(judge(failed).verdict, Verdict::Fail);
-        assert!(judge(failed).found.contains("watchdog"));
-        assert_eq!(
-            judge("LoadState=not-found\nActiveState=inactive\n").verdict,
-            Verdict::Ok
-        );
-        let again = "LoadState=loaded\nActiveState=active\nSubState=running\nNRestarts=3\n";
-        assert_eq!(judge(again).verdict, Verdict::Warn);
-        assert_eq!(judge(&again.replace('3', "0")).verdict, Verdict::Ok);
     }
 }
