@@ -305,7 +305,7 @@ fn is_near(record: &CycleRecord, strategy: Strategy, settings: &vpc::Settings) -
         RecallCode::Followed | RecallCode::Refused => Some(true),
         RecallCode::Unasked if strategy.needs_memory() => Some(false),
         _ if record.clearance_px < settings.trigger_px => Some(true),
-        _ if record.clearance_px >= settings.trigger_px * settings.release => Some(false),
+        _ if record.clearance_px >= settings.trigger_px * settings.hysteresis => Some(false),
         _ => None,
     }
 }

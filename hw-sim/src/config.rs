@@ -32,6 +32,12 @@ pub struct Arguments {
     /// Which of them, from 0.
     #[arg(long)]
     pub start: Option<usize>,
+    /// Runs every start from that one on, one after another, each as a new run.
+    #[arg(long, conflicts_with = "record")]
+    pub all: bool,
+    /// Begins again after the last start, until it is stopped. Between two runs the camera rests at the goal.
+    #[arg(long = "loop", conflicts_with = "record")]
+    pub repeat: bool,
     /// Whose time it is.
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
@@ -130,8 +136,10 @@ pub struct Config {
     pub scene: Scene,
     /// Its file, for messages and recordings.
     pub scene_file: String,
-    /// Where the object is at first.
-    pub start: Pose,
+    /// Where the object is at first, run after run, with the number of each start.
+    pub starts: Vec<(usize, Pose)>,
+    /// Whether to begin again after the last of them.
+    pub repeat: bool,
     /// Whose time it is.
     pub clock: Clock,
     /// Directory of the shared memory.
@@ -225,11 +233,15 @@ impl Config {
         let scene = Scene::read(&scene_path)?;
         let starts = read_starts(&starts_path)?;
         let index = arguments.start.or(raw.start).unwrap_or(0);
-        let start = *starts.get(index).ok_or_else(|| ConfigError::Value {
-            key: "start",
-            value: index.to_string(),
-            allowed: format!("0 to {} ({})", starts.len() - 1, starts_path.display()),
-        })?;
+        if index >= starts.len() {
+            return Err(ConfigError::Value {
+                key: "start",
+                value: index.to_string(),
+                allowed: format!("0 to {} ({})", starts.len() - 1, starts_path.display()),
+            });
+        }
+        let many = if arguments.all { usize::MAX } else { 1 };
+        let starts = starts.into_iter().enumerate().skip(index).take(many);
         let number = |key, value: f64, low: f64, high: f64| {
             if (low..=high).contains(&value) {
                 Ok(value)
@@ -306,7 +318,8 @@ impl Config {
         rig.time_limit_s = number("time_limit_s", time_limit, 0.1, 86_400.0)?;
         Ok(Self {
             scene_file: scene_path.display().to_string(),
-            start,
+            starts: starts.collect(),
+            repeat: arguments.repeat,
             clock,
             domain: arguments
                 .domain

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
-use hw_sim::config::{Arguments, Config};
-use hw_sim::emulator;
+use hw_sim::config::{Arguments, Clock, Config};
+use hw_sim::emulator::{self, Tally};
+use hw_sim::outcome::Outcome;
 use hw_sim::robot::rig::RigError;
 
 const USAGE: u8 = 64;
@@ -37,10 +38,26 @@ fn main() -> ExitCode {
             return ExitCode::from(UNAVAILABLE);
         }
     }
-    match emulator::run(&config, &stop) {
-        Ok(outcome) => {
-            println!("{}", serde_json::json!(outcome));
-            ExitCode::from(u8::from(outcome.verdict != "arrived"))
+    let is_series = config.repeat || config.starts.len() > 1;
+    let tell = |outcome: &Outcome, tally: Tally| {
+        println!("{}", serde_json::json!(outcome));
+        let sentence = outcome.sentence();
+        if is_series {
+            let Tally { runs, arrived } = tally;
+            eprintln!(
+                "hw-sim: start {}: {sentence} ({arrived} of {runs} arrived)",
+                outcome.start
+            );
+        } else {
+            eprintln!("hw-sim: {sentence}");
+        }
+    };
+    match emulator::run(&config, &stop, tell) {
+        Ok(tally) => {
+            if config.clock == Clock::Fixed {
+                eprintln!("hw-sim: no more frames come, so vpcd disarms");
+            }
+            ExitCode::from(u8::from(tally.runs == 0 || tally.arrived < tally.runs))
         }
         Err(error) => {
             eprintln!("hw-sim: {error:#}");

@@ -46,6 +46,15 @@ pub enum Meaning {
 }
 
 impl Meaning {
+    /// Whether this integer is valid.
+    pub fn allows(&self, number: u32) -> bool {
+        match self {
+            Self::Range(least, most) => (*least..=*most).contains(&number),
+            Self::Code(table) | Self::AnyCode(table) => table.get(number).is_some(),
+            Self::Any | Self::Finite | Self::FinitePairs | Self::Bits(_) => true,
+        }
+    }
+
     /// The names of the numbers.
     pub fn table(&self) -> Option<&'static Table> {
         match self {
@@ -71,6 +80,30 @@ pub trait Wire: ZeroCopySend + Copy + Default + 'static {
 
     /// Each field with its values, to be changed.
     fn fields_mut(&mut self) -> impl Iterator<Item = (&'static Field, ValuesMut<'_>)>;
+}
+
+/// What is known of a struct on the wire.
+#[derive(Clone, Copy, Debug)]
+#[allow(missing_docs)]
+pub struct Struct {
+    pub name: &'static str,
+    pub type_name: &'static str,
+    pub doc: &'static str,
+    pub size: usize,
+    pub fields: &'static [Field],
+}
+
+impl Struct {
+    /// That of `T`.
+    pub const fn of<T: Wire>() -> Self {
+        Self {
+            name: T::NAME,
+            type_name: T::TYPE_NAME,
+            doc: T::DOC,
+            size: size_of::<T>(),
+            fields: T::FIELDS,
+        }
+    }
 }
 
 /// A type that a field may have.

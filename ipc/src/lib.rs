@@ -73,9 +73,9 @@ pub use cycle::{
     SolverStatus, StrategyCode,
 };
 pub use domain::{Domain, default_directory, shared_memory_prefix};
-pub use error::{AskError, JoinError, OpenError, PublishError, ReceiveError};
+pub use error::{AskError, JoinError, JoinReason, OpenError, PublishError, ReceiveError};
 pub use features::Features;
-pub use field::{Field, FieldType, Kind, Meaning, Stamp, Values, ValuesMut, Wire};
+pub use field::{Field, FieldType, Kind, Meaning, Stamp, Struct, Values, ValuesMut, Wire};
 pub use guard::WRITABLE_BY_OTHERS;
 pub use message::{Invalid, Message, Qos};
 pub use operator::{Action, Outcome, Reply, Request};

@@ -31,7 +31,11 @@ pub fn of_table(
 ) -> anyhow::Result<Vec<PathBuf>> {
     let mut written = Vec::new();
     if let Some(memory) = memory {
-        written.extend(samples(scene, task, memory).write(&directory.join("memory"))?);
+        written.extend(
+            samples(scene, task, memory)
+                .canvas()
+                .write(&directory.join("memory"))?,
+        );
     }
     if let (Some((_, first)), Some((_, last))) = (all.first(), all.last()) {
         let telling = |i: &usize| !first[*i].success && last[*i].success;
@@ -40,7 +44,11 @@ pub fn of_table(
             .iter()
             .filter_map(|(spec, runs)| Some((spec.to_string(), runs.get(start)?)));
         let comparison = comparison(scene, task, columns);
-        written.extend(comparison.write(&directory.join(format!("start-{start}")))?);
+        written.extend(
+            comparison
+                .canvas()
+                .write(&directory.join(format!("start-{start}")))?,
+        );
     }
     Ok(written)
 }
@@ -150,6 +158,7 @@ pub fn of_robot_table(
         .filter_map(|(spec, runs)| Some((spec.to_string(), runs.get(index)?)));
     let start = only.unwrap_or(index);
     let written = robot_comparison(scene, task, columns)
+        .canvas()
         .write(&directory.join(format!("robot-start-{start}")))?;
     Ok(written.to_vec())
 }

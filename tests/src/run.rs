@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use hw_sim::sensor::{Flaws, Sensor};
-use hw_sim::{FreeCamera, Referee, Verdict};
+use hw_sim::{End, FreeCamera, Referee};
 use scene::{Pose, Scene};
 use serde::Serialize;
 use vpc::{Controller, Measurement, MotionMemory, Refusal, Step};
@@ -107,13 +107,12 @@ pub fn flawed(
         let Ok(features) = camera.features() else {
             return failed(run, Reason::LostSight, k, cost, cycles);
         };
-        match referee.judge(&features, k as f64 * ts) {
-            Verdict::Violation { .. } => return failed(run, Reason::Violation, k, cost, cycles),
-            Verdict::LostSight => return failed(run, Reason::LostSight, k, cost, cycles),
-            Verdict::Arrived if !run.success => {
+        match referee.judge(&features) {
+            Some(End::Violation(_)) => return failed(run, Reason::Violation, k, cost, cycles),
+            Some(End::Arrived) if !run.success => {
                 (run.success, run.reason, run.steps) = (true, None, k);
             }
-            Verdict::Arrived | Verdict::Running | Verdict::TimeOut => {}
+            _ => {}
         }
         let now_ns = (k as f64 * ts * 1e9).round() as u64;
         let frame = sensor.expose(&features, now_ns);

@@ -1,4 +1,4 @@
-//! What the bridge believes of camera and hand, and what is true instead.
+//! The hand-eye calibration that the bridge was given, and how the world differs from it.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 use panda::{Mount, Pose};
@@ -16,8 +16,9 @@ pub struct HandEye {
 }
 
 impl Default for HandEye {
-    /// A camera in front of the hand that looks along the fingers, its lower edge towards them: the hand is turned by
-    /// -45 deg on the flange, the camera by 90 deg on the hand, 7 cm before it and 4 cm above the flange.
+    /// A camera in front of the hand that looks along the fingers, its lower edge towards them: the
+    /// hand is turned by -45 deg on the flange, the camera by 90 deg on the hand, 7 cm before it
+    /// and 4 cm above the flange.
     fn default() -> Self {
         let diagonal = 0.07 * std::f64::consts::FRAC_1_SQRT_2;
         Self {
@@ -39,7 +40,8 @@ impl HandEye {
     }
 }
 
-/// How the world differs from what controller and bridge were told; all zero where they were told the truth.
+/// How the world differs from the configuration of controller and bridge; all zero where it does
+/// not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Truth {
@@ -47,18 +49,19 @@ pub struct Truth {
     pub focal: f64,
     /// The true principal point lies this far to the right and down, px, at most 100.
     pub center_px: [f64; 2],
-    /// The true camera sits this far from where the calibration has it, m along the camera's axes, at most 0.2.
+    /// The true camera sits this far from where the calibration has it, m along the camera's axes,
+    /// at most 0.2.
     pub hand_eye_m: [f64; 3],
-    /// The true camera is turned by this rotation vector from where the calibration has it, deg about the camera's
-    /// axes, at most 30.
+    /// The true camera is turned by this rotation vector from where the calibration has it, deg
+    /// about the camera's axes, at most 30.
     pub hand_eye_deg: [f64; 3],
-    /// Pattern and distances are larger by this share than the controller believes, -0.5 to 1: an error of depth
-    /// alone, the images at the start are the same.
+    /// Pattern and distances are larger by this share than the controller believes, -0.5 to 1: an
+    /// error of depth alone, the images at the start are the same.
     pub depth: f64,
 }
 
 impl Truth {
-    /// Whether everybody was told the truth.
+    /// Whether the configuration is right.
     pub fn is_exact(&self) -> bool {
         *self == Self::default()
     }
@@ -120,7 +123,7 @@ impl Truth {
 mod tests {
     use super::*;
     use crate::camera::project;
-    use crate::pose::RigidPose;
+    use crate::pose::from_scene;
 
     fn robot_scene() -> Scene {
         Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
@@ -136,8 +139,8 @@ mod tests {
         let real = truth.scene(&believed);
         let starts = scene::parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
         for start in starts.iter().chain([&believed.goal]) {
-            let seen = project(&believed, &RigidPose::new(start)).unwrap();
-            let really = project(&real, &RigidPose::new(&truth.start(start))).unwrap();
+            let seen = project(&believed, &from_scene(start)).unwrap();
+            let really = project(&real, &from_scene(&truth.start(start))).unwrap();
             for (a, b) in seen.iter().flatten().zip(really.iter().flatten()) {
                 assert!((a - b).abs() < 1e-9);
             }

@@ -63,6 +63,31 @@ impl Canvas {
         ));
     }
 
+    /// Text that reads upwards, centred at (x, y).
+    pub(crate) fn text_upwards(&mut self, x: f64, y: f64, text: &str) {
+        self.element(format_args!(
+            "<text x=\"{x}\" y=\"{y:.2}\" font-size=\"11\" text-anchor=\"middle\" fill=\"#222222\" \
+             transform=\"rotate(-90 {x} {y:.2})\">{text}</text>"
+        ));
+    }
+
+    /// A rectangle of this upper left corner and size.
+    pub(crate) fn rect(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], style: &str) {
+        self.element(format_args!(
+            "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" {style}/>"
+        ));
+    }
+
+    /// The border of a panel.
+    pub(crate) fn frame(&mut self, corner: [f64; 2], size: [f64; 2]) {
+        self.rect(corner, size, "fill=\"none\" stroke=\"#222222\"");
+    }
+
+    /// A shape of several outlines.
+    pub(crate) fn path(&mut self, outlines: &str, style: &str) {
+        self.element(format_args!("<path d=\"{outlines}\" {style}/>"));
+    }
+
     pub(crate) fn line(&mut self, a: [f64; 2], b: [f64; 2], style: &str) {
         self.element(format_args!(
             "<line x1=\"{:.2}\" y1=\"{:.2}\" x2=\"{:.2}\" y2=\"{:.2}\" {style}/>",
@@ -70,8 +95,8 @@ impl Canvas {
         ));
     }
 
-    /// An axis of time below a panel that ends at `y`: where each of `times` (s) stands is told by `x`, the words go under
-    /// `middle`.
+    /// An axis of time below a panel that ends at `y`: `x` gives the place of each of `times` (s), `middle` that of the
+    /// title.
     pub(crate) fn time_axis(&mut self, times: &[f64], x: impl Fn(f64) -> f64, y: f64, middle: f64) {
         for &t in times {
             let x = x(t);
@@ -98,18 +123,12 @@ impl Canvas {
         ));
     }
 
+    /// A diagonal cross.
     pub(crate) fn cross(&mut self, [x, y]: [f64; 2], arm: f64, style: &str) {
-        self.element(format_args!(
-            "<path d=\"M{:.2} {:.2}L{:.2} {:.2}M{:.2} {:.2}L{:.2} {:.2}\" {style}/>",
-            x - arm,
-            y - arm,
-            x + arm,
-            y + arm,
-            x - arm,
-            y + arm,
-            x + arm,
-            y - arm
-        ));
+        let (left, right, upper, lower) = (x - arm, x + arm, y - arm, y + arm);
+        let down = format!("M{left:.2} {upper:.2}L{right:.2} {lower:.2}");
+        let up = format!("M{left:.2} {lower:.2}L{right:.2} {upper:.2}");
+        self.path(&(down + &up), style);
     }
 }
 
@@ -134,11 +153,7 @@ pub(crate) fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
 pub(crate) fn label(x: f64) -> String {
     let text = format!("{x:.6}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" {
-        "0".to_owned()
-    } else {
-        text.to_owned()
-    }
+    if text == "-0" { "0" } else { text }.to_owned()
 }
 
 #[cfg(test)]

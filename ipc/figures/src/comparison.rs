@@ -1,9 +1,7 @@
 //! Strategies side by side: image planes above, velocity commands below, like the paper's figure of one execution.
 
-use std::path::{Path, PathBuf};
-
 use crate::canvas::Canvas;
-use crate::{FigureError, ImagePlane, Velocity};
+use crate::{ImagePlane, Velocity};
 
 /// One column a strategy.
 #[derive(Clone, Debug)]
@@ -32,13 +30,5 @@ impl Comparison<'_> {
             x += widest(column);
         }
         canvas
-    }
-
-    /// Writes `path`.svg and `path`.png.
-    ///
-    /// # Errors
-    /// [`FigureError`] names the file.
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        self.canvas().write(path)
     }
 }

@@ -4,9 +4,8 @@ use std::fmt::Write;
 
 use scene::{Mask, Part, Scene};
 
+use crate::Points;
 use crate::canvas::{Canvas, label, ticks};
-use crate::{FigureError, Points};
-use std::path::{Path, PathBuf};
 
 /// Longest side of the image in the drawing, px.
 const SIDE: f64 = 360.0;
@@ -72,7 +71,7 @@ impl ImagePlane<'_> {
         canvas
     }
 
-    /// What each mark means, below the image: who sees the picture alone has no text beside it.
+    /// What each mark means, below the image.
     fn key(&self, frame: &Frame, canvas: &mut Canvas) {
         let y = frame.key();
         let at = |x: f64| [MARGIN[0] + x, y - 3.5];
@@ -84,11 +83,9 @@ impl ImagePlane<'_> {
             5.0,
             &format!("fill=\"none\" stroke=\"{RED}\" stroke-width=\"2\""),
         );
-        let [x, y_square] = at(184.0);
-        canvas.element(format_args!(
-            "<rect x=\"{x:.2}\" y=\"{:.2}\" width=\"10\" height=\"10\" fill=\"{SHADE}\"/>",
-            y_square - 5.0
-        ));
+        let [x, middle] = at(184.0);
+        let shade = format!("fill=\"{SHADE}\"");
+        canvas.rect([x, middle - 5.0], [10.0, 10.0], &shade);
         let mut names = vec![
             (14.0, "start"),
             (78.0, "cycles"),
@@ -122,14 +119,6 @@ impl ImagePlane<'_> {
             }
         }
         kept
-    }
-
-    /// Writes `path`.svg and `path`.png.
-    ///
-    /// # Errors
-    /// [`FigureError`] names the file.
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        self.canvas().write(path)
     }
 }
 
@@ -174,24 +163,17 @@ impl Frame {
             "<clipPath id=\"{clip}\"><rect x=\"{}\" y=\"{}\" width=\"{w:.2}\" height=\"{h:.2}\"/></clipPath>",
             MARGIN[0], MARGIN[1]
         ));
+        let shade = format!("fill=\"{SHADE}\" clip-path=\"url(#{clip})\"");
         for part in scene.parts() {
-            let outline = self.outline(part);
-            canvas.element(format_args!(
-                "<path d=\"{outline}\" fill=\"{SHADE}\" clip-path=\"url(#{clip})\"/>"
-            ));
+            canvas.path(&self.outline(part), &shade);
         }
+        // Rows of pixels meet without a seam only where edges are not softened.
+        let crisp = format!("{shade} shape-rendering=\"crispEdges\"");
         for mask in scene.masks() {
-            // Rows of pixels meet without a seam only where edges are not softened.
-            let area = self.pixels(mask);
-            canvas.element(format_args!(
-                "<path d=\"{area}\" fill=\"{SHADE}\" shape-rendering=\"crispEdges\" clip-path=\"url(#{clip})\"/>"
-            ));
+            canvas.path(&self.pixels(mask), &crisp);
         }
+        canvas.frame([MARGIN[0], MARGIN[1]], [w, h]);
         let axis = "stroke=\"#222222\" stroke-width=\"1\"";
-        canvas.element(format_args!(
-            "<rect x=\"{}\" y=\"{}\" width=\"{w:.2}\" height=\"{h:.2}\" fill=\"none\" {axis}/>",
-            MARGIN[0], MARGIN[1]
-        ));
         for u in ticks(0.0, scene.camera.width, 5) {
             let [x, _] = self.at([u, 0.0]);
             let y = MARGIN[1] + h;
@@ -203,19 +185,10 @@ impl Frame {
             canvas.line([MARGIN[0] - 4.0, y], [MARGIN[0], y], axis);
             canvas.text(MARGIN[0] - 7.0, y + 3.5, 10.0, "end", &label(v));
         }
-        canvas.text(
-            MARGIN[0] + w / 2.0,
-            MARGIN[1] + h + 32.0,
-            11.0,
-            "middle",
-            "u (px)",
-        );
-        let (x, y) = (14.0, MARGIN[1] + h / 2.0);
-        canvas.element(format_args!(
-            "<text x=\"{x}\" y=\"{y:.2}\" font-size=\"11\" text-anchor=\"middle\" fill=\"#222222\" \
-             transform=\"rotate(-90 {x} {y:.2})\">v (px)</text>"
-        ));
-        canvas.text(MARGIN[0] + w / 2.0, 19.0, 12.0, "middle", title);
+        let (middle, below) = (MARGIN[0] + w / 2.0, MARGIN[1] + h + 32.0);
+        canvas.text(middle, below, 11.0, "middle", "u (px)");
+        canvas.text_upwards(14.0, MARGIN[1] + h / 2.0, "v (px)");
+        canvas.text(middle, 19.0, 12.0, "middle", title);
         canvas
     }
 

@@ -1,8 +1,5 @@
 //! Joint positions and velocities against their limits.
 
-use std::path::{Path, PathBuf};
-
-use crate::FigureError;
 use crate::canvas::{Canvas, FEATURES, label, ticks};
 
 const WIDTH: f64 = 852.0;
@@ -64,14 +61,6 @@ impl Joints {
         canvas
     }
 
-    /// Writes `path`.svg and `path`.png.
-    ///
-    /// # Errors
-    /// [`FigureError`] names the file.
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        self.canvas().write(path)
-    }
-
     fn end(&self) -> f64 {
         self.time_s.last().copied().unwrap_or(1.0).max(1e-3)
     }
@@ -87,30 +76,16 @@ impl Joints {
         let (low, high) = (least - beyond, greatest + beyond);
         let y = |q: f64| top + PANEL * (high - q.clamp(low, high)) / (high - low);
         for (from, to) in [(high, greatest), (least, low)] {
-            canvas.element(format_args!(
-                "<rect x=\"{}\" y=\"{:.2}\" width=\"{COLUMN}\" height=\"{:.2}\" fill=\"#d9dce1\"/>",
-                LEFT[0],
-                y(from),
-                y(to) - y(from)
-            ));
+            let size = [COLUMN, y(to) - y(from)];
+            canvas.rect([LEFT[0], y(from)], size, "fill=\"#d9dce1\"");
         }
         for value in [least, greatest] {
-            canvas.text(
-                LEFT[0] - 6.0,
-                y(value) + 3.5,
-                9.0,
-                "end",
-                &format!("{value:.2}"),
-            );
+            let text = format!("{value:.2}");
+            canvas.text(LEFT[0] - 6.0, y(value) + 3.5, 9.0, "end", &text);
         }
         self.curve(canvas, LEFT[0], joint, &self.q, y);
-        canvas.text(
-            LEFT[0] + 8.0,
-            top + 18.0,
-            11.0,
-            "start",
-            &format!("q{}", joint + 1),
-        );
+        let name = format!("q{}", joint + 1);
+        canvas.text(LEFT[0] + 8.0, top + 18.0, 11.0, "start", &name);
         self.frame(canvas, LEFT[0], top);
     }
 
@@ -120,23 +95,21 @@ impl Joints {
         let most = speeds.fold(0.0, f64::max);
         let range = (1.25 * most).clamp(1e-3, 1.15 * limit);
         let y = |v: f64| top + PANEL * (0.5 - 0.5 * v.clamp(-range, range) / range);
+        let right = LEFT[1] + COLUMN;
         for value in ticks(-range, range, 4) {
-            canvas.line(
-                [LEFT[1], y(value)],
-                [LEFT[1] + COLUMN, y(value)],
-                "stroke=\"#e4e6ea\"",
-            );
+            let style = "stroke=\"#e4e6ea\"";
+            canvas.line([LEFT[1], y(value)], [right, y(value)], style);
             canvas.text(LEFT[1] - 6.0, y(value) + 3.5, 9.0, "end", &label(value));
         }
         if range >= limit {
             for value in [-limit, limit] {
                 let style = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
-                canvas.line([LEFT[1], y(value)], [LEFT[1] + COLUMN, y(value)], style);
+                canvas.line([LEFT[1], y(value)], [right, y(value)], style);
             }
         }
         self.curve(canvas, LEFT[1], joint, &self.dq, y);
         let share = format!("at most {:.1} % of {limit} rad/s", 100.0 * most / limit);
-        canvas.text(LEFT[1] + COLUMN - 6.0, top + 12.0, 9.0, "end", &share);
+        canvas.text(right - 6.0, top + 12.0, 9.0, "end", &share);
         self.frame(canvas, LEFT[1], top);
     }
 
@@ -162,9 +135,7 @@ impl Joints {
             let style = "stroke=\"#888888\" stroke-dasharray=\"2 3\"";
             canvas.line([x, from], [x, top + PANEL], style);
         }
-        canvas.element(format_args!(
-            "<rect x=\"{left}\" y=\"{top}\" width=\"{COLUMN}\" height=\"{PANEL}\" fill=\"none\" stroke=\"#222222\"/>"
-        ));
+        canvas.frame([left, top], [COLUMN, PANEL]);
     }
 }
 

@@ -1,8 +1,5 @@
 //! Distributions of times, one below the other.
 
-use std::path::{Path, PathBuf};
-
-use crate::FigureError;
 use crate::canvas::{Canvas, FEATURES, label};
 
 const WIDTH: f64 = 560.0;
@@ -60,14 +57,6 @@ impl Latency {
         canvas
     }
 
-    /// Writes `path`.svg and `path`.png.
-    ///
-    /// # Errors
-    /// [`FigureError`] names the file.
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        self.canvas().write(path)
-    }
-
     /// The tenfolds that hold all times and the limit.
     fn axis(&self) -> (i32, i32) {
         let times = self.panels.iter().flat_map(|times| &times.values_us);
@@ -97,12 +86,8 @@ impl Latency {
         for (i, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
             // A single outlier must be seen beside thousands.
             let tall = (PANEL - 8.0) * (*count as f64).ln_1p() / most.ln_1p();
-            canvas.element(format_args!(
-                "<rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{tall:.2}\" fill=\"{colour}\"/>",
-                left + wide * i as f64,
-                bottom - tall,
-                wide - 0.6,
-            ));
+            let corner = [left + wide * i as f64, bottom - tall];
+            canvas.rect(corner, [wide - 0.6, tall], &format!("fill=\"{colour}\""));
         }
         for value in [1.0, most] {
             let y = bottom - (PANEL - 8.0) * value.ln_1p() / most.ln_1p();
@@ -113,10 +98,7 @@ impl Latency {
             let style = "stroke=\"#d81f1f\" stroke-dasharray=\"5 4\"";
             canvas.line([x, top], [x, bottom], style);
         }
-        canvas.element(format_args!(
-            "<rect x=\"{left}\" y=\"{top}\" width=\"{}\" height=\"{PANEL}\" fill=\"none\" stroke=\"#222222\"/>",
-            right - left
-        ));
+        canvas.frame([left, top], [right - left, PANEL]);
         canvas.text(left, top - 5.0, 11.0, "start", &times.name);
         canvas.text(right, top - 5.0, 10.0, "end", &times.note);
     }

@@ -14,23 +14,16 @@ const SCALE: f32 = 2.0;
 
 /// Why a figure was not written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FigureError {
-    /// A file could not be written.
     #[error("{path}: cannot write the figure: {source}")]
     Write {
-        /// The file.
         path: String,
-        /// The operating system's reason.
-        r#source: std::io::Error,
+        source: std::io::Error,
     },
     /// The drawing could not be made into pixels.
     #[error("{path}: cannot draw the figure: {reason}")]
-    Draw {
-        /// The file.
-        path: String,
-        /// What failed.
-        reason: String,
-    },
+    Draw { path: String, reason: String },
 }
 
 impl Canvas {

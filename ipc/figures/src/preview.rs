@@ -1,13 +1,12 @@
 //! A scene before a memory is built for it.
 
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
 
 use scene::Scene;
 
+use crate::Points;
 use crate::canvas::{Canvas, FEATURES};
 use crate::image_plane::Frame;
-use crate::{FigureError, Points};
 
 /// A scene: occlusions and the zone round them in which the memory is asked, the goal, some starts.
 #[derive(Clone, Debug)]
@@ -35,9 +34,8 @@ impl Preview<'_> {
             let _ = write!(zone, "M{x:.2} {y:.2}H{to_x:.2}V{to_y:.2}H{x:.2}Z");
         }
         let mut canvas = frame.begin(self.scene, &self.title);
-        canvas.element(format_args!(
-            "<path d=\"{zone}\" fill=\"#e69f00\" opacity=\"0.25\" shape-rendering=\"crispEdges\"/>"
-        ));
+        let orange = "fill=\"#e69f00\" opacity=\"0.25\" shape-rendering=\"crispEdges\"";
+        canvas.path(&zone, orange);
         for start in &self.starts {
             let round = start.iter().chain(start.first()).map(|p| frame.at(*p));
             canvas.polyline(
@@ -61,13 +59,5 @@ impl Preview<'_> {
         let words = "red: goal; thin: starts; grey: occlusions; orange: the memory is asked";
         frame.explain(&mut canvas, words);
         canvas
-    }
-
-    /// Writes `path`.svg and `path`.png.
-    ///
-    /// # Errors
-    /// [`FigureError`] names the file.
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        self.canvas().write(path)
     }
 }

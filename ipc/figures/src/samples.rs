@@ -1,12 +1,10 @@
 //! The samples in a memory.
 
-use std::path::{Path, PathBuf};
-
 use scene::Scene;
 
+use crate::Points;
 use crate::canvas::{Canvas, FEATURES};
 use crate::image_plane::Frame;
-use crate::{FigureError, Points};
 
 /// Trajectories of a memory on the image plane: each feature its own colour, darker towards the goal.
 #[derive(Clone, Debug)]
@@ -46,13 +44,5 @@ impl Samples<'_> {
         let words = "a colour a feature, darker towards the goal (red); grey: occlusions";
         frame.explain(&mut canvas, words);
         canvas
-    }
-
-    /// Writes `path`.svg and `path`.png.
-    ///
-    /// # Errors
-    /// [`FigureError`] names the file.
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        self.canvas().write(path)
     }
 }

@@ -1,10 +1,7 @@
 //! Velocity commands over time.
 
-use std::path::{Path, PathBuf};
-
 use scene::Limits;
 
-use crate::FigureError;
 use crate::canvas::{Canvas, FEATURES, label, ticks};
 
 const WIDTH: f64 = 426.0;
@@ -32,35 +29,14 @@ impl Velocity {
     pub fn canvas(&self) -> Canvas {
         let mut canvas = Canvas::new(WIDTH, MARGIN[1] + 2.0 * PANEL + GAP + MARGIN[3]);
         canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &self.title);
-        self.panel(
-            &mut canvas,
-            MARGIN[1],
-            0,
-            self.limits.linear,
-            "m/s",
-            ["vx", "vy", "vz"],
-        );
         let below = MARGIN[1] + PANEL + GAP;
-        self.panel(
-            &mut canvas,
-            below,
-            3,
-            self.limits.angular,
-            "rad/s",
-            ["wx", "wy", "wz"],
-        );
+        let (linear, angular) = (self.limits.linear, self.limits.angular);
+        self.panel(&mut canvas, MARGIN[1], 0, linear, "m/s", "v");
+        self.panel(&mut canvas, below, 3, angular, "rad/s", "w");
         let times = ticks(0.0, self.end(), 6);
         let middle = (MARGIN[0] + WIDTH - MARGIN[2]) / 2.0;
         canvas.time_axis(&times, |t| self.x(t), below + PANEL, middle);
         canvas
-    }
-
-    /// Writes `path`.svg and `path`.png.
-    ///
-    /// # Errors
-    /// [`FigureError`] names the file.
-    pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        self.canvas().write(path)
     }
 
     fn end(&self) -> f64 {
@@ -78,7 +54,7 @@ impl Velocity {
         first: usize,
         limit: f64,
         unit: &str,
-        names: [&str; 3],
+        name: &str,
     ) {
         let range = 1.15 * limit;
         let y = |value: f64| top + PANEL * (0.5 - 0.5 * value.clamp(-range, range) / range);
@@ -91,7 +67,7 @@ impl Velocity {
             let style = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
             canvas.line([left, y(value)], [right, y(value)], style);
         }
-        for (k, name) in names.iter().enumerate() {
+        for (k, axis) in ["x", "y", "z"].iter().enumerate() {
             let colour = FEATURES[k];
             // A command holds for its period: stairs.
             let stairs = self.twists.iter().enumerate().flat_map(|(i, twist)| {
@@ -101,27 +77,15 @@ impl Velocity {
             });
             let fine = self.twists.len() > DENSE;
             let width = if fine { 0.8 } else { 1.5 };
-            canvas.polyline(
-                stairs,
-                &format!("stroke=\"{colour}\" stroke-width=\"{width}\""),
-            );
+            let style = format!("stroke=\"{colour}\" stroke-width=\"{width}\"");
+            canvas.polyline(stairs, &style);
             // Above the panel, where no curve runs.
             let x = right - 112.0 + 38.0 * k as f64;
-            canvas.line(
-                [x, top - 7.0],
-                [x + 12.0, top - 7.0],
-                &format!("stroke=\"{colour}\" stroke-width=\"2\""),
-            );
-            canvas.text(x + 15.0, top - 3.5, 10.0, "start", name);
+            let style = format!("stroke=\"{colour}\" stroke-width=\"2\"");
+            canvas.line([x, top - 7.0], [x + 12.0, top - 7.0], &style);
+            canvas.text(x + 15.0, top - 3.5, 10.0, "start", &format!("{name}{axis}"));
         }
-        canvas.element(format_args!(
-            "<rect x=\"{left}\" y=\"{top}\" width=\"{}\" height=\"{PANEL}\" fill=\"none\" stroke=\"#222222\"/>",
-            right - left
-        ));
-        let middle = top + PANEL / 2.0;
-        canvas.element(format_args!(
-            "<text x=\"13\" y=\"{middle:.2}\" font-size=\"11\" text-anchor=\"middle\" fill=\"#222222\" \
-             transform=\"rotate(-90 13 {middle:.2})\">{unit}</text>"
-        ));
+        canvas.frame([left, top], [right - left, PANEL]);
+        canvas.text_upwards(13.0, top + PANEL / 2.0, unit);
     }
 }

@@ -1,6 +1,6 @@
 //! From the monotonic clock, which the contract uses, to the wall clock, which recordings are shown by.
 
-use rustix::time::{ClockId, clock_gettime};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A pair of readings taken together; every stamp of a recording is translated by the same difference, so that
 /// intervals stay exact whatever the wall clock does later.
@@ -15,26 +15,18 @@ pub struct WallClock {
 impl WallClock {
     /// Reads both clocks.
     pub fn now() -> Self {
-        let wall = clock_gettime(ClockId::Realtime);
+        let wall = SystemTime::now().duration_since(UNIX_EPOCH);
         Self {
             monotonic_ns: ipc::now_ns(),
             // A machine that believes in a year before 1970 gets recordings from 1970.
-            wall_ns: u64::try_from(wall.tv_sec)
-                .unwrap_or(0)
-                .saturating_mul(1_000_000_000)
-                .saturating_add(u64::try_from(wall.tv_nsec).unwrap_or(0)),
+            wall_ns: wall.map_or(0, |since| since.as_nanos() as u64),
         }
     }
 
     /// The wall time of a monotonic stamp, ns since 1970.
     pub fn wall_of(self, monotonic_ns: u64) -> u64 {
-        if monotonic_ns >= self.monotonic_ns {
-            self.wall_ns
-                .saturating_add(monotonic_ns - self.monotonic_ns)
-        } else {
-            self.wall_ns
-                .saturating_sub(self.monotonic_ns - monotonic_ns)
-        }
+        let since = monotonic_ns.wrapping_sub(self.monotonic_ns) as i64;
+        self.wall_ns.saturating_add_signed(since)
     }
 }
 

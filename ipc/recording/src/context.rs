@@ -1,4 +1,4 @@
-//! What a recording needs besides messages: the scene, and the daemon's configuration where it is known.
+//! What a recording needs besides messages: the scene with its masks, and the daemon's configuration.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -6,57 +6,41 @@ use std::path::{Path, PathBuf};
 
 use scene::{Scene, SceneError};
 
+use crate::ledger::Notice;
+
 /// Why the scene or the configuration could not be read.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ContextError {
-    /// The scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A file could not be read.
     #[error("{path}: cannot read: {source}")]
     Read {
-        /// The file.
         path: String,
-        /// The operating system's reason.
         source: std::io::Error,
     },
     /// The configuration is not TOML.
     #[error("{path}: {message}")]
-    Syntax {
-        /// The file.
-        path: String,
-        /// Line, column, and what was expected.
-        message: String,
-    },
+    Syntax { path: String, message: String },
 }
 
 /// A file that was read.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Text {
-    /// Where it was.
+#[allow(missing_docs)]
+pub struct TextFile {
     pub path: String,
-    /// What was in it.
     pub text: String,
-}
-
-/// The file of a mask that the scene names.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct MaskFile {
-    /// Its name in the scene.
-    pub name: String,
-    /// Its bytes, PNG.
-    pub png: Vec<u8>,
 }
 
 /// What a recording is about.
 #[derive(Clone, Debug, Default)]
 pub struct Context {
     /// The scene and its file.
-    pub scene: Option<(Scene, Text)>,
-    /// The masks of the scene, each file once.
-    pub masks: Vec<MaskFile>,
+    pub scene: Option<(Scene, TextFile)>,
+    /// The masks of the scene (PNG) by the names that it gives them.
+    pub masks: BTreeMap<String, Vec<u8>>,
     /// The daemon's configuration file.
-    pub config: Option<Text>,
+    pub config: Option<TextFile>,
 }
 
 impl Context {
@@ -66,18 +50,32 @@ impl Context {
     /// [`ContextError`] names the file and what is wrong with it.
     pub fn read(scene: Option<&Path>, config: Option<&Path>) -> Result<Self, ContextError> {
         let config = config.map(text).transpose()?;
-        let scene = match (scene, &config) {
+        let path = match (scene, &config) {
             (Some(path), _) => Some(path.to_owned()),
             (None, Some(config)) => named(config)?,
             (None, None) => None,
         };
-        let Some(path) = scene else {
-            return Ok(Self {
-                config,
-                ..Self::default()
-            });
+        let mut context = Self {
+            config,
+            ..Self::default()
         };
-        let file = text(&path)?;
+        if let Some(path) = path {
+            context.read_scene(&path)?;
+        }
+        Ok(context)
+    }
+
+    /// Takes the scene that the daemon left in the domain, where there is none yet; with what should be told about it.
+    pub(crate) fn completed(mut self, domain: &Path) -> (Self, Option<Notice>) {
+        let read = self.read_scene(&domain.join(ipc::SCENE_FILE));
+        let notice = read.err().map(|error| Notice::NoScene {
+            reason: error.to_string(),
+        });
+        (self, notice)
+    }
+
+    fn read_scene(&mut self, path: &Path) -> Result<(), ContextError> {
+        let file = text(path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
         // Kept as they were read: a mask that is painted over meanwhile must not get into the recording.
         let masks = RefCell::new(BTreeMap::new());
@@ -86,25 +84,22 @@ impl Context {
             masks.borrow_mut().insert(name.to_owned(), png.clone());
             Ok(png)
         })?;
-        let masks = masks.into_inner().into_iter();
-        Ok(Self {
-            scene: Some((scene, file)),
-            masks: masks.map(|(name, png)| MaskFile { name, png }).collect(),
-            config,
-        })
+        self.masks = masks.into_inner();
+        self.scene = Some((scene, file));
+        Ok(())
     }
 }
 
-fn text(path: &Path) -> Result<Text, ContextError> {
+fn text(path: &Path) -> Result<TextFile, ContextError> {
     let name = path.display().to_string();
     match std::fs::read_to_string(path) {
-        Ok(text) => Ok(Text { path: name, text }),
+        Ok(text) => Ok(TextFile { path: name, text }),
         Err(source) => Err(ContextError::Read { path: name, source }),
     }
 }
 
 /// The scene file that a configuration of `vpcd` names; its path is relative to the configuration's.
-fn named(config: &Text) -> Result<Option<PathBuf>, ContextError> {
+fn named(config: &TextFile) -> Result<Option<PathBuf>, ContextError> {
     let table: toml::Table =
         config
             .text
@@ -136,5 +131,22 @@ mod tests {
     fn a_file_that_is_missing_is_named() {
         let error = Context::read(Some(Path::new("/no/such.toml")), None).unwrap_err();
         assert!(error.to_string().starts_with("/no/such.toml: cannot read"));
+    }
+
+    #[test]
+    fn the_daemon_leaves_the_scene_in_its_domain() {
+        let domain = tempfile::tempdir().unwrap();
+        let (context, notice) = Context::default().completed(domain.path());
+        let told = notice.unwrap().to_string();
+        assert!(
+            context.scene.is_none() && told.contains("scene.toml: cannot read"),
+            "{told}"
+        );
+        let file = domain.path().join(ipc::SCENE_FILE);
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        std::fs::write(file, scene::PAPER_SIM).unwrap();
+        let (context, notice) = Context::default().completed(domain.path());
+        assert_eq!(notice, None);
+        assert_eq!(context.scene.unwrap().1.text, scene::PAPER_SIM);
     }
 }

@@ -1,7 +1,6 @@
 //! What was recorded of each topic, and what was not.
 
 use std::collections::BTreeMap;
-use std::fmt;
 
 use ipc::Order;
 
@@ -10,48 +9,32 @@ use ipc::Order;
 pub struct Account {
     /// Messages in the file.
     pub recorded: u64,
-    /// Messages that sequence numbers tell of, but that never reached the recorder.
+    /// Messages that never reached the recorder, by the sequence numbers.
     pub lost: u64,
     /// Messages that broke the contract; they are not in the file.
     pub refused: u64,
-    /// Times that the publisher started again; what was lost then cannot be counted.
+    /// Times that the publisher started again; what was lost meanwhile is not known.
     pub restarts: u64,
 }
 
-/// Something that whoever records should know at once.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// Something that the user should know at once.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum Notice {
-    /// Messages are missing.
-    Lost {
-        /// The topic.
-        topic: &'static str,
-        /// How many.
-        missed: u64,
-    },
-    /// A publisher started again.
-    Restarted {
-        /// The topic.
-        topic: &'static str,
-    },
+    #[error("waiting for vpcd in domain {domain} ...")]
+    Waiting { domain: String },
+    /// The first cycle came after a wait.
+    #[error("recording: vpcd is running")]
+    Begun,
+    #[error("no scene in this recording, `plot` will need --scene: {reason}")]
+    NoScene { reason: String },
+    #[error("{topic}: {missed} messages lost")]
+    Lost { topic: &'static str, missed: u64 },
+    #[error("{topic}: the publisher started again")]
+    Restarted { topic: &'static str },
     /// A message broke the contract.
-    Refused {
-        /// The topic.
-        topic: &'static str,
-        /// What was wrong with it.
-        reason: String,
-    },
-}
-
-impl fmt::Display for Notice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Lost { topic, missed } => write!(f, "{topic}: {missed} messages lost"),
-            Self::Restarted { topic } => write!(f, "{topic}: the publisher started again"),
-            Self::Refused { topic, reason } => {
-                write!(f, "{topic}: a message was refused: {reason}")
-            }
-        }
-    }
+    #[error("{topic}: a message was refused: {reason}")]
+    Refused { topic: &'static str, reason: String },
 }
 
 /// The counts of all topics.
@@ -61,8 +44,7 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// Counts a message that is to be recorded; `None` where there is nothing to tell about it. A repeated one is not
-    /// to be recorded: ask `is_new` first.
+    /// Counts a message that is recorded; returns what should be told about it.
     pub fn record(&mut self, topic: &'static str, order: Order) -> Option<Notice> {
         let account = self.account(topic);
         account.recorded += 1;
@@ -109,8 +91,8 @@ impl Ledger {
             })
     }
 
-    /// As a file's metadata: `topic.count` -> number.
-    pub(crate) fn to_map(&self) -> BTreeMap<String, String> {
+    /// As metadata of the file: `/vpc/cycles.lost` and so on.
+    pub fn to_map(&self) -> BTreeMap<String, String> {
         let mut map = BTreeMap::new();
         for (topic, account) in &self.accounts {
             for (name, number) in [
@@ -125,32 +107,9 @@ impl Ledger {
         map
     }
 
-    pub(crate) fn from_map(map: &BTreeMap<String, String>) -> Self {
-        let mut ledger = Self::default();
-        for (key, number) in map {
-            let (Some((topic, name)), Ok(number)) = (key.rsplit_once('.'), number.parse()) else {
-                continue;
-            };
-            let account = ledger.account(topic);
-            match name {
-                "recorded" => account.recorded = number,
-                "lost" => account.lost = number,
-                "refused" => account.refused = number,
-                "restarts" => account.restarts = number,
-                _ => (),
-            }
-        }
-        ledger
-    }
-
     fn account(&mut self, topic: &str) -> &mut Account {
         self.accounts.entry(topic.to_owned()).or_default()
     }
-}
-
-/// Whether a message is another one than the one before: late subscribers are handed the last one again.
-pub(crate) fn is_new(order: Order) -> bool {
-    order != Order::Repeated
 }
 
 #[cfg(test)]
@@ -158,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gaps_are_counted_and_survive_the_metadata() {
+    fn gaps_are_counted_and_told() {
         let mut ledger = Ledger::default();
         assert_eq!(ledger.record("/a", Order::First), None);
         assert_eq!(ledger.record("/a", Order::Next), None);
@@ -173,6 +132,7 @@ mod tests {
         };
         assert_eq!(ledger.of("/a"), account);
         assert_eq!(ledger.total().recorded, 4);
-        assert_eq!(Ledger::from_map(&ledger.to_map()), ledger);
+        let map = ledger.to_map();
+        assert_eq!((&*map["/a.lost"], &*map["/b.refused"]), ("7", "1"));
     }
 }

@@ -1,38 +1,58 @@
-//! Recordings of a domain: what its services carried, as an [MCAP](https://mcap.dev) file that Foxglove, the `mcap`
-//! tools and Python open without this project's code (tour, topics and decisions: `README.md`).
+//! Recordings of a domain: the messages of its services as an [MCAP](https://mcap.dev) file that Foxglove, the `mcap`
+//! tools and Python open without this project's code. Topics and decisions: `README.md`.
 //!
-//! - [`record`] subscribes to a domain and writes ([`RecordingFile`] writes without a domain),
-//! - [`Recording::read`] reads a file back, bit for bit, also one whose recorder was killed,
-//! - [`plot()`] draws it, [`Report`] tells how long its cycles took,
-//! - `replay` (a feature) runs the law on it again.
+//! Without features, for programs that keep records of their own:
+//!
+//! - [`RecordingFile`] writes messages, attachments and metadata,
+//! - [`Recording::read`] reads them back, bit for bit, also from a file whose writer was killed.
+//!
+//! With the feature `views`, for tools:
+//!
+//! - `record` subscribes to a domain and writes all that is published, beside it what Foxglove draws,
+//! - `plot` draws figures of a recording, `Report` says how long its cycles took.
 #![forbid(unsafe_code)]
 
 mod clock;
+#[cfg(feature = "views")]
 mod context;
 mod field;
-mod file;
-mod foxglove;
-mod geometry;
+#[cfg(feature = "views")]
 mod ledger;
 mod message;
-#[cfg(feature = "replay")]
-mod outcome;
-mod outline;
+#[cfg(feature = "views")]
 mod plot;
 mod reader;
+#[cfg(feature = "views")]
+mod record;
+#[cfg(feature = "views")]
 mod recorder;
-#[cfg(feature = "replay")]
-pub mod replay;
+#[cfg(feature = "views")]
 mod report;
+#[cfg(feature = "views")]
+mod views;
+mod writer;
 
 pub use clock::WallClock;
-pub use context::{Context, ContextError, MaskFile, Text};
+#[cfg(feature = "views")]
+pub use context::{Context, ContextError, TextFile};
 pub use field::FieldError;
-pub use file::{CONFIG_FILE, RecordingFile, SCENE, SCENE_FILE, WriteError};
-pub use geometry::goal;
+#[cfg(feature = "views")]
 pub use ledger::{Account, Ledger, Notice};
 pub use message::Recorded;
+#[cfg(feature = "views")]
 pub use plot::{PlotError, plot};
 pub use reader::{ReadError, Recording};
-pub use recorder::{Options, RecordError, record};
+#[cfg(feature = "views")]
+pub use record::{Options, RecordError, record};
+#[cfg(feature = "views")]
+pub use recorder::Recorder;
+#[cfg(feature = "views")]
 pub use report::{Phase, Report};
+#[cfg(feature = "views")]
+pub use views::{Viewed, goal};
+pub use writer::{RecordingFile, WriteError};
+
+/// Name of the attached configuration of `vpcd`.
+pub const CONFIG_FILE: &str = "vpcd.toml";
+/// Name of the attached scene; masks are attached under the names that the scene gives them.
+pub const SCENE_FILE: &str = "scene.toml";

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use figures::{Comparison, FigureError, ImagePlane, Latency, Times, Velocity};
 use ipc::{ClockMode, CycleRecord, MAX_POINTS};
-use scene::Scene;
+use scene::{Scene, SceneError};
 
-use crate::geometry;
 use crate::reader::Recording;
 use crate::report::Report;
+use crate::views::goal;
 
 /// Longest pause in a run that is drawn as the command standing, periods; the camera stops by itself then.
 const STANDING: usize = 3;
@@ -18,30 +18,28 @@ const LONGEST: usize = 100_000;
 
 /// Why nothing was drawn.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum PlotError {
-    /// A figure or the report.
     #[error(transparent)]
     Figure(#[from] FigureError),
-    /// The report.
     #[error("{path}: cannot write the report: {source}")]
     Write {
-        /// The file.
         path: String,
-        /// The operating system's reason.
         source: std::io::Error,
     },
-    /// Nobody knows where the image ends and what stands in the way.
+    /// The scene in the recording.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     #[error(
         "no scene in the recording; allowed: one recorded with --scene or --config, or --scene here"
     )]
     NoScene,
-    /// There is nothing to draw.
-    #[error("no cycles and no features in the recording: was vpcd at work?")]
+    #[error("no cycles and no features in the recording: was vpcd running?")]
     Empty,
 }
 
-/// Draws each run of a recording and its latencies into a directory; the files written. `scene` wins over the
-/// recording's own.
+/// Draws each run of a recording and its latencies into a directory, and returns the files written. `scene` replaces
+/// the recording's own.
 ///
 /// # Errors
 /// [`PlotError`].
@@ -50,9 +48,11 @@ pub fn plot(
     scene: Option<&Scene>,
     directory: &Path,
 ) -> Result<Vec<PathBuf>, PlotError> {
-    let scene = scene
-        .or(recording.scene.as_ref())
-        .ok_or(PlotError::NoScene)?;
+    let own = match scene {
+        Some(_) => None,
+        None => recording.scene()?,
+    };
+    let scene = scene.or(own.as_ref()).ok_or(PlotError::NoScene)?;
     if recording.cycles.is_empty() && recording.features.is_empty() {
         return Err(PlotError::Empty);
     }
@@ -63,7 +63,11 @@ pub fn plot(
             1 => "run".to_owned(),
             _ => format!("run-{}", i + 1),
         };
-        files.extend(figure(scene, run, &name).write(&directory.join(name))?);
+        files.extend(
+            figure(scene, run, &name)
+                .canvas()
+                .write(&directory.join(name))?,
+        );
     }
     if runs.is_empty() {
         // Nobody controlled: what the camera saw.
@@ -71,21 +75,21 @@ pub fn plot(
         let plane = ImagePlane {
             scene,
             path: path.collect(),
-            goal: geometry::goal(scene),
+            goal: goal(scene),
             way_points: Vec::new(),
             title: "features (no cycles)".to_owned(),
         };
-        files.extend(plane.write(&directory.join("features"))?);
+        files.extend(plane.canvas().write(&directory.join("features"))?);
     }
     let report = Report::of(recording);
-    files.extend(latency(&report).write(&directory.join("latency"))?);
-    let json = serde_json::to_string_pretty(&report).map_err(|error| PlotError::Write {
-        path: "latency.json".to_owned(),
-        source: error.into(),
-    })?;
+    files.extend(
+        latency(&report)
+            .canvas()
+            .write(&directory.join("latency"))?,
+    );
     for (name, text) in [
         ("latency.txt", report.to_string()),
-        ("latency.json", json + "\n"),
+        ("latency.json", report.to_json()),
     ] {
         let path = directory.join(name);
         fs::write(&path, text).map_err(|source| PlotError::Write {
@@ -135,7 +139,7 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     let plane = ImagePlane {
         scene,
         path: run.iter().map(|c| pairs(&c.points, c.count)).collect(),
-        goal: geometry::goal(scene),
+        goal: goal(scene),
         way_points: way_points
             .map(|c| pairs(&c.way_point, c.way_point_count))
             .collect(),

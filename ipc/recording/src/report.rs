@@ -84,6 +84,12 @@ fn is_lockstep(cycle: &CycleRecord) -> bool {
 }
 
 impl Report {
+    /// The report as JSON, indented.
+    pub fn to_json(&self) -> String {
+        // Only keys that are not strings and broken writers fail, and there are none.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+
     /// The report of a recording.
     pub fn of(recording: &Recording) -> Self {
         let cycles = &recording.cycles;
@@ -112,12 +118,12 @@ impl Report {
         }
         Self {
             cycles: cycles.len() as u64,
-            duration_s: span as f64 / 1e9,
+            duration_s: rounded(span as f64 / 1e9),
             missing_cycles: Recording::missing(cycles),
             lost_records: growth(|cycle| cycle.lost_records),
             overruns: growth(|cycle| cycle.overruns),
             has_deadlines: cycles.iter().any(|cycle| !is_lockstep(cycle)),
-            period_ms: quantile(&gaps, 0.5),
+            period_ms: rounded(quantile(&gaps, 0.5)),
             states,
             phases: PHASES
                 .iter()
@@ -205,7 +211,7 @@ impl Phase {
         Self {
             name,
             count: sorted.len() as u64,
-            mean_us: sorted.iter().sum::<f64>() / sorted.len().max(1) as f64,
+            mean_us: rounded(sorted.iter().sum::<f64>() / sorted.len().max(1) as f64),
             p50_us: quantile(&sorted, 0.5),
             p90_us: quantile(&sorted, 0.9),
             p99_us: quantile(&sorted, 0.99),
@@ -229,22 +235,23 @@ fn quantile(sorted: &[f64], share: f64) -> f64 {
 
 /// The least of 0.1, 0.2, 0.5, 1, 2, 5, ... that a time does not exceed, us.
 fn round_up(us: f64) -> f64 {
-    let mut end = 0.1;
-    // Times are below 2^64 ns: at most 17 tenfolds of three steps.
-    for step in (0..51).map(|i| [2.0, 2.5, 2.0][i % 3]) {
-        if us <= end {
+    // Whole nanoseconds are exact, and below 2^64 there are at most 18 tenfolds of three steps.
+    let mut end_ns = 100_u64;
+    for step in 0..51 {
+        if us * 1e3 <= end_ns as f64 {
             break;
         }
-        end *= step;
+        end_ns = match step % 3 {
+            1 => end_ns / 2 * 5,
+            _ => end_ns * 2,
+        };
     }
-    // 0.1 is not exact: what it grew into is rounded to its first digit.
-    let digit = 10f64.powf(end.log10().floor());
-    let rounded = (end / digit).round() * digit;
-    if rounded < 1.0 {
-        (rounded * 10.0).round() / 10.0
-    } else {
-        rounded.round()
-    }
+    end_ns as f64 / 1e3
+}
+
+/// Rounds to three digits after the point: times are whole nanoseconds, and their means are no better.
+fn rounded(x: f64) -> f64 {
+    (x * 1e3).round() / 1e3
 }
 
 #[cfg(test)]

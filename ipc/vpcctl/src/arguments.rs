@@ -9,7 +9,6 @@ use ipc::StrategyCode;
 
 use crate::plot::PlotArguments;
 use crate::record::RecordArguments;
-use crate::replay::ReplayArguments;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
@@ -70,12 +69,10 @@ pub enum Command {
         #[arg(value_name = "DIR")]
         directory: PathBuf,
     },
-    /// Record all messages to an MCAP file, for Foxglove, the mcap tools, plot and replay.
+    /// Record all messages to an MCAP file, for Foxglove, the mcap tools, plot and `vpcd replay`.
     Record(RecordArguments),
     /// Draw a recording (paths, commands, latencies) and report deadlines.
     Plot(PlotArguments),
-    /// Run the law again on a recording and compare.
-    Replay(ReplayArguments),
 }
 
 /// `status`.

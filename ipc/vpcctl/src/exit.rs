@@ -114,7 +114,7 @@ exits! {
         _ => Exit::Data,
     },
     PlotError => |error| match error {
-        PlotError::NoScene | PlotError::Empty => Exit::Data,
+        PlotError::Scene(_) | PlotError::NoScene | PlotError::Empty => Exit::Data,
         _ => Exit::Software,
     },
 }

@@ -15,7 +15,6 @@ pub mod output;
 pub mod plot;
 pub mod presence;
 pub mod record;
-pub mod replay;
 pub mod request;
 pub mod serve;
 pub mod server;
@@ -108,7 +107,6 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             let watcher = Watcher::open(&directory)?;
             return serve::run(watcher, plane, with.listen, with.control);
         }
-        Command::Replay(with) => return Err(replay::run(with)),
         Command::Completions { shell } => {
             String::from_utf8_lossy(&manual::completions(*shell)).into_owned()
         }

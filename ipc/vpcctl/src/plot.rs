@@ -15,7 +15,7 @@ pub struct PlotArguments {
     #[arg(value_name = "FILE.mcap")]
     pub recording: PathBuf,
 
-    /// Directory for the figures (SVG and PNG) and the report; without it the report only, on standard output.
+    /// Directory for figures (SVG and PNG) and report; without it only the report, on standard output.
     #[arg(long, short, value_name = "DIR")]
     pub output: Option<PathBuf>,
 
@@ -28,7 +28,7 @@ pub struct PlotArguments {
     pub json: bool,
 }
 
-/// Draws; what is to be written on standard output.
+/// Draws, and returns what goes to standard output.
 ///
 /// # Errors
 /// [`Failure`].
@@ -43,7 +43,7 @@ pub fn run(arguments: &PlotArguments) -> Result<String, Failure> {
     }
     let report = Report::of(&recording);
     let mut text = match arguments.json {
-        true => serde_json::to_string_pretty(&report)? + "\n",
+        true => report.to_json(),
         false => report.to_string(),
     };
     if let Some(directory) = &arguments.output {

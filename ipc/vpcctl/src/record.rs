@@ -1,4 +1,4 @@
-//! `record`: what the domain says, as an MCAP file.
+//! `record`: what a domain publishes, as an MCAP file.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,28 +10,27 @@ use recording::{Context, Ledger, Options};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::exit::Failure;
-use crate::image_plane::scene_file;
 
 /// `record`.
 #[derive(Clone, Debug, Args)]
 pub struct RecordArguments {
-    /// File to write. It is readable up to the last second whatever happens, and indexed at the end.
+    /// File to write. If the recorder is killed, all but the last second can be read.
     #[arg(value_name = "FILE.mcap")]
     pub output: PathBuf,
 
-    /// Scene file: drawn, and kept in the recording.
+    /// Scene file to draw and to keep in the recording, instead of the one that vpcd runs on.
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
 
-    /// The daemon's configuration: kept in the recording, and its scene where --scene is not given.
+    /// Configuration of vpcd to keep in the recording; names the scene where --scene is not given.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 
-    /// End after this time, 0.05 to 86400 s; without it by SIGINT (Ctrl-C) or SIGTERM.
+    /// End after this time, 0.05 to 86400 s, instead of by Ctrl-C (SIGINT) or SIGTERM.
     #[arg(long, value_name = "SECONDS", value_parser = duration)]
     pub duration: Option<Duration>,
 
-    /// Overwrite the file.
+    /// Overwrite the file if it exists.
     #[arg(long)]
     pub force: bool,
 }
@@ -43,21 +42,13 @@ fn duration(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// Records until the time is over or a signal comes; lost messages are told on standard error as they are noticed. The
-/// line to be written at the end.
+/// Records until the time is over or a signal comes, and returns the summary; what happens meanwhile, such as lost
+/// messages, goes to standard error at once.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure> {
-    // A configuration names the scene; else it is the daemon's.
-    let scene = match arguments.config {
-        Some(_) => arguments.scene.clone(),
-        None => scene_file(domain, arguments.scene.as_deref()),
-    };
-    let context = Context::read(scene.as_deref(), arguments.config.as_deref())?;
-    if context.scene.is_none() {
-        eprintln!("vpcctl: no scene in this recording: `plot` and `replay` will need --scene");
-    }
+    let context = Context::read(arguments.scene.as_deref(), arguments.config.as_deref())?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
@@ -83,7 +74,7 @@ fn summary(path: &Path, ledger: &Ledger) -> String {
         }
     }
     if ledger.total().recorded == 0 {
-        text += " nothing was said";
+        text += " no messages";
     }
     text + "\n"
 }
@@ -93,11 +84,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn losses_stand_in_the_summary() {
+    fn the_summary_counts_losses() {
         let mut ledger = Ledger::default();
         assert_eq!(
             summary(Path::new("a.mcap"), &ledger),
-            "a.mcap: nothing was said\n"
+            "a.mcap: no messages\n"
         );
         ledger.record("/vpc/twist", ipc::Order::First);
         ledger.record("/vpc/twist", ipc::Order::Gap { missed: 3 });

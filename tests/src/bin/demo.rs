@@ -234,9 +234,14 @@ fn compare(
     println!("{}", markdown(&rows));
     let named = runs.iter().map(|(name, run)| (name.clone(), run));
     let mut written = pictures::comparison(scene, &task, named)
+        .canvas()
         .write(&output.join("strategies"))?
         .to_vec();
-    written.extend(pictures::samples(scene, &task, &memory).write(&output.join("memory"))?);
+    written.extend(
+        pictures::samples(scene, &task, &memory)
+            .canvas()
+            .write(&output.join("memory"))?,
+    );
     Ok(written)
 }
 
@@ -274,9 +279,14 @@ fn compare_on_robot(
     let runs = strategies.iter().zip(runs.iter().flatten());
     let named = runs.map(|(spec, run)| (spec.to_string(), run));
     let mut written = pictures::robot_comparison(scene, &task, named)
+        .canvas()
         .write(&output.join("strategies"))?
         .to_vec();
-    written.extend(pictures::samples(scene, &task, &memory).write(&output.join("memory"))?);
+    written.extend(
+        pictures::samples(scene, &task, &memory)
+            .canvas()
+            .write(&output.join("memory"))?,
+    );
     Ok(written)
 }
 
@@ -319,9 +329,9 @@ fn draw_recording(
     let comparison = figures::Comparison {
         columns: vec![(plane, velocity)],
     };
-    let mut written = comparison.write(&cli.output.join("run"))?.to_vec();
+    let mut written = comparison.canvas().write(&cli.output.join("run"))?.to_vec();
     if let Some(joints) = joints {
-        written.extend(joints.write(&cli.output.join("joints"))?);
+        written.extend(joints.canvas().write(&cli.output.join("joints"))?);
     }
     Ok(written)
 }

@@ -2,14 +2,16 @@
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read, Write as _};
+use std::mem::offset_of;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ipc::{
-    Action, ControllerPorts, CycleRecord, Domain, Field, Hold, Outcome, RealTime, RecorderPort,
-    Reply, RobotFaults, SERVICES, Stamp, StrategyCode, TwistCommand, TwistState, Wire,
+    Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RealTime, RecorderPort, Reply,
+    RobotFaults, SERVICES, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
 };
+use vpcclient::camera::Sent;
 
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
@@ -146,30 +148,32 @@ fn the_compiler_of_c_has_the_layouts_of_rust() {
         "#include <stdalign.h>\n#include <stdio.h>\n#include \"vpc.h\"\nint main(void) {\n"
             .to_owned();
     let mut expected = String::new();
-    let messages = SERVICES.iter().map(|s| (s.message, s.size, s.fields));
-    let head = (Stamp::NAME, size_of::<Stamp>(), Stamp::FIELDS);
-    for (name, size, fields) in messages.chain([head]) {
-        let message = format!("vpc_{}", snake(name));
+    let messages = SERVICES.iter().map(|service| service.message);
+    for message in messages.chain([Struct::of::<Stamp>()]) {
+        let (name, size) = (format!("vpc_{}", snake(message.name)), message.size);
         let _ = writeln!(
             source,
-            "printf(\"{message} %zu %zu\\n\", sizeof({message}), alignof({message}));"
+            "printf(\"{name} %zu %zu\\n\", sizeof({name}), alignof({name}));"
         );
         // Every message has a field of eight bytes.
-        let _ = writeln!(expected, "{message} {size} 8");
-        for Field {
-            name: field,
-            offset,
-            size,
-            ..
-        } in fields
-        {
+        let _ = writeln!(expected, "{name} {size} 8");
+        for field in message.fields {
+            let (field, offset, size) = (field.name, field.offset, field.size);
             let _ = writeln!(
                 source,
-                "printf(\"{field} %zu %zu\\n\", offsetof({message}, {field}), sizeof((({message} *)0)->{field}));"
+                "printf(\"{field} %zu %zu\\n\", offsetof({name}, {field}), sizeof((({name} *)0)->{field}));"
             );
             let _ = writeln!(expected, "{field} {offset} {size}");
         }
     }
+    source += "printf(\"sent %zu %zu %zu\\n\", sizeof(vpc_sent), offsetof(vpc_sent, sequence), \
+               offsetof(vpc_sent, published_ns));\n";
+    let (sequence, published_ns) = (offset_of!(Sent, sequence), offset_of!(Sent, published_ns));
+    let _ = writeln!(
+        expected,
+        "sent {} {sequence} {published_ns}",
+        size_of::<Sent>()
+    );
     for (bits, expected_bits) in [
         ("VPC_ROBOT_FAULTS_PATTERN_LOST", RobotFaults::PATTERN_LOST.0),
         ("VPC_REALTIME_NO_LOCK", RealTime::NO_LOCK.0),

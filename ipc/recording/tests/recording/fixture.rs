@@ -1,9 +1,7 @@
-//! What these tests share: a place, somebody who publishes everything, a recorder beside, processes.
+//! What these tests share: somebody who publishes everything, a recorder beside, other readers.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
 
 use ipc::{
     Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, OperatorPorts,
@@ -13,63 +11,27 @@ use ipc::{
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use recording::{Context, Ledger, Notice, Options, Recorded, record};
+use testkit::python::{Environment, run, script};
+use testkit::{Place, eventually};
 
 /// Messages of each topic.
 pub const MESSAGES: usize = 400;
 
-/// A directory for one test, with a domain in it. When the test ends, joining and leaving clears away what killed
-/// processes left in /dev/shm.
-pub struct Place(pub tempfile::TempDir);
+/// Name of the recording in a place.
+pub const FILE: &str = "run.mcap";
 
-impl Place {
-    pub fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
+pub fn options(place: &Place) -> Options {
+    Options {
+        domain: place.domain(),
+        output: place.path(FILE),
+        force: false,
+        duration: None,
     }
-
-    pub fn domain(&self) -> PathBuf {
-        self.0.path().join("domain")
-    }
-
-    pub fn file(&self) -> PathBuf {
-        self.0.path().join("run.mcap")
-    }
-
-    pub fn options(&self) -> Options {
-        Options {
-            domain: self.domain(),
-            output: self.file(),
-            force: false,
-            duration: None,
-        }
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        if self.domain().exists() {
-            let _ = Domain::join(&self.domain());
-        }
-    }
-}
-
-pub fn scene_file() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../scene/scenes/paper-sim.toml")
 }
 
 pub fn context() -> Context {
-    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../controller/vpcd.toml");
-    Context::read(Some(&scene_file()), Some(&config)).unwrap()
-}
-
-pub fn eventually(what: &str, mut attempt: impl FnMut() -> bool) {
-    let start = Instant::now();
-    while !attempt() {
-        assert!(
-            start.elapsed() < Duration::from_secs(20),
-            "{what}: did not happen"
-        );
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    let config = testkit::root().join("controller/vpcd.toml");
+    Context::read(Some(&testkit::scene_file()), Some(&config)).unwrap()
 }
 
 /// Everybody who publishes, in one thread.
@@ -115,7 +77,8 @@ impl Stage {
     pub fn wait_for_recorder(&mut self) {
         let reply = reply(&Request::new(0, Action::Status));
         eventually("the recorder listens", || {
-            self.controller.replies.publish(&reply).unwrap().receivers > self.listeners
+            let sent = self.controller.replies.publish(&reply).unwrap();
+            (sent.receivers > self.listeners).then_some(())
         });
     }
 
@@ -203,7 +166,7 @@ pub fn reply(request: &Request) -> Reply {
     }
 }
 
-/// Records in another thread while `play` runs; what was counted, and what was told on the way.
+/// Records in another thread while `play` runs; what was counted, and what was told on the way but for waiting.
 pub fn recorded(options: &Options, play: impl FnOnce()) -> (Ledger, Vec<Notice>) {
     let stop = AtomicBool::new(false);
     let mut notices = Vec::new();
@@ -211,7 +174,9 @@ pub fn recorded(options: &Options, play: impl FnOnce()) -> (Ledger, Vec<Notice>)
     let ledger = std::thread::scope(|threads| {
         let recorder = threads.spawn(|| {
             record(options, &context, &stop, |notice| {
-                notices.push(notice.clone());
+                if !matches!(notice, Notice::Waiting { .. } | Notice::Begun) {
+                    notices.push(notice.clone());
+                }
             })
         });
         // A test that fails must not leave the recorder running.
@@ -231,22 +196,23 @@ impl Drop for Stopping<'_> {
     }
 }
 
-/// A process that ends with its owner.
-pub struct Running(pub Child);
-
-impl Running {
-    pub fn signal(&self, name: &str) {
-        let id = self.0.id().to_string();
-        let done = Command::new("kill").args([name, &id]).status().unwrap();
-        assert!(done.success(), "kill {name} {id}");
-    }
+/// Python with the packages of MCAP and Foxglove, which see the recording as others do.
+pub fn python(test: &str) -> Option<PathBuf> {
+    let environment = Environment {
+        name: "python-mcap",
+        requirements: &["ipc/recording/tests/python/requirements.txt"],
+        packages: &[],
+    };
+    environment.python(test)
 }
 
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// What `check.py` prints about these files.
+pub fn check(python: &Path, what: &str, files: &[&Path]) -> Vec<String> {
+    let program = testkit::root().join("ipc/recording/tests/python/check.py");
+    let mut command = script(python, &program);
+    let output = run(command.arg(what).args(files));
+    let text = output.unwrap_or_else(|reason| panic!("check.py {what}: {reason}"));
+    text.lines().map(str::to_owned).collect()
 }
 
 /// Equal bit for bit, NaN to NaN: by their JSON, whose exactness has a test of its own.

@@ -8,24 +8,26 @@ use std::time::Duration;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use recording::{Options, Recording, record};
+use rustix::process::Signal;
 
-use crate::fixture::{Place, Published, Running, Stage, context, eventually, same};
-use crate::python;
+use testkit::{Place, Running, eventually};
+
+use crate::fixture::{FILE, Published, Stage, check, context, python, same};
 
 /// Starts this executable as a recorder.
 fn recorder(place: &Place) -> Running {
-    let child = Command::new(std::env::current_exe().unwrap())
-        .args([
-            "--exact",
-            "interrupted::play_a_recorder",
-            "--ignored",
-            "--test-threads=1",
-        ])
-        .env("VPC_TEST_DOMAIN", place.domain())
-        .env("VPC_TEST_FILE", place.file())
-        .stdout(Stdio::null())
-        .spawn();
-    Running(child.unwrap())
+    Running::start(
+        Command::new(std::env::current_exe().unwrap())
+            .args([
+                "--exact",
+                "interrupted::play_a_recorder",
+                "--ignored",
+                "--test-threads=1",
+            ])
+            .env("VPC_TEST_DOMAIN", place.domain())
+            .env("VPC_TEST_FILE", place.path(FILE))
+            .stdout(Stdio::null()),
+    )
 }
 
 #[test]
@@ -54,7 +56,7 @@ fn play_a_recorder() {
 }
 
 fn size(place: &Place) -> u64 {
-    std::fs::metadata(place.file()).map_or(0, |file| file.len())
+    std::fs::metadata(place.path(FILE)).map_or(0, |file| file.len())
 }
 
 /// Publishes until the recorder has flushed twice; the bound is on messages, not on time.
@@ -69,7 +71,7 @@ fn until_flushed(
         stage.publish(published.features.len(), random, published);
         sizes.push(size(place));
         sizes.dedup();
-        sizes.len() > 2 && published.features.len() > 500
+        (sizes.len() > 2 && published.features.len() > 500).then_some(())
     });
 }
 
@@ -79,17 +81,16 @@ fn a_killed_recorder_leaves_a_file_that_can_be_read() {
     let mut stage = Stage::open(&place.domain());
     let mut random = ChaCha8Rng::seed_from_u64(6);
     let mut published = Published::default();
-    let mut recorder = recorder(&place);
+    let recorder = recorder(&place);
     stage.wait_for_recorder();
     let begun = size(&place);
     until_flushed(&place, &mut stage, &mut random, &mut published);
-    recorder.signal("-KILL");
-    recorder.0.wait().unwrap();
+    recorder.kill();
 
-    let recording = Recording::read(&place.file()).unwrap();
+    let recording = Recording::read(&place.path(FILE)).unwrap();
     assert!(size(&place) > begun);
-    assert!(recording.cut.is_some() && recording.ledger.is_none());
-    assert_eq!(recording.scene_toml.as_deref(), Some(scene::PAPER_SIM));
+    assert!(recording.cut.is_some() && !recording.metadata.contains_key("vpc.ledger"));
+    assert_eq!(recording.scene_toml(), Some(scene::PAPER_SIM));
     let (count, cycles) = (recording.features.len(), recording.cycles.len());
     assert!(count >= 100 && cycles >= 100, "{count}, {cycles}");
     // Those before the last of them are there, but for those that a starved machine lost.
@@ -103,8 +104,8 @@ fn a_killed_recorder_leaves_a_file_that_can_be_read() {
         same(&[*read], &[*published]);
     }
 
-    if let Some(python) = python::python("a_killed_recorder_leaves_a_file_that_can_be_read") {
-        let found = python::check(&python, "rest", &[&place.file()]);
+    if let Some(python) = python("a_killed_recorder_leaves_a_file_that_can_be_read") {
+        let found = check(&python, "rest", &[&place.path(FILE)]);
         for line in [
             format!("count /vpc/features {count}"),
             format!("count /vpc/cycles {cycles}"),
@@ -120,22 +121,22 @@ fn a_recorder_that_hangs_delays_nobody_and_counts_what_it_missed() {
     let mut stage = Stage::open(&place.domain());
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let mut published = Published::default();
-    let mut recorder = recorder(&place);
+    let recorder = recorder(&place);
     stage.wait_for_recorder();
     until_flushed(&place, &mut stage, &mut random, &mut published);
-    recorder.signal("-STOP");
+    recorder.signal(Signal::STOP);
     let before = published.features.len() as u64;
     for i in 0..2_000 {
         // Every `publish` in here succeeds.
         stage.publish(i, &mut random, &mut published);
     }
     let all = before + 2_000;
-    recorder.signal("-CONT");
-    std::fs::write(place.file().with_extension("enough"), "").unwrap();
-    assert!(recorder.0.wait().unwrap().success());
+    recorder.signal(Signal::CONT);
+    std::fs::write(place.path(FILE).with_extension("enough"), "").unwrap();
+    assert_eq!(recorder.ended().code, Some(0));
 
-    let recording = Recording::read(&place.file()).unwrap();
-    let ledger = recording.ledger.unwrap();
+    let recording = Recording::read(&place.path(FILE)).unwrap();
+    let ledger = &recording.metadata["vpc.ledger"];
     for (topic, missing, last) in [
         (
             "/vpc/features",
@@ -148,14 +149,12 @@ fn a_recorder_that_hangs_delays_nobody_and_counts_what_it_missed() {
             recording.cycles.last().map(|m| m.stamp),
         ),
     ] {
-        let account = ledger.of(topic);
+        let count = |name| ledger[&format!("{topic}.{name}")].parse::<u64>().unwrap();
+        let (recorded, lost) = (count("recorded"), count("lost"));
         // How many depends on when the recorder really stood still; the longest queue holds 1024.
-        assert!(account.lost >= 100, "{topic}: {account:?}");
-        assert_eq!(account.lost, missing, "{topic}");
+        assert!(lost >= 100, "{topic}: {lost}");
+        assert_eq!(lost, missing, "{topic}");
         assert_eq!(last.unwrap().sequence, all, "{topic}");
-        assert!(
-            account.recorded + account.lost <= all,
-            "{topic}: {account:?}"
-        );
+        assert!(recorded + lost <= all, "{topic}: {recorded}, {lost}");
     }
 }

@@ -6,13 +6,15 @@ use std::time::Duration;
 use ipc::{Features, Stamp};
 use recording::{Account, Context, Notice, Options, Recording, record};
 
-use crate::fixture::{Place, Stage, recorded};
+use testkit::Place;
+
+use crate::fixture::{FILE, Stage, options, recorded};
 
 #[test]
 fn lost_messages_restarts_and_refusals_are_counted_and_told() {
     let place = Place::new();
     let mut stage = Stage::open(&place.domain());
-    let (ledger, notices) = recorded(&place.options(), || {
+    let (ledger, notices) = recorded(&options(&place), || {
         stage.wait_for_recorder();
         let square = Features::new(&[[1.0, 2.0]; 4], 1);
         stage.camera.features.publish(&square).unwrap();
@@ -47,8 +49,8 @@ fn lost_messages_restarts_and_refusals_are_counted_and_told() {
             "/vpc/features: a message was refused: vpc/features: points[3] = NaN; allowed: finite numbers",
         ]
     );
-    let recording = Recording::read(&place.file()).unwrap();
-    assert_eq!(recording.ledger.unwrap().of("/vpc/features"), account);
+    let recording = Recording::read(&place.path(FILE)).unwrap();
+    assert_eq!(recording.metadata["vpc.ledger"], ledger.to_map());
     assert_eq!(Recording::missing(&recording.features), 3);
 }
 
@@ -57,17 +59,20 @@ fn a_file_is_not_overwritten_unless_asked() {
     let place = Place::new();
     let options = Options {
         duration: Some(Duration::ZERO),
-        ..place.options()
+        ..options(&place)
     };
     let stop = AtomicBool::new(false);
-    std::fs::write(place.file(), "dear to somebody").unwrap();
+    std::fs::write(place.path(FILE), "dear to somebody").unwrap();
     let refused = record(&options, &Context::default(), &stop, |_| ()).unwrap_err();
     let message = format!(
         "{}: exists; allowed: a new file, or --force",
-        place.file().display()
+        place.path(FILE).display()
     );
     assert_eq!(refused.to_string(), message);
-    assert_eq!(std::fs::read(place.file()).unwrap(), b"dear to somebody");
+    assert_eq!(
+        std::fs::read(place.path(FILE)).unwrap(),
+        b"dear to somebody"
+    );
     // Nobody was disturbed: not even the domain was made.
     assert!(!place.domain().exists());
 
@@ -76,6 +81,10 @@ fn a_file_is_not_overwritten_unless_asked() {
         ..options
     };
     record(&options, &Context::default(), &stop, |_| ()).unwrap();
-    let recording = Recording::read(&place.file()).unwrap();
-    assert!(recording.cut.is_none() && recording.features.is_empty() && recording.scene.is_none());
+    let recording = Recording::read(&place.path(FILE)).unwrap();
+    assert!(
+        recording.cut.is_none()
+            && recording.features.is_empty()
+            && recording.scene().unwrap().is_none()
+    );
 }

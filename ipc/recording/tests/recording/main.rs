@@ -2,11 +2,7 @@
 //! of build. A recorder that is killed is this same executable, started again.
 
 mod fixture;
-mod flown;
 mod interrupted;
 mod losses;
 mod masked;
-#[path = "../python/mod.rs"]
-mod python;
-
 mod values;

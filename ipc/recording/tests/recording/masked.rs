@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use ipc::{CycleRecord, Order};
-use recording::{Context, Recording, RecordingFile};
+use recording::{Context, Recorder, Recording};
+use testkit::Place;
 
-use crate::fixture::Place;
-use crate::python;
+use crate::fixture::{FILE, check, python};
 
 #[test]
 fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
     let place = Place::new();
-    let ring = place.0.path().join("ring.png");
+    let ring = place.path("ring.png");
     let is_white = |u: u32, v: u32| {
         let square = u.abs_diff(300).pow(2) + v.abs_diff(700).pow(2);
         (120 * 120..200 * 200).contains(&square)
@@ -20,14 +20,15 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
     let png = std::fs::read(&ring).unwrap();
     let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
     let text = format!("{head}[[occlusion]]\nname = \"ring\"\nmask = \"ring.png\"\n");
-    let path = place.0.path().join("scene.toml");
+    let path = place.path("scene.toml");
     std::fs::write(&path, &text).unwrap();
     let context = Context::read(Some(&path), None).unwrap();
     // What is painted after the start is not what was recorded.
     std::fs::remove_file(&ring).unwrap();
     std::fs::remove_file(&path).unwrap();
 
-    let mut file = RecordingFile::create(&place.file(), false, &context).unwrap();
+    let mut file = Recorder::create(&place.path(FILE), false).unwrap();
+    file.describe(&context).unwrap();
     for i in 0..40 {
         let mut cycle = CycleRecord {
             cycle: i + 1,
@@ -42,13 +43,13 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
         {
             cycle.points[place] = corner + 5.0 * i as f64;
         }
-        file.cycle(&cycle, Order::Next).unwrap();
+        file.take(&cycle, Order::Next).unwrap();
     }
     file.finish().unwrap();
 
-    let recording = Recording::read(&place.file()).unwrap();
-    let scene = recording.scene.as_ref().unwrap();
-    assert_eq!(recording.scene_toml.as_deref(), Some(&*text));
+    let recording = Recording::read(&place.path(FILE)).unwrap();
+    let scene = recording.scene().unwrap().unwrap();
+    assert_eq!(recording.scene_toml(), Some(&*text));
     assert_eq!(scene.fingerprint(), context.scene.unwrap().0.fingerprint());
     assert!(scene.masks().next().unwrap().is_forbidden(140, 700));
     let plots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("masked");
@@ -58,8 +59,8 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
     assert!(svg.contains("crispEdges"), "the mask is not in run.svg");
 
     let test = "a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone";
-    if let Some(python) = python::python(test) {
-        let found = python::check(&python, "values", &[&place.file()]);
+    if let Some(python) = python(test) {
+        let found = check(&python, "values", &[&place.path(FILE)]);
         let line = format!("attachment ring.png image/png {}", png.len());
         assert!(found.contains(&line), "{line}");
     }

@@ -63,7 +63,7 @@ impl Preview {
             title: title.into_owned(),
         };
         let said = describe(&task, &scene, trigger, figure.starts.len(), drawn);
-        let [svg, png] = figure.write(&file)?;
+        let [svg, png] = figure.canvas().write(&file)?;
         if figure.starts.is_empty() {
             bail!(
                 "{name}: starts: none of {DRAWS} draws is valid; look at {}; allowed: a region, `clearance_px` and \

@@ -1,0 +1,259 @@
+//! Writing an MCAP file of messages.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::{File, OpenOptions};
+use std::io::{BufWriter, ErrorKind};
+use std::path::Path;
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Attachment, McapError, WriteOptions, Writer};
+
+use crate::clock::WallClock;
+use crate::message::Recorded;
+
+/// Name of the metadata record at the head of the file.
+pub(crate) const ORIGIN: &str = "vpc.origin";
+
+/// Why a recording was not written.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum WriteError {
+    #[error("{path}: exists; allowed: a new file, or --force")]
+    Exists { path: String },
+    #[error("{path}: cannot create the recording: {source}")]
+    Create {
+        path: String,
+        source: std::io::Error,
+    },
+    #[error("{path}: cannot write the recording: {source}")]
+    Write { path: String, source: McapError },
+}
+
+/// How the messages of a topic are encoded.
+#[derive(Debug)]
+pub(crate) struct Encoding {
+    /// Name, encoding and data of the schema.
+    pub schema: (String, String, Vec<u8>),
+    pub message: String,
+}
+
+/// A recording that is being written.
+///
+/// It is readable up to the last [`flush`](Self::flush) whatever happens to the process, and indexed after
+/// [`finish`](Self::finish). Compression takes milliseconds: use it from an ordinary thread. The times of messages in
+/// the file are their `published_ns` moved to the wall clock.
+///
+/// A record of what happened before a fault:
+///
+/// ```
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("fault.mcap");
+/// # let (features, cycles) = ([ipc::Features::new(&[[1.0; 2]; 4], 0); 2], [ipc::CycleRecord::default(); 3]);
+/// use recording::{CONFIG_FILE, Recording, RecordingFile, SCENE_FILE};
+///
+/// let mut file = RecordingFile::create(&path, false)?;
+/// file.origin([("cause", "fault".to_owned())])?;
+/// file.attach(CONFIG_FILE, b"[law]\nnp = 4\n")?;
+/// file.attach(SCENE_FILE, scene::PAPER_SIM.as_bytes())?; // then each mask, by its name in the scene
+/// features.iter().try_for_each(|message| file.write(message))?;
+/// cycles.iter().try_for_each(|message| file.write(message))?;
+/// file.finish()?; // synchronised to the disk
+///
+/// let recording = Recording::read(&path)?;
+/// assert_eq!((recording.features.len(), recording.cycles.len()), (2, 3));
+/// assert_eq!(recording.origin("cause"), Some("fault"));
+/// # Ok(())
+/// # }
+/// ```
+pub struct RecordingFile {
+    path: String,
+    mcap: Writer<NoSeek<BufWriter<File>>>,
+    channels: HashMap<&'static str, u16>,
+    clock: WallClock,
+}
+
+impl RecordingFile {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// [`WriteError`]; a file that exists is refused without `force`.
+    pub fn create(path: &Path, force: bool) -> Result<Self, WriteError> {
+        let name = path.display().to_string();
+        let mut how = OpenOptions::new();
+        how.write(true)
+            .create(true)
+            .truncate(force)
+            .create_new(!force);
+        let file = how.open(path).map_err(|source| match source.kind() {
+            ErrorKind::AlreadyExists => WriteError::Exists { path: name.clone() },
+            _ => WriteError::Create {
+                path: name.clone(),
+                source,
+            },
+        })?;
+        // Chunks are written whole, when they are full or flushed, and never mended afterwards: a writer that is killed
+        // leaves whole chunks.
+        let options = WriteOptions::new()
+            .disable_seeking(true)
+            .library(concat!("vpcd recording ", env!("CARGO_PKG_VERSION")))
+            .compression_threads(0);
+        let mcap = options.create(NoSeek::new(BufWriter::new(file)));
+        let mut recording = Self {
+            mcap: mcap.map_err(|source| WriteError::Write {
+                path: name.clone(),
+                source,
+            })?,
+            path: name,
+            channels: HashMap::new(),
+            clock: WallClock::now(),
+        };
+        let WallClock {
+            monotonic_ns,
+            wall_ns,
+        } = recording.clock;
+        recording.origin([
+            ("version", env!("CARGO_PKG_VERSION").to_owned()),
+            ("monotonic_ns", monotonic_ns.to_string()),
+            ("wall_ns", wall_ns.to_string()),
+        ])?;
+        Ok(recording)
+    }
+
+    /// The clock that stamps are translated by.
+    pub fn clock(&self) -> WallClock {
+        self.clock
+    }
+
+    /// Adds to what the file says about its origin; version and clocks are there from the beginning.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn origin(
+        &mut self,
+        entries: impl IntoIterator<Item = (&'static str, String)>,
+    ) -> Result<(), WriteError> {
+        let entries = entries.into_iter();
+        let entries = entries.map(|(key, value)| (key.to_owned(), value));
+        self.metadata(ORIGIN, entries.collect())
+    }
+
+    /// Writes a metadata record.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn metadata(
+        &mut self,
+        name: &str,
+        entries: BTreeMap<String, String>,
+    ) -> Result<(), WriteError> {
+        let record = Metadata {
+            name: name.to_owned(),
+            metadata: entries,
+        };
+        self.written(|mcap| mcap.write_metadata(&record))
+    }
+
+    /// Attaches a file under its name; the ending says what it is.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn attach(&mut self, name: &str, data: &[u8]) -> Result<(), WriteError> {
+        let media_type = match Path::new(name).extension().and_then(|end| end.to_str()) {
+            Some("toml") => "application/toml",
+            Some("png") => "image/png",
+            _ => "application/octet-stream",
+        };
+        let attachment = Attachment {
+            log_time: self.clock.wall_ns,
+            create_time: self.clock.wall_ns,
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: data.into(),
+        };
+        self.written(|mcap| mcap.attach(&attachment))
+    }
+
+    /// Writes a message on the topic of its type.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn write<T: Recorded>(&mut self, message: &T) -> Result<(), WriteError> {
+        let stamp = message.stamp();
+        let encoding = || {
+            let schema = T::schema().to_string().into_bytes();
+            Encoding {
+                schema: (T::schema_name(), "jsonschema".to_owned(), schema),
+                message: "json".to_owned(),
+            }
+        };
+        let wall_ns = self.clock.wall_of(stamp.published_ns);
+        let json = message.to_json();
+        self.put(T::TOPIC, encoding, stamp.sequence, wall_ns, json.as_bytes())
+    }
+
+    /// Writes an encoded message; the first one of a topic opens its channel.
+    pub(crate) fn put(
+        &mut self,
+        topic: &'static str,
+        encoding: impl FnOnce() -> Encoding,
+        sequence: u64,
+        wall_ns: u64,
+        data: &[u8],
+    ) -> Result<(), WriteError> {
+        let channel_id = match self.channels.get(topic) {
+            Some(id) => *id,
+            None => {
+                let Encoding { schema, message } = encoding();
+                let id = self.written(|mcap| {
+                    let schema = mcap.add_schema(&schema.0, &schema.1, &schema.2)?;
+                    mcap.add_channel(schema, topic, &message, &BTreeMap::new())
+                })?;
+                self.channels.insert(topic, id);
+                id
+            }
+        };
+        let header = MessageHeader {
+            channel_id,
+            // The format has 32 bits; the message itself has all 64.
+            sequence: sequence as u32,
+            log_time: wall_ns,
+            publish_time: wall_ns,
+        };
+        self.written(|mcap| mcap.write_to_known_channel(&header, data))
+    }
+
+    /// Hands everything so far to the operating system: from here on it survives the end of this process.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        self.written(Writer::flush)
+    }
+
+    /// Writes the index and synchronises the file to the disk.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn finish(mut self) -> Result<(), WriteError> {
+        self.written(Writer::finish)?;
+        let file = self.mcap.into_inner().into_inner().into_inner();
+        file.map_err(|error| error.into_error())
+            .and_then(|file| file.sync_all())
+            .map_err(|source| WriteError::Write {
+                path: self.path,
+                source: source.into(),
+            })
+    }
+
+    fn written<R>(
+        &mut self,
+        write: impl FnOnce(&mut Writer<NoSeek<BufWriter<File>>>) -> mcap::McapResult<R>,
+    ) -> Result<R, WriteError> {
+        write(&mut self.mcap).map_err(|source| WriteError::Write {
+            path: self.path.clone(),
+            source,
+        })
+    }
+}
