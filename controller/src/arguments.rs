@@ -6,10 +6,10 @@ use clap::{Args, Parser, Subcommand};
 
 /// Real-time visual predictive controller: image features in, camera twist out, through shared memory.
 ///
-/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or a replay differs; 64
-/// command line; 65 scene, memory or flight record wrong, or memory built
-/// for another task; 66 file missing; 69 shared memory not available or another vpcd at work; 70 failure of vpcd;
-/// 73 a file cannot be written; 78 configuration.
+/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or a replay differs;
+/// 64 command line; 65 scene, memory or flight record wrong, or memory built for another task; 66 file missing;
+/// 69 shared memory not available, or another vpcd at work; 70 failure of vpcd; 73 a file cannot be written;
+/// 78 configuration.
 #[derive(Clone, Debug, Default, Parser)]
 #[command(
     name = "vpcd",
@@ -18,12 +18,12 @@ use clap::{Args, Parser, Subcommand};
     args_conflicts_with_subcommands = true
 )]
 pub struct Arguments {
-    /// Something else than to control.
+    /// What to do instead of controlling.
     #[command(subcommand)]
     pub command: Option<Command>,
 
-    /// Configuration file (TOML); paths in it are relative to its directory. Without it every key has its default
-    /// and --scene must be given. The documented default ships as controller/vpcd.toml.
+    /// Configuration file (TOML); paths in it are relative to its directory. Without one every key has its default and
+    /// --scene must be given. CONFIGURATION.md lists all keys.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 
@@ -35,40 +35,40 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub memory: Option<PathBuf>,
 
-    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr, ibvs; instead of `law.strategy`.
+    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr or ibvs, instead of `law.strategy`.
     #[arg(long, value_name = "NAME")]
     pub strategy: Option<String>,
 
-    /// Steps previewed, 1 to 40, instead of `law.np`.
+    /// Steps of the preview, 1 to 40, instead of `law.np`.
     #[arg(long, value_name = "STEPS")]
     pub np: Option<i64>,
 
-    /// fixed (a grid in time at the scene's rate), phase (the same, following the camera's frames) or lockstep (one
-    /// step for each features message), instead of `cycle.clock`.
+    /// fixed (a grid in time at the scene's rate), phase (the same grid, following the camera's frames) or lockstep (one
+    /// cycle for each features message), instead of `cycle.clock`.
     #[arg(long, value_name = "MODE")]
     pub clock: Option<String>,
 
-    /// Directory of the shared-memory domain, the same for everybody who is to meet; instead of `ipc.domain`.
+    /// Directory of the shared-memory domain, the same for all who are to meet, instead of `ipc.domain`.
     /// [default: /tmp/vpc-UID]
     #[arg(long, value_name = "DIR")]
     pub domain: Option<PathBuf>,
 
-    /// Start armed: the first good features set the camera in motion. Without it (and without `safety.armed`) it stands
-    /// until an operator arms; in lockstep, where no arm moves, it always starts armed.
+    /// Start armed: the first good features set the camera in motion. Otherwise, and without `safety.armed`, it stands
+    /// until an operator arms it; in lockstep, where no arm moves, it starts armed.
     #[arg(long)]
     pub arm: bool,
 
-    /// Stop after so many cycles, and those that braking takes.
+    /// Stop after N cycles and those that braking takes.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,
 
-    /// Write what the run came to into this file when it ends: times of wake-up, reception, law and sending, page
-    /// faults, blocking calls and calls of the heap (JSON).
+    /// Write a report to this file at the end (JSON): times of wake-up, reception, law and sending, page faults,
+    /// blocking calls and heap allocations.
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
 
-    /// Tell what this machine lacks for real time and how to give it, and exit: 0 fit, 1 not. Takes a second; needs
-    /// neither configuration nor scene.
+    /// Print what this machine lacks for real time and how to provide it, and exit: 0 if fit, else 1. Takes a second;
+    /// needs neither configuration nor scene.
     #[arg(long)]
     pub preflight: bool,
 
@@ -76,11 +76,11 @@ pub struct Arguments {
     #[arg(long, requires = "preflight")]
     pub json: bool,
 
-    /// Check configuration, scene and memory, say what would run, and exit.
+    /// Check configuration, scene and memory, print what would run, and exit.
     #[arg(long)]
     pub check_only: bool,
 
-    /// Print the whole configuration that file and flags come to, defaults and all, as TOML, and exit.
+    /// Print the whole configuration, with flags and defaults, as TOML, and exit.
     #[arg(long)]
     pub print_config: bool,
 }

@@ -1,26 +1,24 @@
-//! Configuration: TOML into raw numbers, flags over it, then checked into a [`Config`] whose existence means that it
-//! is valid. Every key stands in [`KEYS`] with its range, which the checks go by and `CONFIGURATION.md` is made from.
+//! Configuration: a TOML file with flags over it, checked into a [`Config`] whose existence means that it is valid. Every
+//! key is declared in `tables.rs`, from which `CONFIGURATION.md` and `vpcd.schema.json` are made.
 
 use std::path::{Path, PathBuf};
 
 use ipc::ClockMode;
-use vpc::{Model, Settings};
+use toml_schema::Document;
+use vpc::{Settings, Strategy};
 
 use crate::arguments::Arguments;
+use crate::exit::Exit;
 use crate::realtime::Wish;
 
-mod check;
-mod error;
-mod keys;
-mod raw;
+mod tables;
 #[cfg(test)]
 mod tests;
 
-use check::Checker;
-use raw::Raw;
+use tables::{Law, Tables};
 
-pub use error::ConfigError;
-pub use keys::KEYS;
+pub(crate) use tables::Model as ModelWord;
+pub use toml_schema::FileError as ConfigError;
 
 /// A valid configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,22 +83,23 @@ pub struct Safety {
     pub lost_s: f64,
 }
 
-/// Stands for a file in messages about flags.
-const COMMAND_LINE: &str = "command line";
-
-/// The model of a word in configuration files.
-pub(crate) fn model(name: &str) -> Option<Model> {
-    [Model::TargetDepth, Model::AreaDepth, Model::Pose]
-        .into_iter()
-        .find(|model| model_name(*model) == name)
+/// Returns the JSON Schema of a configuration file.
+pub fn schema() -> serde_json::Value {
+    toml_schema::schema::<Tables>()
 }
 
-/// The word of a model in configuration files.
-pub(crate) fn model_name(model: Model) -> &'static str {
-    match model {
-        Model::TargetDepth => "target-depth",
-        Model::AreaDepth => "area-depth",
-        Model::Pose => "pose",
+/// Returns the text of `vpcd.schema.json`.
+pub fn schema_file() -> String {
+    toml_schema::schema_file::<Tables>()
+}
+
+impl From<&ConfigError> for Exit {
+    fn from(error: &ConfigError) -> Self {
+        match error {
+            ConfigError::Read { .. } => Self::NoInput,
+            ConfigError::Value { path, .. } if path == toml_schema::COMMAND_LINE => Self::Usage,
+            _ => Self::Config,
+        }
     }
 }
 
@@ -110,8 +109,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] names file or flag, key, value and what is allowed.
     pub fn read(arguments: &Arguments) -> Result<Self, ConfigError> {
-        let (text, path, directory) = source(arguments)?;
-        Self::parse(&text, &path, &directory, arguments)
+        Ok(source(arguments)?.1)
     }
 
     /// Checks the text of a configuration with flags over it; `path` is for messages, and paths in the text are
@@ -125,38 +123,18 @@ impl Config {
         directory: &Path,
         arguments: &Arguments,
     ) -> Result<Self, ConfigError> {
-        let raw = raw(text, path, directory, arguments)?;
-        Checker { path, arguments }.config(raw)
+        Ok(laid_over(Document::parse(text, path)?, directory, arguments)?.1)
     }
 
-    /// The whole configuration that file and flags come to, defaults and all, as TOML of which [`Config::parse`] makes
-    /// the same.
+    /// Returns the whole configuration that file and flags come to, with all defaults, as TOML that is read as the same.
     ///
     /// # Errors
-    /// As [`Config::read`]: only a valid configuration is shown.
+    /// As [`Config::read`]: only a valid configuration is printed.
     pub fn print(arguments: &Arguments) -> Result<String, ConfigError> {
-        let (text, path, directory) = source(arguments)?;
-        Self::effective(&text, &path, &directory, arguments)
-    }
-
-    /// [`Config::print`] of a text.
-    ///
-    /// # Errors
-    /// As [`Config::parse`].
-    pub fn effective(
-        text: &str,
-        path: &str,
-        directory: &Path,
-        arguments: &Arguments,
-    ) -> Result<String, ConfigError> {
-        let config = Self::parse(text, path, directory, arguments)?;
-        let mut raw = raw(text, path, directory, arguments)?;
-        raw.safety.armed = Some(config.safety.armed);
-        raw.ipc.domain = Some(config.domain);
-        raw.flight.directory = Some(config.flight.directory);
-        toml::to_string(&raw).map_err(|e| ConfigError::Syntax {
-            path: path.to_owned(),
-            message: e.to_string(),
+        let (tables, _) = source(arguments)?;
+        toml::to_string(&tables).map_err(|error| ConfigError::Syntax {
+            path: named(arguments),
+            message: error.to_string(),
         })
     }
 }
@@ -164,43 +142,118 @@ impl Config {
 /// Where a configuration comes from, in messages: its file or the command line.
 pub(crate) fn named(arguments: &Arguments) -> String {
     let file = arguments.config.as_ref();
-    file.map_or(COMMAND_LINE.to_owned(), |file| file.display().to_string())
+    file.map_or(toml_schema::COMMAND_LINE.to_owned(), |file| {
+        file.display().to_string()
+    })
 }
 
-/// The text of the file that the command line names, its name, and the directory that its paths are relative to.
-fn source(arguments: &Arguments) -> Result<(String, String, PathBuf), ConfigError> {
-    let path = named(arguments);
-    let Some(file) = &arguments.config else {
-        return Ok((String::new(), path, PathBuf::new()));
-    };
-    let text = std::fs::read_to_string(file).map_err(|source| ConfigError::Read {
-        path: path.clone(),
-        source,
-    })?;
-    let directory = file.parent().unwrap_or(Path::new("")).to_owned();
-    Ok((text, path, directory))
+/// The file that the command line names, with flags over it.
+fn source(arguments: &Arguments) -> Result<(Tables, Config), ConfigError> {
+    let file = arguments.config.as_deref();
+    let directory = file.and_then(Path::parent).unwrap_or(Path::new(""));
+    laid_over(Document::read(file)?, directory, arguments)
 }
 
-/// The tables of a text with the flags over them, unchecked.
-fn raw(
-    text: &str,
-    path: &str,
+/// The tables with every default filled in, and what they come to.
+fn laid_over(
+    mut document: Document,
     directory: &Path,
-    arguments: &Arguments,
-) -> Result<Raw, ConfigError> {
-    let mut raw: Raw = toml::from_str(text).map_err(|e| ConfigError::Syntax {
-        path: path.to_owned(),
-        message: e.to_string().trim_end().to_owned(),
-    })?;
-    let files = [
-        &mut raw.scene,
-        &mut raw.memory,
-        &mut raw.ipc.domain,
-        &mut raw.flight.directory,
-    ];
-    for file in files.into_iter().flatten() {
-        *file = directory.join(&*file);
+    flags: &Arguments,
+) -> Result<(Tables, Config), ConfigError> {
+    document.relative_to(
+        directory,
+        &["scene", "memory", "ipc.domain", "flight.directory"],
+    );
+    let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+    document.set("scene", "--scene", path(&flags.scene));
+    document.set("memory", "--memory", path(&flags.memory));
+    document.set("ipc.domain", "--domain", path(&flags.domain));
+    document.set("law.strategy", "--strategy", flags.strategy.clone());
+    document.set("law.np", "--np", flags.np);
+    document.set("cycle.clock", "--clock", flags.clock.clone());
+    document.set("safety.armed", "--arm", flags.arm.then_some(true));
+
+    let mut tables: Tables = document.check()?;
+    let clock = ClockMode::from(tables.cycle.clock);
+    // No arm moves in lockstep, where time waits for the answer.
+    let armed = *tables
+        .safety
+        .armed
+        .get_or_insert(clock == ClockMode::Lockstep);
+    let domain = tables
+        .ipc
+        .domain
+        .get_or_insert_with(ipc::default_directory)
+        .clone();
+    // Beside the domain, which is removed with its last user.
+    let mut beside = domain.clone().into_os_string();
+    beside.push("-flight");
+    let directory = tables.flight.directory.get_or_insert(beside.into()).clone();
+    let config = Config {
+        scene: tables.scene.clone(),
+        memory: tables.memory.clone(),
+        settings: settings(&document, &tables.law)?,
+        clock,
+        stale_periods: tables.cycle.stale_periods,
+        safety: Safety {
+            armed,
+            brake_s: tables.safety.brake_s,
+            lost_s: tables.safety.lost_s,
+        },
+        domain,
+        margin_ns: (tables.cycle.margin_ms * 1e6) as u64,
+        realtime: realtime(&document, &tables.realtime)?,
+        log_level: tables.log.level.clone(),
+        log_json: tables.log.format == "json",
+        flight: FlightConfig {
+            directory,
+            minutes: tables.flight.minutes,
+            keep: tables.flight.keep,
+            at_exit: tables.flight.at_exit,
+        },
+    };
+    if config.settings.strategy.needs_memory() && config.memory.is_none() {
+        let allowed = "a memory of motion for the strategies knn and gpr, by the key `memory` or the flag --memory";
+        return Err(document.missing("memory", allowed));
     }
-    raw.lay_over(arguments);
-    Ok(raw)
+    Ok((tables, config))
+}
+
+fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
+    let strategy: Strategy = law
+        .strategy
+        .parse()
+        .map_err(|_| document.refuse("law.strategy", &law.strategy, "a strategy"))?;
+    if law.nc > law.np {
+        return Err(document.refuse("law.nc", law.nc, "1 to 4, at most np"));
+    }
+    let settings = Settings {
+        strategy,
+        np: law.np,
+        nc: law.nc,
+        solver: vpc::SolverOptions {
+            max_iterations: law.iterations,
+            tolerance: law.tolerance,
+        },
+        model: law.model,
+        trigger_px: law.trigger_px,
+        hysteresis: law.hysteresis,
+        margin_px: law.margin_px,
+        lambda: law.lambda,
+        detour: law.detour,
+        delay_compensation: law.delay_compensation,
+    };
+    // The law has the last word on its settings.
+    let checked = settings.check().map(|()| settings);
+    checked.map_err(|error| document.refuse("law", error, "what the law allows"))
+}
+
+fn realtime(document: &Document, table: &tables::Realtime) -> Result<Option<Wish>, ConfigError> {
+    match (table.priority, table.cpu) {
+        (None, Some(_)) => {
+            let allowed = "1 to 99, where realtime.cpu is given";
+            Err(document.missing("realtime.priority", allowed))
+        }
+        (priority, cpu) => Ok(priority.map(|priority| Wish { priority, cpu })),
+    }
 }

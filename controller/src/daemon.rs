@@ -75,7 +75,7 @@ impl Failure {
     /// The exit code that it asks for.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Config(error) => error.exit(),
+            Self::Config(error) => error.into(),
             Self::Law(error) => error.exit(),
             Self::Join(_) | Self::Instance(_) | Self::Open(_) => Exit::Unavailable,
             Self::Service(_) => Exit::Config,
@@ -133,7 +133,7 @@ fn print_config(arguments: &Arguments) -> ExitCode {
         }
         Err(error) => {
             log::complain(&error.to_string());
-            error.exit().into()
+            Exit::from(&error).into()
         }
     }
 }
@@ -149,7 +149,7 @@ fn preflight(arguments: &Arguments) -> ExitCode {
             Ok(config) => config.realtime.unwrap_or(usual),
             Err(error) => {
                 log::complain(&error.to_string());
-                return error.exit().into();
+                return Exit::from(&error).into();
             }
         },
         None => usual,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ipc::{CycleRecord, Features, Hold, RecallCode, SolverStatus, StrategyCode, TwistState};
 use memory_blob::{MemoryFile, OpenError};
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 use vpc::{Measurement, MotionMemory, Refusal, Settings, SettingsError, Strategy};
 
 use crate::exit::Exit;
@@ -24,7 +24,7 @@ const SETUP_STACK: usize = 16 << 20;
 pub enum LawError {
     /// The scene file.
     #[error(transparent)]
-    Scene(#[from] SceneError),
+    Scene(#[from] FileError),
     /// The scene and the settings do not give a task.
     #[error("{path}: {source}")]
     Task {
@@ -57,7 +57,7 @@ impl LawError {
     /// The exit code that it asks for.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Scene(SceneError::Read { .. }) | Self::Memory(OpenError::Read { .. }) => {
+            Self::Scene(FileError::Read { .. }) | Self::Memory(OpenError::Read { .. }) => {
                 Exit::NoInput
             }
             Self::Thread(_) => Exit::Software,
@@ -97,7 +97,7 @@ impl Law {
         let path = scene.display().to_string();
         match std::fs::read_to_string(scene) {
             Ok(text) => Self::parse(text, path, memory, settings),
-            Err(source) => Err(SceneError::Read { path, source }.into()),
+            Err(source) => Err(FileError::Read { path, source }.into()),
         }
     }
 
@@ -339,7 +339,6 @@ fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryF
 fn lacking(memory: &MemoryFile, strategy: Strategy) -> Option<&'static str> {
     let view = memory.view();
     match strategy {
-        Strategy::Knn { .. } if view.samples().is_none() => Some("samples"),
         Strategy::Gpr if view.gpr().is_none() => Some("regression"),
         _ => None,
     }

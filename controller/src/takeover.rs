@@ -191,7 +191,7 @@ impl Takeover {
         }
         state.law.history.push(&recorded.twist, told.effective_ns);
         self.commands |=
-            state.law.seen_count > 0 && state.law.seen_ns >= state.law.history.from_ns[0];
+            state.law.seen.count > 0 && state.law.seen_ns >= state.law.history.from_ns[0];
         let strategy = strategy(recorded).unwrap_or(settings.strategy);
         state.law.strategy = strategy;
         let has_planned = has_stepped(recorded) && strategy != Strategy::Ibvs;
@@ -305,7 +305,7 @@ fn is_near(record: &CycleRecord, strategy: Strategy, settings: &vpc::Settings) -
         RecallCode::Followed | RecallCode::Refused => Some(true),
         RecallCode::Unasked if strategy.needs_memory() => Some(false),
         _ if record.clearance_px < settings.trigger_px => Some(true),
-        _ if record.clearance_px >= settings.trigger_px * settings.release => Some(false),
+        _ if record.clearance_px >= settings.trigger_px * settings.hysteresis => Some(false),
         _ => None,
     }
 }

@@ -1,19 +1,21 @@
-//! A robot of your own in the place of hw-sim's: the smallest bridge between `vpcd` and a robot with a Cartesian velocity
-//! interface at 1 kHz. Copy it, keep [`Bridge`], and put your robot's driver where [`Emulated`] is.
+//! A robot of your own in the place of hw-sim's: the smallest bridge between `vpcd` and a robot
+//! with a Cartesian velocity interface at 1 kHz. Copy it, keep [`Bridge`], and put your robot's
+//! driver where [`Emulated`] is.
 //!
 //! ```sh
 //! vpcd --scene ipc/scene/scenes/paper-robot.toml --domain /tmp/mine --arm &
 //! cargo run --release -p hw-sim --example own_robot -- /tmp/mine 30
 //! ```
-//! Ends when the features are at the goal (exit code 0), or after so many seconds (1). So that it runs alone it plays the
-//! camera, too, by the emulated robot's pose: with a camera of your own leave [`Camera`] out.
+//! Ends when the features are at the goal (exit code 0), or after so many seconds (1). So that it
+//! runs alone it plays the camera, too, by the emulated robot's pose: with a camera of your own
+//! leave [`Camera`] out.
 
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
 use hw_sim::camera::project;
-use hw_sim::pose::RigidPose;
+use hw_sim::pose::from_scene;
 use hw_sim::robot::arm::base_from_object;
 use hw_sim::robot::calibration::HandEye;
 use ipc::{
@@ -31,7 +33,8 @@ type Failure = Box<dyn std::error::Error>;
 
 /// What the bridge must know of the robot in every millisecond.
 struct Told {
-    /// From the flange frame to the base frame: the rotation in libfranka's O_T_EE, with the flange as end effector.
+    /// From the flange frame to the base frame: the rotation in libfranka's O_T_EE, with the flange
+    /// as end effector.
     base_from_flange: Rotation3<f64>,
     /// What the robot was last commanded: libfranka's O_dP_EE_c and O_ddP_EE_c.
     echo: Echo,
@@ -44,7 +47,8 @@ struct Told {
 /// A driver: this is what yours has to do.
 trait Driver {
     fn told(&self) -> Told;
-    /// Velocity of the flange's origin along base axes, m/s and rad/s; called once in each of the robot's milliseconds.
+    /// Velocity of the flange's origin along base axes, m/s and rad/s; called once in each of the
+    /// robot's milliseconds.
     fn command(&mut self, twist: &Twist);
 }
 
@@ -79,7 +83,8 @@ impl Bridge {
         // Transported with the lever arm anew each time: the base axes turn under the camera.
         let camera = Twist::from_column_slice(&self.command.twist);
         let base = self.mount.to_base(&told.base_from_flange, &camera);
-        // From `valid_until_ns` on the shaper goes to zero by itself: a controller that fell silent moves nothing.
+        // From `valid_until_ns` on the shaper goes to zero by itself: a controller that fell silent
+        // moves nothing.
         self.shaper.aim(&base, self.command.valid_until_ns);
         let now = now_ns();
         robot.command(&self.shaper.step(&told.echo, now));
@@ -145,10 +150,6 @@ impl Camera {
     fn expose(&mut self, robot: &Emulated, mount: &Mount) -> Result<f64, Failure> {
         let camera = mount.camera(&robot.0.state().o_t_ee);
         let object = camera.inverse() * base_from_object();
-        let object = RigidPose {
-            rotation: object.rotation,
-            translation: object.translation.vector,
-        };
         let points = project(&self.scene, &object)?;
         self.features.publish(&Features::new(&points, now_ns()))?;
         let pairs = points.iter().flatten().zip(self.goal.iter().flatten());
@@ -175,10 +176,9 @@ fn run() -> Result<bool, Failure> {
     let mount = HandEye::default().mount();
 
     // The robot, 2 cm beside the goal.
-    let mut object = RigidPose::new(&scene.goal);
+    let mut object = from_scene(&scene.goal);
     let goal = project(&scene, &object)?.to_vec();
     object.translation.x += 0.02;
-    let object = panda::Pose::from_parts(object.translation.into(), object.rotation);
     let camera = base_from_object() * object.inverse();
     let settings = RobotSettings {
         // The flange is the end effector.

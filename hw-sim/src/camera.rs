@@ -1,8 +1,9 @@
 //! The paper's free-flying camera: it moves exactly as told and projects the pattern.
 
-use scene::{Camera, MAX_POINTS, Pose, Scene};
+use nalgebra::Point3;
+use scene::{MAX_POINTS, Pose, Scene};
 
-use crate::pose::RigidPose;
+use crate::pose::{RigidPose, from_scene, seen_after};
 
 /// Image points of the pattern, px.
 pub type Points = heapless::Vec<[f64; 2], MAX_POINTS>;
@@ -18,24 +19,18 @@ pub struct Hidden {
 /// A camera that looks at the pattern.
 #[derive(Clone, Debug)]
 pub struct FreeCamera {
-    camera: Camera,
-    pattern: heapless::Vec<[f64; 3], MAX_POINTS>,
-    pose: RigidPose,
+    scene: Scene,
+    /// The object in the camera frame.
+    pub pose: RigidPose,
 }
 
 impl FreeCamera {
     /// A camera that sees the object at `start`.
     pub fn new(scene: &Scene, start: &Pose) -> Self {
         Self {
-            camera: scene.camera,
-            pattern: scene.pattern.clone(),
-            pose: RigidPose::new(start),
+            scene: scene.clone(),
+            pose: from_scene(start),
         }
-    }
-
-    /// The pose of the object in the camera frame.
-    pub fn pose(&self) -> &RigidPose {
-        &self.pose
     }
 
     /// The true features, px.
@@ -43,12 +38,13 @@ impl FreeCamera {
     /// # Errors
     /// [`Hidden`] where a point is behind the camera.
     pub fn features(&self) -> Result<Points, Hidden> {
-        projected(&self.camera, &self.pattern, &self.pose)
+        project(&self.scene, &self.pose)
     }
 
-    /// Moves the camera with a constant twist (vx vy vz m/s, wx wy wz rad/s; camera frame) for `dt` seconds.
+    /// Moves the camera with a constant twist (vx vy vz m/s, wx wy wz rad/s; camera frame) for `dt`
+    /// seconds.
     pub fn advance(&mut self, twist: &[f64; 6], dt: f64) {
-        self.pose = self.pose.seen_after(twist, dt);
+        self.pose = seen_after(&self.pose, twist, dt);
     }
 }
 
@@ -57,23 +53,20 @@ impl FreeCamera {
 /// # Errors
 /// [`Hidden`] where a point is behind the camera.
 pub fn project(scene: &Scene, object: &RigidPose) -> Result<Points, Hidden> {
-    projected(&scene.camera, &scene.pattern, object)
-}
-
-fn projected(camera: &Camera, pattern: &[[f64; 3]], pose: &RigidPose) -> Result<Points, Hidden> {
-    let mut points = Points::new();
-    for (point, p) in pattern.iter().enumerate() {
-        let x = pose.transform(p);
-        if x.z < 1e-6 {
-            return Err(Hidden { point });
-        }
-        let pixel = [
-            camera.fx * x.x / x.z + camera.cx,
-            camera.fy * x.y / x.z + camera.cy,
-        ];
-        points.push(pixel).map_err(|_| Hidden { point })?;
-    }
-    Ok(points)
+    let camera = &scene.camera;
+    let pixel = |(point, p): (usize, &[f64; 3])| {
+        let x = object * Point3::from(*p);
+        let in_front = x.z >= 1e-6;
+        in_front
+            .then(|| {
+                [
+                    camera.fx * x.x / x.z + camera.cx,
+                    camera.fy * x.y / x.z + camera.cy,
+                ]
+            })
+            .ok_or(Hidden { point })
+    };
+    scene.pattern.iter().enumerate().map(pixel).collect()
 }
 
 #[cfg(test)]

@@ -1,10 +1,13 @@
-//! Configuration of the process: file, then flags, then checks.
+//! Configuration of the process: a file, then flags, then checks. A key and its flag are one declaration.
 
 use std::path::{Path, PathBuf};
 
-use clap::{Parser, ValueEnum};
+use clap::parser::ValueSource;
+use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use scene::{Pose, Scene, read_starts};
-use serde::Deserialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use toml_schema::{Document, FileError};
 
 use crate::eye::Sight;
 use crate::robot::bridge::Shaping;
@@ -17,67 +20,124 @@ use crate::sensor::Flaws;
 /// Publishes features, executes the twists that answer them, and judges the run. Prints its verdict as one JSON line.
 /// Exit codes: 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69 another camera is at work or nobody
 /// answers, 78 configuration.
-#[derive(Parser, Debug, Default)]
+#[derive(Parser, Debug)]
 #[command(name = "hw-sim", version, allow_negative_numbers = true)]
 pub struct Arguments {
     /// Configuration file (TOML), documented in hw-sim/hw-sim.toml; flags win over it.
     #[arg(long)]
     pub config: Option<PathBuf>,
-    /// Scene file.
-    #[arg(long)]
-    pub scene: Option<PathBuf>,
-    /// File of start poses.
-    #[arg(long)]
-    pub starts: Option<PathBuf>,
-    /// Which of them, from 0.
-    #[arg(long)]
-    pub start: Option<usize>,
-    /// Whose time it is.
-    #[arg(long, value_enum)]
-    pub clock: Option<Clock>,
-    /// Directory of the shared memory.
-    #[arg(long)]
-    pub domain: Option<PathBuf>,
-    /// Records every frame to this file (JSON lines).
-    #[arg(long)]
-    pub record: Option<PathBuf>,
-    /// Pixel noise, standard deviation, px.
-    #[arg(long)]
-    pub noise: Option<f64>,
-    /// Frames between exposure and delivery.
-    #[arg(long)]
-    pub delay: Option<usize>,
-    /// Probability that a frame is lost.
-    #[arg(long)]
-    pub drop: Option<f64>,
-    /// Seed of noise and losses.
-    #[arg(long)]
-    pub seed: Option<u64>,
-    /// Seconds until the run ends; the scene's time where none is given.
-    #[arg(long)]
-    pub time_limit: Option<f64>,
-    /// Shows a line of progress.
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub keys: Keys,
+    /// Run every start from that one on, one after another, each as a new run.
+    #[arg(long, conflicts_with = "record")]
+    pub all: bool,
+    /// Begin again after the last start, until stopped; between two runs the camera rests at the goal.
+    #[arg(long = "loop", conflicts_with = "record")]
+    pub repeat: bool,
+    /// Show a line of progress.
     #[arg(long)]
     pub progress: bool,
-    /// What carries the camera.
-    #[arg(long, value_enum)]
-    pub robot: Option<Body>,
-    /// Panda: where features come from.
-    #[arg(long, value_enum)]
-    pub camera: Option<Sight>,
-    /// Panda: from the middle of an exposure to its delivery, ms.
-    #[arg(long)]
-    pub latency_ms: Option<f64>,
-    /// Panda: deviation of that to either side, ms.
-    #[arg(long)]
-    pub jitter_ms: Option<f64>,
-    /// Panda: sends the 30 Hz staircase to the robot as it is, to see what it says.
+    /// Panda: send the 30 Hz staircase to the robot as it is, to see what it says.
     #[arg(long)]
     pub unshaped: bool,
 }
 
+/// Paths of scene and starts are relative to the file. Most keys have a flag, which wins over the file: `hw-sim --help`.
+#[derive(Args, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+#[schemars(title = "hw-sim", extend("required" = ["scene", "starts"]))]
+pub struct Keys {
+    /// The scene file: camera, pattern, goal, what counts as success.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    pub scene: Option<PathBuf>,
+    /// File of start poses (CSV: tx,ty,tz,rx,ry,rz), of the object in the camera frame.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a file of starts, by the key `starts` or the flag --starts"))]
+    pub starts: Option<PathBuf>,
+    /// Index of the start in that file.
+    #[arg(long, default_value_t = 0)]
+    #[schemars(extend("x-allowed" = "0 to the number of starts less one"))]
+    pub start: u32,
+    /// What paces the frames.
+    #[arg(long, value_enum, default_value_t)]
+    pub clock: Clock,
+    /// Directory of the shared memory.
+    #[arg(long)]
+    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    pub domain: Option<PathBuf>,
+    /// File that every frame is recorded to, a JSON line each.
+    #[arg(long)]
+    pub record: Option<PathBuf>,
+    /// Standard deviation of each pixel coordinate, px.
+    #[arg(long = "noise", default_value_t = 0.0)]
+    #[schemars(range(min = 0, max = 100), extend("x-unit" = "px"))]
+    pub noise_px: f64,
+    /// Frames between exposure and delivery; not with the Panda.
+    #[arg(long = "delay", default_value_t = 0)]
+    #[schemars(range(min = 0, max = 100), extend("x-unit" = "frames"))]
+    pub delay_frames: u32,
+    /// Probability that a frame is lost.
+    #[arg(long, default_value_t = 0.0)]
+    #[schemars(range(min = 0, max = 1))]
+    pub drop: f64,
+    /// Seed of noise and losses.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Seconds until the run ends.
+    #[arg(long = "time-limit")]
+    #[schemars(range(min = 0.1, max = 86400), extend("x-unit" = "s", "x-default" = "the scene's time"))]
+    pub time_limit_s: Option<f64>,
+    /// What carries the camera.
+    #[arg(long, value_enum, default_value_t)]
+    pub robot: Body,
+    /// Panda: where features come from.
+    #[arg(long, value_enum, default_value_t)]
+    pub camera: Sight,
+    /// Panda: time from the middle of an exposure to its delivery, ms.
+    #[arg(long, default_value_t = 110.0)]
+    #[schemars(range(min = 0, max = 900), extend("x-unit" = "ms"))]
+    pub latency_ms: f64,
+    /// Panda: deviation of the latency to either side, ms; at most the latency.
+    #[arg(long, default_value_t = 0.0)]
+    #[schemars(range(min = 0, max = 900), extend("x-unit" = "ms"))]
+    pub jitter_ms: f64,
+    /// Panda: exposure of a row, ms.
+    #[arg(long, default_value_t = 6.0)]
+    #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
+    pub exposure_ms: f64,
+    /// Panda: time from the first row to the last of a rolling shutter, ms; with camera `rendered`.
+    #[arg(long, default_value_t = 15.0)]
+    #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
+    pub readout_ms: f64,
+    /// Panda: time that features stay at the goal before the object is released, s.
+    #[arg(long, default_value_t = 0.5)]
+    #[schemars(range(min = 0, max = 60), extend("x-unit" = "s"))]
+    pub dwell_s: f64,
+    /// Panda: distance that the robot then backs away, m.
+    #[arg(long, default_value_t = 0.04)]
+    #[schemars(range(min = 0, max = 0.3), extend("x-unit" = "m"))]
+    pub retreat_m: f64,
+    #[arg(skip)]
+    #[allow(missing_docs)]
+    pub hand_eye: HandEye,
+    #[arg(skip)]
+    #[allow(missing_docs)]
+    pub truth: Truth,
+}
+
+impl Default for Keys {
+    /// The defaults of the flags.
+    fn default() -> Self {
+        Arguments::parse_from(["hw-sim"]).keys
+    }
+}
+
 /// What carries the camera.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ValueEnum)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Body {
     /// Nothing: it moves exactly as told, at once.
@@ -87,40 +147,17 @@ pub enum Body {
     Panda,
 }
 
-/// Whose time it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, ValueEnum)]
+/// What paces the frames.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Clock {
-    /// Frames at the camera's rate on the monotonic clock.
+    /// The camera's rate on the monotonic clock.
+    #[default]
     Fixed,
-    /// A frame for each answer: as fast as the controller.
+    /// The controller: a frame for each answer.
     Lockstep,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct RawConfig {
-    scene: Option<PathBuf>,
-    starts: Option<PathBuf>,
-    start: Option<usize>,
-    clock: Option<Clock>,
-    domain: Option<PathBuf>,
-    record: Option<PathBuf>,
-    noise_px: Option<f64>,
-    delay_frames: Option<usize>,
-    drop: Option<f64>,
-    seed: Option<u64>,
-    time_limit_s: Option<f64>,
-    robot: Option<Body>,
-    camera: Option<Sight>,
-    latency_ms: Option<f64>,
-    jitter_ms: Option<f64>,
-    exposure_ms: Option<f64>,
-    readout_ms: Option<f64>,
-    dwell_s: Option<f64>,
-    retreat_m: Option<f64>,
-    hand_eye: Option<HandEye>,
-    truth: Option<Truth>,
 }
 
 /// A checked configuration.
@@ -130,8 +167,10 @@ pub struct Config {
     pub scene: Scene,
     /// Its file, for messages and recordings.
     pub scene_file: String,
-    /// Where the object is at first.
-    pub start: Pose,
+    /// Where the object is at first, run after run, with the number of each start.
+    pub starts: Vec<(usize, Pose)>,
+    /// Whether to begin again after the last of them.
+    pub repeat: bool,
     /// Whose time it is.
     pub clock: Clock,
     /// Directory of the shared memory.
@@ -150,195 +189,119 @@ pub struct Config {
     pub rig: RigSettings,
 }
 
-/// Why a configuration was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// A file could not be read.
-    #[error("{path}: cannot read: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The operating system's reason.
-        source: std::io::Error,
-    },
-    /// The file is not the TOML of a configuration.
-    #[error("{path}: {message}")]
-    Syntax {
-        /// The file.
-        path: String,
-        /// Line, column, what was expected.
-        message: String,
-    },
-    /// A value is out of range, or missing.
-    #[error("{key} = {value}; allowed: {allowed}")]
-    Value {
-        /// The key.
-        key: &'static str,
-        /// What was found.
-        value: String,
-        /// What is allowed.
-        allowed: String,
-    },
-    /// The scene was refused.
-    #[error(transparent)]
-    Scene(#[from] scene::SceneError),
-    /// The starts were refused.
-    #[error(transparent)]
-    Starts(#[from] scene::StartsError),
+/// Returns the JSON Schema of a configuration file.
+pub fn schema() -> serde_json::Value {
+    toml_schema::schema::<Keys>()
 }
 
-impl ConfigError {
-    /// The sysexits code that says it: 66 where a file is missing, else 78.
-    pub fn exit_code(&self) -> u8 {
-        match self {
-            Self::Read { .. }
-            | Self::Scene(scene::SceneError::Read { .. })
-            | Self::Starts(scene::StartsError::Read { .. }) => 66,
-            _ => 78,
-        }
+/// Returns the text of `hw-sim.schema.json`.
+pub fn schema_file() -> String {
+    toml_schema::schema_file::<Keys>()
+}
+
+/// Returns the sysexits code of an error: 66 if a file cannot be read, else 78.
+pub fn exit_code(error: &FileError) -> u8 {
+    if matches!(error, FileError::Read { .. }) {
+        66
+    } else {
+        78
     }
 }
 
 impl Config {
-    /// The configuration that file and flags make. Paths in the file are relative to the file.
+    /// Reads the file that the command line names, lays the flags over it, and checks the whole.
     ///
     /// # Errors
-    /// [`ConfigError`] names the file or key, the value and what is allowed.
-    pub fn load(arguments: &Arguments) -> Result<Self, ConfigError> {
-        let raw = arguments
-            .config
-            .as_deref()
-            .map(read_file)
-            .transpose()?
-            .unwrap_or_default();
-        let missing = |key, allowed: &str| ConfigError::Value {
-            key,
-            value: "nothing".into(),
-            allowed: allowed.into(),
+    /// [`FileError`] names the file or flag, key, value and what is allowed.
+    pub fn load(matches: &ArgMatches) -> Result<Self, FileError> {
+        let command_line = |error: &dyn ToString| FileError::Syntax {
+            path: toml_schema::COMMAND_LINE.to_owned(),
+            message: error.to_string(),
         };
-        let scene_path = arguments.scene.clone().or(raw.scene);
-        let scene_path =
-            scene_path.ok_or_else(|| missing("scene", "a scene file (--scene FILE)"))?;
-        let starts_path = arguments.starts.clone().or(raw.starts);
-        let starts_path =
-            starts_path.ok_or_else(|| missing("starts", "a file of starts (--starts FILE)"))?;
+        let arguments =
+            Arguments::from_arg_matches(matches).map_err(|error| command_line(&error))?;
+        let flags = toml::Table::try_from(&arguments.keys).map_err(|error| command_line(&error))?;
+        let mut document = Document::read(arguments.config.as_deref())?;
+        let directory = arguments.config.as_deref().and_then(Path::parent);
+        document.relative_to(directory.unwrap_or(Path::new("")), &["scene", "starts"]);
+        for argument in Arguments::command().get_arguments() {
+            let (key, flag) = (
+                argument.get_id().as_str(),
+                argument.get_long().unwrap_or_default(),
+            );
+            // A flag that was not given has its default, which must not win over the file.
+            if let Some(value) = flags.get(key)
+                && matches.value_source(key) == Some(ValueSource::CommandLine)
+            {
+                document.set(key, &format!("--{flag}"), Some(value.clone()));
+            }
+        }
+        let keys: Keys = document.check()?;
+        Self::of(&document, keys, &arguments)
+    }
+
+    fn of(document: &Document, keys: Keys, arguments: &Arguments) -> Result<Self, FileError> {
+        let (scene_path, starts_path) = (
+            keys.scene.unwrap_or_default(),
+            keys.starts.unwrap_or_default(),
+        );
         let scene = Scene::read(&scene_path)?;
         let starts = read_starts(&starts_path)?;
-        let index = arguments.start.or(raw.start).unwrap_or(0);
-        let start = *starts.get(index).ok_or_else(|| ConfigError::Value {
-            key: "start",
-            value: index.to_string(),
-            allowed: format!("0 to {} ({})", starts.len() - 1, starts_path.display()),
-        })?;
-        let number = |key, value: f64, low: f64, high: f64| {
-            if (low..=high).contains(&value) {
-                Ok(value)
-            } else {
-                let allowed = format!("{low} to {high}");
-                Err(ConfigError::Value {
-                    key,
-                    value: value.to_string(),
-                    allowed,
-                })
-            }
+        if keys.start as usize >= starts.len() {
+            let allowed = format!("0 to {} ({})", starts.len() - 1, starts_path.display());
+            return Err(document.refuse("start", keys.start, allowed));
+        }
+        let many = if arguments.all { usize::MAX } else { 1 };
+        let starts = starts
+            .into_iter()
+            .enumerate()
+            .skip(keys.start as usize)
+            .take(many);
+        if keys.jitter_ms > keys.latency_ms {
+            let allowed = format!("0 to {} ms, the latency", keys.latency_ms);
+            return Err(document.refuse("jitter_ms", keys.jitter_ms, allowed));
+        }
+        if keys.robot == Body::Panda && keys.delay_frames > 0 {
+            let allowed = "0 with robot = \"panda\", whose camera has latency_ms";
+            return Err(document.refuse("delay_frames", keys.delay_frames, allowed));
+        }
+        let flaws = Flaws {
+            noise_px: keys.noise_px,
+            delay_frames: keys.delay_frames as usize,
+            drop: keys.drop,
+            seed: keys.seed,
         };
-        let delay = arguments.delay.or(raw.delay_frames).unwrap_or(0);
-        number("delay_frames", delay as f64, 0.0, 100.0)?;
-        let robot = arguments.robot.or(raw.robot).unwrap_or_default();
-        let clock = arguments.clock.or(raw.clock).unwrap_or(Clock::Fixed);
         let mut rig = RigSettings::new(&scene);
-        rig.is_live = clock == Clock::Fixed;
-        let eye = &mut rig.eye;
-        eye.sight = arguments.camera.or(raw.camera).unwrap_or_default();
-        let nanoseconds = |key, ms: Option<f64>, default_ns: u64, most: f64| {
-            let ms = ms.unwrap_or(default_ns as f64 * 1e-6);
-            Ok::<u64, ConfigError>((number(key, ms, 0.0, most)? * 1e6).round() as u64)
-        };
-        let latency_ms = arguments.latency_ms.or(raw.latency_ms);
-        eye.latency.latency_ns =
-            nanoseconds("latency_ms", latency_ms, eye.latency.latency_ns, 900.0)?;
-        let jitter_ms = arguments.jitter_ms.or(raw.jitter_ms);
-        let most = eye.latency.latency_ns as f64 * 1e-6;
-        eye.latency.jitter_ns = nanoseconds("jitter_ms", jitter_ms, 0, most)?;
-        eye.exposure_ns = nanoseconds("exposure_ms", raw.exposure_ms, eye.exposure_ns, 33.0)?;
-        eye.readout_ns = nanoseconds("readout_ms", raw.readout_ms, eye.readout_ns, 33.0)?;
-        let dwell_s = number("dwell_s", raw.dwell_s.unwrap_or(0.5), 0.0, 60.0)?;
-        rig.sequence.dwell_ns = (dwell_s * 1e9) as u64;
-        rig.sequence.retreat_m = number("retreat_m", raw.retreat_m.unwrap_or(0.04), 0.0, 0.3)?;
-        rig.arm.hand_eye = raw.hand_eye.unwrap_or_default();
-        for x in rig.arm.hand_eye.translation {
-            number("hand_eye.translation", x, -1.0, 1.0)?;
-        }
-        for x in rig.arm.hand_eye.rotation_deg {
-            number("hand_eye.rotation_deg", x, -360.0, 360.0)?;
-        }
-        rig.arm.truth = raw.truth.unwrap_or_default();
-        for (key, value, low, high) in rig.arm.truth.ranges() {
-            number(key, value, low, high)?;
-        }
+        rig.is_live = keys.clock == Clock::Fixed;
+        rig.time_limit_s = keys.time_limit_s.unwrap_or(scene.success.time_s);
+        let ns = |ms: f64| (ms * 1e6).round() as u64;
+        rig.sequence.dwell_ns = ns(keys.dwell_s * 1e3);
+        rig.sequence.retreat_m = keys.retreat_m;
+        rig.arm.hand_eye = keys.hand_eye;
+        rig.arm.truth = keys.truth;
         if arguments.unshaped {
             rig.arm.shaping = Shaping::Off;
         }
-        if robot == Body::Panda && delay > 0 {
-            return Err(ConfigError::Value {
-                key: "delay_frames",
-                value: delay.to_string(),
-                allowed: "0 with robot = \"panda\", whose camera has latency_ms".into(),
-            });
-        }
-        let time_limit = arguments
-            .time_limit
-            .or(raw.time_limit_s)
-            .unwrap_or(scene.success.time_s);
-        let flaws = Flaws {
-            noise_px: number(
-                "noise_px",
-                arguments.noise.or(raw.noise_px).unwrap_or(0.0),
-                0.0,
-                100.0,
-            )?,
-            delay_frames: delay,
-            drop: number("drop", arguments.drop.or(raw.drop).unwrap_or(0.0), 0.0, 1.0)?,
-            seed: arguments.seed.or(raw.seed).unwrap_or(1),
-        };
-        (rig.eye.noise_px, rig.eye.seed) = (flaws.noise_px, flaws.seed);
-        (rig.eye.latency.drop, rig.eye.latency.seed) = (flaws.drop, flaws.seed);
-        rig.time_limit_s = number("time_limit_s", time_limit, 0.1, 86_400.0)?;
+        let eye = &mut rig.eye;
+        (eye.sight, eye.noise_px, eye.seed) = (keys.camera, flaws.noise_px, flaws.seed);
+        (eye.exposure_ns, eye.readout_ns) = (ns(keys.exposure_ms), ns(keys.readout_ms));
+        (eye.latency.latency_ns, eye.latency.jitter_ns) = (ns(keys.latency_ms), ns(keys.jitter_ms));
+        (eye.latency.drop, eye.latency.seed) = (flaws.drop, flaws.seed);
         Ok(Self {
             scene_file: scene_path.display().to_string(),
-            start,
-            clock,
-            domain: arguments
-                .domain
-                .clone()
-                .or(raw.domain)
-                .unwrap_or_else(ipc::default_directory),
-            record: arguments.record.clone().or(raw.record),
+            starts: starts.collect(),
+            repeat: arguments.repeat,
+            clock: keys.clock,
+            domain: keys.domain.unwrap_or_else(ipc::default_directory),
+            record: keys.record,
             flaws,
             time_limit_s: rig.time_limit_s,
             progress: arguments.progress,
-            robot,
+            robot: keys.robot,
             rig,
             scene,
         })
     }
-}
-
-fn read_file(path: &Path) -> Result<RawConfig, ConfigError> {
-    let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
-        path: name.clone(),
-        source,
-    })?;
-    let mut raw: RawConfig = toml::from_str(&text).map_err(|e| ConfigError::Syntax {
-        path: name,
-        message: e.to_string().trim_end().to_owned(),
-    })?;
-    let directory = path.parent().unwrap_or(Path::new(""));
-    for file in [&mut raw.scene, &mut raw.starts].into_iter().flatten() {
-        *file = directory.join(&*file);
-    }
-    Ok(raw)
 }
 
 #[cfg(test)]
@@ -353,11 +316,33 @@ mod tests {
             "scene = \"{scenes}paper-sim.toml\"\nstarts = \"{scenes}paper-sim-starts.csv\"\n"
         );
         std::fs::write(&file, base + text).unwrap();
-        let arguments = Arguments {
-            config: Some(file),
-            ..Arguments::default()
+        let matches = Arguments::command().get_matches_from([
+            "hw-sim".as_ref(),
+            "--config".as_ref(),
+            file.as_os_str(),
+        ]);
+        Config::load(&matches).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn flags_win_over_the_file_only_where_they_are_given() {
+        let directory = tempfile::TempDir::new().unwrap();
+        let file = directory.path().join("hw-sim.toml");
+        let scenes = concat!(env!("CARGO_MANIFEST_DIR"), "/../ipc/scene/scenes/paper-sim");
+        let text = format!(
+            "scene = \"{scenes}.toml\"\nstarts = \"{scenes}-starts.csv\"\nseed = 7\nnoise_px = 0.5\n"
+        );
+        std::fs::write(&file, text).unwrap();
+        let load = |flags: &[&str]| {
+            let given = ["hw-sim", "--config", file.to_str().unwrap()];
+            let given = given.iter().chain(flags);
+            Config::load(&Arguments::command().get_matches_from(given))
         };
-        Config::load(&arguments).map_err(|e| e.to_string())
+        // The seed's default is given as a flag, and the noise is not.
+        let config = load(&["--seed", "1"]).unwrap();
+        assert_eq!((config.flaws.seed, config.flaws.noise_px), (1, 0.5));
+        let message = load(&["--noise", "101"]).unwrap_err().to_string();
+        assert_eq!(message, "command line: --noise = 101; allowed: 0 to 100 px");
     }
 
     #[test]

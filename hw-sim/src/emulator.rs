@@ -1,331 +1,323 @@
-//! The loop of the process: expose, publish, execute, move, judge.
+//! The loop of the process: run after run, publishes frames and states, and obeys twists.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use ipc::{
-    CameraPorts, Domain, Features, RobotFaults, RobotMode, RobotState, Stamp, TwistCommand,
-    TwistState, now_ns,
-};
+use ipc::{CameraPorts, Domain, Features, Stamp, TwistCommand, TwistState, now_ns};
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
-use serde::Serialize;
+use scene::Pose;
 
-use crate::camera::FreeCamera;
-use crate::carrier::{Carrier, Executed};
+use crate::cell::{Cell, Exposed, Order};
 use crate::config::{Body, Clock, Config};
-use crate::lateness::LatenessReport;
-use crate::pose::RigidPose;
+use crate::eye::Shot;
+use crate::free::FreeCell;
+use crate::lateness::Lateness;
+use crate::outcome::Outcome;
+use crate::pose::to_scene;
+use crate::priority;
 use crate::recording::{Record, Recorder};
-use crate::referee::{Place, Referee, Verdict};
-use crate::robot::inspector::ArmReport;
-use crate::robot::process;
-use crate::sensor::Sensor;
+use crate::robot::rig::Rig;
 
-/// A camera whose commands are older than this, or than three periods of a slow camera, stands still.
-pub(crate) const STALE_NS: u64 = 100_000_000;
+/// A camera whose command is older than this, or than three periods of a slow camera, stands still.
+const STALE_NS: u64 = 100_000_000;
 /// How long lockstep waits for a controller to come, and for each answer.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(10);
+/// How long the camera rests at the goal between two runs.
+const REST_NS: u64 = 2_000_000_000;
 
-/// What a run came to.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Outcome {
-    /// `arrived`, `violation`, `time_out`, `lost_sight` or `stopped`; of an arm, too, `reflex`, and `arm_violation` where
-    /// it arrived but its referee saw a limit exceeded.
-    pub verdict: &'static str,
-    /// Seconds from start to verdict.
-    pub time_s: f64,
-    /// Frames exposed.
-    pub frames: u64,
-    /// Frames after which the camera stood still for want of a valid command.
-    pub stale: u64,
-    /// Commands that were outside the limits.
-    pub limited: u64,
-    /// Largest component of s - s* at the end, px.
-    pub error_px: f64,
-    /// Least signed distance of any point from an occlusion or the border, px; negative inside.
-    pub least_clearance_px: f64,
-    /// The violation, in words.
-    pub violation: Option<String>,
-    /// Of an arm: what the sequence was about at the end.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub step: Option<&'static str>,
-    /// Of an arm: seconds until the features were at the goal.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub arrived_s: Option<f64>,
-    /// Of an arm: what its referee reports.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub arm: Option<ArmReport>,
-    /// Of an arm on the fixed clock: how late its milliseconds began.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lateness: Option<LatenessReport>,
+/// How many runs there were.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Runs that were decided.
+    pub runs: usize,
+    /// Runs that arrived at the goal without a violation.
+    pub arrived: usize,
 }
 
-/// Says that features go out. Else who starts it sees nothing until the run is over, which begins when somebody arms.
-pub(crate) fn announce(config: &Config) {
-    if config.clock == Clock::Fixed {
-        eprintln!(
-            "hw-sim: features go out in domain {}; the run begins when vpcd is armed, and ends with one line",
-            config.domain.display()
-        );
-    }
-}
-
-/// Runs the emulator until the run is decided or `stop` is set.
+/// Runs the configured starts one after another, until all are decided or `stop` is set; passes
+/// each outcome to `tell`, with the tally.
 ///
 /// # Errors
-/// Where the shared memory cannot be opened, nobody answers in lockstep, or the recording cannot be written.
-pub fn run(config: &Config, stop: &AtomicBool) -> anyhow::Result<Outcome> {
-    if config.robot == Body::Panda {
-        return process::run(config, &config.rig, stop);
-    }
+/// The shared memory cannot be opened, a start is out of the robot's reach, nobody answers in
+/// lockstep, or the recording cannot be written.
+pub fn run(
+    config: &Config,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(&Outcome, Tally),
+) -> anyhow::Result<Tally> {
     let domain = Domain::join(&config.domain)?;
-    let mut ports = CameraPorts::open(&domain)?;
-    let scene = &config.scene;
-    let ts = scene.sampling_time();
-    let period_ns = (1e9 * ts) as u64;
-    let stale_ns = STALE_NS.max(3 * period_ns);
-    let carrier = Carrier::free_flying(scene.limits);
-    let mut camera = FreeCamera::new(scene, &config.start);
-    let mut referee = Referee::new(scene);
-    let mut sensor = Sensor::new(config.flaws);
-    let goal = referee
-        .goal()
-        .map(|points| points.to_vec())
-        .unwrap_or_default();
-    let mut recorder = config
-        .record
-        .as_ref()
-        .map(|path| {
-            Recorder::create(path, scene, &config.scene_file, &goal)
-                .with_context(|| format!("{}: cannot record", path.display()))
-        })
-        .transpose()?;
-
-    let mut outcome = Outcome {
-        verdict: "stopped",
-        time_s: 0.0,
-        frames: 0,
-        stale: 0,
-        limited: 0,
-        error_px: f64::INFINITY,
-        least_clearance_px: f64::INFINITY,
-        violation: None,
-        step: None,
-        arrived_s: None,
-        arm: None,
-        lateness: None,
-    };
-    announce(config);
-    // The run begins with the first command of an armed controller, which may come late.
-    let mut begun = false;
-    let mut command: Option<TwistCommand> = None;
-    // The same while it is valid: what the camera executes.
-    let mut standing = command;
-    let start_ns = now_ns();
-    let mut release = start_ns;
-    // The instant of the camera's pose, at which the next frame is exposed.
-    let mut exposure = start_ns;
-    while !stop.load(Ordering::Relaxed) {
-        let Ok(points) = camera.features() else {
-            outcome.verdict = "lost_sight";
-            break;
-        };
-        let pose = *camera.pose();
-        outcome.error_px = referee.error(&points);
-        let verdict = referee.judge(&points, outcome.time_s);
-        outcome.least_clearance_px = referee.least_clearance();
-        outcome.verdict = match verdict {
-            Verdict::Running if outcome.time_s >= config.time_limit_s => "time_out",
-            Verdict::Running => "running",
-            Verdict::Arrived => "arrived",
-            Verdict::TimeOut => "time_out",
-            Verdict::LostSight => "lost_sight",
-            Verdict::Violation {
-                point,
-                depth_px,
-                place,
-            } => {
-                let place = place_in_words(&place);
-                outcome.violation = Some(format!("point {point} is {depth_px:.1} px deep {place}"));
-                "violation"
-            }
-        };
-        if outcome.verdict != "running" {
+    let mut session = Session::open(config, &domain, stop)?;
+    let rounds = if config.repeat { usize::MAX } else { 1 };
+    let most = config.starts.len().saturating_mul(rounds);
+    let mut tally = Tally::default();
+    for (run, (number, start)) in config.starts.iter().cycle().take(most).enumerate() {
+        if run > 0 {
+            session.rest()?;
+        }
+        let mut cell = session.cell(start, false)?;
+        if run == 0 {
+            session.announce();
+        }
+        if session.is_stopped() && run > 0 {
             break;
         }
-        outcome.frames += 1;
-
-        let frame = sensor.expose(&points, exposure);
-        let sent = match &frame {
-            Some(frame) => {
-                let mut features = Features::new(&frame.points, frame.exposure_ns);
-                features.stamp = Stamp {
-                    // Frames are numbered as they are exposed: a lost one shows as a gap.
-                    sequence: outcome.frames - config.flaws.delay_frames as u64,
-                    published_ns: match config.clock {
-                        Clock::Lockstep => exposure,
-                        Clock::Fixed => now_ns(),
-                    },
-                    data_ns: frame.exposure_ns,
-                };
-                Some(ports.features.publish_verbatim(&features)?)
-            }
-            None => None,
-        };
-        // The instant of the next exposure. Until then the camera moves: here on the fixed clock, below in lockstep.
-        let next = match config.clock {
-            Clock::Lockstep => {
-                if let Some(sent) = &sent {
-                    let answer = ports.wait_for_answer(sent, PATIENCE)?;
-                    let Some(answer) = answer else {
-                        bail!(
-                            "lockstep: nobody answered features {} within {} s; is vpcd running with clock = \
-                             \"lockstep\" in the domain {}?",
-                            sent.sequence,
-                            PATIENCE.as_secs(),
-                            config.domain.display()
-                        );
-                    };
-                    command = Some(answer.message);
-                }
-                start_ns + (outcome.frames as f64 * 1e9 * ts).round() as u64
-            }
-            Clock::Fixed => {
-                release += period_ns;
-                sleep_until(release, stop);
-                let now = now_ns();
-                let mut moved = exposure;
-                // Each command takes effect when it was sent, in the middle of a period.
-                while let Some(newer) = ports.twist.oldest()? {
-                    let sent = newer.stamp.published_ns.clamp(moved, now);
-                    carry(&mut camera, &carrier, standing.as_ref(), moved, sent);
-                    (moved, command) = (sent, Some(newer.message));
-                    standing = command;
-                }
-                carry(&mut camera, &carrier, standing.as_ref(), moved, now);
-                now
-            }
-        };
-        begun |= command.is_some_and(|command| command.state() != Some(TwistState::Disarmed));
-
-        let valid = command.filter(|command| match config.clock {
-            Clock::Lockstep => true,
-            // What would be too old before the next frame is too old now.
-            Clock::Fixed => next + period_ns <= end_ns(command, stale_ns),
-        });
-        standing = valid;
-        let executed = carrier.execute(&valid.map_or([0.0; 6], |command| command.twist));
-        outcome.stale += u64::from(begun && valid.is_none());
-        outcome.limited += u64::from(executed.limited);
-        publish_state(
-            &mut ports,
-            &pose,
-            exposure,
-            outcome.frames,
-            &executed,
-            begun,
-            valid.is_some(),
-        )?;
-        if let Some(recorder) = &mut recorder {
-            recorder.add(&Record {
-                time_s: outcome.time_s,
-                translation: pose.translation.into(),
-                rotation: pose.rotation_vector(),
-                features: points.to_vec(),
-                measured: frame.map(|frame| frame.points.to_vec()),
-                twist: executed.twist,
-                answered: valid.map_or(0, |command| command.features_sequence),
-                stale: valid.is_none(),
-                arm: None,
-            })?;
-        }
-        if config.progress && outcome.frames.is_multiple_of(3) {
-            eprint!(
-                "\r  {:5.1} s   error {:7.1} px   ",
-                outcome.time_s, outcome.error_px
-            );
-        }
-        if config.clock == Clock::Lockstep {
-            camera.advance(&executed.twist, ts);
-        }
-        if begun {
-            outcome.time_s += (next - exposure) as f64 * 1e-9;
-        }
-        exposure = next;
+        session.drive(cell.as_mut(), None)?;
+        let outcome = session.outcome(*number, cell.as_mut());
+        tally.runs += usize::from(outcome.verdict != "stopped");
+        tally.arrived += usize::from(outcome.is_success());
+        tell(&outcome, tally);
     }
-    if config.progress {
-        eprintln!();
-    }
-    if outcome.verdict == "running" {
-        outcome.verdict = "stopped";
-    }
-    if let Some(recorder) = recorder {
+    if let Some(recorder) = session.recorder {
         recorder.finish()?;
     }
-    Ok(outcome)
+    Ok(tally)
 }
 
-/// Where a violation took place, in words.
-pub(crate) fn place_in_words(place: &Place) -> String {
-    match place {
-        Place::OutsideImage => "outside the image".to_owned(),
-        Place::Occlusion(name) => format!("inside `{name}`"),
+/// The process's part of one run after another.
+struct Session<'a> {
+    config: &'a Config,
+    stop: &'a AtomicBool,
+    ports: CameraPorts,
+    recorder: Option<Recorder>,
+    stale_ns: u64,
+    /// When the present run began: what answers earlier features is not for it.
+    since_ns: u64,
+    /// The newest command.
+    command: Option<TwistCommand>,
+    /// Features delivered since the last exposure, px.
+    measured: Option<Vec<[f64; 2]>>,
+    lateness: Lateness,
+}
+
+impl<'a> Session<'a> {
+    fn open(config: &'a Config, domain: &Domain, stop: &'a AtomicBool) -> anyhow::Result<Self> {
+        let record = |path: &Path| {
+            Recorder::create(path, &config.scene, &config.scene_file)
+                .with_context(|| format!("{}: cannot record", path.display()))
+        };
+        let ports = CameraPorts::open(domain)?;
+        Ok(Self {
+            config,
+            stop,
+            ports,
+            recorder: config.record.as_deref().map(record).transpose()?,
+            stale_ns: STALE_NS.max((3e9 * config.scene.sampling_time()) as u64),
+            since_ns: 0,
+            command: None,
+            measured: None,
+            lateness: Lateness::default(),
+        })
+    }
+
+    fn is_live(&self) -> bool {
+        self.config.clock == Clock::Fixed
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// A camera, and what carries it, that sees the object at `start`. One that rests never
+    /// releases the object.
+    fn cell(&self, start: &Pose, is_resting: bool) -> anyhow::Result<Box<dyn Cell>> {
+        let Config { scene, flaws, .. } = self.config;
+        Ok(match self.config.robot {
+            Body::Free => {
+                let limit_s = match is_resting {
+                    true => f64::INFINITY,
+                    false => self.config.time_limit_s,
+                };
+                Box::new(FreeCell::new(scene, start, *flaws, limit_s))
+            }
+            Body::Panda => {
+                let mut settings = self.config.rig;
+                if is_resting {
+                    settings.sequence.dwell_ns = u64::MAX;
+                }
+                Box::new(Rig::new(scene, start, &settings)?)
+            }
+        })
+    }
+
+    /// Says that features go out: otherwise nothing is seen of a run that begins when somebody
+    /// arms.
+    fn announce(&self) {
+        if self.is_live() {
+            eprintln!(
+                "hw-sim: features go out in domain {}; the run begins when vpcd is armed",
+                self.config.domain.display()
+            );
+            if self.config.robot == Body::Panda {
+                priority::raise();
+            }
+        }
+    }
+
+    /// The camera rests at the goal for a while, obeying the controller, so that this stays armed.
+    /// In lockstep time does not pass between runs.
+    fn rest(&mut self) -> anyhow::Result<()> {
+        if self.is_live() {
+            let mut cell = self.cell(&self.config.scene.goal, true)?;
+            self.drive(cell.as_mut(), Some(REST_NS))?;
+        }
+        Ok(())
+    }
+
+    /// Steps a cell from now on until its run is decided, or for a while.
+    fn drive(&mut self, cell: &mut dyn Cell, rest_ns: Option<u64>) -> anyhow::Result<()> {
+        self.since_ns = now_ns();
+        (self.command, self.measured) = (None, None);
+        self.lateness = Lateness::default();
+        cell.begin(self.since_ns);
+        let end_ns = rest_ns.map(|rest_ns| self.since_ns + rest_ns);
+        let is_over = |cell: &mut dyn Cell| match end_ns {
+            Some(end_ns) => cell.due_ns() >= end_ns,
+            None => cell.progress().end.is_some(),
+        };
+        while !is_over(cell) && !self.is_stopped() {
+            self.step(cell, rest_ns.is_some())?;
+        }
+        if self.config.progress {
+            eprintln!();
+        }
+        // The last word, so that whoever listens learns how it ended.
+        self.ports.robot.publish(&cell.state())?;
+        Ok(())
+    }
+
+    fn step(&mut self, cell: &mut dyn Cell, is_resting: bool) -> anyhow::Result<()> {
+        let due_ns = cell.due_ns();
+        let now_ns = if self.is_live() {
+            sleep_until(due_ns, self.stop);
+            while let Some(newer) = self.ports.twist.oldest()? {
+                self.obey(cell, newer.message);
+            }
+            now_ns()
+        } else {
+            due_ns
+        };
+        self.lateness.add(now_ns.saturating_sub(due_ns));
+        let seen = cell.look(now_ns)?;
+        if let Some(shot) = &seen.shot {
+            self.publish(cell, shot, now_ns)?;
+        }
+        if let Some(exposed) = &seen.exposed {
+            self.note(cell, exposed, is_resting)?;
+        }
+        if self.is_live() || seen.exposed.is_some() {
+            let mut state = cell.state();
+            let frames = cell.progress().frames;
+            state.features_sequence = seen.exposed.map_or(0, |_| frames);
+            self.ports.robot.publish(&state)?;
+        }
+        cell.advance();
+        Ok(())
+    }
+
+    /// Publishes a frame; in lockstep, waits for its answer and obeys it.
+    fn publish(&mut self, cell: &mut dyn Cell, shot: &Shot, now_ns: u64) -> anyhow::Result<()> {
+        let mut features = Features::new(&shot.points, shot.stamp_ns);
+        features.visible = shot.visible;
+        if self.config.robot == Body::Panda {
+            features.exposure_ns = self.config.rig.eye.exposure_ns;
+        }
+        features.stamp = Stamp {
+            sequence: shot.number,
+            published_ns: if self.is_live() {
+                ipc::now_ns()
+            } else {
+                now_ns
+            },
+            data_ns: shot.stamp_ns,
+        };
+        let sent = self.ports.features.publish_verbatim(&features)?;
+        self.measured = Some(shot.points.to_vec());
+        if !self.is_live() {
+            let Some(answer) = self.ports.wait_for_answer(&sent, PATIENCE)? else {
+                bail!(
+                    "lockstep: nobody answered features {} within {} s; is vpcd running with --clock lockstep in domain {}?",
+                    sent.sequence,
+                    PATIENCE.as_secs(),
+                    self.config.domain.display()
+                );
+            };
+            let mut command = answer.message;
+            command.stamp.published_ns = now_ns;
+            self.obey(cell, command);
+        }
+        Ok(())
+    }
+
+    /// Hands a command of this run to the cell, for as long as it says that it is valid, and never
+    /// for longer than a camera obeys a controller that is silent.
+    fn obey(&mut self, cell: &mut dyn Cell, command: TwistCommand) {
+        if (1..self.since_ns).contains(&command.features_published_ns) {
+            return;
+        }
+        let sent_ns = command.stamp.published_ns;
+        let still = [Some(TwistState::Disarmed), Some(TwistState::Stopped)];
+        cell.obey(&Order {
+            twist: command.twist,
+            sent_ns,
+            until_ns: sent_ns
+                .saturating_add(self.stale_ns)
+                .min(command.valid_until_ns),
+            is_armed: !still.contains(&command.state()),
+        });
+        self.command = Some(command);
+    }
+
+    /// Once a frame: count, record, show.
+    fn note(
+        &mut self,
+        cell: &mut dyn Cell,
+        exposed: &Exposed,
+        is_resting: bool,
+    ) -> anyhow::Result<()> {
+        let (stale, twist, arm) = (cell.is_stale(), cell.aimed(), cell.arm());
+        let progress = cell.progress();
+        progress.stale += u64::from(stale && progress.has_begun());
+        let time_s = progress.time_s;
+        if self.config.progress && !is_resting && progress.frames.is_multiple_of(3) {
+            let phase = arm.as_ref().map_or("", |arm| arm.phase.name());
+            eprint!(
+                "\r  {time_s:5.1} s   {phase:<10} error {:7.1} px   ",
+                progress.error_px
+            );
+        }
+        if let Some(recorder) = &mut self.recorder {
+            let object = to_scene(&exposed.object);
+            recorder.add(&Record {
+                time_s,
+                translation: object.translation,
+                rotation: object.rotation,
+                features: exposed.points.to_vec(),
+                measured: self.measured.take(),
+                twist,
+                answered: self.command.map_or(0, |command| command.features_sequence),
+                stale,
+                arm,
+            })?;
+        }
+        Ok(())
+    }
+
+    fn outcome(&self, start: usize, cell: &mut dyn Cell) -> Outcome {
+        let allowed_px = self.config.scene.success.violation_px;
+        let mut outcome = Outcome::new(start, cell.progress(), allowed_px);
+        cell.complete(&mut outcome);
+        if self.is_live() && outcome.arm.is_some() {
+            outcome.lateness = Some(self.lateness.report());
+        }
+        outcome
     }
 }
 
-/// When a command that is older than `stale_ns` then, or that says so itself, is no longer executed, ns.
-fn end_ns(command: &TwistCommand, stale_ns: u64) -> u64 {
-    let stale = command.stamp.published_ns.saturating_add(stale_ns);
-    stale.min(command.valid_until_ns)
-}
-
-/// Moves the camera from one instant to another by a command, for as long as that is valid.
-fn carry(
-    camera: &mut FreeCamera,
-    carrier: &Carrier,
-    command: Option<&TwistCommand>,
-    from_ns: u64,
-    to_ns: u64,
-) {
-    if let Some(command) = command {
-        let end_ns = to_ns.min(command.valid_until_ns);
-        let seconds = end_ns.saturating_sub(from_ns) as f64 * 1e-9;
-        camera.advance(&carrier.execute(&command.twist).twist, seconds);
-    }
-}
-
-fn publish_state(
-    ports: &mut CameraPorts,
-    pose: &RigidPose,
-    exposure_ns: u64,
-    features_sequence: u64,
-    executed: &Executed,
-    begun: bool,
-    valid: bool,
-) -> anyhow::Result<()> {
-    let (translation, rotation) = (pose.translation.into(), pose.rotation_vector());
-    let mut state = RobotState::free_camera(translation, rotation, exposure_ns);
-    state.features_sequence = features_sequence;
-    state.twist = executed.twist;
-    let mode = match (begun, valid) {
-        (false, _) => RobotMode::Idle,
-        (true, true) => RobotMode::Moving,
-        (true, false) => RobotMode::Stale,
-    };
-    state.mode = mode.code();
-    if begun && !valid {
-        state.faults |= RobotFaults::STALE_COMMAND.0;
-    }
-    if executed.limited {
-        state.faults |= RobotFaults::COMMAND_LIMITED.0;
-    }
-    ports.robot.publish(&state)?;
-    Ok(())
-}
-
-/// Sleeps until an instant of the monotonic clock, or until `stop` is set by a signal that interrupts the sleep.
-pub(crate) fn sleep_until(ns: u64, stop: &AtomicBool) {
+/// Sleeps until an instant of the monotonic clock, or until `stop` is set by a signal that
+/// interrupts the sleep.
+fn sleep_until(ns: u64, stop: &AtomicBool) {
     let until = Timespec {
         tv_sec: (ns / 1_000_000_000) as i64,
         tv_nsec: (ns % 1_000_000_000) as i64,
@@ -333,37 +325,5 @@ pub(crate) fn sleep_until(ns: u64, stop: &AtomicBool) {
     while now_ns() < ns && !stop.load(Ordering::Relaxed) {
         // Interrupted or not, the loop's condition decides.
         let _ = clock_nanosleep_absolute(ClockId::Monotonic, &until);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use ipc::TwistState;
-    use scene::Scene;
-
-    #[test]
-    fn a_command_carries_the_camera_for_as_long_as_it_is_valid() {
-        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-        let carrier = Carrier::free_flying(scene.limits);
-        let mut camera = FreeCamera::new(&scene, &scene.goal);
-        let mut command = TwistCommand::zero(TwistState::Moving);
-        command.twist = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0];
-        command.stamp.published_ns = 1_000_000_000;
-        command.valid_until_ns = 1_100_000_000;
-        assert_eq!(end_ns(&command, 60_000_000), 1_060_000_000);
-        assert_eq!(end_ns(&command, 200_000_000), 1_100_000_000);
-        let mut moved = |from_ns: u64, to_ns: u64| {
-            let before = camera.pose().translation.x;
-            carry(&mut camera, &carrier, Some(&command), from_ns, to_ns);
-            before - camera.pose().translation.x
-        };
-        assert!((moved(1_010_000_000, 1_030_000_000) - 0.002).abs() < 1e-12);
-        // 70 ms are left of the 100.
-        assert!((moved(1_030_000_000, 1_200_000_000) - 0.007).abs() < 1e-12);
-        assert_eq!(moved(1_200_000_000, 1_300_000_000), 0.0);
-        let still = *camera.pose();
-        carry(&mut camera, &carrier, None, 0, 1_000_000_000);
-        assert_eq!(*camera.pose(), still);
     }
 }

@@ -1,24 +1,24 @@
-//! The camera in the robot's hand: what it sees of the object, late, with jitter, and some frames never.
+//! The camera in the robot's hand: frames come late, with jitter, and some never.
 
-use std::collections::VecDeque;
-use std::sync::mpsc;
-use std::thread;
-
+use clap::ValueEnum;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use scene::{Pose, Scene};
-use vision::{
-    Detector, DetectorError, DetectorSettings, Fate, Latency, LatencyError, Look, LookError,
-    Renderer, Transit,
-};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use vision::{Latency, Transit};
 
 use crate::camera::{Points, project};
 use crate::occlusion;
-use crate::pose::RigidPose;
+pub use crate::picture::EyeError;
+use crate::picture::{Exposure, FrameRenderer, Seen};
+use crate::pose::{RigidPose, seen_after, to_scene};
 
 /// Where features come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize, clap::ValueEnum)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
     /// True projections with pixel noise; a marker whose centre is covered is hidden.
@@ -58,26 +58,6 @@ impl Default for EyeSettings {
     }
 }
 
-/// Why a camera cannot be, or cannot go on.
-#[derive(Debug, thiserror::Error)]
-pub enum EyeError {
-    /// Latency, jitter or losses.
-    #[error(transparent)]
-    Latency(#[from] LatencyError),
-    /// The picture.
-    #[error(transparent)]
-    Look(#[from] LookError),
-    /// The detector.
-    #[error(transparent)]
-    Detector(#[from] DetectorError),
-    /// No thread for the picture.
-    #[error("no thread for the camera's picture: {0}")]
-    Thread(std::io::Error),
-    /// The thread of the picture ended.
-    #[error("the thread of the camera's picture ended")]
-    Ended,
-}
-
 /// A delivered frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shot {
@@ -98,9 +78,6 @@ impl Shot {
     }
 }
 
-/// What was seen.
-type Seen = (Points, u32);
-
 /// The camera.
 #[derive(Debug)]
 pub struct Eye {
@@ -110,13 +87,16 @@ pub struct Eye {
     random: ChaCha8Rng,
     readout_ns: u64,
     transit: Transit<(u64, Option<Seen>)>,
-    darkroom: Darkroom,
+    /// Of rendered frames.
+    renderer: Option<FrameRenderer>,
+    is_live: bool,
     frames: u64,
 }
 
 impl Eye {
-    /// A camera that looks at the scene as it is, `real`, with a detector that knows it as it is `believed`, from the
-    /// pose of the object at the start. With `is_live`, pictures are drawn by a thread beside the caller's.
+    /// A camera that looks at the scene as it is, `real`, with a detector that knows it as it is
+    /// `believed`, from the pose of the object at the start. Where it `is_live`, a frame that is
+    /// not drawn in time comes later; otherwise the caller waits for it.
     ///
     /// # Errors
     /// [`EyeError`] names the value that is out of range.
@@ -127,17 +107,8 @@ impl Eye {
         settings: &EyeSettings,
         is_live: bool,
     ) -> Result<Self, EyeError> {
-        let darkroom = match settings.sight {
-            Sight::Ideal => Darkroom::None,
-            Sight::Rendered => {
-                let picture = Box::new(Picture::new(real, believed, start, settings.seed)?);
-                if is_live {
-                    Darkroom::beside(picture)?
-                } else {
-                    Darkroom::Here(picture, VecDeque::new())
-                }
-            }
-        };
+        let is_rendered = settings.sight == Sight::Rendered;
+        let renderer = || FrameRenderer::new(real, believed, start, settings.seed);
         Ok(Self {
             real: real.clone(),
             shown: vec![true; real.occlusions.len()],
@@ -145,7 +116,8 @@ impl Eye {
             random: ChaCha8Rng::seed_from_u64(settings.seed),
             readout_ns: settings.readout_ns,
             transit: Transit::new(settings.latency)?,
-            darkroom,
+            renderer: is_rendered.then(renderer).transpose()?,
+            is_live,
             frames: 0,
         })
     }
@@ -157,8 +129,8 @@ impl Eye {
         }
     }
 
-    /// Exposes a frame: the object in the camera frame at the middle of the exposure, `stamp_ns`, and the camera's
-    /// velocity meanwhile.
+    /// Exposes a frame: the object in the camera frame at the middle of the exposure, `stamp_ns`,
+    /// and the camera's velocity meanwhile.
     ///
     /// # Errors
     /// The picture could not be made.
@@ -169,20 +141,16 @@ impl Eye {
         stamp_ns: u64,
     ) -> Result<(), EyeError> {
         self.frames += 1;
-        let number = self.frames;
-        match self.darkroom {
-            Darkroom::None => {
-                let seen = self.ideal(object);
-                self.transit.expose((number, Some(seen)), stamp_ns);
-            }
-            _ => {
-                if let Fate::UnderWay { .. } = self.transit.expose((number, None), stamp_ns) {
-                    let half = 0.5e-9 * self.readout_ns as f64;
-                    let rows = [-half, half].map(|dt| pose(&object.seen_after(twist, dt)));
-                    let shown = self.shown.clone();
-                    self.darkroom.develop(Exposure { rows, shown })?;
-                }
-            }
+        let Some(renderer) = &self.renderer else {
+            let seen = self.ideal(object);
+            self.transit.expose((self.frames, Some(seen)), stamp_ns);
+            return Ok(());
+        };
+        if self.transit.expose((self.frames, None), stamp_ns) {
+            let half = 0.5e-9 * self.readout_ns as f64;
+            let rows = [-half, half].map(|dt| to_scene(&seen_after(object, twist, dt)));
+            let shown = self.shown.clone();
+            renderer.expose(Exposure { rows, shown })?;
         }
         Ok(())
     }
@@ -195,9 +163,9 @@ impl Eye {
         if self.transit.next_due_ns().is_none_or(|due| due > now_ns) {
             return Ok(None);
         }
-        let developed = match self.darkroom {
-            Darkroom::None => None,
-            _ => match self.darkroom.developed()? {
+        let rendered = match &self.renderer {
+            None => None,
+            Some(renderer) => match renderer.next(!self.is_live)? {
                 None => return Ok(None),
                 seen => seen,
             },
@@ -206,7 +174,7 @@ impl Eye {
             return Ok(None);
         };
         let (number, seen) = frame.payload;
-        Ok(seen.or(developed).map(|(points, visible)| Shot {
+        Ok(seen.or(rendered).map(|(points, visible)| Shot {
             number,
             stamp_ns: frame.stamp_ns,
             points,
@@ -225,10 +193,10 @@ impl Eye {
             visible |= u32::from(self.is_in_sight(pixel)) << i;
         }
         let mut measured = points;
-        for x in measured.iter_mut().flatten() {
-            *x += self
-                .noise
-                .map_or(0.0, |noise| noise.sample(&mut self.random));
+        if let Some(noise) = self.noise {
+            let random = &mut self.random;
+            let numbers = measured.iter_mut().flatten();
+            numbers.for_each(|x| *x += noise.sample(random));
         }
         (measured, visible)
     }
@@ -245,113 +213,10 @@ impl Eye {
     }
 }
 
-fn pose(object: &RigidPose) -> Pose {
-    Pose {
-        translation: object.translation.into(),
-        rotation: object.rotation_vector(),
-    }
-}
-
-/// A frame for the picture.
-struct Exposure {
-    /// The object in the camera frame while the first and the last row are exposed.
-    rows: [Pose; 2],
-    shown: Vec<bool>,
-}
-
-/// Renderer and detector.
-#[derive(Debug)]
-struct Picture {
-    renderer: Renderer,
-    detector: Detector,
-}
-
-impl Picture {
-    fn new(real: &Scene, believed: &Scene, start: &Pose, seed: u64) -> Result<Self, EyeError> {
-        let look = Look {
-            seed,
-            ..Look::default()
-        };
-        let mut detector = Detector::new(believed, &DetectorSettings::default())?;
-        detector.expect(start);
-        Ok(Self {
-            renderer: Renderer::new(real, &look)?,
-            detector,
-        })
-    }
-
-    fn look(&mut self, exposure: &Exposure) -> Result<Seen, EyeError> {
-        for (occlusion, &shown) in exposure.shown.iter().enumerate() {
-            self.renderer.show(occlusion, shown);
-        }
-        let [first, last] = &exposure.rows;
-        let image = self.renderer.render_rolling(first, last);
-        let points = self.detector.detect(image)?;
-        let points = points.iter().map(|sighting| sighting.pixel).collect();
-        Ok((points, self.detector.visible()))
-    }
-}
-
-/// Where pictures are made.
-#[derive(Debug)]
-enum Darkroom {
-    /// Nowhere: features are ideal.
-    None,
-    /// At once, by the caller; kept until the frame is due.
-    Here(Box<Picture>, VecDeque<Seen>),
-    /// By a thread, so that the robot's millisecond does not wait for it.
-    Beside {
-        exposures: mpsc::Sender<Exposure>,
-        seen: mpsc::Receiver<Result<Seen, EyeError>>,
-    },
-}
-
-impl Darkroom {
-    fn beside(mut picture: Box<Picture>) -> Result<Self, EyeError> {
-        let (exposures, to_do) = mpsc::channel::<Exposure>();
-        let (done, seen) = mpsc::channel();
-        thread::Builder::new()
-            .name("picture".into())
-            .spawn(move || {
-                // Ends when the camera does.
-                while let Ok(exposure) = to_do.recv() {
-                    if done.send(picture.look(&exposure)).is_err() {
-                        break;
-                    }
-                }
-            })
-            .map_err(EyeError::Thread)?;
-        Ok(Self::Beside { exposures, seen })
-    }
-
-    fn develop(&mut self, exposure: Exposure) -> Result<(), EyeError> {
-        match self {
-            Self::None => Ok(()),
-            Self::Beside { exposures, .. } => exposures.send(exposure).map_err(|_| EyeError::Ended),
-            Self::Here(picture, kept) => {
-                kept.push_back(picture.look(&exposure)?);
-                Ok(())
-            }
-        }
-    }
-
-    /// The next picture's features, where it is ready.
-    fn developed(&mut self) -> Result<Option<Seen>, EyeError> {
-        match self {
-            Self::None => Ok(None),
-            Self::Here(_, kept) => Ok(kept.pop_front()),
-            Self::Beside { seen, .. } => match seen.try_recv() {
-                Ok(seen) => seen.map(Some),
-                Err(mpsc::TryRecvError::Empty) => Ok(None),
-                Err(mpsc::TryRecvError::Disconnected) => Err(EyeError::Ended),
-            },
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pose::from_scene;
 
     fn robot_scene() -> Scene {
         Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
@@ -361,14 +226,14 @@ mod tests {
         let scene = robot_scene();
         let mut eye = Eye::new(&scene, &scene, object, settings, is_live).unwrap();
         let mut shots = Vec::new();
-        let object = RigidPose::new(object);
+        let object = from_scene(object);
         for ms in 0..600_u64 {
             let now_ns = ms * 1_000_000;
             if ms % 33 == 0 && ms < 400 {
                 eye.expose(&object, &[0.0; 6], now_ns).unwrap();
             }
             if is_live {
-                thread::sleep(std::time::Duration::from_millis(1));
+                std::thread::sleep(std::time::Duration::from_millis(1));
             }
             while let Some(shot) = eye.deliver(now_ns).unwrap() {
                 assert!(now_ns >= shot.stamp_ns + settings.latency.latency_ns);
@@ -388,7 +253,7 @@ mod tests {
         let here = shots(&settings, false, &goal);
         assert_eq!(here.len(), 13);
         assert!(here.iter().all(Shot::is_whole));
-        let ideal = project(&robot_scene(), &RigidPose::new(&goal)).unwrap();
+        let ideal = project(&robot_scene(), &from_scene(&goal)).unwrap();
         let apart = |shot: &Shot| {
             let pairs = shot.points.iter().flatten().zip(ideal.iter().flatten());
             pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
@@ -429,7 +294,7 @@ mod tests {
             seen.windows(2)
                 .any(|pair| pair[1].number > pair[0].number + 1)
         );
-        let ideal = project(&robot_scene(), &RigidPose::new(&goal)).unwrap();
+        let ideal = project(&robot_scene(), &from_scene(&goal)).unwrap();
         let pairs = seen
             .iter()
             .flat_map(|shot| shot.points.iter().flatten().zip(ideal.iter().flatten()));

@@ -1,21 +1,12 @@
-//! How late a loop wakes up: a histogram that never grows.
+//! How late a loop wakes up.
 
 use serde::Serialize;
 
-/// Width of a bin, ns.
-const BIN_NS: u64 = 5_000;
-/// Bins; the last one takes everything beyond.
-const BINS: usize = 4000;
+/// The lateness of each wake-up, us.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Lateness(Vec<f64>);
 
-/// Counts of lateness.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lateness {
-    bins: Vec<u64>,
-    count: u64,
-    most_ns: u64,
-}
-
-/// What the counts come to, us.
+/// Percentiles, us.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LatenessReport {
     /// Wake-ups.
@@ -28,46 +19,26 @@ pub struct LatenessReport {
     pub max_us: f64,
 }
 
-impl Default for Lateness {
-    fn default() -> Self {
-        Self {
-            bins: vec![0; BINS],
-            count: 0,
-            most_ns: 0,
-        }
-    }
-}
-
 impl Lateness {
     /// A wake-up that was late by this, ns.
     pub fn add(&mut self, ns: u64) {
-        let bin = ((ns / BIN_NS) as usize).min(BINS - 1);
-        self.bins[bin] += 1;
-        self.count += 1;
-        self.most_ns = self.most_ns.max(ns);
+        self.0.push(ns as f64 / 1e3);
     }
 
-    /// Percentiles, each the upper end of its bin (5 us wide), the maximum at most.
+    /// Percentiles by rank.
     pub fn report(&self) -> LatenessReport {
+        let mut sorted = self.0.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let at = |share: f64| {
+            let rank = (share * sorted.len() as f64).ceil() as usize;
+            sorted.get(rank.max(1) - 1).copied().unwrap_or(0.0)
+        };
         LatenessReport {
-            count: self.count,
-            p50_us: self.at(0.5),
-            p99_us: self.at(0.99),
-            max_us: self.most_ns as f64 * 1e-3,
+            count: sorted.len() as u64,
+            p50_us: at(0.5),
+            p99_us: at(0.99),
+            max_us: at(1.0),
         }
-    }
-
-    fn at(&self, share: f64) -> f64 {
-        let wanted = (share * self.count as f64).ceil() as u64;
-        let mut seen = 0;
-        for (bin, count) in self.bins.iter().enumerate() {
-            seen += count;
-            if seen >= wanted && bin + 1 < BINS {
-                let end = (bin as u64 + 1) * BIN_NS;
-                return end.min(self.most_ns) as f64 * 1e-3;
-            }
-        }
-        self.most_ns as f64 * 1e-3
     }
 }
 
@@ -76,21 +47,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_exact_to_a_bin() {
+    fn percentiles_are_those_of_the_ranks() {
         let mut lateness = Lateness::default();
         (1..=1000).for_each(|k| lateness.add(k * 1000));
         let report = lateness.report();
         assert_eq!(report.count, 1000);
-        assert!((report.p50_us - 500.0).abs() <= 5.0);
-        assert!((report.p99_us - 990.0).abs() <= 5.0);
-        assert_eq!(report.max_us, 1000.0);
-    }
-
-    #[test]
-    fn what_is_beyond_all_bins_is_the_maximum() {
-        let mut lateness = Lateness::default();
+        assert_eq!(
+            (report.p50_us, report.p99_us, report.max_us),
+            (500.0, 990.0, 1000.0)
+        );
         lateness.add(3_000_000_000);
-        assert_eq!(lateness.report().p99_us, 3e6);
+        assert_eq!(lateness.report().max_us, 3e6);
         assert_eq!(Lateness::default().report().p99_us, 0.0);
     }
 }

@@ -1,26 +1,30 @@
 //! Emulates what stands behind the shared memory: a camera, what carries it, and a referee.
 //!
-//! Written from poses and projection, without the control law's mathematics (it must not depend on `vpc`), so that one
-//! mistake cannot hide on both sides. The pure parts, which the table uses in process: [`pose`] (exact rigid motion),
-//! [`FreeCamera`] (projection), [`occlusion`] (Euclidean distances), [`Referee`]. The process around them: [`config`],
-//! [`carrier`] (what executes a twist; a robot slots in here), [`sensor`] (noise, delay, dropped frames),
-//! [`recording`], and [`emulator`], the loop. Decisions that surprise stand in the crate's `README.md`.
+//! Written from poses and projection, without the mathematics of the control law (it must not
+//! depend on `vpc`), so that one mistake cannot hide on both sides. [`emulator`] is the loop of the
+//! process. It steps a [`cell::Cell`]: the [`free::FreeCell`], which moves as told, or the
+//! [`robot::rig::Rig`], a Panda. Cells know neither clocks nor ports; the table of results steps
+//! them, too.
 #![deny(unsafe_code)] // but for the one call of `priority`
 
 pub mod camera;
-pub mod carrier;
+pub mod cell;
 pub mod config;
 pub mod emulator;
 pub mod eye;
-pub mod keys;
+pub mod free;
 pub mod lateness;
 pub mod occlusion;
+pub mod outcome;
+mod picture;
 pub mod pose;
-pub mod priority;
+mod priority;
+pub mod progress;
 pub mod recording;
 pub mod referee;
 pub mod robot;
 pub mod sensor;
+pub mod standing;
 
 pub use camera::{FreeCamera, Hidden, Points};
-pub use referee::{Place, Referee, Verdict};
+pub use referee::{End, Referee};

@@ -4,9 +4,10 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use clap::Parser;
-use hw_sim::config::{Arguments, Config};
-use hw_sim::emulator;
+use clap::CommandFactory;
+use hw_sim::config::{Arguments, Clock, Config, exit_code};
+use hw_sim::emulator::{self, Tally};
+use hw_sim::outcome::Outcome;
 use hw_sim::robot::rig::RigError;
 
 const USAGE: u8 = 64;
@@ -14,8 +15,8 @@ const UNAVAILABLE: u8 = 69;
 const CONFIGURATION: u8 = 78;
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
+    let matches = match Arguments::command().try_get_matches() {
+        Ok(matches) => matches,
         Err(error) => {
             // Help and version are not errors.
             let code = if error.use_stderr() { USAGE } else { 0 };
@@ -23,11 +24,11 @@ fn main() -> ExitCode {
             return ExitCode::from(code);
         }
     };
-    let config = match Config::load(&arguments) {
+    let config = match Config::load(&matches) {
         Ok(config) => config,
         Err(error) => {
             eprintln!("hw-sim: {error}");
-            return ExitCode::from(error.exit_code());
+            return ExitCode::from(exit_code(&error));
         }
     };
     let stop = Arc::new(AtomicBool::new(false));
@@ -37,10 +38,26 @@ fn main() -> ExitCode {
             return ExitCode::from(UNAVAILABLE);
         }
     }
-    match emulator::run(&config, &stop) {
-        Ok(outcome) => {
-            println!("{}", serde_json::json!(outcome));
-            ExitCode::from(u8::from(outcome.verdict != "arrived"))
+    let is_series = config.repeat || config.starts.len() > 1;
+    let tell = |outcome: &Outcome, tally: Tally| {
+        println!("{}", serde_json::json!(outcome));
+        let sentence = outcome.sentence();
+        if is_series {
+            let Tally { runs, arrived } = tally;
+            eprintln!(
+                "hw-sim: start {}: {sentence} ({arrived} of {runs} arrived)",
+                outcome.start
+            );
+        } else {
+            eprintln!("hw-sim: {sentence}");
+        }
+    };
+    match emulator::run(&config, &stop, tell) {
+        Ok(tally) => {
+            if config.clock == Clock::Fixed {
+                eprintln!("hw-sim: no more frames come, so vpcd disarms");
+            }
+            ExitCode::from(u8::from(tally.runs == 0 || tally.arrived < tally.runs))
         }
         Err(error) => {
             eprintln!("hw-sim: {error:#}");

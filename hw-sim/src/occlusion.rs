@@ -15,15 +15,17 @@ pub fn covers(part: &Part, pixel: [f64; 2]) -> bool {
 
 /// Euclidean distance from a pixel to the border of a part, px, never negative.
 ///
-/// By symmetry the closest border point lies in the pixel's quadrant. The border is taken by its direction from the
-/// centre, theta in [0, pi/2], at the radius ((cos/h_u)^p + (sin/h_v)^p)^(-1/p): sampled, then refined about the best.
+/// By symmetry the closest border point lies in the pixel's quadrant. The border is taken by its
+/// direction from the centre, theta in [0, pi/2], at the radius ((cos/h_u)^p + (sin/h_v)^p)^(-1/p):
+/// sampled, then refined about the best.
 pub fn border_distance(part: &Part, pixel: [f64; 2]) -> f64 {
     let offset = [
         (pixel[0] - part.center[0]).abs(),
         (pixel[1] - part.center[1]).abs(),
     ];
     let distance = |theta: f64| {
-        // Equal steps in the direction of the scaled part, so that slender parts are sampled as densely.
+        // Equal steps in the direction of the scaled part, so that slender parts are sampled as
+        // densely.
         let (u, v) = (theta.cos(), theta.sin());
         let radius = (u.powf(part.p) + v.powf(part.p)).powf(-1.0 / part.p);
         (part.half[0] * radius * u - offset[0]).hypot(part.half[1] * radius * v - offset[1])
@@ -56,9 +58,9 @@ pub fn signed_distance(part: &Part, pixel: [f64; 2]) -> f64 {
     }
 }
 
-/// Signed distance of a pixel from an occlusion, px, where it is below `bound`; else some number at or above it.
-/// Outside the union it is exact. Inside, the depth is that of the deepest part that covers the pixel: a lower bound
-/// of the way out of the union, exact where parts do not overlap.
+/// Signed distance of a pixel from an occlusion, px, where it is below `bound`; else some number at
+/// or above it. Outside the union it is exact. Inside, the depth is that of the deepest part that
+/// covers the pixel: a lower bound of the way out of the union, exact where parts do not overlap.
 pub fn distance_below(occlusion: &Occlusion, pixel: [f64; 2], bound: f64) -> f64 {
     let parts = occlusion.parts.iter().fold(bound, |least, part| {
         if box_distance(part, pixel) < least {
@@ -73,10 +75,10 @@ pub fn distance_below(occlusion: &Occlusion, pixel: [f64; 2], bound: f64) -> f64
     }
 }
 
-/// Signed distance of a point from the white pixels of a mask, px, negative on one, where it is below `bound`; else
-/// some number at or above it. Straight from the pixels: rings of them about the point's own (for a point outside the
-/// image: about the nearest one), until no pixel of the next ring can be nearer. What lies outside the image is
-/// neither forbidden nor a way out.
+/// Signed distance of a point from the white pixels of a mask, px, negative on one, where it is
+/// below `bound`; else some number at or above it. Straight from the pixels: rings of them about
+/// the point's own (for a point outside the image: about the nearest one), until no pixel of the
+/// next ring can be nearer. What lies outside the image is neither forbidden nor a way out.
 pub fn mask_distance_below(mask: &Mask, [u, v]: [f64; 2], bound: f64) -> f64 {
     let (width, height) = (mask.width() as i64, mask.height() as i64);
     // From the corner of the first pixel, whose centre is (0, 0): pixels begin at whole numbers.
@@ -117,7 +119,8 @@ pub fn mask_distance_below(mask: &Mask, [u, v]: [f64; 2], bound: f64) -> f64 {
     if on_white { -nearest } else { nearest }
 }
 
-/// A lower bound of the signed distance of a pixel from a part, px: that from its bounding box, and none inside it.
+/// A lower bound of the signed distance of a pixel from a part, px: that from its bounding box, and
+/// none inside it.
 fn box_distance(part: &Part, pixel: [f64; 2]) -> f64 {
     let gap = |k: usize| ((pixel[k] - part.center[k]).abs() - part.half[k]).max(0.0);
     let inside = gap(0) == 0.0 && gap(1) == 0.0;

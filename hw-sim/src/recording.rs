@@ -1,13 +1,15 @@
-//! What happened, one JSON line a frame.
+//! A recording of runs: one JSON line a frame.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
+use panda::JOINTS;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
 
-use crate::robot::rig::ArmRecord;
+use crate::referee::Referee;
+use crate::robot::sequence::Phase;
 
 /// The first line of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,7 +37,7 @@ pub struct Record {
     pub features: Vec<[f64; 2]>,
     /// Delivered features, px; none where the frame was lost or is under way.
     pub measured: Option<Vec<[f64; 2]>>,
-    /// Twist that moved the camera after this frame (m/s, rad/s; camera frame).
+    /// Twist that moves the camera at this frame (m/s, rad/s; camera frame).
     pub twist: [f64; 6],
     /// Sequence number of the features that the twist answered; 0 where none.
     pub answered: u64,
@@ -46,6 +48,21 @@ pub struct Record {
     pub arm: Option<ArmRecord>,
 }
 
+/// What an arm adds to a recorded frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ArmRecord {
+    /// Measured joint positions, rad.
+    pub q: [f64; JOINTS],
+    /// Measured joint velocities, rad/s.
+    pub dq: [f64; JOINTS],
+    /// The step of the task.
+    pub phase: Phase,
+    /// The robot's mode.
+    pub mode: String,
+    /// Bits of the markers that the last delivered frame showed.
+    pub visible: u32,
+}
+
 /// A file of records.
 #[derive(Debug)]
 pub struct Recorder {
@@ -53,16 +70,11 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins a recording.
+    /// Begins a recording of a scene that was read from `scene_file`.
     ///
     /// # Errors
-    /// Where the file cannot be written.
-    pub fn create(
-        path: &Path,
-        scene: &Scene,
-        scene_file: &str,
-        goal: &[[f64; 2]],
-    ) -> std::io::Result<Self> {
+    /// The file cannot be written.
+    pub fn create(path: &Path, scene: &Scene, scene_file: &str) -> io::Result<Self> {
         let mut recorder = Self {
             file: BufWriter::new(File::create(path)?),
         };
@@ -70,7 +82,7 @@ impl Recorder {
             hw_sim: env!("CARGO_PKG_VERSION").to_owned(),
             scene: scene_file.to_owned(),
             task: scene.fingerprint().to_string(),
-            goal: goal.to_vec(),
+            goal: Referee::new(scene).goal().to_vec(),
         })?;
         Ok(recorder)
     }
@@ -78,20 +90,20 @@ impl Recorder {
     /// Adds a record.
     ///
     /// # Errors
-    /// Where the file cannot be written.
-    pub fn add(&mut self, record: &Record) -> std::io::Result<()> {
+    /// The file cannot be written.
+    pub fn add(&mut self, record: &Record) -> io::Result<()> {
         self.line(record)
     }
 
     /// Writes everything out.
     ///
     /// # Errors
-    /// Where the file cannot be written.
-    pub fn finish(mut self) -> std::io::Result<()> {
+    /// The file cannot be written.
+    pub fn finish(mut self) -> io::Result<()> {
         self.file.flush()
     }
 
-    fn line(&mut self, value: &impl Serialize) -> std::io::Result<()> {
+    fn line(&mut self, value: &impl Serialize) -> io::Result<()> {
         serde_json::to_writer(&mut self.file, value)?;
         self.file.write_all(b"\n")
     }
@@ -100,13 +112,13 @@ impl Recorder {
 /// Reads a recording back.
 ///
 /// # Errors
-/// Where the file cannot be read, or a line is not a record.
-pub fn read(path: &Path) -> std::io::Result<(Head, Vec<Record>)> {
+/// The file cannot be read, or a line is not a record.
+pub fn read(path: &Path) -> io::Result<(Head, Vec<Record>)> {
     let text = std::fs::read_to_string(path)?;
     let mut lines = text.lines();
     let head = serde_json::from_str(lines.next().unwrap_or(""))?;
     let records = lines
         .map(|line| Ok(serde_json::from_str(line)?))
-        .collect::<std::io::Result<_>>()?;
+        .collect::<io::Result<_>>()?;
     Ok((head, records))
 }

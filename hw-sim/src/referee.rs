@@ -1,140 +1,126 @@
 //! The referee: judges a run by the scene's own words.
 
-use scene::{Name, Pose, Scene};
+use std::fmt;
 
-use crate::camera::{FreeCamera, Points};
+use scene::{Name, Scene};
+
+use crate::camera::{Points, project};
 use crate::occlusion;
+use crate::pose::from_scene;
 
-/// Where a violation took place.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// Outside the image.
-    OutsideImage,
-    /// In the occlusion of this name.
-    Occlusion(Name),
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum End {
+    /// At the goal: every component of s - s* is within the scene's convergence. A robot has
+    /// released the object there and backed away.
+    Arrived,
+    /// A point is deeper in an occlusion, or farther outside the image, than the scene allows.
+    Violation(Violation),
+    /// The time is up.
+    TimeOut,
+    /// A point of the pattern is behind the camera.
+    LostSight,
+    /// The robot stopped itself.
+    Reflex,
 }
 
-/// What a referee says of a moment.
+/// A point where it must not be.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Verdict {
-    /// On the way.
-    Running,
-    /// Every component of s - s* is within the scene's convergence.
-    Arrived,
-    /// A point is deeper in an occlusion or outside the image than the scene allows. Final.
-    Violation {
-        /// Index of the point.
-        point: usize,
-        /// How deep, px.
-        depth_px: f64,
-        /// In what.
-        place: Place,
-    },
-    /// The scene's time is up.
-    TimeOut,
-    /// The goal itself cannot be seen.
-    LostSight,
+pub struct Violation {
+    /// Index of the point.
+    pub point: usize,
+    /// How deep, px.
+    pub depth_px: f64,
+    /// In the occlusion of this name; `None` outside the image.
+    pub occlusion: Option<Name>,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "point {} is {:.1} px deep ", self.point, self.depth_px)?;
+        match &self.occlusion {
+            Some(name) => write!(f, "inside `{name}`"),
+            None => write!(f, "outside the image"),
+        }
+    }
 }
 
 /// Judges true features, moment by moment.
 #[derive(Clone, Debug)]
 pub struct Referee {
     scene: Scene,
-    goal: Option<Points>,
+    goal: Points,
     least_clearance: f64,
 }
 
 impl Referee {
     /// A referee for a scene.
     pub fn new(scene: &Scene) -> Self {
-        let goal: &Pose = &scene.goal;
-        let goal = FreeCamera::new(scene, goal).features().ok();
         Self {
             scene: scene.clone(),
-            goal,
+            // A checked scene sees its goal.
+            goal: project(scene, &from_scene(&scene.goal)).unwrap_or_default(),
             least_clearance: f64::INFINITY,
         }
     }
 
     /// The features at the goal, px.
-    pub fn goal(&self) -> Option<&Points> {
-        self.goal.as_ref()
+    pub fn goal(&self) -> &Points {
+        &self.goal
     }
 
-    /// Least signed distance of any judged point from an occlusion or the image border, px.
+    /// Least signed distance of any judged point from an occlusion or the image border, px;
+    /// negative inside.
     pub fn least_clearance(&self) -> f64 {
         self.least_clearance
     }
 
     /// Largest component of s - s*, px.
     pub fn error(&self, points: &[[f64; 2]]) -> f64 {
-        let Some(goal) = &self.goal else {
-            return f64::INFINITY;
-        };
-        points
-            .iter()
-            .flatten()
-            .zip(goal.iter().flatten())
-            .map(|(s, t)| (s - t).abs())
-            .fold(0.0, f64::max)
+        let pairs = points.iter().flatten().zip(self.goal.iter().flatten());
+        pairs.map(|(s, goal)| (s - goal).abs()).fold(0.0, f64::max)
     }
 
-    /// Judges the true features at `time_s` seconds after the start. Violations come before arrival, arrival before
-    /// the end of time.
-    pub fn judge(&mut self, points: &[[f64; 2]], time_s: f64) -> Verdict {
-        let allowed = self.scene.success.violation_px;
+    /// Judges the true features: [`End::Violation`], [`End::Arrived`], or neither. Violations come
+    /// first.
+    pub fn judge(&mut self, points: &[[f64; 2]]) -> Option<End> {
         for (point, &pixel) in points.iter().enumerate() {
-            if !pixel.iter().all(|x| x.is_finite()) {
-                let place = Place::OutsideImage;
-                return Verdict::Violation {
-                    point,
-                    depth_px: f64::INFINITY,
-                    place,
-                };
-            }
-            let (clearance, place) = self.clearance(pixel);
+            let (clearance, occlusion) = if pixel.iter().all(|x| x.is_finite()) {
+                self.clearance(pixel)
+            } else {
+                (f64::NEG_INFINITY, None)
+            };
             self.least_clearance = self.least_clearance.min(clearance);
-            if clearance < -allowed {
-                return Verdict::Violation {
+            if clearance < -self.scene.success.violation_px {
+                return Some(End::Violation(Violation {
                     point,
                     depth_px: -clearance,
-                    place,
-                };
+                    occlusion,
+                }));
             }
         }
-        if self.goal.is_none() {
-            Verdict::LostSight
-        } else if self.error(points) <= self.scene.success.convergence_px {
-            Verdict::Arrived
-        } else if time_s >= self.scene.success.time_s {
-            Verdict::TimeOut
-        } else {
-            Verdict::Running
-        }
+        (self.error(points) <= self.scene.success.convergence_px).then_some(End::Arrived)
     }
 
-    /// The signed distance of a pixel from the border or from the occlusion nearest to it, where that is nearer than
-    /// any point before.
-    fn clearance(&self, [u, v]: [f64; 2]) -> (f64, Place) {
+    /// The signed distance of a pixel from the border or from the occlusion nearest to it, where
+    /// that is nearer than any point before.
+    fn clearance(&self, [u, v]: [f64; 2]) -> (f64, Option<Name>) {
         let camera = &self.scene.camera;
         // Euclidean outside a corner, straight elsewhere.
         let inside = u.min(v).min(camera.width - u).min(camera.height - v);
-        let out = [
-            (-u).max(u - camera.width).max(0.0),
-            (-v).max(v - camera.height).max(0.0),
-        ];
+        let out = |x: f64, size: f64| (-x).max(x - size).max(0.0);
         let border = if inside < 0.0 {
-            -out[0].hypot(out[1])
+            -out(u, camera.width).hypot(out(v, camera.height))
         } else {
             inside
         };
         // What is no nearer than anything seen so far decides nothing.
-        let mut nearest = (border, Place::OutsideImage);
+        let mut nearest = (border, None);
         for occlusion in &self.scene.occlusions {
             let bound = nearest.0.min(self.least_clearance);
             let distance = occlusion::distance_below(occlusion, [u, v], bound);
             if distance < bound {
-                nearest = (distance, Place::Occlusion(occlusion.name.clone()));
+                nearest = (distance, Some(occlusion.name.clone()));
             }
         }
         nearest
@@ -150,7 +136,7 @@ mod tests {
     }
 
     fn goal_with(point: [f64; 2]) -> Vec<[f64; 2]> {
-        let mut points = referee().goal().unwrap().to_vec();
+        let mut points = referee().goal().to_vec();
         points[2] = point;
         points
     }
@@ -158,50 +144,28 @@ mod tests {
     #[test]
     fn the_goal_is_arrival_and_just_short_of_it_is_not() {
         let mut referee = referee();
-        let goal = referee.goal().unwrap().to_vec();
-        assert_eq!(referee.judge(&goal, 20.0), Verdict::Arrived);
-        assert_eq!(
-            referee.judge(&goal_with([714.1, 712.0]), 1.0),
-            Verdict::Running
-        );
-        assert_eq!(
-            referee.judge(&goal_with([714.1, 712.0]), 15.0),
-            Verdict::TimeOut
-        );
+        let goal = referee.goal().to_vec();
+        assert_eq!(referee.judge(&goal), Some(End::Arrived));
+        assert_eq!(referee.judge(&goal_with([714.1, 712.0])), None);
     }
 
     #[test]
     fn depth_within_the_tolerance_is_allowed_and_more_is_named() {
         // The spot on the right is a circle about (850, 560) of radius 75.
-        assert_eq!(
-            referee().judge(&goal_with([850.0 - 61.0, 560.0]), 1.0),
-            Verdict::Running
-        );
-        match referee().judge(&goal_with([850.0 - 59.0, 560.0]), 1.0) {
-            Verdict::Violation {
-                point: 2,
-                depth_px,
-                place: Place::Occlusion(name),
-            } => {
-                assert!((depth_px - 16.0).abs() < 1e-6);
-                assert_eq!(name.as_str(), "spot, right");
+        assert_eq!(referee().judge(&goal_with([850.0 - 61.0, 560.0])), None);
+        match referee().judge(&goal_with([850.0 - 59.0, 560.0])) {
+            Some(End::Violation(violation)) => {
+                assert!((violation.depth_px - 16.0).abs() < 1e-6);
+                let words = "point 2 is 16.0 px deep inside `spot, right`";
+                assert_eq!(violation.to_string(), words);
             }
             other => panic!("{other:?}"),
         }
-        let off = referee().judge(&goal_with([1040.0, 500.0]), 1.0);
-        assert!(
-            matches!(
-                off,
-                Verdict::Violation {
-                    place: Place::OutsideImage,
-                    ..
-                }
-            ),
-            "{off:?}"
-        );
-        assert!(matches!(
-            referee().judge(&goal_with([f64::NAN, 0.0]), 1.0),
-            Verdict::Violation { .. }
-        ));
+        for outside in [[1040.0, 500.0], [f64::NAN, 0.0]] {
+            match referee().judge(&goal_with(outside)) {
+                Some(End::Violation(violation)) => assert_eq!(violation.occlusion, None),
+                other => panic!("{other:?}"),
+            }
+        }
     }
 }

@@ -1,10 +1,10 @@
-//! The robot's side of the experiment: a Panda with its bridge, the task around the servoing, and a referee of its own.
+//! The robot's side: a Panda with its bridge, the task around the servoing, and a referee of its
+//! own.
 
 pub mod arm;
 pub mod bridge;
 pub mod calibration;
 pub mod inspector;
-pub mod process;
 pub mod rig;
 pub mod sequence;
-pub mod telling;
+mod state;

@@ -1,4 +1,4 @@
-//! What the camera delivers of what it sees: pixel noise, delay and dropped frames, all seeded.
+//! Flaws of the free camera: pixel noise, delay and lost frames, all seeded.
 
 use std::collections::VecDeque;
 

@@ -1,10 +1,11 @@
-//! `hw-sim` as a process: its exit codes, what it says, its verdict, and that it leaves nothing behind.
+//! `hw-sim` as a process: its exit codes, what it says, its verdict, and that it leaves nothing
+//! behind.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use ipc::{ControllerPorts, Domain, TwistCommand, TwistState};
+use ipc::{ControllerPorts, Domain, Features, Publisher, Subscriber, TwistCommand, TwistState};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -198,4 +199,81 @@ fn a_second_camera_is_refused_and_the_first_goes_on() {
         verdict(&first.wait_with_output().unwrap())["verdict"],
         "stopped"
     );
+}
+
+/// A camera's frame: its number and its first point, px.
+type Frame = (u64, [f64; 2]);
+
+/// A controller that answers every frame with a twist of zero until `is_over`; gives the frames.
+fn answer(domain: &Domain, mut is_over: impl FnMut(&[Frame]) -> bool) -> Vec<Frame> {
+    let mut twists: Publisher<TwistCommand> = domain.publisher().unwrap();
+    let mut features: Subscriber<Features> = domain.subscriber(64).unwrap();
+    let mut frames = Vec::new();
+    while !is_over(&frames) {
+        while let Some(received) = features.oldest().unwrap() {
+            let message = received.message;
+            frames.push((message.stamp.sequence, message.pairs().next().unwrap()));
+            let twist = TwistCommand::answer(&message, [0.0; 6], TwistState::Moving);
+            twists.publish(&twist).unwrap();
+        }
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    frames
+}
+
+#[test]
+fn all_starts_are_run_one_after_another_each_a_new_run() {
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
+    let words = ["--clock", "lockstep", "--all", "--start", "98"];
+    let mut child = place.start(&[&words[..], &["--time-limit", "0.2"]].concat());
+    let frames = answer(&domain, |_| child.try_wait().unwrap().is_some());
+    let output = child.wait_with_output().unwrap();
+    let numbers: Vec<u64> = frames.iter().map(|frame| frame.0).collect();
+    assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 1, 2, 3, 4, 5, 6]);
+    assert_ne!(frames[0].1, frames[6].1);
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    let lines: Vec<Value> = text
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let said: Vec<_> = lines
+        .iter()
+        .map(|line| {
+            (
+                line["start"].as_u64().unwrap(),
+                line["verdict"].as_str().unwrap(),
+            )
+        })
+        .collect();
+    assert_eq!(said, [(98, "time_out"), (99, "time_out")]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = stderr(&output);
+    assert!(said.contains("start 99: did not arrive in time"), "{said}");
+    assert!(said.contains("(0 of 2 arrived)"), "{said}");
+}
+
+#[test]
+fn between_the_runs_of_a_loop_the_camera_shows_the_goal_and_then_begins_again() {
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
+    let child = place.start(&["--loop", "--time-limit", "0.2"]);
+    // The run, the rest and the next run each count from 1.
+    let firsts = |frames: &[Frame]| frames.iter().filter(|frame| frame.0 == 1).count();
+    let frames = answer(&domain, |frames| firsts(frames) == 3);
+    let points: Vec<[f64; 2]> = frames.iter().filter(|f| f.0 == 1).map(|f| f.1).collect();
+    assert_eq!(points[0], points[2]);
+    assert!(
+        (points[1][0] - 312.0).hypot(points[1][1] - 312.0) < 1e-9,
+        "{points:?}"
+    );
+    assert!(
+        frames
+            .windows(2)
+            .all(|pair| pair[1].0 == 1 || pair[1].0 == pair[0].0 + 1)
+    );
+    kill_process(Pid::from_child(&child), Signal::TERM).unwrap();
+    let said = stderr(&child.wait_with_output().unwrap());
+    assert!(said.contains("start 0: did not arrive in time"), "{said}");
+    assert!(said.contains("start 0: stopped"), "{said}");
 }

@@ -166,6 +166,10 @@ def main():
     referee = Referee(scene, goal, pathlib.Path(arguments.scene).parent)
     runs = []
     with vpc_client.Domain(arguments.domain) as domain, domain.camera() as ports:
+        if not domain.has_controller():
+            words = f"camera: no vpcd is in domain {domain.directory}; waiting up to 10 s for one (vpcd --clock lockstep)"
+            print(words, file=sys.stderr, flush=True)
+            domain.wait_for_controller()
         for index, pose in poses.items():
             result = run(scene, referee, ports, pose, steps)
             runs.append({"start": index, **result})

@@ -33,7 +33,8 @@ def row(message, head=""):
     for name, _ in message._fields_:
         value = getattr(message, name)
         if isinstance(value, vpc_client.Stamp):
-            columns.update(row(value))
+            # The head of the message has no prefix; other stamps are of what it refers to.
+            columns.update(row(value, head if name == "stamp" else f"{head}{name}_"))
         elif hasattr(value, "__len__"):
             columns.update({f"{head}{name}_{i}": number for i, number in enumerate(value)})
         else:

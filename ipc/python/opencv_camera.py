@@ -14,6 +14,9 @@ Time. A message carries the middle of the exposure on CLOCK_MONOTONIC. V4L2 driv
 hands the stamp on; where there is none, the time at which the frame was read stands for it. Either is later than the
 exposure: measure by how much (film a clock; 100 to 130 ms is common without driver stamps) and give it as --latency-ms.
 
+Roll. Markers look alike, so a pattern that looks the same after a turn (a square: after a quarter) is taken up only where
+one arrangement is possible; the program says at the start how far that is. See --turn-max.
+
 Lens. The controller knows a pinhole. With --calibration FILE (TOML: fx, fy, cx, cy in px and distortion, a list as
 cv2.calibrateCamera returns it) points are mapped to the pinhole of the scene.
 
@@ -21,6 +24,7 @@ Needs Python 3.11 or later.
 """
 
 import argparse
+import contextlib
 import itertools
 import sys
 import time
@@ -36,8 +40,6 @@ except ImportError:
 # How far a marker may be from where it is expected: px, and share of the distance to the next marker.
 GATE_PX = 40.0
 GATE_SHARE = 0.4
-# How far the pattern may be turned against the goal when it is looked for anew, rad.
-TURN_MAX = 1.4
 # Mean distance of blobs from a turned, scaled and shifted goal, as a share of its size, that is still the pattern.
 MISFIT = 0.15
 # An arrangement must fit this much better than any other one.
@@ -80,6 +82,34 @@ def similarity(source, target):
 def complex_points(points):
     points = np.asarray(points, dtype=float).reshape(-1, 2)
     return points[:, 0] + 1j * points[:, 1]
+
+
+def symmetry(goal):
+    """The smallest turn after which the pattern looks the same, deg; 360 where there is none."""
+    points = complex_points(goal)
+    points = points - points.mean()
+    size = np.abs(points).max()
+    for count in range(len(points), 1, -1):
+        turned = points * np.exp(2j * np.pi / count)
+        if np.abs(turned[:, None] - points).min(axis=1).max() < MISFIT * size:
+            return 360.0 / count
+    return 360.0
+
+
+def within(goal, turn_max):
+    """How far the pattern may be rolled against the goal to be taken up, deg."""
+    return min(turn_max, symmetry(goal) - turn_max)
+
+
+def remedy(goal, turn_max):
+    """What to do about a pattern that is not told from itself turned; empty where there is nothing to do."""
+    turn, most = symmetry(goal), within(goal, turn_max)
+    if most >= turn_max:
+        return ""
+    return (
+        f"the pattern looks the same after {turn:.0f} deg and is taken up only within {max(most, 0.0):.0f} deg of the goal's"
+        f" roll; move a marker, so that it does not, or give --turn-max {turn / 2 - 1:.0f} if it is never rolled by more"
+    )
 
 
 class Blobs:
@@ -151,8 +181,11 @@ class Blobs:
 class Markers:
     """Which blob is which marker, over the frames."""
 
-    def __init__(self, goal):
+    def __init__(self, goal, turn_max):
         self.goal = complex_points(goal)
+        self.turn_max = np.radians(turn_max)
+        # Whether several arrangements fitted the blobs of the last frame.
+        self.ambiguous = False
         self.last = self.goal.copy()
         self.seen = np.zeros(len(goal), dtype=bool)
         self.blind = PATIENCE + 1
@@ -162,6 +195,7 @@ class Markers:
         blobs = complex_points(blobs)
         if self.blind <= PATIENCE:
             self.follow(blobs)
+        self.ambiguous = False
         if self.blind > PATIENCE:
             self.acquire(blobs)
         return [(z.real, z.imag) for z in self.last], self.seen.copy()
@@ -173,13 +207,15 @@ class Markers:
         for chosen in itertools.permutations(range(len(blobs)), len(self.goal)):
             target = blobs[list(chosen)]
             factor, shift = similarity(self.goal, target)
-            if abs(np.angle(factor)) > TURN_MAX or not 0.2 < abs(factor) < 5.0:
+            if abs(np.angle(factor)) > self.turn_max or not 0.2 < abs(factor) < 5.0:
                 continue
             off = np.abs(factor * self.goal + shift - target).mean() / (abs(factor) * size)
             fits.append((off, chosen))
         fits.sort()
         self.seen[:] = False
-        if not fits or fits[0][0] > MISFIT or (len(fits) > 1 and fits[1][0] < CLEARLY * fits[0][0] + 0.02):
+        there = bool(fits) and fits[0][0] <= MISFIT
+        self.ambiguous = there and len(fits) > 1 and fits[1][0] < CLEARLY * fits[0][0] + 0.02
+        if not there or self.ambiguous:
             return
         self.last, self.blind = blobs[list(fits[0][1])], 0
         self.seen[:] = True
@@ -211,7 +247,7 @@ class Source:
     """Frames of a device, of a video or of a picture, each with the time it stands for, ns."""
 
     def __init__(self, cv2, arguments, size, rate):
-        self.cv2, self.rate, self.picture, self.capture = cv2, rate, None, None
+        self.cv2, self.size, self.rate, self.picture, self.capture = cv2, size, rate, None, None
         self.live = not (arguments.image_file or arguments.video)
         if arguments.image_file:
             self.picture = cv2.imread(arguments.image_file)
@@ -284,6 +320,9 @@ def parse():
         "--area", type=float, nargs=2, default=(40.0, 3000.0), metavar="PX2", help="least and greatest area %(default)s"
     )
     parser.add_argument("--circularity", type=float, default=0.75, help="least 4 pi area / perimeter^2 [%(default)s]")
+    parser.add_argument(
+        "--turn-max", type=float, default=80.0, help="most roll of the pattern against the goal, deg [%(default)s]"
+    )
     parser.add_argument("--latency-ms", type=float, default=0.0, help="from exposure to stamp, ms [%(default)s]")
     parser.add_argument("--exposure-ms", type=float, default=0.0, help="length of the exposure, ms [unknown]")
     parser.add_argument("--calibration", help="lens (TOML): fx, fy, cx, cy, distortion")
@@ -293,28 +332,60 @@ def parse():
     return parser.parse_args()
 
 
+def say(words):
+    print(f"opencv_camera: {words}", file=sys.stderr, flush=True)
+
+
+def publisher(arguments, stack):
+    """The ports of a camera, closed at the end of the program; None where nothing is published."""
+    if arguments.dry:
+        return None
+    import vpc_client
+
+    try:
+        domain = stack.enter_context(vpc_client.Domain(arguments.domain))
+        if not domain.has_controller():
+            say(f"no vpcd is in domain {domain.directory} yet; features go out all the same")
+        return stack.enter_context(domain.camera())
+    except vpc_client.VpcError as error:
+        sys.exit(f"opencv_camera: {error}")
+
+
 def main():
     arguments = parse()
     cv2 = import_cv2()
-    with open(arguments.scene, "rb") as file:
-        scene = tomllib.load(file)
+    try:
+        with open(arguments.scene, "rb") as file:
+            scene = tomllib.load(file)
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        sys.exit(f"opencv_camera: {arguments.scene}: {error}")
     size = (scene["camera"]["width"], scene["camera"]["height"])
     lens = Lens(cv2, arguments.calibration, scene["camera"]) if arguments.calibration else None
     blobs = Blobs(cv2, arguments.dark, arguments.threshold, arguments.area, arguments.circularity)
-    markers = Markers(goal_pixels(cv2, scene))
+    goal = goal_pixels(cv2, scene)
+    markers = Markers(goal, arguments.turn_max)
+    advice = remedy(goal, arguments.turn_max)
+    if advice:
+        say(advice)
     source = Source(cv2, arguments, size, scene["camera"]["rate_hz"])
-    ports = None
-    if not arguments.dry:
-        import vpc_client
+    with contextlib.ExitStack() as stack:
+        ports = publisher(arguments, stack)
+        return watch(arguments, source, blobs, markers, lens, ports, advice)
 
-        ports = vpc_client.Domain(arguments.domain).camera()
 
+def watch(arguments, source, blobs, markers, lens, ports, advice):
+    """Publishes what each frame shows."""
     count = whole = 0
+    was_ambiguous = False
     for frame, stamp_ns in itertools.islice(source.frames(), arguments.frames):
-        if (frame.shape[1], frame.shape[0]) != size:
-            sys.exit(f"opencv_camera: frames of {frame.shape[1]} x {frame.shape[0]} px; allowed: {size[0]} x {size[1]}")
+        size = (frame.shape[1], frame.shape[0])
+        if size != source.size:
+            sys.exit(f"opencv_camera: frames of {size[0]} x {size[1]} px; allowed: {source.size[0]} x {source.size[1]}")
         found = blobs.find(frame)
         points, visible = markers.update(lens.straighten(found) if lens else found)
+        if markers.ambiguous and not was_ambiguous:
+            say(f"frame {count + 1}: all markers are there, but which is which is not clear{' (see above)' if advice else ''}")
+        was_ambiguous = markers.ambiguous
         bits = sum(1 << i for i, seen in enumerate(visible) if seen)
         data_ns = stamp_ns - int(1e6 * arguments.latency_ms)
         if ports:

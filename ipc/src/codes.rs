@@ -43,8 +43,27 @@ pub(crate) const fn c_text(text: &'static str) -> &'static CStr {
     }
 }
 
-/// Declares an enumeration that travels as `u32`. A number from another process becomes a value by `from_code`, and
-/// only if the contract knows it.
+/// The constant `TABLE` of codes or bits.
+macro_rules! table {
+    ($name:ident $doc:expr; $($value:ident $number:literal $text:literal $value_doc:expr,)+) => {
+        /// Names and texts of all values.
+        pub const TABLE: $crate::codes::Table = $crate::codes::Table {
+            name: stringify!($name),
+            doc: $doc,
+            names: &[$($crate::codes::Name {
+                name: stringify!($value),
+                number: $number,
+                text: $text,
+                c_text: $crate::codes::c_text(concat!($text, "\0")),
+                doc: $value_doc,
+            }),+],
+        };
+    };
+}
+pub(crate) use table;
+
+/// Declares an enumeration that travels as `u32`. A number from another process becomes a value by
+/// `from_code`, and only if the contract knows it.
 macro_rules! codes {
     ($(#[doc = $doc:literal])+ $name:ident {
         $($(#[doc = $value_doc:literal])+ $value:ident = $code:literal => $text:literal,)+
@@ -57,18 +76,10 @@ macro_rules! codes {
         }
 
         impl $name {
-            /// Names and texts of all values.
-            pub const TABLE: $crate::codes::Table = $crate::codes::Table {
-                name: stringify!($name),
-                doc: concat!($($doc, "\n"),+),
-                names: &[$($crate::codes::Name {
-                    name: stringify!($value),
-                    number: $code,
-                    text: $text,
-                    c_text: $crate::codes::c_text(concat!($text, "\0")),
-                    doc: concat!($($value_doc, "\n"),+),
-                }),+],
-            };
+            $crate::codes::table! {
+                $name concat!($($doc, "\n"),+);
+                $($value $code $text concat!($($value_doc, "\n"),+),)+
+            }
 
             /// The number that travels.
             pub const fn code(self) -> u32 {
@@ -107,18 +118,10 @@ macro_rules! bits {
         impl $name {
             $($(#[doc = $bit_doc])+ pub const $bit: Self = Self($value);)+
 
-            /// Names and texts of all bits.
-            pub const TABLE: $crate::codes::Table = $crate::codes::Table {
-                name: stringify!($name),
-                doc: concat!($($doc, "\n"),+),
-                names: &[$($crate::codes::Name {
-                    name: stringify!($bit),
-                    number: $value,
-                    text: $text,
-                    c_text: $crate::codes::c_text(concat!($text, "\0")),
-                    doc: concat!($($bit_doc, "\n"),+),
-                }),+],
-            };
+            $crate::codes::table! {
+                $name concat!($($doc, "\n"),+);
+                $($bit $value $text concat!($($bit_doc, "\n"),+),)+
+            }
 
             /// The union of both.
             pub const fn with(self, bits: Self) -> Self {

@@ -91,7 +91,7 @@ codes! {
         Invalid = 3 => "invalid message",
         /// A point was not visible.
         Hidden = 4 => "hidden point",
-        /// The count of points is not the pattern's.
+        /// The number of points is not that of the pattern.
         Count = 5 => "wrong count",
         /// A point is not finite.
         NotFinite = 6 => "not finite",
@@ -99,17 +99,17 @@ codes! {
         OffImage = 7 => "off image",
         /// The shared memory failed.
         Transport = 8 => "transport",
-        /// The law gave a twist that is not finite or beyond the limits.
+        /// The control law gave a twist that is not finite or beyond the limits.
         BadTwist = 9 => "bad twist",
-        /// Features came in the wrong order: older than those before, from the same camera.
+        /// The features are older than those before, from the same camera.
         Order = 10 => "features out of order",
-        /// Features bear the time of the future, or the clock jumped.
+        /// The features are from the future, or the clock jumped.
         Clock = 11 => "clock anomaly",
         /// The solver failed several cycles in a row.
         Solver = 12 => "solver failure",
         /// The robot reports a fault or a reflex.
         RobotFault = 13 => "robot fault",
-        /// The robot's state was coming and fell silent.
+        /// The robot's state came and then stopped coming.
         RobotLost = 14 => "robot silent",
         /// Several releases in a row were missed.
         Overruns = 15 => "overruns",
@@ -121,14 +121,13 @@ codes! {
         Shutdown = 18 => "shutdown",
         /// No usable features came for so long that the camera was disarmed.
         Lost = 19 => "features lost",
-        /// The loop itself stood still for that long.
+        /// The loop itself stood still for so long that the camera was disarmed.
         Standstill = 20 => "standstill of the loop",
-        /// Points lie in each other's places (they turn the other way than the pattern, or changed their names), in one
-        /// place, all on a line, or leap.
+        /// Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
         Mixed = 21 => "points mixed up",
-        /// Not one bit of the features changed, though the camera was commanded to move.
+        /// The features did not change in any bit, although the camera was commanded to move.
         Frozen = 22 => "frozen image",
-        /// The memory's answers were out of range several cycles in a row.
+        /// The answers of the memory of motion were out of range several cycles in a row.
         Recall = 23 => "recall out of range",
     }
 }
@@ -152,21 +151,22 @@ codes! {
 }
 
 codes! {
-    /// What the memory had to say.
+    /// What the memory of motion answered.
     RecallCode {
-        /// It was not asked: no features near a border, or a strategy without memory.
+        /// It was not asked: no feature is near an occlusion or a border, or the strategy has no
+        /// memory.
         Unasked = 0 => "not asked",
         /// Its warm start and way point were followed.
         Followed = 1 => "followed",
-        /// Its answer was out of range; the cycle went without.
+        /// Its answer was out of range and was not used.
         Refused = 2 => "out of range",
-        /// The law was stalled: the way point is a sample's features, back on a stored trajectory.
+        /// The control law was stalled: the way point leads back to a stored trajectory.
         Detour = 3 => "detour",
     }
 }
 
 codes! {
-    /// Strategy of the law.
+    /// Strategy of the control law.
     StrategyCode {
         /// Warm start from the previous cycle.
         Previous = 0 => "previous",
@@ -192,7 +192,8 @@ message! {
         status: u32 [code(SolverStatus)],
         /// Wake-up after the release; 0 in lockstep.
         wake_latency_ns: u64 ["ns"],
-        /// Time taken by receiving: the decision was made for the instant `stamp.data_ns + receive_ns`.
+        /// Time taken by receiving: the decision was made for the instant `stamp.data_ns +
+        /// receive_ns`.
         receive_ns: u64 ["ns"],
         /// Time taken by the decision.
         step_ns: u64 ["ns"],
@@ -246,7 +247,8 @@ message! {
         phase: u32 [code(PhaseCode)],
         /// This release minus the one that the camera's phase asks for; 0 while the grid is free.
         phase_error_ns: i64 ["ns"],
-        /// Page faults of the loop's thread from wake-up to sending that were served without a disk.
+        /// Page faults of the loop's thread from wake-up to sending that were served without a
+        /// disk.
         minor_faults: u32,
         /// Page faults in that time that waited for a disk.
         major_faults: u32,

@@ -12,8 +12,8 @@ use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::prelude::{Config, FileName, LogLevel, SemanticString, SignalHandlingMode};
 use iceoryx2::service::ipc::Service;
 
-use crate::error::JoinError;
-use crate::guard::{Guard, Startup};
+use crate::error::{JoinError, JoinReason, OpenError};
+use crate::guard::Guard;
 use crate::message::Message;
 use crate::service::{self, Factory, OpenService};
 use crate::stale;
@@ -21,15 +21,15 @@ use crate::stale;
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
 
-/// Age from which on shared memory without a size is taken for the work of a killed process: giving it one is the next
-/// thing that its creator does.
-const UNBORN: Duration = Duration::from_millis(300);
+/// Age from which on shared memory of size 0 counts as left by a killed process: its creator gives
+/// it a size at once.
+const UNFINISHED: Duration = Duration::from_millis(300);
 
-/// Membership of a domain. Cheap to clone; ports keep it alive. Stays in the thread that made it: a second thread
-/// joins for itself.
+/// Membership of a domain. Cheap to clone; ports keep it alive. Stays in the thread that made it: a
+/// second thread joins for itself.
 #[derive(Clone, Debug)]
 pub struct Domain {
-    shared: Rc<Shared>,
+    pub(crate) shared: Rc<Shared>,
 }
 
 /// What leaves the domain when the last port is gone.
@@ -43,64 +43,63 @@ pub(crate) struct Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // Services are removed by their last user: not while somebody else is opening them. Should that somebody be
-        // stopped, leave all the same.
+        // The last user removes a service: not while another process is opening it. If that process
+        // is stopped, leave all the same.
         let startup = self.guard.startup();
         self.services.clear();
         drop(self.node.take());
         if let Ok(startup) = startup {
-            // What cannot be removed now, the next one removes.
+            // What cannot be removed now, the next process that joins removes.
             let _ = self.guard.leave(&startup, wipe);
         }
     }
 }
 
-/// The directory for who names none: `/tmp/vpc-<uid>`.
+/// The default directory: `/tmp/vpc-<uid>`.
 pub fn default_directory() -> PathBuf {
     PathBuf::from(format!("/tmp/vpc-{}", rustix::process::geteuid().as_raw()))
 }
 
 impl Domain {
-    /// How many files of shared memory a domain has at the moment; it need not be joined for that.
+    /// How many files of shared memory a domain has at the moment. It need not be joined for that.
     ///
     /// # Errors
-    /// Where the directory does not exist or shared memory cannot be listed.
+    /// The directory does not exist, or shared memory cannot be listed.
     pub fn segments(directory: &Path) -> io::Result<usize> {
         Ok(ours(&directory.canonicalize()?)?.count())
     }
 
-    /// Joins the domain in `directory`, which is created where it is missing. Clears away what killed participants
-    /// left behind.
+    /// Joins the domain in `directory`, which is created if it is missing. Removes what killed
+    /// participants left.
     ///
     /// # Errors
-    /// [`JoinError`] names the directory and what stands against it.
+    /// [`JoinError`] names the directory and the reason.
     pub fn join(directory: &Path) -> Result<Self, JoinError> {
+        Self::try_join(directory).map_err(|reason| JoinError {
+            directory: directory.display().to_string(),
+            reason,
+        })
+    }
+
+    fn try_join(directory: &Path) -> Result<Self, JoinReason> {
         iceoryx2::prelude::set_log_level(LogLevel::Error);
         let (guard, _startup) = Guard::enter(directory, wipe)?;
-        let path = guard.directory().display().to_string();
-        let config = configuration(guard.directory())
-            .ok_or_else(|| JoinError::Path { path: path.clone() })?;
-        remove_unborn(guard.directory());
+        let config = configuration(guard.directory()).ok_or(JoinReason::Path)?;
+        remove_unfinished(guard.directory());
         stale::clean(&config);
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<Service>()
-            .map_err(|source| JoinError::Node {
-                path: path.clone(),
-                source,
-            })?;
-        let services = service::open_all(&node, &path)?;
+            .create::<Service>()?;
+        let services = service::open_all(&node)?;
         stale::reap(&services, &config);
-        let shared = Shared {
+        let shared = Rc::new(Shared {
             services,
             node: Some(node),
             config,
             guard,
-        };
-        Ok(Self {
-            shared: Rc::new(shared),
-        })
+        });
+        Ok(Self { shared })
     }
 
     /// The directory, canonical.
@@ -108,42 +107,51 @@ impl Domain {
         self.shared.guard.directory()
     }
 
-    /// Removes shared memory that a killed process created and never gave a size. iceoryx2 0.9.3, run by root, waits
-    /// for such a size without an end, also in peers that only receive; joining removes it, and whoever has an
-    /// ordinary thread calls this once a second, so that its loop is freed even if nobody joins. Does not wait.
+    /// Removes shared memory that a killed process created but gave no size. iceoryx2 0.9.3, run by
+    /// root, waits for such a size without end, also in peers that only receive. Joining removes
+    /// it; a process with an ordinary thread calls this once a second, so that its loop is freed
+    /// even if nobody joins. Does not wait.
     pub fn sweep(&self) {
-        unborn(self.directory());
-    }
-
-    pub(crate) fn shared(&self) -> &Rc<Shared> {
-        &self.shared
+        sweep_unfinished(self.directory());
     }
 }
 
 impl Shared {
-    /// The opened service that carries `T`; `None` while the domain is being left.
-    pub(crate) fn factory<T: Message>(&self) -> Option<&Factory<T>> {
+    /// Opens a port of the service that carries `T`. If all places are taken, removes what killed
+    /// participants left and tries again.
+    pub(crate) fn open<T: Message, P>(
+        &self,
+        create: impl Fn(&Factory<T>) -> Result<P, OpenError>,
+    ) -> Result<P, OpenError> {
+        let _startup = self.guard.startup().map_err(|reason| JoinError {
+            directory: self.directory(),
+            reason,
+        })?;
         let mut services = self.services.iter();
-        services.find_map(|service| (service.as_ref() as &dyn Any).downcast_ref())
+        let factory = services
+            .find_map(|service| (service.as_ref() as &dyn Any).downcast_ref::<Factory<T>>());
+        let factory = factory.ok_or_else(|| OpenError::Port {
+            service: T::SERVICE,
+            reason: "no service of the contract".to_owned(),
+        })?;
+        match create(factory) {
+            Err(OpenError::Taken { .. } | OpenError::Full { .. }) => {
+                remove_unfinished(self.guard.directory());
+                stale::clean(&self.config);
+                stale::reap(&self.services, &self.config);
+                create(factory)
+            }
+            result => result,
+        }
     }
 
     pub(crate) fn directory(&self) -> String {
         self.guard.directory().display().to_string()
     }
-
-    pub(crate) fn startup(&self) -> Result<Startup, JoinError> {
-        self.guard.startup()
-    }
-
-    /// Removes what killed participants left. Call this only while holding the startup lock.
-    pub(crate) fn reap(&self) {
-        remove_unborn(self.guard.directory());
-        stale::clean(&self.config);
-        stale::reap(&self.services, &self.config);
-    }
 }
 
-/// iceoryx2's configuration, made here and not read from a file, with a root and a prefix that no other domain has.
+/// iceoryx2's configuration, made here and not read from a file, with a root and a prefix that no
+/// other domain has.
 fn configuration(directory: &Path) -> Option<Config> {
     let bytes = directory.as_os_str().as_bytes();
     if bytes.len() > 200 {
@@ -161,8 +169,8 @@ fn configuration(directory: &Path) -> Option<Config> {
     Some(config)
 }
 
-/// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit FNV-1a hash of the
-/// canonical path, `_`.
+/// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit
+/// FNV-1a hash of the canonical path, `_`.
 pub fn shared_memory_prefix(directory: &Path) -> String {
     let hash = directory
         .as_os_str()
@@ -174,7 +182,8 @@ pub fn shared_memory_prefix(directory: &Path) -> String {
     format!("vpc_{hash:016x}_")
 }
 
-/// Removes what the dead left: our root, and our files in shared memory. Only for who is alone in the domain.
+/// Removes what dead processes left: our root, and our files in shared memory. Call this only while
+/// no other process is in the domain.
 fn wipe(directory: &Path) -> io::Result<()> {
     let gone = |result: io::Result<()>| match result {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -191,33 +200,28 @@ fn ours(directory: &Path) -> io::Result<impl Iterator<Item = DirEntry>> {
     Ok(entries.filter(move |entry| entry.file_name().as_bytes().starts_with(prefix.as_bytes())))
 }
 
-/// Removes shared memory without a size that is old enough to have been left by a killed process; tells how many are
-/// too young to say.
-fn unborn(directory: &Path) -> usize {
-    let Ok(entries) = ours(directory) else {
-        return 0;
-    };
-    entries
-        .filter(|entry| {
-            let Ok(found) = entry.metadata() else {
-                return false;
-            };
-            let age = found.modified().ok().and_then(|at| at.elapsed().ok());
-            let is_old = age.is_some_and(|age| age >= UNBORN);
-            if found.len() == 0 && is_old {
-                // Somebody else may have been faster.
-                let _ = std::fs::remove_file(entry.path());
-            }
-            found.len() == 0 && !is_old
-        })
-        .count()
+/// Removes shared memory of size 0 that is old enough to have been left by a killed process.
+/// Returns how many files are too young to tell.
+fn sweep_unfinished(directory: &Path) -> usize {
+    let unfinished = ours(directory).into_iter().flatten().filter_map(|entry| {
+        let found = entry.metadata().ok().filter(|found| found.len() == 0)?;
+        let age = found.modified().ok().and_then(|at| at.elapsed().ok());
+        let is_old = age.is_some_and(|age| age >= UNFINISHED);
+        if is_old {
+            // Another process may have been faster.
+            let _ = std::fs::remove_file(entry.path());
+        }
+        Some(is_old)
+    });
+    unfinished.filter(|is_old| !is_old).count()
 }
 
-/// Waits until it is clear what is unborn, and removes it. Next to always there is nothing to wait for.
-fn remove_unborn(directory: &Path) {
+/// Waits until every file of size 0 has a size or is old, and removes the old ones. There is almost
+/// never one.
+fn remove_unfinished(directory: &Path) {
     let pause = Duration::from_millis(5);
-    for _ in 0..2 * UNBORN.as_millis() / pause.as_millis() {
-        if unborn(directory) == 0 {
+    for _ in 0..2 * UNFINISHED.as_millis() / pause.as_millis() {
+        if sweep_unfinished(directory) == 0 {
             return;
         }
         std::thread::sleep(pause);

@@ -1,5 +1,6 @@
-//! Structs on the wire. The macro `wire!` lists the fields of each once and derives from the list the `repr(C)` struct,
-//! its default, the check that it has no padding, and the table [`Wire::FIELDS`].
+//! Structs on the wire. The macro `wire!` lists the fields of each once and derives from the list
+//! the `repr(C)` struct, its default, the check that it has no padding, and the table
+//! [`Wire::FIELDS`].
 
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -46,6 +47,15 @@ pub enum Meaning {
 }
 
 impl Meaning {
+    /// Whether this integer is valid.
+    pub fn allows(&self, number: u32) -> bool {
+        match self {
+            Self::Range(least, most) => (*least..=*most).contains(&number),
+            Self::Code(table) | Self::AnyCode(table) => table.get(number).is_some(),
+            Self::Any | Self::Finite | Self::FinitePairs | Self::Bits(_) => true,
+        }
+    }
+
     /// The names of the numbers.
     pub fn table(&self) -> Option<&'static Table> {
         match self {
@@ -71,6 +81,30 @@ pub trait Wire: ZeroCopySend + Copy + Default + 'static {
 
     /// Each field with its values, to be changed.
     fn fields_mut(&mut self) -> impl Iterator<Item = (&'static Field, ValuesMut<'_>)>;
+}
+
+/// What is known of a struct on the wire.
+#[derive(Clone, Copy, Debug)]
+#[allow(missing_docs)]
+pub struct Struct {
+    pub name: &'static str,
+    pub type_name: &'static str,
+    pub doc: &'static str,
+    pub size: usize,
+    pub fields: &'static [Field],
+}
+
+impl Struct {
+    /// That of `T`.
+    pub const fn of<T: Wire>() -> Self {
+        Self {
+            name: T::NAME,
+            type_name: T::TYPE_NAME,
+            doc: T::DOC,
+            size: size_of::<T>(),
+            fields: T::FIELDS,
+        }
+    }
 }
 
 /// A type that a field may have.
@@ -173,9 +207,11 @@ impl FieldType for Stamp {
     }
 }
 
-/// Declares a struct on the wire: `name: type [unit meaning] = default`, the last two only where needed.
+/// Declares a struct on the wire: `name: type [unit meaning] = default`, the last two only where
+/// needed.
 ///
-/// Meanings: `finite`, `finite_pairs`, `range(least, most)`, `code(Type)`, `any_code(Type)`, `bits(Type)`.
+/// Meanings: `finite`, `finite_pairs`, `range(least, most)`, `code(Type)`, `any_code(Type)`,
+/// `bits(Type)`.
 macro_rules! wire {
     ($(#[doc = $doc:expr])+ $(#[derive($($derive:path),+)])? $name:ident: $type_name:tt {
         $(
@@ -256,7 +292,8 @@ wire! {
     /// Head of every message. Times are CLOCK_MONOTONIC.
     #[derive(Eq, serde::Serialize, serde::Deserialize)]
     Stamp: "vpc/Stamp/1" {
-        /// Number of the message. Each publisher counts from 1, and starts again from 1 when it restarts.
+        /// Number of the message. Each publisher counts from 1, and starts again from 1 when it
+        /// restarts.
         sequence: u64,
         /// When the message was published.
         published_ns: u64 ["ns"],

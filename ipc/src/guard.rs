@@ -1,15 +1,19 @@
-//! The guard of a domain: who is in it, who starts right now, and who may clean up.
+//! The guard of a domain: which processes are in it, which one starts right now, and which one may
+//! clean up.
 //!
-//! A process that is killed while it creates a service can leave that service unusable for ever. Two locked files
-//! stand against it:
+//! A process that is killed while it creates a service can leave that service unusable for ever.
+//! Two locked files prevent it:
 //!
-//! - `startup` is held exclusively by whoever joins, leaves or opens a port, for as long as that takes: one at a time.
-//! - `lock` is held in common by every participant for as long as it lives. Whoever gets it exclusively while it
-//!   holds `startup` is alone, and wipes what the dead left behind before it creates anything.
+//! - `startup` is locked exclusively by a process that joins, leaves or opens a port, for as long
+//!   as that takes: one at a time.
+//! - `lock` is locked in shared mode by every participant for as long as it lives. A process that
+//!   gets it exclusively while holding `startup` is alone, and wipes what dead processes left
+//!   before it creates anything.
 //!
-//! So services are only ever created by a process that is alone in the domain; were it killed half-way, the next one
-//! would be alone again. The kernel drops the locks of the dead, however they died. Going over from the exclusive to
-//! the common lock is not atomic in Linux; nobody can slip in between, because trying takes `startup`.
+//! So services are only ever created by a process that is alone in the domain; if it is killed
+//! halfway, the next one is alone again. The kernel drops the locks of dead processes, however they
+//! died. Linux does not turn an exclusive lock into a shared one atomically; no other process can
+//! slip in between, because trying takes `startup`.
 
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io;
@@ -20,12 +24,14 @@ use std::time::Duration;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
-use crate::error::JoinError;
+use crate::error::JoinReason;
 
-/// Permissions that the directory of a domain must not have: who can replace its files can take part.
+/// Permissions that the directory of a domain must not have: users who can replace its files can
+/// take part.
 pub const WRITABLE_BY_OTHERS: u32 = 0o022;
 
-/// Longest wait for others that join or leave. Joining takes milliseconds; who holds the lock for longer is stopped.
+/// Longest wait for others that join or leave. Joining takes milliseconds; a process that holds the
+/// lock for longer is stopped.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Pause between two attempts.
 const PAUSE: Duration = Duration::from_millis(1);
@@ -37,51 +43,44 @@ pub(crate) struct Guard {
     member: File,
 }
 
-/// The exclusive right to join, leave or open a port; ends when dropped.
+/// The startup lock: the exclusive right to join, leave or open a port. Ends when dropped.
 #[derive(Debug)]
-pub(crate) struct Startup {
-    _file: File,
-}
+pub(crate) struct Startup(#[allow(dead_code)] File);
 
 impl Guard {
-    /// Enters the domain in `directory`, which is created where it is missing. `wipe` runs if nobody else is in.
+    /// Enters the domain in `directory`, which is created if it is missing. `wipe` runs if no other
+    /// process is in it.
     pub(crate) fn enter(
         directory: &Path,
         wipe: impl FnOnce(&Path) -> io::Result<()>,
-    ) -> Result<(Self, Startup), JoinError> {
-        let trouble = |source: io::Error| JoinError::Directory {
-            path: directory.display().to_string(),
-            source,
-        };
+    ) -> Result<(Self, Startup), JoinReason> {
         let directory = prepare(directory)?;
         let startup = Startup::take(&directory, PATIENCE)?;
-        let member = open(&directory, "lock").map_err(trouble)?;
-        match flock(&member, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => wipe(&directory).map_err(trouble)?,
-            Err(Errno::WOULDBLOCK) => (),
-            Err(errno) => return Err(trouble(errno.into())),
+        let member = open(&directory, "lock")?;
+        if try_lock(&member)? {
+            wipe(&directory)?;
         }
-        // Never waits: nobody holds `lock` exclusively but the holder of `startup`, which is us.
-        flock(&member, FlockOperation::NonBlockingLockShared).map_err(|e| trouble(e.into()))?;
-        let guard = Self { directory, member };
-        Ok((guard, startup))
+        // Never waits: only the holder of `startup`, which is this process, locks `lock`
+        // exclusively.
+        flock(&member, FlockOperation::NonBlockingLockShared).map_err(io::Error::from)?;
+        Ok((Self { directory, member }, startup))
     }
 
-    /// Waits for the right to join, leave or open a port.
-    pub(crate) fn startup(&self) -> Result<Startup, JoinError> {
+    /// Waits for the startup lock.
+    pub(crate) fn startup(&self) -> Result<Startup, JoinReason> {
         Startup::take(&self.directory, PATIENCE)
     }
 
-    /// Leaves; `wipe` runs if nobody else is in.
+    /// Leaves; `wipe` runs if no other process is in the domain.
     pub(crate) fn leave(
         &self,
         _startup: &Startup,
         wipe: impl FnOnce(&Path) -> io::Result<()>,
     ) -> io::Result<()> {
-        match flock(&self.member, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => wipe(&self.directory),
-            // Linux has let go of the common lock by now, which is what leaving means.
-            Err(_) => Ok(()),
+        // Even if this fails, Linux has dropped the shared lock, which is what leaving means.
+        match try_lock(&self.member)? {
+            true => wipe(&self.directory),
+            false => Ok(()),
         }
     }
 
@@ -92,29 +91,29 @@ impl Guard {
 }
 
 impl Startup {
-    fn take(directory: &Path, patience: Duration) -> Result<Self, JoinError> {
-        let path = directory.display().to_string();
-        let file = open(directory, "startup").map_err(|source| JoinError::Directory {
-            path: path.clone(),
-            source,
-        })?;
-        let attempts = patience.as_nanos() / PAUSE.as_nanos();
-        for _ in 0..attempts {
-            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) => return Ok(Self { _file: file }),
-                Err(Errno::WOULDBLOCK) => std::thread::sleep(PAUSE),
-                Err(errno) => {
-                    let source = errno.into();
-                    return Err(JoinError::Directory { path, source });
-                }
+    fn take(directory: &Path, patience: Duration) -> Result<Self, JoinReason> {
+        let file = open(directory, "startup")?;
+        for _ in 0..patience.as_nanos() / PAUSE.as_nanos() {
+            if try_lock(&file)? {
+                return Ok(Self(file));
             }
+            std::thread::sleep(PAUSE);
         }
-        let seconds = patience.as_secs();
-        Err(JoinError::Busy { path, seconds })
+        Err(JoinReason::Busy(patience.as_secs()))
     }
 }
 
-/// Opens a file to be locked; descriptors are closed in children that are started, so that they do not stay members.
+/// Tries to lock a file exclusively; false if another process holds a lock on it.
+fn try_lock(file: &File) -> io::Result<bool> {
+    match flock(file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => Ok(true),
+        Err(Errno::WOULDBLOCK) => Ok(false),
+        Err(errno) => Err(errno.into()),
+    }
+}
+
+/// Opens a file to be locked. Descriptors are closed in child processes, so that these do not stay
+/// members.
 fn open(directory: &Path, name: &str) -> io::Result<File> {
     OpenOptions::new()
         .create(true)
@@ -124,28 +123,23 @@ fn open(directory: &Path, name: &str) -> io::Result<File> {
         .open(directory.join(name))
 }
 
-/// Creates the directory where it is missing, and makes sure that it is ours: names below /tmp can be guessed.
-fn prepare(directory: &Path) -> Result<PathBuf, JoinError> {
-    let path = directory.display().to_string();
-    let trouble = |source| JoinError::Directory {
-        path: path.clone(),
-        source,
-    };
+/// Creates the directory if it is missing, and checks that it is ours: names below /tmp can be
+/// guessed.
+fn prepare(directory: &Path) -> Result<PathBuf, JoinReason> {
     DirBuilder::new()
         .recursive(true)
         .mode(0o700)
-        .create(directory)
-        .map_err(trouble)?;
-    let found = std::fs::symlink_metadata(directory).map_err(trouble)?;
+        .create(directory)?;
+    let found = std::fs::symlink_metadata(directory)?;
     let (owner, us) = (found.uid(), rustix::process::geteuid().as_raw());
     if !found.is_dir() || owner != us {
-        return Err(JoinError::NotOurs { path, owner, us });
+        return Err(JoinReason::NotOurs { owner, us });
     }
     let mode = found.mode() & 0o777;
     if mode & WRITABLE_BY_OTHERS != 0 {
-        return Err(JoinError::Open { path, mode });
+        return Err(JoinReason::Open(mode));
     }
-    directory.canonicalize().map_err(trouble)
+    Ok(directory.canonicalize()?)
 }
 
 #[cfg(test)]
@@ -179,10 +173,8 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let _stopped = Startup::take(directory.path(), PATIENCE).unwrap();
         let error = Startup::take(directory.path(), Duration::from_millis(3)).unwrap_err();
-        assert!(
-            error.to_string().contains("is joining or leaving"),
-            "{error}"
-        );
+        let message = error.to_string();
+        assert!(message.contains("is joining or leaving"), "{message}");
     }
 
     #[test]
@@ -213,6 +205,6 @@ mod tests {
         std::fs::create_dir(&target).unwrap();
         std::os::unix::fs::symlink(&target, &link).unwrap();
         let error = Guard::enter(&link, |_| Ok(())).unwrap_err();
-        assert!(matches!(error, JoinError::NotOurs { .. }), "{error}");
+        assert!(matches!(error, JoinReason::NotOurs { .. }), "{error}");
     }
 }

@@ -1,15 +1,16 @@
 //! What every message has: a stamp, a service, and a check on reception.
 
-use core::fmt::Debug;
+use core::fmt::{self, Debug};
 
-use crate::field::{Meaning, Stamp, Values, Wire};
+use crate::field::{Field, Meaning, Stamp, Values, Wire};
 
 /// Quality of service of one service; the same for everybody who opens it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Qos {
     /// Messages that a publisher keeps for subscribers that come later.
     pub history: usize,
-    /// Largest buffer that a subscriber may ask for. When it is full, the oldest message is dropped.
+    /// Largest buffer that a subscriber may ask for. When it is full, the oldest message is
+    /// dropped.
     pub buffer: usize,
     /// Most subscribers.
     pub subscribers: usize,
@@ -34,7 +35,8 @@ pub trait Message: Wire + Debug {
     /// The head, to be filled in.
     fn stamp_mut(&mut self) -> &mut Stamp;
 
-    /// Checks a message from another process: sequence number, counts, codes, and that numbers are finite.
+    /// Checks a message from another process: sequence number, counts, codes, and that numbers are
+    /// finite.
     ///
     /// # Errors
     /// [`Invalid`] names the first field that is wrong.
@@ -43,75 +45,70 @@ pub trait Message: Wire + Debug {
     }
 }
 
-/// Why a received message was refused.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+/// A received message was refused: one of its numbers is not allowed.
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)]
-pub enum Invalid {
-    /// A sequence number of zero.
-    #[error("{service}: sequence = 0; allowed: 1 and more")]
-    Sequence { service: &'static str },
-    /// A count outside its range.
-    #[error("{service}: {field} = {found}; allowed: {least} to {most}")]
-    Count {
-        service: &'static str,
-        field: &'static str,
-        found: u32,
-        least: u32,
-        most: u32,
-    },
-    /// A number that is NaN or infinite.
-    #[error("{service}: {field}[{index}] = {found}; allowed: finite numbers")]
-    NotFinite {
-        service: &'static str,
-        field: &'static str,
-        index: usize,
-        found: f64,
-    },
-    /// A code that the contract does not know.
-    #[error("{service}: {field} = {found}; allowed: the codes of CONTRACT.md")]
-    Code {
-        service: &'static str,
-        field: &'static str,
-        found: u32,
-    },
+pub struct Invalid {
+    pub service: &'static str,
+    pub field: &'static Field,
+    /// Index within the field.
+    pub index: usize,
+    pub found: f64,
+}
+
+impl core::error::Error for Invalid {}
+
+impl fmt::Display for Invalid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.service, self.field.name)?;
+        if self.field.count > 1 {
+            write!(f, "[{}]", self.index)?;
+        }
+        write!(f, " = {}; allowed: ", self.found)?;
+        match self.field.meaning {
+            Meaning::Range(least, most) => write!(f, "{least} to {most}"),
+            Meaning::Finite | Meaning::FinitePairs => f.write_str("finite numbers"),
+            Meaning::Code(_) | Meaning::AnyCode(_) | Meaning::Bits(_) => {
+                f.write_str("the codes of CONTRACT.md")
+            }
+            // A sequence number.
+            Meaning::Any => f.write_str("1 and more"),
+        }
+    }
 }
 
 /// Checks head and fields by their [`Meaning`]; `AnyCode` only if `every_code`.
 pub(crate) fn check<T: Message>(message: &T, every_code: bool) -> Result<(), Invalid> {
-    let service = T::SERVICE;
+    let refuse = |field, index, found| Invalid {
+        service: T::SERVICE,
+        field,
+        index,
+        found,
+    };
     if message.stamp().sequence == 0 {
-        return Err(Invalid::Sequence { service });
+        return Err(refuse(&Stamp::FIELDS[0], 0, 0.0));
     }
     let mut count = 0;
     for (field, values) in message.fields() {
-        let is_any = matches!(field.meaning, Meaning::AnyCode(_));
-        let field_name = field.name;
         match (field.meaning, values) {
-            (Meaning::Range(least, most), Values::U32(&[found])) => {
-                if !(least..=most).contains(&found) {
-                    return Err(Invalid::Count {
-                        service,
-                        field: field_name,
-                        found,
-                        least,
-                        most,
-                    });
+            (Meaning::AnyCode(_), _) if !every_code => (),
+            (meaning, Values::U32(&[found])) => {
+                if !meaning.allows(found) {
+                    return Err(refuse(field, 0, f64::from(found)));
                 }
-                count = found as usize;
+                if matches!(meaning, Meaning::Range(..)) {
+                    count = found as usize;
+                }
             }
-            (Meaning::Code(table) | Meaning::AnyCode(table), Values::U32(&[found]))
-                if table.get(found).is_none() && (every_code || !is_any) =>
-            {
-                return Err(Invalid::Code {
-                    service,
-                    field: field_name,
-                    found,
-                });
-            }
-            (Meaning::Finite, Values::F64(numbers)) => finite(service, field_name, numbers)?,
-            (Meaning::FinitePairs, Values::F64(numbers)) => {
-                let used = numbers.len().min(2 * count);
-                finite(service, field_name, &numbers[..used])?;
+            (meaning @ (Meaning::Finite | Meaning::FinitePairs), Values::F64(numbers)) => {
+                let used = match meaning {
+                    Meaning::FinitePairs => 2 * count,
+                    _ => numbers.len(),
+                };
+                let mut used = numbers.iter().enumerate().take(used);
+                if let Some((index, found)) = used.find(|(_, x)| !x.is_finite()) {
+                    return Err(refuse(field, index, *found));
+                }
             }
             _ => (),
         }
@@ -119,19 +116,8 @@ pub(crate) fn check<T: Message>(message: &T, every_code: bool) -> Result<(), Inv
     Ok(())
 }
 
-fn finite(service: &'static str, field: &'static str, numbers: &[f64]) -> Result<(), Invalid> {
-    match numbers.iter().position(|x| !x.is_finite()) {
-        Some(index) => Err(Invalid::NotFinite {
-            service,
-            field,
-            index,
-            found: numbers[index],
-        }),
-        None => Ok(()),
-    }
-}
-
-/// Declares a message: a struct on the wire (see `wire!`), then its service, publisher and quality of service.
+/// Declares a message: a struct on the wire (see `wire!`), then its service, publisher and quality
+/// of service.
 macro_rules! message {
     ($(#[doc = $doc:literal])+ $name:ident: $type_name:tt { $($fields:tt)+ }
      $service:literal from $publisher:literal: $qos:expr) => {

@@ -11,15 +11,15 @@ use crate::twist::TwistState;
 codes! {
     /// What an operator asks for.
     Action {
-        /// Nothing: the answer tells the state.
+        /// Nothing but the answer, which has the state.
         Status = 0 => "status",
-        /// Let the law move the camera, from the next good features on.
+        /// Let the control law move the camera, from the next good features on.
         Arm = 1 => "arm",
         /// Brake to zero, and stay there until the next `arm`.
         Disarm = 2 => "disarm",
         /// Zero at once, without braking, and stay there until the next `arm`.
         Stop = 3 => "stop",
-        /// Change the strategy of the law.
+        /// Change the strategy of the control law.
         Strategy = 4 => "strategy",
         /// Write out the flight record.
         Record = 5 => "record",
@@ -29,15 +29,16 @@ codes! {
 codes! {
     /// What became of a request.
     Outcome {
-        /// Done, or already so.
+        /// Done, or it was already so.
         Done = 0 => "done",
         /// Refused: no good features are coming, so that nothing could be controlled.
         NoFeatures = 1 => "refused: no good features are coming",
-        /// Refused: the robot reports a fault, or was heard and fell silent.
+        /// Refused: the robot reports a fault, or its state stopped coming.
         Robot = 2 => "refused: the robot is not ready",
-        /// Refused: the camera still brakes; ask again when it stands.
+        /// Refused: the camera is still braking; ask again when it stands still.
         Braking = 3 => "refused: still braking",
-        /// Refused: the controller's memory of motion lacks what the strategy needs, or there is no memory.
+        /// Refused: the controller's memory of motion lacks what the strategy needs, or there is no
+        /// memory.
         NoMemory = 4 => "refused: no memory of motion for this strategy",
         /// Refused: neighbours out of range (knn: 1 to 64; other strategies: 0).
         Neighbours = 5 => "refused: neighbours out of range",
@@ -45,7 +46,7 @@ codes! {
         Shutdown = 6 => "refused: shutting down",
         /// Refused: the controller keeps no flight record.
         NoRecord = 7 => "refused: no flight record is kept",
-        /// Refused: the code of the action or of the strategy is none of the contract's.
+        /// Refused: the code of the action or of the strategy is unknown.
         Unknown = 8 => "refused: no such action or strategy",
     }
 }

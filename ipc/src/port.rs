@@ -1,25 +1,44 @@
-//! Typed ports: one message type each, sequence numbers, time stamps, checks; no heap once a connection stands.
+//! Typed ports: sequence numbers, time stamps, checks. They do not touch the heap once a connection
+//! stands.
 
 use std::ops::Deref;
-use std::rc::Rc;
 
+use iceoryx2::port::SendError;
 use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
-use iceoryx2::port::update_connections::{ConnectionFailure, UpdateConnections};
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::service::ipc::Service;
 
-use crate::domain::{Domain, Shared};
+use crate::domain::Domain;
 use crate::error::{OpenError, PublishError, ReceiveError};
 use crate::field::Stamp;
 use crate::message::Message;
+use crate::service::Factory;
 
 impl Domain {
     /// Opens a publisher of `T`.
     ///
     /// # Errors
-    /// [`OpenError::Taken`] if the service has all the publishers that it takes, even if they are stopped.
+    /// [`OpenError::Taken`] if the service has all the publishers that it takes, even if they are
+    /// stopped.
     pub fn publisher<T: Message>(&self) -> Result<Publisher<T>, OpenError> {
-        Publisher::open(self.shared())
+        let service = T::SERVICE;
+        let port = self.shared.open(|factory: &Factory<T>| {
+            let port = factory.publisher_builder().max_loaned_samples(1).create();
+            port.map_err(|error| match error {
+                PublisherCreateError::ExceedsMaxSupportedPublishers => OpenError::Taken {
+                    service,
+                    domain: self.shared.directory(),
+                    most: T::QOS.publishers,
+                },
+                _ => refused(service, error),
+            })
+        })?;
+        Ok(Publisher {
+            port,
+            sequence: 0,
+            _domain: self.clone(),
+        })
     }
 
     /// Opens a subscriber of `T` that keeps the newest `buffer` messages, 1 to `T::QOS.buffer`.
@@ -27,69 +46,57 @@ impl Domain {
     /// # Errors
     /// [`OpenError::Full`] if the service has all the subscribers that it takes.
     pub fn subscriber<T: Message>(&self, buffer: usize) -> Result<Subscriber<T>, OpenError> {
-        Subscriber::open(self.shared(), buffer.clamp(1, T::QOS.buffer))
+        let (service, most) = (T::SERVICE, T::QOS.subscribers);
+        let buffer = buffer.clamp(1, T::QOS.buffer);
+        let port = self.shared.open(|factory: &Factory<T>| {
+            let port = factory.subscriber_builder().buffer_size(buffer).create();
+            port.map_err(|error| match error {
+                SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
+                    OpenError::Full { service, most }
+                }
+                _ => refused(service, error),
+            })
+        })?;
+        Ok(Subscriber {
+            port,
+            buffer,
+            last: None,
+            _domain: self.clone(),
+        })
     }
 }
 
-/// What became of a message that was published.
+fn refused(service: &'static str, reason: impl ToString) -> OpenError {
+    let reason = reason.to_string();
+    OpenError::Port { service, reason }
+}
+
+/// A message that was published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sent {
     /// Its sequence number.
     pub sequence: u64,
     /// Its time of publication, CLOCK_MONOTONIC, ns.
     pub published_ns: u64,
-    /// Subscribers that it was delivered to.
+    /// Subscribers that got it.
     pub receivers: usize,
 }
 
-/// The one publisher of a service.
+/// A publisher of a service.
 #[derive(Debug)]
 pub struct Publisher<T: Message> {
     // Ports before the domain: fields are dropped in this order.
     port: iceoryx2::port::publisher::Publisher<Service, T, ()>,
     sequence: u64,
-    _domain: Rc<Shared>,
+    _domain: Domain,
 }
 
 impl<T: Message> Publisher<T> {
-    pub(crate) fn open(domain: &Rc<Shared>) -> Result<Self, OpenError> {
-        let service = T::SERVICE;
-        let _startup = domain.startup()?;
-        let create = || -> Result<_, OpenError> {
-            let builder = domain
-                .factory::<T>()
-                .ok_or(OpenError::Left { service })?
-                .publisher_builder();
-            let port = builder.max_loaned_samples(1).create();
-            port.map_err(|source| match source {
-                PublisherCreateError::ExceedsMaxSupportedPublishers => OpenError::Taken {
-                    service,
-                    domain: domain.directory(),
-                    most: T::QOS.publishers,
-                },
-                _ => OpenError::Publisher { service, source },
-            })
-        };
-        let port = match create() {
-            // The other one may have been killed since we joined.
-            Err(OpenError::Taken { .. }) => {
-                domain.reap();
-                create()?
-            }
-            result => result?,
-        };
-        Ok(Self {
-            port,
-            sequence: 0,
-            _domain: Rc::clone(domain),
-        })
-    }
-
-    /// Publishes a copy of `message` under the next sequence number and the present time; the rest, `data_ns`
-    /// included, is as given.
+    /// Publishes a copy of `message` with the next sequence number and the present time; the rest
+    /// is unchanged.
     ///
     /// # Errors
-    /// [`PublishError`]; the sequence number is used up, so that the loss shows as a gap.
+    /// [`PublishError`]; the sequence number is used up, so that subscribers see a gap.
     pub fn publish(&mut self, message: &T) -> Result<Sent, PublishError> {
         self.sequence += 1;
         let mut stamped = *message;
@@ -99,20 +106,16 @@ impl<T: Message> Publisher<T> {
         self.publish_verbatim(&stamped)
     }
 
-    /// Publishes a message with the stamp that it carries: for replay, and for playing faults.
+    /// Publishes a message with its own stamp: for simulated time, replay and fault injection.
     ///
     /// # Errors
     /// [`PublishError`].
     pub fn publish_verbatim(&mut self, message: &T) -> Result<Sent, PublishError> {
-        let service = T::SERVICE;
-        let sample = self
-            .port
-            .loan_uninit()
-            .map_err(|source| PublishError::Loan { service, source })?;
-        let receivers = sample
-            .write_payload(*message)
-            .send()
-            .map_err(|source| PublishError::Send { service, source })?;
+        let send = || {
+            let sample = self.port.loan_uninit()?;
+            sample.write_payload(*message).send()
+        };
+        let receivers = send().map_err(not_delivered::<T>)?;
         let Stamp {
             sequence,
             published_ns,
@@ -125,23 +128,27 @@ impl<T: Message> Publisher<T> {
         })
     }
 
-    /// Uses up a sequence number without publishing: a frame that the camera took and lost.
+    /// Skips a sequence number: a frame that the camera took and lost.
     pub fn skip(&mut self) {
         self.sequence += 1;
     }
 
-    /// Looks for subscribers that came since the last message, and hands them the history of the service. Publishing
-    /// does it too; who waits for an answer before publishing again must do it while waiting.
+    /// Connects to subscribers that came since the last message, and gives them the history of the
+    /// service. Publishing does it too; call this while waiting for an answer before publishing
+    /// again.
     ///
     /// # Errors
-    /// [`PublishError::Send`] where a connection cannot be made.
+    /// [`PublishError`] if a connection cannot be made.
     pub fn refresh(&mut self) -> Result<(), PublishError> {
-        self.port
-            .update_connections()
-            .map_err(|source: ConnectionFailure| PublishError::Send {
-                service: T::SERVICE,
-                source: source.into(),
-            })
+        let done = self.port.update_connections();
+        done.map_err(|reason| not_delivered::<T>(reason.into()))
+    }
+}
+
+fn not_delivered<T: Message>(reason: SendError) -> PublishError {
+    PublishError {
+        service: T::SERVICE,
+        reason,
     }
 }
 
@@ -152,9 +159,9 @@ pub enum Order {
     First,
     /// The successor of the one before.
     Next,
-    /// Some between were missed or overwritten.
+    /// So many between were missed or overwritten.
     Gap {
-        /// How many.
+        #[allow(missing_docs)]
         missed: u64,
     },
     /// The same one again, by the history of the service.
@@ -177,12 +184,12 @@ impl Order {
     }
 }
 
-/// A received message that passed its checks, and where it stands.
+/// A received message that passed its checks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Received<T> {
     /// The message.
     pub message: T,
-    /// Where it stands in the sequence.
+    /// Where it stands in the sequence of its service.
     pub order: Order,
 }
 
@@ -200,47 +207,14 @@ pub struct Subscriber<T: Message> {
     port: iceoryx2::port::subscriber::Subscriber<Service, T, ()>,
     buffer: usize,
     last: Option<Stamp>,
-    _domain: Rc<Shared>,
+    _domain: Domain,
 }
 
 impl<T: Message> Subscriber<T> {
-    pub(crate) fn open(domain: &Rc<Shared>, buffer: usize) -> Result<Self, OpenError> {
-        let service = T::SERVICE;
-        let _startup = domain.startup()?;
-        let create = || -> Result<_, OpenError> {
-            let builder = domain
-                .factory::<T>()
-                .ok_or(OpenError::Left { service })?
-                .subscriber_builder();
-            let port = builder.buffer_size(buffer).create();
-            port.map_err(|source| match source {
-                SubscriberCreateError::ExceedsMaxSupportedSubscribers => OpenError::Full {
-                    service,
-                    most: T::QOS.subscribers,
-                },
-                _ => OpenError::Subscriber { service, source },
-            })
-        };
-        let port = match create() {
-            Err(OpenError::Full { .. }) => {
-                domain.reap();
-                create()?
-            }
-            result => result?,
-        };
-        Ok(Self {
-            port,
-            buffer,
-            last: None,
-            _domain: Rc::clone(domain),
-        })
-    }
-
-    /// The newest message since the last call; `None` where there is none. Older ones are thrown away, and count as
-    /// a gap.
+    /// The newest message since the last call. Older ones are dropped, and count as a gap.
     ///
     /// # Errors
-    /// [`ReceiveError::Invalid`] where the newest message is refused.
+    /// [`ReceiveError::Invalid`] if the newest message is refused.
     pub fn latest(&mut self) -> Result<Option<Received<T>>, ReceiveError> {
         let mut newest = None;
         // Bounded: a publisher may be faster than this loop.
@@ -253,7 +227,7 @@ impl<T: Message> Subscriber<T> {
         newest.map(|message| self.accept(message)).transpose()
     }
 
-    /// The oldest message still in the buffer; `None` where there is none. For recorders, which want every message.
+    /// The oldest message in the buffer: for recorders, which want every message.
     ///
     /// # Errors
     /// As [`Subscriber::latest`].
@@ -262,40 +236,35 @@ impl<T: Message> Subscriber<T> {
         message.map(|message| self.accept(message)).transpose()
     }
 
-    /// Connects to a publisher that came since the last call. Receiving does it too; who wants the last messages of a
-    /// publisher that may end soon connects while it lives.
+    /// Connects to a publisher that came since the last call. Receiving does it too; call this to
+    /// get the last messages of a publisher that may end soon.
     ///
     /// # Errors
-    /// [`ReceiveError::Transport`] where the connection cannot be made.
+    /// [`ReceiveError::Transport`] if the connection cannot be made.
     pub fn refresh(&mut self) -> Result<(), ReceiveError> {
-        self.port
-            .update_connections()
-            .map_err(|source| ReceiveError::Transport {
-                service: T::SERVICE,
-                source: source.into(),
-            })
+        let done = self.port.update_connections();
+        done.map_err(|reason| no_connection::<T>(reason.into()))
     }
 
     fn take(&self) -> Result<Option<T>, ReceiveError> {
-        match self.port.receive() {
-            Ok(sample) => Ok(sample.map(|sample| *sample)),
-            Err(source) => Err(ReceiveError::Transport {
-                service: T::SERVICE,
-                source,
-            }),
-        }
+        let sample = self.port.receive().map_err(no_connection::<T>)?;
+        Ok(sample.map(|sample| *sample))
     }
 
     fn accept(&mut self, message: T) -> Result<Received<T>, ReceiveError> {
-        let order = Order::after(self.last, message.stamp());
-        self.last = Some(*message.stamp());
+        let stamp = *message.stamp();
+        let order = Order::after(self.last.replace(stamp), &stamp);
         match message.check() {
             Ok(()) => Ok(Received { message, order }),
-            Err(invalid) => Err(ReceiveError::Invalid {
-                invalid,
-                stamp: *message.stamp(),
-            }),
+            Err(invalid) => Err(ReceiveError::Invalid { invalid, stamp }),
         }
+    }
+}
+
+fn no_connection<T: Message>(reason: iceoryx2::port::ReceiveError) -> ReceiveError {
+    ReceiveError::Transport {
+        service: T::SERVICE,
+        reason,
     }
 }
 

@@ -5,46 +5,124 @@ use std::time::Duration;
 use crate::domain::Domain;
 use crate::error::{AskError, OpenError, ReceiveError};
 use crate::port::{Publisher, Received, Sent, Subscriber};
-use crate::{CycleRecord, Features, Message, Reply, Request, RobotState, Snapshot, TwistCommand};
-
-/// The camera and the robot that carries it: publishes features and state, executes twists.
-#[derive(Debug)]
-pub struct CameraPorts {
-    /// Out: what the camera saw.
-    pub features: Publisher<Features>,
-    /// Out: where it is.
-    pub robot: Publisher<RobotState>,
-    /// In: commands; the last few are kept, so that the answer of the last cycle of a run is not lost to the zero
-    /// twist that ends it. Read the newest with [`Subscriber::latest`].
-    pub twist: Subscriber<TwistCommand>,
-}
+use crate::{CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCommand};
 
 /// Commands that a camera keeps.
 const COMMANDS: usize = 4;
 /// Rounds of polling that only yield, before polling sleeps.
 const YIELDS: u32 = 200;
-/// Sleep between two polls.
+/// Sleep between two polls for a lockstep answer.
 const POLL: Duration = Duration::from_micros(20);
+/// Sleep between two polls for an answer to an operator.
+const ANSWER_POLL: Duration = Duration::from_millis(1);
+
+/// Declares the ports of a role in the order in which they are opened: `out` are publishers, `in`
+/// are subscribers with the largest buffer that the service allows, or with this many messages.
+macro_rules! ports {
+    ($(#[$doc:meta])+ $role:ident {
+        $($(#[$port_doc:meta])+ $direction:ident $port:ident: $message:ty $(, $buffer:expr)?;)+
+    }) => {
+        $(#[$doc])+
+        #[derive(Debug)]
+        pub struct $role {
+            $($(#[$port_doc])+ pub $port: ports!(@type $direction $message),)+
+        }
+
+        impl $role {
+            /// Opens the ports.
+            ///
+            /// # Errors
+            /// [`OpenError::Taken`] or [`OpenError::Full`] if others have all places of a service.
+            pub fn open(domain: &Domain) -> Result<Self, OpenError> {
+                Ok(Self { $($port: ports!(@open $direction domain $(, $buffer)?)?,)+ })
+            }
+        }
+    };
+    (@type out $message:ty) => { Publisher<$message> };
+    (@type in $message:ty) => { Subscriber<$message> };
+    (@open out $domain:ident) => { $domain.publisher() };
+    (@open in $domain:ident) => { $domain.subscriber(usize::MAX) };
+    (@open in $domain:ident, $buffer:expr) => { $domain.subscriber($buffer) };
+}
+
+ports! {
+    /// The camera and the robot that carries it: publishes features and state, executes twists.
+    CameraPorts {
+        /// Commands. A few are kept, so that the zero twist at the end of a run does not overwrite
+        /// the answer of its last cycle. Read the newest with [`Subscriber::latest`]. Opened first,
+        /// so that no answer is missed.
+        in twist: TwistCommand, COMMANDS;
+        /// What the camera sees.
+        out features: Features;
+        /// Where it is.
+        out robot: RobotState;
+    }
+}
+
+ports! {
+    /// The controller: answers features with twists.
+    ControllerPorts {
+        /// The command. Opened first, so that a second controller is refused before it takes
+        /// anything.
+        out twist: TwistCommand;
+        /// Answers to operators.
+        out replies: Reply;
+        /// The latest features.
+        in features: Features, 1;
+        /// The latest state of the robot.
+        in robot: RobotState, 1;
+        /// What operators ask for; take them one by one with [`Subscriber::oldest`].
+        in requests: Request;
+    }
+}
+
+ports! {
+    /// The controller's ordinary thread: publishes telemetry, and logs what operators ask.
+    RecorderPort {
+        /// A record of each cycle.
+        out cycles: CycleRecord;
+        /// The controller's state, now and then.
+        out snapshots: Snapshot;
+        /// What operators ask for.
+        in requests: Request;
+        /// What they are answered.
+        in replies: Reply;
+    }
+}
+
+ports! {
+    /// A process that only watches. Read all messages with [`Subscriber::oldest`], or the newest
+    /// with [`Subscriber::latest`]. Recorders also subscribe to [`Request`], [`Reply`] and
+    /// [`Snapshot`] by [`Domain::subscriber`].
+    Observer {
+        /// What the camera sees.
+        in features: Features;
+        /// What the controller commands.
+        in twist: TwistCommand;
+        /// Where the robot is.
+        in robot: RobotState;
+        /// What the controller's cycles do.
+        in cycles: CycleRecord;
+    }
+}
+
+ports! {
+    /// An operator: asks the controller, and waits for its answer.
+    OperatorPorts {
+        /// The answers, also those to other operators.
+        in replies: Reply;
+        /// Requests.
+        out requests: Request;
+    }
+}
 
 impl CameraPorts {
-    /// Opens the ports.
+    /// Lockstep: waits for the answer to the features message `sent`, at most `patience`; `None` if
+    /// it does not come. Answers to other messages are ignored. A controller that comes late gets
+    /// the message by history.
     ///
     /// # Errors
-    /// [`OpenError::Taken`] where another camera is at work.
-    pub fn open(domain: &Domain) -> Result<Self, OpenError> {
-        Ok(Self {
-            // The subscriber first: no answer to the first features may be missed.
-            twist: domain.subscriber(COMMANDS)?,
-            features: domain.publisher()?,
-            robot: domain.publisher()?,
-        })
-    }
-
-    /// Lockstep: waits for the answer to the features message `sent`, at most `patience`; `None` when it did not
-    /// come. Answers to other messages are passed over. A controller that comes late gets the message by history.
-    ///
-    /// # Errors
-    /// As [`Subscriber::latest`].
+    /// [`ReceiveError`].
     pub fn wait_for_answer(
         &mut self,
         sent: &Sent,
@@ -78,122 +156,13 @@ impl CameraPorts {
     }
 }
 
-/// The controller: answers features with twists.
-#[derive(Debug)]
-pub struct ControllerPorts {
-    /// In: the latest features.
-    pub features: Subscriber<Features>,
-    /// In: where the robot is and how it does.
-    pub robot: Subscriber<RobotState>,
-    /// In: what operators ask for; take them one by one with [`Subscriber::oldest`].
-    pub requests: Subscriber<Request>,
-    /// Out: the answers to them.
-    pub replies: Publisher<Reply>,
-    /// Out: the command.
-    pub twist: Publisher<TwistCommand>,
-}
-
-impl ControllerPorts {
-    /// Opens the ports.
-    ///
-    /// # Errors
-    /// [`OpenError::Taken`] where another controller is at work.
-    pub fn open(domain: &Domain) -> Result<Self, OpenError> {
-        Ok(Self {
-            // The publisher first: a second controller is refused before it takes anything.
-            twist: domain.publisher()?,
-            replies: domain.publisher()?,
-            features: domain.subscriber(1)?,
-            robot: domain.subscriber(1)?,
-            requests: domain.subscriber(Request::QOS.buffer)?,
-        })
-    }
-}
-
-/// The controller's ordinary thread: publishes telemetry, and reads along what operators ask.
-#[derive(Debug)]
-pub struct RecorderPort {
-    /// Out: a record of each cycle.
-    pub cycles: Publisher<CycleRecord>,
-    /// Out: the controller's state, now and then.
-    pub snapshots: Publisher<Snapshot>,
-    /// In: what operators ask for.
-    pub requests: Subscriber<Request>,
-    /// In: what they are answered.
-    pub replies: Subscriber<Reply>,
-}
-
-impl RecorderPort {
-    /// Opens the port.
-    ///
-    /// # Errors
-    /// [`OpenError::Taken`] where another controller is at work.
-    pub fn open(domain: &Domain) -> Result<Self, OpenError> {
-        Ok(Self {
-            cycles: domain.publisher()?,
-            snapshots: domain.publisher()?,
-            requests: domain.subscriber(Request::QOS.buffer)?,
-            replies: domain.subscriber(Reply::QOS.buffer)?,
-        })
-    }
-}
-
-/// A process that only watches. Each port keeps as many messages as the service allows; read them with
-/// [`Subscriber::oldest`] (all of them) or [`Subscriber::latest`]. Recorders also subscribe [`Request`], [`Reply`] and
-/// [`Snapshot`] with [`Domain::subscriber`].
-#[derive(Debug)]
-pub struct Observer {
-    /// What the camera saw.
-    pub features: Subscriber<Features>,
-    /// What the controller commanded.
-    pub twist: Subscriber<TwistCommand>,
-    /// Where the robot is.
-    pub robot: Subscriber<RobotState>,
-    /// What the controller's cycles did.
-    pub cycles: Subscriber<CycleRecord>,
-}
-
-impl Observer {
-    /// Opens the ports.
-    ///
-    /// # Errors
-    /// [`OpenError::Full`] where a service has all the subscribers that it takes.
-    pub fn open(domain: &Domain) -> Result<Self, OpenError> {
-        Ok(Self {
-            features: domain.subscriber(Features::QOS.buffer)?,
-            twist: domain.subscriber(TwistCommand::QOS.buffer)?,
-            robot: domain.subscriber(RobotState::QOS.buffer)?,
-            cycles: domain.subscriber(CycleRecord::QOS.buffer)?,
-        })
-    }
-}
-
-/// Somebody who commands the controller: asks, and waits for the answer.
-#[derive(Debug)]
-pub struct OperatorPorts {
-    /// Out: requests.
-    pub requests: Publisher<Request>,
-    /// In: the answers to them, and to those of other operators.
-    pub replies: Subscriber<Reply>,
-}
-
 impl OperatorPorts {
-    /// Opens the ports.
+    /// Sends a request and waits for its answer, at most `patience`; `None` if none comes: no
+    /// controller is at work, or it hangs. The request's id must be a random number, which no other
+    /// operator uses.
     ///
     /// # Errors
-    /// [`OpenError::Taken`] where as many operators as the service allows are at work.
-    pub fn open(domain: &Domain) -> Result<Self, OpenError> {
-        Ok(Self {
-            replies: domain.subscriber(Reply::QOS.buffer)?,
-            requests: domain.publisher()?,
-        })
-    }
-
-    /// Sends a request and waits for its answer, at most `patience`; `None` when none came: no controller is at work,
-    /// or it hangs. The request's id must be one that no other operator uses: a random number.
-    ///
-    /// # Errors
-    /// [`AskError`] where it cannot be sent, or the answer is not of the contract.
+    /// [`AskError`] if it cannot be sent, or the answer breaks the contract.
     pub fn ask(
         &mut self,
         request: &Request,
@@ -208,13 +177,11 @@ impl OperatorPorts {
                     return Ok(Some(reply.message));
                 }
             }
-            // A controller that came since then has not seen the request, and will not: there is no history.
+            // A controller that came since then has not seen the request, and will not: there is no
+            // history.
             self.requests.refresh()?;
             std::thread::sleep(ANSWER_POLL);
         }
         Ok(None)
     }
 }
-
-/// Sleep between two looks for an answer.
-const ANSWER_POLL: Duration = Duration::from_millis(1);

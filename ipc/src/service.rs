@@ -13,8 +13,8 @@ use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::ipc;
 use iceoryx2::service::port_factory::publish_subscribe;
 
-use crate::error::JoinError;
-use crate::field::Field;
+use crate::error::JoinReason;
+use crate::field::Struct;
 use crate::message::{Message, Qos};
 use crate::{CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCommand};
 
@@ -23,37 +23,22 @@ pub const MAX_NODES: usize = 32;
 
 /// One service of the contract.
 #[derive(Clone, Copy, Debug)]
+#[allow(missing_docs)]
 pub struct Service {
-    /// Its name.
     pub name: &'static str,
     /// Who publishes.
     pub publisher: &'static str,
-    /// Quality of service.
     pub qos: Qos,
-    /// Name of its message in Rust.
-    pub message: &'static str,
-    /// Name of the message that iceoryx2 compares.
-    pub type_name: &'static str,
-    /// Documentation of the message, a line each.
-    pub doc: &'static str,
-    /// Bytes of a message.
-    pub size: usize,
-    /// Fields of the message.
-    pub fields: &'static [Field],
+    pub message: Struct,
 }
 
 impl Service {
-    /// The service that carries `T`.
-    pub const fn of<T: Message>() -> Self {
+    const fn of<T: Message>() -> Self {
         Self {
             name: T::SERVICE,
             publisher: T::PUBLISHER,
             qos: T::QOS,
-            message: T::NAME,
-            type_name: T::TYPE_NAME,
-            doc: T::DOC,
-            size: size_of::<T>(),
-            fields: T::FIELDS,
+            message: Struct::of::<T>(),
         }
     }
 }
@@ -66,9 +51,8 @@ macro_rules! services {
         /// Opens all services, so that each exists from the first participant to the last.
         pub(crate) fn open_all(
             node: &Node<ipc::Service>,
-            domain: &str,
-        ) -> Result<Vec<Box<dyn OpenService>>, JoinError> {
-            Ok(vec![$(Box::new(open::<$message>(node, domain)?),)+])
+        ) -> Result<Vec<Box<dyn OpenService>>, JoinReason> {
+            Ok(vec![$(Box::new(open::<$message>(node)?),)+])
         }
     };
 }
@@ -118,30 +102,10 @@ impl<T: Message> OpenService for Factory<T> {
 }
 
 /// Opens a service, or creates it.
-fn open<T: Message>(node: &Node<ipc::Service>, domain: &str) -> Result<Factory<T>, JoinError> {
+fn open<T: Message>(node: &Node<ipc::Service>) -> Result<Factory<T>, JoinReason> {
     use PublishSubscribeOpenError as Open;
     use PublishSubscribeOpenOrCreateError as Error;
-    let (path, service) = (domain.to_owned(), T::SERVICE);
-    let refuse = |source: Error| match source {
-        Error::PublishSubscribeOpenError(
-            Open::IncompatibleTypes
-            | Open::IncompatibleMessagingPattern
-            | Open::IncompatibleOverflowBehavior
-            | Open::DoesNotSupportRequestedMinBufferSize
-            | Open::DoesNotSupportRequestedMinHistorySize
-            | Open::DoesNotSupportRequestedAmountOfPublishers
-            | Open::DoesNotSupportRequestedAmountOfSubscribers,
-        ) => JoinError::OtherContract {
-            path,
-            service,
-            source,
-        },
-        _ => JoinError::Service {
-            path,
-            service,
-            source,
-        },
-    };
+    let service = T::SERVICE;
     let open = || {
         // The names are constants of this crate, all of them valid.
         let name = service.try_into().map_err(|_| Error::SystemInFlux)?;
@@ -156,5 +120,16 @@ fn open<T: Message>(node: &Node<ipc::Service>, domain: &str) -> Result<Factory<T
             .enable_safe_overflow(true)
             .open_or_create()
     };
-    open().map_err(refuse)
+    open().map_err(|reason| match reason {
+        Error::PublishSubscribeOpenError(
+            Open::IncompatibleTypes
+            | Open::IncompatibleMessagingPattern
+            | Open::IncompatibleOverflowBehavior
+            | Open::DoesNotSupportRequestedMinBufferSize
+            | Open::DoesNotSupportRequestedMinHistorySize
+            | Open::DoesNotSupportRequestedAmountOfPublishers
+            | Open::DoesNotSupportRequestedAmountOfSubscribers,
+        ) => JoinReason::OtherContract { service, reason },
+        _ => JoinReason::Service { service, reason },
+    })
 }

@@ -1,7 +1,8 @@
 //! What a query costs: `cargo bench -p memory-blob --bench query`.
 //!
-//! Sizes of a large memory: 16,000 samples of 10 inputs and 14 outputs, 800 of them in the process. Each iteration
-//! takes the next of 1,024 queries, so that neither caches nor branches know it. The naive search stands beside ours.
+//! Sizes of a large memory: 16,000 samples of 10 inputs and 14 outputs, 800 of them in the process.
+//! Each iteration takes the next of 1,024 queries, so that neither caches nor branches know it. The
+//! naive search stands beside ours.
 
 #[path = "../tests/synthetic/mod.rs"]
 mod synthetic;
@@ -50,7 +51,7 @@ fn each<R>(bencher: Bencher, queries: &[Vec<f64>], mut ask: impl FnMut(&[f64]) -
 fn neighbours_on_trajectories(bencher: Bencher, k: usize) {
     let contents = on_trajectories();
     let file = opened(&contents);
-    let (samples, mut y) = (file.view().samples().unwrap(), [0.0; OUTPUTS]);
+    let (samples, mut y) = (file.view().samples(), [0.0; OUTPUTS]);
     each(bencher, &queries(&contents), |x| {
         samples.nearest(x, k, &mut y).unwrap().distance()
     });
@@ -61,7 +62,7 @@ fn neighbours_on_trajectories(bencher: Bencher, k: usize) {
 fn neighbours_without_structure(bencher: Bencher, k: usize) {
     let contents = synthetic::noise(SAMPLES, 1);
     let file = opened(&contents);
-    let (samples, mut y) = (file.view().samples().unwrap(), [0.0; OUTPUTS]);
+    let (samples, mut y) = (file.view().samples(), [0.0; OUTPUTS]);
     let mut random = Random(78);
     let queries: Vec<_> = (0..QUERIES)
         .map(|_| synthetic::noisy_input(&mut random))
@@ -71,7 +72,8 @@ fn neighbours_without_structure(bencher: Bencher, k: usize) {
     });
 }
 
-/// One neighbour by comparing with every row of a flat table, already scaled: what there is to beat.
+/// One neighbour by comparing with every row of a flat table, already scaled: what there is to
+/// beat.
 #[divan::bench(sample_count = 1000)]
 fn one_neighbour_naively(bencher: Bencher) {
     let contents = on_trajectories();

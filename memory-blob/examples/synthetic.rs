@@ -1,5 +1,5 @@
-//! Writes a memory of made-up trajectories without regression, for trying tools that read and refit such files:
-//! `cargo run -p memory-blob --example synthetic -- OUT`.
+//! Writes a memory of made-up trajectories without regression, for trying tools that read and refit
+//! such files: `cargo run -p memory-blob --example synthetic -- OUT`.
 
 #[path = "../tests/synthetic/mod.rs"]
 mod synthetic;

@@ -47,8 +47,8 @@ class Memory:
         self.tensors = load_file(path)
         with safe_open(path, "numpy") as file:
             self.metadata = file.metadata()
-        if self.metadata.get("format") != "vpc-memory" or self.metadata.get("schema") not in ("1", SCHEMA):
-            raise SystemExit(f"{path}: format and schema are not vpc-memory, 1 or {SCHEMA}")
+        if self.metadata.get("format") != "vpc-memory" or self.metadata.get("schema") != SCHEMA:
+            raise SystemExit(f"{path}: format and schema are not vpc-memory and {SCHEMA}")
         n, p, count = (int(self.metadata[key]) for key in ("inputs", "outputs", "samples"))
         self.offset, self.scale = self.tensors["scaling"][:, :n]
         self.x = self.tensors["samples.x"].transpose(0, 2, 1).reshape(-1, n)[:count]

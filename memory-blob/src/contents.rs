@@ -32,8 +32,8 @@ pub struct Contents {
     pub provenance: Map<String, Value>,
 }
 
-/// A fitted Gaussian process, y = m + k(x, X) Lambda, with k(x, x') = signal_variance exp(-1/2 sum ((x-x')/l)^2) on
-/// scaled inputs.
+/// A fitted Gaussian process, y = m + k(x, X) Lambda, with k(x, x') = signal_variance exp(-1/2 sum
+/// ((x-x')/l)^2) on scaled inputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Regression {
     /// Raw inputs that the process is conditioned on, one row each.
@@ -48,9 +48,9 @@ pub struct Regression {
     pub mean: Vec<f64>,
     /// (K + phi_s I)^{-1} (Y - m), one row for each row of `x`.
     pub lambda: Vec<Vec<f64>>,
-    /// What each output less its mean was divided by where the kernel's variances were chosen, in its units, above
-    /// zero; variances need it. Files of schema 1 have none.
-    pub output_scale: Option<Vec<f64>>,
+    /// What each output less its mean was divided by where the kernel's variances were chosen, in
+    /// its units, above zero: the scales of variances.
+    pub output_scale: Vec<f64>,
     /// Packed lower rows of the Cholesky factor of K + phi_s I, for variances.
     pub cholesky: Option<Vec<f64>>,
 }
@@ -79,9 +79,9 @@ pub enum WriteError {
 }
 
 impl Contents {
-    /// Writes the memory to `path`: beside it first, synchronised, then renamed, and the directory synchronised, so
-    /// that no reader sees half a file and a power cut leaves the old file or the new one. The same contents give the
-    /// same bytes.
+    /// Writes the memory to `path`: beside it first, synchronised, then renamed, and the directory
+    /// synchronised, so that no reader sees half a file and a power cut leaves the old file or the
+    /// new one. The same contents give the same bytes.
     ///
     /// # Errors
     /// [`WriteError`] where the contents contradict themselves or the file cannot be written.

@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 use serde_json::{Map, Value, json};
 
 use crate::Contents;
-use crate::format::{self, ALIGNMENT, round_up};
+use crate::format::{self, ALIGNMENT, PROBES, round_up};
+use crate::layout::Layout;
 use crate::tensors::{self, Tensors};
 
 /// Tensors and metadata, ready to be written.
 pub(crate) struct Draft {
+    pub(crate) layout: Layout,
     pub(crate) metadata: BTreeMap<String, String>,
     pub(crate) tensors: Tensors,
 }
@@ -17,88 +19,76 @@ pub(crate) struct Draft {
 impl Draft {
     /// The contents laid out as FORMAT.md says; they were checked.
     pub(crate) fn of(contents: &Contents) -> Self {
+        let layout = Layout::of(contents, PROBES);
         let mut draft = Self {
-            metadata: metadata(contents),
-            tensors: tensors::of_samples(contents),
+            layout,
+            metadata: metadata(contents, &layout),
+            tensors: tensors::of_samples(contents, &layout),
         };
         if let Some(regression) = &contents.regression {
-            let process = tensors::of_process(contents, regression);
-            draft.tensors.extend(process);
+            draft
+                .tensors
+                .extend(tensors::of_process(contents, &layout, regression));
         }
         draft.add_probes(contents);
-        draft.seal();
+        draft.add_digests();
         draft
     }
 
     /// Adds the digests; nothing may change afterwards.
-    fn seal(&mut self) {
-        for (name, (_, data)) in &self.tensors {
-            self.metadata.insert(
-                format!("sha256.{name}"),
-                format::sha256(bytemuck::cast_slice(data)),
-            );
+    fn add_digests(&mut self) {
+        for (name, data) in &self.tensors {
+            let digest = format::sha256(bytemuck::cast_slice(data));
+            self.metadata.insert(format!("sha256.{name}"), digest);
         }
-        let shapes = self
-            .tensors
-            .iter()
-            .map(|(name, (shape, _))| (name.clone(), shape.clone()))
-            .collect();
-        let digest = format::digest(&self.metadata, &shapes);
+        let digest = format::digest(&self.metadata, self.layout.shapes());
         self.metadata.insert("digest".into(), digest);
     }
 
-    /// The safetensors container: header length, header padded with spaces to the alignment, tensors in the order of
-    /// their names.
+    /// The safetensors container: header length, header padded with spaces to the alignment,
+    /// tensors in the order of their names.
     pub(crate) fn bytes(&self) -> Vec<u8> {
         let mut header = Map::new();
         header.insert("__metadata__".into(), json!(self.metadata));
-        let mut offset = 0;
-        for (name, (shape, data)) in &self.tensors {
-            let end = offset + 8 * data.len();
-            header.insert(
-                name.clone(),
-                json!({"dtype": "F64", "shape": shape, "data_offsets": [offset, end]}),
-            );
-            offset = end;
+        let (shapes, mut offset) = (self.layout.shapes(), 0);
+        for (name, data) in &self.tensors {
+            let offsets = [offset, offset + 8 * data.len()];
+            let tensor = json!({"dtype": "F64", "shape": shapes[name], "data_offsets": offsets});
+            header.insert((*name).to_owned(), tensor);
+            offset = offsets[1];
         }
         let mut text = Value::Object(header).to_string().into_bytes();
         text.resize(round_up(8 + text.len(), ALIGNMENT) - 8, b' ');
         let mut bytes = (text.len() as u64).to_le_bytes().to_vec();
         bytes.append(&mut text);
-        for (_, data) in self.tensors.values() {
+        for data in self.tensors.values() {
             bytes.extend_from_slice(bytemuck::cast_slice(data));
         }
         bytes
     }
 }
 
-fn metadata(contents: &Contents) -> BTreeMap<String, String> {
-    let mut metadata: BTreeMap<String, String> = [
+fn metadata(contents: &Contents, layout: &Layout) -> BTreeMap<String, String> {
+    let mut metadata = BTreeMap::from([
         ("format", format::FORMAT.to_owned()),
         ("schema", format::SCHEMA.to_owned()),
         ("task", format::hex(&contents.task)),
-        ("inputs", contents.scale.len().to_string()),
-        ("outputs", contents.y[0].len().to_string()),
-        ("samples", contents.x.len().to_string()),
-        (
-            "gpr_samples",
-            contents
-                .regression
-                .as_ref()
-                .map_or(0, |r| r.x.len())
-                .to_string(),
-        ),
+        ("inputs", layout.inputs.to_string()),
+        ("outputs", layout.outputs.to_string()),
+        ("samples", layout.samples.to_string()),
+        ("gpr_samples", layout.gpr_samples.to_string()),
         (
             "provenance",
             Value::Object(contents.provenance.clone()).to_string(),
         ),
-    ]
-    .map(|(key, value)| (key.to_owned(), value))
-    .into();
-    if let Some(r) = &contents.regression {
-        metadata.insert("kernel".into(), "rbf".into());
-        metadata.insert("signal_variance".into(), format!("{:?}", r.signal_variance));
-        metadata.insert("noise_variance".into(), format!("{:?}", r.noise_variance));
+    ]);
+    if layout.gpr_samples > 0 {
+        metadata.insert("kernel", "rbf".to_owned());
+        metadata.insert("signal_variance", format!("{:?}", layout.signal_variance));
+        metadata.insert("noise_variance", format!("{:?}", layout.noise_variance));
     }
     metadata
+        .into_iter()
+        .map(|(key, value)| (key.to_owned(), value))
+        .collect()
 }

@@ -3,10 +3,12 @@
 /// Numbers computed together.
 pub(crate) const LANES: usize = 8;
 
-/// exp(x) for x <= 0, each; below -700 the result is that of -700, about 1e-304. Relative error below 4e-16.
+/// exp(x) for x <= 0, each; below -700 the result is that of -700, about 1e-304. Relative error
+/// below 4e-16.
 ///
-/// Cody-Waite reduction x = k ln 2 + r with |r| <= ln(2)/2, then the Taylor polynomial of degree 13, whose remainder
-/// 0.347^14 / 14! is 4e-18. The integer k is read from the low bits of x log2(e) + 1.5 * 2^52.
+/// Cody-Waite reduction x = k ln 2 + r with |r| <= ln(2)/2, then the Taylor polynomial of degree
+/// 13, whose remainder 0.347^14 / 14! is 4e-18. The integer k is read from the low bits of x
+/// log2(e) + 1.5 * 2^52.
 pub(crate) fn exp_nonpositive(x: &[f64; LANES]) -> [f64; LANES] {
     const MAGIC: f64 = 6_755_399_441_055_744.0;
     const LN2_HIGH: f64 = 0.693_147_180_369_123_8;

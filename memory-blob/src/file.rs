@@ -11,10 +11,8 @@ use sha2::{Digest, Sha256};
 use crate::format::{self, ALIGNMENT, round_up};
 use crate::header::Header;
 use crate::layout::Layout;
-use crate::samples::{BLOCK, BLOCKS_PER_GROUP};
 use crate::sealed;
-use crate::view::{Memory, Scaling};
-use crate::{Gpr, Samples};
+use crate::view::Memory;
 
 /// Why a memory file was refused.
 #[derive(Debug, thiserror::Error)]
@@ -37,8 +35,7 @@ pub enum OpenError {
     },
     /// The file has another schema.
     #[error(
-        "{path}: schema {found}; allowed: {} or {}",
-        format::SCHEMA_WITHOUT_SCALES,
+        "{path}: schema {found}; allowed: {}; build the memory again with `vpc-memory build`",
         format::SCHEMA
     )]
     Schema {
@@ -75,8 +72,8 @@ pub struct MemoryFile {
 }
 
 impl MemoryFile {
-    /// Opens a file and verifies all of it: structure, digests, ranges, probes, and that it was built for `task`
-    /// where one is given.
+    /// Opens a file and verifies all of it: structure, digests, ranges, probes, and that it was
+    /// built for `task` where one is given.
     ///
     /// # Errors
     /// [`OpenError`] names the file, the part and what is allowed.
@@ -93,7 +90,7 @@ impl MemoryFile {
         };
         let header = Header::parse(&bytes).map_err(corrupt)?;
         let schema = header.text("schema").map_err(corrupt)?;
-        if ![format::SCHEMA, format::SCHEMA_WITHOUT_SCALES].contains(&schema) {
+        if schema != format::SCHEMA {
             return Err(OpenError::Schema {
                 path: name,
                 found: schema.to_owned(),
@@ -145,37 +142,7 @@ impl MemoryFile {
 
     /// The view that queries use.
     pub fn view(&self) -> Memory<'_> {
-        let l = &self.layout;
-        let (n, blocks) = (l.inputs, l.samples.div_ceil(BLOCK));
-        let scaling = self.scaling();
-        let samples = Samples {
-            scaling,
-            count: l.samples,
-            outputs: l.outputs,
-            x: self.tensor("samples.x"),
-            y: self.tensor("samples.y"),
-            boxes: &self.tensor("samples.boxes")[..blocks * 2 * n],
-            groups: &self.tensor("samples.groups")[..blocks.div_ceil(BLOCKS_PER_GROUP) * 2 * n],
-        };
-        let gpr = (l.gpr_samples > 0).then(|| Gpr {
-            scaling,
-            count: l.gpr_samples,
-            outputs: l.outputs,
-            signal_variance: l.signal_variance,
-            length_scale: &self.tensor("gpr.length_scale")[..n],
-            x: self.tensor("gpr.x"),
-            lambda: self.tensor("gpr.lambda"),
-            mean: self.tensor("gpr.mean"),
-            output_scale: self
-                .tensor("gpr.output_scale")
-                .get(..l.outputs)
-                .unwrap_or(&[]),
-            cholesky: self.tensor("gpr.cholesky"),
-        });
-        Memory {
-            samples: Some(samples),
-            gpr,
-        }
+        self.layout.view(|name| self.tensor(name))
     }
 
     /// Fingerprint of the task that the memory was built for.
@@ -214,16 +181,6 @@ impl MemoryFile {
     /// Names of the tensors.
     pub(crate) fn tensor_names(&self) -> impl Iterator<Item = &str> {
         self.ranges.keys().map(String::as_str)
-    }
-
-    /// The scaling of inputs.
-    pub(crate) fn scaling(&self) -> Scaling<'_> {
-        let (n, n8) = (self.layout.inputs, round_up(self.layout.inputs, 8));
-        let both = self.tensor("scaling");
-        Scaling {
-            offset: &both[..n],
-            scale: &both[n8..n8 + n],
-        }
     }
 
     /// The numbers of a tensor; none where the file has no such tensor.

@@ -6,10 +6,8 @@ use sha2::{Digest, Sha256};
 
 /// Value of the metadata key `format`.
 pub(crate) const FORMAT: &str = "vpc-memory";
-/// Value of the metadata key `schema` in files that we write.
+/// Value of the metadata key `schema`.
 pub(crate) const SCHEMA: &str = "2";
-/// The schema before, which has no output scales, and so no variances: still read.
-pub(crate) const SCHEMA_WITHOUT_SCALES: &str = "1";
 /// Largest header, bytes.
 pub(crate) const MAX_HEADER: usize = 64 * 1024;
 /// Alignment of tensors in our files and in sealed memory, bytes.
@@ -18,7 +16,8 @@ pub(crate) const ALIGNMENT: usize = 64;
 pub(crate) const PROBES: usize = 8;
 /// A probe's answer may differ from the stored one by this much, relative to 1 + its size.
 pub(crate) const PROBE_TOLERANCE: f64 = 1e-6;
-/// What fills boxes of no block and samples of no row: far from every query, and finite when squared.
+/// What fills boxes of no block and samples of no row: far from every query, and finite when
+/// squared.
 pub(crate) const FAR: f64 = 1e150;
 
 /// `count` rounded up to a multiple of `of`.
@@ -36,23 +35,19 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The digest of a header: SHA-256 of `key=value\n` for every metadata key but `digest`, in the order of their
-/// bytes, then `name:[dim,dim]\n` for every tensor, likewise.
-pub(crate) fn digest(
+/// The digest of a header: SHA-256 of `key=value\n` for every metadata key but `digest`, in the
+/// order of their bytes, then `name:[dim,dim]\n` for every tensor, likewise.
+pub(crate) fn digest<N: std::fmt::Display>(
     metadata: &BTreeMap<String, String>,
-    shapes: &BTreeMap<String, Vec<usize>>,
+    shapes: impl IntoIterator<Item = (N, Vec<usize>)>,
 ) -> String {
     let mut text = String::new();
     for (key, value) in metadata.iter().filter(|(key, _)| *key != "digest") {
         text += &format!("{key}={value}\n");
     }
     for (name, shape) in shapes {
-        let shape = shape
-            .iter()
-            .map(ToString::to_string)
-            .collect::<Vec<_>>()
-            .join(",");
-        text += &format!("{name}:[{shape}]\n");
+        let shape: Vec<String> = shape.iter().map(ToString::to_string).collect();
+        text += &format!("{name}:[{}]\n", shape.join(","));
     }
     sha256(text.as_bytes())
 }

@@ -27,7 +27,7 @@ pub struct Gpr<'a> {
     pub(crate) lambda: &'a [f64],
     /// Constant mean of each output, padded.
     pub(crate) mean: &'a [f64],
-    /// One for each output, in its units; empty where the file has none.
+    /// One for each output, in its units.
     pub(crate) output_scale: &'a [f64],
     /// Packed lower rows of the Cholesky factor of K + phi_s I; empty where the file has none.
     pub(crate) cholesky: &'a [f64],
@@ -51,13 +51,7 @@ impl<'a> Gpr<'a> {
 
     /// Whether variances can be asked for.
     pub fn has_variance(&self) -> bool {
-        !self.cholesky.is_empty() && !self.output_scale.is_empty()
-    }
-
-    /// What the variances of the kernel are in squares of, one number an output, in its units (m/s, rad/s, px);
-    /// `None` in a file of schema 1.
-    pub fn output_scale(&self) -> Option<&'a [f64]> {
-        Some(self.output_scale).filter(|scale| !scale.is_empty())
+        !self.cholesky.is_empty()
     }
 
     /// Writes the mean at a raw input.
@@ -85,12 +79,12 @@ impl<'a> Gpr<'a> {
         Ok(())
     }
 
-    /// Writes the latent predictive variance of each output at a raw input, in its squared units: the noise is not in
-    /// it. One kernel serves all outputs, so they share k(x, x) - |L^{-1} k(X, x)|^2 and differ by their squared
-    /// scales. `scratch` holds [`Gpr::len`] numbers.
+    /// Writes the latent predictive variance of each output at a raw input, in its squared units:
+    /// the noise is not in it. One kernel serves all outputs, so they share k(x, x) - |L^{-1} k(X,
+    /// x)|^2 and differ by their squared scales. `scratch` holds [`Gpr::len`] numbers.
     ///
     /// # Errors
-    /// [`QueryError`] where a length or an entry is wrong, or the file holds no factor or no output scales.
+    /// [`QueryError`] where a length or an entry is wrong, or the file holds no factor.
     pub fn variance(
         &self,
         input: &[f64],

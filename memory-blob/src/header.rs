@@ -69,15 +69,16 @@ impl Header {
             .ok_or_else(|| format!("metadata `{key}` is missing"))
     }
 
-    /// The metadata of a key, as a number.
+    /// The metadata of a key, as a number that is `allowed`.
     pub(crate) fn number<T: std::str::FromStr>(
         &self,
         key: &str,
         allowed: &str,
+        is_allowed: impl Fn(&T) -> bool,
     ) -> Result<T, String> {
         let text = self.text(key)?;
-        text.parse()
-            .map_err(|_| format!("metadata `{key}` = {text}; allowed: {allowed}"))
+        let number = text.parse().ok().filter(is_allowed);
+        number.ok_or_else(|| format!("metadata `{key}` = {text}; allowed: {allowed}"))
     }
 
     /// Fingerprint of the task.
@@ -99,10 +100,8 @@ impl Header {
         let shapes = self
             .tensors
             .iter()
-            .map(|(name, (shape, _))| (name.clone(), shape.clone()))
-            .collect();
-        let digest = format::digest(&self.metadata, &shapes);
-        if self.text("digest")? != digest {
+            .map(|(name, (shape, _))| (name, shape.clone()));
+        if self.text("digest")? != format::digest(&self.metadata, shapes) {
             return Err("metadata: the digest of the header differs; allowed: as written".into());
         }
         for (name, (_, range)) in &self.tensors {

@@ -1,10 +1,10 @@
 //! A memory of motion: its file, its checks, and its queries.
 //!
-//! The core (`no_std`, no heap) is what the control cycle touches: [`Memory`], a borrowed view with [`Samples`]
-//! (k-nearest neighbours) and [`Gpr`] (Gaussian-process regression). With the feature `file` (default) come
-//! [`Contents`] (what a writer fills in) and [`MemoryFile`] (what a reader opens, verified, sealed and mapped).
-//! The format is described in `FORMAT.md`; decisions, promises and times stand in the crate's
-//! `README.md`.
+//! The core (`no_std`, no heap) is what the control cycle touches: [`Memory`], a borrowed view with
+//! [`Samples`] (k-nearest neighbours) and [`Gpr`] (Gaussian-process regression). With the feature
+//! `file` (default) come [`Contents`] (what a writer fills in) and [`MemoryFile`] (what a reader
+//! opens, verified, sealed and mapped). The format is described in `FORMAT.md`; decisions, promises
+//! and times stand in the crate's `README.md`.
 #![cfg_attr(not(feature = "file"), no_std)]
 #![cfg_attr(not(feature = "file"), forbid(unsafe_code))]
 #![deny(unsafe_code)]

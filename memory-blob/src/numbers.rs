@@ -13,36 +13,39 @@ impl MemoryFile {
                 ));
             }
         }
-        let positive = |what: &str, values: &[f64]| match values.iter().find(|x| **x <= 0.0) {
-            Some(x) => Err(format!("{what}: {x}; allowed: numbers above 0")),
-            None => Ok(()),
-        };
-        positive("scaling: scale", self.scaling().scale)?;
         let view = self.view();
+        let samples = view.samples();
+        positive("scaling: scale", samples.scaling().scale)?;
         if let Some(gpr) = view.gpr() {
             positive("gpr.length_scale", gpr.length_scale)?;
             positive("gpr.output_scale", gpr.output_scale)?;
-            let diagonal: Vec<f64> = (0..if gpr.has_variance() { gpr.count } else { 0 })
-                .map(|i| gpr.cholesky[i * (i + 3) / 2])
-                .collect();
+            let rows = 0..if gpr.has_variance() { gpr.count } else { 0 };
+            let diagonal: Vec<f64> = rows.map(|i| gpr.cholesky[i * (i + 3) / 2]).collect();
             positive("gpr.cholesky: diagonal", &diagonal)?;
         }
         // A box that does not hold its samples would hide them from searches.
-        let (l, x) = (self.layout(), self.tensor("samples.x"));
-        for i in 0..l.samples {
-            for k in 0..l.inputs {
-                let value = x[(i / BLOCK * l.inputs + k) * BLOCK + i % BLOCK];
-                for (what, rows) in [("boxes", BLOCK), ("groups", BLOCK * BLOCKS_PER_GROUP)] {
-                    let limits =
-                        &self.tensor(&format!("samples.{what}"))[i / rows * 2 * l.inputs..];
-                    if !(limits[k]..=limits[l.inputs + k]).contains(&value) {
-                        return Err(format!(
-                            "samples.{what}: sample {i} lies outside its box; allowed: inside"
-                        ));
-                    }
+        let n = samples.inputs();
+        for i in 0..samples.len() {
+            let boxes = [
+                ("boxes", samples.boxes, BLOCK),
+                ("groups", samples.groups, BLOCK * BLOCKS_PER_GROUP),
+            ];
+            for (what, boxes, rows) in boxes {
+                let (low, high) = boxes[i / rows * 2 * n..][..2 * n].split_at(n);
+                if !(0..n).all(|k| (low[k]..=high[k]).contains(&samples.scaled(i, k))) {
+                    return Err(format!(
+                        "samples.{what}: sample {i} lies outside its box; allowed: inside"
+                    ));
                 }
             }
         }
         Ok(())
+    }
+}
+
+fn positive(what: &str, values: &[f64]) -> Result<(), String> {
+    match values.iter().find(|x| **x <= 0.0) {
+        Some(x) => Err(format!("{what}: {x}; allowed: numbers above 0")),
+        None => Ok(()),
     }
 }

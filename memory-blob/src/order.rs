@@ -2,8 +2,9 @@
 
 use crate::samples::BLOCK;
 
-/// Indices of the rows of `x` in the order of a k-d tree whose leaves are blocks: each range is halved, at a multiple
-/// of a block, along the coordinate in which it is widest. Ties keep the order of the rows.
+/// Indices of the rows of `x` in the order of a k-d tree whose leaves are blocks: each range is
+/// halved, at a multiple of a block, along the coordinate in which it is widest. Ties keep the
+/// order of the rows.
 pub(crate) fn kd_order(x: &[Vec<f64>]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     let mut ranges = vec![(0, x.len())];

@@ -1,76 +1,68 @@
 //! What is in a memory, in words.
 
+use std::collections::BTreeSet;
 use std::fmt;
 
-use crate::MemoryFile;
+use crate::{Contents, MemoryFile};
 
 /// A summary of a memory, for `vpc-memory inspect`.
 #[derive(Clone, Debug)]
 pub struct Report {
-    lines: Vec<(&'static str, String)>,
+    size: usize,
+    contents: Contents,
 }
 
 impl Report {
     /// The summary of a file.
     pub fn of(file: &MemoryFile) -> Self {
-        let contents = file.contents();
-        let trajectories = contents
-            .trajectory
-            .iter()
-            .collect::<std::collections::BTreeSet<_>>()
-            .len();
-        let mut lines = vec![
-            ("size", format!("{} bytes", file.size())),
-            ("task", crate::format::hex(file.task())),
-            (
-                "samples",
-                format!("{} of {} trajectories", contents.x.len(), trajectories),
-            ),
-            (
-                "inputs",
-                format!(
-                    "{} (points, area, angle), divided by {:.4?}",
-                    contents.scale.len(),
-                    contents.scale
-                ),
-            ),
-            (
-                "outputs",
-                format!("{} (twist, way point)", contents.y[0].len()),
-            ),
-        ];
-        match &contents.regression {
-            Some(r) => {
-                lines.push(("regression", format!("{} samples, RBF kernel", r.x.len())));
-                lines.push(("length scales", format!("{:.4?}", r.length_scale)));
-                lines.push(("signal variance", format!("{:.6}", r.signal_variance)));
-                lines.push(("noise variance", format!("{:.6}", r.noise_variance)));
-                if let Some(scale) = &r.output_scale {
-                    lines.push(("output scales", format!("{scale:.4?}")));
-                }
-                let variance = if r.cholesky.is_some() {
-                    "stored"
-                } else {
-                    "not stored"
-                };
-                lines.push(("variance factor", variance.to_owned()));
-            }
-            None => lines.push(("regression", "none".to_owned())),
+        Self {
+            size: file.size(),
+            contents: file.contents(),
         }
-        let provenance = file.provenance();
-        lines.extend(
-            provenance
-                .iter()
-                .map(|(key, value)| ("provenance", format!("{key} = {value}"))),
-        );
-        Self { lines }
     }
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.lines
-            .iter()
-            .try_for_each(|(name, value)| writeln!(f, "{name:16} {value}"))
+        let c = &self.contents;
+        let mut line = |name: &str, value: &dyn fmt::Display| writeln!(f, "{name:16} {value}");
+        let trajectories = c.trajectory.iter().collect::<BTreeSet<_>>().len();
+        line("size", &format_args!("{} bytes", self.size))?;
+        line("task", &crate::format::hex(&c.task))?;
+        line(
+            "samples",
+            &format_args!("{} of {trajectories} trajectories", c.x.len()),
+        )?;
+        let inputs = format_args!(
+            "{} (points, area, angle), divided by {:.4?}",
+            c.scale.len(),
+            c.scale
+        );
+        line("inputs", &inputs)?;
+        line(
+            "outputs",
+            &format_args!("{} (twist, way point)", c.y[0].len()),
+        )?;
+        match &c.regression {
+            Some(r) => {
+                let variance = if r.cholesky.is_some() {
+                    "stored"
+                } else {
+                    "not stored"
+                };
+                line(
+                    "regression",
+                    &format_args!("{} samples, RBF kernel", r.x.len()),
+                )?;
+                line("length scales", &format_args!("{:.4?}", r.length_scale))?;
+                line("signal variance", &format_args!("{:.6}", r.signal_variance))?;
+                line("noise variance", &format_args!("{:.6}", r.noise_variance))?;
+                line("output scales", &format_args!("{:.4?}", r.output_scale))?;
+                line("variance factor", &variance)?;
+            }
+            None => line("regression", &"none")?,
+        }
+        let mut provenance = c.provenance.iter();
+        provenance.try_for_each(|(key, value)| line("provenance", &format_args!("{key} = {value}")))
     }
 }

@@ -1,8 +1,9 @@
 //! The samples of a memory, and the search for nearest neighbours.
 //!
-//! Samples are stored in the order of a k-d tree, 32 to a block, each block with its bounding box, and 16 blocks to a
-//! group with one of its own. A search visits groups and blocks by their lower bounds and skips what cannot hold a
-//! nearer sample, so the answer is that of comparing with every sample, at a small part of the work.
+//! Samples are stored in the order of a k-d tree, 32 to a block, each block with its bounding box,
+//! and 16 blocks to a group with one of its own. A search visits groups and blocks by their lower
+//! bounds and skips what cannot hold a nearer sample, so the answer is that of comparing with every
+//! sample, at a small part of the work.
 
 use crate::view::Scaling;
 use crate::{MAX_INPUTS, MAX_NEIGHBOURS, QueryError};
@@ -115,16 +116,20 @@ impl<'a> Samples<'a> {
         if found != n {
             return Err(QueryError::InputLength { found, expected: n });
         }
-        let rows = &self.x[(index / BLOCK) * n * BLOCK..][..n * BLOCK];
         let Scaling { offset, scale } = self.scaling;
-        for (i, (x, row)) in input.iter_mut().zip(rows.chunks_exact(BLOCK)).enumerate() {
-            *x = row[index % BLOCK] * scale[i] + offset[i];
+        for (k, x) in input.iter_mut().enumerate() {
+            *x = self.scaled(index, k) * scale[k] + offset[k];
         }
         Ok(())
     }
 
-    /// Writes the mean output of the `k` nearest samples (Euclidean distance in scaled inputs) and tells which they
-    /// are.
+    /// Entry `k` of the scaled input of a sample.
+    pub(crate) fn scaled(&self, index: usize, k: usize) -> f64 {
+        self.x[(index / BLOCK * self.inputs() + k) * BLOCK + index % BLOCK]
+    }
+
+    /// Writes the mean output of the `k` nearest samples (Euclidean distance in scaled inputs) and
+    /// tells which they are.
     ///
     /// Source: paper, Eq. (knn).
     ///

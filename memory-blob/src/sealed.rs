@@ -6,8 +6,8 @@ use std::io::{self, Write};
 use memmap2::Mmap;
 use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, memfd_create};
 
-/// Copies some bytes into sealed memory. The file they came from may then be truncated or changed: a mapping of that
-/// file would fault the control loop, this one cannot.
+/// Copies some bytes into sealed memory. The file they came from may then be truncated or changed:
+/// a mapping of that file would fault the control loop, this one cannot.
 #[allow(unsafe_code)] // mapping a file is unsafe because the file may change; this one is sealed against it
 pub(crate) fn seal(bytes: &[u8]) -> io::Result<Mmap> {
     let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
@@ -17,6 +17,7 @@ pub(crate) fn seal(bytes: &[u8]) -> io::Result<Mmap> {
         &file,
         SealFlags::SHRINK | SealFlags::GROW | SealFlags::WRITE | SealFlags::SEAL,
     )?;
-    // SAFETY: the file is sealed against writing and resizing, so the mapped bytes never change and never vanish.
+    // SAFETY: the file is sealed against writing and resizing, so the mapped bytes never change and
+    // never vanish.
     unsafe { Mmap::map(&file) }
 }

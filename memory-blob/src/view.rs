@@ -5,13 +5,13 @@ use crate::{Gpr, MAX_INPUTS, QueryError, Samples};
 /// What a control cycle may ask: samples by k-NN, and regression where the file has it.
 #[derive(Clone, Copy, Debug)]
 pub struct Memory<'a> {
-    pub(crate) samples: Option<Samples<'a>>,
+    pub(crate) samples: Samples<'a>,
     pub(crate) gpr: Option<Gpr<'a>>,
 }
 
 impl<'a> Memory<'a> {
     /// The samples, for k-nearest-neighbour queries.
-    pub fn samples(&self) -> Option<Samples<'a>> {
+    pub fn samples(&self) -> Samples<'a> {
         self.samples
     }
 

@@ -1,5 +1,5 @@
-//! The search is exact: what comparing with every sample finds, for any number of neighbours, on trajectories, where
-//! samples lie close and way points repeat, and without any structure.
+//! The search is exact: what comparing with every sample finds, for any number of neighbours, on
+//! trajectories, where samples lie close and way points repeat, and without any structure.
 
 mod synthetic;
 
@@ -9,7 +9,7 @@ use synthetic::{INPUTS, OUTPUTS, Random, compare_with_all, opened};
 /// Compares distances, not rows: where samples are equally near, either may count.
 fn compare(contents: &Contents, file: &MemoryFile, query: &[f64], k: usize) {
     let all = compare_with_all(contents, query);
-    let samples = file.view().samples().unwrap();
+    let samples = file.view().samples();
     let mut mean = [0.0; OUTPUTS];
     let nearest = samples.nearest(query, k, &mut mean).unwrap();
     assert_eq!(nearest.indices().len(), k);
@@ -59,7 +59,7 @@ fn equally_near_samples_give_the_same_answer_each_time_and_the_first_of_the_file
     let mut contents = synthetic::noise(200, 2);
     contents.x.iter_mut().for_each(|x| *x = vec![1.0; INPUTS]);
     let file = opened(&contents);
-    let samples = file.view().samples().unwrap();
+    let samples = file.view().samples();
     let nearest = samples.search(&[3.0; INPUTS], 5).unwrap();
     assert_eq!(nearest.indices(), [0, 1, 2, 3, 4]);
     assert_eq!(nearest, samples.search(&[3.0; INPUTS], 5).unwrap());
@@ -69,7 +69,7 @@ fn equally_near_samples_give_the_same_answer_each_time_and_the_first_of_the_file
 fn the_largest_finite_inputs_are_answered_with_a_sample() {
     let contents = synthetic::trajectories(100, 5);
     let file = opened(&contents);
-    let samples = file.view().samples().unwrap();
+    let samples = file.view().samples();
     for x in [f64::MAX, f64::MIN, 1e200, f64::MIN_POSITIVE] {
         let nearest = samples.search(&[x; INPUTS], 3).unwrap();
         assert!(nearest.indices().iter().all(|&i| i < 100), "{x}");

@@ -1,5 +1,5 @@
-//! Regression against scikit-learn: `python/gpr_fixture.py` made the data, the kernel and the answers; the weights and
-//! the factor are solved for here, by the textbook.
+//! Regression against scikit-learn: `python/gpr_fixture.py` made the data, the kernel and the
+//! answers; the weights and the factor are solved for here, by the textbook.
 
 mod synthetic;
 
@@ -109,7 +109,7 @@ fn contents(fixture: &Fixture) -> Contents {
             noise_variance: noise,
             mean,
             lambda,
-            output_scale: Some(fixture.row("output_size")),
+            output_scale: fixture.row("output_size"),
             cholesky: Some(factor),
         }),
         provenance: Map::new(),
@@ -153,7 +153,7 @@ fn far_from_all_samples_the_mean_is_the_constant_and_the_variance_that_of_the_si
         // The exponential ends at that of -700, 1e-304.
         assert!(y.iter().zip(&r.mean).all(|(y, m)| (y - m).abs() < 1e-300));
         gpr.variance(&[x; 10], &mut scratch, &mut y).unwrap();
-        for (variance, scale) in y.iter().zip(r.output_scale.iter().flatten()) {
+        for (variance, scale) in y.iter().zip(&r.output_scale) {
             assert_eq!(*variance, r.signal_variance * scale * scale);
         }
     }
@@ -173,7 +173,7 @@ fn every_width_of_outputs_and_every_count_of_samples_is_the_formula() {
                 noise_variance: 0.1,
                 mean: random.row(p, 3.0),
                 lambda: (0..count).map(|_| random.row(p, 3.0)).collect(),
-                output_scale: None,
+                output_scale: vec![1.0; p],
                 cholesky: None,
             };
             let file = opened(&Contents {

@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod children;
+pub mod flags;
 pub mod pictures;
 pub mod processes;
 pub mod robot;
@@ -17,4 +18,9 @@ pub mod spec;
 pub fn arguments() -> impl Iterator<Item = std::ffi::OsString> {
     // Neither program takes words without a flag, which a separator would be for.
     std::env::args_os().filter(|argument| argument != "--")
+}
+
+/// The root of the repository.
+pub fn root() -> &'static std::path::Path {
+    std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
 }

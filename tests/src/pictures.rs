@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use figures::{Comparison, ImagePlane, Joints, Samples, Velocity};
+use figures::{Animation, Comparison, ImagePlane, Joints, Points, Samples, Velocity};
 use hw_sim::recording::Record;
 use hw_sim::robot::arm::joint_limits;
 use memory_blob::MemoryFile;
@@ -16,151 +16,185 @@ use crate::spec::Spec;
 
 /// Trajectories shown of a memory; more hide each other.
 const SHOWN_TRAJECTORIES: usize = 250;
+/// Most frames of a film; a long run is shown faster than it was.
+const FRAMES: usize = 50;
+/// Time from one frame of a film to the next, and for which the last one stands, s.
+const FRAME_S: (f64, f64) = (0.07, 2.0);
 
-/// Draws, into `directory`: the samples in the memory, and the comparison of all strategies on one start: the first
-/// that the first strategy fails and the last one solves, else the first.
+/// What is drawn of a run: features, way points and twists, period by period.
+#[derive(Clone, Debug)]
+pub struct Drawn {
+    /// Strategy and outcome.
+    pub title: String,
+    path: Vec<Points>,
+    way_points: Vec<Option<Points>>,
+    twists: Vec<[f64; 6]>,
+}
+
+/// A run that can be drawn.
+pub trait Draw {
+    /// Whether it arrived without a violation.
+    fn is_success(&self) -> bool;
+    /// What is drawn of it, by the name of its strategy.
+    fn drawn(&self, name: &str, task: &Task) -> Drawn;
+}
+
+impl Draw for Run {
+    fn is_success(&self) -> bool {
+        self.success
+    }
+
+    fn drawn(&self, name: &str, task: &Task) -> Drawn {
+        let outcome = if self.success { "arrived" } else { "failed" };
+        let seconds = self.steps as f64 * task.ts;
+        let history = self.history.iter();
+        Drawn {
+            title: format!("{name}: {outcome} after {seconds:.1} s"),
+            path: history
+                .clone()
+                .map(|moment| moment.features.clone())
+                .collect(),
+            way_points: history
+                .clone()
+                .map(|moment| moment.way_point.clone())
+                .collect(),
+            twists: history.map(|moment| moment.twist).collect(),
+        }
+    }
+}
+
+impl Draw for RobotRun {
+    fn is_success(&self) -> bool {
+        self.success
+    }
+
+    /// Until the robot lets the object go.
+    fn drawn(&self, name: &str, _: &Task) -> Drawn {
+        let outcome = match self.arrived_s {
+            Some(seconds) if self.success => format!("arrived after {seconds:.1} s"),
+            _ => {
+                let why = self.reason.map_or("arm violation", Reason::name);
+                format!("{why} after {:.1} s", self.time_s)
+            }
+        };
+        let history = approach(&self.history).iter();
+        Drawn {
+            title: format!("{name}: {outcome}"),
+            path: history
+                .clone()
+                .map(|sample| sample.features.clone())
+                .collect(),
+            way_points: history
+                .clone()
+                .map(|sample| sample.way_point.clone())
+                .collect(),
+            twists: history.map(|sample| sample.twist).collect(),
+        }
+    }
+}
+
+impl Drawn {
+    /// The image plane after so many periods.
+    fn plane<'a>(&self, scene: &'a Scene, task: &Task, periods: usize) -> ImagePlane<'a> {
+        ImagePlane {
+            scene,
+            path: self.path.iter().take(periods).cloned().collect(),
+            goal: task.goal.to_vec(),
+            way_points: self
+                .way_points
+                .iter()
+                .take(periods)
+                .flatten()
+                .cloned()
+                .collect(),
+            title: self.title.clone(),
+        }
+    }
+}
+
+/// Draws, into `directory`: the samples in the memory, and all strategies on one start: `only`, else the first that the
+/// first strategy fails and the last one solves, else the first.
 ///
 /// # Errors
 /// Where a picture cannot be drawn or written.
-pub fn of_table(
+pub fn of_table<R: Draw>(
     directory: &Path,
     scene: &Scene,
     task: &Task,
     memory: Option<&MemoryFile>,
-    all: &[(Spec, Vec<Run>)],
+    all: &[(Spec, Vec<R>)],
+    only: Option<usize>,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let mut written = Vec::new();
     if let Some(memory) = memory {
-        written.extend(
-            samples(scene, task, memory)
-                .canvas()
-                .write(&directory.join("memory"))?,
-        );
+        written.extend(samples(scene, task, memory).canvas().write(&directory.join("memory"))?);
     }
     if let (Some((_, first)), Some((_, last))) = (all.first(), all.last()) {
-        let telling = |i: &usize| !first[*i].success && last[*i].success;
-        let start = (0..first.len()).find(telling).unwrap_or(0);
-        let columns = all
+        let telling = |i: &usize| !first[*i].is_success() && last[*i].is_success();
+        let index = (0..first.len()).find(telling).unwrap_or(0);
+        let runs = all
             .iter()
-            .filter_map(|(spec, runs)| Some((spec.to_string(), runs.get(start)?)));
-        let comparison = comparison(scene, task, columns);
-        written.extend(
-            comparison
-                .canvas()
-                .write(&directory.join(format!("start-{start}")))?,
-        );
+            .filter_map(|(spec, runs)| Some((*spec, runs.get(index)?)));
+        let name = format!("start-{}", only.unwrap_or(index));
+        written.extend(comparison(scene, task, runs).canvas().write(&directory.join(name))?);
     }
     Ok(written)
 }
 
-/// Named runs side by side.
-pub fn comparison<'a, 'r>(
+/// Runs side by side.
+pub fn comparison<'a, 'r, R: Draw + 'r>(
     scene: &'a Scene,
     task: &Task,
-    runs: impl Iterator<Item = (String, &'r Run)>,
+    runs: impl Iterator<Item = (Spec, &'r R)>,
 ) -> Comparison<'a> {
-    let columns = runs.map(|(name, run)| {
-        let outcome = if run.success { "arrived" } else { "failed" };
-        let title = format!(
-            "{name}: {outcome} after {:.1} s",
-            run.steps as f64 * task.ts
-        );
-        let plane = ImagePlane {
-            scene,
-            path: run
-                .history
-                .iter()
-                .map(|moment| moment.features.clone())
-                .collect(),
-            goal: task.goal.to_vec(),
-            way_points: run
-                .history
-                .iter()
-                .filter_map(|moment| moment.way_point.clone())
-                .collect(),
-            title,
-        };
+    let columns = runs.map(|(spec, run)| {
+        let drawn = run.drawn(&spec.to_string(), task);
         let velocity = Velocity {
             period_s: task.ts,
-            twists: run.history.iter().map(|moment| moment.twist).collect(),
+            twists: drawn.twists.clone(),
             limits: scene.limits,
-            title: format!("{name}: velocity command"),
+            title: format!("{spec}: velocity command"),
         };
-        (plane, velocity)
+        (drawn.plane(scene, task, usize::MAX), velocity)
     });
     Comparison {
         columns: columns.collect(),
     }
 }
 
-/// Named runs of the robot side by side, until it lets the object go.
-pub fn robot_comparison<'a, 'r>(
-    scene: &'a Scene,
-    task: &Task,
-    runs: impl Iterator<Item = (String, &'r RobotRun)>,
-) -> Comparison<'a> {
-    let columns = runs.map(|(name, run)| {
-        let steered = approach(&run.history);
-        let outcome = match run.arrived_s {
-            Some(seconds) if run.success => format!("arrived after {seconds:.1} s"),
-            _ => {
-                let why = run.reason.map_or("arm violation", Reason::name);
-                format!("{why} after {:.1} s", run.time_s)
-            }
-        };
-        let plane = ImagePlane {
-            scene,
-            path: steered
-                .iter()
-                .map(|sample| sample.features.clone())
-                .collect(),
-            goal: task.goal.to_vec(),
-            way_points: steered
-                .iter()
-                .filter_map(|sample| sample.way_point.clone())
-                .collect(),
-            title: format!("{name}: {outcome}"),
-        };
-        let velocity = Velocity {
-            period_s: task.ts,
-            twists: steered.iter().map(|sample| sample.twist).collect(),
-            limits: scene.limits,
-            title: format!("{name}: velocity command"),
-        };
-        (plane, velocity)
-    });
-    Comparison {
-        columns: columns.collect(),
-    }
-}
-
-/// Draws, into `directory`, all strategies on one start: the one that was asked for, else the first that the first
-/// strategy fails and the last one solves, else the first.
-///
-/// # Errors
-/// Where a picture cannot be drawn or written.
-pub fn of_robot_table(
-    directory: &Path,
-    scene: &Scene,
-    task: &Task,
-    specs: &[Spec],
-    all: &[Vec<RobotRun>],
-    only: Option<usize>,
-) -> anyhow::Result<Vec<PathBuf>> {
-    let (Some(first), Some(last)) = (all.first(), all.last()) else {
-        return Ok(Vec::new());
-    };
-    let telling = |i: &usize| !first[*i].success && last[*i].success;
-    let index = (0..first.len()).find(telling).unwrap_or(0);
-    let columns = specs
+/// Runs side by side as they go on, until the last of those that arrive has arrived.
+pub fn animation<R: Draw>(scene: &Scene, task: &Task, runs: &[&(Spec, R)]) -> Animation {
+    let length = |drawn: &Drawn| drawn.path.len();
+    let drawn: Vec<(bool, Drawn)> = runs
         .iter()
-        .zip(all)
-        .filter_map(|(spec, runs)| Some((spec.to_string(), runs.get(index)?)));
-    let start = only.unwrap_or(index);
-    let written = robot_comparison(scene, task, columns)
-        .canvas()
-        .write(&directory.join(format!("robot-start-{start}")))?;
-    Ok(written.to_vec())
+        .map(|(spec, run)| (run.is_success(), run.drawn(&spec.to_string(), task)))
+        .collect();
+    let arrived = drawn.iter().filter(|(is_success, _)| *is_success);
+    let longest = arrived.map(|(_, drawn)| length(drawn)).max();
+    let periods = longest.or(drawn.iter().map(|(_, drawn)| length(drawn)).min());
+    let periods = periods.unwrap_or(0);
+    let frame = |periods: usize| {
+        let planes = drawn.iter().map(|(is_success, drawn)| {
+            let mut plane = drawn.plane(scene, task, periods);
+            let has_ended = *is_success && periods >= length(drawn);
+            if !has_ended {
+                let name = drawn.title.split(':').next().unwrap_or_default();
+                plane.title = format!("{name}: {:.1} s", periods as f64 * task.ts);
+            }
+            plane
+        });
+        figures::side_by_side(planes.map(|plane| plane.canvas()))
+    };
+    let mut frames: Vec<_> = (1..=periods)
+        .step_by(periods.div_ceil(FRAMES).max(1))
+        .map(frame)
+        .collect();
+    frames.push(frame(periods));
+    Animation {
+        frames,
+        period_s: FRAME_S.0,
+        last_s: FRAME_S.1,
+    }
 }
 
 /// The joints of a recorded arm with the steps of its task; none where no arm carried the camera.

@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 use anyhow::{Context, bail};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
+use serde_json::Value;
 
 use crate::children::{self, Children};
 use crate::spec::Spec;
@@ -32,54 +33,13 @@ pub struct Cell {
     pub seed: u64,
 }
 
-/// What `hw-sim` said of a run: its JSON line.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-pub struct Said {
-    /// `arrived` or why not.
-    pub verdict: String,
-    /// Seconds from start to verdict.
-    pub time_s: f64,
-    /// Seconds until the features were at the goal.
-    pub arrived_s: Option<f64>,
-    /// Frames after which the camera stood still for want of a valid command.
-    pub stale: u64,
-    /// Largest component of s - s* at the end, px.
-    pub error_px: f64,
-    /// Least distance of a point from an occlusion or the border, px.
-    pub least_clearance_px: f64,
-    /// The robot's referee.
-    pub arm: Arm,
-    /// How late its milliseconds began.
-    pub lateness: Lateness,
-}
-
-/// Of the robot's referee.
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
-pub struct Arm {
-    /// Times that the robot went into reflex.
-    pub reflexes: u64,
-    /// Milliseconds beyond a limit.
-    pub limit_violations: u64,
-    /// Milliseconds with a discontinuity.
-    pub discontinuities: u64,
-}
-
-/// How late milliseconds began, us.
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
-pub struct Lateness {
-    /// 99th percentile.
-    pub p99_us: f64,
-    /// Maximum.
-    pub max_us: f64,
-}
-
 /// A run.
 #[derive(Clone, Debug, Serialize)]
 pub struct ProcessRun {
     /// Index of the start.
     pub start: usize,
-    /// What the emulator said.
-    pub said: Said,
+    /// What `hw-sim` printed: its line of JSON.
+    pub said: Value,
 }
 
 /// Runs a strategy from these starts, `jobs` pairs of processes at a time; `tell` hears of each run that ends.
@@ -129,7 +89,7 @@ pub fn runs(
 }
 
 /// One run of both processes.
-fn pair(children: &Children, cell: &Cell, spec: Spec, start: usize) -> anyhow::Result<Said> {
+fn pair(children: &Children, cell: &Cell, spec: Spec, start: usize) -> anyhow::Result<Value> {
     let here = cell.place.join(format!("{spec}-{start}").replace(':', "-"));
     fs::create_dir_all(&here).with_context(|| here.display().to_string())?;
     let config = here.join("vpcd.toml");
@@ -180,30 +140,37 @@ fn configuration(cell: &Cell, spec: Spec) -> anyhow::Result<String> {
 
 /// A row of the table of runs.
 pub fn row(spec: Spec, runs: &[ProcessRun]) -> String {
-    let is_good = |run: &&ProcessRun| run.said.verdict == "arrived";
-    let good: Vec<&ProcessRun> = runs.iter().filter(is_good).collect();
-    let sum = |of: fn(&Said) -> u64| runs.iter().map(|run| of(&run.said)).sum::<u64>();
-    let most = |of: fn(&Said) -> f64| runs.iter().map(|run| of(&run.said)).fold(0.0, f64::max);
-    let arrivals = good
-        .iter()
-        .filter_map(|run| run.said.arrived_s)
-        .sum::<f64>();
-    let failed: Vec<String> = runs
-        .iter()
-        .filter(|run| !is_good(run))
-        .map(|run| format!("{} ({})", run.start, run.said.verdict))
+    let is_good = |run: &ProcessRun| run.said["verdict"] == "arrived";
+    // By JSON pointers.
+    let number = |run: &ProcessRun, of: &str| run.said.pointer(of).and_then(Value::as_f64);
+    let numbers = |of| runs.iter().filter_map(move |run| number(run, of));
+    let sum = |of| numbers(of).sum::<f64>();
+    let most = |of| numbers(of).fold(0.0, f64::max);
+    let arrivals = runs.iter().filter(|run| is_good(run));
+    let arrivals: Vec<f64> = arrivals
+        .filter_map(|run| number(run, "/arrived_s"))
+        .collect();
+    let failed = runs.iter().filter(|run| !is_good(run));
+    let failed: Vec<String> = failed
+        .map(|run| {
+            format!(
+                "{} ({})",
+                run.start,
+                run.said["verdict"].as_str().unwrap_or("")
+            )
+        })
         .collect();
     format!(
         "| {spec} | {} of {} | {} | {} | {} | {} | {:.1} | {:.0} | {:.1} | {} |",
-        good.len(),
+        arrivals.len(),
         runs.len(),
-        sum(|said| said.arm.reflexes),
-        sum(|said| said.arm.limit_violations),
-        sum(|said| said.arm.discontinuities),
-        sum(|said| said.stale),
-        arrivals / good.len().max(1) as f64,
-        most(|said| said.lateness.p99_us),
-        most(|said| said.lateness.max_us) * 1e-3,
+        sum("/arm/reflexes"),
+        sum("/arm/limit_violations"),
+        sum("/arm/discontinuities"),
+        sum("/stale"),
+        arrivals.iter().sum::<f64>() / arrivals.len().max(1) as f64,
+        most("/lateness/p99_us"),
+        most("/lateness/max_us") * 1e-3,
         failed.join(", "),
     )
 }

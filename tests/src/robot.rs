@@ -1,10 +1,12 @@
 //! One closed-loop run of the law against the emulated robot, in simulated time: no processes, no clocks, and the same
 //! bits in every run. Everything else is what `hw-sim` steps in real time.
 
-use hw_sim::Verdict;
+use hw_sim::End;
+use hw_sim::cell::{Cell, Exposed, Order};
 use hw_sim::eye::Shot;
+use hw_sim::recording::ArmRecord;
 use hw_sim::robot::inspector::ArmReport;
-use hw_sim::robot::rig::{ArmRecord, End, Exposed, Rig, RigError, RigSettings};
+use hw_sim::robot::rig::{Rig, RigError, RigSettings};
 use hw_sim::robot::sequence::Phase;
 use scene::{Pose, Scene};
 use serde::Serialize;
@@ -16,7 +18,7 @@ const PERIODS: f64 = 3.0;
 const LOST_NS: u64 = 300_000_000;
 
 /// What came of a run.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct RobotRun {
     /// Whether the object was released at the goal and the robot retreated, without any violation.
     pub success: bool,
@@ -31,12 +33,14 @@ pub struct RobotRun {
     /// True s - s* at the end, largest component, px.
     pub error_px: f64,
     /// Frames with a hidden marker.
+    #[serde(rename = "hidden_frames")]
     pub hidden: u64,
     /// Mean over the cycles of l(v) / Np, against the goal.
     pub cost: f64,
     /// What the robot's referee reports.
     pub arm: ArmReport,
     /// What was seen and sent at each exposure.
+    #[serde(skip)]
     pub history: Vec<Sample>,
 }
 
@@ -141,7 +145,7 @@ pub fn run(
     start: &Pose,
 ) -> Result<RobotRun, RigError> {
     controller.reset();
-    let mut rig = Rig::new(scene, start, settings, 0)?;
+    let mut rig = Rig::new(scene, start, settings)?;
     let mut driver = Driver {
         controller,
         memory,
@@ -159,9 +163,9 @@ pub fn run(
     let mut begun = false;
     let mut until_ns = 0;
     let mut lost = false;
-    while rig.end().is_none() && !lost {
+    while rig.progress().end.is_none() && !lost {
         let now_ns = rig.now_ns();
-        let instant = rig.look()?;
+        let instant = rig.look(now_ns)?;
         if let Some(shot) = &instant.shot {
             driver.answer(shot, now_ns);
             if !begun {
@@ -169,14 +173,19 @@ pub fn run(
             }
             begun = true;
             until_ns = now_ns + validity_ns;
-            rig.command(&driver.twist, until_ns, true);
+            rig.obey(&Order {
+                twist: driver.twist,
+                sent_ns: now_ns,
+                until_ns,
+                is_armed: true,
+            });
         } else if begun && now_ns == until_ns && driver.twist != [0.0; 6] {
             // The daemon brakes; the bridge's ramp is the quicker one.
             driver.send([0.0; 6], now_ns);
         }
         if let Some(Exposed { points, .. }) = instant.exposed {
             history.push(Sample {
-                time_s: rig.time_s(),
+                time_s: rig.progress().time_s,
                 features: points.to_vec(),
                 twist: rig.aimed(),
                 way_point: driver.way_point.clone(),
@@ -184,24 +193,24 @@ pub fn run(
             });
         }
         rig.advance();
-        let is_steered = rig.sequence().phase().obeys_controller();
+        let is_steered = rig.phase().obeys_controller();
         lost = begun && is_steered && now_ns.saturating_sub(driver.good_ns) > LOST_NS;
     }
-    let reason = match rig.end() {
+    let reason = match &rig.progress().end {
         _ if lost => Some(Reason::MarkerLost),
-        Some(End::Done) => None,
+        Some(End::Arrived) => None,
         Some(End::Reflex) => Some(Reason::Reflex),
-        Some(End::Image(Verdict::Violation { .. } | Verdict::LostSight)) => Some(Reason::Violation),
+        Some(End::Violation(_) | End::LostSight) => Some(Reason::Violation),
         _ => Some(Reason::TimeOut),
     };
     let arm = rig.report().clone();
     Ok(RobotRun {
         success: reason.is_none() && arm.is_clean(),
         reason,
-        time_s: rig.time_s(),
-        arrived_s: rig.arrived_s(),
-        least_clearance_px: rig.referee().least_clearance(),
-        error_px: rig.error_px(),
+        time_s: rig.progress().time_s,
+        arrived_s: rig.progress().arrived_s,
+        least_clearance_px: rig.progress().referee.least_clearance(),
+        error_px: rig.progress().error_px,
         hidden: driver.hidden,
         cost: driver.cost / driver.cycles.max(1.0),
         arm,

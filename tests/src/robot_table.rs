@@ -1,12 +1,9 @@
 //! `cargo table -- --robot panda`: strategies on the same starts against the emulated robot, in simulated time.
 
-use std::fs;
-use std::io::Write;
-use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-use anyhow::{Context, bail};
-use clap::Args;
-use hw_sim::eye::Sight;
+use anyhow::Context;
 use hw_sim::robot::bridge::Shaping;
 use hw_sim::robot::calibration::Truth;
 use hw_sim::robot::rig::RigSettings;
@@ -15,93 +12,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::solver::Effort;
-use vpc::{Controller, MotionMemory, Settings};
+use vpc::{Controller, MotionMemory, Settings, SolverOptions};
 
+use crate::flags::{Common, RobotFlags};
 use crate::robot::{Reason, RobotRun, run};
 use crate::spec::Spec;
-
-/// The robot and its law.
-#[derive(Args, Clone, Debug)]
-pub struct RobotFlags {
-    /// From the middle of an exposure to the delivery, ms.
-    #[arg(long, value_name = "MS", default_value_t = 110.0)]
-    pub delay_ms: f64,
-    /// Deviation of that to either side, ms.
-    #[arg(long, value_name = "MS", default_value_t = 0.0)]
-    pub jitter_ms: f64,
-    /// Where the features come from.
-    #[arg(long, value_enum, default_value = "ideal")]
-    pub camera: Sight,
-    /// True focal lengths are larger by this share.
-    #[arg(
-        long,
-        value_name = "E",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub focal_error: f64,
-    /// The true camera sits this far from where the calibration has it, in a direction of each start's own, cm.
-    #[arg(long, value_name = "CM", default_value_t = 0.0)]
-    pub hand_eye_cm: f64,
-    /// ... and is turned by this angle about an axis of each start's own, deg.
-    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
-    pub hand_eye_deg: f64,
-    /// The memory is asked from here on: clearance of a feature from an occlusion, px.
-    #[arg(long, value_name = "PX", default_value_t = 30.0)]
-    pub trigger: f64,
-    /// ... and until every feature is this many times further away.
-    #[arg(long, value_name = "X", default_value_t = 2.0)]
-    pub release: f64,
-    /// Extra clearance that the law keeps from every border, px.
-    #[arg(long, value_name = "PX", default_value_t = MARGIN)]
-    pub margin: f64,
-    /// Sends the 30 Hz staircase to the robot as it is.
-    #[arg(long)]
-    pub unshaped: bool,
-    /// Only this start.
-    #[arg(long, value_name = "INDEX")]
-    pub only: Option<usize>,
-}
-
-impl Default for RobotFlags {
-    /// The defaults of the command line.
-    fn default() -> Self {
-        Self {
-            delay_ms: 110.0,
-            jitter_ms: 0.0,
-            camera: Sight::Ideal,
-            focal_error: 0.0,
-            hand_eye_cm: 0.0,
-            hand_eye_deg: 0.0,
-            trigger: 30.0,
-            release: 2.0,
-            margin: MARGIN,
-            unshaped: false,
-            only: None,
-        }
-    }
-}
-
-/// Clearance that the law keeps in the robot's scene, px: none, as in the paper.
-pub const MARGIN: f64 = 0.0;
-
-/// What is the same for both kinds of table.
-#[derive(Clone, Copy, Debug)]
-pub struct Common<'a> {
-    /// Strategies to run.
-    pub strategies: &'a [Spec],
-    /// Pixel noise, px.
-    pub noise: f64,
-    /// Share of lost frames.
-    pub drop: f64,
-    /// Pattern and distances are larger by this share than the law believes.
-    pub depth_error: f64,
-    /// Seed; each start adds its index.
-    pub seed: u64,
-    /// The law's choices that the command line makes for both.
-    pub settings: Settings,
-}
 
 /// A row.
 #[derive(Clone, Debug, Serialize)]
@@ -130,49 +45,22 @@ pub struct RobotRow {
     pub joint_shares: [f64; 3],
 }
 
-/// One run in the document.
-#[derive(Clone, Debug, Serialize)]
-pub struct RobotRecord {
-    start: usize,
-    strategy: String,
-    success: bool,
-    reason: Option<Reason>,
-    arrived_s: Option<f64>,
-    time_s: f64,
-    least_clearance_px: f64,
-    error_px: f64,
-    hidden_frames: u64,
-    cost: f64,
-    arm: hw_sim::robot::inspector::ArmReport,
-}
-
-/// What the table came to.
-#[derive(Clone, Debug, Serialize)]
-pub struct RobotDocument {
-    /// A row a strategy.
-    pub rows: Vec<RobotRow>,
-    /// Every run.
-    pub runs: Vec<RobotRecord>,
-}
-
 /// The law's settings for the robot: the paper's on-line settings of its second experiment.
-pub fn law(spec: Spec, flags: &RobotFlags, base: Settings) -> Settings {
+fn law(flags: &RobotFlags, base: Settings) -> Settings {
     Settings {
-        strategy: spec.strategy,
-        np: spec.np,
-        effort: Effort {
+        solver: SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
         },
         trigger_px: flags.trigger,
-        release: flags.release,
+        hysteresis: flags.release,
         margin_px: flags.margin,
         ..base
     }
 }
 
 /// The cell for one start.
-pub fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> RigSettings {
+fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> RigSettings {
     let mut settings = RigSettings::new(scene);
     let seed = common.seed.wrapping_add(start as u64);
     // Directions of calibration errors: of each start's own, the same for every size.
@@ -201,28 +89,6 @@ pub fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) ->
     settings
 }
 
-/// Checks the flags.
-///
-/// # Errors
-/// Names the flag, the value and what is allowed.
-pub fn check(flags: &RobotFlags, starts: usize) -> anyhow::Result<()> {
-    for (flag, value, least, most) in [
-        ("--delay-ms", flags.delay_ms, 0.0, 900.0),
-        ("--jitter-ms", flags.jitter_ms, 0.0, flags.delay_ms),
-        ("--focal-error", flags.focal_error, -0.5, 0.5),
-        ("--hand-eye-cm", flags.hand_eye_cm, 0.0, 20.0),
-        ("--hand-eye-deg", flags.hand_eye_deg, 0.0, 30.0),
-    ] {
-        if !(least..=most).contains(&value) {
-            bail!("{flag} = {value}; allowed: {least} to {most}");
-        }
-    }
-    if let Some(only) = flags.only.filter(|&only| only >= starts) {
-        bail!("--only = {only}; allowed: 0 to {}", starts - 1);
-    }
-    Ok(())
-}
-
 /// Runs every strategy on every start, on all processors; the order of runs makes no difference to them.
 ///
 /// # Errors
@@ -234,77 +100,55 @@ pub fn table(
     flags: &RobotFlags,
     common: &Common,
     tick: &(dyn Fn() + Sync),
-) -> anyhow::Result<(RobotDocument, Vec<Vec<RobotRun>>)> {
-    check(flags, starts.len())?;
-    let mut document = RobotDocument {
-        rows: Vec::new(),
-        runs: Vec::new(),
-    };
+) -> anyhow::Result<Vec<(Spec, Vec<RobotRun>)>> {
+    flags.check(starts.len())?;
+    let chosen = flags.only.map_or(0..starts.len(), |only| only..only + 1);
     let mut all = Vec::new();
-    for &spec in common.strategies {
-        let chosen: Vec<usize> = match flags.only {
-            Some(only) => vec![only],
-            None => (0..starts.len()).collect(),
-        };
-        let runs = side_by_side(&chosen, |start| {
-            let mut controller =
-                Box::new(Controller::new(scene, law(spec, flags, common.settings))?);
-            let settings = cell(scene, flags, common, start);
+    for &spec in &common.strategies {
+        let settings = law(flags, common.settings(spec));
+        let runs = side_by_side(&chosen.clone().collect::<Vec<_>>(), |start| {
+            let mut controller = Box::new(Controller::new(scene, settings)?);
+            let cell = cell(scene, flags, common, start);
             let memory = memory.map(|memory| memory as &dyn MotionMemory);
-            let run = run(scene, &settings, &mut controller, memory, &starts[start])
-                .with_context(|| format!("start {start}"))?;
+            let run = run(scene, &cell, &mut controller, memory, &starts[start]);
             tick();
-            Ok(run)
+            run.with_context(|| format!("start {start}"))
         })?;
-        document.rows.push(row(spec, &runs));
-        let records = chosen.iter().zip(&runs);
-        document
-            .runs
-            .extend(records.map(|(&start, run)| record(spec, start, run)));
-        all.push(runs);
+        all.push((spec, runs));
     }
-    Ok((document, all))
+    Ok(all)
 }
 
-/// Applies `work` to every item, on all processors.
+/// Applies `work` to every item, on all processors; results in the order of the items.
 fn side_by_side<T: Send>(
     items: &[usize],
     work: impl Fn(usize) -> anyhow::Result<T> + Sync,
 ) -> anyhow::Result<Vec<T>> {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let work = &work;
-    let mut parts: Vec<Vec<anyhow::Result<T>>> = std::thread::scope(|scope| {
-        let handles: Vec<_> = (0..threads)
-            .map(|first| {
-                // The law's workspace is large.
-                let builder = std::thread::Builder::new().stack_size(16 << 20);
-                builder.spawn_scoped(scope, move || {
-                    let mine = items.iter().skip(first).step_by(threads);
-                    mine.map(|&item| work(item)).collect::<Vec<_>>()
-                })
-            })
-            .collect();
-        handles
-            .into_iter()
-            .map(|handle| match handle.map(|thread| thread.join()) {
-                Ok(Ok(results)) => results,
-                Ok(Err(_)) => vec![Err(anyhow::anyhow!("a run panicked"))],
-                Err(error) => vec![Err(error.into())],
-            })
-            .collect()
-    });
-    let mut results = Vec::with_capacity(items.len());
-    parts.iter_mut().for_each(|part| part.reverse());
-    for k in 0..items.len() {
-        match parts[k % threads].pop() {
-            Some(result) => results.push(result?),
-            None => bail!("run {k} is missing"),
+    let next = AtomicUsize::new(0);
+    let done = Mutex::new(Vec::new());
+    let take = || {
+        while let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let result = work(*item);
+            if let Ok(mut done) = done.lock() {
+                done.push((*item, result));
+            }
         }
-    }
-    Ok(results)
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
+            // The law's workspace is large.
+            let thread = std::thread::Builder::new().stack_size(16 << 20);
+            thread.spawn_scoped(scope, take)?;
+        }
+        anyhow::Ok(())
+    })?;
+    let mut done = done.into_inner().unwrap_or_default();
+    done.sort_by_key(|(item, _)| *item);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
-fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
+/// The row of a strategy's runs.
+pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
     let count = runs.len().max(1) as f64;
     let because = |reason| runs.iter().filter(|run| run.reason == Some(reason)).count();
     let good: Vec<f64> = runs
@@ -332,30 +176,14 @@ fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
     }
 }
 
-fn record(spec: Spec, start: usize, run: &RobotRun) -> RobotRecord {
-    RobotRecord {
-        start,
-        strategy: spec.to_string(),
-        success: run.success,
-        reason: run.reason,
-        arrived_s: run.arrived_s,
-        time_s: run.time_s,
-        least_clearance_px: run.least_clearance_px,
-        error_px: run.error_px,
-        hidden_frames: run.hidden,
-        cost: run.cost,
-        arm: run.arm.clone(),
-    }
-}
-
-/// The rows as a Markdown table, and the starts that failed.
-pub fn markdown(document: &RobotDocument) -> String {
+/// The rows as a Markdown table.
+pub fn markdown(rows: &[RobotRow]) -> String {
     let mut text = String::from(
         "| strategy | success (%) | violation | marker lost | time out | reflexes | limit violations | discontinuities | \
          arrival (s) | cost l/Np | joint speed, acceleration, jerk (% of limit) |\n\
          |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );
-    for row in &document.rows {
+    for row in rows {
         let [speed, push, snap] = row.joint_shares.map(|share| 100.0 * share);
         text += &format!(
             "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {:.4} | {speed:.0}, {push:.0}, {snap:.0} |\n",
@@ -371,29 +199,5 @@ pub fn markdown(document: &RobotDocument) -> String {
             row.cost,
         );
     }
-    for row in &document.rows {
-        let failed = document
-            .runs
-            .iter()
-            .filter(|run| run.strategy == row.strategy && !run.success);
-        let failed: Vec<String> = failed.map(|run| run.start.to_string()).collect();
-        if !failed.is_empty() {
-            text += &format!("\n{} failed from {}", row.strategy, failed.join(", "));
-        }
-    }
     text
-}
-
-/// Writes the document.
-///
-/// # Errors
-/// The file cannot be written.
-pub fn write(document: &RobotDocument, path: &PathBuf, out: &mut impl Write) -> anyhow::Result<()> {
-    if let Some(directory) = path.parent().filter(|d| !d.as_os_str().is_empty()) {
-        fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
-    }
-    fs::write(path, serde_json::to_vec_pretty(document)?)
-        .with_context(|| format!("{}: cannot write", path.display()))?;
-    writeln!(out, "wrote {}", path.display())?;
-    Ok(())
 }

@@ -101,7 +101,7 @@ impl Row {
 /// The rows as a Markdown table.
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
-        "| strategy | Np | success r (%) | mean cycle (us) | mean cost l/Np | p50 (us) | p99 (us) | max (us) | \
+        "| strategy | Np | success (%) | mean cycle (us) | mean cost l/Np | p50 (us) | p99 (us) | max (us) | \
          violations | not converged | iterations | solver not conv. (%) | cycles to arrival |\n\
          |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );

@@ -3,13 +3,13 @@
 use std::time::Instant;
 
 use hw_sim::sensor::{Flaws, Sensor};
-use hw_sim::{FreeCamera, Referee, Verdict};
+use hw_sim::{End, FreeCamera, Referee};
 use scene::{Pose, Scene};
 use serde::Serialize;
 use vpc::{Controller, Measurement, MotionMemory, Refusal, Step};
 
 /// What happened in a run.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Run {
     /// Whether the goal was reached in time without a violation.
     pub success: bool,
@@ -20,12 +20,14 @@ pub struct Run {
     /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
     pub cost: f64,
     /// Time of each cycle of the law until the run was decided, us: filled by [`time`].
+    #[serde(skip)]
     pub cycles_us: Vec<f64>,
     /// Iterations of the solver in those cycles.
     pub iterations: u64,
     /// Cycles whose solver ended without convergence.
     pub not_converged: u64,
     /// What was seen and sent, until the run was decided.
+    #[serde(skip)]
     pub history: Vec<Moment>,
 }
 
@@ -71,9 +73,9 @@ pub fn run(
     flawed(scene, controller, memory, start, Flaws::default())
 }
 
-/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is decided when the features arrive, when a constraint is
-/// violated, or when time is up; a run that arrived goes on regulating, watched, so that the mean cost of every run
-/// is taken over the same time.
+/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is decided when the
+/// features arrive, when a constraint is violated, or when time is up; a run that arrived goes on regulating, watched, so
+/// that the mean cost of every run is taken over the same time.
 ///
 /// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and what answers it
 /// takes effect when it is delivered. Where no frame comes the last twist stands, after three periods the zero twist.
@@ -107,13 +109,12 @@ pub fn flawed(
         let Ok(features) = camera.features() else {
             return failed(run, Reason::LostSight, k, cost, cycles);
         };
-        match referee.judge(&features, k as f64 * ts) {
-            Verdict::Violation { .. } => return failed(run, Reason::Violation, k, cost, cycles),
-            Verdict::LostSight => return failed(run, Reason::LostSight, k, cost, cycles),
-            Verdict::Arrived if !run.success => {
+        match referee.judge(&features) {
+            Some(End::Violation(_)) => return failed(run, Reason::Violation, k, cost, cycles),
+            Some(End::Arrived) if !run.success => {
                 (run.success, run.reason, run.steps) = (true, None, k);
             }
-            Verdict::Arrived | Verdict::Running | Verdict::TimeOut => {}
+            _ => {}
         }
         let now_ns = (k as f64 * ts * 1e9).round() as u64;
         let frame = sensor.expose(&features, now_ns);

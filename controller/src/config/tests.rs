@@ -11,7 +11,7 @@ fn parse(text: &str, arguments: &Arguments) -> Result<Config, ConfigError> {
 
 fn refused(text: &str) -> String {
     let error = parse(text, &Arguments::default()).unwrap_err();
-    assert_eq!(error.exit(), Exit::Config);
+    assert_eq!(Exit::from(&error), Exit::Config);
     error.to_string()
 }
 
@@ -169,7 +169,7 @@ fn a_wrong_flag_is_an_error_of_usage() {
         ..Arguments::default()
     };
     let error = parse("scene = 's.toml'", &flags).unwrap_err();
-    assert_eq!(error.exit(), Exit::Usage);
+    assert_eq!(Exit::from(&error), Exit::Usage);
     assert_eq!(
         error.to_string(),
         "command line: --np = 0; allowed: 1 to 40"
@@ -207,16 +207,15 @@ fn what_is_printed_is_the_same_configuration() {
         "scene = 's.toml'",
         "scene = 's.toml'\nmemory = 'm'\n[cycle]\nclock = 'lockstep'\n[realtime]\npriority = 5",
     ] {
-        let config = parse(text, &flags).unwrap();
-        let printed = Config::effective(text, "v.toml", Path::new("/etc"), &flags).unwrap();
+        let document = Document::parse(text, "v.toml").unwrap();
+        let (tables, config) = laid_over(document, Path::new("/etc"), &flags).unwrap();
+        let printed = toml::to_string(&tables).unwrap();
         assert_eq!(parse(&printed, &Arguments::default()).unwrap(), config);
         assert!(printed.contains("np = 7"), "{printed}");
     }
-    let refused = Config::effective("", "v.toml", Path::new(""), &flags);
+    let refused = Config::print(&flags).unwrap_err().to_string();
     assert!(
-        refused
-            .unwrap_err()
-            .to_string()
-            .contains("scene is missing")
+        refused.contains("command line: scene is missing"),
+        "{refused}"
     );
 }

@@ -4,12 +4,11 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use vpc::solver::Effort;
-use vpc::{Settings, Strategy};
+use vpc::{Settings, SolverOptions, Strategy};
 
 use super::record::{FlightRecord, Key};
 use super::words::Field;
-use crate::config::{Config, model, model_name};
+use crate::config::Config;
 use crate::law::Law;
 
 /// All that a replay needs beside keys and records, and what a reader of the file wants to know.
@@ -93,7 +92,8 @@ pub struct SettingsAbout {
     nc: usize,
     iterations: u32,
     tolerance: f64,
-    model: String,
+    #[serde(with = "crate::config::ModelWord")]
+    model: vpc::Model,
     trigger_px: f64,
     release: f64,
     margin_px: f64,
@@ -109,10 +109,10 @@ impl From<&Settings> for SettingsAbout {
             strategy,
             np,
             nc,
-            effort,
+            solver,
             model,
             trigger_px,
-            release,
+            hysteresis: release,
             margin_px,
             lambda,
             detour,
@@ -122,9 +122,9 @@ impl From<&Settings> for SettingsAbout {
             strategy: strategy.to_string(),
             np,
             nc,
-            iterations: effort.max_iterations,
-            tolerance: effort.tolerance,
-            model: model_name(model).to_owned(),
+            iterations: solver.max_iterations,
+            tolerance: solver.tolerance,
+            model,
             trigger_px,
             release,
             margin_px,
@@ -145,23 +145,17 @@ impl SettingsAbout {
             .strategy
             .parse()
             .map_err(|allowed| format!("strategy = {}; {allowed}", self.strategy))?;
-        let model = model(&self.model).ok_or_else(|| {
-            format!(
-                "model = {}; allowed: target-depth, area-depth, pose",
-                self.model
-            )
-        })?;
         let settings = Settings {
             strategy,
             np: self.np,
             nc: self.nc,
-            effort: Effort {
+            solver: SolverOptions {
                 max_iterations: self.iterations,
                 tolerance: self.tolerance,
             },
-            model,
+            model: self.model,
             trigger_px: self.trigger_px,
-            release: self.release,
+            hysteresis: self.release,
             margin_px: self.margin_px,
             lambda: self.lambda,
             detour: self.detour,

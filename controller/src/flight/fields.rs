@@ -414,9 +414,7 @@ impl Words for vpc::State {
             near,
             detour,
             previous,
-            count,
             predicted,
-            seen_count,
             seen,
             seen_ns,
             is_linked,
@@ -427,10 +425,10 @@ impl Words for vpc::State {
         visit.flag("near", near);
         visit.part("detour", detour);
         visit.reals("previous", previous);
-        visit.u32("count", count);
-        visit.reals("predicted", predicted.as_flattened_mut());
-        visit.u32("seen_count", seen_count);
-        visit.reals("seen", seen.as_flattened_mut());
+        visit.u32("count", &mut predicted.count);
+        visit.reals("predicted", predicted.points.as_flattened_mut());
+        visit.u32("seen_count", &mut seen.count);
+        visit.reals("seen", seen.points.as_flattened_mut());
         visit.u64("seen_ns", seen_ns);
         visit.flag("is_linked", is_linked);
         visit.real("still_px", still_px);

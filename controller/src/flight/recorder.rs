@@ -99,14 +99,15 @@ impl Recorder {
         }
         let minutes = (fitting as f64 / rate_hz / 6.0).floor() / 10.0;
         let memory_gb = memory_bytes as f64 / 1e9;
-        Err(ConfigError::Value {
-            path: source,
-            key: "flight.minutes".to_owned(),
-            value: flight.minutes.to_string(),
-            allowed: format!(
-                "at most {minutes} min at the scene's {rate_hz} Hz, a quarter of this machine's {memory_gb:.1} GB"
-            ),
-        })
+        let allowed = format!(
+            "at most {minutes} min at the scene's {rate_hz} Hz, a quarter of this machine's {memory_gb:.1} GB"
+        );
+        Err(ConfigError::value(
+            &source,
+            "flight.minutes",
+            flight.minutes,
+            allowed,
+        ))
     }
 
     /// A recorder of so many cycles that writes nothing.

@@ -89,7 +89,7 @@ pub fn write_memory(scene: &Scene, path: &Path, random: &mut impl Rng) {
         noise_variance: 1e-3,
         mean: answer(random),
         lambda: vec![vec![1e-3; outputs]; 100],
-        output_scale: None,
+        output_scale: vec![1.0; outputs],
         cholesky: None,
     };
     let contents = Contents {

@@ -552,7 +552,7 @@ fn settings_and_place_survive_the_file() {
         let mut settings = bench.config.settings;
         settings.lambda = random.random_range(1e-6..100.0);
         settings.trigger_px = f64::from_bits(random.next_u64() >> 12 | 0x4000_0000_0000_0000);
-        settings.effort.tolerance = random.random_range(1e-15..1.0);
+        settings.solver.tolerance = random.random_range(1e-15..1.0);
         let about: controller::flight::about::SettingsAbout = (&settings).into();
         let text = serde_json::to_string(&about).unwrap();
         let back: controller::flight::about::SettingsAbout = serde_json::from_str(&text).unwrap();

@@ -1,37 +1,27 @@
 //! What the tests share: a place, a service manager's socket, the daemon's process, and a way to freeze one thread.
 
 use std::io::ErrorKind;
-use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixDatagram;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, kill_process};
+pub use testkit::{Running, are_installed, eventually, is_root, not_run, root, scene_file};
 
 /// A directory for one test that every user may enter; the domain in it is the daemon's own affair.
-pub struct Place(tempfile::TempDir);
+pub struct Place(testkit::Place);
+
+impl std::ops::Deref for Place {
+    type Target = testkit::Place;
+
+    fn deref(&self) -> &testkit::Place {
+        &self.0
+    }
+}
 
 impl Place {
     pub fn new() -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        let open = std::fs::Permissions::from_mode(0o755);
-        std::fs::set_permissions(directory.path(), open).unwrap();
-        Self(directory)
-    }
-
-    pub fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    pub fn file(&self, name: &str, text: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.path(name);
-        std::fs::write(&path, text).unwrap();
-        path
-    }
-
-    pub fn domain(&self) -> PathBuf {
-        self.path("domain")
+        Self(testkit::Place::for_all_users())
     }
 
     /// The daemon in this place's domain, with the paper's scene, armed, and nothing of our own service manager.
@@ -40,15 +30,6 @@ impl Place {
         command.arg("--scene").arg(scene_file());
         command.arg("--domain").arg(self.domain()).arg("--arm");
         command
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        // Who is alone in a domain clears away what the killed left in /dev/shm.
-        if self.domain().exists() {
-            let _ = self.vpcd().args(["--cycles", "1"]).output();
-        }
     }
 }
 
@@ -67,118 +48,24 @@ pub fn vpcd() -> Command {
     command
 }
 
-/// The repository's root.
-pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("..")
-        .canonicalize()
-        .unwrap()
-}
-
-/// The scene file of the paper's simulation.
-pub fn scene_file() -> PathBuf {
-    root().join("ipc/scene/scenes/paper-sim.toml")
-}
-
 /// Runs a command to its end: exit code and standard error.
-pub fn ended(mut command: Command) -> (i32, String) {
-    let Output { status, stderr, .. } = command.output().unwrap();
-    (
-        status.code().unwrap_or(-1),
-        String::from_utf8(stderr).unwrap(),
-    )
+pub fn ended(command: Command) -> (i32, String) {
+    testkit::ended(command).log()
 }
 
-/// Whether we may do what only root may; tells plainly where not.
-pub fn is_root(what: &str) -> bool {
-    let is_root = rustix::process::geteuid().is_root();
-    if !is_root {
-        eprintln!("NOT RUN: {what}: needs root");
-    }
-    is_root
-}
-
-/// Calls `attempt` until it gives something; panics after ten seconds.
-pub fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    while start.elapsed() < Duration::from_secs(10) {
-        if let Some(value) = attempt() {
-            return value;
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    panic!("{what}: did not happen");
-}
-
-/// The daemon at work; killed when the test ends first.
-pub struct Running(Option<Child>);
-
-impl Running {
-    pub fn start(mut command: Command) -> Self {
-        Self(Some(command.spawn().unwrap()))
-    }
-
-    pub fn pid(&self) -> u32 {
-        self.0.as_ref().unwrap().id()
-    }
-
-    pub fn signal(&self, signal: Signal) {
-        let pid = Pid::from_raw(self.pid() as i32).unwrap();
-        kill_process(pid, signal).unwrap();
-    }
-
-    /// Waits for its end: exit code (-1 where a signal ended it) and standard error.
-    pub fn ended(mut self) -> (i32, String) {
-        let mut child = self.0.take().unwrap();
-        let start = Instant::now();
-        while child.try_wait().unwrap().is_none() {
-            if start.elapsed() > Duration::from_secs(10) {
-                child.kill().unwrap();
-                let output = child.wait_with_output().unwrap();
-                panic!("did not end: {}", String::from_utf8_lossy(&output.stderr));
-            }
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        let Output { status, stderr, .. } = child.wait_with_output().unwrap();
-        (
-            status.code().unwrap_or(-1),
-            String::from_utf8(stderr).unwrap(),
-        )
-    }
-
-    pub fn terminated(self) -> (i32, String) {
-        self.signal(Signal::TERM);
-        self.ended()
-    }
-
-    /// The thread of this name; the loop's is called as the program.
-    pub fn thread(&self, name: &str) -> i32 {
-        thread(self.pid(), name)
-    }
-
-    /// Times that a thread went to sleep: grows with each of its turns.
-    pub fn sleeps(&self, thread: i32) -> u64 {
-        let path = format!("/proc/{}/task/{thread}/status", self.pid());
-        let text = std::fs::read_to_string(path).unwrap();
-        let line = text
-            .lines()
-            .find(|line| line.starts_with("voluntary_ctxt_switches"));
-        line.unwrap()
-            .split_whitespace()
-            .last()
-            .unwrap()
-            .parse()
-            .unwrap()
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        if let Some(child) = &mut self.0 {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
+/// Times that a thread went to sleep: grows with each of its turns.
+pub fn sleeps(process: u32, thread: i32) -> u64 {
+    let path = format!("/proc/{}/task/{thread}/status", process);
+    let text = std::fs::read_to_string(path).unwrap();
+    let line = text
+        .lines()
+        .find(|line| line.starts_with("voluntary_ctxt_switches"));
+    line.unwrap()
+        .split_whitespace()
+        .last()
+        .unwrap()
+        .parse()
+        .unwrap()
 }
 
 /// The thread of this name in a process.

@@ -14,7 +14,7 @@ fn a_second_daemon_is_69_and_names_the_first_which_goes_on() {
     let words = format!(
         "domain {}: another vpcd is at work, process {};",
         domain.display(),
-        first.pid()
+        first.id()
     );
     let (code, message) = ended(place.vpcd());
     assert_eq!(code, 69, "{message}");
@@ -27,7 +27,7 @@ fn a_second_daemon_is_69_and_names_the_first_which_goes_on() {
     first.signal(Signal::CONT);
     manager.drain();
     manager.until("STATUS=holding");
-    let (code, log) = first.terminated();
+    let (code, log) = first.terminated().log();
     assert_eq!(code, 0, "{log}");
 }
 
@@ -39,7 +39,7 @@ fn after_a_kill_the_domain_is_free() {
         let daemon = manager.manage(place.vpcd(), None);
         manager.until("READY=1");
         daemon.signal(Signal::KILL);
-        let (code, _) = daemon.ended();
+        let (code, _) = daemon.ended().log();
         assert_eq!(code, -1);
         std::fs::remove_file(place.path("notify")).unwrap();
     }

@@ -12,7 +12,7 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-use crate::fixture::{Place, eventually, is_root, root};
+use crate::fixture::{Place, eventually, is_root, not_run, root};
 
 /// What a minimal boot takes from the machine.
 const STOCK: [&str; 3] = [
@@ -96,13 +96,13 @@ impl Machine {
             "/usr/bin/timeout",
         ] {
             if !Path::new(tool).exists() {
-                eprintln!("NOT RUN: {what}: {tool} is missing");
+                not_run(what, format_args!("{tool} is missing"));
                 return None;
             }
         }
         let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(cgroup) = Cgroup::new() else {
-            eprintln!("NOT RUN: {what}: no cgroup v2 that we may write to");
+            not_run(what, "no cgroup v2 that we may write to");
             return None;
         };
         let place = Place::new();

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rustix::process::Signal;
 
-use crate::fixture::{Frozen, eventually, root, spin, thread};
+use crate::fixture::{Frozen, eventually, not_run, root, spin, thread};
 use crate::machine::{Machine, Stage, may_raise_limits, status};
 
 /// The files of the package where it would install them.
@@ -81,8 +81,9 @@ pub fn starts_ready_and_confined(machine: &Machine) {
     );
     let is_limited = !may_raise_limits();
     if is_limited {
-        eprintln!(
-            "NOT CHECKED: LimitRTPRIO=, LimitMEMLOCK=, no capabilities: root lacks CAP_SYS_RESOURCE here"
+        not_run(
+            "LimitRTPRIO=, LimitMEMLOCK=, no capabilities",
+            "root lacks CAP_SYS_RESOURCE",
         );
     } else {
         assert_eq!(status(daemon, "CapEff"), "0000000000000000");
@@ -189,8 +190,7 @@ fn is_restarted_after_a_kill_and_after_hangs(machine: &Machine) {
 /// Under SCHED_FIFO an endless loop would keep a core to itself; the kernel ends it before the watchdog has to.
 fn is_restarted_after_an_endless_loop(machine: &Machine) {
     if !spin(thread(machine.daemon(), "vpcd")) {
-        eprintln!("NOT RUN: an endless loop: unknown processor");
-        return;
+        return not_run("an endless loop", "unknown processor");
     }
     eventually("a restart", || {
         (machine.show("NRestarts") == "4").then_some(())
@@ -205,11 +205,10 @@ pub fn serves_the_emulator(machine: &Machine) {
         .run("test -x /usr/bin/hw-sim -a -x /usr/bin/vpcctl")
         .0
     {
-        eprintln!(
-            "NOT RUN: the pair of services: hw-sim and vpcctl are not built beside vpcd (cargo build -p hw-sim -p \
-             vpcctl)"
+        return not_run(
+            "the pair of services",
+            "hw-sim and vpcctl are not built (cargo build)",
         );
-        return;
     }
     let restarts = machine.show("NRestarts");
     machine.must("systemctl start hw-sim");

@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
-use crate::fixture::{Frozen, Manager, Place, count, ended, scene_file, spin, vpcd};
+use crate::fixture::{
+    Frozen, Manager, Place, count, ended, not_run, scene_file, sleeps, spin, thread, vpcd,
+};
 
 /// 15 periods of the loop.
 const WATCHDOG: Duration = Duration::from_millis(500);
@@ -49,7 +51,7 @@ fn ready_comes_once_and_only_after_the_loop_has_made_a_cycle() {
     messages.extend(manager.until("STATUS=disarmed"));
     messages.extend(manager.until("STATUS=disarmed"));
     assert_eq!(count(&messages, "READY=1"), 1, "{messages:?}");
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
 }
 
@@ -76,7 +78,7 @@ fn the_status_tells_state_and_counters_and_the_end_is_announced_once() {
     assert!(
         cycles(&statuses[0]) < cycles(&statuses[1]) && cycles(&statuses[1]) < cycles(&statuses[2])
     );
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     let last = manager.drain();
     assert_eq!(count(&last, "STOPPING=1"), 1, "{last:?}");
@@ -89,7 +91,7 @@ fn a_run_that_ends_by_itself_is_announced_as_well() {
     let manager = Manager::new(&place);
     let mut command = place.vpcd();
     command.args(["--cycles", "5"]);
-    let (code, log) = manager.manage(command, None).ended();
+    let (code, log) = manager.manage(command, None).ended().log();
     assert_eq!(code, 0, "{log}");
     let messages = manager.drain();
     assert_eq!(count(&messages, "READY=1"), 1, "{messages:?}");
@@ -138,7 +140,7 @@ fn a_loop_that_hangs_is_no_longer_fed_for_and_the_status_says_so() {
     let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
     manager.until("READY=1");
     manager.until("WATCHDOG=1");
-    let frozen = Frozen::freeze(daemon.thread("vpcd"));
+    let frozen = Frozen::freeze(thread(daemon.id(), "vpcd"));
     manager.drain();
     // The ordinary thread goes on talking, for two intervals and more; it may have had one feed left to send.
     let mut messages = manager.until("STATUS=LOOP STANDS STILL");
@@ -150,7 +152,7 @@ fn a_loop_that_hangs_is_no_longer_fed_for_and_the_status_says_so() {
     );
     drop(frozen);
     manager.until("WATCHDOG=1");
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     assert!(
         log.contains("the loop stands still") && log.contains("the loop moves again"),
@@ -165,12 +167,12 @@ fn an_ordinary_thread_that_hangs_does_not_feed_while_the_loop_goes_on() {
     let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
     manager.until("READY=1");
     manager.until("WATCHDOG=1");
-    let (looping, recorder) = (daemon.thread("vpcd"), daemon.thread("recorder"));
+    let (looping, recorder) = (thread(daemon.id(), "vpcd"), thread(daemon.id(), "recorder"));
     let frozen = Frozen::freeze(recorder);
     manager.drain();
-    let before = daemon.sleeps(looping);
+    let before = sleeps(daemon.id(), looping);
     assert_eq!(manager.within(3 * WATCHDOG), None);
-    let after = daemon.sleeps(looping);
+    let after = sleeps(daemon.id(), looping);
     assert!(
         after > before + 10,
         "the loop stood as well: {before}, {after}"
@@ -217,13 +219,13 @@ fn last_feed(hang: Hang, phase: u32) -> Duration {
     manager.until("WATCHDOG=1");
     // Shortly before the next feed.
     std::thread::sleep(WATCHDOG / 4 - PERIOD * phase / PHASES);
-    let looping = daemon.thread("vpcd");
+    let looping = thread(daemon.id(), "vpcd");
     manager.drain();
     let _frozen = match hang {
         Hang::Still => Some(Frozen::freeze(looping)),
         Hang::Endless => {
             if !spin(looping) {
-                eprintln!("NOT RUN: an endless loop: unknown processor");
+                not_run("an endless loop", "unknown processor");
                 return Duration::ZERO;
             }
             None
@@ -309,14 +311,14 @@ fn a_manager_that_does_not_listen_delays_nothing_and_hears_it_later() {
         }
     }
     let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
-    let looping = daemon.thread("vpcd");
-    let recorder = daemon.thread("recorder");
+    let looping = thread(daemon.id(), "vpcd");
+    let recorder = thread(daemon.id(), "recorder");
     // Both sleep a lot while they start.
     std::thread::sleep(2 * WATCHDOG);
-    let before = (daemon.sleeps(looping), daemon.sleeps(recorder));
+    let before = (sleeps(daemon.id(), looping), sleeps(daemon.id(), recorder));
     std::thread::sleep(2 * WATCHDOG);
-    assert!(daemon.sleeps(looping) > before.0 + 10);
-    assert!(daemon.sleeps(recorder) > before.1 + 10);
+    assert!(sleeps(daemon.id(), looping) > before.0 + 10);
+    assert!(sleeps(daemon.id(), recorder) > before.1 + 10);
     manager.until("READY=1");
 }
 
@@ -391,7 +393,7 @@ fn a_failure_is_left_behind_as_the_status() {
     let config = place.file("v.toml", "scene = 's.toml'\n[law]\nnpp = 3\n");
     let mut command = place.vpcd();
     command.arg("--config").arg(config);
-    let (code, message) = manager.manage(command, None).ended();
+    let (code, message) = manager.manage(command, None).ended().log();
     assert_eq!(code, 78, "{message}");
     let said = manager.drain();
     assert_eq!(said.len(), 1, "{said:?}");

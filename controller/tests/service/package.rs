@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::fixture::{Place, eventually, root};
+use crate::fixture::{Place, are_installed, eventually, not_run, root};
 use crate::machine::{Machine, may_raise_limits};
 use crate::namespace::{is_nobody_elses, serves_the_emulator, starts_ready_and_confined};
 
@@ -27,36 +27,30 @@ struct Package {
 }
 
 impl Package {
-    /// Builds it; None, said plainly, where that cannot be.
+    /// Builds it; `None` where that cannot be.
     fn build(what: &str) -> Option<Self> {
         let Some(cargo_deb) = cargo_deb() else {
-            eprintln!(
-                "NOT RUN: {what}: cargo-deb is missing (cargo install cargo-deb --version '^3' --locked; looked for \
-                 as VPC_CARGO_DEB, in PATH and in CARGO_HOME/bin)"
+            not_run(
+                what,
+                "no cargo-deb in PATH or CARGO_HOME/bin (cargo install cargo-deb --version '^3' --locked)",
             );
             return None;
         };
-        for tool in ["dpkg", "dpkg-shlibdeps", "deb-systemd-helper", "strip"] {
-            if in_path(tool).is_none() {
-                eprintln!(
-                    "NOT RUN: {what}: {tool} is missing (apt-get install dpkg-dev init-system-helpers binutils)"
-                );
-                return None;
-            }
+        let tools = [
+            "dpkg",
+            "dpkg-shlibdeps=dpkg-dev",
+            "deb-systemd-helper=init-system-helpers",
+            "strip=binutils",
+        ];
+        if !are_installed(what, &tools) {
+            return None;
         }
         // cargo-deb packs what is below `release` of the target directory, and refuses the profile `dev`.
         let place = Place::new();
         let release = place.path("target/release");
         fs::create_dir_all(&release).unwrap();
         for program in PROGRAMS {
-            let built = Path::new(env!("CARGO_BIN_EXE_vpcd")).with_file_name(program);
-            if !built.exists() {
-                eprintln!(
-                    "NOT RUN: {what}: {program} is not built beside vpcd (cargo build --workspace --bins)"
-                );
-                return None;
-            }
-            std::os::unix::fs::symlink(built, release.join(program)).unwrap();
+            std::os::unix::fs::symlink(testkit::program(program), release.join(program)).unwrap();
         }
         let share = Command::new(release.join("vpcctl"))
             .arg("man")
@@ -87,9 +81,6 @@ impl Package {
 
 /// Where cargo-deb is.
 fn cargo_deb() -> Option<PathBuf> {
-    if let Some(named) = std::env::var_os("VPC_CARGO_DEB") {
-        return Some(named.into());
-    }
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| Some(std::env::home_dir()?.join(".cargo")));
     in_path("cargo-deb").or_else(|| Some(home?.join("bin/cargo-deb")).filter(|path| path.exists()))
@@ -114,8 +105,7 @@ fn a_debian_installs_starts_upgrades_removes_and_purges_it() {
         return;
     };
     if !machine.run("dpkg --status systemd").0 {
-        eprintln!("NOT RUN: {what}: this machine's systemd is not dpkg's");
-        return;
+        return not_run(what, "this machine's systemd is not dpkg's");
     }
     // Where the machine has it already.
     machine.run("dpkg --purge vpcd; userdel vpcd");
@@ -137,11 +127,10 @@ fn a_debian_installs_starts_upgrades_removes_and_purges_it() {
 
 /// What is not for us is in `systemd/lintian-overrides`, with reasons.
 fn lintian_finds_neither_error_nor_warning(package: &Package) {
-    let Some(lintian) = in_path("lintian") else {
-        eprintln!("NOT RUN: lintian: it is not installed (apt-get install lintian)");
+    if !are_installed("lintian", &["lintian"]) {
         return;
-    };
-    let mut command = Command::new(lintian);
+    }
+    let mut command = Command::new("lintian");
     command.args(["--fail-on", "error,warning"]);
     if rustix::process::geteuid().is_root() {
         command.arg("--allow-root");
@@ -195,7 +184,13 @@ fn has_all_files_in_their_places(machine: &Machine, pages: &str) {
         machine.must(&format!("test -e '{path}'"));
     }
     let mut wanted: Vec<_> = PROGRAMS.map(|name| format!("/usr/bin/{name}")).into();
-    for name in ["copyright", "changelog.Debian.gz", "README.md", "vpcd.toml"] {
+    for name in [
+        "copyright",
+        "changelog.Debian.gz",
+        "README.md",
+        "vpcd.toml",
+        "vpcd.schema.json",
+    ] {
         wanted.push(format!("/usr/share/doc/vpcd/{name}"));
     }
     for name in pages.lines().filter(|name| name.ends_with(".1")) {
@@ -252,7 +247,10 @@ fn finds_real_time_in_the_service(machine: &Machine) {
     if may_raise_limits() {
         assert!(is_found("locked memory"), "{log}");
     } else {
-        eprintln!("NOT CHECKED: locked memory by --preflight: root lacks CAP_SYS_RESOURCE here");
+        not_run(
+            "locked memory by --preflight",
+            "root lacks CAP_SYS_RESOURCE",
+        );
     }
 }
 

@@ -62,7 +62,7 @@ fn directory_and_shared_memory_are_their_owners_alone() {
     let manager = Manager::new(&place);
     let daemon = manager.manage(place.vpcd(), None);
     manager.until("READY=1");
-    let files = files(&place.domain(), daemon.pid());
+    let files = files(&place.domain(), daemon.id());
     for path in &files {
         let mode = std::fs::symlink_metadata(path)
             .unwrap()
@@ -90,6 +90,6 @@ fn directory_and_shared_memory_are_their_owners_alone() {
     let (code, message) = ended(intruder);
     assert_eq!(code, 69, "{message}");
     assert!(message.contains("domain"), "{message}");
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
 }

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
-use crate::fixture::{Frozen, Manager, Place, Running, eventually};
+use crate::fixture::{Frozen, Manager, Place, Running, eventually, thread};
 
 /// Whether a signal to the process waits to be taken.
 fn is_pending(pid: u32) -> bool {
@@ -28,7 +28,7 @@ fn a_hang_up_is_noted_and_the_loop_goes_on() {
     daemon.signal(Signal::HUP);
     manager.until("STATUS=holding");
     manager.until("STATUS=holding");
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     assert_eq!(log.matches("SIGHUP: nothing to do").count(), 1, "{log}");
 }
@@ -40,18 +40,18 @@ fn further_requests_to_stop_do_not_cut_the_stop_short() {
     let daemon = manager.manage(place.vpcd(), None);
     manager.until("READY=1");
     // The loop stands, so that the stop takes as long as we please.
-    let frozen = Frozen::freeze(daemon.thread("vpcd"));
+    let frozen = Frozen::freeze(thread(daemon.id(), "vpcd"));
     daemon.signal(Signal::TERM);
     manager.until("STOPPING=1");
     for signal in [Signal::TERM, Signal::INT, Signal::TERM] {
         daemon.signal(signal);
         eventually("the signal is taken", || {
-            (!is_pending(daemon.pid())).then_some(())
+            (!is_pending(daemon.id())).then_some(())
         });
     }
     manager.until("STATUS=");
     drop(frozen);
-    let (code, log) = daemon.ended();
+    let (code, log) = daemon.ended().log();
     assert_eq!(code, 0, "{log}");
     assert!(log.contains("stopped"), "{log}");
 }
@@ -62,12 +62,12 @@ fn signals_do_not_hasten_the_loop() {
     let mut command = place.vpcd();
     command.args(["--cycles", "20"]);
     let daemon = Running::start(command);
-    daemon.thread("recorder");
+    thread(daemon.id(), "recorder");
     let start = Instant::now();
     // Twenty cycles are two thirds of a second; only too early an end is wrong.
     while start.elapsed() < Duration::from_millis(550) {
         daemon.signal(Signal::HUP);
-        let path = format!("/proc/{}/stat", daemon.pid());
+        let path = format!("/proc/{}/stat", daemon.id());
         let state = std::fs::read_to_string(path).unwrap();
         assert!(
             !state.contains(") Z "),
@@ -76,7 +76,7 @@ fn signals_do_not_hasten_the_loop() {
         );
         std::thread::sleep(Duration::from_millis(2));
     }
-    let (code, log) = daemon.ended();
+    let (code, log) = daemon.ended().log();
     assert_eq!(code, 0, "{log}");
     assert!(log.contains("cycles=20"), "{log}");
 }

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use controller::exit::Exit;
 
-use crate::fixture::{Place, root, vpcd};
+use crate::fixture::{Place, are_installed, not_run, root, vpcd};
 
 fn installed(name: &str) -> String {
     let path = root().join("controller/systemd").join(name);
@@ -31,18 +31,14 @@ fn placed(place: &Place, name: &str, text: &str) -> PathBuf {
     place.file(name, text.replace(line, &start))
 }
 
-/// Runs systemd-analyze; None, said plainly, where there is none.
+/// Runs systemd-analyze; `None` where there is none.
 fn analyze(arguments: &[&str], unit: &Path) -> Option<(bool, String)> {
-    let output = Command::new("systemd-analyze")
-        .args(arguments)
-        .arg(unit)
-        .output();
-    let Ok(output) = output else {
-        eprintln!("NOT RUN: systemd-analyze is not installed");
+    if !are_installed("units", &["systemd-analyze=systemd"]) {
         return None;
-    };
-    let text = [output.stdout, output.stderr].concat();
-    Some((output.status.success(), String::from_utf8(text).unwrap()))
+    }
+    let mut analyze = Command::new("systemd-analyze");
+    let said = testkit::ended(analyze.args(arguments).arg(unit));
+    Some((said.code == Some(0), said.stdout + &said.stderr))
 }
 
 #[test]
@@ -147,8 +143,7 @@ fn the_default_configuration_runs_as_installed_and_fits_the_unit() {
 fn where_there_is_no_journald_the_log_falls_back_to_standard_error() {
     use std::os::unix::fs::MetadataExt;
     if Path::new("/run/systemd/journal/socket").exists() {
-        eprintln!("NOT RUN: this machine has a journald");
-        return;
+        return not_run("the log without a journald", "this machine has a journald");
     }
     let place = Place::new();
     let path = place.file("log", "");

@@ -1,7 +1,8 @@
-//! What a solution costs, ours and a peer's, on the problems of the fixture: `cargo bench -p vpc --bench step`.
+//! What a solution costs, ours and a peer's, on the problems of the fixture: `cargo bench -p
+//! vpc-bench`.
 //!
-//! Each iteration takes the next problem of its window. The table at the end compares problem by problem, all solvers
-//! in turn from standing still, and says what their answers are worth.
+//! Each iteration takes the next problem of its window. The table at the end compares problem by
+//! problem, all solvers in turn from standing still, and says what their answers are worth.
 
 #[allow(dead_code)] // the test asks for more
 #[path = "../tests/subproblem/mod.rs"]
@@ -16,7 +17,7 @@ use divan::Bencher;
 use scene::Scene;
 use subproblem::{Case, Fixture, Subproblem};
 use vpc::solver::Solver;
-use vpc::{DOF, Task, Twist, constraint};
+use vpc::{DOF, Task, Twist};
 
 const WINDOWS: [usize; 3] = [3, 10, 30];
 const REST: Twist = [0.0; DOF];
@@ -84,10 +85,7 @@ fn painted() -> Task {
     let directory = tempfile::tempdir().unwrap();
     let is_white = |i: u32, j: u32| {
         let middle = [f64::from(i) + 0.5, f64::from(j) + 0.5];
-        shapes
-            .parts
-            .iter()
-            .any(|part| constraint::hides(part, middle))
+        shapes.obstacles().any(|obstacle| obstacle.hides(middle))
     };
     scene::write_mask(&directory.path().join("mask.png"), 1024, 1024, is_white).unwrap();
     let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
@@ -97,7 +95,8 @@ fn painted() -> Task {
     Task::new(&Scene::read(&path).unwrap()).unwrap()
 }
 
-/// Shapes, the mask, and the shapes again, in turn, on every problem of a window of the paper's scene.
+/// Shapes, the mask, and the shapes again, in turn, on every problem of a window of the paper's
+/// scene.
 fn paint(np: usize, mask: &Task) {
     let fixture = Fixture::read();
     let mut solvers = Solvers::new();

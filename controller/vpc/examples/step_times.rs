@@ -1,8 +1,9 @@
 //! What a whole cycle costs: `cargo run --release -p vpc --example step_times`.
 //!
-//! Steers an exact camera from the first fixed starts of the paper's scene, with every strategy, and records what it
-//! saw. The recording is then replayed: the time of a cycle is the median over the replays, so that other work on
-//! the machine, which disturbs a cycle here and there, is not taken for the law's.
+//! Steers an exact camera from the first fixed starts of the paper's scene, with every strategy,
+//! and records what it saw. The recording is then replayed: the time of a cycle is the median over
+//! the replays, so that other work on the machine, which disturbs a cycle here and there, is not
+//! taken for the law's.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -58,7 +59,8 @@ struct Cycles {
 }
 
 impl Cycles {
-    /// Runs the law from a start until it arrives or the scene's time is up, and replays what it saw.
+    /// Runs the law from a start until it arrives or the scene's time is up, and replays what it
+    /// saw.
     fn run(
         &mut self,
         scene: &Scene,

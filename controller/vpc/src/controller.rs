@@ -4,42 +4,28 @@ use scene::Scene;
 
 use crate::cost;
 use crate::delay::{History, Unpredictable};
-use crate::detour::Detour;
-use crate::features;
-use crate::gate::{self, Measurement, Refusal};
-use crate::plausible::{self, Stillness};
-use crate::prediction::{Origin, Plan, Preview};
-use crate::recall::{self, MotionMemory, OutOfRange, Recall, Trigger};
+use crate::features::{self, PlainPoints};
+use crate::measurement::{Measurement, Refusal};
+use crate::prediction::{InitialState, Plan, Preview};
+use crate::problem::{Problem, Status};
+use crate::recall::{self, MotionMemory, OutOfRange, Recall};
 use crate::settings::{Settings, SettingsError, Strategy};
-use crate::solver::{Problem, Solver, Status, work};
+use crate::solver::Solver;
+use crate::state::State;
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Points, Twist, ibvs, limit};
+use crate::{DOF, MAX_VARIABLES, Points, Twist, frozen, gate, ibvs, limit, work};
 
-/// The visual predictive controller: task, settings, workspace, and what one cycle leaves to the next. Large; made
-/// once and kept in place.
+/// The visual predictive controller: task, settings, workspace, and what one cycle leaves to the
+/// next. Large; made once and kept in place.
 #[derive(Clone)]
 pub struct Controller {
-    pub(crate) task: Task,
-    pub(crate) settings: Settings,
-    pub(crate) off_image_px: f64,
-    pub(crate) converged_px: f64,
-    pub(crate) solver: Solver,
-    pub(crate) one_step: Preview<DOF>,
-    pub(crate) trigger: Trigger,
-    pub(crate) detour: Detour,
-    pub(crate) previous: Plan,
-    pub(crate) predicted: Option<Points>,
-    pub(crate) seen: Option<Seen>,
-    pub(crate) is_linked: bool,
-    pub(crate) stillness: Stillness,
-    pub(crate) history: History,
-}
-
-/// The last measurement that was believed.
-#[derive(Clone)]
-pub(crate) struct Seen {
-    pub(crate) points: Points,
-    pub(crate) exposed_ns: u64,
+    task: Task,
+    settings: Settings,
+    off_image_px: f64,
+    converged_px: f64,
+    solver: Solver,
+    one_step: Preview<DOF>,
+    state: State,
 }
 
 /// What one cycle decided.
@@ -84,51 +70,62 @@ impl Controller {
             task: Task::new(scene)?,
             off_image_px: scene.success.violation_px,
             converged_px: scene.success.convergence_px,
-            solver: Solver::new(settings.np, settings.nc, settings.effort)
-                .with_budget(work::budget(settings.np, settings.effort.max_iterations)),
+            solver: Solver::new(settings.np, settings.nc, settings.solver)
+                .with_budget(work::budget(settings.np, settings.solver.max_iterations)),
             one_step: Preview::new(1),
-            trigger: Trigger::new(settings.trigger_px, settings.release),
-            detour: Detour::default(),
-            previous: [0.0; MAX_VARIABLES],
-            predicted: None,
-            seen: None,
-            is_linked: false,
-            stillness: Stillness::default(),
-            history: History::new(),
+            state: State::new(settings.strategy),
             settings,
         })
     }
 
-    /// Tells that this controller steers a robot in real time: each command is obeyed for `validity_ns` at most, and
-    /// what moved the camera before the first is unknown. Without this call, time is simulated: the camera stands still
-    /// before the first command and obeys each until the next.
+    /// From now on this controller steers a robot in real time: each command is obeyed for at most
+    /// `validity_ns`, and what moved the camera before the first is unknown. Without this call,
+    /// time is simulated: the camera stands still before the first command and obeys each until the
+    /// next.
     pub fn go_live(&mut self, validity_ns: u64) {
-        self.history = History::live(validity_ns);
+        self.state.history = History::live(validity_ns);
     }
 
-    /// Tells that it is not known what was sent so far: delayed features are refused until enough is.
+    /// Records that what was sent so far is unknown: delayed features are refused until enough is
+    /// known.
     pub fn forget_sent(&mut self) {
-        self.history.forget();
+        self.state.history.forget();
     }
 
-    /// Tells that `twist` was really sent at `at_ns`, whoever chose it: zero, repeated and braking ones too.
+    /// Records that `twist` was really sent at `at_ns`, whoever chose it: zero, repeated and
+    /// braking ones too.
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
-        self.history.push(twist, at_ns);
+        self.state.history.push(twist, at_ns);
     }
 
-    /// Tells that the last step's command was not sent, but another one: that no progress was made is then no stall.
+    /// Records that another command was sent than that of the last step: missing progress is then
+    /// no stall.
     pub fn overruled(&mut self) {
-        self.detour.hold();
+        self.state.detour.hold();
     }
 
-    /// The task.
+    /// Camera, pattern, goal, limits, occlusions.
     pub fn task(&self) -> &Task {
         &self.task
     }
 
-    /// The settings.
+    /// The settings in use.
     pub fn settings(&self) -> &Settings {
         &self.settings
+    }
+
+    /// What the last cycle left to the next. A copy; never allocates.
+    pub fn state(&self) -> State {
+        State {
+            strategy: self.settings.strategy,
+            ..self.state
+        }
+    }
+
+    /// Continues from a state of this controller, or of another one of the same task and settings.
+    pub fn restore(&mut self, state: &State) {
+        self.settings.strategy = state.strategy;
+        self.state = *state;
     }
 
     /// Changes the strategy from the next cycle on; what earlier cycles left stays.
@@ -145,27 +142,30 @@ impl Controller {
         Ok(())
     }
 
-    /// Forgets everything of earlier cycles: for a new run. A live robot's commands stay known: it executed them.
+    /// Forgets everything of earlier cycles, for a new run. The commands of a live robot stay
+    /// known: it executed them.
     pub fn reset(&mut self) {
-        self.trigger.reset();
-        self.detour = Detour::default();
-        self.previous = [0.0; MAX_VARIABLES];
-        self.skip_mismatch();
-        self.lose_sight();
-        self.history.restart();
+        let mut history = self.state.history;
+        history.restart();
+        self.state = State {
+            history,
+            ..State::new(self.settings.strategy)
+        };
     }
 
-    /// Tells that points were out of sight since the last step: they may bear other names when they come back.
+    /// Records that points were out of sight since the last step: they may have other names when
+    /// they come back.
     pub fn lose_sight(&mut self) {
-        self.seen = None;
-        self.stillness = Stillness::default();
+        self.state.seen = PlainPoints::NONE;
+        self.state.seen_ns = 0;
+        self.state.still_px = 0.0;
     }
 
-    /// Forgets the prediction for this cycle, where the last command was not in force for one sampling time (a
-    /// dropped frame, a skipped release): its mismatch would not be the model's.
+    /// Forgets the prediction for this cycle, where the last command was not in force for one
+    /// sampling time (a dropped frame, a skipped period): the mismatch would not be the model's.
     pub fn skip_mismatch(&mut self) {
-        self.predicted = None;
-        self.is_linked = false;
+        self.state.predicted = PlainPoints::NONE;
+        self.state.is_linked = false;
     }
 
     /// One cycle: measured features in, camera twist out. Never allocates; its work is bounded.
@@ -177,12 +177,12 @@ impl Controller {
         measurement: &Measurement,
         memory: Option<&dyn MotionMemory>,
     ) -> Result<Step, Refusal> {
-        let (origin, mismatch) = self.receive(measurement).inspect_err(|_| {
+        let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
             self.skip_mismatch();
             self.overruled();
-            self.previous = [0.0; MAX_VARIABLES];
+            self.state.previous = [0.0; MAX_VARIABLES];
         })?;
-        let points = &origin.points;
+        let points = &initial.points;
         let clearance_px = recall::clearance(&self.task, points);
         let mut step = Step {
             twist: [0.0; DOF],
@@ -200,84 +200,99 @@ impl Controller {
             error_px: features::largest_error(points, &self.task.goal),
         };
         if self.settings.strategy == Strategy::Ibvs {
-            self.servo(&origin, &mut step);
+            self.servo(&initial, &mut step);
         } else {
             let recall = self.recall(points, clearance_px, memory);
             step.recall_refused = matches!(recall, Some(Err(_)));
             let detour = self.take_detour(points, memory);
             step.detour = detour.is_some();
             let recall = detour.or(recall.and_then(Result::ok));
-            self.plan(&origin, recall, mismatch.as_ref(), &mut step);
+            self.plan(&initial, recall, mismatch.as_ref(), &mut step);
         }
-        self.predict(&origin, &step.twist);
-        step.cost = self.running_cost(&origin, &step.twist);
+        self.predict(&initial, &step.twist);
+        step.cost = self.running_cost(&initial, &step.twist);
         Ok(step)
     }
 
-    /// Where the preview starts: the features that pass the gate, advanced to the command's effect; and eps.
-    fn receive(&mut self, measurement: &Measurement) -> Result<(Origin, Option<Points>), Refusal> {
+    /// Where the preview starts: the features that pass all checks, advanced to the command's
+    /// effect; and the mismatch eps.
+    fn receive(
+        &mut self,
+        measurement: &Measurement,
+    ) -> Result<(InitialState, Option<Points>), Refusal> {
         let points = gate::pass(&self.task, measurement, self.off_image_px)?;
-        let Settings { model, .. } = self.settings;
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
-        let measured = Origin::new(&self.task, model, points);
+        let measured = InitialState::new(&self.task, self.settings.model, points);
         let expected = self.expected_at_exposure(exposed_ns, age_ns);
-        if let (true, Some(seen), Some(expected)) = (self.history.is_live(), &self.seen, &expected)
-        {
-            plausible::check_names(points, expected)?;
-            let since_s = exposed_ns.saturating_sub(seen.exposed_ns) as f64 * 1e-9;
-            if since_s < plausible::LEAP_PERIODS * self.task.ts {
-                plausible::check_leaps(&self.task, points, expected)?;
-            }
-            let frozen = self.stillness.look(points, &seen.points, expected);
-            if frozen.is_err() {
-                self.lose_sight();
-            }
-            frozen?;
+        if let (true, Some(expected)) = (self.state.history.is_live(), &expected) {
+            self.check_motion(points, expected, exposed_ns)?;
         }
-        let mismatch = expected
-            .filter(|_| self.is_linked)
-            .map(|expected| difference(points, &expected));
-        let origin = if age_ns == 0 || !self.settings.delay_compensation {
-            measured.clone()
+        let mismatch = expected.filter(|_| self.state.is_linked);
+        let mismatch = mismatch.map(|expected| difference(points, &expected));
+        let initial = if age_ns == 0 || !self.settings.delay_compensation {
+            measured
         } else {
-            let now_ns = measurement.effective_ns;
-            let advanced = self
-                .history
-                .advance(&self.task, model, &measured, exposed_ns, now_ns);
+            let advanced = self.advance(&measured, exposed_ns, measurement.effective_ns);
             advanced.map_err(|reason| match reason {
                 Unpredictable::Unknown { known_ns } => Refusal::Late { age_ns, known_ns },
                 Unpredictable::Lost => Refusal::Lost,
             })?
         };
-        self.seen = Some(Seen {
-            points: measured.points,
-            exposed_ns,
-        });
-        self.is_linked = true;
-        Ok((origin, mismatch))
+        self.state.seen = points.as_slice().into();
+        self.state.seen_ns = exposed_ns;
+        self.state.is_linked = true;
+        Ok((initial, mismatch))
     }
 
-    /// Where these features were expected: predicted for this exposure from the one before, with the commands that were
-    /// in force between. Their difference is eps, like with like.
-    fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<Points> {
-        if age_ns == 0 && !self.history.is_live() {
-            return self.predicted.clone();
+    /// Refuses features that moved as no camera under these commands moves them.
+    fn check_motion(
+        &mut self,
+        points: &Points,
+        expected: &Points,
+        exposed_ns: u64,
+    ) -> Result<(), Refusal> {
+        let Some(seen) = self.state.seen.get() else {
+            return Ok(());
+        };
+        gate::check_names(points, expected)?;
+        let since_s = exposed_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
+        if since_s < gate::LEAP_PERIODS * self.task.ts {
+            gate::check_leaps(&self.task, points, expected)?;
         }
-        let seen = self
-            .seen
-            .as_ref()
-            .filter(|seen| seen.exposed_ns < exposed_ns)?;
+        frozen::check(&mut self.state.still_px, points, &seen, expected)
+            .inspect_err(|_| self.lose_sight())
+    }
+
+    /// Where these features were expected: predicted for this exposure from the one before, with
+    /// the commands that were in force between.
+    fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<Points> {
+        if age_ns == 0 && !self.state.history.is_live() {
+            return self.state.predicted.get();
+        }
+        let (seen, seen_ns) = (self.state.seen.get()?, self.state.seen_ns);
+        if seen_ns >= exposed_ns {
+            return None;
+        }
+        let before = InitialState::new(&self.task, self.settings.model, &seen);
+        let expected = self.advance(&before, seen_ns, exposed_ns).ok()?;
+        Some(expected.explained(&self.task))
+    }
+
+    fn advance(
+        &self,
+        initial: &InitialState,
+        from_ns: u64,
+        to_ns: u64,
+    ) -> Result<InitialState, Unpredictable> {
         let model = self.settings.model;
-        let before = Origin::new(&self.task, model, &seen.points);
-        let expected =
-            self.history
-                .advance(&self.task, model, &before, seen.exposed_ns, exposed_ns);
-        Some(expected.ok()?.explained(&self.task))
+        self.state
+            .history
+            .advance(&self.task, model, initial, from_ns, to_ns)
     }
 
     /// The classic law, scaled as a whole into the limits.
-    fn servo(&mut self, origin: &Origin, step: &mut Step) {
-        match ibvs::twist(&self.task, origin, self.settings.lambda) {
+    fn servo(&mut self, initial: &InitialState, step: &mut Step) {
+        match ibvs::twist(&self.task, initial, self.settings.lambda) {
             Some(twist) => step.twist = limit::scale(&twist, &self.task.limits),
             None => step.status = Status::NumericalFailure,
         }
@@ -290,9 +305,10 @@ impl Controller {
         clearance_px: f64,
         memory: Option<&dyn MotionMemory>,
     ) -> Option<Result<Recall, OutOfRange>> {
-        let near = self.trigger.update(clearance_px);
+        let near = recall::is_near(self.state.near, clearance_px, &self.settings);
+        self.state.near = near;
         let memory = memory.filter(|_| near && self.settings.strategy.needs_memory())?;
-        let strategy = self.detour.guide(self.settings.strategy);
+        let strategy = self.state.detour.guide(self.settings.strategy);
         Some(recall::query(&self.task, strategy, memory, points))
     }
 
@@ -305,6 +321,7 @@ impl Controller {
         let needs_memory = self.settings.strategy.needs_memory();
         let memory = memory.filter(|_| self.settings.detour && needs_memory)?;
         let target = self
+            .state
             .detour
             .look(&self.task, points, self.converged_px, memory);
         target.map(|way_point| Recall {
@@ -316,26 +333,26 @@ impl Controller {
     /// Solves the optimal-control problem towards way point or goal, and limits its first command.
     fn plan(
         &mut self,
-        origin: &Origin,
+        initial: &InitialState,
         recall: Option<Recall>,
         mismatch: Option<&Points>,
         step: &mut Step,
     ) {
-        let points = &origin.points;
+        let points = &initial.points;
         let (warm, tracked) = match &recall {
             Some(recall) => (repeated(&recall.twist), &recall.way_point),
-            None => (self.previous, &self.task.goal),
+            None => (self.state.previous, &self.task.goal),
         };
         let target = corrected(tracked, mismatch);
         let problem = Problem {
             task: &self.task,
-            origin,
+            initial,
             target: &target,
             r_share: cost::r_share(&self.task, points, tracked),
             margin: self.settings.margin_px,
         };
-        // From where the features are, standing still is feasible unless a constraint is already violated: a second
-        // start that leads out of every trap of the first.
+        // From where the features are, standing still is feasible unless a constraint is already
+        // violated: a second start that leads out of every trap of the first.
         let solution = self
             .solver
             .solve_from(&problem, &[warm, [0.0; MAX_VARIABLES]]);
@@ -347,32 +364,35 @@ impl Controller {
         step.violation_px = solution.violation_px;
         step.recalled = recall.is_some() && !step.detour;
         step.way_point = recall.map(|recall| recall.way_point);
-        self.previous = solution.plan;
+        self.state.previous = solution.plan;
     }
 
     /// Remembers where the features should be one sampling time after `twist`.
-    fn predict(&mut self, origin: &Origin, twist: &Twist) {
-        let possible = self.one_step.look(&self.task, origin, twist);
-        self.predicted = possible.then(|| self.one_step.step(0).iter().copied().collect());
+    fn predict(&mut self, initial: &InitialState, twist: &Twist) {
+        let possible = self.one_step.evaluate(&self.task, initial, twist);
+        self.state.predicted = match possible {
+            true => self.one_step.step(0).into(),
+            false => PlainPoints::NONE,
+        };
     }
 
-    /// Takes it that the command of the last step was this one, of which alone is known what it was: the next features
-    /// are expected where it leads.
+    /// Replaces the last command by `twist` and predicts from it.
     pub fn follow(&mut self, twist: &Twist) {
-        if let Some(seen) = &self.seen {
-            let origin = Origin::new(&self.task, self.settings.model, &seen.points);
-            self.predict(&origin, twist);
+        if let Some(seen) = self.state.seen.get() {
+            let initial = InitialState::new(&self.task, self.settings.model, &seen);
+            self.predict(&initial, twist);
         }
     }
 
-    /// l(v) of the command that is sent, held over the window, always against the goal with the fixed schedule of R.
-    fn running_cost(&mut self, origin: &Origin, twist: &Twist) -> f64 {
+    /// l(v) of the command that is sent, held over the window, always against the goal with the
+    /// fixed schedule of R.
+    fn running_cost(&mut self, initial: &InitialState, twist: &Twist) -> f64 {
         let goal = &self.task.goal;
         let problem = Problem {
             task: &self.task,
-            origin,
+            initial,
             target: goal,
-            r_share: cost::r_share(&self.task, &origin.points, goal),
+            r_share: cost::r_share(&self.task, &initial.points, goal),
             margin: 0.0,
         };
         self.solver
@@ -385,7 +405,10 @@ impl Controller {
 ///
 /// Source: paper, Eq. (warm_start).
 fn repeated(twist: &Twist) -> Plan {
-    core::array::from_fn(|k| twist[k % DOF])
+    let mut plan = [0.0; MAX_VARIABLES];
+    plan.chunks_exact_mut(DOF)
+        .for_each(|command| command.copy_from_slice(twist));
+    plan
 }
 
 /// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.

@@ -1,16 +1,27 @@
 //! The cost of a plan and its Gauss-Newton expansion.
 //!
-//! Source: paper, Eq. (cost): every previewed step weighs the image error by Q, every command but the last step's
-//! by R.
+//! l(V) = k_Q sum_{j=1..Np} |s_d - s_j|^2 + r sum_{j=1..Np-1} v_j^T R v_j
+//!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | s_d | `target` | what is tracked: goal or way point, less the mismatch, px |
+//! | k_Q, R | `task.cost` | weight of the image error, 1/px^2, and of the velocity |
+//! | r | [`r_share`] | share of R that applies |
+//!
+//! Source: paper, Eq. (cost).
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: indices run over the N variables, and an offset leaves DOF of them"
+)]
 
 use crate::Points;
 use crate::features;
 use crate::prediction::Preview;
 use crate::task::Task;
 
-/// R has its full value at this mean distance from what is tracked, as a share of the image width, and decreases
-/// with the square of the distance below it: then neither term takes over on the way to the target, and R vanishes
-/// with the error as in the paper.
+/// R has its full value at this mean distance from what is tracked, as a share of the image width,
+/// and decreases with the square of the distance below it: then neither term takes over on the way
+/// to the target, and R vanishes with the error as in the paper.
 pub const FULL_R_DISTANCE: f64 = 0.25;
 
 /// A quadratic expansion: cost, gradient and Gauss-Newton Hessian in the `N` variables of the plan.
@@ -24,14 +35,15 @@ pub struct Expansion<const N: usize> {
     pub hessian: [[f64; N]; N],
 }
 
-/// The schedule of R: the share of R that applies at the root mean square distance between the features and what
-/// they track, in (0, 1].
+/// The schedule of R: the share of R that applies at the root mean square distance between the
+/// features and what they track, in (0, 1].
 pub fn r_share(task: &Task, points: &[[f64; 2]], target: &[[f64; 2]]) -> f64 {
     let relative = features::rms_distance(points, target) / (FULL_R_DISTANCE * task.camera.width);
     (relative * relative).min(1.0)
 }
 
-/// The cost of a preview: sum over the steps of k_q |target - s_j|^2, and over all but the last of v_j^T R v_j.
+/// The cost of a preview: sum over the steps of k_q |target - s_j|^2, and over all but the last of
+/// v_j^T R v_j.
 pub fn value<const N: usize>(
     task: &Task,
     preview: &Preview<N>,
@@ -86,8 +98,8 @@ impl<const N: usize> Expansion<N> {
                 hessian[offset + k][offset + k] += 2.0 * r_share * r;
             }
         }
-        // A floor far below every real curvature keeps the Hessian positive definite where R has vanished and a
-        // direction moves no feature.
+        // A floor far below every real curvature keeps the Hessian positive definite where R has
+        // vanished and a direction moves no feature.
         let trace: f64 = (0..N).map(|a| hessian[a][a]).sum();
         for a in 0..N {
             hessian[a][a] += 1e-9 * trace / N as f64 + f64::MIN_POSITIVE;
@@ -103,7 +115,7 @@ impl<const N: usize> Expansion<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::prediction::{Model, Origin};
+    use crate::prediction::{InitialState, Model};
 
     #[test]
     fn the_gradient_matches_finite_differences() {
@@ -113,11 +125,11 @@ mod tests {
             rotation: [0.3, -0.2, 0.8],
         };
         let points = task.features_at(&pose).unwrap();
-        let origin = Origin::new(&task, Model::Pose, &points);
+        let initial = InitialState::new(&task, Model::Pose, &points);
         let mut preview = Box::new(Preview::<12>::new(7));
         let plan: [f64; 12] = core::array::from_fn(|k| 0.2 * libm::cos(k as f64));
         let mut at = |plan: &[f64; 12]| {
-            assert!(preview.run(&task, &origin, plan));
+            assert!(preview.linearize(&task, &initial, plan));
             Expansion::about(&task, &preview, plan, &task.goal, 0.7)
         };
         let exact = at(&plan);

@@ -1,28 +1,28 @@
-//! Delay compensation: from the features of an exposure to those of the instant at which the new command takes
-//! effect, along the commands that were sent meanwhile.
+//! Delay compensation: from the features of an exposure to those of the instant at which the new
+//! command takes effect, along the commands that were sent meanwhile.
 //!
-//! A camera delivers s(t_e) at t_e + d. Between, it was carried by commands that this side knows, because it sent
-//! them: v_i from t_i to t_{i+1}. So the features of now follow from those of the exposure by the model, piece by
-//! piece: with [`Model::Pose`] by the product of the rigid motions, exp(-(t_{i+1} - t_i) v_i) X, which is exact; with
-//! the others by integrating s' = L(s, Z) v_i.
+//! A camera delivers s(t_e) at t_e + d. Between, it was carried by commands that this side knows,
+//! because it sent them: v_i from t_i to t_{i+1}. So the features of now follow from those of the
+//! exposure by the model, piece by piece: with [`Model::Pose`] by the product of the rigid motions,
+//! exp(-(t_{i+1} - t_i) v_i) X, which is exact; with the others by integrating s' = L(s, Z) v_i.
 //!
 //! Source: paper, Eq. (model), with the sampling time replaced by the length of each piece.
 
 use serde::{Deserialize, Serialize};
 
-use crate::prediction::{Model, Origin};
+use crate::prediction::{InitialState, Model};
 use crate::task::Task;
 use crate::{DOF, Twist};
 
 /// Commands remembered: one second at 30 Hz, eight times the 100 to 130 ms of a real camera.
 pub const CAPACITY: usize = 32;
 
-/// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is forgotten first. Plain
-/// data: a copy goes on as the original does.
+/// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is
+/// forgotten first. Plain data: a copy goes on as the original does.
 ///
-/// It never guesses. Where an interval begins before what it knows, [`History::advance`] says [`Unpredictable::Unknown`]
-/// and the law refuses the features; zero twists that are sent meanwhile are remembered too, so that the interval is
-/// known again after one delay.
+/// It never guesses. Where an interval begins before what it knows, [`History::advance`] says
+/// [`Unpredictable::Unknown`] and the law refuses the features; zero twists that are sent meanwhile
+/// are remembered too, so that the interval is known again after one delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
     /// Commands remembered, 0 to 32.
@@ -56,7 +56,8 @@ impl Default for History {
 }
 
 impl History {
-    /// The history of a simulated run: the camera stood still before the first command, and obeys each until the next.
+    /// The history of a simulated run: the camera stood still before the first command, and obeys
+    /// each until the next.
     pub const fn new() -> Self {
         Self {
             count: 0,
@@ -67,8 +68,9 @@ impl History {
         }
     }
 
-    /// The history of a robot in real time: each command is obeyed for `validity_ns` at most, and what moved the camera
-    /// before the first one is unknown (a controller that was killed a moment ago, perhaps).
+    /// The history of a robot in real time: each command is obeyed for `validity_ns` at most, and
+    /// what moved the camera before the first one is unknown (a controller that was killed a moment
+    /// ago, perhaps).
     pub const fn live(validity_ns: u64) -> Self {
         Self {
             from_rest: false,
@@ -82,8 +84,8 @@ impl History {
         self.validity_ns != u64::MAX
     }
 
-    /// A new run. Simulated time begins again, from rest; on a live robot the camera's process began again, and what
-    /// was sent was executed all the same.
+    /// A new run. Simulated time begins again, from rest; on a live robot the camera's process
+    /// began again, and what was sent was executed all the same.
     pub fn restart(&mut self) {
         if !self.is_live() {
             *self = Self::new();
@@ -95,14 +97,14 @@ impl History {
         *self = Self::live(self.validity_ns);
     }
 
-    /// Remembers that `twist` was sent at `at_ns`, in the place of one sent at the same instant. A clock that runs
-    /// backwards makes all before worthless.
+    /// Remembers that `twist` was sent at `at_ns`, in the place of one sent at the same instant. A
+    /// clock that runs backwards makes all before worthless.
     pub fn push(&mut self, twist: &Twist, at_ns: u64) {
         let last = self.entries().last().map(|(from_ns, _)| from_ns);
         if last.is_some_and(|last| last > at_ns) {
             self.forget();
         }
-        let mut count = (self.count as usize).min(CAPACITY);
+        let mut count = self.entries().len();
         if last == Some(at_ns) {
             count -= 1;
         } else if count >= CAPACITY {
@@ -111,19 +113,21 @@ impl History {
             self.from_rest = false;
             count = CAPACITY - 1;
         }
-        self.from_ns[count] = at_ns;
-        self.twists[count] = *twist;
+        if let (Some(from_ns), Some(to)) = (self.from_ns.get_mut(count), self.twists.get_mut(count))
+        {
+            (*from_ns, *to) = (at_ns, *twist);
+        }
         self.count = count as u32 + 1;
     }
 
     /// The commands with their times, the oldest first.
     fn entries(&self) -> impl DoubleEndedIterator<Item = (u64, &Twist)> + ExactSizeIterator {
-        let count = (self.count as usize).min(CAPACITY);
-        let entries = self.from_ns[..count].iter().zip(&self.twists[..count]);
-        entries.map(|(&from_ns, twist)| (from_ns, twist))
+        let entries = self.from_ns.iter().copied().zip(&self.twists);
+        entries.take(self.count as usize)
     }
 
-    /// The features of `origin`, exposed at `from_ns`, as they are at `to_ns`. Its work is bounded.
+    /// The features of `initial`, exposed at `from_ns`, as they are at `to_ns`. Its work is
+    /// bounded.
     ///
     /// # Errors
     /// [`Unpredictable`] where the commands are not known, or lead where no camera sees.
@@ -131,10 +135,10 @@ impl History {
         &self,
         task: &Task,
         model: Model,
-        origin: &Origin,
+        initial: &InitialState,
         from_ns: u64,
         to_ns: u64,
-    ) -> Result<Origin, Unpredictable> {
+    ) -> Result<InitialState, Unpredictable> {
         let known_from_ns = match self.entries().next() {
             _ if self.from_rest => 0,
             Some((first_ns, _)) => first_ns,
@@ -144,7 +148,7 @@ impl History {
             let known_ns = to_ns.saturating_sub(known_from_ns);
             return Err(Unpredictable::Unknown { known_ns });
         }
-        let mut origin = origin.clone();
+        let mut initial = initial.clone();
         let next = self.entries().skip(1).map(|(next_ns, _)| next_ns);
         let ends = next.chain(core::iter::once(u64::MAX));
         for ((sent_ns, twist), end_ns) in self.entries().zip(ends) {
@@ -154,11 +158,11 @@ impl History {
             if length_ns == 0 || *twist == [0.0; DOF] {
                 continue;
             }
-            origin = origin
+            initial = initial
                 .moved(task, model, twist, length_ns as f64 * 1e-9)
                 .ok_or(Unpredictable::Lost)?;
         }
-        Ok(origin)
+        Ok(initial)
     }
 }
 
@@ -241,9 +245,9 @@ mod tests {
             history.push(&twist(k), truth.now_ns);
             truth.go(&twist(k), PERIOD);
         }
-        let origin = Origin::new(&task, model, &seen);
+        let initial = InitialState::new(&task, model, &seen);
         let now = history
-            .advance(&task, model, &origin, exposed_ns, truth.now_ns)
+            .advance(&task, model, &initial, exposed_ns, truth.now_ns)
             .unwrap();
         let expected = truth.features(&task);
         (furthest(&now.points, &expected), furthest(&seen, &expected))
@@ -259,7 +263,8 @@ mod tests {
 
     #[test]
     fn the_depth_models_advance_to_their_accuracy() {
-        // What they do not know, the depths, is most of the error; without them it would be `moved`.
+        // What they do not know, the depths, is most of the error; without them it would be
+        // `moved`.
         for (model, share) in [(Model::AreaDepth, 0.25), (Model::TargetDepth, 0.6)] {
             let (error, moved) = error_of(model, 4, History::new());
             assert!(
@@ -280,9 +285,9 @@ mod tests {
         let seen = truth.features(&task);
         truth.go(&spin, 4 * PERIOD);
         for model in [Model::AreaDepth, Model::TargetDepth] {
-            let origin = Origin::new(&task, model, &seen);
+            let initial = InitialState::new(&task, model, &seen);
             let now = history
-                .advance(&task, model, &origin, 0, 4 * PERIOD)
+                .advance(&task, model, &initial, 0, 4 * PERIOD)
                 .unwrap();
             assert!(
                 furthest(&now.points, &truth.features(&task)) < 0.01,
@@ -301,11 +306,11 @@ mod tests {
         assert!(error < 1e-8 && moved > 1.0, "{error} of {moved}");
         // The oldest command known is the last but 31.
         let (task, mut history) = (task(), History::new());
-        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let initial = InitialState::new(&task, Model::Pose, &Truth::new(&task).features(&task));
         let last = 3 * CAPACITY as u64;
         (0..=last).for_each(|k| history.push(&[0.01; 6], k * PERIOD));
         let oldest = last - CAPACITY as u64 + 1;
-        let advance = |from| history.advance(&task, Model::Pose, &origin, from, last * PERIOD);
+        let advance = |from| history.advance(&task, Model::Pose, &initial, from, last * PERIOD);
         assert!(advance(oldest * PERIOD).is_ok());
         let known_ns = (last - oldest) * PERIOD;
         let refused = advance(oldest * PERIOD - 1).err();
@@ -315,18 +320,18 @@ mod tests {
     #[test]
     fn before_the_first_command_a_simulated_camera_stood_still_and_a_live_one_is_unknown() {
         let task = task();
-        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let initial = InitialState::new(&task, Model::Pose, &Truth::new(&task).features(&task));
         let advance = |history: &History, from| {
             history
-                .advance(&task, Model::Pose, &origin, from, 500)
+                .advance(&task, Model::Pose, &initial, from, 500)
                 .map(|now| now.points)
         };
         let (mut simulated, mut live) = (History::new(), History::live(1000));
-        assert_eq!(advance(&simulated, 1).as_ref(), Ok(&origin.points));
+        assert_eq!(advance(&simulated, 1).as_ref(), Ok(&initial.points));
         let nothing = Err(Unpredictable::Unknown { known_ns: 0 });
         assert_eq!(advance(&live, 1), nothing);
         // No time has passed: nothing need be known.
-        assert_eq!(advance(&live, 500).as_ref(), Ok(&origin.points));
+        assert_eq!(advance(&live, 500).as_ref(), Ok(&initial.points));
         simulated.push(&twist(1), 300);
         live.push(&twist(1), 300);
         assert!(advance(&simulated, 1).is_ok());
@@ -338,8 +343,8 @@ mod tests {
         // A new run: only simulated time begins again.
         simulated.restart();
         live.restart();
-        assert_eq!(advance(&simulated, 300).as_ref(), Ok(&origin.points));
-        assert!(advance(&live, 300).is_ok_and(|points| points != origin.points));
+        assert_eq!(advance(&simulated, 300).as_ref(), Ok(&initial.points));
+        assert!(advance(&live, 300).is_ok_and(|points| points != initial.points));
     }
 
     #[test]
@@ -350,9 +355,9 @@ mod tests {
         let mut history = History::live(2 * PERIOD);
         history.push(&twist(1), 0);
         truth.go(&twist(1), 2 * PERIOD);
-        let origin = Origin::new(&task, Model::Pose, &seen);
+        let initial = InitialState::new(&task, Model::Pose, &seen);
         let now = history
-            .advance(&task, Model::Pose, &origin, 0, 9 * PERIOD)
+            .advance(&task, Model::Pose, &initial, 0, 9 * PERIOD)
             .unwrap();
         assert!(furthest(&now.points, &truth.features(&task)) < 1e-9);
     }
@@ -360,11 +365,11 @@ mod tests {
     #[test]
     fn a_clock_that_runs_backwards_clears_the_past() {
         let task = task();
-        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let initial = InitialState::new(&task, Model::Pose, &Truth::new(&task).features(&task));
         let mut history = History::new();
         history.push(&twist(1), 1000);
         history.push(&twist(2), 400);
-        let advance = |from| history.advance(&task, Model::Pose, &origin, from, 1000);
+        let advance = |from| history.advance(&task, Model::Pose, &initial, from, 1000);
         assert_eq!(
             advance(399).err(),
             Some(Unpredictable::Unknown { known_ns: 600 })
@@ -375,14 +380,14 @@ mod tests {
     #[test]
     fn a_command_sent_again_at_the_same_instant_replaces_the_first() {
         let task = task();
-        let origin = Origin::new(&task, Model::Pose, &Truth::new(&task).features(&task));
+        let initial = InitialState::new(&task, Model::Pose, &Truth::new(&task).features(&task));
         let (mut once, mut twice) = (History::new(), History::new());
         once.push(&twist(2), 100);
         twice.push(&twist(1), 100);
         twice.push(&twist(2), 100);
         let advance = |history: &History| {
             history
-                .advance(&task, Model::Pose, &origin, 0, PERIOD)
+                .advance(&task, Model::Pose, &initial, 0, PERIOD)
                 .unwrap()
                 .points
         };
@@ -393,10 +398,12 @@ mod tests {
     fn motion_through_the_pattern_is_refused() {
         let task = task();
         for model in [Model::Pose, Model::TargetDepth] {
-            let origin = Origin::new(&task, model, &task.goal);
+            let initial = InitialState::new(&task, model, &task.goal);
             let mut history = History::new();
             history.push(&[0.0, 0.0, 50.0, 0.0, 0.0, 0.0], 0);
-            let refused = history.advance(&task, model, &origin, 0, 60 * PERIOD).err();
+            let refused = history
+                .advance(&task, model, &initial, 0, 60 * PERIOD)
+                .err();
             assert_eq!(refused, Some(Unpredictable::Lost), "{model:?}");
         }
     }

@@ -1,12 +1,13 @@
 //! The way out of a stall: back onto a stored trajectory.
 //!
-//! Beside an occlusion the law can come to rest far from the goal: the way point lies across a border, and no plan over
-//! the window leads around. All samples of a memory belong to trajectories that reached the goal. So after a second
-//! without progress the target is, for a while, not the way point but the *features* of a sample; from there its
-//! trajectory goes on. The first tries take near samples, each further away than the one before, wherever they lie. Some
-//! can be reached round a corner; but many lie on the other side of the very border that stalls the law. So after these
-//! every other try takes the nearest sample to which no way is blocked. The search for it looks at a share of the memory
-//! in each cycle. A detour that is blocked is given up.
+//! Beside an occlusion the law can come to rest far from the goal: the way point lies across a
+//! border, and no plan over the window leads around. All samples of a memory belong to trajectories
+//! that reached the goal. After a second without progress the law therefore tracks, for a while, the
+//! *features* of a sample, and then follows its trajectory. The first attempts take near samples, each
+//! further away than the one before. Some can be reached round a corner, but many lie on the other
+//! side of the border that stalls the law, so every second later attempt takes the nearest sample in
+//! sight. The search for it looks at a share of the memory in each cycle. A detour that makes no
+//! progress is given up.
 //!
 //! Not in the paper.
 
@@ -22,35 +23,36 @@ use crate::{MAX_POINTS, Points, features};
 const PATIENCE: u32 = 30;
 /// Decrease of the largest error that is progress, px.
 const PROGRESS_PX: f64 = 3.0;
-/// Errors below so many times the scene's threshold of convergence are regulation around the goal, not a stall.
+/// Errors below this multiple of the scene's threshold of convergence are regulation around the goal,
+/// not a stall.
 const FAR: f64 = 10.0;
 /// Most cycles of a detour.
 const LENGTH: u32 = 40;
 /// Cycles of a detour without progress after which it is given up.
 const BLOCKED: u32 = 10;
-/// So many tries, and every other one of the later, take a sample by its rank; the rest take one in sight.
+/// The first `RANKED` attempts, and every second one after them, pick a sample by rank; the others
+/// pick one in sight.
 const RANKED: u32 = 4;
 /// Samples looked at in a cycle of the search.
 const SHARE: usize = 256;
 /// Passes of the search through the memory, each through other samples.
 const PASSES: usize = 4;
-/// Each try in sight takes a sample at least so many px further away than the one before ...
+/// Each of `RINGS` attempts in sight picks a sample that is at least this much further away than the
+/// one before, px; then the distance begins at zero again.
 const RING_PX: f64 = 30.0;
-/// ... until so many of them; then it begins again.
 const RINGS: u32 = 4;
 /// Cycles after a detour in which its trajectory is followed.
 pub const FOLLOWING: u32 = 40;
-/// The sample of each try by rank is so many ranks further away than that of the one before.
+/// Difference between the ranks of two attempts by rank, modulo `RANKS`.
 const STRIDE: usize = 13;
-/// Ranks of samples, by their distance.
 const RANKS: usize = 64;
 
-/// Whether the law makes progress, and the detour under way. Plain data.
+/// The progress of the law, and the detour under way. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Detour {
     /// Least largest error since the last detour or the start, px; on a detour, towards its target.
     pub best_px: f64,
-    /// Cycles since it was reached; they also tell how far the search has come.
+    /// Cycles since it was reached; they also count the progress of the search.
     pub cycles: u32,
     /// Detours so far.
     pub tries: u32,
@@ -82,8 +84,8 @@ impl Detour {
         target: [[0.0; 2]; MAX_POINTS],
     };
 
-    /// Looks at the features of a cycle, and tells what to track instead of way point and goal, if anything. They count
-    /// as converged below `converged_px`.
+    /// Takes the features of a cycle and returns what to track instead of way point and goal, if
+    /// anything. They count as converged below `converged_px`.
     pub fn look(
         &mut self,
         task: &Task,
@@ -119,8 +121,8 @@ impl Detour {
         (self.left > 0).then(|| self.target())
     }
 
-    /// The strategy that asks the memory: after a detour, the one that follows a single trajectory. A mean would lead back
-    /// into the stall.
+    /// The strategy that asks the memory: after a detour, the one that follows a single trajectory.
+    /// A mean would lead back into the stall.
     pub fn guide(&self, strategy: Strategy) -> Strategy {
         match self.following {
             0 => strategy,
@@ -128,7 +130,7 @@ impl Detour {
         }
     }
 
-    /// Tells that the camera was held: who does not move makes no progress, and is not stalled.
+    /// Records that the camera was held: missing progress is then no stall.
     pub fn hold(&mut self) {
         *self = Self {
             tries: self.tries,
@@ -136,9 +138,9 @@ impl Detour {
         };
     }
 
-    /// Takes it that a cycle whose largest error was `error_px` tracked the target of a detour, or of none, whatever
-    /// this one says; `was_away`: whether the cycle before it did, where that is known. Tells whether all but `tries`
-    /// is right by that.
+    /// Takes it that a cycle whose largest error was `error_px` tracked the target of a detour, or
+    /// of none, whatever this one says; `was_away`: whether the cycle before it did, where that is
+    /// known. Tells whether all but `tries` is right by that.
     pub fn follow(
         &mut self,
         target: Option<&[[f64; 2]]>,
@@ -172,9 +174,10 @@ impl Detour {
         }
     }
 
-    /// Takes a sample by its rank, where it is the turn of that; or looks through this cycle's share of the memory for the
-    /// nearest sample that the features can go straight to. One in [`PASSES`] samples is looked at before the others; the
-    /// detour begins after the first pass that found one, and after the last. Tells whether the search is over.
+    /// Picks a sample by its rank, if that is this attempt's turn. Otherwise looks through this
+    /// cycle's share of the memory for the nearest sample in sight: first at one in [`PASSES`] samples.
+    /// The detour begins after the first pass that found one, and after the last. Returns whether the
+    /// search is over.
     fn search(&mut self, task: &Task, points: &Points, memory: &dyn MotionMemory) -> bool {
         let mut found = [0.0; features::MAX_INPUTS];
         let input = task.recall_input(points);
@@ -197,7 +200,7 @@ impl Detour {
         }
         let mut best_px = match self.count {
             0 => f64::INFINITY,
-            _ => distance(points, &self.target()),
+            _ => features::rms_distance(points, &self.target()),
         };
         let least_px = RING_PX * f64::from(turn % RINGS);
         let sight = Sight::from(task, points);
@@ -212,7 +215,7 @@ impl Detour {
                 continue;
             }
             let sample = pairs(found, points.len());
-            let away_px = distance(points, &sample);
+            let away_px = features::rms_distance(points, &sample);
             // What is not finite is no nearer.
             if away_px >= least_px && away_px < best_px && sight.is_free(&sample) {
                 best_px = away_px;
@@ -222,7 +225,8 @@ impl Detour {
         false
     }
 
-    /// Begins a detour to the sample that the search found; where it found none, to one by its rank.
+    /// Begins a detour to the sample that the search found; where it found none, to one by its
+    /// rank.
     fn begin(
         &mut self,
         turn: u32,
@@ -258,14 +262,14 @@ impl Detour {
     }
 }
 
-/// Which sample a try takes, and how many tries took theirs in this way before it.
+/// How an attempt picks its sample, and how many attempts picked theirs in this way before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Turn {
     Ranked(u32),
     InSight(u32),
 }
 
-/// After so many tries.
+/// The turn after some tries.
 fn turn(tries: u32) -> Turn {
     let later = tries.saturating_sub(RANKED);
     match (tries < RANKED, later % 2) {
@@ -277,20 +281,7 @@ fn turn(tries: u32) -> Turn {
 
 /// The points of a sample's input.
 fn pairs(input: &[f64], count: usize) -> Points {
-    input
-        .chunks_exact(2)
-        .take(count)
-        .map(|pair| [pair[0], pair[1]])
-        .collect()
-}
-
-/// Root of the points' mean square distance, px.
-fn distance(a: &Points, b: &Points) -> f64 {
-    let square = |(p, q): (&[f64; 2], &[f64; 2])| {
-        let [du, dv] = [p[0] - q[0], p[1] - q[1]];
-        du * du + dv * dv
-    };
-    libm::sqrt(a.iter().zip(b).map(square).sum::<f64>() / a.len() as f64)
+    input.as_chunks().0.iter().copied().take(count).collect()
 }
 
 #[cfg(test)]
@@ -355,7 +346,8 @@ mod tests {
         }
     }
 
-    /// A pattern with one corner below the bar at the bottom, as the law gets stuck there: the goal is above it.
+    /// A pattern with one corner below the bar at the bottom, as the law gets stuck there: the goal
+    /// is above it.
     fn stuck_below() -> Points {
         let points = [
             [300.0, 310.0],
@@ -456,7 +448,8 @@ mod tests {
         // All of them in every pass.
         let of = |v: f64| vec![at(v); PASSES];
         let memory = Samples::of([10.0, 70.0, 150.0, 190.0].map(of).concat());
-        // 30 px of all points are 60 of the one that moves. Between them tries by rank find nothing.
+        // 30 px of all points are 60 of the one that moves. Between them tries by rank find
+        // nothing.
         let found = targets(&memory, &stuck_below(), 5 * (2 * PATIENCE + BLOCKED + 8));
         assert_eq!(found[..4], [10.0, 70.0, 150.0, 190.0].map(at));
     }

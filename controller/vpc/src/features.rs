@@ -4,24 +4,68 @@ use core::f64::consts::PI;
 
 use heapless::Vec;
 use libm::{atan2, sqrt};
+use serde::{Deserialize, Serialize};
 
 use crate::MAX_POINTS;
 
 /// Image points in px, in the order of the pattern: the paper's s with u and v kept in pairs.
 pub type Points = Vec<[f64; 2], MAX_POINTS>;
 
+/// Some points, or none, as plain data: their count and the points, the rest zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlainPoints {
+    /// 0 to 8.
+    pub count: u32,
+    /// (u, v), px.
+    pub points: [[f64; 2]; MAX_POINTS],
+}
+
+impl PlainPoints {
+    /// No points.
+    pub const NONE: Self = Self {
+        count: 0,
+        points: [[0.0; 2]; MAX_POINTS],
+    };
+
+    /// The points; `None` where there are none.
+    pub fn get(&self) -> Option<Points> {
+        let points = self.points.iter().copied();
+        (self.count > 0).then(|| points.take(self.count as usize).collect())
+    }
+}
+
+impl From<&[[f64; 2]]> for PlainPoints {
+    fn from(points: &[[f64; 2]]) -> Self {
+        let mut plain = Self {
+            count: points.len().min(MAX_POINTS) as u32,
+            ..Self::NONE
+        };
+        plain
+            .points
+            .iter_mut()
+            .zip(points)
+            .for_each(|(to, from)| *to = *from);
+        plain
+    }
+}
+
 /// Most entries of a recall input x = (s, a, alpha).
 pub const MAX_INPUTS: usize = 2 * MAX_POINTS + 2;
 
-/// Area of the polygon whose vertexes are the points, px^2 (the absolute value of the shoelace formula).
+/// Area of the polygon whose vertexes are the points, px^2.
 pub fn area(points: &[[f64; 2]]) -> f64 {
+    signed_area(points).abs()
+}
+
+/// The same, negative where the polygon turns the other way round (the shoelace formula).
+pub fn signed_area(points: &[[f64; 2]]) -> f64 {
     let next = points.iter().cycle().skip(1);
     let twice: f64 = points
         .iter()
         .zip(next)
         .map(|(p, q)| p[0] * q[1] - q[0] * p[1])
         .sum();
-    0.5 * twice.abs()
+    0.5 * twice
 }
 
 /// Orientation of the pattern: the image direction of its first edge, rad, in (-pi, pi].
@@ -32,8 +76,8 @@ pub fn angle(points: &[[f64; 2]]) -> f64 {
     }
 }
 
-/// `angle` moved by whole turns into (goal - pi, goal + pi], so that its cut lies opposite the goal's orientation,
-/// where turning left and turning right are really different.
+/// `angle` moved by whole turns into (goal - pi, goal + pi], so that its cut lies opposite the
+/// goal's orientation, where turning left and turning right are really different.
 pub fn unwrap_near(angle: f64, goal: f64) -> f64 {
     let mut unwrapped = angle;
     while unwrapped > goal + PI {
@@ -45,7 +89,8 @@ pub fn unwrap_near(angle: f64, goal: f64) -> f64 {
     unwrapped
 }
 
-/// The recall input x = (s, a, alpha) of the paper, raw: px, px^2 and rad, alpha unwrapped near `goal_angle`.
+/// The recall input x = (s, a, alpha) of the paper, raw: px, px^2 and rad, alpha unwrapped near
+/// `goal_angle`.
 ///
 /// Source: paper, Eq. (reg_feature).
 pub fn recall_input(points: &[[f64; 2]], goal_angle: f64) -> Vec<f64, MAX_INPUTS> {

@@ -1,22 +1,28 @@
 //! The clearance from an area of a mask: a quadratic B-spline over the nodes of its field.
 //!
-//! Three nodes a side weigh in at each point, so that the clearance and its gradient are continuous, linear functions
-//! come back exactly, and a query costs nine numbers. The scene's coefficients hold the spline below the signed
-//! Euclidean distance near the border, so that no margin is needed on top.
+//! Three nodes a side weigh in at each point, so that the clearance and its gradient are
+//! continuous, linear functions come back exactly, and a query costs nine numbers. The scene's
+//! coefficients hold the spline below the signed Euclidean distance near the border, so that no
+//! margin is needed on top.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: the weights keep the three nodes of a side inside the grid"
+)]
 
 use scene::{Area, Field};
 
-use crate::constraint::Clearance;
+use crate::clearance::Clearance;
 
-/// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the grid's edge.
+/// The clearance of pixel (u, v) from an area. Beyond the grid it goes on along its gradient at the
+/// grid's edge.
 pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
-    let field = area.field();
-    let size = [field.columns(), field.rows()];
+    let field = &area.field;
+    let size = [field.columns, field.rows];
     let [(i, u), (j, v)] = core::array::from_fn(|k| Weights::at(field, size[k], pixel[k]));
     let (mut distance, mut gradient) = (0.0, [0.0; 2]);
     for q in 0..3 {
         let row = (j + q) * size[0] + i;
-        let nodes: [f64; 3] = core::array::from_fn(|p| f64::from(field.values()[row + p]));
+        let nodes: [f64; 3] = core::array::from_fn(|p| f64::from(field.values[row + p]));
         let along: f64 = dot(&nodes, &u.value);
         distance += v.value[q] * along;
         gradient[0] += v.value[q] * dot(&nodes, &u.slope);
@@ -26,14 +32,6 @@ pub fn clearance(area: &Area, pixel: [f64; 2]) -> Clearance {
         distance: distance + gradient[0] * u.beyond + gradient[1] * v.beyond,
         normal: gradient,
     }
-}
-
-/// How far a pixel lies outside the box that holds every point of negative clearance (largest component), px: never
-/// above the clearance outside the box; negative inside.
-pub fn outside_box(area: &Area, pixel: [f64; 2]) -> f64 {
-    let (low, high) = (area.low(), area.high());
-    let gap = |k: usize| (low[k] - pixel[k]).max(pixel[k] - high[k]);
-    gap(0).max(gap(1))
 }
 
 fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
@@ -52,8 +50,8 @@ struct Weights {
 impl Weights {
     /// For coordinate `x` (px) among `count` nodes; with the index of the first of the three.
     fn at(field: &Field, count: usize, x: f64) -> (usize, Self) {
-        let step = field.step();
-        let asked = (x - field.origin()) / step;
+        let step = field.step;
+        let asked = (x - field.origin) / step;
         // Not a number becomes 1: the gate lets none through.
         let place = asked.max(1.0).min((count - 2) as f64);
         let middle = libm::floor(place + 0.5);

@@ -1,179 +1,33 @@
-//! The gate: measured features that cannot be trusted go no further.
+//! The gate: features that cannot be those of the pattern go no further.
+//!
+//! A detector may confuse points or take another spot for one. Such features are finite, inside the
+//! image and new, and a law that believed them would steer somewhere else.
 
+use heapless::Vec;
+
+use crate::measurement::{Measurement, Refusal};
 use crate::task::Task;
-use crate::{Points, plausible};
+use crate::{MAX_POINTS, Points, constraint};
 
-/// Measured features, px, in the order of the pattern.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Measurement {
-    /// The points (u, v).
-    pub points: Points,
-    /// When they were exposed, ns.
-    pub exposed_ns: u64,
-    /// When the command that answers them takes effect, on the same clock, ns.
-    pub effective_ns: u64,
-}
+/// Height of a triangle of points from which on noise does not turn it over, px.
+const LEAST_HEIGHT_PX: f64 = 4.0;
+/// Points nearer to each other than this are one point, and points all nearer to a line than this
+/// are on it, px.
+const LEAST_PX: f64 = 0.5;
+/// A point is taken for another one that is expected this many times nearer to it.
+const NEARER: f64 = 2.0;
+/// A point leaps if it lies this share of the image's larger side from where it is expected, plus
+/// [`LEAP_RATIO`] times as far as the nearer half of the points: no camera moves one point within a
+/// frame and not the rest. 40 px of 1024 are twice what the velocity limits allow.
+const LEAP: f64 = 0.04;
+const LEAP_RATIO: f64 = 4.0;
+/// Sampling times after the last measurement in which a leap is refused; then the point is
+/// believed.
+pub const LEAP_PERIODS: f64 = 3.5;
 
-impl Measurement {
-    /// A measurement of these points, of this very instant; those past [`crate::MAX_POINTS`] are left out, and the gate
-    /// then refuses the count.
-    pub fn from_points(points: &[[f64; 2]]) -> Self {
-        Self {
-            points: points.iter().copied().take(crate::MAX_POINTS).collect(),
-            exposed_ns: 0,
-            effective_ns: 0,
-        }
-    }
-
-    /// The same points, exposed at `exposed_ns`, for a command that takes effect at `effective_ns`. An exposure after
-    /// that counts as one of that instant.
-    pub fn taken(mut self, exposed_ns: u64, effective_ns: u64) -> Self {
-        (self.exposed_ns, self.effective_ns) = (exposed_ns.min(effective_ns), effective_ns);
-        self
-    }
-
-    /// Time from the exposure to the command's effect, ns.
-    pub fn age_ns(&self) -> u64 {
-        self.effective_ns.saturating_sub(self.exposed_ns)
-    }
-}
-
-/// Why a measurement was refused; the command for such a cycle is zero.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Refusal {
-    /// The number of points is not the pattern's.
-    Count {
-        /// Points received.
-        found: usize,
-        /// Points of the pattern.
-        expected: usize,
-    },
-    /// A coordinate is NaN or infinite.
-    NotFinite {
-        /// Index of the point.
-        point: usize,
-    },
-    /// A point lies outside the image by more than the scene's tolerance.
-    OffImage {
-        /// Index of the point.
-        point: usize,
-        /// Where it lies, px.
-        pixel: [f64; 2],
-    },
-    /// Points lie in each other's places.
-    Mixed {
-        /// Indices of two of them.
-        points: [usize; 2],
-    },
-    /// A point lies far from where it is expected, and the others do not.
-    Leap {
-        /// Index of the point.
-        point: usize,
-        /// How far, px.
-        by_px: f64,
-    },
-    /// Points lie in one place.
-    Coincident {
-        /// Indices of two of them.
-        points: [usize; 2],
-    },
-    /// All points lie on a line.
-    Flat {
-        /// Largest height of a triangle of them, px.
-        height_px: f64,
-    },
-    /// Not one bit of them changed, though the camera was commanded to move.
-    Frozen {
-        /// How far the image should have moved, px.
-        expected_px: f64,
-    },
-    /// They were exposed before the commands that are remembered: where they are now cannot be told.
-    Late {
-        /// Time from the exposure to the command's effect, ns.
-        age_ns: u64,
-        /// How far back the commands are known, ns.
-        known_ns: u64,
-    },
-    /// By the commands sent since the exposure, the pattern is out of every camera's sight now.
-    Lost,
-}
-
-impl core::error::Error for Refusal {}
-
-impl core::fmt::Display for Refusal {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Count { found, expected } => {
-                write!(
-                    f,
-                    "features: {found} points; allowed: the pattern's {expected}"
-                )
-            }
-            Self::NotFinite { point } => {
-                write!(
-                    f,
-                    "features: point {point} is not finite; allowed: finite pixels"
-                )
-            }
-            Self::OffImage {
-                point,
-                pixel: [u, v],
-            } => {
-                write!(
-                    f,
-                    "features: point {point} = ({u:.1}, {v:.1}) px; allowed: inside the image"
-                )
-            }
-            Self::Mixed { points: [i, j] } => {
-                write!(
-                    f,
-                    "features: points {i} and {j} lie in each other's places; allowed: the order of the pattern"
-                )
-            }
-            Self::Leap { point, by_px } => {
-                write!(
-                    f,
-                    "features: point {point} lies {by_px:.0} px from where the motion of the others leads; allowed: a few times theirs"
-                )
-            }
-            Self::Coincident { points: [i, j] } => {
-                write!(
-                    f,
-                    "features: points {i} and {j} lie in one place; allowed: a view of the pattern"
-                )
-            }
-            Self::Flat { height_px } => {
-                write!(
-                    f,
-                    "features: all points lie on a line, within {height_px:.2} px; allowed: a view of the pattern"
-                )
-            }
-            Self::Frozen { expected_px } => {
-                write!(
-                    f,
-                    "features: unchanged to the last bit where {expected_px:.1} px of motion were commanded; allowed: an image that moves"
-                )
-            }
-            Self::Late { age_ns, known_ns } => {
-                write!(
-                    f,
-                    "features: exposed {:.1} ms ago; allowed: {:.1} ms, since when the commands are known",
-                    *age_ns as f64 * 1e-6,
-                    *known_ns as f64 * 1e-6
-                )
-            }
-            Self::Lost => {
-                write!(
-                    f,
-                    "features: the pattern is out of sight by the commands since the exposure; allowed: in front of the camera"
-                )
-            }
-        }
-    }
-}
-
-/// Lets a measurement pass that has the pattern's count of finite points, none further outside the image than
-/// `tolerance` px, none in one place, not all on a line, and in the pattern's sense of rotation.
+/// Lets a measurement pass that has the pattern's count of finite points, none further outside the
+/// image than `tolerance` px, none in one place, not all on a line, and in the pattern's sense of
+/// rotation.
 ///
 /// # Errors
 /// [`Refusal`] names the first point that is wrong.
@@ -193,11 +47,227 @@ pub fn pass<'a>(
         if !pixel.iter().all(|x| x.is_finite()) {
             return Err(Refusal::NotFinite { point });
         }
-        if crate::constraint::border_clearance(task, pixel) < -tolerance {
+        if constraint::border_clearance(task, pixel) < -tolerance {
             return Err(Refusal::OffImage { point, pixel });
         }
     }
-    plausible::check_shape(task, points)?;
-    plausible::check_sense(task, points)?;
+    check_shape(task, points)?;
+    check_sense(task, points)?;
     Ok(points)
+}
+
+/// Refuses points that turn the other way than in the pattern: it is plane and seen from its front,
+/// from where any three of its points keep their sense of rotation.
+///
+/// # Errors
+/// [`Refusal::Mixed`] names two points of such a triangle.
+pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
+    let pairs = || points.iter().zip(&task.goal).enumerate();
+    for (k, c) in pairs() {
+        for (j, b) in pairs().take(k) {
+            for (_, a) in pairs().take(j) {
+                let (seen, goal) = (height(*a.0, *b.0, *c.0), height(*a.1, *b.1, *c.1));
+                if seen * goal < 0.0 && seen.abs().min(goal.abs()) > LEAST_HEIGHT_PX {
+                    return Err(Refusal::Mixed { points: [j, k] });
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Refuses two points in one place, and points all on a line: those of a detector that found
+/// nothing, not of any view of the pattern.
+///
+/// # Errors
+/// [`Refusal::Coincident`] names two points, [`Refusal::Flat`] what is left of the pattern's
+/// height.
+pub fn check_shape(task: &Task, points: &Points) -> Result<(), Refusal> {
+    let pairs = || points.iter().zip(&task.goal).enumerate();
+    let (mut seen_px, mut goal_px) = (0.0_f64, 0.0_f64);
+    for (k, c) in pairs() {
+        for (j, b) in pairs().take(k) {
+            if distance(*b.0, *c.0) < LEAST_PX && distance(*b.1, *c.1) > LEAST_HEIGHT_PX {
+                return Err(Refusal::Coincident { points: [j, k] });
+            }
+            for (_, a) in pairs().take(j) {
+                seen_px = seen_px.max(height(*a.0, *b.0, *c.0).abs());
+                goal_px = goal_px.max(height(*a.1, *b.1, *c.1).abs());
+            }
+        }
+    }
+    match seen_px < LEAST_PX && goal_px > LEAST_HEIGHT_PX {
+        true => Err(Refusal::Flat { height_px: seen_px }),
+        false => Ok(()),
+    }
+}
+
+fn distance(p: [f64; 2], q: [f64; 2]) -> f64 {
+    libm::hypot(q[0] - p[0], q[1] - p[1])
+}
+
+/// Height of a triangle over its longest side, px, negative where it turns the other way round.
+fn height(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
+    let longest = distance(a, b).max(distance(b, c)).max(distance(c, a));
+    let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    // Three points in one place have no sense.
+    if longest > 0.0 {
+        double_area / longest
+    } else {
+        0.0
+    }
+}
+
+/// Refuses points of which two or more lie where others are expected: they changed their names.
+///
+/// # Errors
+/// [`Refusal::Mixed`] names a point and the one that it seems to be.
+pub fn check_names(points: &Points, expected: &Points) -> Result<(), Refusal> {
+    let mut strangers =
+        points
+            .iter()
+            .zip(expected)
+            .enumerate()
+            .filter_map(|(point, (&seen, &own))| {
+                let is_nearer =
+                    |&other: &[f64; 2]| NEARER * distance(seen, other) < distance(seen, own);
+                expected
+                    .iter()
+                    .position(is_nearer)
+                    .map(|other| [point, other])
+            });
+    match (strangers.next(), strangers.next()) {
+        (Some(points), Some(_)) => Err(Refusal::Mixed { points }),
+        _ => Ok(()),
+    }
+}
+
+/// Refuses points of which up to a half lie far from where they are expected while the rest does
+/// not: another spot was taken for a point. A camera that is pushed moves all of them.
+///
+/// # Errors
+/// [`Refusal::Leap`] names the point that is furthest away.
+pub fn check_leaps(task: &Task, points: &Points, expected: &Points) -> Result<(), Refusal> {
+    let pairs = points.iter().zip(expected);
+    let mut away: Vec<(usize, f64), MAX_POINTS> = pairs
+        .map(|(&seen, &expected)| distance(seen, expected))
+        .enumerate()
+        .collect();
+    away.sort_unstable_by(|a, b| a.1.total_cmp(&b.1));
+    let least_px = LEAP * task.camera.width.max(task.camera.height);
+    match (away.get(away.len().saturating_sub(1) / 2), away.last()) {
+        (Some(&(_, usual_px)), Some(&(point, by_px)))
+            if by_px > least_px + LEAP_RATIO * usual_px =>
+        {
+            Err(Refusal::Leap { point, by_px })
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn task() -> Task {
+        Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap()
+    }
+
+    /// The points under each other's names.
+    fn renamed(points: &Points, order: [usize; 4]) -> Points {
+        order.iter().map(|&i| points[i]).collect()
+    }
+
+    fn shifted(points: &Points, by: [f64; 2]) -> Points {
+        points
+            .iter()
+            .map(|p| [p[0] + by[0], p[1] + by[1]])
+            .collect()
+    }
+
+    #[test]
+    fn two_points_in_each_others_place_turn_the_pattern_over() {
+        let task = task();
+        assert_eq!(check_sense(&task, &task.goal), Ok(()));
+        for order in [[1, 0, 2, 3], [0, 2, 1, 3], [2, 1, 0, 3], [3, 2, 1, 0]] {
+            let refusal = check_sense(&task, &renamed(&task.goal, order));
+            assert!(matches!(refusal, Err(Refusal::Mixed { .. })), "{order:?}");
+        }
+        // A view from elsewhere may be turned like this.
+        assert_eq!(
+            check_sense(&task, &renamed(&task.goal, [1, 2, 3, 0])),
+            Ok(())
+        );
+    }
+
+    #[test]
+    fn from_every_start_the_pattern_keeps_its_sense() {
+        let task = task();
+        let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+        for start in &starts {
+            let points = task.features_at(start).unwrap();
+            assert_eq!(check_sense(&task, &points), Ok(()));
+        }
+    }
+
+    #[test]
+    fn noise_turns_no_flat_pattern_over() {
+        let task = task();
+        let flat: Points = [[0.0, 1.0], [90.0, -1.0], [91.0, 2.0], [1.0, -2.0]].into();
+        assert_eq!(check_sense(&task, &flat), Ok(()));
+        assert_eq!(check_shape(&task, &flat), Ok(()));
+        let one: Points = [[5.0, 5.0]; 4].into();
+        assert_eq!(check_sense(&task, &one), Ok(()));
+    }
+
+    #[test]
+    fn points_in_one_place_or_on_a_line_are_no_view_of_the_pattern() {
+        let task = task();
+        // From far away the pattern is small, and still one.
+        let small: Points = task.goal.iter().map(|p| p.map(|x| 0.01 * x)).collect();
+        assert_eq!(check_shape(&task, &small), Ok(()));
+        // A detector's zeros, or one marker found twice.
+        for (points, named) in [
+            ([[0.0, 0.0]; 4], [0, 1]),
+            ([[1.0, 2.0], [90.0, 0.0], [91.0, 90.0], [1.1, 2.2]], [0, 3]),
+        ] {
+            let refusal = check_shape(&task, &points.into());
+            assert_eq!(refusal, Err(Refusal::Coincident { points: named }));
+        }
+        let line: Points = [[0.0, 0.0], [30.0, 60.1], [60.0, 120.0], [90.0, 180.2]].into();
+        let refusal = check_shape(&task, &line);
+        assert!(matches!(refusal, Err(Refusal::Flat { .. })), "{refusal:?}");
+    }
+
+    #[test]
+    fn points_where_others_are_expected_changed_their_names() {
+        let expected = task().goal;
+        let noisy = shifted(&expected, [7.0, -9.0]);
+        assert_eq!(check_names(&noisy, &expected), Ok(()));
+        let turned = renamed(&noisy, [1, 2, 3, 0]);
+        let refusal = check_names(&turned, &expected);
+        assert_eq!(refusal, Err(Refusal::Mixed { points: [0, 1] }));
+        // One point on another's place is a bad point, but no exchange.
+        let mut one = expected.clone();
+        one[0] = expected[1];
+        assert_eq!(check_names(&one, &expected), Ok(()));
+    }
+
+    #[test]
+    fn a_point_that_leaps_alone_is_another_spot() {
+        let task = task();
+        let expected = &task.goal;
+        let leapt = |which: &[usize], by: f64| {
+            let mut points = shifted(expected, [3.0, -2.0]);
+            which.iter().for_each(|&i| points[i][0] -= by);
+            check_leaps(&task, &points, expected)
+        };
+        assert_eq!(leapt(&[], 0.0), Ok(()));
+        assert_eq!(leapt(&[2], 40.0), Ok(()));
+        let refusal = leapt(&[2], 80.0);
+        assert!(matches!(refusal, Err(Refusal::Leap { point: 2, .. })));
+        assert!(leapt(&[0, 3], 80.0).is_err());
+        // All of them: the camera was pushed, or the object was.
+        assert_eq!(leapt(&[0, 1, 2, 3], 300.0), Ok(()));
+    }
 }

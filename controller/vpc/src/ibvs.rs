@@ -1,25 +1,30 @@
 //! Classic image-based visual servoing, for comparison: v = -lambda L^+ (s - s*).
 //!
-//! Source: paper, Sect. I; F. Chaumette and S. Hutchinson, "Visual servo control, part I", Eq. (5), with the current
-//! interaction matrix and the depths of the chosen model.
+//! Source: paper, Sect. I; F. Chaumette and S. Hutchinson, "Visual servo control, part I", Eq. (5),
+//! with the current interaction matrix and the depths of the chosen model.
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::prediction::Origin;
+use crate::prediction::InitialState;
 use crate::task::Task;
 use crate::{Twist, camera, interaction};
 
-/// Least pivot of L^T L with columns of length one below which L counts as singular: what is left of a column that the
-/// others do not explain. It is some 5e-5 for a square of 100 px in an image of 1024, 9e-7 for one of 10 px, and below 4e-7
-/// for a pattern seen as a strip 5 px high, where noise would decide the twist.
+/// Least pivot of L^T L with columns of length one below which L counts as singular: what is left
+/// of a column that the others do not explain. It is some 5e-5 for a square of 100 px in an image
+/// of 1024, 9e-7 for one of 10 px, and below 4e-7 for a pattern seen as a strip 5 px high, where
+/// noise would decide the twist.
 const LEAST_PIVOT: f64 = 5e-7;
 
-/// The unlimited camera twist of the classic law with the gain `lambda` (1/s), or `None` where the interaction
-/// matrix is singular, or nearly so.
-pub fn twist(task: &Task, origin: &Origin, lambda: f64) -> Option<Twist> {
+/// The unlimited camera twist of the classic law with the gain `lambda` (1/s), or `None` where the
+/// interaction matrix is singular, or nearly so.
+#[expect(
+    clippy::indexing_slicing,
+    reason = "from_fn gives indices inside the matrix"
+)]
+pub fn twist(task: &Task, initial: &InitialState, lambda: f64) -> Option<Twist> {
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();
-    for ((&point, &goal), z) in origin.points.iter().zip(&task.goal).zip(origin.depths()) {
+    for ((&point, &goal), z) in initial.points.iter().zip(&task.goal).zip(initial.depths()) {
         let here = camera::normalise(&task.camera, point);
         let there = camera::normalise(&task.camera, goal);
         for (row, (p, q)) in interaction::of_point(here, z)
@@ -53,7 +58,8 @@ mod tests {
 
     #[test]
     fn the_first_twist_is_that_of_visp() {
-        // Four points at +-0.06 m, goal 0.36 m in front; the expected values were computed with ViSP.
+        // Four points at +-0.06 m, goal 0.36 m in front; the expected values were computed with
+        // ViSP.
         let text = scene::PAPER_SIM
             .replace("0.15", "0.06")
             .replace("[0.0, 0.0, 0.6]", "[0.0, 0.0, 0.36]");
@@ -65,7 +71,7 @@ mod tests {
             rotation,
         };
         let points = task.features_at(&pose).unwrap();
-        let origin = Origin::new(&task, Model::Pose, &points);
+        let initial = InitialState::new(&task, Model::Pose, &points);
         let expected = [
             0.01711230355,
             -0.09658559499,
@@ -74,7 +80,7 @@ mod tests {
             -0.00330862137,
             0.6429081433,
         ];
-        for (found, expected) in twist(&task, &origin, 0.5).unwrap().iter().zip(expected) {
+        for (found, expected) in twist(&task, &initial, 0.5).unwrap().iter().zip(expected) {
             assert!((found - expected).abs() < 1e-6, "{found} {expected}");
         }
     }
@@ -85,7 +91,7 @@ mod tests {
         let seen = |model, height: f64| {
             let [low, high] = [512.0 - 0.5 * height, 512.0 + 0.5 * height];
             let points = [[400.0, low], [600.0, low], [600.0, high], [400.0, high]];
-            twist(&task, &Origin::new(&task, model, &points.into()), 0.5)
+            twist(&task, &InitialState::new(&task, model, &points.into()), 0.5)
         };
         for model in [Model::TargetDepth, Model::AreaDepth, Model::Pose] {
             assert!(seen(model, 200.0).is_some() && seen(model, 20.0).is_some());

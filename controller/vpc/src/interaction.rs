@@ -1,10 +1,12 @@
 //! The interaction matrix of an image point, and how it changes with the point.
 //!
-//! Source: paper, Eq. (model); F. Chaumette and S. Hutchinson, "Visual servo control, part I", Eq. (11).
+//! Source: paper, Eq. (model); F. Chaumette and S. Hutchinson, "Visual servo control, part I", Eq.
+//! (11).
 
 use crate::Twist;
 
-/// Interaction matrix of a point in normalised image coordinates (x, y) at depth `z` (m): (x', y') = L v.
+/// Interaction matrix of a point in normalised image coordinates (x, y) at depth `z` (m): (x', y')
+/// = L v.
 pub fn of_point([x, y]: [f64; 2], z: f64) -> [Twist; 2] {
     [
         [-1.0 / z, 0.0, x / z, x * y, -(1.0 + x * x), y],
@@ -12,7 +14,8 @@ pub fn of_point([x, y]: [f64; 2], z: f64) -> [Twist; 2] {
     ]
 }
 
-/// Velocity (x', y') of a point under the camera velocity `v`, and its derivative with respect to (x, y).
+/// Velocity (x', y') of a point under the camera velocity `v`, and its derivative with respect to
+/// (x, y).
 pub fn flow([x, y]: [f64; 2], z: f64, v: &Twist) -> ([f64; 2], [[f64; 2]; 2]) {
     let [vx, vy, vz, wx, wy, wz] = *v;
     let velocity = [

@@ -1,12 +1,13 @@
 //! The control law of `vpcd`: visual predictive control with a memory of motion.
 //!
-//! `no_std`, no heap, no unsafe: a cycle that allocates is a compile error here. A cycle runs through the modules in
-//! this order, and so does a reader:
+//! `no_std`, no heap, no unsafe: a cycle that allocates is a compile error here. A cycle runs
+//! through the modules in this order, and so does a reader:
 //!
-//! *measured features* -> [`gate`], [`plausible`] (refuse what cannot be trusted) -> [`delay`] (from their exposure to
-//! now) -> [`recall`] (warm start and way point from the memory, when features come near a constraint), [`detour`] (out of a stall) -> [`solver`]
-//! (bounded sequential quadratic programming over the [`prediction`]) -> [`limit`] (never more than allowed) -> *camera
-//! twist*. [`Controller::step`] is that sentence.
+//! *measured features* -> [`gate`] (refuse what cannot be trusted) -> [`delay`] (from their
+//! exposure to now) -> [`recall`] (warm start and way point from the memory, when features come
+//! near a constraint), [`detour`] (out of a stall) -> [`solver`] (bounded sequential quadratic
+//! programming over the [`prediction`]) -> [`limit`] (never more than allowed) -> *camera twist*.
+//! [`Controller::step`] is that sentence.
 //!
 //! # Symbols
 //! | Paper | Here | Meaning, unit |
@@ -15,7 +16,7 @@
 //! | v, V | `twist`, `plan` | camera velocity (vx vy vz m/s, wx wy wz rad/s) in the camera frame; Nc of them |
 //! | N_p, N_c | `np`, `nc` | steps previewed, free commands |
 //! | T_s | `ts` | sampling time, s |
-//! | L | [`interaction`] | interaction matrix |
+//! | L | `interaction` | interaction matrix |
 //! | Q = k_Q I, R | `k_q`, `r` | weights of image error and velocity |
 //! | eps | `mismatch` | measured minus predicted features, px |
 //! | a, alpha | [`features::area`], [`features::angle`] | of the pattern's polygon, px^2 and rad |
@@ -33,10 +34,24 @@
 //! ```
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
-#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::indexing_slicing
+    )
+)]
 
 pub mod camera;
+pub mod clearance;
 pub mod constraint;
 pub mod controller;
 pub mod cost;
@@ -44,16 +59,18 @@ pub mod delay;
 pub mod detour;
 pub mod features;
 pub mod field;
+mod frozen;
 pub mod gate;
-pub mod hand_eye;
-pub mod ibvs;
-pub mod interaction;
+mod ibvs;
+mod interaction;
 pub mod limit;
+pub mod measurement;
 pub mod motion;
-pub mod plausible;
-pub mod pose;
+pub mod obstacle;
+mod pose;
 pub mod prediction;
-pub mod qp;
+pub mod problem;
+mod qp;
 pub mod recall;
 pub mod settings;
 pub mod sight;
@@ -61,15 +78,15 @@ pub mod solver;
 mod sqp;
 pub mod state;
 pub mod task;
+pub mod work;
 
 pub use controller::{Controller, Step};
 pub use features::Points;
-pub use gate::{Measurement, Refusal};
-pub use hand_eye::HandEye;
+pub use measurement::{Measurement, Refusal};
 pub use prediction::Model;
+pub use problem::{SolverOptions, Status};
 pub use recall::MotionMemory;
 pub use settings::{Settings, SettingsError, Strategy};
-pub use solver::Status;
 pub use state::State;
 pub use task::{Task, TaskError};
 

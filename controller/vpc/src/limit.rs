@@ -1,7 +1,9 @@
-//! The last word before a command leaves: finite, inside the velocity box, and not worse than standing still.
+//! The last word before a command leaves: finite, inside the velocity box, and not worse than
+//! standing still.
 
 use crate::prediction::Plan;
-use crate::solver::{Problem, Solution, Solver};
+use crate::problem::{Problem, Solution};
+use crate::solver::Solver;
 use crate::{DOF, Twist};
 
 /// Halvings towards standing still before the command is zero.
@@ -9,10 +11,10 @@ const HALVINGS: usize = 6;
 /// A first step may deepen a violation by this much, px: below the accuracy of the model.
 pub const SLACK: f64 = 0.25;
 
-/// The first command of a solution, slowed down until its first step violates no constraint more than standing
-/// still does, and clamped to the limits. A command that cannot be made so is zero.
+/// The first command of a solution, slowed down until its first step violates no constraint more
+/// than standing still does, and clamped to the limits. A command that cannot be made so is zero.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
-    let allowed = problem.worst_violation(&problem.origin.points) + SLACK;
+    let allowed = problem.worst_violation(&problem.initial.points) + SLACK;
     let mut plan = solution.plan;
     let mut violation = solution.next_violation_px;
     for _ in 0..HALVINGS {
@@ -27,7 +29,7 @@ pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) 
 
 /// The first command of a plan, clamped; zero where a component is not finite.
 pub fn twist(plan: &Plan, limits: &Twist) -> Twist {
-    clamp(&core::array::from_fn(|k| plan[k]), limits)
+    clamp(plan.first_chunk().unwrap_or(&[0.0; DOF]), limits)
 }
 
 /// A twist inside the limits, component by component; zero where a component is not finite.
@@ -35,16 +37,17 @@ pub fn clamp(twist: &Twist, limits: &Twist) -> Twist {
     if !twist.iter().all(|x| x.is_finite()) {
         return [0.0; DOF];
     }
-    core::array::from_fn(|k| twist[k].clamp(-limits[k], limits[k]))
+    let mut clamped = *twist;
+    for (x, limit) in clamped.iter_mut().zip(limits) {
+        *x = x.clamp(-limit, *limit);
+    }
+    clamped
 }
 
 /// A twist scaled down as a whole until it is inside the limits, so that its direction is kept.
 pub fn scale(twist: &Twist, limits: &Twist) -> Twist {
-    let excess = twist
-        .iter()
-        .zip(limits)
-        .map(|(v, limit)| v.abs() / limit)
-        .fold(1.0, f64::max);
+    let excess = twist.iter().zip(limits).map(|(v, limit)| v.abs() / limit);
+    let excess = excess.fold(1.0, f64::max);
     clamp(&twist.map(|v| v / excess), limits)
 }
 

@@ -1,7 +1,8 @@
 //! Rigid motion of what a moving camera sees: the exponential of SE(3) and its left Jacobian.
 //!
-//! Under a constant camera velocity v = (nu, omega), in the camera frame, a fixed point X (camera frame) moves by
-//! X' = -nu - omega x X. After the time t it is at exp(tau) X with tau = -t (nu, omega).
+//! Under a constant camera velocity v = (nu, omega), in the camera frame, a fixed point X (camera
+//! frame) moves by X' = -nu - omega x X. After the time t it is at exp(tau) X with tau = -t (nu,
+//! omega).
 //!
 //! Source: T. Barfoot, "State Estimation for Robotics", Sect. 7.1 (left Jacobian and its block Q).
 
@@ -26,7 +27,8 @@ impl Motion {
         translation: Vector3::new(0.0, 0.0, 0.0),
     };
 
-    /// The motion of a fixed point in the camera frame while the camera moves at `v` for `ts` seconds.
+    /// The motion of a fixed point in the camera frame while the camera moves at `v` for `ts`
+    /// seconds.
     pub fn of_camera(v: &Twist, ts: f64) -> Self {
         let (rho, phi) = exponent(v, ts);
         let series = Coefficients::at(phi.norm_squared());
@@ -79,7 +81,12 @@ impl Sensitivity {
         }
     }
 
-    /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu, omega).
+    /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu,
+    /// omega).
+    #[expect(
+        clippy::indexing_slicing,
+        reason = "from_fn gives indices inside the two 3 x 3 blocks"
+    )]
     pub fn at(&self, moved: &Vector3<f64>) -> [Twist; 3] {
         // d(exp(tau) X) = [I, -[X']x] J_l d tau, and d tau = -ts d v.
         let angular = self.coupling - moved.cross_matrix() * self.linear;
@@ -119,51 +126,16 @@ struct Coefficients {
 
 impl Coefficients {
     fn at(square: f64) -> Self {
-        // Below 0.5 rad the closed forms lose digits to cancellation; five terms of the series are exact to 1e-13.
+        // Below 0.5 rad the closed forms lose digits to cancellation; six terms of the series are
+        // exact to 1e-13.
         if square < 0.25 {
-            let x = square;
-            let series = |c: [f64; 6]| c.iter().rev().fold(0.0, |sum, c| sum * x + c);
+            let at = |terms: &[f64; TERMS]| terms.iter().rev().fold(0.0, |sum, c| sum * square + c);
             Self {
-                sine: series([
-                    1.0,
-                    -1.0 / 6.0,
-                    1.0 / 120.0,
-                    -1.0 / 5040.0,
-                    1.0 / 362_880.0,
-                    -1.0 / 39_916_800.0,
-                ]),
-                versine: series([
-                    0.5,
-                    -1.0 / 24.0,
-                    1.0 / 720.0,
-                    -1.0 / 40_320.0,
-                    1.0 / 3_628_800.0,
-                    -1.0 / 479_001_600.0,
-                ]),
-                sine_gap: series([
-                    1.0 / 6.0,
-                    -1.0 / 120.0,
-                    1.0 / 5040.0,
-                    -1.0 / 362_880.0,
-                    1.0 / 39_916_800.0,
-                    -1.0 / 6_227_020_800.0,
-                ]),
-                cosine_gap: series([
-                    1.0 / 24.0,
-                    -1.0 / 720.0,
-                    1.0 / 40_320.0,
-                    -1.0 / 3_628_800.0,
-                    1.0 / 479_001_600.0,
-                    -1.0 / 87_178_291_200.0,
-                ]),
-                mixed: series([
-                    1.0 / 120.0,
-                    -1.0 / 2520.0,
-                    1.0 / 120_960.0,
-                    -1.0 / 9_979_200.0,
-                    1.0 / 1_245_404_160.0,
-                    -1.0 / 217_945_728_000.0,
-                ]),
+                sine: at(&const { series(1, false) }),
+                versine: at(&const { series(2, false) }),
+                sine_gap: at(&const { series(3, false) }),
+                cosine_gap: at(&const { series(4, false) }),
+                mixed: at(&const { series(5, true) }),
             }
         } else {
             let theta = sqrt(square);
@@ -177,6 +149,31 @@ impl Coefficients {
             }
         }
     }
+}
+
+/// Terms of a series in theta^2.
+const TERMS: usize = 6;
+
+/// The coefficients (-1)^k / (2 k + n)!, each times k + 1 where `rising`.
+#[expect(
+    clippy::indexing_slicing,
+    reason = "k is below TERMS; a const fn has no iterators"
+)]
+const fn series(n: usize, rising: bool) -> [f64; TERMS] {
+    let mut coefficients = [0.0; TERMS];
+    let mut k = 0;
+    while k < TERMS {
+        let (mut factorial, mut i) = (1.0, 2);
+        while i <= 2 * k + n {
+            factorial *= i as f64;
+            i += 1;
+        }
+        let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
+        let share = if rising { (k + 1) as f64 } else { 1.0 };
+        coefficients[k] = sign * (share / factorial);
+        k += 1;
+    }
+    coefficients
 }
 
 /// The rotation matrix of a rotation vector (rad).

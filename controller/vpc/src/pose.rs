@@ -1,4 +1,9 @@
-//! Pose of a known planar pattern from its image: homography, then Gauss-Newton on the reprojection error.
+//! Pose of a known planar pattern from its image: homography, then Gauss-Newton on the reprojection
+//! error.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "constant indices of vectors whose length is in the type, and k below 3"
+)]
 
 use heapless::Vec;
 use libm::sqrt;
@@ -30,8 +35,8 @@ impl Estimate {
     }
 }
 
-/// Estimates the pose from normalised image points (x, y) of the `pattern` (planar, z = 0, m). `None` where the
-/// points do not fix a pose in front of the camera.
+/// Estimates the pose from normalised image points (x, y) of the `pattern` (planar, z = 0, m).
+/// `None` where the points do not fix a pose in front of the camera.
 pub fn estimate(pattern: &[[f64; 3]], image: &[[f64; 2]]) -> Option<Estimate> {
     let mut pose = from_homography(pattern, image)?;
     for _ in 0..REFINEMENTS {
@@ -45,8 +50,9 @@ pub fn estimate(pattern: &[[f64; 3]], image: &[[f64; 2]]) -> Option<Estimate> {
     (in_front && pose.residual.is_finite()).then_some(pose)
 }
 
-/// The homography of a plane, solved for its eight free entries about the pattern's centroid, whose depth is
-/// positive whenever the whole pattern is visible; split into a rotation and a translation.
+/// The homography of a plane, solved for its eight free entries about the pattern's centroid, whose
+/// depth is positive whenever the whole pattern is visible; split into a rotation and a
+/// translation.
 fn from_homography(pattern: &[[f64; 3]], image: &[[f64; 2]]) -> Option<Estimate> {
     let count = pattern.len() as f64;
     let mean = |k: usize| pattern.iter().map(|p| p[k]).sum::<f64>() / count;
@@ -85,7 +91,8 @@ fn from_homography(pattern: &[[f64; 3]], image: &[[f64; 2]]) -> Option<Estimate>
     })
 }
 
-/// One Gauss-Newton step on the reprojection error, perturbing the pose on its left; and its length.
+/// One Gauss-Newton step on the reprojection error, perturbing the pose on its left; and its
+/// length.
 fn refine(pattern: &[[f64; 3]], image: &[[f64; 2]], pose: &Estimate) -> Option<(Estimate, f64)> {
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();

@@ -1,6 +1,19 @@
 //! Prediction of the features over the preview window, with exact first derivatives.
 //!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | s_j | [`Preview::step`] | features after step j, px; j = 0 is one sampling time ahead |
+//! | V = (v_1 .. v_Nc) | `plan` | free commands; the last one is held to the end of the window |
+//! | Np, Nc | `np`, `NC` | steps previewed, free commands |
+//! | Ts | `task.ts` | sampling time, s |
+//! | L | `interaction` | interaction matrix, for the depth models |
+//! | X_j = exp(-Ts v_j) X_{j-1} | [`Motion`] | points in the camera frame, m, for [`Model::Pose`] |
+//!
 //! Source: paper, Eq. (model): s_j = s_{j-1} + Ts L_j v_j.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: np, nc and the count of points are bounded where they are set"
+)]
 
 use heapless::Vec;
 use libm::sqrt;
@@ -17,27 +30,29 @@ use crate::{
 pub enum Model {
     /// The paper's: the interaction matrix with the depths that the points have at the goal.
     TargetDepth,
-    /// The interaction matrix with one depth Z = Z* sqrt(a*/a), from the measured area; no more knowledge needed.
+    /// The interaction matrix with one depth Z = Z* sqrt(a*/a), from the measured area; no more
+    /// geometry needed.
     AreaDepth,
-    /// The paper's "global model": pose of the known pattern by homography, then exact rigid motion. Where no pose
-    /// fits the features it falls back to [`Model::AreaDepth`] for the cycle.
+    /// The paper's "global model": pose of the known pattern by homography, then exact rigid
+    /// motion. Where no pose fits the features it falls back to [`Model::AreaDepth`] for the cycle.
     #[default]
     Pose,
 }
 
-/// A pose whose reprojection error is above this share of the pattern's size in the image does not explain the
-/// features.
+/// A pose whose reprojection error is above this share of the pattern's size in the image does not
+/// explain the features.
 const POSE_RESIDUAL: f64 = 0.1;
 
 /// Where the preview starts: the measured features, and what the model knows of their depth.
 #[derive(Clone, Debug)]
-pub struct Origin {
+pub struct InitialState {
     /// Measured features, px.
     pub points: Points,
-    knowledge: Knowledge,
+    geometry: Geometry,
 }
 
-/// Longest step with which the motion of a depth model is integrated, as a share of the sampling time.
+/// Longest step with which the motion of a depth model is integrated, as a share of the sampling
+/// time.
 const STEP: f64 = 0.5;
 /// Most of these steps, so that the work is bounded.
 const MOST_STEPS: f64 = 128.0;
@@ -45,47 +60,50 @@ const MOST_STEPS: f64 = 128.0;
 const NO_IMAGE: f64 = 1e3;
 
 #[derive(Clone, Debug)]
-enum Knowledge {
+enum Geometry {
+    /// Depth of each point, m.
     Depths(Vec<f64, MAX_POINTS>),
-    Space(Vec<Vector3<f64>, MAX_POINTS>),
+    /// Each point in the camera frame, m.
+    Positions(Vec<Vector3<f64>, MAX_POINTS>),
 }
 
-impl Origin {
+impl InitialState {
     /// The start of a preview from measured features.
     pub fn new(task: &Task, model: Model, points: &Points) -> Self {
-        let knowledge = match model {
-            Model::TargetDepth => Knowledge::Depths(task.goal_depth.clone()),
+        let geometry = match model {
+            Model::TargetDepth => Geometry::Depths(task.goal_depth.clone()),
             Model::AreaDepth => area_depth(task, points),
             Model::Pose => space(task, points).unwrap_or_else(|| area_depth(task, points)),
         };
         Self {
             points: points.clone(),
-            knowledge,
+            geometry,
         }
     }
 
     /// The depth of each point, m.
     pub fn depths(&self) -> Vec<f64, MAX_POINTS> {
-        match &self.knowledge {
-            Knowledge::Depths(depths) => depths.clone(),
-            Knowledge::Space(points) => points.iter().map(|x| x.z).collect(),
+        match &self.geometry {
+            Geometry::Depths(depths) => depths.clone(),
+            Geometry::Positions(points) => points.iter().map(|x| x.z).collect(),
         }
     }
 
-    /// The features as the model explains them, px: for [`Model::Pose`] the projection of the pattern at its pose, else
-    /// the measured ones themselves.
+    /// The features as the model explains them, px: for [`Model::Pose`] the projection of the
+    /// pattern at its pose, else the measured ones themselves.
     pub fn explained(&self, task: &Task) -> Points {
-        match &self.knowledge {
-            Knowledge::Depths(_) => self.points.clone(),
-            Knowledge::Space(points) => seen(task, points),
+        match &self.geometry {
+            Geometry::Depths(_) => self.points.clone(),
+            Geometry::Positions(points) => seen(task, points),
         }
     }
 
-    /// The origin after the camera has moved at `twist` for `seconds`. What the model does not explain of the features
-    /// stays with them. `None` where a point would be behind the camera or run away.
+    /// The initial after the camera has moved at `twist` for `seconds`. What the model does not
+    /// explain of the features stays with them. `None` where a point would be behind the camera or
+    /// run away.
     pub fn moved(&self, task: &Task, model: Model, twist: &Twist, seconds: f64) -> Option<Self> {
-        match &self.knowledge {
-            Knowledge::Space(before) => {
+        match &self.geometry {
+            Geometry::Positions(before) => {
                 let motion = Motion::of_camera(twist, seconds);
                 let after: Vec<_, MAX_POINTS> = before.iter().map(|x| motion.apply(x)).collect();
                 let in_front = |x: &Vector3<f64>| x.z > 1e-6;
@@ -95,22 +113,22 @@ impl Origin {
                     points: pairs
                         .map(|(s, (b, a))| [a[0] + (s[0] - b[0]), a[1] + (s[1] - b[1])])
                         .collect(),
-                    knowledge: Knowledge::Space(after),
+                    geometry: Geometry::Positions(after),
                 })
             }
-            Knowledge::Depths(_) => {
+            Geometry::Depths(_) => {
                 let steps = libm::ceil(seconds / (STEP * task.ts)).clamp(1.0, MOST_STEPS);
-                let mut origin = self.clone();
+                let mut initial = self.clone();
                 for _ in 0..steps as u32 {
-                    origin = origin.drifted(task, model, twist, seconds / steps)?;
+                    initial = initial.integrated(task, model, twist, seconds / steps)?;
                 }
-                Some(origin)
+                Some(initial)
             }
         }
     }
 
     /// One step of a depth model by the midpoint rule.
-    fn drifted(&self, task: &Task, model: Model, v: &Twist, h: f64) -> Option<Self> {
+    fn integrated(&self, task: &Task, model: Model, v: &Twist, h: f64) -> Option<Self> {
         let slide = |from: &Points, at: &Self, h: f64| -> Option<Points> {
             let depths = at.depths();
             let pairs = from.iter().zip(at.points.iter().zip(&depths));
@@ -125,11 +143,11 @@ impl Origin {
             slid.collect()
         };
         let at = |points: Points| {
-            let knowledge = match model {
-                Model::TargetDepth => self.knowledge.clone(),
+            let geometry = match model {
+                Model::TargetDepth => self.geometry.clone(),
                 Model::AreaDepth | Model::Pose => area_depth(task, &points),
             };
-            Self { points, knowledge }
+            Self { points, geometry }
         };
         let middle = at(slide(&self.points, self, 0.5 * h)?);
         Some(at(slide(&self.points, &middle, h)?))
@@ -142,26 +160,28 @@ fn seen(task: &Task, points: &[Vector3<f64>]) -> Points {
     points.iter().map(see).collect()
 }
 
-fn area_depth(task: &Task, points: &Points) -> Knowledge {
+fn area_depth(task: &Task, points: &Points) -> Geometry {
     let area = features::area(points).max(1e-3 * task.goal_area);
     let ratio = sqrt(task.goal_area / area);
-    Knowledge::Depths(task.goal_depth.iter().map(|z| z * ratio).collect())
+    Geometry::Depths(task.goal_depth.iter().map(|z| z * ratio).collect())
 }
 
-fn space(task: &Task, points: &Points) -> Option<Knowledge> {
+fn space(task: &Task, points: &Points) -> Option<Geometry> {
     let image: Vec<[f64; 2], MAX_POINTS> = points
         .iter()
         .map(|&p| camera::normalise(&task.camera, p))
         .collect();
     let estimate = pose::estimate(&task.pattern, &image)?;
     (estimate.residual <= POSE_RESIDUAL * sqrt(features::area(&image)))
-        .then(|| Knowledge::Space(pose::points(&estimate, &task.pattern)))
+        .then(|| Geometry::Positions(pose::points(&estimate, &task.pattern)))
 }
 
-/// A plan: `nc` camera velocities; the last one holds to the end of the window. Only the first `6 nc` entries count.
+/// A plan: `nc` camera velocities; the last one holds to the end of the window. Only the first `6
+/// nc` entries count.
 pub type Plan = [f64; MAX_VARIABLES];
 
-/// The previewed features and their derivatives with respect to the first `N = 6 nc` entries of the plan.
+/// The previewed features and their derivatives with respect to the first `N = 6 nc` entries of the
+/// plan.
 #[derive(Clone, Debug)]
 pub struct Preview<const N: usize> {
     np: usize,
@@ -220,31 +240,31 @@ impl<const N: usize> Preview<N> {
         })
     }
 
-    /// Predicts the features under `plan`. `false` where a point would come behind the camera, which no command of
-    /// the arm may do: the caller treats the plan as impossible.
+    /// Predicts the features under `plan`. `false` where a point would come behind the camera,
+    /// which no command of the arm may do: the caller treats the plan as impossible.
     #[must_use]
-    pub fn run(&mut self, task: &Task, origin: &Origin, plan: &[f64; N]) -> bool {
-        self.predict::<true>(task, origin, plan)
+    pub fn linearize(&mut self, task: &Task, initial: &InitialState, plan: &[f64; N]) -> bool {
+        self.predict::<true>(task, initial, plan)
     }
 
-    /// As [`Preview::run`] without derivatives: those of an earlier plan stay behind.
+    /// As [`Preview::linearize`] without derivatives: those of an earlier plan stay behind.
     #[must_use]
-    pub fn look(&mut self, task: &Task, origin: &Origin, plan: &[f64; N]) -> bool {
-        self.predict::<false>(task, origin, plan)
+    pub fn evaluate(&mut self, task: &Task, initial: &InitialState, plan: &[f64; N]) -> bool {
+        self.predict::<false>(task, initial, plan)
     }
 
     fn predict<const GRADIENTS: bool>(
         &mut self,
         task: &Task,
-        origin: &Origin,
+        initial: &InitialState,
         plan: &[f64; N],
     ) -> bool {
-        self.count = origin.points.len();
-        match &origin.knowledge {
-            Knowledge::Depths(depths) => {
-                self.run_depths::<GRADIENTS>(task, &origin.points, depths, plan)
+        self.count = initial.points.len();
+        match &initial.geometry {
+            Geometry::Depths(depths) => {
+                self.move_image_points::<GRADIENTS>(task, &initial.points, depths, plan)
             }
-            Knowledge::Space(points) => self.run_space::<GRADIENTS>(task, points, plan),
+            Geometry::Positions(points) => self.move_points::<GRADIENTS>(task, points, plan),
         }
     }
 
@@ -252,7 +272,7 @@ impl<const N: usize> Preview<N> {
         core::array::from_fn(|k| plan[offset + k])
     }
 
-    fn run_depths<const GRADIENTS: bool>(
+    fn move_image_points<const GRADIENTS: bool>(
         &mut self,
         task: &Task,
         points: &Points,
@@ -291,7 +311,7 @@ impl<const N: usize> Preview<N> {
         true
     }
 
-    fn run_space<const GRADIENTS: bool>(
+    fn move_points<const GRADIENTS: bool>(
         &mut self,
         task: &Task,
         points: &[Vector3<f64>],
@@ -369,25 +389,25 @@ mod tests {
         let task = task();
         let measured = points(&task);
         for model in [Model::TargetDepth, Model::AreaDepth, Model::Pose] {
-            let origin = Origin::new(&task, model, &measured);
-            gradients_match::<6>(&task, &origin, 1);
-            gradients_match::<6>(&task, &origin, 3);
-            gradients_match::<18>(&task, &origin, 12);
-            gradients_match::<6>(&task, &origin, 30);
+            let initial = InitialState::new(&task, model, &measured);
+            gradients_match::<6>(&task, &initial, 1);
+            gradients_match::<6>(&task, &initial, 3);
+            gradients_match::<18>(&task, &initial, 12);
+            gradients_match::<6>(&task, &initial, 30);
         }
     }
 
-    fn gradients_match<const N: usize>(task: &Task, origin: &Origin, np: usize) {
+    fn gradients_match<const N: usize>(task: &Task, initial: &InitialState, np: usize) {
         let plan: [f64; N] = core::array::from_fn(|k| 0.3 * libm::sin(1.0 + k as f64));
         let mut exact = Box::new(Preview::<N>::new(np));
-        assert!(exact.run(task, origin, &plan));
+        assert!(exact.linearize(task, initial, &plan));
         let mut other = Box::new(Preview::<N>::new(np));
         for k in 0..N {
             let h = 1e-6;
             let mut shifted = |h: f64| {
                 let mut moved = plan;
                 moved[k] += h;
-                assert!(other.look(task, origin, &moved));
+                assert!(other.evaluate(task, initial, &moved));
                 other.step(np - 1).to_vec()
             };
             let (plus, minus) = (shifted(h), shifted(-h));
@@ -398,7 +418,7 @@ mod tests {
                     let scale = 1.0 + analytic.abs();
                     assert!(
                         (numeric - analytic).abs() < 1e-6 * scale,
-                        "{origin:?} {np} {k}"
+                        "{initial:?} {np} {k}"
                     );
                 }
             }
@@ -413,10 +433,10 @@ mod tests {
             rotation: [0.3, -0.2, 0.8],
         };
         let measured = task.features_at(&start).unwrap();
-        let origin = Origin::new(&task, Model::Pose, &measured);
+        let initial = InitialState::new(&task, Model::Pose, &measured);
         let v = [0.2, -0.1, 0.3, 0.4, -0.5, 0.9];
         let mut preview = Box::new(Preview::<6>::new(20));
-        assert!(preview.run(&task, &origin, &v));
+        assert!(preview.linearize(&task, &initial, &v));
         let motion = Motion::of_camera(&v, 20.0 * task.ts);
         let rotation = crate::motion::rotation(start.rotation);
         for (i, p) in task.pattern.iter().enumerate() {
@@ -434,7 +454,7 @@ mod tests {
     fn at_the_goal_the_three_models_agree_on_the_depths() {
         let task = task();
         for model in [Model::TargetDepth, Model::AreaDepth, Model::Pose] {
-            for z in Origin::new(&task, model, &task.goal).depths() {
+            for z in InitialState::new(&task, model, &task.goal).depths() {
                 assert!((z - 0.6).abs() < 1e-9);
             }
         }

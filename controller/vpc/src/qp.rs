@@ -1,23 +1,37 @@
 //! A dense quadratic program with hard bounds and elastic rows, by a dual active-set method.
 //!
-//! minimise 1/2 d^T H d + g^T d + rho sum_i max(0, -(a_i^T d + c_i))  subject to  lower <= d <= upper
+//! minimise 1/2 d^T H d + g^T d + rho sum_i max(0, -(a_i^T d + c_i))  subject to  lower <= d <=
+//! upper
 //!
-//! The exact (L1) penalty caps the multiplier of a row at rho. The dual method starts at the unconstrained minimum
-//! and adds violated constraints one by one; when a row's multiplier reaches its cap the row *yields*: it stays
-//! violated, its pull rho a_i joins the linear term, and from then on it counts as violated when it is satisfied.
-//! Bounds never yield, so the answer is inside them whatever the rows ask for, and the program always has a solution.
+//! The exact (L1) penalty caps the multiplier of a row at rho. The dual method starts at the
+//! unconstrained minimum and adds violated constraints one by one; when a row's multiplier reaches
+//! its cap the row *yields*: it stays violated, its pull rho a_i joins the linear term, and from
+//! then on it counts as violated when it is satisfied. Bounds never yield, so the answer is inside
+//! them whatever the rows ask for, and the program always has a solution.
 //!
 //! The number of variables is part of the type: every inner loop has a fixed length.
 //!
-//! Source: D. Goldfarb and A. Idnani, "A numerically stable dual method for solving strictly convex quadratic
-//! programs", Math. Programming 27 (1983); the cap on multipliers is ours.
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | d | `step` | the variables |
+//! | H, g | [`Quadratic`] | Hessian and gradient of the cost at d = 0 |
+//! | a_i, c_i | [`Rows`] | gradient and value of a clearance at d = 0, px |
+//! | rho | `rho` | penalty weight, the cap of the multipliers of rows |
+//! | J, R | `columns`, `triangle` | H = L L^T, L^{-1} A = Q R with the active normals A, J = L^{-T} Q |
+//!
+//! Source: D. Goldfarb and A. Idnani, "A numerically stable dual method for solving strictly convex
+//! quadratic programs", Math. Programming 27 (1983); the cap on multipliers is ours.
+#![expect(
+    clippy::indexing_slicing,
+    reason = "a dense kernel: indices run over 0..N of arrays of N, or below the counts kept beside them"
+)]
 
 use libm::sqrt;
 
 /// Most elastic rows.
 pub const MAX_ROWS: usize = 1536;
-/// Most violated rows that are kept in sight between two looks at all rows: with a long window there are hundreds,
-/// and only a few decide.
+/// Most violated rows that are kept in sight between two looks at all rows: with a long window
+/// there are hundreds, and only a few decide.
 const MAX_SUSPECTS: usize = 24;
 /// A bound is violated beyond this, m/s or rad/s.
 const BOUND_TOLERANCE: f64 = 1e-12;
@@ -45,8 +59,8 @@ impl<const N: usize> Quadratic<N> {
     }
 }
 
-/// The elastic rows a^T d + c >= 0 of a program, in a store of fixed size: the linearised clearances (px) of
-/// previewed points.
+/// The elastic rows a^T d + c >= 0 of a program, in a store of fixed size: the linearised
+/// clearances (px) of previewed points.
 #[derive(Clone, Debug)]
 pub struct Rows<const N: usize> {
     gradients: [[f64; N]; MAX_ROWS],
@@ -72,11 +86,6 @@ impl<const N: usize> Rows<N> {
         self.len
     }
 
-    /// Whether there is no row.
-    pub fn is_empty(&self) -> bool {
-        self.len == 0
-    }
-
     /// Forgets all rows.
     pub fn clear(&mut self) {
         self.len = 0;
@@ -94,12 +103,21 @@ impl<const N: usize> Rows<N> {
         true
     }
 
-    /// Row `i` from now on has this clearance (px) at `d`: its gradient stays, what it left out of the curvature comes in.
+    /// Row `i` from now on has this clearance (px) at `d`: its gradient stays, what it left out of
+    /// the curvature comes in.
     pub fn correct(&mut self, i: usize, clearance: f64, d: &[f64; N]) {
         self.clearances[i] = clearance - dot(&self.gradients[i], d);
     }
 
-    /// What row `i` leaves free at `d`, px; negative where it is violated, or satisfied although it has yielded.
+    /// A row yields, or stops yielding; a bound never does.
+    fn turn(&mut self, constraint: Constraint) {
+        if let Constraint::Row(i) = constraint {
+            self.signs[i] = -self.signs[i];
+        }
+    }
+
+    /// What row `i` leaves free at `d`, px; negative where it is violated, or satisfied although it
+    /// has yielded.
     fn slack(&self, i: usize, d: &[f64; N]) -> f64 {
         self.signs[i] * (dot(&self.gradients[i], d) + self.clearances[i])
     }
@@ -108,12 +126,6 @@ impl<const N: usize> Rows<N> {
     pub fn violation(&self, d: &[f64; N]) -> f64 {
         let rows = self.gradients.iter().zip(&self.clearances).take(self.len);
         rows.map(|(a, c)| (-(dot(a, d) + c)).max(0.0)).sum()
-    }
-}
-
-impl<const N: usize> Default for Rows<N> {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -148,6 +160,61 @@ enum Constraint {
     Row(usize),
 }
 
+/// A violated constraint on its way into the active set.
+struct Entering<const N: usize> {
+    constraint: Constraint,
+    /// Its inward normal; that of a row that has yielded points outward.
+    normal: [f64; N],
+    slack: f64,
+    multiplier: f64,
+    cap: f64,
+}
+
+impl<const N: usize> Entering<N> {
+    fn new(constraint: Constraint, slack: f64, rows: &Rows<N>, rho: f64) -> Self {
+        let mut normal = [0.0; N];
+        match constraint {
+            Constraint::Lower(i) => normal[i] = 1.0,
+            Constraint::Upper(i) => normal[i] = -1.0,
+            Constraint::Row(i) => normal = rows.gradients[i].map(|a| rows.signs[i] * a),
+        }
+        let is_row = matches!(constraint, Constraint::Row(_));
+        let cap = if is_row { rho } else { f64::INFINITY };
+        Self {
+            constraint,
+            normal,
+            slack,
+            multiplier: 0.0,
+            cap,
+        }
+    }
+}
+
+/// How d and the multipliers change per unit of the entering multiplier, whose constraint has the
+/// normal n.
+struct Directions<const N: usize> {
+    /// z = J_2 J_2^T n, the change of d.
+    primal: [f64; N],
+    /// J^T n.
+    projection: [f64; N],
+    /// R^{-1} J_1^T n, the decrease of the active multipliers.
+    exchange: [f64; N],
+    /// z^T n.
+    curvature: f64,
+    /// Whether n is linearly independent of the active normals.
+    independent: bool,
+}
+
+/// What ends a step of the entering multiplier.
+enum StepEnd {
+    /// The constraint is satisfied, and becomes active.
+    Active,
+    /// Its multiplier is at its cap: it turns around without becoming active.
+    Yields,
+    /// The active constraint at this position leaves, because its multiplier is zero or at its cap.
+    Leaves { position: usize, yields: bool },
+}
+
 /// The workspace of the method.
 #[derive(Clone)]
 pub struct ActiveSet<const N: usize> {
@@ -177,8 +244,8 @@ impl<const N: usize> ActiveSet<N> {
         }
     }
 
-    /// Solves a program. `rho` caps the multipliers of the rows (cost per px); at most `limit` changes of the active
-    /// set are made.
+    /// Solves a program. `rho` caps the multipliers of the rows (cost per px); at most `limit`
+    /// changes of the active set are made.
     pub fn solve(
         &mut self,
         quadratic: &Quadratic<N>,
@@ -198,90 +265,17 @@ impl<const N: usize> ActiveSet<N> {
             return answer;
         }
         let mut d = self.unconstrained(&quadratic.gradient);
-        answer.status = QpStatus::Solved;
-
-        'outer: while let Some((constraint, mut slack)) = self.violated(quadratic, rows, &d) {
-            let normal = normal(constraint, rows);
-            let cap = match constraint {
-                Constraint::Row(_) => rho,
-                Constraint::Lower(_) | Constraint::Upper(_) => f64::INFINITY,
+        answer.status = loop {
+            let Some((constraint, slack)) = self.violated(quadratic, rows, &d) else {
+                break QpStatus::Solved;
             };
-            let mut multiplier = 0.0;
-            loop {
-                if answer.iterations >= limit {
-                    answer.status = QpStatus::IterationLimit;
-                    break 'outer;
-                }
-                answer.iterations += 1;
-                let (direction, projection, exchange) = self.directions(&normal);
-                let curvature = dot(&direction, &normal);
-                let independent = curvature > 1e-12 * dot(&projection, &projection);
-
-                // The longest dual step: to the constraint itself, to its cap, or until an active multiplier
-                // leaves [0, rho].
-                let full = if independent {
-                    -slack / curvature
-                } else {
-                    f64::INFINITY
-                };
-                let mut step = full.min(cap - multiplier);
-                let mut leaving = None;
-                for k in 0..self.count {
-                    let row = matches!(self.active[k], Constraint::Row(_));
-                    let room = if exchange[k] > 1e-14 {
-                        self.multipliers[k] / exchange[k]
-                    } else if exchange[k] < -1e-14 && row {
-                        (rho - self.multipliers[k]) / -exchange[k]
-                    } else {
-                        continue;
-                    };
-                    if room < step {
-                        step = room.max(0.0);
-                        leaving = Some((k, exchange[k] < 0.0));
-                    }
-                }
-                if !step.is_finite() {
-                    // The bounds contradict each other, or a number is not finite.
-                    answer.status = QpStatus::NumericalFailure;
-                    break 'outer;
-                }
-
-                if independent {
-                    for i in 0..N {
-                        d[i] += step * direction[i];
-                    }
-                    slack += step * curvature;
-                }
-                for k in 0..self.count {
-                    self.multipliers[k] -= step * exchange[k];
-                }
-                multiplier += step;
-
-                match leaving {
-                    Some((k, yields)) => {
-                        if yields && let Constraint::Row(i) = self.active[k] {
-                            rows.signs[i] = -rows.signs[i];
-                        }
-                        self.remove(k);
-                    }
-                    None if step < full => {
-                        // Its own cap: the constraint turns around without becoming active.
-                        if let Constraint::Row(i) = constraint {
-                            rows.signs[i] = -rows.signs[i];
-                        }
-                        continue 'outer;
-                    }
-                    None => {
-                        if !self.add(constraint, &projection, multiplier) {
-                            answer.status = QpStatus::IterationLimit;
-                            break 'outer;
-                        }
-                        continue 'outer;
-                    }
-                }
+            let entering = Entering::new(constraint, slack, rows, rho);
+            if let Err(status) =
+                self.enforce(entering, &mut d, rows, rho, limit, &mut answer.iterations)
+            {
+                break status;
             }
-        }
-
+        };
         if d.iter().all(|x| x.is_finite()) {
             answer.step =
                 core::array::from_fn(|i| d[i].max(quadratic.lower[i]).min(quadratic.upper[i]));
@@ -293,7 +287,110 @@ impl<const N: usize> ActiveSet<N> {
         answer
     }
 
-    /// J = L^{-T} from the Cholesky factor of the Hessian; `false` where it is not positive definite.
+    /// Raises the multiplier of a violated constraint until it is active or yields. Active
+    /// constraints whose multipliers come to an end on the way leave.
+    fn enforce(
+        &mut self,
+        mut entering: Entering<N>,
+        d: &mut [f64; N],
+        rows: &mut Rows<N>,
+        rho: f64,
+        limit: u32,
+        iterations: &mut u32,
+    ) -> Result<(), QpStatus> {
+        loop {
+            if *iterations >= limit {
+                return Err(QpStatus::IterationLimit);
+            }
+            *iterations += 1;
+            let directions = self.directions(&entering.normal);
+            let (step, end) = self.longest_step(&entering, &directions, rho);
+            if !step.is_finite() {
+                // The bounds contradict each other, or a number is not finite.
+                return Err(QpStatus::NumericalFailure);
+            }
+            self.take(step, &directions, &mut entering, d);
+            match end {
+                StepEnd::Leaves { position, yields } => {
+                    if yields {
+                        rows.turn(self.active[position]);
+                    }
+                    self.remove(position);
+                }
+                StepEnd::Yields => {
+                    rows.turn(entering.constraint);
+                    return Ok(());
+                }
+                StepEnd::Active => {
+                    let added = self.add(&entering, &directions.projection);
+                    return added.then_some(()).ok_or(QpStatus::IterationLimit);
+                }
+            }
+        }
+    }
+
+    /// The longest step of the entering multiplier, and what ends it: the constraint is satisfied,
+    /// its multiplier reaches its cap, or an active multiplier leaves [0, rho].
+    fn longest_step(
+        &self,
+        entering: &Entering<N>,
+        directions: &Directions<N>,
+        rho: f64,
+    ) -> (f64, StepEnd) {
+        let full = if directions.independent {
+            -entering.slack / directions.curvature
+        } else {
+            f64::INFINITY
+        };
+        let mut step = full.min(entering.cap - entering.multiplier);
+        let mut end = if step < full {
+            StepEnd::Yields
+        } else {
+            StepEnd::Active
+        };
+        for k in 0..self.count {
+            let change = directions.exchange[k];
+            let is_row = matches!(self.active[k], Constraint::Row(_));
+            let room = if change > 1e-14 {
+                self.multipliers[k] / change
+            } else if change < -1e-14 && is_row {
+                (rho - self.multipliers[k]) / -change
+            } else {
+                continue;
+            };
+            if room < step {
+                step = room.max(0.0);
+                end = StepEnd::Leaves {
+                    position: k,
+                    yields: change < 0.0,
+                };
+            }
+        }
+        (step, end)
+    }
+
+    /// Moves d and all multipliers.
+    fn take(
+        &mut self,
+        step: f64,
+        directions: &Directions<N>,
+        entering: &mut Entering<N>,
+        d: &mut [f64; N],
+    ) {
+        if directions.independent {
+            for i in 0..N {
+                d[i] += step * directions.primal[i];
+            }
+            entering.slack += step * directions.curvature;
+        }
+        for k in 0..self.count {
+            self.multipliers[k] -= step * directions.exchange[k];
+        }
+        entering.multiplier += step;
+    }
+
+    /// J = L^{-T} from the Cholesky factor of the Hessian; `false` where it is not positive
+    /// definite.
     fn factorise(&mut self, hessian: &[[f64; N]; N]) -> bool {
         let mut factor = [[0.0; N]; N];
         let mut inverse = [0.0; N];
@@ -341,8 +438,8 @@ impl<const N: usize> ActiveSet<N> {
         d
     }
 
-    /// A constraint that is violated by much, with its slack: the worst bound, else the worst suspect, else, where no
-    /// suspect is violated any more, the worst of all rows.
+    /// A constraint that is violated by much, with its slack: the worst bound, else the worst
+    /// suspect, else, where no suspect is violated any more, the worst of all rows.
     fn violated(
         &mut self,
         quadratic: &Quadratic<N>,
@@ -410,13 +507,12 @@ impl<const N: usize> ActiveSet<N> {
         self.active[..self.count].contains(&constraint)
     }
 
-    /// The primal direction z = J_2 J_2^T n, the projection J^T n, and the change of active multipliers R^{-1} J_1^T n.
-    fn directions(&self, normal: &[f64; N]) -> ([f64; N], [f64; N], [f64; N]) {
+    fn directions(&self, normal: &[f64; N]) -> Directions<N> {
         let projection: [f64; N] = core::array::from_fn(|k| dot(&self.columns[k], normal));
-        let mut direction = [0.0; N];
+        let mut primal = [0.0; N];
         for k in self.count..N {
             for i in 0..N {
-                direction[i] += projection[k] * self.columns[k][i];
+                primal[i] += projection[k] * self.columns[k][i];
             }
         }
         let mut exchange = [0.0; N];
@@ -427,11 +523,18 @@ impl<const N: usize> ActiveSet<N> {
             }
             exchange[k] = sum / self.triangle[k][k];
         }
-        (direction, projection, exchange)
+        let curvature = dot(&primal, normal);
+        Directions {
+            independent: curvature > 1e-12 * dot(&projection, &projection),
+            primal,
+            projection,
+            exchange,
+            curvature,
+        }
     }
 
     /// Makes a constraint active; `false` where its normal depends on the active ones.
-    fn add(&mut self, constraint: Constraint, projection: &[f64; N], multiplier: f64) -> bool {
+    fn add(&mut self, entering: &Entering<N>, projection: &[f64; N]) -> bool {
         let count = self.count;
         if count >= N {
             return false;
@@ -451,8 +554,8 @@ impl<const N: usize> ActiveSet<N> {
         }
         self.triangle[count] = [0.0; N];
         self.triangle[count][..=count].copy_from_slice(&d[..=count]);
-        self.active[count] = constraint;
-        self.multipliers[count] = multiplier;
+        self.active[count] = entering.constraint;
+        self.multipliers[count] = entering.multiplier;
         self.count += 1;
         true
     }
@@ -489,23 +592,6 @@ impl<const N: usize> ActiveSet<N> {
             self.columns[j][k] = c * y - s * x;
         }
     }
-}
-
-impl<const N: usize> Default for ActiveSet<N> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// The inward normal of a constraint; that of a yielded row points outward.
-fn normal<const N: usize>(constraint: Constraint, rows: &Rows<N>) -> [f64; N] {
-    let mut normal = [0.0; N];
-    match constraint {
-        Constraint::Lower(i) => normal[i] = 1.0,
-        Constraint::Upper(i) => normal[i] = -1.0,
-        Constraint::Row(i) => normal = rows.gradients[i].map(|a| rows.signs[i] * a),
-    }
-    normal
 }
 
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {

@@ -1,10 +1,11 @@
 //! Recall: when to ask the memory, and what it says.
 
-use crate::settings::Strategy;
+use crate::settings::{Settings, Strategy};
 use crate::task::Task;
 use crate::{DOF, MAX_POINTS, Points, Twist, constraint, limit};
 
-/// How far the memory's twist may pass the limits: it knows plans inside them, and a regression overshoots a little.
+/// How far the memory's twist may pass the limits: it knows plans inside them, and a regression
+/// overshoots a little.
 const MOST_TWIST: f64 = 2.0;
 /// How far its way point may lie outside the image, as a share of the image.
 const MOST_OUTSIDE: f64 = 0.25;
@@ -18,45 +19,12 @@ pub struct Recall {
     pub way_point: Points,
 }
 
-/// Decides whether features are close to an occlusion, with hysteresis: close below `on` px, and then until every
-/// feature is `off` px away, so that the law does not fall back on the goal at the edge of the zone.
-#[derive(Clone, Copy, Debug)]
-pub struct Trigger {
-    on: f64,
-    off: f64,
-    close: bool,
-}
-
-impl Trigger {
-    /// A trigger that closes below `on` px and opens above `release` times as much.
-    pub fn new(on: f64, release: f64) -> Self {
-        Self {
-            on,
-            off: on * release,
-            close: false,
-        }
-    }
-
-    /// Opens the trigger.
-    pub fn reset(&mut self) {
-        self.close = false;
-    }
-
-    /// Whether features are close.
-    pub fn is_close(&self) -> bool {
-        self.close
-    }
-
-    /// Goes on from another trigger's [`Trigger::is_close`].
-    pub fn set_close(&mut self, close: bool) {
-        self.close = close;
-    }
-
-    /// Takes the clearance of the nearest feature (px) and tells whether the memory is asked.
-    pub fn update(&mut self, clearance: f64) -> bool {
-        self.close = clearance < if self.close { self.off } else { self.on };
-        self.close
-    }
+/// Whether the memory is asked at a clearance of the nearest feature, px: from `trigger_px` on, and
+/// then until every feature is `hysteresis` times as far away, so that the law does not fall back
+/// on the goal at the edge of the zone.
+pub fn is_near(was_near: bool, clearance_px: f64, settings: &Settings) -> bool {
+    let widening = if was_near { settings.hysteresis } else { 1.0 };
+    clearance_px < settings.trigger_px * widening
 }
 
 /// Least clearance of any feature from any occlusion, px.
@@ -67,30 +35,36 @@ pub fn clearance(task: &Task, points: &[[f64; 2]]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// A memory of motion: infers y = (v, way point) from x = (s, area, angle), raw units, without the heap.
+/// A memory of motion: infers y = (v, way point) from x = (s, area, angle), raw units, without the
+/// heap. It need not let anybody look at its samples.
 ///
 /// The daemon asks a memory-mapped file, the builder the memory that it is growing.
 pub trait MotionMemory {
-    /// Writes the inferred output; `false` where the memory has no answer for this strategy and input.
+    /// Writes the inferred output; `false` where the memory has no answer for this strategy and
+    /// input.
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
 
-    /// Writes the input of the sample that is the `rank`-th nearest to this one, from 1; `false` where there is none.
-    fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool;
+    /// Writes the input of the `rank`-th nearest sample, from 1; `false` where there is none.
+    fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
+        false
+    }
 
-    /// How many samples there are to look at.
-    fn count(&self) -> usize;
+    /// The number of samples to look at.
+    fn count(&self) -> usize {
+        0
+    }
 
-    /// Writes the input of the sample of this index, from 0 to [`MotionMemory::count`], in an order of the memory's own;
-    /// `false` where there is none.
-    fn sample(&self, index: usize, input: &mut [f64]) -> bool;
+    /// Writes the input of a sample, from 0 to [`MotionMemory::count`], in an order of the memory's
+    /// own; `false` where there is none.
+    fn sample(&self, _index: usize, _input: &mut [f64]) -> bool {
+        false
+    }
 }
 
 impl MotionMemory for memory_blob::Memory<'_> {
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool {
         match strategy {
-            Strategy::Knn { k } => self
-                .samples()
-                .is_some_and(|samples| samples.nearest(input, k, output).is_ok()),
+            Strategy::Knn { k } => self.samples().nearest(input, k, output).is_ok(),
             Strategy::Gpr => self
                 .gpr()
                 .is_some_and(|gpr| gpr.mean(input, output).is_ok()),
@@ -99,23 +73,19 @@ impl MotionMemory for memory_blob::Memory<'_> {
     }
 
     fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool {
-        let Some(samples) = self.samples() else {
-            return false;
-        };
-        let nearest = samples.search(input, rank);
+        let nearest = self.samples().search(input, rank);
         let furthest = nearest
             .ok()
             .and_then(|found| found.indices().last().copied());
-        furthest.is_some_and(|index| samples.input(index, found).is_ok())
+        furthest.is_some_and(|index| self.samples().input(index, found).is_ok())
     }
 
     fn count(&self) -> usize {
-        self.samples().map_or(0, |samples| samples.len())
+        self.samples().len()
     }
 
     fn sample(&self, index: usize, input: &mut [f64]) -> bool {
-        let samples = self.samples().filter(|samples| index < samples.len());
-        samples.is_some_and(|samples| samples.input(index, input).is_ok())
+        index < self.count() && self.samples().input(index, input).is_ok()
     }
 }
 
@@ -142,11 +112,13 @@ pub fn query(
 }
 
 impl Recall {
-    /// Splits an output y = (v, way point), clamps the twist to the limits and the way point to the image.
+    /// Splits an output y = (v, way point), clamps the twist to the limits and the way point to the
+    /// image.
     ///
     /// # Errors
-    /// [`OutOfRange`] where a number is not finite, the twist beyond twice the limits, or a point of the way point
-    /// further outside the image than a quarter of it: no plan of the memory is like that.
+    /// [`OutOfRange`] where a number is not finite, the twist beyond twice the limits, or a point
+    /// of the way point further outside the image than a quarter of it: no plan of the memory is
+    /// like that.
     pub fn from_output(task: &Task, output: &[f64]) -> Result<Self, OutOfRange> {
         let (twist, way_point) = output.split_at_checked(DOF).ok_or(OutOfRange)?;
         let twist: Twist = twist.try_into().map_err(|_| OutOfRange)?;
@@ -160,13 +132,11 @@ impl Recall {
         if !twists.all(|(v, limit)| v.abs() <= MOST_TWIST * limit) || !ways.all(is_near) {
             return Err(OutOfRange);
         }
-        let way_point = way_point
-            .chunks_exact(2)
-            .map(|p| [p[0].clamp(0.0, size[0]), p[1].clamp(0.0, size[1])])
-            .collect();
+        let (way_point, _) = way_point.as_chunks();
+        let inside = |[u, v]: &[f64; 2]| [u.clamp(0.0, size[0]), v.clamp(0.0, size[1])];
         Ok(Self {
             twist: limit::clamp(&twist, &task.limits),
-            way_point,
+            way_point: way_point.iter().map(inside).collect(),
         })
     }
 }
@@ -177,10 +147,11 @@ mod tests {
 
     #[test]
     fn the_trigger_has_hysteresis() {
-        let mut trigger = Trigger::new(20.0, 2.0);
-        let seen: Vec<bool> = [30.0, 19.0, 30.0, 39.0, 41.0, 30.0]
-            .map(|c| trigger.update(c))
-            .into();
+        let (settings, mut near) = (Settings::default(), false);
+        let seen = [30.0, 19.0, 30.0, 39.0, 41.0, 30.0].map(|clearance_px| {
+            near = is_near(near, clearance_px, &settings);
+            near
+        });
         assert_eq!(seen, [false, true, true, true, false, false]);
     }
 

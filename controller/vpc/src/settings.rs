@@ -5,7 +5,8 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::prediction::Model;
-use crate::solver::Effort;
+use crate::problem::SolverOptions;
+use crate::task::TaskError;
 use crate::{MAX_NC, MAX_NP};
 
 /// Where warm start and target come from.
@@ -13,7 +14,8 @@ use crate::{MAX_NC, MAX_NP};
 pub enum Strategy {
     /// Warm start from the previous cycle's solution, target is the goal (the paper's "prev.-it.").
     Previous,
-    /// Near a constraint, warm start and way point from the mean of the `k` nearest samples of the memory.
+    /// Near a constraint, warm start and way point from the mean of the `k` nearest samples of the
+    /// memory.
     Knn {
         /// Neighbours averaged, from 1.
         k: usize,
@@ -43,17 +45,10 @@ impl fmt::Display for Strategy {
     }
 }
 
-/// A name that is no strategy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The name of no strategy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("allowed: previous, knn, knn2 to knn64, gpr, ibvs")]
 pub struct UnknownStrategy;
-
-impl core::error::Error for UnknownStrategy {}
-
-impl fmt::Display for UnknownStrategy {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("allowed: previous, knn, knn2 to knn64, gpr, ibvs")
-    }
-}
 
 impl core::str::FromStr for Strategy {
     type Err = UnknownStrategy;
@@ -65,15 +60,9 @@ impl core::str::FromStr for Strategy {
             "ibvs" => Ok(Self::Ibvs),
             "knn" => Ok(Self::Knn { k: 1 }),
             _ => {
-                let k: usize = text
-                    .strip_prefix("knn")
-                    .and_then(|k| k.parse().ok())
-                    .ok_or(UnknownStrategy)?;
-                if (1..=MAX_NEIGHBOURS).contains(&k) {
-                    Ok(Self::Knn { k })
-                } else {
-                    Err(UnknownStrategy)
-                }
+                let k = text.strip_prefix("knn").and_then(|k| k.parse().ok());
+                let k = k.filter(|k| (1..=MAX_NEIGHBOURS).contains(k));
+                k.map(|k| Self::Knn { k }).ok_or(UnknownStrategy)
             }
         }
     }
@@ -91,21 +80,23 @@ pub struct Settings {
     pub np: usize,
     /// Free commands, 1 to 4 and at most `np`.
     pub nc: usize,
-    /// Most iterations of the solver and its tolerance.
-    pub effort: Effort,
+    /// When the solver stops.
+    pub solver: SolverOptions,
     /// How features are predicted.
     pub model: Model,
     /// The memory is asked from here on: clearance of any feature from an occlusion, px.
     pub trigger_px: f64,
-    /// The memory is asked until every feature is this many times further away than `trigger_px`, at least 1.
-    pub release: f64,
+    /// The memory is asked until every feature is this many times further away than `trigger_px`,
+    /// at least 1.
+    pub hysteresis: f64,
     /// Extra clearance kept from every border, px.
     pub margin_px: f64,
     /// Gain of the classic law, 1/s.
     pub lambda: f64,
     /// Whether a stall beside an occlusion is left by a detour over a sample of the memory.
     pub detour: bool,
-    /// Whether features are advanced from their exposure to the instant at which the command takes effect.
+    /// Whether features are advanced from their exposure to the instant at which the command takes
+    /// effect.
     pub delay_compensation: bool,
 }
 
@@ -116,13 +107,13 @@ impl Default for Settings {
             strategy: Strategy::Previous,
             np: 3,
             nc: 1,
-            effort: Effort {
+            solver: SolverOptions {
                 max_iterations: 10,
                 tolerance: 1e-3,
             },
             model: Model::Pose,
             trigger_px: 20.0,
-            release: 2.0,
+            hysteresis: 2.0,
             margin_px: 0.0,
             lambda: 0.5,
             detour: true,
@@ -131,41 +122,20 @@ impl Default for Settings {
     }
 }
 
-/// A setting outside its range.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Why a controller cannot be set up.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SettingsError {
     /// The scene gives no task.
-    Task(crate::TaskError),
+    #[error(transparent)]
+    Task(#[from] TaskError),
     /// A setting is outside its range.
+    #[error("{name} = {value}; allowed: {allowed}")]
+    #[allow(missing_docs)]
     Range {
-        /// Name of the setting.
         name: &'static str,
-        /// What was found.
         value: f64,
-        /// What is allowed.
         allowed: &'static str,
     },
-}
-
-impl core::error::Error for SettingsError {}
-
-impl fmt::Display for SettingsError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Task(error) => error.fmt(f),
-            Self::Range {
-                name,
-                value,
-                allowed,
-            } => write!(f, "{name} = {value}; allowed: {allowed}"),
-        }
-    }
-}
-
-impl From<crate::TaskError> for SettingsError {
-    fn from(error: crate::TaskError) -> Self {
-        Self::Task(error)
-    }
 }
 
 impl Settings {
@@ -174,66 +144,33 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Range`] names the first one that is wrong.
     pub fn check(&self) -> Result<(), SettingsError> {
-        let range = |name, value: f64, ok: bool, allowed| {
-            if ok {
-                Ok(())
-            } else {
-                Err(SettingsError::Range {
+        let k = match self.strategy {
+            Strategy::Knn { k } => k as f64,
+            _ => 1.0,
+        };
+        let (most_np, most_k) = (MAX_NP as f64, MAX_NEIGHBOURS as f64);
+        let most_nc = MAX_NC.min(self.np) as f64;
+        let iterations = f64::from(self.solver.max_iterations);
+        let ranges = [
+            ("np", self.np as f64, 1.0, most_np, "1 to 40"),
+            ("nc", self.nc as f64, 1.0, most_nc, "1 to 4, at most np"),
+            ("iterations", iterations, 1.0, 1e3, "1 to 1000"),
+            ("tolerance", self.solver.tolerance, 1e-15, 1.0, "1e-15 to 1"),
+            ("trigger_px", self.trigger_px, 0.0, 1e4, "0 to 1e4 px"),
+            ("hysteresis", self.hysteresis, 1.0, 100.0, "1 to 100"),
+            ("margin_px", self.margin_px, 0.0, 1e3, "0 to 1e3 px"),
+            ("lambda", self.lambda, 1e-6, 100.0, "1e-6 to 100 per s"),
+            ("k", k, 1.0, most_k, "1 to 64"),
+        ];
+        for (name, value, low, high, allowed) in ranges {
+            // A NaN is in no range.
+            if !(low..=high).contains(&value) {
+                return Err(SettingsError::Range {
                     name,
                     value,
                     allowed,
-                })
+                });
             }
-        };
-        let within = |x: f64, low: f64, high: f64| (low..=high).contains(&x);
-        let (np, nc) = (self.np as f64, self.nc as f64);
-        range("np", np, (1..=MAX_NP).contains(&self.np), "1 to 40")?;
-        range(
-            "nc",
-            nc,
-            (1..=MAX_NC.min(self.np)).contains(&self.nc),
-            "1 to 4, at most np",
-        )?;
-        let iterations = self.effort.max_iterations;
-        range(
-            "iterations",
-            f64::from(iterations),
-            (1..=1000).contains(&iterations),
-            "1 to 1000",
-        )?;
-        let tolerance = self.effort.tolerance;
-        range(
-            "tolerance",
-            tolerance,
-            within(tolerance, 1e-15, 1.0),
-            "1e-15 to 1",
-        )?;
-        range(
-            "trigger_px",
-            self.trigger_px,
-            within(self.trigger_px, 0.0, 1e4),
-            "0 to 1e4 px",
-        )?;
-        range(
-            "release",
-            self.release,
-            within(self.release, 1.0, 100.0),
-            "1 to 100",
-        )?;
-        range(
-            "margin_px",
-            self.margin_px,
-            within(self.margin_px, 0.0, 1e3),
-            "0 to 1e3 px",
-        )?;
-        range(
-            "lambda",
-            self.lambda,
-            within(self.lambda, 1e-6, 100.0),
-            "1e-6 to 100 per s",
-        )?;
-        if let Strategy::Knn { k } = self.strategy {
-            range("k", k as f64, (1..=MAX_NEIGHBOURS).contains(&k), "1 to 64")?;
         }
         Ok(())
     }
@@ -275,7 +212,7 @@ mod tests {
                 .contains("NaN")
         );
         assert!(
-            check(|s| s.effort.tolerance = -1.0)
+            check(|s| s.solver.tolerance = -1.0)
                 .unwrap_err()
                 .contains("tolerance = -1")
         );

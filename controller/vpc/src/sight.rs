@@ -1,9 +1,8 @@
 //! Whether features can go straight to others: no point's way there cuts an occlusion.
 
-use scene::Part;
-
+use crate::obstacle::Obstacle;
 use crate::task::Task;
-use crate::{Points, constraint, field};
+use crate::{Points, constraint};
 
 /// A straight way may cut this deep into an occlusion, px: the solver slides round such a corner.
 const SLIDE_PX: f64 = 3.0;
@@ -35,17 +34,30 @@ impl<'a> Sight<'a> {
         }
     }
 
-    /// Whether every point has a straight way in the image to its place among others, inside the image as well: its
-    /// border is in no such way.
+    /// Whether every point has a straight way in the image to its place among others, inside the
+    /// image as well: its border is in no such way.
     pub fn is_free(&self, there: &[[f64; 2]]) -> bool {
         let count = self.points.len();
         (self.nearest..count).chain(0..self.nearest).all(|index| {
             match (self.points.get(index), there.get(index)) {
-                (Some(&from), Some(&to)) => Way { from, to }.is_free(self.task),
+                (Some(&from), Some(&to)) => Way { from, to }.is_free(self.task, SLIDE_PX, EVERY_PX),
                 _ => false,
             }
         })
     }
+}
+
+/// Whether every point has a straight way in the image to its place among others that cuts no
+/// occlusion deeper than `slide_px`, looked at every `every_px`.
+pub fn is_free(
+    task: &Task,
+    from: &[[f64; 2]],
+    to: &[[f64; 2]],
+    slide_px: f64,
+    every_px: f64,
+) -> bool {
+    let mut ways = from.iter().zip(to).map(|(&from, &to)| Way { from, to });
+    ways.all(|way| way.is_free(task, slide_px, every_px))
 }
 
 /// A straight way of one point, px.
@@ -55,38 +67,32 @@ struct Way {
 }
 
 impl Way {
-    fn is_free(&self, task: &Task) -> bool {
-        let mut areas = task.areas.iter();
-        task.parts.iter().all(|part| self.passes_part(part))
-            && areas.all(|area| {
-                let (low, high) = (area.low(), area.high());
-                self.passes(low, high, |pixel| field::clearance(area, pixel).distance)
-            })
+    /// Whether the way cuts no occlusion deeper than `slide_px`, looked at every `every_px`.
+    fn is_free(&self, task: &Task, slide_px: f64, every_px: f64) -> bool {
+        task.obstacles()
+            .all(|obstacle| self.passes(obstacle, slide_px, every_px))
     }
 
-    fn passes_part(&self, part: &Part) -> bool {
-        let low = core::array::from_fn(|k| part.center[k] - part.half[k]);
-        let high = core::array::from_fn(|k| part.center[k] + part.half[k]);
-        self.passes(low, high, |pixel| {
-            constraint::clearance(part, pixel).distance
-        })
-    }
-
-    /// Whether the clearance from what lies inside a box stays above the bound all along.
-    fn passes(&self, low: [f64; 2], high: [f64; 2], clearance: impl Fn([f64; 2]) -> f64) -> bool {
+    fn passes(&self, obstacle: Obstacle<'_>, slide_px: f64, every_px: f64) -> bool {
+        let [low, high] = obstacle.bounding_box();
         let Some((begin, end)) = self.inside(low, high) else {
             return true;
         };
         let [du, dv] = self.along();
         let length = (du.abs() + dv.abs()) * (end - begin);
-        let count = libm::ceil(length / EVERY_PX).max(1.0) as u32;
+        let count = libm::ceil(length / every_px).max(1.0) as u32;
         (0..=count).all(|i| {
             let t = begin + (end - begin) * f64::from(i) / f64::from(count);
-            clearance([self.from[0] + t * du, self.from[1] + t * dv]) >= -SLIDE_PX
+            let pixel = [self.from[0] + t * du, self.from[1] + t * dv];
+            obstacle.clearance(pixel).distance >= -slide_px
         })
     }
 
     /// Where the way enters and leaves a box, each a share of it; `None` where it passes by.
+    #[expect(
+        clippy::indexing_slicing,
+        reason = "k is 0 or 1, of arrays of two coordinates"
+    )]
     fn inside(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
         let (from, to) = (self.from, self.to);
         // Most boxes lie on one side of the way.

@@ -1,20 +1,40 @@
-//! The method: sequential quadratic programming in `N` variables, one solution at a time.
+//! The method: sequential quadratic programming with an exact penalty, in `N` variables.
+//!
+//! Each iteration expands the cost (Gauss-Newton) and the clearances about the present plan, solves
+//! the elastic quadratic program of [`crate::qp`], and takes its step if the merit falls: as it is,
+//! corrected to the second order, or shortened. Iterations, changes of active sets and trials are
+//! bounded, and so is the work of a cycle.
+//!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | V | `plan` | the variables: Nc commands, m/s and rad/s |
+//! | d | `step` | a change of V |
+//! | l(V) | [`Outcome::cost`] | the cost |
+//! | c_i(V), margin | `Source` | the clearance of a point from a border, and what must be left of it, px |
+//! | m(V) = l(V) + rho sum_i max(0, margin - c_i) | [`Outcome::merit`] | the merit |
+//! | rho | [`Progress::rho`] | the penalty weight, 1/px |
+//!
+//! Source: J. Nocedal and S. Wright, "Numerical Optimization", Ch. 18 (S l1 QP).
+#![expect(
+    clippy::indexing_slicing,
+    reason = "indices run over the N variables, the DOF components or the 2 coordinates of arrays of that length"
+)]
 
-use crate::constraint::{self, Clearance};
+use crate::clearance::Clearance;
+use crate::constraint;
 use crate::cost::{self, Expansion};
-use crate::field;
-use crate::prediction::{Plan, Preview};
-use crate::qp::{ActiveSet, MAX_ROWS, QpStatus, Quadratic, Rows};
-use crate::solver::{Effort, Problem, Solution, Status, work};
+use crate::prediction::{Plan, Preview, Previewed};
+use crate::problem::{Problem, Solution, SolverOptions, Status};
+use crate::qp::{ActiveSet, Answer, MAX_ROWS, QpStatus, Quadratic, Rows};
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES};
+use crate::{DOF, MAX_VARIABLES, work};
 
 /// Halvings of a step before the line search gives up.
 const MAX_HALVINGS: usize = 8;
 /// Share of the predicted decrease that a step must achieve.
 const SUFFICIENT_DECREASE: f64 = 1e-4;
-/// Most times that one solution raises rho: one raise this large tells a weight that was too small from rows that
-/// contradict each other.
+/// Most times that one solution raises rho. One raise this large tells a weight that was too small
+/// from rows that contradict each other.
 const MAX_RAISES: u32 = 1;
 /// What a raise multiplies rho by.
 const RAISE: f64 = 1e3;
@@ -43,8 +63,15 @@ impl Outcome {
     }
 }
 
-/// A point of a previewed step, and which of its clearances: sides 0 to 3 as in [`constraint::border`], then parts, then
-/// areas.
+/// A plan and its outcome.
+#[derive(Clone, Copy, Debug)]
+struct Iterate<const N: usize> {
+    plan: [f64; N],
+    outcome: Outcome,
+}
+
+/// The clearance that a row linearises: of which point in which step, from side 0 to 3 as in
+/// [`constraint::border`], then from the obstacles of the task.
 #[derive(Clone, Copy, Debug)]
 struct Source {
     step: u8,
@@ -53,37 +80,60 @@ struct Source {
 }
 
 impl Source {
-    const NONE: Self = Self {
-        step: 0,
-        point: 0,
-        side: 0,
-    };
+    fn clearance(self, task: &Task, pixel: [f64; 2]) -> Option<Clearance> {
+        let side = usize::from(self.side);
+        match constraint::border(&task.camera, pixel).get(side) {
+            Some(&border) => Some(border),
+            None => task
+                .obstacles()
+                .nth(side - 4)
+                .map(|obstacle| obstacle.clearance(pixel)),
+        }
+    }
+}
+
+/// How far the present solution has come.
+#[derive(Clone, Copy, Debug, Default)]
+struct Progress {
+    iterations: u32,
+    qp_iterations: u32,
+    work: u32,
+    /// Most work of this solution.
+    budget: u32,
+    rho: f64,
+    /// How often rho was raised.
+    raises: u32,
 }
 
 /// The method's workspace for `N = 6 nc` variables.
 #[derive(Clone)]
 pub(crate) struct Sqp<const N: usize> {
+    /// The preview of the plan that was evaluated last.
     preview: Preview<N>,
     rows: Rows<N>,
-    /// What each row is the clearance of.
     sources: [Source; MAX_ROWS],
     program: ActiveSet<N>,
-    effort: Effort,
-    /// Most work of a solution from all starts, and that of the present start.
+    options: SolverOptions,
+    /// Most work of a solution from all starts.
     budget: u32,
-    work: u32,
+    progress: Progress,
 }
 
 impl<const N: usize> Sqp<N> {
-    pub(crate) fn new(np: usize, effort: Effort) -> Self {
+    pub(crate) fn new(np: usize, options: SolverOptions) -> Self {
+        let nowhere = Source {
+            step: 0,
+            point: 0,
+            side: 0,
+        };
         Self {
             preview: Preview::new(np),
             rows: Rows::new(),
-            sources: [Source::NONE; MAX_ROWS],
+            sources: [nowhere; MAX_ROWS],
             program: ActiveSet::new(),
-            effort,
+            options,
             budget: u32::MAX,
-            work: 0,
+            progress: Progress::default(),
         }
     }
 
@@ -94,14 +144,16 @@ impl<const N: usize> Sqp<N> {
     /// Cost of a plan; `None` where the plan brings a point behind the camera.
     pub(crate) fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
         let plan = head(plan);
-        let (task, target) = (problem.task, problem.target);
-        let possible = self.preview.look(task, problem.origin, &plan);
-        possible.then(|| cost::value(task, &self.preview, &plan, target, problem.r_share))
+        let possible = self.preview.evaluate(problem.task, problem.initial, &plan);
+        possible.then(|| self.cost(problem, &plan))
     }
 
-    /// The worst violation of the first step under a plan, px; infinite where the plan is impossible.
+    /// The greatest violation at the first step of a plan, px; infinite where the plan is
+    /// impossible.
     pub(crate) fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
-        let possible = self.preview.look(problem.task, problem.origin, &head(plan));
+        let possible = self
+            .preview
+            .evaluate(problem.task, problem.initial, &head(plan));
         if possible {
             problem.worst_violation(self.preview.step(0))
         } else {
@@ -111,176 +163,218 @@ impl<const N: usize> Sqp<N> {
 
     /// Solves the problem from the warm start `warm`, with some quarters of the budget of work.
     pub(crate) fn solve(&mut self, problem: &Problem<'_>, warm: &Plan, quarters: u32) -> Solution {
-        self.work = 0;
-        let budget = self.budget / 4 * quarters;
-        let mut plan: [f64; N] = clamped(&head(warm), problem.task);
-        let mut rho = penalty(problem, self.preview.np());
-        let mut raises = 0;
-        let mut solution = Solution::NONE;
-        let mut outcome = self.outcome(problem, &plan);
-        if outcome.is_none() {
-            plan = [0.0; N];
-            outcome = self.outcome(problem, &plan);
-        }
-        let Some(mut here) = outcome else {
-            solution.work = self.work;
-            return solution;
+        self.progress = Progress {
+            budget: self.budget / 4 * quarters,
+            rho: first_rho(problem, self.preview.np()),
+            ..Progress::default()
         };
-        let mut status = Status::IterationLimit;
-
-        while solution.iterations < self.effort.max_iterations && self.work < budget {
-            solution.iterations += 1;
-            self.work += work::expansion(self.preview.np());
-            let Expansion {
-                value,
-                gradient,
-                hessian,
-            } = Expansion::about(
-                problem.task,
-                &self.preview,
-                &plan,
-                problem.target,
-                problem.r_share,
-            );
-            let limits = &problem.task.limits;
-            let quadratic = Quadratic {
-                hessian,
-                gradient,
-                lower: core::array::from_fn(|k| -limits[k % DOF] - plan[k]),
-                upper: core::array::from_fn(|k| limits[k % DOF] - plan[k]),
+        let Some(mut here) = self.first(problem, warm) else {
+            let work = self.progress.work;
+            return Solution {
+                work,
+                ..Solution::NONE
             };
-            collect(
-                problem,
-                &self.preview,
-                &quadratic,
-                &mut self.rows,
-                &mut self.sources,
-            );
-            let answer = loop {
-                let limit = self.changes_left(budget);
-                let answer = self.program.solve(&quadratic, &mut self.rows, rho, limit);
-                solution.qp_iterations += answer.iterations;
-                self.work += answer.iterations;
-                // A row that yields says that rho is below its multiplier, or that the rows contradict each other.
-                if answer.yielded == 0 || raises == MAX_RAISES {
-                    break answer;
-                }
-                rho *= RAISE;
-                raises += 1;
-            };
-            if answer.status == QpStatus::NumericalFailure {
-                status = Status::NumericalFailure;
-                break;
+        };
+        while self.may_go_on() {
+            let (cost, quadratic) = self.expand(problem, &here.plan);
+            self.collect_rows(problem, &quadratic);
+            let Answer { step, status, .. } = self.solve_program_raising_rho(&quadratic);
+            if status == QpStatus::NumericalFailure {
+                return self.solution(problem, &here, Status::NumericalFailure);
             }
-
-            let step = answer.step;
-            let merit = here.merit(rho);
-            let predicted = value + quadratic.change(&step) + rho * self.rows.violation(&step);
+            let rho = self.progress.rho;
+            let merit = here.outcome.merit(rho);
+            let predicted = cost + quadratic.change(&step) + rho * self.rows.violation(&step);
             let decrease = merit - predicted;
-            if decrease <= self.effort.tolerance * (1e-6 + merit.abs()) {
-                status = Status::Converged;
-                break;
+            if decrease <= self.options.tolerance * (1e-6 + merit.abs()) {
+                return self.solution(problem, &here, Status::Converged);
             }
-            let mut accepted = false;
-            // A step along a curved border is spoilt by what its linear rows leave out: rows that pass through the
-            // clearances found there mend it.
-            let mut corrected = step;
-            for correction in 0..=MAX_CORRECTIONS {
-                let trial = core::array::from_fn(|k| plan[k] + corrected[k]);
-                let Some(there) = self.outcome(problem, &trial) else {
-                    break;
-                };
-                if there.merit(rho) <= merit - SUFFICIENT_DECREASE * decrease {
-                    (plan, here, accepted) = (trial, there, true);
-                    break;
-                }
-                if correction == MAX_CORRECTIONS || there.total <= here.total {
-                    break;
-                }
-                self.correct(problem, &corrected);
-                let limit = self.changes_left(budget);
-                let answer = self.program.solve(&quadratic, &mut self.rows, rho, limit);
-                solution.qp_iterations += answer.iterations;
-                self.work += answer.iterations;
-                if answer.status == QpStatus::NumericalFailure {
-                    break;
-                }
-                corrected = answer.step;
-            }
-            if accepted {
-                continue;
-            }
-            let mut share = 0.5;
-            for _ in 0..MAX_HALVINGS {
-                let trial = core::array::from_fn(|k| plan[k] + share * step[k]);
-                if let Some(there) = self.outcome(problem, &trial)
-                    && there.merit(rho) <= merit - SUFFICIENT_DECREASE * share * decrease
-                {
-                    (plan, here, accepted) = (trial, there, true);
-                    break;
-                }
-                share *= 0.5;
-            }
-            if !accepted {
-                status = Status::Stalled;
-                break;
+            let next = self
+                .full_step(problem, &here, &quadratic, step, decrease)
+                .or_else(|| self.line_search(problem, &here, &step, decrease));
+            match next {
+                Some(next) => here = next,
+                None => return self.solution(problem, &here, Status::Stalled),
             }
         }
-
-        if status != Status::NumericalFailure && here.worst > problem.margin.max(0.0) + FEASIBLE {
-            status = Status::Infeasible;
-        }
-        let plan = clamped(&plan, problem.task);
-        solution.plan[..N].copy_from_slice(&plan);
-        solution.status = status;
-        solution.work = self.work;
-        solution.cost = here.cost;
-        solution.merit = here.merit(rho);
-        solution.violation_px = here.worst;
-        solution.next_violation_px = here.next;
-        solution
+        self.solution(problem, &here, Status::IterationLimit)
     }
 
-    /// Active-set changes that the next quadratic program may make: as many as a hard one takes, unless the budget
-    /// comes first.
-    fn changes_left(&self, budget: u32) -> u32 {
-        (QP_CHANGES_PER_VARIABLE * N as u32).min(budget.saturating_sub(self.work))
+    /// The warm start inside the limits; standing still where that is impossible.
+    fn first(&mut self, problem: &Problem<'_>, warm: &Plan) -> Option<Iterate<N>> {
+        self.outcome(problem, clamped(&head(warm), problem.task))
+            .or_else(|| self.outcome(problem, [0.0; N]))
     }
 
-    /// Gives every row the clearance of the previewed plan, which is `step` away from where it was made.
-    fn correct(&mut self, problem: &Problem<'_>, step: &[f64; N]) {
-        let task = problem.task;
-        for (i, source) in self.sources.iter().enumerate().take(self.rows.len()) {
-            let pixel = self.preview.step(source.step.into())[usize::from(source.point)];
-            let clearance = match usize::from(source.side) {
-                side @ 0..4 => constraint::border(&task.camera, pixel)[side],
-                side => match task.parts.get(side - 4) {
-                    Some(part) => constraint::clearance(part, pixel),
-                    None => field::clearance(&task.areas[side - 4 - task.parts.len()], pixel),
-                },
+    fn may_go_on(&self) -> bool {
+        let is_allowed = self.progress.iterations < self.options.max_iterations;
+        is_allowed && self.progress.work < self.progress.budget
+    }
+
+    /// Begins an iteration: the cost, and its expansion about the plan that was evaluated last,
+    /// with the bounds of a step.
+    fn expand(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> (f64, Quadratic<N>) {
+        self.progress.iterations += 1;
+        self.progress.work += work::expansion(self.preview.np());
+        let (task, target) = (problem.task, problem.target);
+        let expansion = Expansion::about(task, &self.preview, plan, target, problem.r_share);
+        let room = |k: usize, sign: f64| sign * task.limits[k % DOF] - plan[k];
+        let quadratic = Quadratic {
+            hessian: expansion.hessian,
+            gradient: expansion.gradient,
+            lower: core::array::from_fn(|k| room(k, -1.0)),
+            upper: core::array::from_fn(|k| room(k, 1.0)),
+        };
+        (expansion.value, quadratic)
+    }
+
+    /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
+    /// be used up. Rows past the store's end belong to the last steps of the window, which the next
+    /// cycles see again.
+    fn collect_rows(&mut self, problem: &Problem<'_>, bounds: &Quadratic<N>) {
+        self.rows.clear();
+        let (task, margin) = (problem.task, problem.margin);
+        let steps = self.preview.steps().enumerate();
+        let points = steps.flat_map(|(j, step)| step.enumerate().map(move |(i, p)| (j, i, p)));
+        for (j, i, point) in points {
+            let [low, high] = reach(&point, bounds);
+            let mut add = |side: usize, clearance: Clearance| {
+                if let Some(source) = self.sources.get_mut(self.rows.len()) {
+                    *source = Source {
+                        step: j as u8,
+                        point: i as u8,
+                        side: side as u8,
+                    };
+                    let ([a, b], [u, v]) = (clearance.normal, point.gradient);
+                    let gradient = core::array::from_fn(|k| a * u[k] + b * v[k]);
+                    self.rows.push(gradient, clearance.distance - margin);
+                }
             };
-            self.rows
-                .correct(i, clearance.distance - problem.margin, step);
+            let [left, top, right, bottom] = constraint::border(&task.camera, point.pixel);
+            let size = [task.camera.width, task.camera.height];
+            for (c, near, far) in [(0, left, right), (1, top, bottom)] {
+                if low[c] < margin {
+                    add(c, near);
+                }
+                if high[c] > size[c] - margin {
+                    add(c + 2, far);
+                }
+            }
+            for (index, obstacle) in task.obstacles().enumerate() {
+                let [from, to] = obstacle.bounding_box();
+                if (0..2).all(|c| high[c] > from[c] - margin && low[c] < to[c] + margin) {
+                    add(4 + index, obstacle.clearance(point.pixel));
+                }
+            }
         }
     }
 
-    /// Previews `plan` and sums up cost and violations; `None` where it is impossible.
-    fn outcome(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> Option<Outcome> {
-        let task = problem.task;
-        self.work += work::look(self.preview.np());
-        if !self.preview.run(task, problem.origin, plan) {
+    /// Solves the quadratic program, and again with a larger rho if rows yield: rho was below their
+    /// multipliers, or the rows contradict each other.
+    fn solve_program_raising_rho(&mut self, quadratic: &Quadratic<N>) -> Answer<N> {
+        loop {
+            let answer = self.solve_program(quadratic);
+            if answer.yielded == 0 || self.progress.raises == MAX_RAISES {
+                return answer;
+            }
+            self.progress.rho *= RAISE;
+            self.progress.raises += 1;
+        }
+    }
+
+    /// Solves the quadratic program in as many changes as a hard one takes, unless the budget ends
+    /// first.
+    fn solve_program(&mut self, quadratic: &Quadratic<N>) -> Answer<N> {
+        let progress = &mut self.progress;
+        let left = progress.budget.saturating_sub(progress.work);
+        let limit = left.min(QP_CHANGES_PER_VARIABLE * N as u32);
+        let answer = self
+            .program
+            .solve(quadratic, &mut self.rows, progress.rho, limit);
+        progress.qp_iterations += answer.iterations;
+        progress.work += answer.iterations;
+        answer
+    }
+
+    /// The full step, if the merit falls enough. A step along a curved border is spoilt by what its
+    /// linear rows leave out; rows through the clearances at the trial point correct it.
+    fn full_step(
+        &mut self,
+        problem: &Problem<'_>,
+        here: &Iterate<N>,
+        quadratic: &Quadratic<N>,
+        mut step: [f64; N],
+        decrease: f64,
+    ) -> Option<Iterate<N>> {
+        for correction in 0..=MAX_CORRECTIONS {
+            let there = self.outcome(problem, moved(&here.plan, &step, 1.0))?;
+            if self.is_descent(here, &there, decrease) {
+                return Some(there);
+            }
+            if correction == MAX_CORRECTIONS || there.outcome.total <= here.outcome.total {
+                break;
+            }
+            self.correct_rows(problem, &step);
+            let answer = self.solve_program(quadratic);
+            if answer.status == QpStatus::NumericalFailure {
+                break;
+            }
+            step = answer.step;
+        }
+        None
+    }
+
+    /// The longest of some halvings of the step by which the merit falls enough.
+    fn line_search(
+        &mut self,
+        problem: &Problem<'_>,
+        here: &Iterate<N>,
+        step: &[f64; N],
+        decrease: f64,
+    ) -> Option<Iterate<N>> {
+        let mut share = 1.0;
+        (0..MAX_HALVINGS).find_map(|_| {
+            share *= 0.5;
+            let there = self.outcome(problem, moved(&here.plan, step, share))?;
+            self.is_descent(here, &there, share * decrease)
+                .then_some(there)
+        })
+    }
+
+    fn is_descent(&self, here: &Iterate<N>, there: &Iterate<N>, decrease: f64) -> bool {
+        let [here, there] = [here, there].map(|at| at.outcome.merit(self.progress.rho));
+        there <= here - SUFFICIENT_DECREASE * decrease
+    }
+
+    /// Gives every row the clearance of the previewed plan, which is `step` away from where the row
+    /// was made.
+    fn correct_rows(&mut self, problem: &Problem<'_>, step: &[f64; N]) {
+        for (i, source) in self.sources.iter().enumerate().take(self.rows.len()) {
+            let points = self.preview.step(source.step.into());
+            let pixel = points.get(usize::from(source.point));
+            if let Some(found) = pixel.and_then(|&pixel| source.clearance(problem.task, pixel)) {
+                self.rows.correct(i, found.distance - problem.margin, step);
+            }
+        }
+    }
+
+    /// Previews a plan with its derivatives and sums up cost and violations; `None` where it is
+    /// impossible.
+    fn outcome(&mut self, problem: &Problem<'_>, plan: [f64; N]) -> Option<Iterate<N>> {
+        self.progress.work += work::evaluation(self.preview.np());
+        if !self.preview.linearize(problem.task, problem.initial, &plan) {
             return None;
         }
-        let (target, r_share) = (problem.target, problem.r_share);
+        let cost = self.cost(problem, &plan);
         let mut outcome = Outcome {
-            cost: cost::value(task, &self.preview, plan, target, r_share),
+            cost,
             total: 0.0,
             worst: 0.0,
             next: 0.0,
         };
         for j in 0..self.preview.np() {
             for &pixel in self.preview.step(j) {
-                let violation = constraint::violation(task, pixel, problem.margin);
+                let violation = constraint::violation(problem.task, pixel, problem.margin);
                 outcome.total += violation;
                 outcome.worst = outcome.worst.max(violation);
             }
@@ -288,7 +382,43 @@ impl<const N: usize> Sqp<N> {
                 outcome.next = outcome.worst;
             }
         }
-        outcome.merit(1.0).is_finite().then_some(outcome)
+        let is_finite = outcome.merit(1.0).is_finite();
+        is_finite.then_some(Iterate { plan, outcome })
+    }
+
+    /// Cost of the plan that was previewed last.
+    fn cost(&self, problem: &Problem<'_>, plan: &[f64; N]) -> f64 {
+        cost::value(
+            problem.task,
+            &self.preview,
+            plan,
+            problem.target,
+            problem.r_share,
+        )
+    }
+
+    fn solution(&self, problem: &Problem<'_>, at: &Iterate<N>, status: Status) -> Solution {
+        let violates = at.outcome.worst > problem.margin.max(0.0) + FEASIBLE;
+        let clamped = clamped(&at.plan, problem.task);
+        let mut plan = [0.0; MAX_VARIABLES];
+        plan.iter_mut()
+            .zip(clamped)
+            .for_each(|(to, from)| *to = from);
+        Solution {
+            plan,
+            status: match status {
+                Status::NumericalFailure => Status::NumericalFailure,
+                _ if violates => Status::Infeasible,
+                other => other,
+            },
+            iterations: self.progress.iterations,
+            qp_iterations: self.progress.qp_iterations,
+            work: self.progress.work,
+            cost: at.outcome.cost,
+            merit: at.outcome.merit(self.progress.rho),
+            violation_px: at.outcome.worst,
+            next_violation_px: at.outcome.next,
+        }
     }
 }
 
@@ -298,7 +428,11 @@ fn head<const N: usize>(plan: &Plan) -> [f64; N] {
     core::array::from_fn(|k| plan[k])
 }
 
-/// The plan inside the velocity box; entries that are not finite are zero.
+fn moved<const N: usize>(plan: &[f64; N], step: &[f64; N], share: f64) -> [f64; N] {
+    core::array::from_fn(|k| plan[k] + share * step[k])
+}
+
+/// The plan inside the velocity limits; entries that are not finite are zero.
 fn clamped<const N: usize>(plan: &[f64; N], task: &Task) -> [f64; N] {
     core::array::from_fn(|k| {
         let limit = task.limits[k % DOF];
@@ -310,88 +444,29 @@ fn clamped<const N: usize>(plan: &[f64; N], task: &Task) -> [f64; N] {
     })
 }
 
-/// Where the penalty weight starts: a multiplier balances the pull of the image errors on the features, so ten times
-/// the sum of all pulls (at least as if each error were 1 % of the image width) is above it unless the geometry is
-/// extreme; then a row yields and rho is raised.
-fn penalty(problem: &Problem<'_>, np: usize) -> f64 {
-    let task = problem.task;
-    let floor = 0.01 * task.camera.width;
-    let pull: f64 = problem
-        .origin
-        .points
-        .iter()
-        .zip(problem.target)
-        .map(|(s, t)| 2.0 * task.cost.k_q * libm::hypot(s[0] - t[0], s[1] - t[1]).max(floor))
-        .sum();
-    10.0 * pull * np as f64
-}
-
-/// Collects the rows that a step inside its bounds can reach: no other linearised clearance can be used up. Rows past
-/// the store's end belong to the last steps of the window, which the next cycles see again.
-fn collect<const N: usize>(
-    problem: &Problem<'_>,
-    preview: &Preview<N>,
-    bounds: &Quadratic<N>,
-    rows: &mut Rows<N>,
-    sources: &mut [Source; MAX_ROWS],
-) {
-    rows.clear();
-    let (task, margin) = (problem.task, problem.margin);
-    let numbered = preview.steps().enumerate();
-    let numbered =
-        numbered.flat_map(|(j, step)| step.enumerate().map(move |(i, point)| (j, i, point)));
-    for (j, i, point) in numbered {
-        // The box that the linearised point cannot leave.
-        let (mut low, mut high) = (point.pixel, point.pixel);
-        for c in 0..2 {
-            for k in 0..N {
-                let slope = point.gradient[c][k];
-                let (a, b) = (slope * bounds.lower[k], slope * bounds.upper[k]);
-                low[c] += a.min(b);
-                high[c] += a.max(b);
-            }
-        }
-        let mut add = |side: usize, clearance: Clearance| {
-            if rows.len() < MAX_ROWS {
-                sources[rows.len()] = Source {
-                    step: j as u8,
-                    point: i as u8,
-                    side: side as u8,
-                };
-                let [a, b] = clearance.normal;
-                let [u, v] = point.gradient;
-                rows.push(
-                    core::array::from_fn(|k| a * u[k] + b * v[k]),
-                    clearance.distance - margin,
-                );
-            }
-        };
-        let [left, top, right, bottom] = constraint::border(&task.camera, point.pixel);
-        let size = [task.camera.width, task.camera.height];
-        for (c, near, far) in [(0, left, right), (1, top, bottom)] {
-            if low[c] < margin {
-                add(c, near);
-            }
-            if high[c] > size[c] - margin {
-                add(c + 2, far);
-            }
-        }
-        for (index, part) in task.parts.iter().enumerate() {
-            let reached = (0..2).all(|c| {
-                let half = part.half[c] + margin;
-                high[c] > part.center[c] - half && low[c] < part.center[c] + half
-            });
-            if reached {
-                add(4 + index, constraint::clearance(part, point.pixel));
-            }
-        }
-        for (index, area) in task.areas.iter().enumerate() {
-            let reached = (0..2)
-                .all(|c| high[c] > area.low()[c] - margin && low[c] < area.high()[c] + margin);
-            if reached {
-                let side = 4 + task.parts.len() + index;
-                add(side, field::clearance(area, point.pixel));
-            }
+/// The box that a linearised point cannot leave by a step inside its bounds: least and greatest
+/// (u, v), px.
+fn reach<const N: usize>(point: &Previewed<'_, N>, bounds: &Quadratic<N>) -> [[f64; 2]; 2] {
+    let (mut low, mut high) = (point.pixel, point.pixel);
+    for c in 0..2 {
+        for k in 0..N {
+            let slope = point.gradient[c][k];
+            let (a, b) = (slope * bounds.lower[k], slope * bounds.upper[k]);
+            low[c] += a.min(b);
+            high[c] += a.max(b);
         }
     }
+    [low, high]
+}
+
+/// Where rho starts. A multiplier balances the pull of the image errors on the features, so ten
+/// times the sum of all pulls (each at least that of an error of 1 % of the image width) is above
+/// it unless the geometry is extreme; then a row yields and rho is raised.
+fn first_rho(problem: &Problem<'_>, np: usize) -> f64 {
+    let task = problem.task;
+    let floor = 0.01 * task.camera.width;
+    let pairs = problem.initial.points.iter().zip(problem.target);
+    let pulls =
+        pairs.map(|(s, t)| 2.0 * task.cost.k_q * libm::hypot(s[0] - t[0], s[1] - t[1]).max(floor));
+    10.0 * pulls.sum::<f64>() * np as f64
 }

@@ -2,34 +2,31 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::controller::{Controller, Seen};
+use crate::MAX_VARIABLES;
 use crate::delay::History;
 use crate::detour::Detour;
+use crate::features::PlainPoints;
 use crate::prediction::Plan;
 use crate::settings::Strategy;
-use crate::{MAX_POINTS, MAX_VARIABLES, Points};
 
-/// All that a [`Controller`] remembers from one cycle to the next: put into another controller of the same task and
-/// settings it gives the same commands from there on, bit for bit. Solver and previews are workspace, written before
-/// they are read, and no part of it.
+/// All that a [`Controller`](crate::Controller) remembers from one cycle to the next. Put into
+/// another controller of the same task and settings it gives the same commands from there on, bit
+/// for bit: solver and previews are workspace, written before they are read.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct State {
-    /// The strategy at work, which an operator may change.
+    /// The strategy in use, which an operator may change.
     pub strategy: Strategy,
-    /// Whether features are near an occlusion, by the trigger with its hysteresis.
+    /// Whether features are near an occlusion, with hysteresis.
     pub near: bool,
     /// The detour under way, and the progress.
     pub detour: Detour,
-    /// The last plan, vx vy vz wx wy wz of each free command, m/s and rad/s, camera frame; the rest is zero.
+    /// The last plan, vx vy vz wx wy wz of each free command, m/s and rad/s, camera frame; the rest
+    /// is zero.
     pub previous: Plan,
-    /// Points in `predicted`, 0 to 8; 0 where there is no prediction.
-    pub count: u32,
-    /// Where the features should be in the next cycle (u, v), px; the rest is zero.
-    pub predicted: [[f64; 2]; MAX_POINTS],
-    /// Points in `seen`, 0 to 8; 0 where there was no measurement.
-    pub seen_count: u32,
-    /// The last measurement (u, v), px; the rest is zero.
-    pub seen: [[f64; 2]; MAX_POINTS],
+    /// Where the features should be in the next cycle.
+    pub predicted: PlainPoints,
+    /// The last measurement that was believed.
+    pub seen: PlainPoints,
     /// Its exposure, ns; 0 where there was none.
     pub seen_ns: u64,
     /// Whether the last command was in force since then without a gap.
@@ -41,17 +38,15 @@ pub struct State {
 }
 
 impl State {
-    /// What a controller has before its first cycle.
+    /// The state of a controller before its first cycle.
     pub const fn new(strategy: Strategy) -> Self {
         Self {
             strategy,
             near: false,
             detour: Detour::NONE,
             previous: [0.0; MAX_VARIABLES],
-            count: 0,
-            predicted: [[0.0; 2]; MAX_POINTS],
-            seen_count: 0,
-            seen: [[0.0; 2]; MAX_POINTS],
+            predicted: PlainPoints::NONE,
+            seen: PlainPoints::NONE,
             seen_ns: 0,
             is_linked: false,
             still_px: 0.0,
@@ -60,80 +55,10 @@ impl State {
     }
 }
 
-/// Points as plain data: their count, and zeros behind them.
-fn plain(points: &Points) -> (u32, [[f64; 2]; MAX_POINTS]) {
-    let mut plain = [[0.0; 2]; MAX_POINTS];
-    for (to, from) in plain.iter_mut().zip(points) {
-        *to = *from;
-    }
-    (points.len() as u32, plain)
-}
-
-/// The points again; `None` where the count is zero.
-fn points(count: u32, plain: &[[f64; 2]; MAX_POINTS]) -> Option<Points> {
-    (count > 0).then(|| plain.iter().copied().take(count as usize).collect())
-}
-
-impl Controller {
-    /// What this cycle left to the next. A copy; never allocates.
-    pub fn state(&self) -> State {
-        // Field by field: who adds one must say here whether the next cycle depends on it.
-        let Self {
-            task: _,
-            settings,
-            off_image_px: _,
-            converged_px: _,
-            solver: _,
-            one_step: _,
-            trigger,
-            detour,
-            previous,
-            predicted,
-            seen,
-            is_linked,
-            stillness,
-            history,
-        } = self;
-        let mut state = State {
-            near: trigger.is_close(),
-            detour: *detour,
-            previous: *previous,
-            is_linked: *is_linked,
-            still_px: stillness.expected_px,
-            history: *history,
-            ..State::new(settings.strategy)
-        };
-        if let Some(points) = predicted {
-            (state.count, state.predicted) = plain(points);
-        }
-        if let Some(Seen { points, exposed_ns }) = seen {
-            (state.seen_count, state.seen) = plain(points);
-            state.seen_ns = *exposed_ns;
-        }
-        state
-    }
-
-    /// Goes on from a state of this controller, or of another one of the same task and settings.
-    pub fn restore(&mut self, state: &State) {
-        self.settings.strategy = state.strategy;
-        self.trigger.set_close(state.near);
-        self.detour = state.detour;
-        self.previous = state.previous;
-        self.predicted = points(state.count, &state.predicted);
-        self.seen = points(state.seen_count, &state.seen).map(|points| Seen {
-            points,
-            exposed_ns: state.seen_ns,
-        });
-        self.is_linked = state.is_linked;
-        self.stillness.expected_px = state.still_px;
-        self.history = state.history;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Measurement, Settings};
+    use crate::{Controller, Measurement, Settings};
 
     /// One period of the scene's camera, ns.
     const PERIOD: u64 = 33_333_333;
@@ -182,8 +107,8 @@ mod tests {
             law.sent(&twist, PERIOD * k as u64);
         }
         let state = law.state();
-        assert_eq!(state.count, 4);
-        assert_eq!(state.seen_count, 4);
+        assert_eq!(state.predicted.count, 4);
+        assert_eq!(state.seen.count, 4);
         let mut after = |age_ns: u64, change: fn(&mut State)| {
             let mut changed = state;
             change(&mut changed);
@@ -193,8 +118,8 @@ mod tests {
         };
         let late = after(PERIOD, |_| ());
         assert_eq!(late, after(PERIOD, |_| ()));
-        assert_ne!(late, after(PERIOD, |state| state.seen[0][1] += 1.0));
-        assert_ne!(late, after(PERIOD, |state| state.seen_count = 0));
+        assert_ne!(late, after(PERIOD, |state| state.seen.points[0][1] += 1.0));
+        assert_ne!(late, after(PERIOD, |state| state.seen.count = 0));
         assert_ne!(late, after(PERIOD, |state| state.is_linked = false));
         assert_ne!(late, after(PERIOD, |state| state.still_px = 1.0));
         assert_ne!(late, after(PERIOD, |state| state.seen_ns = u64::MAX));
@@ -205,8 +130,8 @@ mod tests {
         let mut after = |change: fn(&mut State)| after(0, change);
         let same = after(|_| ());
         assert_eq!(same, after(|_| ()));
-        assert_ne!(same, after(|state| state.count = 0));
-        assert_ne!(same, after(|state| state.predicted[1][0] += 1.0));
+        assert_ne!(same, after(|state| state.predicted.count = 0));
+        assert_ne!(same, after(|state| state.predicted.points[1][0] += 1.0));
         assert_ne!(same, after(|state| state.strategy = Strategy::Ibvs));
         assert_ne!(same, after(|state| state.previous = [0.3; MAX_VARIABLES]));
     }

@@ -1,8 +1,10 @@
 //! The task: the scene as the law sees it, with what follows from it by projection.
 
+use nalgebra::Vector3;
 use scene::{Area, Camera, Cost, Limits, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
+use crate::obstacle::Obstacle;
 use crate::{DOF, MAX_POINTS, Twist, camera, motion};
 
 /// Most parts of all occlusions together.
@@ -35,88 +37,27 @@ pub struct Task {
     pub ts: f64,
 }
 
-/// Why a scene gives no task.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Why a scene gives no task. Points are counted from 0, in the order of the pattern.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // the messages say it
 pub enum TaskError {
-    /// A point of the pattern is behind the camera at the goal.
-    GoalBehindCamera {
-        /// Index of the point.
-        point: usize,
-    },
-    /// A point of the pattern lies outside the image at the goal.
-    GoalOffImage {
-        /// Index of the point.
-        point: usize,
-        /// Where it lies, px.
-        pixel: [f64; 2],
-    },
-    /// A point of the pattern is hidden by an occlusion at the goal.
+    #[error("goal: point {point} of the pattern is behind the camera")]
+    GoalBehindCamera { point: usize },
+    #[error("goal: point {point} of the pattern is at ({:.1}, {:.1}) px, outside the image", .pixel[0], .pixel[1])]
+    GoalOffImage { point: usize, pixel: [f64; 2] },
+    #[error(
+        "goal: point {point} of the pattern is at ({:.1}, {:.1}) px, inside part {part} of the occlusions",
+        .pixel[0], .pixel[1]
+    )]
     GoalOccluded {
-        /// Index of the point.
         point: usize,
-        /// Where it lies, px.
         pixel: [f64; 2],
-        /// Index of the part among all parts, in the order of the scene.
         part: usize,
     },
-    /// A point of the pattern is hidden by a mask at the goal.
-    GoalMasked {
-        /// Index of the point.
-        point: usize,
-        /// Where it lies, px.
-        pixel: [f64; 2],
-    },
-    /// There are more parts than [`MAX_ALL_PARTS`].
-    TooManyParts {
-        /// How many there are.
-        count: usize,
-    },
-}
-
-impl core::error::Error for TaskError {}
-
-impl core::fmt::Display for TaskError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::GoalBehindCamera { point } => {
-                write!(f, "goal: point {point} of the pattern is behind the camera")
-            }
-            Self::GoalOffImage {
-                point,
-                pixel: [u, v],
-            } => {
-                write!(
-                    f,
-                    "goal: point {point} of the pattern is at ({u:.1}, {v:.1}) px, outside the image"
-                )
-            }
-            Self::GoalOccluded {
-                point,
-                pixel: [u, v],
-                part,
-            } => {
-                write!(
-                    f,
-                    "goal: point {point} of the pattern is at ({u:.1}, {v:.1}) px, inside part {part} of the occlusions"
-                )
-            }
-            Self::GoalMasked {
-                point,
-                pixel: [u, v],
-            } => {
-                write!(
-                    f,
-                    "goal: point {point} of the pattern is at ({u:.1}, {v:.1}) px, inside a mask"
-                )
-            }
-            Self::TooManyParts { count } => {
-                write!(
-                    f,
-                    "occlusions: {count} parts; allowed: at most {MAX_ALL_PARTS}"
-                )
-            }
-        }
-    }
+    #[error("goal: point {point} of the pattern is at ({:.1}, {:.1}) px, inside a mask", .pixel[0], .pixel[1])]
+    GoalMasked { point: usize, pixel: [f64; 2] },
+    #[error("occlusions: {count} parts; allowed: at most {MAX_ALL_PARTS}")]
+    TooManyParts { count: usize },
 }
 
 impl Task {
@@ -131,8 +72,13 @@ impl Task {
         }
         let parts: heapless::Vec<Part, MAX_ALL_PARTS> = scene.parts().copied().collect();
         let areas: heapless::Vec<Area, MAX_AREAS> = scene.areas().copied().collect();
-        let (goal, goal_depth) =
-            see(scene, &scene.goal).map_err(|point| TaskError::GoalBehindCamera { point })?;
+        let (mut goal, mut goal_depth) = (Points::new(), heapless::Vec::new());
+        for (point, x) in placed(&scene.pattern, &scene.goal).enumerate() {
+            let behind = TaskError::GoalBehindCamera { point };
+            let pixel = camera::project(&scene.camera, x.into()).ok_or(behind)?;
+            goal.extend([pixel]);
+            goal_depth.extend([x.z]);
+        }
         for (point, &pixel) in goal.iter().enumerate() {
             let ([u, v], camera) = (pixel, &scene.camera);
             if !(0.0..=camera.width).contains(&u) || !(0.0..=camera.height).contains(&v) {
@@ -140,14 +86,11 @@ impl Task {
             }
             if let Some(part) = parts
                 .iter()
-                .position(|part| crate::constraint::hides(part, pixel))
+                .position(|part| Obstacle::Part(part).hides(pixel))
             {
                 return Err(TaskError::GoalOccluded { point, pixel, part });
             }
-            if areas
-                .iter()
-                .any(|area| crate::field::clearance(area, pixel).distance < 0.0)
-            {
+            if areas.iter().any(|area| Obstacle::Area(area).hides(pixel)) {
                 return Err(TaskError::GoalMasked { point, pixel });
             }
         }
@@ -167,17 +110,18 @@ impl Task {
         })
     }
 
-    /// The features of the pattern at a pose of the object in the camera frame, px; `None` where a point is behind
-    /// the camera.
+    /// Every part and every area that features must keep clear of.
+    pub fn obstacles(&self) -> impl Iterator<Item = Obstacle<'_>> {
+        let areas = self.areas.iter().map(Obstacle::Area);
+        self.parts.iter().map(Obstacle::Part).chain(areas)
+    }
+
+    /// The features of the pattern at a pose of the object in the camera frame, px; `None` where a
+    /// point is behind the camera.
     pub fn features_at(&self, pose: &Pose) -> Option<Points> {
-        let rotation = motion::rotation(pose.rotation);
-        let translation = nalgebra::Vector3::from(pose.translation);
-        self.pattern
-            .iter()
-            .map(|&p| {
-                let x = rotation * nalgebra::Vector3::from(p) + translation;
-                camera::project(&self.camera, x.into())
-            })
+        let points = placed(&self.pattern, pose);
+        points
+            .map(|x| camera::project(&self.camera, x.into()))
             .collect()
     }
 
@@ -190,16 +134,11 @@ impl Task {
     }
 }
 
-/// Features and depths of the pattern at a pose, or the index of a point behind the camera.
-fn see(scene: &Scene, pose: &Pose) -> Result<(Points, heapless::Vec<f64, MAX_POINTS>), usize> {
+/// The points of a pattern in the camera frame, m.
+pub fn placed(pattern: &[[f64; 3]], pose: &Pose) -> impl Iterator<Item = Vector3<f64>> {
     let rotation = motion::rotation(pose.rotation);
-    let translation = nalgebra::Vector3::from(pose.translation);
-    let (mut points, mut depths) = (Points::new(), heapless::Vec::new());
-    for (i, &p) in scene.pattern.iter().enumerate() {
-        let x = rotation * nalgebra::Vector3::from(p) + translation;
-        let pixel = camera::project(&scene.camera, x.into()).ok_or(i)?;
-        points.push(pixel).map_err(|_| i)?;
-        depths.push(x.z).map_err(|_| i)?;
-    }
-    Ok((points, depths))
+    let translation = Vector3::from(pose.translation);
+    pattern
+        .iter()
+        .map(move |&p| rotation * Vector3::from(p) + translation)
 }

@@ -1,5 +1,5 @@
-//! The law with a camera that delivers late, against the truth: the twist for delayed features is the one for the true
-//! features of now, and nothing changes where there is no delay.
+//! The law with a camera that delivers late, against the truth: the twist for delayed features is
+//! the one for the true features of now, and nothing changes where there is no delay.
 
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
@@ -66,8 +66,8 @@ impl World {
     }
 }
 
-/// Runs for `cycles` with a delay of `frames`, the delayed law steering; beside it a law that sees the present. Twists
-/// of both for each cycle in which a frame was delivered.
+/// Runs for `cycles` with a delay of `frames`, the delayed law steering; beside it a law that sees
+/// the present. Twists of both for each cycle in which a frame was delivered.
 fn side_by_side(frames: usize, cycles: usize, bias: f64, compensated: bool) -> Vec<(Twist, Twist)> {
     let mut world = World::new();
     world.bias = bias;
@@ -128,9 +128,9 @@ fn without_delay_nothing_changes_by_a_bit() {
 
 #[test]
 fn the_mismatch_of_late_features_is_that_of_their_exposure() {
-    // One point is always shown beside where it is, so that no pose explains the features and eps is never zero. A law
-    // that sees late and compares like with like answers as one that sees at once; the rest is how the error of the
-    // fit changes along the way of four frames.
+    // One point is always shown beside where it is, so that no pose explains the features and eps
+    // is never zero. A law that sees late and compares like with like answers as one that sees at
+    // once; the rest is how the error of the fit changes along the way of four frames.
     let twists = side_by_side(4, 60, 3.0, true);
     let worst = twists.iter().map(difference).fold(0.0, f64::max);
     assert!(worst < 0.05, "{worst}");

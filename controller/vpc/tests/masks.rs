@@ -1,8 +1,9 @@
 //! Clearances from painted areas against geometry, and the law among them.
 
 use scene::{Area, Scene, write_mask};
-use vpc::constraint::{self, Clearance};
-use vpc::{Controller, Measurement, Settings, Strategy, Task, field};
+use vpc::clearance::Clearance;
+use vpc::obstacle::Obstacle;
+use vpc::{Controller, Measurement, Settings, Strategy, Task, constraint, field};
 
 /// The paper's simulated scene with a painted mask instead of its occlusions.
 fn painted(is_white: impl Fn(u32, u32) -> bool) -> Scene {
@@ -48,7 +49,8 @@ fn points() -> impl Iterator<Item = [f64; 2]> {
     })
 }
 
-/// Least and greatest excess of the clearance over a distance, where `counts` says of the distance that it matters.
+/// Least and greatest excess of the clearance over a distance, where `counts` says of the distance
+/// that it matters.
 fn excess(
     area: &Area,
     distance: impl Fn([f64; 2]) -> f64,
@@ -81,7 +83,8 @@ fn clearances_from_a_box_are_exact_beside_its_sides_and_not_above_at_its_corners
     };
     let (low, high) = excess(area, box_, beside);
     assert!(low > -1e-3 && high < 1e-3, "{low} {high}");
-    // Within four nodes, 10.24 px: deeper inside, along a corner's diagonal, the spline may be above by 0.4 px.
+    // Within four nodes, 10.24 px: deeper inside, along a corner's diagonal, the spline may be
+    // above by 0.4 px.
     let (low, high) = excess(area, box_, |p| (-10.0..14.0).contains(&box_(p)));
     assert!(low > -2.0 && high < 0.1, "{low} {high}");
 }
@@ -176,7 +179,7 @@ fn a_box_cheaply_bounds_the_clearance() {
     let scene = filled(box_);
     let area = only_area(&scene);
     for p in points() {
-        let bound = field::outside_box(area, p);
+        let bound = Obstacle::Area(area).outside_box(p);
         let clearance = field::clearance(area, p).distance;
         assert!(
             bound <= clearance.max(0.0) + 1e-6,
@@ -206,7 +209,8 @@ fn a_goal_under_a_mask_is_refused() {
     );
 }
 
-/// Steers to the goal from a start, exactly as the model says; the deepest that a feature got into the box, px.
+/// Steers to the goal from a start, exactly as the model says; the deepest that a feature got into
+/// the box, px.
 fn deepest(scene: &Scene, start: [f64; 3]) -> (f64, f64) {
     let settings = Settings {
         strategy: Strategy::Previous,
@@ -238,7 +242,8 @@ fn deepest(scene: &Scene, start: [f64; 3]) -> (f64, f64) {
 
 #[test]
 fn the_law_goes_round_a_painted_box_as_round_one_of_shapes_and_through_where_there_is_none() {
-    // The upper left feature starts above the box, at (512, 80); its goal (312, 312) lies below and to the left.
+    // The upper left feature starts above the box, at (512, 80); its goal (312, 312) lies below and
+    // to the left.
     let start = [0.15, -0.174, 0.6];
     let (free, error) = deepest(&painted(|i, j| i > 1000 && j > 1000), start);
     assert!(

@@ -1,18 +1,19 @@
-//! The solver against SciPy's SLSQP on the problems of single cycles near occlusions, with the paper's model.
-//! `fixtures/subproblems.py` made them with its own mathematics.
+//! The solver against SciPy's SLSQP on the problems of single cycles near occlusions, with the
+//! paper's model. `fixtures/subproblems.py` made them with its own mathematics.
 
 mod subproblem;
 
 use subproblem::{Case, Fixture, Subproblem};
 use vpc::Twist;
-use vpc::solver::{Solution, Status};
+use vpc::problem::{Solution, Status};
 
 /// A cost is as good as SciPy's up to this share.
 const COST_SHARE: f64 = 0.01;
 /// On this share of the problems the cost is as good as SciPy's.
 const PROBLEMS_SHARE: f64 = 0.95;
-/// From one and the same start the cost is dearer than SciPy's on at most this share of all pairs: either is led to
-/// whatever minimum is near its way. Set from what was measured, 10 % (and cheaper on 10 %), to see it grow.
+/// From one and the same start the cost is dearer than SciPy's on at most this share of all pairs:
+/// either is led to whatever minimum is near its way. Set from what was measured, 10 % (and cheaper
+/// on 10 %), to see it grow.
 const START_SHARE: f64 = 0.125;
 /// Predicted violation where SciPy finds none, px.
 const VIOLATION_PX: f64 = 0.1;

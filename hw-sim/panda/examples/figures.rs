@@ -1,4 +1,5 @@
-//! The README's figures: the cost of a millisecond, and how near the shaper comes to the joints' bounds.
+//! The README's figures: the cost of a millisecond, and how near the shaper comes to the joints'
+//! bounds.
 //!
 //! `cargo run --release -p panda --example figures`
 
@@ -57,8 +58,8 @@ fn cost() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The greatest share of a joint's acceleration and jerk over the hardest 30 Hz commands that the scene `paper-robot`
-/// allows, in random postures.
+/// The greatest share of a joint's acceleration and jerk over the hardest 30 Hz commands that the
+/// scene `paper-robot` allows, in random postures.
 fn margins() -> Result<(), Box<dyn std::error::Error>> {
     let wild = ShaperSettings {
         linear: Ramp {

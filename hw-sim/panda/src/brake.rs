@@ -1,10 +1,11 @@
-//! How the robot stops by itself: every joint for itself, as fast as a share of its bounds allows.
+//! Stops: each joint brakes by itself, at a share of its bounds.
 
 use crate::kinematics::{JOINTS, Joints};
 use crate::limits::{BRAKING, JOINT, PERIOD, Setpoint};
 use crate::ramp::Ramp;
 
-/// What counts as standing, rad/s and rad/s^2: below what a period's jerk makes.
+/// Greatest velocity and acceleration that count as standing, rad/s and rad/s^2: less than the jerk
+/// of one period makes.
 const STILL: (f64, f64) = (1e-9, 1e-5);
 
 /// The desired joints one period later on the way to a stop.
@@ -46,7 +47,8 @@ mod tests {
                 state.dq[k] = bound.velocity * random.random_range(-1.0..1.0);
                 state.ddq[k] = bound.acceleration * random.random_range(-1.0..1.0);
             }
-            // What the robot would not have accepted need not be stopped; nor what is about to pass its top speed.
+            // What the robot would not have accepted need not be stopped; nor what is about to pass
+            // its top speed.
             let gained = |k: usize| state.dq[k] + 2e-3 * state.ddq[k];
             let fast = (0..JOINTS).any(|k| gained(k).abs() > JOINT[k].velocity);
             if fast || state.exceeded(&state) != Exceeded::default() {

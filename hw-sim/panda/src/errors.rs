@@ -1,8 +1,9 @@
-//! What the robot says when it stops itself, under the real robot's names.
+//! Why the robot stops itself, under the real robot's names.
 //!
-//! Source of the names: libfranka, `franka::Errors`. The list holds what this emulator can raise: what comes from
-//! torques and contacts (`joint_reflex`, `cartesian_reflex`, `tau_j_range_violation` ...), from pose and elbow
-//! commands and from Franka's own planners is not modelled.
+//! Source of the names: libfranka, `franka::Errors`. The list holds what this emulator can raise:
+//! what comes from torques and contacts (`joint_reflex`, `cartesian_reflex`,
+//! `tau_j_range_violation` ...), from pose and elbow commands and from Franka's own planners is not
+//! modelled.
 
 use std::fmt;
 
@@ -92,14 +93,10 @@ impl Errors {
         self.0 & Self::bit(flag) != 0
     }
 
-    /// With this flag if `raised`.
-    #[must_use]
-    pub const fn with(self, flag: Flag, raised: bool) -> Self {
-        if raised {
-            Self(self.0 | Self::bit(flag))
-        } else {
-            self
-        }
+    /// The flags that are raised.
+    pub fn raised(flags: impl IntoIterator<Item = (Flag, bool)>) -> Self {
+        let raised = flags.into_iter().filter(|(_, is_raised)| *is_raised);
+        raised.fold(Self::NONE, |errors, (flag, _)| errors.union(flag.into()))
     }
 
     /// All flags of both.
@@ -152,9 +149,11 @@ mod tests {
     #[test]
     fn a_set_prints_the_names_in_it() {
         assert_eq!(Errors::NONE.to_string(), "[]");
-        let both = Errors::from(Flag::CommunicationConstraintsViolation)
-            .with(Flag::JointVelocityViolation, true)
-            .with(Flag::CartesianVelocityViolation, false);
+        let both = Errors::raised([
+            (Flag::CommunicationConstraintsViolation, true),
+            (Flag::JointVelocityViolation, true),
+            (Flag::CartesianVelocityViolation, false),
+        ]);
         let expected = r#"["joint_velocity_violation", "communication_constraints_violation"]"#;
         assert_eq!(both.to_string(), expected);
     }

@@ -5,12 +5,11 @@ use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 use crate::errors::{Errors, Flag};
 use crate::ik::VelocityIk;
 use crate::interface::{Motion, MotionKind};
-use crate::kinematics::{Chain, Joints, Pose, Twist};
+use crate::kinematics::{Chain, Joints, Pose, Twist, split};
 use crate::limits::{Exceeded, PERIOD, Setpoint, cartesian};
-use crate::mount::split;
 
-/// The pose after a body moved at `twist` (its origin, base axes) for `dt` seconds, the linear and the angular
-/// velocity constant along base axes.
+/// The pose after a body moved at `twist` (its origin, base axes) for `dt` seconds, the linear and
+/// the angular velocity constant along base axes.
 pub(crate) fn moved(pose: &Pose, twist: &Twist, dt: f64) -> Pose {
     let (linear, angular) = split(twist);
     Pose::from_parts(
@@ -52,8 +51,9 @@ impl Generator {
         }
     }
 
-    /// The desired joints after a period of this motion, and what is wrong with them. With errors the step must not be
-    /// taken, and the generator is of no further use. A motion of another kind is the extrapolation.
+    /// The desired joints after a period of this motion, and what is wrong with them. With errors
+    /// the step must not be taken, and the generator is of no further use. A motion of another kind
+    /// is the extrapolation.
     pub fn advance(&mut self, motion: &Motion, from: &Setpoint) -> (Setpoint, Errors) {
         match (&mut *self, motion) {
             (Self::Cartesian(g), Motion::Cartesian(twist)) => g.advance(twist, from),
@@ -70,8 +70,8 @@ impl Generator {
 #[derive(Clone, Copy, Debug)]
 pub struct CartesianGenerator {
     ik: VelocityIk,
-    /// The integral of commands: where the end effector's origin is to be, m, and its orientation, which is held as a
-    /// quaternion because its length is cheaply kept.
+    /// The integral of commands: where the end effector's origin is to be, m, and its orientation,
+    /// which is held as a quaternion because its length is cheaply kept.
     position: Vector3<f64>,
     orientation: UnitQuaternion<f64>,
     twist: Twist,
@@ -143,45 +143,47 @@ impl JointGenerator {
 
 fn cartesian_errors(commanded: Exceeded, joints: Exceeded) -> Errors {
     use Flag::*;
-    Errors::NONE
-        .with(
+    Errors::raised([
+        (
             CartesianMotionGeneratorVelocityLimitsViolation,
             commanded.velocity,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorVelocityDiscontinuity,
             commanded.acceleration,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorAccelerationDiscontinuity,
             commanded.jerk,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointPositionLimitsViolation,
             joints.position,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointVelocityLimitsViolation,
             joints.velocity,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointVelocityDiscontinuity,
             joints.acceleration,
-        )
-        .with(
+        ),
+        (
             CartesianMotionGeneratorJointAccelerationDiscontinuity,
             joints.jerk,
-        )
+        ),
+    ])
 }
 
 fn joint_errors(joints: Exceeded) -> Errors {
     use Flag::*;
-    Errors::NONE
-        .with(JointMotionGeneratorPositionLimitsViolation, joints.position)
-        .with(JointMotionGeneratorVelocityLimitsViolation, joints.velocity)
-        .with(
+    Errors::raised([
+        (JointMotionGeneratorPositionLimitsViolation, joints.position),
+        (JointMotionGeneratorVelocityLimitsViolation, joints.velocity),
+        (
             JointMotionGeneratorVelocityDiscontinuity,
             joints.acceleration,
-        )
-        .with(JointMotionGeneratorAccelerationDiscontinuity, joints.jerk)
+        ),
+        (JointMotionGeneratorAccelerationDiscontinuity, joints.jerk),
+    ])
 }

@@ -1,15 +1,15 @@
 //! From a velocity of the end effector to velocities of the joints.
 //!
-//! Damped least squares for the six dimensions of the task; the seventh is the elbow's, which stays at the position of
-//! joint 3 that the motion began with, unless a joint comes near the end of its range. Source: A. Maciejewski and C.
-//! Klein, "Numerical filtering for the operation of robotic manipulators ...", J. Robotic Systems 5(6), 1988 (damping);
-//! Y. Nakamura, "Advanced Robotics" (null space). The real robot's inverse kinematics is not published.
+//! Damped least squares for the six dimensions of the task; the seventh is the elbow's, which stays
+//! at the position of joint 3 that the motion began with, unless a joint comes near the end of its
+//! range. Source: A. Maciejewski and C. Klein, "Numerical filtering for the operation of robotic
+//! manipulators ...", J. Robotic Systems 5(6), 1988 (damping); Y. Nakamura, "Advanced Robotics"
+//! (null space). The real robot's inverse kinematics is not published.
 
 use nalgebra::{Cholesky, Const, Matrix6};
 
-use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, difference};
+use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, difference, split};
 use crate::limits::{JOINT, PERIOD, Setpoint};
-use crate::mount::split;
 use crate::ramp::Ramp;
 
 /// Manipulability sqrt(det(J J^T)) under which damping sets in, m^3; 0.08 in the ready position.
@@ -18,16 +18,19 @@ const SINGULAR: f64 = 0.01;
 const DAMPING: f64 = 0.05;
 /// Rate at which the pose of the desired joints is drawn to the integral of commands, 1/s.
 const FEEDBACK: f64 = 20.0;
-/// The most that this may add, m/s and rad/s: enough for rounding and curvature, too little to race out of a singularity.
+/// The most that this may add, m/s and rad/s: enough for rounding and curvature, too little to race
+/// out of a singularity.
 const FEEDBACK_MOST: f64 = 0.02;
 /// Rate at which joint 3 returns to its reference, 1/s.
 const ELBOW_RATE: f64 = 2.0;
 /// Squared part of joint 3 in the free direction under which the elbow is no longer held.
 const ELBOW_FADE: f64 = 0.02;
-/// Distance from the end of a joint's range at which it is pushed back, rad, and the speed at the end, rad/s.
+/// Distance from the end of a joint's range at which it is pushed back, rad, and the speed at the
+/// end, rad/s.
 const MARGIN: f64 = 0.25;
 const REPULSION: f64 = 1.0;
-/// The most that the elbow may move the joints, rad/s, and its bounds: a small share of any joint's.
+/// The most that the elbow may move the joints, rad/s, and its bounds: a small share of any
+/// joint's.
 const ELBOW_SPEED: f64 = 0.3;
 const ELBOW_RAMP: Ramp = Ramp {
     acceleration: 1.0,
@@ -40,7 +43,8 @@ pub struct VelocityIk {
     chain: Chain,
     /// Where joint 3 is to stay, rad.
     elbow: f64,
-    /// The direction in which joints move without the end effector, of length 1; its sign does not jump.
+    /// The direction in which joints move without the end effector, of length 1; its sign does not
+    /// jump.
     free: Joints,
     /// Velocity along it, rad/s, and acceleration.
     speed: f64,
@@ -67,8 +71,8 @@ impl VelocityIk {
         ik
     }
 
-    /// Joint velocities for the period that begins at `from`, such that the end effector moves at `twist` (base axes)
-    /// and is at `reference` in the middle of the period.
+    /// Joint velocities for the period that begins at `from`, such that the end effector moves at
+    /// `twist` (base axes) and is at `reference` in the middle of the period.
     pub fn step(&mut self, from: &Setpoint, twist: &Twist, reference: &Pose) -> Joints {
         // The Jacobian in the middle of the period makes the step exact to second order.
         let middle = from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD);
@@ -99,8 +103,8 @@ impl VelocityIk {
         }
     }
 
-    /// The speed along the free direction that holds joint 3, which the task turns at `task` rad/s, at its reference
-    /// and keeps all joints off the ends of their ranges.
+    /// The speed along the free direction that holds joint 3, which the task turns at `task` rad/s,
+    /// at its reference and keeps all joints off the ends of their ranges.
     fn elbow_speed(&self, q: &Joints, task: f64) -> f64 {
         // Where the free direction hardly turns joint 3, the quotient fades instead of growing.
         let turns = self.free[2];
@@ -110,7 +114,8 @@ impl VelocityIk {
     }
 }
 
-/// Joint velocities away from the ends of the joints' ranges, rad/s; zero farther than [`MARGIN`] from them.
+/// Joint velocities away from the ends of the joints' ranges, rad/s; zero farther than [`MARGIN`]
+/// from them.
 fn repulsion(q: &Joints) -> Joints {
     Joints::from_fn(|k, _| {
         let (below, above) = (q[k] - JOINT[k].lower, JOINT[k].upper - q[k]);
@@ -198,7 +203,8 @@ mod tests {
 
     #[test]
     fn the_joints_allow_less_than_the_end_effector_may() {
-        // At the ready position, along x: 2.38 m/s^2 of 13 and 1190 m/s^3 of 6500, joint 2 being the first.
+        // At the ready position, along x: 2.38 m/s^2 of 13 and 1190 m/s^3 of 6500, joint 2 being
+        // the first.
         let jacobian = Chain::default().posture(&Joints::from(READY)).jacobian;
         let joints = System::new(&jacobian).solve(&Twist::x());
         let least = |bound: fn(usize) -> f64| {

@@ -1,8 +1,8 @@
 //! The 1 kHz link: which command answers which state, and what is lost.
 //!
-//! The robot sends a state with a number every millisecond. A command counts only if it carries the number of the last
-//! state and comes before the next one; anything else is dropped. Source: Franka Emika, FCI documentation, "Network
-//! requirements" and "Errors due to communication problems".
+//! The robot sends a state with a number every millisecond. A command counts only if it carries the
+//! number of the last state and comes before the next one; anything else is dropped. Source: Franka
+//! Emika, FCI documentation, "Network requirements" and "Errors due to communication problems".
 
 use crate::kinematics::{Joints, Twist};
 
@@ -58,7 +58,7 @@ pub struct Command {
     pub finished: bool,
 }
 
-/// What came of a millisecond.
+/// The outcome of a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reception {
     /// The command that answers the last state.
@@ -90,9 +90,9 @@ impl Interface {
         }
     }
 
-    /// Judges the messages that `arrived` since the state with the number `expected` went out. Of several good ones
-    /// the first counts. Numbers that are not finite and motions of another kind are dropped, where libfranka would
-    /// not have let them out.
+    /// Judges the messages that `arrived` since the state with the number `expected` went out. Of
+    /// several good ones the first counts. Numbers that are not finite and motions of another kind
+    /// are dropped, where libfranka would not have let them out.
     pub fn receive(&mut self, expected: u64, arrived: &[Command]) -> Reception {
         let good =
             |c: &&Command| c.id == expected && c.motion.kind() == self.kind && c.motion.is_finite();
@@ -115,7 +115,8 @@ impl Interface {
         }
     }
 
-    /// Share of the last [`WINDOW`] commands that came in time, of those that there were so far; 0 to 1.
+    /// Share of the last [`WINDOW`] commands that came in time, of those that there were so far; 0
+    /// to 1.
     pub fn success_rate(&self) -> f64 {
         let mask = (1u128 << WINDOW) - 1;
         let successes = (self.history & mask).count_ones();

@@ -1,7 +1,7 @@
-//! Where the arm's frames are, and how they move with the joints.
+//! Forward kinematics of the arm, and its Jacobian.
 //!
-//! Frames: O the base; F the flange; EE the end effector, fixed to the flange.
-//! Source: Franka Emika, "Robot and interface specifications", table of DH parameters (Craig's convention).
+//! Frames: O the base; F the flange; EE the end effector, fixed to the flange. Source: Franka
+//! Emika, "Robot and interface specifications", table of DH parameters (Craig's convention).
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
@@ -15,8 +15,8 @@ pub const JOINTS: usize = 7;
 /// One number a joint, base to flange: rad, rad/s, rad/s^2 or rad/s^3.
 pub type Joints = SVector<f64, JOINTS>;
 
-/// A velocity (vx vy vz in m/s, wx wy wz in rad/s) of a frame's origin, along the axes that the context names; also its
-/// first two derivatives.
+/// A velocity (vx vy vz in m/s, wx wy wz in rad/s) of a frame's origin, along the axes that the
+/// context names; also its first two derivatives.
 pub type Twist = SVector<f64, 6>;
 
 /// Rows as a [`Twist`], a column for each joint.
@@ -25,8 +25,8 @@ pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 /// Where a frame is in another: x_other = R x + t, m.
 pub type Pose = IsometryMatrix3<f64>;
 
-/// A line of the table: a (m), d (m), and the twist alpha as its cosine and sine, which are exact in the table's
-/// quarter turns.
+/// A line of the table: a (m), d (m), and the twist alpha as its cosine and sine, which are exact
+/// in the table's quarter turns.
 struct Link {
     a: f64,
     d: f64,
@@ -127,7 +127,8 @@ impl Chain {
         Posture { pose, jacobian }
     }
 
-    /// Walks from the base to the flange, which it returns, and shows each joint's frame (rotation, origin) on the way.
+    /// Walks from the base to the flange, which it returns, and shows each joint's frame (rotation,
+    /// origin) on the way.
     fn follow(
         &self,
         q: &Joints,
@@ -159,19 +160,32 @@ impl Chain {
     }
 }
 
-/// The error from `actual` to `wanted`, as the twist (base axes) that mends it in one second.
-pub fn difference(wanted: &Pose, actual: &Pose) -> Twist {
-    let linear = wanted.translation.vector - actual.translation.vector;
-    let angular = logarithm(&(wanted.rotation * actual.rotation.inverse()));
+/// Linear and angular part.
+pub(crate) fn split(twist: &Twist) -> (Vector3<f64>, Vector3<f64>) {
+    (
+        twist.fixed_rows::<3>(0).into(),
+        twist.fixed_rows::<3>(3).into(),
+    )
+}
+
+/// A twist of a linear and an angular part.
+pub(crate) fn join(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Twist {
     Twist::new(
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
     )
 }
 
-/// The rotation vector, rad. nalgebra's own takes the angle from its cosine alone, which knows small angles to 1e-8
-/// only and is no number where rounding takes the cosine past one. Near half a turn, where the sine says nothing of
-/// the axis, the quaternion does.
-fn logarithm(rotation: &Rotation3<f64>) -> Vector3<f64> {
+/// The error from `actual` to `wanted`, as the twist (base axes) that mends it in one second.
+pub fn difference(wanted: &Pose, actual: &Pose) -> Twist {
+    let linear = wanted.translation.vector - actual.translation.vector;
+    let angular = rotation_vector(&(wanted.rotation * actual.rotation.inverse()));
+    join(&linear, &angular)
+}
+
+/// The rotation vector, rad. nalgebra's own takes the angle from its cosine alone, which knows
+/// small angles to 1e-8 only and is no number where rounding takes the cosine past one. Near half a
+/// turn, where the sine says nothing of the axis, the quaternion does.
+pub fn rotation_vector(rotation: &Rotation3<f64>) -> Vector3<f64> {
     let m = rotation.matrix();
     let sine = Vector3::new(
         m[(2, 1)] - m[(1, 2)],

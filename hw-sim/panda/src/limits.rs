@@ -1,12 +1,12 @@
-//! What the robot allows: the tables of the data sheet.
+//! Limits of the robot: the tables of the data sheet.
 //!
-//! Source: Franka Emika, "Robot and interface specifications", tables of necessary conditions. Cartesian bounds are on
-//! the Euclidean length of the linear and of the angular part, joint bounds on each joint.
+//! Source: Franka Emika, "Robot and interface specifications", tables of necessary conditions.
+//! Cartesian bounds are on the Euclidean length of the linear and of the angular part, joint bounds
+//! on each joint.
 
 use nalgebra::Vector3;
 
-use crate::kinematics::{JOINTS, Joints, Twist};
-use crate::mount::split;
+use crate::kinematics::{JOINTS, Joints, Twist, split};
 
 /// Period of the interface, s.
 pub const PERIOD: f64 = 1e-3;
@@ -148,8 +148,9 @@ impl Setpoint {
         }
     }
 
-    /// What the step from `self` to `next`, a period later, exceeds. A position counts as exceeded as soon as the
-    /// joint, braking at [`BRAKING`] of its bounds, could no longer stop in front of it.
+    /// What the step from `self` to `next`, a period later, exceeds. A position counts as exceeded
+    /// as soon as the joint, braking at [`BRAKING`] of its bounds, could no longer stop in front of
+    /// it.
     pub fn exceeded(&self, next: &Self) -> Exceeded {
         let jerk = (next.ddq - self.ddq) / PERIOD;
         let any = |over: &dyn Fn(usize, &JointBounds) -> bool| {
@@ -173,8 +174,9 @@ pub const BRAKING: f64 = 0.9;
 
 /// How far a joint still travels in the positive direction while it brakes, rad; an upper bound.
 ///
-/// Turning the acceleration round from one bound to the other takes 2 a/j = 4 ms at most, 4.4 ms at [`BRAKING`]; one
-/// period passes before. In that time the joint goes on at its speed and may still gain some.
+/// Turning the acceleration round from one bound to the other takes 2 a/j = 4 ms at most, 4.4 ms at
+/// [`BRAKING`]; one period passes before. In that time the joint goes on at its speed and may still
+/// gain some.
 fn stopping(velocity: f64, acceleration: f64, bound: &JointBounds) -> f64 {
     const TURN: f64 = 5.5e-3;
     let fastest = (velocity + acceleration.max(0.0) * TURN).max(0.0);

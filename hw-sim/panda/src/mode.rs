@@ -1,13 +1,14 @@
-//! What the robot is about.
+//! Modes of the robot, and requests that they refuse.
 
 use std::fmt;
 
 use thiserror::Error;
 
 /// The robot's mode. Guiding by hand is not modelled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// It stands and waits for a motion.
+    #[default]
     Idle,
     /// It executes a motion, or brakes at its end.
     Move,

@@ -1,8 +1,8 @@
 //! The camera on the flange, and what its motion is at the flange.
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Rotation3;
 
-use crate::kinematics::{Pose, Twist};
+use crate::kinematics::{Pose, Twist, join, split};
 
 /// The hand-eye mounting: a camera (x right, y down, z forward) fixed to the flange.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,16 +22,15 @@ impl Mount {
         base_from_camera * self.flange_from_camera.inverse()
     }
 
-    /// Velocity of the flange's origin along base axes while the camera's origin moves at `twist` along camera axes.
+    /// Velocity of the flange's origin along base axes while the camera's origin moves at `twist`
+    /// along camera axes.
     pub fn to_base(&self, base_from_flange: &Rotation3<f64>, twist: &Twist) -> Twist {
         let base_from_camera = base_from_flange * self.flange_from_camera.rotation;
         let (linear, angular) = split(twist);
         let angular = base_from_camera * angular;
         let lever = base_from_flange * self.flange_from_camera.translation.vector;
-        join(
-            &(base_from_camera * linear - angular.cross(&lever)),
-            &angular,
-        )
+        let linear = base_from_camera * linear - angular.cross(&lever);
+        join(&linear, &angular)
     }
 
     /// The inverse of [`Self::to_base`]: the camera's velocity along camera axes.
@@ -44,23 +43,9 @@ impl Mount {
     }
 }
 
-/// Linear and angular part.
-pub(crate) fn split(twist: &Twist) -> (Vector3<f64>, Vector3<f64>) {
-    (
-        twist.fixed_rows::<3>(0).into(),
-        twist.fixed_rows::<3>(3).into(),
-    )
-}
-
-fn join(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Twist {
-    Twist::new(
-        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
-    )
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::Translation3;
+    use nalgebra::{Translation3, Vector3};
 
     use super::*;
     use crate::kinematics::{Chain, Joints, difference};

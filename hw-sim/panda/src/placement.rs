@@ -1,7 +1,7 @@
 //! Joint positions for a wanted pose: where to stand before an experiment.
 //!
-//! Levenberg-Marquardt from a fixed list of postures, so that the answer is the same in every run; of the solutions the
-//! one with the most room wins.
+//! Levenberg-Marquardt from a fixed list of postures, so that the answer is the same in every run;
+//! of the solutions the one with the most room wins.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -34,12 +34,13 @@ pub struct PlacementError {
     pub y: f64,
     /// Wanted position in the base, m.
     pub z: f64,
-    /// What the best try left, m and rad together.
+    /// Distance of the nearest posture, m and rad together.
     pub error: f64,
 }
 
-/// Joint positions that put the end effector of `chain` at `wanted` to 1e-10 m and rad, every joint at least 0.05 rad
-/// inside its range. For a wanted pose of the camera see [`Mount::flange`](crate::Mount::flange).
+/// Joint positions that put the end effector of `chain` at `wanted` to 1e-10 m and rad, every joint
+/// at least 0.05 rad inside its range. For a wanted pose of the camera see
+/// [`Mount::flange`](crate::Mount::flange).
 ///
 /// # Errors
 /// None of the starting postures leads there.
@@ -135,7 +136,8 @@ mod tests {
 
     #[test]
     fn what_the_arm_can_do_in_front_of_it_is_found() {
-        // Cameras that look down within 30 degrees, turned any way within 60, over a table in front of the robot.
+        // Cameras that look down within 30 degrees, turned any way within 60, over a table in front
+        // of the robot.
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let chain = Chain::default();
         let mut draw = |a: f64, b: f64| random.random_range(a..b);

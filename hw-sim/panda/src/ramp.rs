@@ -1,8 +1,9 @@
-//! How a velocity gets to another one in the shortest time under bounds on acceleration and jerk.
+//! The fastest way from one velocity to another under bounds on acceleration and jerk.
 //!
-//! Source: J. Han, "From PID to Active Disturbance Rejection Control", IEEE Trans. Ind. Electron. 56(3), 2009, the
-//! discrete time-optimal law of a double integrator. It ends at the target without chatter; it overshoots by less than a
-//! fifth of what one period's jerk makes, unless the acceleration at the beginning forces more.
+//! Source: J. Han, "From PID to Active Disturbance Rejection Control", IEEE Trans. Ind. Electron.
+//! 56(3), 2009, the discrete time-optimal law of a double integrator. It ends at the target without
+//! chatter; it overshoots by less than a fifth of what one period's jerk makes, unless the
+//! acceleration at the beginning forces more.
 
 /// The bounds of a ramp.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,8 +17,8 @@ pub struct Ramp {
 impl Ramp {
     /// Velocity and acceleration after the next period of `dt` seconds on the way to `target`.
     ///
-    /// The acceleration is the difference quotient of velocities, as the robot computes it, and changes by no more than
-    /// the jerk allows even where it is beyond its bound at the beginning.
+    /// The acceleration is the difference quotient of velocities, as the robot computes it, and
+    /// changes by no more than the jerk allows even where it is beyond its bound at the beginning.
     pub fn step(&self, velocity: f64, acceleration: f64, target: f64, dt: f64) -> (f64, f64) {
         // The law's integrator adds the old acceleration; ours has added it already.
         let jerk = self.optimal(velocity - dt * acceleration - target, acceleration, dt);

@@ -4,12 +4,11 @@ use crate::brake::brake;
 use crate::errors::{Errors, Flag};
 use crate::generator::Generator;
 use crate::interface::{Command, Interface, MotionKind, Reception};
-use crate::kinematics::{Chain, JOINTS, Joints, Twist};
+use crate::kinematics::{Chain, JOINTS, Joints, Twist, split};
 use crate::limits::{ELBOW_FLIP, JOINT, ROTATION, Setpoint, TRANSLATION, outside};
 use crate::mode::{Mode, RequestError};
-use crate::mount::split;
 use crate::servo::Servo;
-use crate::settings::{RobotError, RobotSettings};
+use crate::settings::{RobotError, RobotSettings, check};
 use crate::state::State;
 
 /// A Panda.
@@ -34,48 +33,27 @@ impl Robot {
     /// A robot that stands idle at `q` (rad).
     ///
     /// # Errors
-    /// A joint outside its range; a setting of the servo outside its range.
+    /// A joint outside its range.
     pub fn new(settings: RobotSettings, q: Joints) -> Result<Self, RobotError> {
-        settings.check(&q)?;
+        check(&q)?;
         let chain = Chain::new(settings.flange_from_ee);
-        let pose = chain.pose(&q);
-        let zero = Joints::zeros();
-        let state = State {
-            id: 0,
-            time: 0,
-            q,
-            q_d: q,
-            dq: zero,
-            dq_d: zero,
-            ddq_d: zero,
-            o_t_ee: pose,
-            o_t_ee_d: pose,
-            o_t_ee_c: pose,
-            f_t_ee: settings.flange_from_ee,
-            o_dp_ee_d: Twist::zeros(),
-            o_dp_ee_c: Twist::zeros(),
-            o_ddp_ee_c: Twist::zeros(),
-            elbow: elbow(&q),
-            elbow_d: elbow(&q),
-            robot_mode: Mode::Idle,
-            current_errors: Errors::NONE,
-            last_motion_errors: Errors::NONE,
-            control_command_success_rate: 0.0,
-        };
-        Ok(Self {
+        let mut robot = Self {
             settings,
             chain,
             mode: Mode::Idle,
             motion: None,
             desired: Setpoint::at_rest(q),
-            servo: Servo::new(settings.servo, q),
-            push: zero,
+            servo: Servo::new(q),
+            push: Joints::zeros(),
             errors: Errors::NONE,
             last_motion_errors: Errors::NONE,
             time: 0,
             recovery: 0,
-            state,
-        })
+            state: State::default(),
+        };
+        robot.state.f_t_ee = settings.flange_from_ee;
+        robot.report();
+        Ok(robot)
     }
 
     /// The state after the last step.
@@ -112,7 +90,8 @@ impl Robot {
         Ok(())
     }
 
-    /// Presses the user's stop: the robot brakes in any mode and refuses motions until it is released.
+    /// Presses the user's stop: the robot brakes in any mode and refuses motions until it is
+    /// released.
     pub fn press_user_stop(&mut self) {
         if self.motion.is_some() {
             self.end_motion(Errors::NONE);
@@ -153,7 +132,8 @@ impl Robot {
         self.push = acceleration;
     }
 
-    /// One millisecond, with the commands that `arrived` since the last state; returns the new state.
+    /// One millisecond, with the commands that `arrived` since the last state; returns the new
+    /// state.
     pub fn step(&mut self, arrived: &[Command]) -> &State {
         self.time += 1;
         match self.motion {
@@ -224,11 +204,12 @@ impl Robot {
         let walls = self.settings.walls;
         let beyond = walls.is_some_and(|w| !w.contain(&measured.pose.translation.vector));
         let fast_ee = linear.norm() > TRANSLATION.velocity || angular.norm() > ROTATION.velocity;
-        Errors::NONE
-            .with(Flag::JointPositionLimitsViolation, outside(q).is_some())
-            .with(Flag::CartesianPositionLimitsViolation, beyond)
-            .with(Flag::JointVelocityViolation, fast)
-            .with(Flag::CartesianVelocityViolation, fast_ee)
+        Errors::raised([
+            (Flag::JointPositionLimitsViolation, outside(q).is_some()),
+            (Flag::CartesianPositionLimitsViolation, beyond),
+            (Flag::JointVelocityViolation, fast),
+            (Flag::CartesianVelocityViolation, fast_ee),
+        ])
     }
 
     /// Latches errors and stops; a user's stop stays one.
@@ -289,12 +270,6 @@ impl Robot {
 }
 
 fn elbow(q: &Joints) -> [f64; 2] {
-    let side = if q[3] > ELBOW_FLIP {
-        1.0
-    } else if q[3] < ELBOW_FLIP {
-        -1.0
-    } else {
-        0.0
-    };
-    [q[2], side]
+    let side = i8::from(q[3] > ELBOW_FLIP) - i8::from(q[3] < ELBOW_FLIP);
+    [q[2], f64::from(side)]
 }

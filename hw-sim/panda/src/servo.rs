@@ -1,38 +1,23 @@
-//! What carries the desired joints out: measured positions follow, and lag.
+//! Measured joints: they follow the desired ones, and lag.
 //!
-//! Each joint is a second-order system behind a velocity feed-forward. The numbers are assumptions of the size that an
-//! impedance-controlled arm shows, not measurements of one.
+//! Each joint is a second-order system behind a velocity feed-forward. The numbers are assumptions
+//! of the size that an impedance-controlled arm shows, not measurements of one.
 
 use crate::kinematics::Joints;
 use crate::limits::{PERIOD, Setpoint};
 
-/// How well the joints follow.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ServoSettings {
-    /// Natural frequency, Hz, in (0, 100].
-    pub bandwidth_hz: f64,
-    /// Damping ratio, positive; 1 is critical.
-    pub damping: f64,
-    /// Share of the desired velocity that is fed forward, 0 to 1. The lag in steady motion is
-    /// 2 damping (1 - feedforward) / (2 pi bandwidth) seconds, less the period in which a set point already acts.
-    pub feedforward: f64,
-}
-
-impl Default for ServoSettings {
-    /// 15 Hz, critically damped, a lag of 3 ms.
-    fn default() -> Self {
-        Self {
-            bandwidth_hz: 15.0,
-            damping: 1.0,
-            feedforward: 0.8,
-        }
-    }
-}
+/// Natural frequency, Hz.
+const BANDWIDTH_HZ: f64 = 15.0;
+/// Damping ratio; 1 is critical.
+const DAMPING: f64 = 1.0;
+/// Share of the desired velocity that is fed forward. The lag in steady motion is 2 damping (1 -
+/// feedforward) / (2 pi bandwidth) seconds, 3 ms here after the period in which a set point already
+/// acts is taken off.
+const FEEDFORWARD: f64 = 0.8;
 
 /// The measured joints.
 #[derive(Clone, Copy, Debug)]
 pub struct Servo {
-    settings: ServoSettings,
     /// Positions, rad.
     pub q: Joints,
     /// Velocities, rad/s.
@@ -41,9 +26,8 @@ pub struct Servo {
 
 impl Servo {
     /// Joints at rest at `q`.
-    pub fn new(settings: ServoSettings, q: Joints) -> Self {
+    pub fn new(q: Joints) -> Self {
         Self {
-            settings,
             q,
             dq: Joints::zeros(),
         }
@@ -51,10 +35,10 @@ impl Servo {
 
     /// One period; `push` is what the surroundings add to the accelerations, rad/s^2.
     pub fn step(&mut self, desired: &Setpoint, push: &Joints) {
-        let omega = std::f64::consts::TAU * self.settings.bandwidth_hz;
-        let damping = 2.0 * self.settings.damping * omega;
+        let omega = std::f64::consts::TAU * BANDWIDTH_HZ;
+        let damping = 2.0 * DAMPING * omega;
         let ddq = (desired.q - self.q) * (omega * omega)
-            + (desired.dq * self.settings.feedforward - self.dq) * damping
+            + (desired.dq * FEEDFORWARD - self.dq) * damping
             + push;
         self.dq += ddq * PERIOD;
         self.q += self.dq * PERIOD;
@@ -67,8 +51,7 @@ mod tests {
 
     #[test]
     fn steady_motion_is_followed_with_the_lag_of_the_settings() {
-        let settings = ServoSettings::default();
-        let mut servo = Servo::new(settings, Joints::zeros());
+        let mut servo = Servo::new(Joints::zeros());
         let mut desired = Setpoint::at_rest(Joints::zeros());
         desired.dq = Joints::repeat(0.3);
         for _ in 0..1000 {
@@ -82,7 +65,7 @@ mod tests {
 
     #[test]
     fn a_push_moves_a_joint_and_it_comes_back() {
-        let mut servo = Servo::new(ServoSettings::default(), Joints::zeros());
+        let mut servo = Servo::new(Joints::zeros());
         let desired = Setpoint::at_rest(Joints::zeros());
         let mut push = Joints::zeros();
         push[3] = 10.0;

@@ -1,11 +1,10 @@
-//! What a robot is made of, and what cannot be one.
+//! Settings of a robot.
 
 use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::kinematics::{Joints, Pose};
 use crate::limits::{JOINT, outside};
-use crate::servo::ServoSettings;
 
 /// A box that the end effector's origin must not leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,13 +22,11 @@ impl Walls {
     }
 }
 
-/// What a robot is made of.
+/// Settings of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotSettings {
     /// F_T_EE, the end effector in the flange; the flange itself by default.
     pub flange_from_ee: Pose,
-    /// How well the joints follow.
-    pub servo: ServoSettings,
     /// Virtual walls; none by default.
     pub walls: Option<Walls>,
     /// How long automatic error recovery takes after the robot has come to rest, ms.
@@ -40,86 +37,36 @@ impl Default for RobotSettings {
     fn default() -> Self {
         Self {
             flange_from_ee: Pose::identity(),
-            servo: ServoSettings::default(),
             walls: None,
             recovery_ms: 500,
         }
     }
 }
 
-/// Why a robot cannot be.
+/// A joint is outside its range.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-pub enum RobotError {
-    /// A joint outside its range.
-    #[error("joint {joint} is at {value} rad, allowed is {lower} to {upper}")]
-    JointOutside {
-        /// Number of the joint, from 1.
-        joint: usize,
-        /// Its position, rad.
-        value: f64,
-        /// Least position, rad.
-        lower: f64,
-        /// Greatest position, rad.
-        upper: f64,
-    },
-    /// A setting of the servo outside its range.
-    #[error("servo: {key} is {value}, allowed is {allowed}")]
-    Servo {
-        /// The setting.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-        /// What is allowed.
-        allowed: &'static str,
-    },
+#[error("joint {joint} is at {value} rad, allowed is {lower} to {upper}")]
+pub struct RobotError {
+    /// Number of the joint, from 1.
+    pub joint: usize,
+    /// Its position, rad.
+    pub value: f64,
+    /// Least position, rad.
+    pub lower: f64,
+    /// Greatest position, rad.
+    pub upper: f64,
 }
 
-impl RobotSettings {
-    /// Whether a robot at `q` can be made of them.
-    pub(crate) fn check(&self, q: &Joints) -> Result<(), RobotError> {
-        if let Some(k) = outside(q) {
-            return Err(RobotError::JointOutside {
-                joint: k + 1,
-                value: q[k],
-                lower: JOINT[k].lower,
-                upper: JOINT[k].upper,
-            });
-        }
-        check_servo(&self.servo)
-    }
-}
-
-fn check_servo(servo: &ServoSettings) -> Result<(), RobotError> {
-    let rows = [
-        (
-            "bandwidth_hz",
-            servo.bandwidth_hz,
-            servo.bandwidth_hz > 0.0 && servo.bandwidth_hz <= 100.0,
-            "above 0, up to 100 Hz",
-        ),
-        (
-            "damping",
-            servo.damping,
-            servo.damping > 0.0 && servo.damping <= 3.0,
-            "above 0, up to 3",
-        ),
-        (
-            "feedforward",
-            servo.feedforward,
-            (0.0..=1.0).contains(&servo.feedforward),
-            "0 to 1",
-        ),
-    ];
-    for (key, value, good, allowed) in rows {
-        if !good {
-            return Err(RobotError::Servo {
-                key,
-                value,
-                allowed,
-            });
-        }
-    }
-    Ok(())
+/// Refuses positions outside the joints' ranges.
+pub(crate) fn check(q: &Joints) -> Result<(), RobotError> {
+    outside(q).map_or(Ok(()), |k| {
+        Err(RobotError {
+            joint: k + 1,
+            value: q[k],
+            lower: JOINT[k].lower,
+            upper: JOINT[k].upper,
+        })
+    })
 }
 
 #[cfg(test)]
@@ -127,28 +74,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn positions_and_settings_out_of_range_are_refused_by_name() {
+    fn positions_out_of_range_are_refused_by_name() {
         let mut q = Joints::from(crate::READY);
-        let good = RobotSettings::default();
-        assert_eq!(good.check(&q), Ok(()));
-        for (key, value) in [
-            ("bandwidth_hz", 0.0),
-            ("damping", f64::NAN),
-            ("feedforward", 1.1),
-        ] {
-            let mut settings = good;
-            match key {
-                "bandwidth_hz" => settings.servo.bandwidth_hz = value,
-                "damping" => settings.servo.damping = value,
-                _ => settings.servo.feedforward = value,
-            }
-            let error = settings.check(&q).unwrap_err().to_string();
-            assert!(error.contains(key), "{error}");
-        }
+        assert_eq!(check(&q), Ok(()));
         q[3] = 0.0;
-        let error = good.check(&q).unwrap_err().to_string();
+        let error = check(&q).unwrap_err().to_string();
         assert_eq!(error, "joint 4 is at 0 rad, allowed is -3.0718 to -0.0698");
         q[3] = f64::NAN;
-        assert!(good.check(&q).is_err());
+        assert!(check(&q).is_err());
     }
 }

@@ -1,15 +1,15 @@
 //! From commands at 30 Hz to commands at 1 kHz that the robot accepts.
 //!
-//! Part of the bridge beside the robot, not of the law and not of the robot. Each axis follows the last target along
-//! the fastest ramp under bounds on acceleration and jerk. The ramp starts anew in every millisecond from what the robot
-//! says it was last commanded, so that a command which the robot lost, and extrapolated, leaves no step behind.
+//! Part of the bridge beside the robot, not of the law and not of the robot. Each axis follows the
+//! last target along the fastest ramp under bounds on acceleration and jerk. The ramp starts anew
+//! in every millisecond from what the robot says it was last commanded, so that a command which the
+//! robot lost, and extrapolated, leaves no step behind.
 
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use crate::kinematics::Twist;
+use crate::kinematics::{Twist, join, split};
 use crate::limits::{PERIOD, ROTATION, TRANSLATION};
-use crate::mount::split;
 use crate::ramp::Ramp;
 use crate::state::State;
 
@@ -23,8 +23,8 @@ pub struct ShaperSettings {
 }
 
 impl Default for ShaperSettings {
-    /// From rest to the limits of the scene `paper-robot` within a frame, and within the joints' bounds with room: see
-    /// the README.
+    /// From rest to the limits of the scene `paper-robot` within a frame, and within the joints'
+    /// bounds with room: see the README.
     fn default() -> Self {
         Self {
             linear: Ramp {
@@ -99,8 +99,9 @@ impl Shaper {
         })
     }
 
-    /// A new command: velocity of the end effector's origin along base axes, to hold until this instant. What is not
-    /// finite means standing still; what the robot's own bounds forbid is shortened.
+    /// A new command: velocity of the end effector's origin along base axes, to hold until this
+    /// instant. What is not finite means standing still; what the robot's own bounds forbid is
+    /// shortened.
     pub fn aim(&mut self, twist: &Twist, valid_until_ns: u64) {
         self.target = if twist.iter().all(|x| x.is_finite()) {
             shortened(twist)
@@ -115,7 +116,8 @@ impl Shaper {
         now_ns >= self.valid_until_ns
     }
 
-    /// The twist that answers the state with this echo. Where the command is stale, on the way to zero.
+    /// The twist that answers the state with this echo. Where the command is stale, on the way to
+    /// zero.
     pub fn step(&self, echo: &Echo, now_ns: u64) -> Twist {
         let stale = self.is_stale(now_ns);
         Twist::from_fn(|axis, _| {
@@ -137,9 +139,7 @@ fn shortened(twist: &Twist) -> Twist {
     let shorten = |x: Vector3<f64>, most: f64| x * (most / x.norm().max(most));
     let linear = shorten(linear, TRANSLATION.velocity);
     let angular = shorten(angular, ROTATION.velocity);
-    Twist::new(
-        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
-    )
+    join(&linear, &angular)
 }
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
-//! What the robot tells every millisecond: the real state's fields, as far as they are modelled.
+//! The robot's state in every millisecond: the fields of the real one, as far as they are modelled.
 
 use crate::errors::Errors;
 use crate::kinematics::{Joints, Pose, Twist};
 use crate::mode::Mode;
 
-/// The robot at one instant. Names as in `franka::RobotState`, in lower case: `o_t_ee_d` is O_T_EE_d.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The robot at one instant. Names as in `franka::RobotState`, in lower case: `o_t_ee_d` is
+/// O_T_EE_d.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
     /// Number that a command must carry to answer this state.
     pub id: u64,
@@ -25,7 +26,8 @@ pub struct State {
     pub o_t_ee: Pose,
     /// End effector of the desired joints in the base.
     pub o_t_ee_d: Pose,
-    /// Integral of the commands, in the base; that of the desired joints where no Cartesian motion runs.
+    /// Integral of the commands, in the base; that of the desired joints where no Cartesian motion
+    /// runs.
     pub o_t_ee_c: Pose,
     /// F_T_EE, the end effector in the flange.
     pub f_t_ee: Pose,
@@ -35,7 +37,8 @@ pub struct State {
     pub o_dp_ee_c: Twist,
     /// Its difference quotient, m/s^2 and rad/s^2.
     pub o_ddp_ee_c: Twist,
-    /// Measured elbow: position of joint 3 in rad, and the side (+1, 0, -1) of joint 4 from the flip.
+    /// Measured elbow: position of joint 3 in rad, and the side (+1, 0, -1) of joint 4 from the
+    /// flip.
     pub elbow: [f64; 2],
     /// Desired elbow.
     pub elbow_d: [f64; 2],

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Rotation3, Translation3};
 use panda::{
-    JOINTS, Mode, MotionKind, Mount, PlacementError, Pose, RequestError, Robot, RobotError,
+    JOINTS, MotionKind, Mount, PlacementError, Pose, RequestError, Robot, RobotError,
     RobotSettings, ShaperError, State, place,
 };
 use scene::Scene;
@@ -10,10 +10,10 @@ use scene::Scene;
 use super::bridge::{Bridge, Shaping};
 use super::calibration::{HandEye, Truth};
 use super::inspector::Inspector;
-use crate::pose::RigidPose;
+use crate::pose::{RigidPose, from_scene};
 
-/// Where the pattern lies in the robot's base: 0.5 m in front of it, 5 cm above its foot, facing up; its x axis points
-/// to the robot's right, its y axis towards the robot.
+/// Where the pattern lies in the robot's base: 0.5 m in front of it, 5 cm above its foot, facing
+/// up; its x axis points to the robot's right, its y axis towards the robot.
 pub fn base_from_object() -> Pose {
     let axes = Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
     Pose::from_parts(
@@ -22,12 +22,12 @@ pub fn base_from_object() -> Pose {
     )
 }
 
-/// What an arm is made of.
+/// Settings of an arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmSettings {
-    /// What the bridge believes.
+    /// The calibration that the bridge was given.
     pub hand_eye: HandEye,
-    /// What is true.
+    /// How the world differs from that.
     pub truth: Truth,
     /// Whether commands are shaped.
     pub shaping: Shaping,
@@ -56,7 +56,8 @@ pub enum ArmError {
 #[derive(Clone, Debug)]
 pub struct Arm {
     robot: Robot,
-    bridge: Bridge,
+    /// From camera twists to commands of the robot.
+    pub bridge: Bridge,
     inspector: Inspector,
     /// Where the camera really sits.
     mount: Mount,
@@ -76,10 +77,8 @@ impl Arm {
         let believed = settings.hand_eye.mount();
         let mount = settings.truth.mount(&believed);
         let base_from_object = base_from_object();
-        let start = RigidPose::new(&settings.truth.start(start));
-        let camera_from_object =
-            Pose::from_parts(Translation3::from(start.translation), start.rotation);
-        let camera = base_from_object * camera_from_object.inverse();
+        let start = from_scene(&settings.truth.start(start));
+        let camera = base_from_object * start.inverse();
         let flange_from_ee = settings.robot.flange_from_ee;
         let chain = panda::Chain::new(flange_from_ee);
         let joints = place(&chain, &(mount.flange(&camera) * flange_from_ee))
@@ -102,14 +101,9 @@ impl Arm {
         self.robot.state()
     }
 
-    /// What was seen of the robot so far.
+    /// The robot's referee.
     pub fn inspector(&self) -> &Inspector {
         &self.inspector
-    }
-
-    /// The bridge.
-    pub fn bridge(&mut self) -> &mut Bridge {
-        &mut self.bridge
     }
 
     /// One millisecond: the bridge answers the robot's state, the robot steps.
@@ -121,12 +115,7 @@ impl Arm {
 
     /// The object in the camera frame, by the measured joints.
     pub fn object(&self) -> RigidPose {
-        let camera = self.mount.camera(&self.flange());
-        let pose = camera.inverse() * self.base_from_object;
-        RigidPose {
-            rotation: pose.rotation,
-            translation: pose.translation.vector,
-        }
+        self.mount.camera(&self.flange()).inverse() * self.base_from_object
     }
 
     /// The camera's velocity in the camera frame (m/s, rad/s), by the desired joints.
@@ -137,16 +126,12 @@ impl Arm {
             .into()
     }
 
-    /// Whether the end effector stands, by the commands and by the desired joints. The elbow may still be creeping back
-    /// to its place, which takes it 10 s and more in some postures: it moves nothing that the gripper holds.
+    /// Whether the end effector stands, by the commands and by the desired joints. The elbow may
+    /// still be creeping back to its place, which takes it 10 s and more in some postures: it moves
+    /// nothing that the gripper holds.
     pub fn is_at_rest(&self) -> bool {
         let state = self.robot.state();
         state.o_dp_ee_d.amax() < AT_REST && state.o_dp_ee_c.amax() < AT_REST
-    }
-
-    /// Whether the robot stopped itself.
-    pub fn is_in_reflex(&self) -> bool {
-        self.robot.state().robot_mode == Mode::Reflex
     }
 
     fn flange(&self) -> Pose {
@@ -155,8 +140,8 @@ impl Arm {
     }
 }
 
-/// Speed below which the end effector stands, m/s, rad/s: what the inverse kinematics still draws to the integral of commands
-/// after a ramp has ended decays within a few tenths of a second from below this.
+/// Speed below which the end effector counts as standing, m/s and rad/s. After a ramp the feedback
+/// of the inverse kinematics decays from below this within a few tenths of a second.
 const AT_REST: f64 = 2e-4;
 
 /// The limits of the joints for a picture: least and greatest position, greatest speed.

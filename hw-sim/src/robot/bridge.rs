@@ -1,24 +1,24 @@
-//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the flange.
+//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the
+//! flange.
 
 use panda::{Command, Echo, Motion, Mount, Shaper, ShaperError, ShaperSettings, State, Twist};
 use scene::Limits;
 
-use crate::carrier::{Executed, cut};
+use crate::standing::Standing;
 
-/// Turns camera twists into robot commands. It knows the calibration that a real bridge would be given, not the truth.
+/// Turns camera twists into robot commands. It knows the calibration that a real bridge would be
+/// given, not the truth.
 #[derive(Clone, Debug)]
 pub struct Bridge {
     mount: Mount,
     limits: Limits,
     shaper: Shaper,
     is_shaping: bool,
-    /// Camera frame, inside the limits.
-    twist: [f64; 6],
-    valid_until_ns: u64,
+    standing: Standing,
 }
 
 impl Bridge {
-    /// A bridge that stands still until it is told otherwise.
+    /// A bridge that commands standing still until its first command.
     ///
     /// # Errors
     /// A bound of the shaper that is not a positive number.
@@ -32,47 +32,40 @@ impl Bridge {
             limits,
             shaper: Shaper::new(settings)?,
             is_shaping,
-            twist: [0.0; 6],
-            valid_until_ns: 0,
+            standing: Standing::default(),
         })
     }
 
-    /// Takes a command: camera velocity in the camera frame (m/s, rad/s), to hold until `valid_until_ns`. Gives whether
-    /// it was outside the limits and was cut; what is not finite counts as zero.
-    pub fn command(&mut self, twist: &[f64; 6], valid_until_ns: u64) -> bool {
-        let Executed { twist, limited } = cut(twist, &self.limits);
-        (self.twist, self.valid_until_ns) = (twist, valid_until_ns);
-        limited
+    /// Takes a command of the controller: camera velocity in the camera frame (m/s, rad/s), to hold
+    /// until `until_ns`. Returns whether it was outside the limits and was cut.
+    pub fn command(&mut self, twist: &[f64; 6], until_ns: u64) -> bool {
+        self.standing = Standing::new(twist, until_ns, &self.limits);
+        self.standing.was_limited()
     }
 
-    /// Stands still: whatever was commanded before ends now.
-    pub fn release(&mut self) {
-        self.valid_until_ns = 0;
+    /// Takes a command of the robot's own side, to which the limits of the servoing do not apply.
+    pub fn move_by_itself(&mut self, twist: &[f64; 6], until_ns: u64) {
+        let limits = Limits {
+            linear: f64::INFINITY,
+            angular: f64::INFINITY,
+        };
+        self.standing = Standing::new(twist, until_ns, &limits);
     }
 
-    /// The camera velocity that it aims at, camera frame; zero where the command is stale.
-    pub fn aimed(&self, now_ns: u64) -> [f64; 6] {
-        if self.is_stale(now_ns) {
-            [0.0; 6]
-        } else {
-            self.twist
-        }
+    /// The command that stands.
+    pub fn standing(&self) -> &Standing {
+        &self.standing
     }
 
-    /// Whether the last command no longer holds.
-    pub fn is_stale(&self, now_ns: u64) -> bool {
-        now_ns >= self.valid_until_ns
-    }
-
-    /// The command that answers a state of the robot. The camera's velocity is transported to the flange anew in every
-    /// millisecond, because the base axes turn under it.
+    /// The command that answers a state of the robot. The camera's velocity is transported to the
+    /// flange anew in every millisecond, because the base axes turn under it.
     pub fn answer(&mut self, state: &State, now_ns: u64) -> Command {
-        let camera = Twist::from_column_slice(&self.twist);
+        let camera = Twist::from_column_slice(&self.standing.twist());
         let base = self.mount.to_base(&state.o_t_ee.rotation, &camera);
-        self.shaper.aim(&base, self.valid_until_ns);
+        self.shaper.aim(&base, self.standing.until_ns());
         let shaped = if self.is_shaping {
             self.shaper.step(&Echo::from(state), now_ns)
-        } else if self.is_stale(now_ns) {
+        } else if self.standing.is_stale(now_ns) {
             Twist::zeros()
         } else {
             base
@@ -107,6 +100,7 @@ mod tests {
     use scene::{Pose, Scene, parse_starts};
 
     use super::*;
+    use crate::pose::seen_after;
     use crate::robot::arm::{Arm, ArmSettings};
 
     const MS: u64 = 1_000_000;
@@ -123,8 +117,8 @@ mod tests {
         Arm::new(&scene(), start, &settings).unwrap()
     }
 
-    /// Full-speed twists at 30 Hz that change their mind in every frame, back and forth so that the arm stays; some
-    /// frames bring none.
+    /// Full-speed twists at 30 Hz that change their mind in every frame, back and forth so that the
+    /// arm stays; some frames bring none.
     fn tear(arm: &mut Arm, random: &mut ChaCha8Rng, seconds: u64) {
         let limits = scene().limits;
         let mut twist = [0.0; 6];
@@ -138,7 +132,7 @@ mod tests {
                         sign(random) * if k < 3 { limits.linear } else { limits.angular }
                     })
                 };
-                arm.bridge().command(&twist, (ms + 100) * MS);
+                arm.bridge.command(&twist, (ms + 100) * MS);
             }
             arm.step(ms * MS);
         }
@@ -166,16 +160,17 @@ mod tests {
         let limits = scene().limits;
         let fast = [limits.linear; 3].into_iter().chain([limits.angular; 3]);
         let twist: Vec<f64> = fast.collect();
-        arm.bridge().command(&twist.try_into().unwrap(), 100 * MS);
+        arm.bridge.command(&twist.try_into().unwrap(), 100 * MS);
         for ms in 0..100 {
             arm.step(ms * MS);
         }
-        assert!(!arm.is_at_rest() && arm.bridge().is_stale(100 * MS));
+        assert!(!arm.is_at_rest() && arm.bridge.standing().is_stale(100 * MS));
         let mut before = arm.camera_twist();
         for ms in 100..160 {
             arm.step(ms * MS);
             let after = arm.camera_twist();
-            // A ramp, not a jump: 0.5 m/s^2 along each axis of the base are 0.9 mm/s in a millisecond.
+            // A ramp, not a jump: 0.5 m/s^2 along each axis of the base are 0.9 mm/s in a
+            // millisecond.
             let jump = (0..3)
                 .map(|k| (after[k] - before[k]).abs())
                 .fold(0.0, f64::max);
@@ -195,16 +190,16 @@ mod tests {
         let mut arm = arm(&starts[40], Shaping::default());
         for ms in 0..18_000 {
             let roll = [0.0, 0.0, 0.0, 0.0, 0.0, -0.03];
-            arm.bridge().command(&roll, (ms + 100) * MS);
+            arm.bridge.command(&roll, (ms + 100) * MS);
             arm.step(ms * MS);
         }
         assert!(!arm.is_at_rest());
         (18_000..18_500).for_each(|ms| arm.step(ms * MS));
-        let (stand, elbow) = (arm.object().translation, arm.state().q_d[2]);
+        let (stand, elbow) = (arm.object().translation.vector, arm.state().q_d[2]);
         assert!(arm.is_at_rest(), "{}", arm.state().o_dp_ee_d);
         (18_500..20_000).for_each(|ms| arm.step(ms * MS));
         assert!((arm.state().q_d[2] - elbow).abs() > 1e-4);
-        assert!((arm.object().translation - stand).amax() < 1e-4);
+        assert!((arm.object().translation.vector - stand).amax() < 1e-4);
         assert!(arm.inspector().report().is_clean());
     }
 
@@ -213,13 +208,13 @@ mod tests {
         let twist = [0.004, -0.006, 0.002, 0.01, 0.02, -0.01];
         let apart = |settings: ArmSettings| {
             let mut arm = Arm::new(&scene(), &scene().goal, &settings).unwrap();
-            arm.bridge().command(&twist, u64::MAX);
+            arm.bridge.command(&twist, u64::MAX);
             (0..300).for_each(|ms| arm.step(ms * MS));
             let before = arm.object();
             (300..400).for_each(|ms| arm.step(ms * MS));
             // Against exact motion under the twist that was told: m.
-            let told = before.seen_after(&twist, 0.1).translation;
-            (arm.object().translation - told).norm()
+            let told = seen_after(&before, &twist, 0.1).translation.vector;
+            (arm.object().translation.vector - told).norm()
         };
         assert!(apart(ArmSettings::default()) < 5e-6);
         let mut askew = ArmSettings::default();
@@ -232,7 +227,10 @@ mod tests {
         let mount = crate::robot::calibration::HandEye::default().mount();
         let mut bridge = Bridge::new(mount, scene().limits, Shaping::default()).unwrap();
         assert!(bridge.command(&[1.0, f64::NAN, 0.0, 0.0, 0.0, 0.0], 10));
-        assert_eq!(bridge.aimed(9), [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        assert_eq!(bridge.aimed(10), [0.0; 6]);
+        assert_eq!(
+            bridge.standing().twist_at(9),
+            [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]
+        );
+        assert_eq!(bridge.standing().twist_at(10), [0.0; 6]);
     }
 }

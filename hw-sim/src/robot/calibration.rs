@@ -1,23 +1,27 @@
-//! What the bridge believes of camera and hand, and what is true instead.
+//! The hand-eye calibration that the bridge was given, and how the world differs from it.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 use panda::{Mount, Pose};
 use scene::Scene;
-use serde::Deserialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-/// The camera in the flange frame, as a calibration finds it.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// The camera in the flange frame, as a calibration finds it and the bridge believes.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
 pub struct HandEye {
-    /// Origin of the camera in the flange frame, m.
+    /// Origin of the camera in the flange frame.
+    #[schemars(inner(range(min = -1, max = 1)), extend("x-unit" = "m"))]
     pub translation: [f64; 3],
-    /// From the camera frame to the flange frame, rotation vector, deg.
+    /// Rotation vector from the camera frame to the flange frame.
+    #[schemars(inner(range(min = -360, max = 360)), extend("x-unit" = "deg"))]
     pub rotation_deg: [f64; 3],
 }
 
 impl Default for HandEye {
-    /// A camera in front of the hand that looks along the fingers, its lower edge towards them: the hand is turned by
-    /// -45 deg on the flange, the camera by 90 deg on the hand, 7 cm before it and 4 cm above the flange.
+    /// A camera in front of the hand that looks along the fingers, its lower edge towards them: the
+    /// hand is turned by -45 deg on the flange, the camera by 90 deg on the hand, 7 cm before it
+    /// and 4 cm above the flange.
     fn default() -> Self {
         let diagonal = 0.07 * std::f64::consts::FRAC_1_SQRT_2;
         Self {
@@ -39,47 +43,31 @@ impl HandEye {
     }
 }
 
-/// How the world differs from what controller and bridge were told; all zero where they were told the truth.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+/// How the world differs from what controller and bridge believe; all zero if it does not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Truth {
-    /// True focal lengths are larger by this share, -0.5 to 0.5.
+    /// True focal lengths are larger by this share.
+    #[schemars(range(min = -0.5, max = 0.5))]
     pub focal: f64,
-    /// The true principal point lies this far to the right and down, px, at most 100.
+    /// The true principal point lies this far to the right and down.
+    #[schemars(inner(range(min = -100, max = 100)), extend("x-unit" = "px"))]
     pub center_px: [f64; 2],
-    /// The true camera sits this far from where the calibration has it, m along the camera's axes, at most 0.2.
+    /// The true camera sits this far from where the calibration has it, along the camera's axes.
+    #[schemars(inner(range(min = -0.2, max = 0.2)), extend("x-unit" = "m"))]
     pub hand_eye_m: [f64; 3],
-    /// The true camera is turned by this rotation vector from where the calibration has it, deg about the camera's
-    /// axes, at most 30.
+    /// The true camera is turned by this rotation vector from where the calibration has it, about the camera's axes.
+    #[schemars(inner(range(min = -30, max = 30)), extend("x-unit" = "deg"))]
     pub hand_eye_deg: [f64; 3],
-    /// Pattern and distances are larger by this share than the controller believes, -0.5 to 1: an error of depth
-    /// alone, the images at the start are the same.
+    /// Pattern and distances are larger by this share: an error of depth alone, the images at the start are the same.
+    #[schemars(range(min = -0.5, max = 1))]
     pub depth: f64,
 }
 
 impl Truth {
-    /// Whether everybody was told the truth.
+    /// Whether the configuration is right.
     pub fn is_exact(&self) -> bool {
         *self == Self::default()
-    }
-
-    /// Every number with its range.
-    pub fn ranges(&self) -> [(&'static str, f64, f64, f64); 10] {
-        let [u, v] = self.center_px;
-        let [x, y, z] = self.hand_eye_m;
-        let [a, b, c] = self.hand_eye_deg;
-        [
-            ("truth.focal", self.focal, -0.5, 0.5),
-            ("truth.center_px", u, -100.0, 100.0),
-            ("truth.center_px", v, -100.0, 100.0),
-            ("truth.hand_eye_m", x, -0.2, 0.2),
-            ("truth.hand_eye_m", y, -0.2, 0.2),
-            ("truth.hand_eye_m", z, -0.2, 0.2),
-            ("truth.hand_eye_deg", a, -30.0, 30.0),
-            ("truth.hand_eye_deg", b, -30.0, 30.0),
-            ("truth.hand_eye_deg", c, -30.0, 30.0),
-            ("truth.depth", self.depth, -0.5, 1.0),
-        ]
     }
 
     /// Where the camera really sits.
@@ -120,7 +108,7 @@ impl Truth {
 mod tests {
     use super::*;
     use crate::camera::project;
-    use crate::pose::RigidPose;
+    use crate::pose::from_scene;
 
     fn robot_scene() -> Scene {
         Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
@@ -136,8 +124,8 @@ mod tests {
         let real = truth.scene(&believed);
         let starts = scene::parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
         for start in starts.iter().chain([&believed.goal]) {
-            let seen = project(&believed, &RigidPose::new(start)).unwrap();
-            let really = project(&real, &RigidPose::new(&truth.start(start))).unwrap();
+            let seen = project(&believed, &from_scene(start)).unwrap();
+            let really = project(&real, &from_scene(&truth.start(start))).unwrap();
             for (a, b) in seen.iter().flatten().zip(really.iter().flatten()) {
                 assert!((a - b).abs() < 1e-9);
             }

@@ -1,4 +1,5 @@
-//! The robot's referee: looks at every state from outside, and differentiates by itself what the robot desires.
+//! The robot's referee: sees every state from outside, and differentiates the desired positions by
+//! itself.
 
 use std::fmt;
 
@@ -6,10 +7,11 @@ use panda::limits::{JOINT, PERIOD, ROTATION, TRANSLATION};
 use panda::{Errors, JOINTS, Joints, Mode, State, Twist};
 use serde::Serialize;
 
-/// Room for rounding: positions of size 1 differentiated three times at 1 kHz carry up to 1e-16 / 1e-9.
+/// Room for rounding: positions of size 1 differentiated three times at 1 kHz carry up to 1e-16 /
+/// 1e-9.
 const ROUNDING: f64 = 1.0 + 1e-3;
 
-/// What an arm has done that it must not, and how near it came.
+/// Judges the robot by its limits, state by state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inspector {
     report: ArmReport,
@@ -30,7 +32,8 @@ pub struct Inspector {
 pub struct ArmReport {
     /// Times that the robot went into reflex.
     pub reflexes: u64,
-    /// Milliseconds in which a joint was out of its range, or a joint or the flange faster than allowed.
+    /// Milliseconds in which a joint was out of its range, or a joint or the flange faster than
+    /// allowed.
     pub limit_violations: u64,
     /// Milliseconds in which a joint or the flange accelerated or jerked more than allowed.
     pub discontinuities: u64,
@@ -82,7 +85,7 @@ impl Inspector {
         }
     }
 
-    /// What was seen so far.
+    /// The report so far.
     pub fn report(&self) -> &ArmReport {
         &self.report
     }
@@ -124,7 +127,8 @@ impl Inspector {
         let is_fast =
             speed.max(measured) > ROUNDING || over(&state.o_dp_ee_c, t.velocity, r.velocity);
         report.limit_violations += u64::from(is_fast || report.joint_room < 0.0);
-        // The end of a motion takes the command to zero; that the joints brake evenly is judged by the joints.
+        // The end of a motion takes the command to zero; that the joints brake evenly is judged by
+        // the joints.
         let is_commanded = state.robot_mode == Mode::Move;
         let is_rough = push > ROUNDING
             || snap > ROUNDING

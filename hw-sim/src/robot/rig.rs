@@ -1,22 +1,27 @@
-//! The whole cell in simulated time: arm, camera, sequence and referees, a millisecond at a time. Without clocks and
-//! ports: the process steps it, in real time or in lockstep, and so does the table.
+//! The whole cell in simulated time: arm, camera, sequence and referees, a millisecond at a time.
+//! It has neither clock nor port: the process steps it in real time or in lockstep, and the table
+//! in process.
 
-use panda::JOINTS;
+use ipc::RobotState;
+use panda::Mode;
 use scene::{Pose, Scene};
-use serde::{Deserialize, Serialize};
 
 use super::arm::{Arm, ArmError, ArmSettings};
 use super::inspector::ArmReport;
 use super::sequence::{Phase, Sequence, SequenceSettings, Situation};
+use super::state;
 use crate::camera::{Points, project};
-use crate::eye::{Eye, EyeError, EyeSettings, Shot};
-use crate::pose::RigidPose;
-use crate::referee::{Referee, Verdict};
+use crate::cell::{self, Cell, Exposed, Observation, Order};
+use crate::eye::{Eye, EyeError, EyeSettings};
+use crate::outcome::Outcome;
+use crate::progress::Progress;
+use crate::recording::ArmRecord;
+use crate::referee::End;
 
 /// Nanoseconds of a step.
 pub const STEP_NS: u64 = 1_000_000;
 
-/// What a cell is made of.
+/// Settings of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigSettings {
     /// The arm.
@@ -47,7 +52,7 @@ impl RigSettings {
     }
 }
 
-/// Why a cell cannot be, or cannot go on.
+/// A cell cannot be made, or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum RigError {
     /// The arm.
@@ -58,52 +63,6 @@ pub enum RigError {
     Eye(#[from] EyeError),
 }
 
-/// How a run ended.
-#[derive(Clone, Debug, PartialEq)]
-pub enum End {
-    /// The object is released and the robot has retreated.
-    Done,
-    /// The approach took too long.
-    TimeOut,
-    /// The referee of the image saw a violation, or the pattern out of sight.
-    Image(Verdict),
-    /// The robot stopped itself.
-    Reflex,
-}
-
-/// What an instant brought.
-#[derive(Clone, Debug, Default)]
-pub struct Instant {
-    /// A frame was exposed: what is true of it.
-    pub exposed: Option<Exposed>,
-    /// A frame was delivered.
-    pub shot: Option<Shot>,
-}
-
-/// What is true at an exposure.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Exposed {
-    /// True features, px.
-    pub points: Points,
-    /// Object in the camera frame.
-    pub object: RigidPose,
-}
-
-/// What the robot's side adds to a recorded frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ArmRecord {
-    /// Measured joint positions, rad.
-    pub q: [f64; JOINTS],
-    /// Measured joint velocities, rad/s.
-    pub dq: [f64; JOINTS],
-    /// What the sequence is about.
-    pub phase: Phase,
-    /// Mode of the robot.
-    pub mode: String,
-    /// Bit i: marker i was measured in the frame that was delivered last.
-    pub visible: u32,
-}
-
 /// The cell.
 #[derive(Debug)]
 pub struct Rig {
@@ -112,63 +71,38 @@ pub struct Rig {
     settings: RigSettings,
     arm: Arm,
     eye: Eye,
-    referee: Referee,
     sequence: Sequence,
+    progress: Progress,
     epoch_ns: u64,
     steps: u64,
-    frames: u64,
-    begun_ns: Option<u64>,
-    arrived_ns: Option<u64>,
-    error_px: f64,
     visible: u32,
     /// The newest frame, for the sequence.
     news: Option<Option<f64>>,
     grasped: Option<usize>,
-    limited: u64,
-    was_limited: bool,
-    end: Option<End>,
 }
 
 impl Rig {
-    /// A cell whose camera sees the object at `start`; time begins at `epoch_ns`.
+    /// A cell whose camera sees the object at `start`; time begins at 0.
     ///
     /// # Errors
     /// [`RigError`]: the start is out of reach, or a setting out of its range.
-    pub fn new(
-        scene: &Scene,
-        start: &Pose,
-        settings: &RigSettings,
-        epoch_ns: u64,
-    ) -> Result<Self, RigError> {
-        let truth = &settings.arm.truth;
-        let real = truth.scene(scene);
-        let grasped = |occlusion: &scene::Occlusion| occlusion.name.contains("grasped");
+    pub fn new(scene: &Scene, start: &Pose, settings: &RigSettings) -> Result<Self, RigError> {
+        let real = settings.arm.truth.scene(scene);
+        let is_grasped = |occlusion: &scene::Occlusion| occlusion.name.contains("grasped");
         Ok(Self {
             arm: Arm::new(scene, start, &settings.arm)?,
             eye: Eye::new(&real, scene, start, &settings.eye, settings.is_live)?,
-            referee: Referee::new(scene),
+            progress: Progress::new(scene),
             sequence: Sequence::new(settings.sequence),
-            grasped: scene.occlusions.iter().position(grasped),
+            grasped: scene.occlusions.iter().position(is_grasped),
             scene: scene.clone(),
             real,
             settings: *settings,
-            epoch_ns,
+            epoch_ns: 0,
             steps: 0,
-            frames: 0,
-            begun_ns: None,
-            arrived_ns: None,
-            error_px: f64::INFINITY,
             visible: 0,
             news: None,
-            limited: 0,
-            was_limited: false,
-            end: None,
         })
-    }
-
-    /// Lets time begin at this instant; nothing may have happened before.
-    pub fn set_epoch(&mut self, epoch_ns: u64) {
-        self.epoch_ns = epoch_ns;
     }
 
     /// The present instant, ns.
@@ -176,141 +110,12 @@ impl Rig {
         self.epoch_ns + self.steps * STEP_NS
     }
 
-    /// What the camera does now: exposes where a frame is due, delivers what has arrived. Call once an instant.
-    ///
-    /// # Errors
-    /// A picture could not be made.
-    pub fn look(&mut self) -> Result<Instant, RigError> {
-        let mut instant = Instant::default();
-        let now_ns = self.now_ns();
-        // Frame k is exposed in the millisecond nearest to k periods: 33 or 34 steps apart, exact in the long run.
-        let due = (1000.0 * self.frames as f64 / self.scene.camera.rate_hz).round() as u64;
-        if self.steps >= due {
-            self.frames += 1;
-            let object = self.arm.object();
-            self.eye.expose(&object, &self.arm.camera_twist(), now_ns)?;
-            match project(&self.real, &object) {
-                Ok(points) => {
-                    self.judge(&points);
-                    instant.exposed = Some(Exposed { points, object });
-                }
-                Err(_) => self.finish(End::Image(Verdict::LostSight)),
-            }
-        }
-        instant.shot = self.eye.deliver(now_ns)?;
-        if let Some(shot) = &instant.shot {
-            self.visible = shot.visible;
-            self.news = Some(shot.is_whole().then(|| self.referee.error(&shot.points)));
-        }
-        Ok(instant)
+    /// The present step of the task.
+    pub fn phase(&self) -> Phase {
+        self.sequence.phase()
     }
 
-    /// A command of the controller: camera velocity in the camera frame, to hold until `valid_until_ns`. It counts
-    /// while the sequence obeys the controller. `is_armed` is false where the controller says that it may not move.
-    pub fn command(&mut self, twist: &[f64; 6], valid_until_ns: u64, is_armed: bool) {
-        if is_armed && self.begun_ns.is_none() {
-            self.begun_ns = Some(self.now_ns());
-        }
-        if self.sequence.phase().obeys_controller() {
-            self.was_limited = self.arm.bridge().command(twist, valid_until_ns);
-            self.limited += u64::from(self.was_limited);
-        }
-    }
-
-    /// The next millisecond; gives the phase of the sequence that began in it.
-    pub fn advance(&mut self) -> Option<Phase> {
-        let now_ns = self.now_ns();
-        let begun = self.sequence.step(&Situation {
-            now_ns,
-            is_commanded: self.begun_ns.is_some(),
-            frame: self.news.take(),
-            is_at_rest: self.arm.is_at_rest(),
-        });
-        if let Some(twist) = self.sequence.twist() {
-            self.arm.bridge().command(&twist, now_ns + 2 * STEP_NS);
-        }
-        if begun == Some(Phase::Retreating)
-            && let Some(occlusion) = self.grasped
-        {
-            self.eye.show(occlusion, false);
-        }
-        self.arm.step(now_ns);
-        self.steps += 1;
-        if self.arm.is_in_reflex() {
-            self.finish(End::Reflex);
-        } else if self.sequence.phase() == Phase::Done && self.arm.is_at_rest() {
-            self.finish(End::Done);
-        } else if self.time_s() >= self.settings.time_limit_s + self.grace_s() {
-            self.finish(End::TimeOut);
-        }
-        begun
-    }
-
-    /// How the run ended, once it has.
-    pub fn end(&self) -> Option<&End> {
-        self.end.as_ref()
-    }
-
-    /// Seconds since the first command of an armed controller; 0 before.
-    pub fn time_s(&self) -> f64 {
-        self.begun_ns
-            .map_or(0.0, |begun| (self.now_ns() - begun) as f64 * 1e-9)
-    }
-
-    /// Seconds from the beginning until the referee first saw the features at the goal.
-    pub fn arrived_s(&self) -> Option<f64> {
-        let (begun, arrived) = (self.begun_ns?, self.arrived_ns?);
-        Some(arrived.saturating_sub(begun) as f64 * 1e-9)
-    }
-
-    /// Frames exposed so far.
-    pub fn frames(&self) -> u64 {
-        self.frames
-    }
-
-    /// Commands that were outside the limits.
-    pub fn limited(&self) -> u64 {
-        self.limited
-    }
-
-    /// Whether the last command was outside the limits.
-    pub fn was_limited(&self) -> bool {
-        self.was_limited
-    }
-
-    /// Largest component of the true s - s*, px, at the last exposure.
-    pub fn error_px(&self) -> f64 {
-        self.error_px
-    }
-
-    /// The sequence.
-    pub fn sequence(&self) -> &Sequence {
-        &self.sequence
-    }
-
-    /// The arm.
-    pub fn arm(&self) -> &Arm {
-        &self.arm
-    }
-
-    /// Whether no valid command moves the robot: the controller's is stale.
-    pub fn is_stale(&mut self) -> bool {
-        let now_ns = self.now_ns();
-        self.sequence.phase().obeys_controller() && self.arm.bridge().is_stale(now_ns)
-    }
-
-    /// The camera velocity that the bridge aims at.
-    pub fn aimed(&mut self) -> [f64; 6] {
-        let now_ns = self.now_ns();
-        self.arm.bridge().aimed(now_ns)
-    }
-
-    /// The referee of the image.
-    pub fn referee(&self) -> &Referee {
-        &self.referee
-    }
-
-    /// What the referee of the robot reports.
+    /// The report of the robot's referee.
     pub fn report(&self) -> &ArmReport {
         self.arm.inspector().report()
     }
@@ -321,33 +126,154 @@ impl Rig {
         ArmRecord {
             q: state.q.into(),
             dq: state.dq.into(),
-            phase: self.sequence.phase(),
+            phase: self.phase(),
             mode: state.robot_mode.name().to_owned(),
             visible: self.visible,
         }
     }
 
-    /// What a run that arrived in time may take longer for the rest of the sequence, s.
-    fn grace_s(&self) -> f64 {
-        if self.arrived_ns.is_some() { 15.0 } else { 0.0 }
-    }
-
     fn judge(&mut self, points: &Points) {
-        self.error_px = self.referee.error(points);
-        if !self.sequence.phase().obeys_controller() {
-            return;
+        if !self.phase().obeys_controller() {
+            self.progress.error_px = self.progress.referee.error(points);
+        } else if let Some(end @ End::Violation(_)) = self.progress.judge(points) {
+            self.progress.finish(end);
         }
-        match self.referee.judge(points, 0.0) {
-            Verdict::Running | Verdict::TimeOut => {}
-            Verdict::Arrived => {
-                let now_ns = self.now_ns();
-                self.arrived_ns.get_or_insert(now_ns);
-            }
-            verdict => self.finish(End::Image(verdict)),
+    }
+}
+
+impl Cell for Rig {
+    fn begin(&mut self, epoch_ns: u64) {
+        self.epoch_ns = epoch_ns;
+    }
+
+    fn due_ns(&self) -> u64 {
+        self.now_ns()
+    }
+
+    /// The command counts while the sequence obeys the controller.
+    fn obey(&mut self, order: &Order) {
+        if order.is_armed {
+            self.progress.begin(self.now_ns());
+        }
+        if self.phase().obeys_controller() {
+            let limited = self.arm.bridge.command(&order.twist, order.until_ns);
+            self.progress.limited += u64::from(limited);
         }
     }
 
-    fn finish(&mut self, end: End) {
-        self.end.get_or_insert(end);
+    fn look(&mut self, _now_ns: u64) -> Result<Observation, EyeError> {
+        let mut seen = Observation::default();
+        let now_ns = self.now_ns();
+        // Frame k is exposed in the millisecond nearest to k periods: 33 or 34 steps apart, exact
+        // in the long run.
+        let frames = self.progress.frames;
+        let due = (1000.0 * frames as f64 / self.scene.camera.rate_hz).round() as u64;
+        if self.steps >= due {
+            self.progress.frames += 1;
+            let object = self.arm.object();
+            self.eye.expose(&object, &self.arm.camera_twist(), now_ns)?;
+            match project(&self.real, &object) {
+                Ok(points) => {
+                    self.judge(&points);
+                    seen.exposed = Some(Exposed { points, object });
+                }
+                Err(_) => self.progress.finish(End::LostSight),
+            }
+        }
+        seen.shot = self.eye.deliver(now_ns)?;
+        if let Some(shot) = &seen.shot {
+            self.visible = shot.visible;
+            let error = self.progress.referee.error(&shot.points);
+            self.news = Some(shot.is_whole().then_some(error));
+        }
+        Ok(seen)
+    }
+
+    fn advance(&mut self) {
+        let now_ns = self.now_ns();
+        let begun = self.sequence.step(&Situation {
+            now_ns,
+            is_commanded: self.progress.has_begun(),
+            frame: self.news.take(),
+            is_at_rest: self.arm.is_at_rest(),
+        });
+        if let Some(twist) = self.sequence.twist() {
+            self.arm.bridge.move_by_itself(&twist, now_ns + 2 * STEP_NS);
+        }
+        if let (Some(Phase::Retreating), Some(occlusion)) = (begun, self.grasped) {
+            self.eye.show(occlusion, false);
+        }
+        self.arm.step(now_ns);
+        self.steps += 1;
+        self.progress.tick(self.now_ns());
+        // What a run that arrived in time may take longer for the rest of the sequence.
+        let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0);
+        if self.arm.state().robot_mode == Mode::Reflex {
+            self.progress.finish(End::Reflex);
+        } else if self.sequence.phase() == Phase::Done && self.arm.is_at_rest() {
+            self.progress.finish(End::Arrived);
+        } else if self.progress.time_s >= self.settings.time_limit_s + grace_s {
+            self.progress.finish(End::TimeOut);
+        }
+    }
+
+    fn progress(&mut self) -> &mut Progress {
+        &mut self.progress
+    }
+
+    fn aimed(&self) -> [f64; 6] {
+        self.arm.bridge.standing().twist_at(self.now_ns())
+    }
+
+    fn is_stale(&self) -> bool {
+        self.phase().obeys_controller() && self.arm.bridge.standing().is_stale(self.now_ns())
+    }
+
+    fn state(&self) -> RobotState {
+        let (object, limited) = (self.arm.object(), self.arm.bridge.standing().was_limited());
+        let now_ns = self.now_ns();
+        let mut state = cell::state(&self.progress, &object, now_ns, self.is_stale(), limited);
+        state.twist = self.arm.camera_twist();
+        state::add_arm(&mut state, self.arm.state(), self.phase());
+        state
+    }
+
+    fn arm(&self) -> Option<ArmRecord> {
+        Some(self.record())
+    }
+
+    fn complete(&self, outcome: &mut Outcome) {
+        if outcome.verdict == "arrived" && !self.report().is_clean() {
+            outcome.verdict = "arm_violation";
+        }
+        outcome.step = Some(self.phase().name());
+        outcome.arrived_s = self.progress.arrived_s;
+        outcome.arm = Some(self.report().clone());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_robot_backs_away_from_the_goal_by_as_much_as_it_is_told() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let settings = RigSettings::new(&scene);
+        let mut rig = Rig::new(&scene, &scene.goal, &settings).unwrap();
+        rig.obey(&Order {
+            twist: [0.0; 6],
+            sent_ns: 0,
+            until_ns: u64::MAX,
+            is_armed: true,
+        });
+        for ms in 0..6000 {
+            rig.look(ms * STEP_NS).unwrap();
+            rig.advance();
+        }
+        assert_eq!(rig.progress().end, Some(End::Arrived));
+        let away = rig.arm.object().translation.z - scene.goal.translation[2];
+        assert!((away - settings.sequence.retreat_m).abs() < 1e-3, "{away}");
+        assert!(rig.report().is_clean());
     }
 }

@@ -1,9 +1,9 @@
-//! The task around the servoing: approach, settle, release the object, retreat. On the robot's side, because gripper
-//! and retreat are the robot's business; the controller only ever sees features.
+//! The task around the servoing: approach, settle, release the object, retreat. It runs on the
+//! robot's side: the controller only ever sees features.
 
 use serde::{Deserialize, Serialize};
 
-/// What the robot's side is about.
+/// A step of the task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
@@ -68,15 +68,15 @@ impl SequenceSettings {
     }
 }
 
-/// What the robot's side knows in a millisecond.
+/// The robot's side in one millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Situation {
     /// The time, ns.
     pub now_ns: u64,
     /// Whether an armed controller commands.
     pub is_commanded: bool,
-    /// A frame that was delivered just now: the largest component of s - s* in px, `None` within where not all markers
-    /// were seen.
+    /// A frame that was delivered just now: the largest component of s - s* in px, `None` within
+    /// where not all markers were seen.
     pub frame: Option<Option<f64>>,
     /// Whether the robot stands.
     pub is_at_rest: bool,
@@ -109,22 +109,13 @@ impl Sequence {
         }
     }
 
-    /// What it is about.
+    /// The present step of the task.
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Since when, ns.
-    pub fn since_ns(&self) -> u64 {
-        self.since_ns
-    }
-
-    /// Whether the gripper no longer holds the object.
-    pub fn is_released(&self) -> bool {
-        matches!(self.phase, Phase::Retreating | Phase::Done)
-    }
-
-    /// The camera velocity that the sequence itself wants, camera frame; `None` where the controller is obeyed.
+    /// The camera velocity that the sequence itself wants, camera frame; `None` where the
+    /// controller is obeyed.
     pub fn twist(&self) -> Option<[f64; 6]> {
         match self.phase {
             Phase::Retreating => Some([0.0, 0.0, -self.settings.retreat_speed, 0.0, 0.0, 0.0]),
@@ -133,7 +124,7 @@ impl Sequence {
         }
     }
 
-    /// One millisecond; gives the phase that begins, if one does.
+    /// One millisecond; returns the phase that begins in it, if one does.
     pub fn step(&mut self, situation: &Situation) -> Option<Phase> {
         let next = self.next(situation);
         if next == self.phase {
@@ -243,7 +234,6 @@ mod tests {
         assert_eq!(sequence.phase(), Phase::Approach);
         frames(&mut sequence, 100, 560, Some(3.0));
         assert_eq!(sequence.phase(), Phase::Settling);
-        assert!(!sequence.is_released());
         assert_eq!(settled().phase(), Phase::Releasing);
     }
 
@@ -280,7 +270,6 @@ mod tests {
         assert_eq!(sequence.step(&at(2001, true)), None);
         assert_eq!(sequence.step(&at(2500, true)), None);
         assert_eq!(sequence.step(&at(2501, true)), Some(Phase::Retreating));
-        assert!(sequence.is_released());
         assert_eq!(sequence.twist(), Some([0.0, 0.0, -0.02, 0.0, 0.0, 0.0]));
         assert_eq!(sequence.step(&at(4500, false)), None);
         assert_eq!(sequence.step(&at(4502, false)), Some(Phase::Done));

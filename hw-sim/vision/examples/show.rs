@@ -3,8 +3,8 @@
 //! ```sh
 //! cargo run --release -p vision --example show -- /tmp/frame.png 0
 //! ```
-//! The second argument is the row of `paper-robot-starts.csv`, or six numbers tx ty tz (m) rx ry rz (rad). Crosses: green
-//! where a marker is visible, red where it is believed to be.
+//! The second argument is the row of `paper-robot-starts.csv`, or six numbers tx ty tz (m) rx ry rz
+//! (rad). Crosses: green where a marker is visible, red where it is believed to be.
 
 use std::error::Error;
 use std::fs::File;

@@ -1,8 +1,8 @@
 //! Which disc is which marker, from the arrangement of the pattern alone.
 //!
-//! Discs look alike. An assignment is possible where it turns the pattern by less than `turn_max` against the
-//! reference, does not mirror it, and does not squeeze it more than a tilted view could. It is taken only where it is
-//! the only one.
+//! Discs look alike. An assignment is possible where it turns the pattern by less than `turn_max`
+//! against the reference, does not mirror it, and does not squeeze it more than a tilted view
+//! could. It is taken only where it is the only one.
 
 use scene::MAX_POINTS;
 
@@ -21,7 +21,7 @@ pub(crate) type Assignment = [Option<usize>; MAX_POINTS];
 
 /// The turn of an affine view, rad, and the ratio of its singular values; none where it mirrors.
 pub(crate) fn view(map: &Homography) -> Option<(f64, f64)> {
-    let [[a, b, _], [c, d, _], _] = map.0;
+    let [a, b, c, d] = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|at| map.0[at]);
     let determinant = a * d - b * c;
     if determinant <= 0.0 {
         return None;
@@ -38,8 +38,8 @@ pub(crate) fn turn_between(a: f64, b: f64) -> f64 {
     turn.min(std::f64::consts::TAU - turn)
 }
 
-/// The only possible assignment of discs to the points of a pattern, from three discs on; none where there is none or
-/// more than one. `reference` is the turn to measure from, rad.
+/// The only possible assignment of discs to the points of a pattern, from three discs on; none
+/// where there is none or more than one. `reference` is the turn to measure from, rad.
 pub(crate) fn assign(
     discs: &Discs,
     pattern: &[Point],

@@ -1,5 +1,6 @@
 //! Where each marker is to be seen: the pattern, and the map from its plane to the image.
 
+use nalgebra::{Matrix3, Vector2};
 use scene::{MAX_POINTS, Scene};
 
 use crate::assignment::{SQUEEZE_TRACKED, view};
@@ -62,7 +63,7 @@ impl Chart {
 
     /// Shifts all markers in the image, px.
     pub fn shift(&mut self, [u, v]: Point) {
-        let shift = Homography([[1.0, 0.0, u], [0.0, 1.0, v], [0.0, 0.0, 1.0]]);
+        let shift = Homography(Matrix3::new_translation(&Vector2::new(u, v)));
         self.map = self.map.then(&shift);
     }
 
@@ -89,8 +90,8 @@ impl Chart {
         self.fits_under(&self.map, marker, radius)
     }
 
-    /// The map through pairs that were found anew; none where the radii of the discs (px; none where a marker was not
-    /// found) do not fit it.
+    /// The map through pairs that were found anew; none where the radii of the discs (px; none
+    /// where a marker was not found) do not fit it.
     pub fn anew(
         &self,
         pairs: &Pairs,
@@ -103,7 +104,8 @@ impl Chart {
             .then_some(map)
     }
 
-    /// Brings the map into line with the markers that are visible; false where they do not look like the pattern.
+    /// Brings the map into line with the markers that are visible; false where they do not look
+    /// like the pattern.
     pub fn follow(&mut self, pairs: &Pairs) -> bool {
         if pairs.len() >= 3 {
             let seen = Homography::affine(pairs).map(|map| view(&map));
@@ -125,8 +127,8 @@ impl Chart {
         true
     }
 
-    /// From the centroid of a marker's ellipse to the image of the disc's centre, px: seen at a slant, the near half of
-    /// a disc is larger.
+    /// From the centroid of a marker's ellipse to the image of the disc's centre, px: seen at a
+    /// slant, the near half of a disc is larger.
     pub fn slant(&self, marker: usize) -> Option<Point> {
         let point = self.pattern[marker];
         let (center, ellipse) = (self.map.apply(point)?, self.map.disc(point, self.radius)?);

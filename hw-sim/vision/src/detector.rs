@@ -4,18 +4,27 @@ use scene::{Camera, MAX_POINTS, Pose, Scene};
 
 use crate::assignment::assign;
 use crate::chart::{Chart, Pairs};
-use crate::criteria::{DetectorError, DetectorSettings, Polarity};
-use crate::disc::{Disc, Rules};
+use crate::criteria::{DetectorError, DetectorSettings};
+use crate::disc::Disc;
 use crate::homography::{Homography, Point};
 use crate::image::Image;
 use crate::search::{near, whole_frame};
+
+/// How far a marker may be from its prediction, px.
+const GATE_PX: f64 = 25.0;
+/// How far the pattern may be turned against the last known arrangement when all markers were lost,
+/// rad. A pattern that looks the same after a half turn needs less than pi/2.
+const TURN_MAX: f64 = 1.4;
+/// Frames without two visible markers after which predictions are given up.
+const PATIENCE: u32 = 5;
 
 /// A marker in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     /// It was measured in this frame, all of it.
     pub visible: bool,
-    /// Where its centre is seen, px; where it is not visible, where it is believed to be: finite, not to be relied upon.
+    /// Where its centre is seen, px; where it is not visible, where it is believed to be: finite,
+    /// not to be relied upon.
     pub pixel: [f64; 2],
 }
 
@@ -25,9 +34,9 @@ pub type Sightings = heapless::Vec<Sighting, MAX_POINTS>;
 /// Finds the markers in frame after frame. Detection allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Detector {
-    settings: DetectorSettings,
     camera: Camera,
-    rules: Rules,
+    /// Least and greatest mean radius of a disc, px.
+    radius_px: [f64; 2],
     chart: Chart,
     /// Predictions may be trusted.
     tracking: bool,
@@ -35,39 +44,28 @@ pub struct Detector {
     blind: u32,
     /// Shift of all markers between the last two frames, px.
     drift: Point,
-    /// Signed levels of discs and background, as last seen.
+    /// Levels of discs and background, as last seen.
     levels: [f64; 2],
     sightings: Sightings,
 }
 
 impl Detector {
-    /// A detector of the pattern of a scene. Until [`Detector::expect`] says otherwise it takes the pattern to be turned
-    /// as at the scene's goal, give or take `turn_max`.
+    /// A detector of the pattern of a scene. Until [`Detector::expect`] says otherwise it takes the
+    /// pattern to be turned as at the scene's goal, give or take 80 deg.
     ///
     /// # Errors
     /// [`DetectorError::Value`] where a setting is out of its range.
     pub fn new(scene: &Scene, settings: &DetectorSettings) -> Result<Self, DetectorError> {
         settings.check()?;
-        let sign = match settings.polarity {
-            Polarity::Bright => 1.0,
-            Polarity::Dark => -1.0,
-        };
-        let rules = Rules {
-            sign,
-            radius: settings.radius_px,
-            contrast: settings.contrast,
-            rim: settings.rim_px,
-        };
         let camera = scene.camera;
         let center = Sighting {
             visible: false,
             pixel: [camera.cx, camera.cy],
         };
         let mut detector = Self {
-            settings: *settings,
             camera,
             sightings: scene.pattern.iter().map(|_| center).collect(),
-            rules,
+            radius_px: settings.radius_px,
             chart: Chart::new(scene, settings.marker_radius_m),
             tracking: false,
             blind: 0,
@@ -78,8 +76,9 @@ impl Detector {
         Ok(detector)
     }
 
-    /// Forgets all markers; the next frame is searched as a whole, for a pattern turned about as at `pose` (object in the
-    /// camera frame). Call it at the start of a run, and where the camera may have been moved meanwhile.
+    /// Forgets all markers; the next frame is searched as a whole, for a pattern turned about as at
+    /// `pose` (object in the camera frame). Call it at the start of a run, and where the camera may
+    /// have been moved meanwhile.
     pub fn expect(&mut self, pose: &Pose) {
         self.tracking = false;
         self.blind = 0;
@@ -110,7 +109,8 @@ impl Detector {
         &self.sightings
     }
 
-    /// Bit i is set where marker i was visible in the last frame: `Features::visible` of the contract.
+    /// Bit i is set where marker i was visible in the last frame: `Features::visible` of the
+    /// contract.
     pub fn visible(&self) -> u32 {
         let bits = self.sightings.iter().enumerate();
         bits.map(|(i, marker)| u32::from(marker.visible) << i).sum()
@@ -151,7 +151,7 @@ impl Detector {
         if known == 0 {
             self.chart.shift(self.drift);
         }
-        if self.blind > self.settings.patience {
+        if self.blind > PATIENCE {
             return false;
         }
         self.predict_hidden();
@@ -176,9 +176,9 @@ impl Detector {
     fn acquire(&mut self, image: &Image) {
         self.predict();
         self.tracking = false;
-        let discs = whole_frame(image, &self.rules);
+        let discs = whole_frame(image, self.radius_px);
         let (pattern, turn) = (self.chart.pattern(), self.chart.turn());
-        let Some(assignment) = assign(&discs, pattern, turn, self.settings.turn_max) else {
+        let Some(assignment) = assign(&discs, pattern, turn, TURN_MAX) else {
             return;
         };
         for (i, disc) in assignment.iter().enumerate() {
@@ -202,9 +202,9 @@ impl Detector {
     /// The disc of a marker near a prediction.
     fn find(&self, image: &Image, marker: usize, prediction: Point) -> Option<Disc> {
         // Never as far as the next marker.
-        let gate = self.settings.gate_px.min(0.4 * self.chart.spacing(marker)?);
+        let gate = GATE_PX.min(0.4 * self.chart.spacing(marker)?);
         let radius = self.chart.radius(marker)?;
-        let disc = near(image, prediction, gate, self.levels, radius, &self.rules)?;
+        let disc = near(image, prediction, gate, self.levels, radius, self.radius_px)?;
         self.chart.fits(marker, disc.radius).then_some(disc)
     }
 
@@ -216,7 +216,8 @@ impl Detector {
         self.levels = disc.levels;
     }
 
-    /// Brings the chart into line with the markers that are visible; false where they do not look like the pattern.
+    /// Brings the chart into line with the markers that are visible; false where they do not look
+    /// like the pattern.
     fn fit(&mut self) -> bool {
         let pairs = self.pairs();
         self.chart.follow(&pairs)
@@ -304,7 +305,8 @@ mod tests {
         pose.translation[1] = -0.05;
         pose.rotation[2] = 3.0;
         detector.detect(renderer.render(&pose)).unwrap();
-        // It looks the same as one turned by 3.0 - pi, and is taken for it: the caller has to say what to expect.
+        // It looks the same as one turned by 3.0 - pi, and is taken for it: the caller has to say
+        // what to expect.
         assert!(seen(&scene, &pose, &detector).0 > 100.0);
         detector.expect(&pose);
         detector.detect(renderer.render(&pose)).unwrap();
@@ -322,26 +324,6 @@ mod tests {
         let mut renderer = Renderer::new(&scene, &look).unwrap();
         detector.detect(renderer.render(&scene.goal)).unwrap();
         assert_eq!(detector.visible(), 0);
-    }
-
-    #[test]
-    fn dark_markers_are_found_where_dark_ones_are_wanted() {
-        let (scene, ..) = robot();
-        let look = Look {
-            marker_level: 20.0,
-            box_level: 200.0,
-            table_level: 150.0,
-            ..Look::default()
-        };
-        let settings = DetectorSettings {
-            polarity: Polarity::Dark,
-            ..DetectorSettings::default()
-        };
-        let mut detector = Detector::new(&scene, &settings).unwrap();
-        let mut renderer = Renderer::new(&scene, &look).unwrap();
-        detector.detect(renderer.render(&scene.goal)).unwrap();
-        let (error, bits) = seen(&scene, &scene.goal, &detector);
-        assert!(error < 0.1 && bits == 0b1111, "{error} {bits:b}");
     }
 
     #[test]

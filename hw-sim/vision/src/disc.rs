@@ -23,18 +23,11 @@ static DIRECTIONS: LazyLock<[[f64; 4]; RAYS]> = LazyLock::new(|| {
 /// How far outside the rim the background is taken, px.
 const RING: f64 = 3.0;
 
-/// What a disc must be like.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Rules {
-    /// +1 for bright discs, -1 for dark ones.
-    pub sign: f64,
-    /// Least and greatest mean radius, px.
-    pub radius: [f64; 2],
-    /// Least contrast, levels.
-    pub contrast: f64,
-    /// Greatest distance of the rim from an ellipse, px.
-    pub rim: f64,
-}
+/// Least contrast of a disc to its background, levels.
+pub(crate) const CONTRAST: f64 = 50.0;
+/// Greatest distance of the rim of a whole disc from an ellipse, px. Smaller refuses discs that are
+/// barely touched by an occlusion, larger bears more noise.
+const RIM_PX: f64 = 0.3;
 
 /// A disc that is seen whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +36,7 @@ pub(crate) struct Disc {
     pub center: Point,
     /// Mean radius, px.
     pub radius: f64,
-    /// Signed level of the disc, and of the background about it.
+    /// Level of the disc, and of the background about it.
     pub levels: [f64; 2],
 }
 
@@ -98,83 +91,69 @@ impl Shape {
     }
 }
 
-/// An image whose discs are bright.
-struct Signed<'a> {
-    image: &'a Image,
-    sign: f64,
+/// The level on a ray from a centre.
+fn on_ray(image: &Image, center: Point, ray: usize, radius: f64) -> Option<f64> {
+    let [cos, sin, ..] = DIRECTIONS[ray];
+    image.level(center[0] + radius * cos, center[1] + radius * sin)
 }
 
-impl Signed<'_> {
-    fn level(&self, u: f64, v: f64) -> Option<f64> {
-        self.image.level(u, v).map(|level| self.sign * level)
+/// Mean of 3 x 3 pixels.
+fn smooth(image: &Image, [u, v]: Point) -> Option<f64> {
+    let mut sum = 0.0;
+    for k in 0..9 {
+        sum += image.level(u + f64::from(k % 3) - 1.0, v + f64::from(k / 3) - 1.0)?;
     }
-
-    /// The level on a ray from a centre.
-    fn on_ray(&self, center: Point, ray: usize, radius: f64) -> Option<f64> {
-        let [cos, sin, ..] = DIRECTIONS[ray];
-        self.level(center[0] + radius * cos, center[1] + radius * sin)
-    }
-
-    /// Mean of 3 x 3 pixels.
-    fn smooth(&self, at: Point) -> Option<f64> {
-        let mut sum = 0.0;
-        for k in 0..9 {
-            sum += self.level(
-                at[0] + f64::from(k % 3) - 1.0,
-                at[1] + f64::from(k / 3) - 1.0,
-            )?;
-        }
-        Some(sum / 9.0)
-    }
-
-    /// The median of levels on every ray at a share of the shape's radius, and px beyond.
-    fn median(&self, center: Point, shape: &Shape, share: f64, beyond: f64) -> Option<f64> {
-        let mut levels = [0.0; RAYS];
-        for (ray, level) in levels.iter_mut().enumerate() {
-            *level = self.on_ray(center, ray, share * shape.radius(ray) + beyond)?;
-        }
-        levels.sort_unstable_by(f64::total_cmp);
-        Some(0.5 * (levels[RAYS / 2 - 1] + levels[RAYS / 2]))
-    }
+    Some(sum / 9.0)
 }
 
-/// Measures the disc around a seed pixel that `threshold` (signed level) separates from the background.
+/// The median of levels on every ray at a share of the shape's radius, and px beyond.
+fn median(image: &Image, center: Point, shape: &Shape, share: f64, beyond: f64) -> Option<f64> {
+    let mut levels = [0.0; RAYS];
+    for (ray, level) in levels.iter_mut().enumerate() {
+        *level = on_ray(image, center, ray, share * shape.radius(ray) + beyond)?;
+    }
+    levels.sort_unstable_by(f64::total_cmp);
+    Some(0.5 * (levels[RAYS / 2 - 1] + levels[RAYS / 2]))
+}
+
+/// Measures the disc around a seed pixel that `threshold` separates from the background.
 /// None where there is no disc, or not all of one.
-pub(crate) fn measure(image: &Image, seed: Point, threshold: f64, rules: &Rules) -> Option<Disc> {
-    let image = Signed {
-        image,
-        sign: rules.sign,
-    };
-    let (center, radius) = rough(&image, seed, threshold, rules)?;
+pub(crate) fn measure(
+    image: &Image,
+    seed: Point,
+    threshold: f64,
+    radius_px: [f64; 2],
+) -> Option<Disc> {
+    let (center, radius) = rough(image, seed, threshold, radius_px)?;
     let mut shape = Shape::circle(radius);
     let mut center = center;
     let mut levels = [
-        image.median(center, &shape, 0.5, 0.0)?,
-        image.median(center, &shape, 1.0, RING)?,
+        median(image, center, &shape, 0.5, 0.0)?,
+        median(image, center, &shape, 1.0, RING)?,
     ];
     // First the rim's centre, then the centroid of the pixels within the rim.
-    let radii = rim(&image, center, &shape, levels, rules)?;
+    let radii = rim(image, center, &shape, levels, radius_px)?;
     center = rim_center(center, &radii);
-    shape = Shape::through(&rim(&image, center, &shape, levels, rules)?);
+    shape = Shape::through(&rim(image, center, &shape, levels, radius_px)?);
     levels = [
-        image.median(center, &shape, 0.6, 0.0)?,
-        image.median(center, &shape, 1.0, RING)?,
+        median(image, center, &shape, 0.6, 0.0)?,
+        median(image, center, &shape, 1.0, RING)?,
     ];
-    if levels[0] - levels[1] < rules.contrast {
+    if levels[0] - levels[1] < CONTRAST {
         return None;
     }
-    let (centroid, area, holes) = centroid(&image, center, &shape, levels)?;
-    let radii = rim(&image, centroid, &shape, levels, rules)?;
+    let (centroid, area, holes) = centroid(image, center, &shape, levels)?;
+    let radii = rim(image, centroid, &shape, levels, radius_px)?;
     let shape = Shape::through(&radii);
     let [minor, major] = shape.axes();
     let radius = (minor * major).sqrt();
-    let whole = (rules.radius[0]..=rules.radius[1]).contains(&radius)
+    let whole = (radius_px[0]..=radius_px[1]).contains(&radius)
         && minor > 0.5 * major
         && holes < 0.02
         && (area / (PI * minor * major) - 1.0).abs() < 0.03 + 0.3 / radius
-        && (0..RAYS).all(|ray| (radii[ray] - shape.radius(ray)).abs() < rules.rim)
-        && distance(rim_center(centroid, &radii), centroid) < 0.5 * rules.rim
-        && clear(&image, centroid, &shape, levels);
+        && (0..RAYS).all(|ray| (radii[ray] - shape.radius(ray)).abs() < RIM_PX)
+        && distance(rim_center(centroid, &radii), centroid) < 0.5 * RIM_PX
+        && clear(image, centroid, &shape, levels);
     whole.then_some(Disc {
         center: centroid,
         radius,
@@ -182,13 +161,14 @@ pub(crate) fn measure(image: &Image, seed: Point, threshold: f64, rules: &Rules)
     })
 }
 
-/// Centre and radius by where the level falls below the threshold, right and left, down and up; twice.
-fn rough(image: &Signed, seed: Point, threshold: f64, rules: &Rules) -> Option<(Point, f64)> {
+/// Centre and radius by where the level falls below the threshold, right and left, down and up;
+/// twice.
+fn rough(image: &Image, seed: Point, threshold: f64, radius_px: [f64; 2]) -> Option<(Point, f64)> {
     // Specks of noise are not worth a look.
-    if image.smooth(seed)? < threshold + 0.2 * rules.contrast {
+    if smooth(image, seed)? < threshold + 0.2 * CONTRAST {
         return None;
     }
-    let reach = 2.0 * rules.radius[1] + 2.0;
+    let reach = 2.0 * radius_px[1] + 2.0;
     let mut center = seed;
     let mut radius = [0.0; 2];
     for pass in 0..4 {
@@ -210,17 +190,18 @@ fn rough(image: &Signed, seed: Point, threshold: f64, rules: &Rules) -> Option<(
         radius[axis] = 0.5 * (upper - lower - 1.0);
     }
     let mean = (radius[0] * radius[1]).max(1.0).sqrt();
-    let plausible = mean > 0.6 * rules.radius[0] && mean < 1.4 * rules.radius[1];
+    let plausible = mean > 0.6 * radius_px[0] && mean < 1.4 * radius_px[1];
     plausible.then_some((center, mean))
 }
 
-/// The radius on each ray where the level falls to the half; none where it does not, or not sharply.
+/// The radius on each ray where the level falls to the half; none where it does not, or not
+/// sharply.
 fn rim(
-    image: &Signed,
+    image: &Image,
     center: Point,
     shape: &Shape,
     levels: [f64; 2],
-    rules: &Rules,
+    radius_px: [f64; 2],
 ) -> Option<[f64; RAYS]> {
     const STEP: f64 = 0.5;
     /// The fall from 80 % to 20 % of the contrast takes at most this, px.
@@ -233,16 +214,16 @@ fn rim(
         let mut r = 0.6 * about - 0.5;
         let end = 1.6 * about + 3.0;
         let (mut fell, mut crossed) = (None, None);
-        let mut before = image.on_ray(center, ray, r)?;
+        let mut before = on_ray(image, center, ray, r)?;
         if before < high {
             return None;
         }
         loop {
             r += STEP;
-            if r > end || r > 2.0 * rules.radius[1] {
+            if r > end || r > 2.0 * radius_px[1] {
                 return None;
             }
-            let level = image.on_ray(center, ray, r)?;
+            let level = on_ray(image, center, ray, r)?;
             if level < high && fell.is_none() {
                 fell = Some(r);
             }
@@ -273,10 +254,10 @@ fn rim_center(center: Point, radii: &[f64; RAYS]) -> Point {
     [center[0] + shift[0], center[1] + shift[1]]
 }
 
-/// Centroid and area of the pixels by their share of the contrast, cut off below 15 % and above 85 % so that
-/// neither texture nor noise counts; and the share of the inner pixels that are missing.
+/// Centroid and area of the pixels by their share of the contrast, cut off below 15 % and above 85
+/// % so that neither texture nor noise counts; and the share of the inner pixels that are missing.
 fn centroid(
-    image: &Signed,
+    image: &Image,
     center: Point,
     shape: &Shape,
     levels: [f64; 2],
@@ -286,7 +267,7 @@ fn centroid(
     let beyond = (1.0 + 2.0 / minor).powi(2);
     let within = (1.0 - 2.0 / minor).max(0.0).powi(2);
     let [from, to] = [center.map(|x| x - reach), center.map(|x| x + reach)];
-    let sides = [image.image.width(), image.image.height()];
+    let sides = [image.width(), image.height()];
     if (0..2).any(|k| from[k] < 0.0 || to[k] > (sides[k] - 1) as f64) {
         return None;
     }
@@ -303,7 +284,7 @@ fn centroid(
             if square > beyond {
                 continue;
             }
-            let level = image.sign * f64::from(image.image.at(u, v));
+            let level = f64::from(image.at(u, v));
             let weight = ((level - floor) / span).clamp(0.0, 1.0);
             sum += weight;
             sums = [sums[0] + weight * x, sums[1] + weight * y];
@@ -320,14 +301,12 @@ fn centroid(
 }
 
 /// Whether disc and background have one level all around.
-fn clear(image: &Signed, center: Point, shape: &Shape, levels: [f64; 2]) -> bool {
+fn clear(image: &Image, center: Point, shape: &Shape, levels: [f64; 2]) -> bool {
     let contrast = levels[0] - levels[1];
     (0..RAYS).all(|ray| {
         let radius = shape.radius(ray);
         let near = |r: f64, level: f64, share: f64| {
-            image
-                .on_ray(center, ray, r)
-                .is_some_and(|x| (x - level).abs() < share * contrast)
+            on_ray(image, center, ray, r).is_some_and(|x| (x - level).abs() < share * contrast)
         };
         near(0.6 * radius, levels[0], 0.3) && near(radius + RING, levels[1], 0.6)
     })
@@ -337,14 +316,10 @@ fn clear(image: &Signed, center: Point, shape: &Shape, levels: [f64; 2]) -> bool
 mod tests {
     use super::*;
 
-    const RULES: Rules = Rules {
-        sign: 1.0,
-        radius: [4.0, 24.0],
-        contrast: 40.0,
-        rim: 0.4,
-    };
+    const RADIUS_PX: [f64; 2] = [4.0, 24.0];
 
-    /// An anti-aliased ellipse of half sizes (`a`, `b`) turned by `turn`, seen through `shade` (0 black, 1 clear).
+    /// An anti-aliased ellipse of half sizes (`a`, `b`) turned by `turn`, seen through `shade` (0
+    /// black, 1 clear).
     fn ellipse(
         center: Point,
         [a, b]: [f64; 2],
@@ -380,24 +355,10 @@ mod tests {
             ([28.5, 30.5], [5.0, 4.5], 2.0),
         ] {
             let image = ellipse(center, axes, turn, |_, _| 1.0);
-            let disc = measure(&image, [31.0, 30.0], 135.0, &RULES).unwrap();
+            let disc = measure(&image, [31.0, 30.0], 135.0, RADIUS_PX).unwrap();
             assert!(distance(disc.center, center) < 0.04, "{disc:?} {center:?}");
             assert!((disc.radius - (axes[0] * axes[1]).sqrt()).abs() < 0.1);
         }
-    }
-
-    #[test]
-    fn dark_discs_are_found_as_well() {
-        let mut image = ellipse([30.3, 29.8], [9.0, 8.0], 0.3, |_, _| 1.0);
-        for pixel in image.pixels_mut() {
-            *pixel = 255 - *pixel;
-        }
-        let rules = Rules {
-            sign: -1.0,
-            ..RULES
-        };
-        let disc = measure(&image, [31.0, 30.0], -120.0, &rules).unwrap();
-        assert!(distance(disc.center, [30.3, 29.8]) < 0.04);
     }
 
     #[test]
@@ -407,7 +368,7 @@ mod tests {
                 let edge = 30.0 + radius - 0.1 * f64::from(step) * radius / 4.0;
                 let cut = |u: f64, _: f64| if u < edge { 1.0 } else { 0.0 };
                 let image = ellipse([30.3, 29.8], [radius, radius], 0.0, cut);
-                if let Some(disc) = measure(&image, [29.0, 30.0], 135.0, &RULES) {
+                if let Some(disc) = measure(&image, [29.0, 30.0], 135.0, RADIUS_PX) {
                     let error = distance(disc.center, [30.3, 29.8]);
                     assert!(error < 0.35, "radius {radius}, edge {edge}: {error}");
                 }
@@ -419,17 +380,17 @@ mod tests {
     fn a_stripe_across_or_a_low_contrast_is_none() {
         let stripe = |u: f64, _: f64| if (u - 29.0).abs() < 1.0 { 0.0 } else { 1.0 };
         let image = ellipse([30.3, 29.8], [10.0, 10.0], 0.0, stripe);
-        assert_eq!(measure(&image, [34.0, 30.0], 135.0, &RULES), None);
+        assert_eq!(measure(&image, [34.0, 30.0], 135.0, RADIUS_PX), None);
         let veil = |_: f64, _: f64| 0.25;
         let image = ellipse([30.3, 29.8], [10.0, 10.0], 0.0, veil);
-        assert_eq!(measure(&image, [31.0, 30.0], 60.0, &RULES), None);
+        assert_eq!(measure(&image, [31.0, 30.0], 60.0, RADIUS_PX), None);
     }
 
     #[test]
     fn a_disc_at_the_border_of_the_image_is_none() {
         for center in [[6.0, 30.0], [30.0, 58.0], [2.0, 2.0], [63.5, 30.0]] {
             let image = ellipse(center, [8.0, 8.0], 0.0, |_, _| 1.0);
-            assert_eq!(measure(&image, center, 135.0, &RULES), None);
+            assert_eq!(measure(&image, center, 135.0, RADIUS_PX), None);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Maps from the plane of the pattern (m) to the image (px).
 
+use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector2, Vector3};
 use scene::{Camera, Pose};
 
 /// A point of a plane: of the pattern (x, y), m, or of the image (u, v), px.
@@ -7,7 +8,7 @@ pub(crate) type Point = [f64; 2];
 
 /// The map of a plane: (x, y, 1) -> w (u, v, 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Homography(pub [[f64; 3]; 3]);
+pub(crate) struct Homography(pub Matrix3<f64>);
 
 /// The ellipse in which a disc of the pattern's plane is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,97 +22,60 @@ pub(crate) struct Ellipse {
 impl Homography {
     /// How a camera sees the plane z = 0 of an object: K [r1 r2 t]; w is then the depth, m.
     pub fn of_pose(camera: &Camera, pose: &Pose) -> Self {
-        let [rx, ry, rz] = pose.rotation;
-        let angle = (rx * rx + ry * ry + rz * rz).sqrt();
-        let (sine, versine) = if angle < 1e-9 {
-            (1.0, 0.5)
-        } else {
-            let half = (0.5 * angle).sin() / angle;
-            (angle.sin() / angle, 2.0 * half * half)
-        };
-        let r1 = [
-            1.0 - versine * (ry * ry + rz * rz),
-            versine * rx * ry + sine * rz,
-            versine * rx * rz - sine * ry,
-        ];
-        let r2 = [
-            versine * rx * ry - sine * rz,
-            1.0 - versine * (rx * rx + rz * rz),
-            versine * ry * rz + sine * rx,
-        ];
-        let columns = [r1, r2, pose.translation];
-        let row = |f: f64, c: f64, axis: usize| columns.map(|x| f * x[axis] + c * x[2]);
-        Self([
-            row(camera.fx, camera.cx, 0),
-            row(camera.fy, camera.cy, 1),
-            columns.map(|x| x[2]),
-        ])
+        let Camera { fx, fy, cx, cy, .. } = *camera;
+        let mut columns = Rotation3::new(Vector3::from(pose.rotation)).into_inner();
+        columns.set_column(2, &Vector3::from(pose.translation));
+        Self(Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0) * columns)
     }
 
-    /// (wu, wv, w) of a point.
-    fn homogeneous(&self, [x, y]: Point) -> [f64; 3] {
-        self.0.map(|row| row[0] * x + row[1] * y + row[2])
+    /// w (u, v, 1) of a point.
+    fn homogeneous(&self, [x, y]: Point) -> Vector3<f64> {
+        self.0 * Vector3::new(x, y, 1.0)
     }
 
     /// Where a point is seen; none behind the camera.
     pub fn apply(&self, point: Point) -> Option<Point> {
-        let [u, v, w] = self.homogeneous(point);
-        (w > 1e-9).then(|| [u / w, v / w])
+        let x = self.homogeneous(point);
+        (x.z > 1e-9).then(|| [x.x / x.z, x.y / x.z])
     }
 
     /// The derivative of the image point: [[du/dx, du/dy], [dv/dx, dv/dy]], px/m.
     pub fn jacobian(&self, point: Point) -> Option<[[f64; 2]; 2]> {
         let [u, v] = self.apply(point)?;
-        let w = self.homogeneous(point)[2];
-        let h = &self.0;
-        let row = |row: usize, at: f64| [0, 1].map(|k| (h[row][k] - at * h[2][k]) / w);
+        let (w, h) = (self.homogeneous(point).z, &self.0);
+        let row = |row: usize, at: f64| [0, 1].map(|k| (h[(row, k)] - at * h[(2, k)]) / w);
         Some([row(0, u), row(1, v)])
     }
 
-    /// How a disc is seen, by the dual of its conic; none where it is not wholly in front of the camera.
+    /// How a disc is seen, by the dual of its conic; none where it is not wholly in front of the
+    /// camera.
     pub fn disc(&self, center: Point, radius: f64) -> Option<Ellipse> {
         let c = self.homogeneous(center);
-        let dual = |i: usize, j: usize| {
-            let h = &self.0;
-            c[i] * c[j] - radius * radius * (h[i][0] * h[j][0] + h[i][1] * h[j][1])
-        };
-        let scale = dual(2, 2);
-        if c[2] < 1e-9 || scale < 1e-12 {
+        let rim = self.0.fixed_columns::<2>(0);
+        let dual = c * c.transpose() - rim * rim.transpose() * (radius * radius);
+        let scale = dual[(2, 2)];
+        if c.z < 1e-9 || scale < 1e-12 {
             return None;
         }
-        let at = [0, 1].map(|k| dual(k, 2) / scale);
-        let half = [0, 1].map(|k| (at[k] * at[k] - dual(k, k) / scale).max(0.0).sqrt());
+        let at = [0, 1].map(|k| dual[(k, 2)] / scale);
+        let half = [0, 1].map(|k| (at[k] * at[k] - dual[(k, k)] / scale).max(0.0).sqrt());
         Some(Ellipse { center: at, half })
     }
 
     /// Between this map and another, element by element.
     pub fn between(&self, other: &Self, share: f64) -> Self {
-        let mut mix = *self;
-        for (row, others) in mix.0.iter_mut().zip(&other.0) {
-            for (x, y) in row.iter_mut().zip(others) {
-                *x += share * (y - *x);
-            }
-        }
-        mix
+        Self(self.0 + (other.0 - self.0) * share)
     }
 
     /// The map back; none where the plane is seen edge-on.
     pub fn inverse(&self) -> Option<Self> {
-        let h = &self.0;
-        let minor = |r: [usize; 2], c: [usize; 2]| {
-            h[r[0]][c[0]] * h[r[1]][c[1]] - h[r[0]][c[1]] * h[r[1]][c[0]]
-        };
-        let others = [[1, 2], [2, 0], [0, 1]];
-        let cofactor = |i: usize, j: usize| minor(others[i], others[j]);
-        let determinant: f64 = (0..3).map(|j| h[0][j] * cofactor(0, j)).sum();
-        (determinant.abs() > 1e-12).then(|| {
-            let element = |i: usize, j: usize| cofactor(j, i) / determinant;
-            Self([0, 1, 2].map(|i| [0, 1, 2].map(|j| element(i, j))))
-        })
+        let is_regular = self.0.determinant().abs() > 1e-12;
+        self.0.try_inverse().filter(|_| is_regular).map(Self)
     }
 
-    /// The map through pairs (point of the pattern, image point): from four pairs on a homography, exact or least
-    /// squares; none where the points do not fix it. `unit` is the size of the pattern, m.
+    /// The map through pairs (point of the pattern, image point): from four pairs on a homography,
+    /// exact or least squares; none where the points do not fix it. `unit` is the size of the
+    /// pattern, m.
     pub fn through(pairs: &[(Point, Point)], unit: f64) -> Option<Self> {
         if pairs.len() < 4 {
             return None;
@@ -121,27 +85,20 @@ impl Homography {
             .iter()
             .map(|pair| distance(pair.1, center))
             .fold(1e-9, f64::max);
-        let mut system = Normal::<8>::default();
-        for ([x, y], pixel) in pairs {
+        let rows = pairs.iter().flat_map(|([x, y], pixel)| {
             let (x, y) = (x / unit, y / unit);
-            let (u, v) = (
-                (pixel[0] - center[0]) / spread,
-                (pixel[1] - center[1]) / spread,
-            );
-            system.add([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y], u);
-            system.add([0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y], v);
-        }
-        let h = system.solve()?;
-        let w = [h[6] / unit, h[7] / unit, 1.0];
-        let row = |a: [f64; 3], c: f64| {
-            let scaled = [a[0] / unit * spread, a[1] / unit * spread, a[2] * spread];
-            [0, 1, 2].map(|k| scaled[k] + c * w[k])
-        };
-        Some(Self([
-            row([h[0], h[1], h[2]], center[0]),
-            row([h[3], h[4], h[5]], center[1]),
-            w,
-        ]))
+            let [u, v] = [0, 1].map(|k| (pixel[k] - center[k]) / spread);
+            [
+                ([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y].into(), u),
+                ([0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y].into(), v),
+            ]
+        });
+        let h = least_squares::<8>(rows)?;
+        let normalized = Matrix3::from_row_iterator(h.iter().copied().chain([1.0]));
+        let [u, v] = center;
+        let image = Matrix3::new(spread, 0.0, u, 0.0, spread, v, 0.0, 0.0, 1.0);
+        let plane = Matrix3::from_diagonal(&Vector3::new(1.0 / unit, 1.0 / unit, 1.0));
+        Some(Self(image * normalized * plane))
     }
 
     /// The affine map through three pairs or more; none where they lie on a line.
@@ -150,23 +107,18 @@ impl Homography {
             return None;
         }
         let (from, to) = centers(pairs);
-        let mut systems = [Normal::<2>::default(), Normal::<2>::default()];
         let unit = pairs
             .iter()
             .map(|pair| distance(pair.0, from))
             .fold(1e-12, f64::max);
-        for (point, pixel) in pairs {
-            let x = [(point[0] - from[0]) / unit, (point[1] - from[1]) / unit];
-            systems[0].add(x, pixel[0] - to[0]);
-            systems[1].add(x, pixel[1] - to[1]);
-        }
-        let [a, b] = systems.map(Normal::solve);
-        let (a, b) = (a?, b?);
-        Some(Self::linear(
-            [a.map(|x| x / unit), b.map(|x| x / unit)],
-            from,
-            to,
-        ))
+        let row = |k: usize| {
+            let equations = pairs.iter().map(|(point, pixel)| {
+                let x = Vector2::new(point[0] - from[0], point[1] - from[1]) / unit;
+                (x, pixel[k] - to[k])
+            });
+            least_squares(equations).map(|row| [row[0] / unit, row[1] / unit])
+        };
+        Some(Self::linear([row(0)?, row(1)?], from, to))
     }
 
     /// The similarity (turn, scale, shift) through two pairs or more, the shift through one.
@@ -190,19 +142,15 @@ impl Homography {
     }
 
     /// x -> to + a (x - from).
-    fn linear(a: [[f64; 2]; 2], from: Point, to: Point) -> Self {
-        let shift = [0, 1].map(|k| to[k] - a[k][0] * from[0] - a[k][1] * from[1]);
-        Self([
-            [a[0][0], a[0][1], shift[0]],
-            [a[1][0], a[1][1], shift[1]],
-            [0.0, 0.0, 1.0],
-        ])
+    fn linear([[a, b], [c, d]]: [[f64; 2]; 2], from: Point, to: Point) -> Self {
+        let u = to[0] - a * from[0] - b * from[1];
+        let v = to[1] - c * from[0] - d * from[1];
+        Self(Matrix3::new(a, b, u, c, d, v, 0.0, 0.0, 1.0))
     }
 
     /// This map first, `next` after it.
     pub fn then(&self, next: &Self) -> Self {
-        let column = |j: usize, row: &[f64; 3]| (0..3).map(|k| row[k] * self.0[k][j]).sum();
-        Self(next.0.map(|row| [0, 1, 2].map(|j| column(j, &row))))
+        Self(next.0 * self.0)
     }
 }
 
@@ -228,56 +176,19 @@ fn centers(pairs: &[(Point, Point)]) -> (Point, Point) {
     )
 }
 
-/// Normal equations of a least-squares problem in N unknowns.
-struct Normal<const N: usize> {
-    a: [[f64; N]; N],
-    b: [f64; N],
-}
-
-impl<const N: usize> Default for Normal<N> {
-    fn default() -> Self {
-        Self {
-            a: [[0.0; N]; N],
-            b: [0.0; N],
-        }
+/// The unknowns that best solve equations (row, right side); none where the rows do not fix them.
+fn least_squares<const N: usize>(
+    equations: impl Iterator<Item = (SVector<f64, N>, f64)>,
+) -> Option<SVector<f64, N>> {
+    let (mut a, mut b) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
+    for (row, right) in equations {
+        a += row * row.transpose();
+        b += row * right;
     }
-}
-
-impl<const N: usize> Normal<N> {
-    fn add(&mut self, row: [f64; N], right: f64) {
-        for i in 0..N {
-            for j in 0..N {
-                self.a[i][j] += row[i] * row[j];
-            }
-            self.b[i] += row[i] * right;
-        }
-    }
-
-    /// Cholesky's solution; none where the matrix is nearly singular.
-    fn solve(mut self) -> Option<[f64; N]> {
-        for j in 0..N {
-            let diagonal = self.a[j][j];
-            let pivot = diagonal - (0..j).map(|k| self.a[j][k].powi(2)).sum::<f64>();
-            if pivot.is_nan() || pivot <= 1e-10 * diagonal.max(1e-6) {
-                return None;
-            }
-            self.a[j][j] = pivot.sqrt();
-            for i in j + 1..N {
-                let sum: f64 = (0..j).map(|k| self.a[i][k] * self.a[j][k]).sum();
-                self.a[i][j] = (self.a[i][j] - sum) / self.a[j][j];
-            }
-        }
-        let mut x = self.b;
-        for i in 0..N {
-            let sum: f64 = (0..i).map(|k| self.a[i][k] * x[k]).sum();
-            x[i] = (x[i] - sum) / self.a[i][i];
-        }
-        for i in (0..N).rev() {
-            let sum: f64 = (i + 1..N).map(|k| self.a[k][i] * x[k]).sum();
-            x[i] = (x[i] - sum) / self.a[i][i];
-        }
-        Some(x)
-    }
+    let factor = Cholesky::new(a)?;
+    let pivot = |j: usize| factor.l_dirty()[(j, j)].powi(2);
+    let is_regular = (0..N).all(|j| pivot(j) > 1e-10 * a[(j, j)].max(1e-6));
+    is_regular.then(|| factor.solve(&b))
 }
 
 #[cfg(test)]

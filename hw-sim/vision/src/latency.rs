@@ -1,12 +1,12 @@
-//! From exposure to delivery: frames arrive late, with jitter, in order, and some never. Pure: time is what the caller
-//! says it is.
+//! From exposure to delivery: frames arrive late, with jitter, in order, and some never. The time
+//! is an argument.
 
 use std::collections::VecDeque;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What happens to frames on their way.
+/// How late frames arrive, and how many are lost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latency {
     /// From the stamp of the exposure to the delivery, ns.
@@ -15,20 +15,17 @@ pub struct Latency {
     pub jitter_ns: u64,
     /// Probability that a frame is lost, 0 to 1.
     pub drop: f64,
-    /// Most frames under way, 1 to 4096; one more is lost.
-    pub capacity: usize,
     /// Seed of jitter and losses.
     pub seed: u64,
 }
 
 impl Default for Latency {
-    /// 110 ms without jitter or losses, at most 32 frames under way.
+    /// 110 ms without jitter or losses.
     fn default() -> Self {
         Self {
             latency_ns: 110_000_000,
             jitter_ns: 0,
             drop: 0.0,
-            capacity: 32,
             seed: 0,
         }
     }
@@ -51,26 +48,6 @@ pub enum LatencyError {
         /// What was found.
         drop: f64,
     },
-    /// No room, or too much.
-    #[error("capacity = {capacity}; allowed: 1 to 4096 frames")]
-    Capacity {
-        /// What was found.
-        capacity: usize,
-    },
-}
-
-/// What became of an exposed frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fate {
-    /// It will be delivered.
-    UnderWay {
-        /// When, ns.
-        due_ns: u64,
-    },
-    /// It was lost by chance.
-    Lost,
-    /// It was lost because as many frames as allowed are under way.
-    Full,
 }
 
 /// A frame that has arrived.
@@ -84,6 +61,9 @@ pub struct Delivered<T> {
     pub due_ns: u64,
 }
 
+/// Frames for which memory is taken beforehand.
+const CAPACITY: usize = 64;
+
 /// Frames under way, of images or of features.
 #[derive(Clone, Debug)]
 pub struct Transit<T> {
@@ -94,7 +74,7 @@ pub struct Transit<T> {
 }
 
 impl<T> Transit<T> {
-    /// Nothing under way yet. Memory for all frames is taken here.
+    /// Nothing under way yet. Memory for 64 frames is taken here.
     ///
     /// # Errors
     /// [`LatencyError`] where a value is out of range.
@@ -103,7 +83,6 @@ impl<T> Transit<T> {
             latency_ns,
             jitter_ns,
             drop,
-            capacity,
             seed,
         } = latency;
         if jitter_ns > latency_ns {
@@ -115,39 +94,33 @@ impl<T> Transit<T> {
         if !(0.0..=1.0).contains(&drop) {
             return Err(LatencyError::Drop { drop });
         }
-        if !(1..=4096).contains(&capacity) {
-            return Err(LatencyError::Capacity { capacity });
-        }
         Ok(Self {
             latency,
-            under_way: VecDeque::with_capacity(capacity),
+            under_way: VecDeque::with_capacity(CAPACITY),
             last_due_ns: 0,
             random: ChaCha8Rng::seed_from_u64(seed),
         })
     }
 
-    /// Exposes a frame with this stamp; stamps are given in order.
-    pub fn expose(&mut self, payload: T, stamp_ns: u64) -> Fate {
+    /// Exposes a frame with this stamp, and returns whether it will be delivered; stamps are given
+    /// in order.
+    pub fn expose(&mut self, payload: T, stamp_ns: u64) -> bool {
         // Both drawn for every frame, so that one flaw does not change the numbers of another.
         let lost = self.random.random::<f64>() < self.latency.drop;
         let deviation = 2.0 * self.random.random::<f64>() - 1.0;
         if lost {
-            return Fate::Lost;
-        }
-        if self.under_way.len() >= self.latency.capacity {
-            return Fate::Full;
+            return false;
         }
         let jitter = (deviation * self.latency.jitter_ns as f64).round() as i64;
         let due = (stamp_ns + self.latency.latency_ns).saturating_add_signed(jitter);
         // A frame that is quicker than the one before it waits for it.
-        let due_ns = due.max(self.last_due_ns);
-        self.last_due_ns = due_ns;
+        self.last_due_ns = due.max(self.last_due_ns);
         self.under_way.push_back(Delivered {
             payload,
             stamp_ns,
-            due_ns,
+            due_ns: self.last_due_ns,
         });
-        Fate::UnderWay { due_ns }
+        true
     }
 
     /// When the next frame arrives, ns; none under way, none.
@@ -159,11 +132,6 @@ impl<T> Transit<T> {
     pub fn deliver(&mut self, now_ns: u64) -> Option<Delivered<T>> {
         let due = self.next_due_ns().is_some_and(|due| due <= now_ns);
         due.then(|| self.under_way.pop_front()).flatten()
-    }
-
-    /// Frames under way.
-    pub fn under_way(&self) -> usize {
-        self.under_way.len()
     }
 }
 
@@ -181,7 +149,7 @@ mod tests {
     fn a_frame_arrives_its_latency_after_the_stamp_and_not_before() {
         let mut transit = transit(Latency::default());
         let due_ns = 1_110_000_000;
-        assert_eq!(transit.expose(7, 1_000_000_000), Fate::UnderWay { due_ns });
+        assert!(transit.expose(7, 1_000_000_000));
         assert_eq!(transit.next_due_ns(), Some(due_ns));
         assert_eq!(transit.deliver(due_ns - 1), None);
         let frame = Delivered {
@@ -190,7 +158,10 @@ mod tests {
             due_ns,
         };
         assert_eq!(transit.deliver(due_ns), Some(frame));
-        assert_eq!((transit.deliver(u64::MAX), transit.under_way()), (None, 0));
+        assert_eq!(
+            (transit.deliver(u64::MAX), transit.next_due_ns()),
+            (None, None)
+        );
     }
 
     /// Latencies of 4000 frames, ns; asserts that they arrive in order, each with its stamp.
@@ -240,40 +211,26 @@ mod tests {
         let latency = Latency {
             jitter_ns: 5_000_000,
             seed: 9,
-            capacity: 4096,
             ..Latency::default()
         };
-        let fates = |latency| {
+        let dues = |latency| {
             let mut transit = transit(latency);
-            (0..4000)
-                .map(|k| transit.expose(k, k * PERIOD_NS))
-                .collect::<Vec<_>>()
+            let mut expose = |k| {
+                let due = transit.expose(k, k * PERIOD_NS);
+                due.then(|| transit.under_way.back().unwrap().due_ns)
+            };
+            (0..4000).map(&mut expose).collect::<Vec<_>>()
         };
         let lossy = Latency {
             drop: 0.01,
             ..latency
         };
-        let (all, some) = (fates(latency), fates(lossy));
-        assert_eq!(some, fates(lossy));
-        let lost = some.iter().filter(|fate| **fate == Fate::Lost).count();
+        let (all, some) = (dues(latency), dues(lossy));
+        assert_eq!(some, dues(lossy));
+        let lost = some.iter().filter(|due| due.is_none()).count();
         assert!((20..60).contains(&lost), "{lost}");
-        let same = |(a, b): (&Fate, &Fate)| *b == Fate::Lost || a == b;
+        let same = |(a, b): (&Option<u64>, &Option<u64>)| b.is_none() || a == b;
         assert!(all.iter().zip(&some).all(same));
-    }
-
-    #[test]
-    fn a_full_queue_loses_the_newest() {
-        let mut transit = transit(Latency {
-            capacity: 2,
-            ..Latency::default()
-        });
-        assert!(matches!(transit.expose(0, 0), Fate::UnderWay { .. }));
-        assert!(matches!(transit.expose(1, 1), Fate::UnderWay { .. }));
-        assert_eq!(transit.expose(2, 2), Fate::Full);
-        let payloads: Vec<u64> = std::iter::from_fn(|| transit.deliver(u64::MAX))
-            .map(|frame| frame.payload)
-            .collect();
-        assert_eq!(payloads, [0, 1]);
     }
 
     #[test]
@@ -289,10 +246,5 @@ mod tests {
             ..Latency::default()
         };
         assert!(refused(drop).contains("drop = NaN"));
-        let capacity = Latency {
-            capacity: 0,
-            ..Latency::default()
-        };
-        assert!(refused(capacity).contains("capacity = 0"));
     }
 }

@@ -1,4 +1,4 @@
-//! What lies between markers and sensor, drawn once: coverage and light of an occlusion over the pixels of its box.
+//! Occlusions as layers of pixels, drawn once: coverage and light over an occlusion's box.
 
 use scene::{Occlusion, Part};
 
@@ -79,7 +79,8 @@ pub(crate) fn coverage(occlusion: &Occlusion, area: Area) -> Vec<f32> {
     })
 }
 
-/// How much a soft-edged layer acts on each pixel of an area: 0 at the border and outside, 1 from `softness` px inside.
+/// How much a soft-edged layer acts on each pixel of an area: 0 at the border and outside, 1 from
+/// `softness` px inside.
 pub(crate) fn soft(occlusion: &Occlusion, area: Area, softness: f64) -> Vec<f32> {
     let painted = occlusion.mask.as_ref().map(Painted::new);
     pixels(area, |u, v| {

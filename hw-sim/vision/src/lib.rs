@@ -1,7 +1,7 @@
-//! The emulated camera's picture, and what is read from it.
+//! Renders the emulated camera's picture, and finds the markers in it.
 //!
-//! * [`Renderer`]: pose of the object in the camera frame -> grey [`Image`] with round markers, the grasped object in
-//!   front of them, the blurred spot on the lens and pixel noise.
+//! * [`Renderer`]: pose of the object in the camera frame -> grey [`Image`] with round markers, the
+//!   grasped object in front of them, the blurred spot on the lens and pixel noise.
 //! * [`Detector`]: image -> one [`Sighting`] a marker: visible or not, and where, px.
 //! * [`Transit`]: frames exposed -> frames delivered, late, with jitter, and some never.
 //!
@@ -39,16 +39,14 @@ mod plane;
 mod renderer;
 mod search;
 mod sensor;
-mod shutter;
 mod spot;
 mod texture;
 mod truth;
 
-pub use criteria::{DetectorError, DetectorSettings, Polarity};
+pub use criteria::{DetectorError, DetectorSettings};
 pub use detector::{Detector, Sighting, Sightings};
 pub use image::{Image, ImageError};
-pub use latency::{Delivered, Fate, Latency, LatencyError, Transit};
-pub use look::{Kind, Look, LookError, SpotLook};
+pub use latency::{Delivered, Latency, LatencyError, Transit};
+pub use look::{Look, SpotLook};
 pub use renderer::Renderer;
-pub use shutter::Shutter;
 pub use truth::{Truth, truth};

@@ -2,9 +2,9 @@
 
 use scene::Occlusion;
 
-/// What an occlusion of the scene is.
+/// Kinds of occlusions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub(crate) enum Kind {
     /// Dirt on the lens: what lies behind is blurred and dimmed until it is lost.
     Spot,
     /// An object before the camera: what lies behind is hidden.
@@ -21,32 +21,6 @@ impl Kind {
             Self::Opaque
         }
     }
-}
-
-/// A value of [`Look`] is out of its range.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum LookError {
-    /// A number.
-    #[error("look: {key} = {value}; allowed: {allowed}")]
-    Value {
-        /// The field.
-        key: &'static str,
-        /// What was found.
-        value: f64,
-        /// What is allowed.
-        allowed: &'static str,
-    },
-    /// The kinds do not fit the scene.
-    #[error("look: {found} kinds of occlusion; allowed: {expected}, one for each of the scene's")]
-    Kinds {
-        /// Kinds given.
-        found: usize,
-        /// Occlusions of the scene.
-        expected: usize,
-    },
-    /// The scene's image is out of range.
-    #[error(transparent)]
-    Image(#[from] crate::ImageError),
 }
 
 /// How the picture looks. Levels are 0 (black) to 255 (white), before shading and noise.
@@ -109,44 +83,6 @@ impl Default for Look {
     }
 }
 
-impl Look {
-    /// Checks every number.
-    pub(crate) fn check(&self) -> Result<(), LookError> {
-        let level = (0.0, 255.0, "0 to 255");
-        let share = (0.0, 1.0, "0 to 1");
-        let hundred = (0.0, 100.0, "0 to 100");
-        let radius = (1e-6, 1.0, "above 0, at most 1 m");
-        let spot = &self.spot;
-        for (key, value, (least, most, allowed)) in [
-            ("marker_radius_m", self.marker_radius_m, radius),
-            ("marker_level", self.marker_level, level),
-            ("box_level", self.box_level, level),
-            ("table_level", self.table_level, level),
-            ("object_level", self.object_level, level),
-            ("texture", self.texture, hundred),
-            ("vignette", self.vignette, share),
-            ("noise", self.noise, (0.0, 50.0, "0 to 50")),
-            ("spot.blur_px", spot.blur_px, hundred),
-            ("spot.transmission", spot.transmission, share),
-            ("spot.veil", spot.veil, level),
-            (
-                "spot.softness_px",
-                spot.softness_px,
-                (0.1, 100.0, "0.1 to 100"),
-            ),
-        ] {
-            if !(least..=most).contains(&value) {
-                return Err(LookError::Value {
-                    key,
-                    value,
-                    allowed,
-                });
-            }
-        }
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -156,15 +92,5 @@ mod tests {
         let scene = scene::Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
         let kinds: Vec<Kind> = scene.occlusions.iter().map(Kind::by_name).collect();
         assert_eq!(kinds, [Kind::Spot, Kind::Opaque]);
-    }
-
-    #[test]
-    fn a_number_out_of_range_is_named() {
-        let look = Look {
-            noise: f64::NAN,
-            ..Look::default()
-        };
-        let message = look.check().unwrap_err().to_string();
-        assert_eq!(message, "look: noise = NaN; allowed: 0 to 50");
     }
 }

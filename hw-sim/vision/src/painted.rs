@@ -7,8 +7,8 @@ use scene::Mask;
 pub(crate) struct Painted {
     width: usize,
     height: usize,
-    /// From each pixel's centre to the edge of what is white, px; 0 where it is black. What lies outside the image is no
-    /// edge.
+    /// From each pixel's centre to the edge of what is white, px; 0 where it is black. What lies
+    /// outside the image is no edge.
     depth: Vec<f32>,
     deepest: f64,
 }
@@ -16,7 +16,8 @@ pub(crate) struct Painted {
 impl Painted {
     pub fn new(mask: &Mask) -> Self {
         let (width, height) = (mask.width(), mask.height());
-        // First the way along each column to the nearest black pixel, then the best of the columns for each pixel.
+        // First the way along each column to the nearest black pixel, then the best of the columns
+        // for each pixel.
         let far = (width + height) as i64;
         let mut along = vec![far; width * height];
         for u in 0..width {
@@ -85,7 +86,8 @@ impl Painted {
     }
 }
 
-/// Whether a point (px) lies on a white pixel: the square of side 1 about its whole-numbered centre.
+/// Whether a point (px) lies on a white pixel: the square of side 1 about its whole-numbered
+/// centre.
 pub(crate) fn is_white(mask: &Mask, u: f64, v: f64) -> bool {
     let (column, row) = ((u + 0.5).floor(), (v + 0.5).floor());
     // The casts saturate; what lies left of or above the image must not count as its first pixel.

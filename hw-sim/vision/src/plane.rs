@@ -13,7 +13,7 @@ const SAMPLES: usize = 8;
 /// The box is larger than the pattern by this many radii of a marker on each side.
 const MARGIN: f64 = 4.0;
 
-/// What lies on the plane.
+/// The plane with its markers.
 #[derive(Clone, Debug)]
 pub(crate) struct Plane {
     look: Look,
@@ -104,7 +104,8 @@ impl Plane {
             let (mid, half) = (ellipse.center[0], ellipse.half[0] + 1.0);
             let from = (mid - half).ceil().clamp(0.0, width as f64) as usize;
             let to = (mid + half + 1.0).floor().clamp(0.0, width as f64) as usize;
-            // Half a pixel's diagonal on the plane, generously: pixels farther from the rim need no samples.
+            // Half a pixel's diagonal on the plane, generously: pixels farther from the rim need no
+            // samples.
             let reach = 1.2 * radius / ellipse.half[0].min(ellipse.half[1]).max(1e-3);
             for u in from..to {
                 let square = |du: f64, dv: f64| {

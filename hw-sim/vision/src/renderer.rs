@@ -1,13 +1,14 @@
-//! The picture: plane with markers, object, optics, spot, noise; in this order, as light meets them.
+//! The picture: plane with markers, object, optics, spot, noise; in this order, as light meets
+//! them.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::{Camera, Pose, Scene};
 
 use crate::homography::Homography;
-use crate::image::Image;
+use crate::image::{Image, ImageError};
 use crate::layer::{Area, coverage, relief};
-use crate::look::{Kind, Look, LookError};
+use crate::look::{Kind, Look};
 use crate::optics::Optics;
 use crate::plane::Plane;
 use crate::sensor::Sensor;
@@ -39,28 +40,13 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// A renderer in which occlusions are what their names say ([`Kind::by_name`]).
+    /// A renderer of a scene. An occlusion whose name has the word "spot" is dirt on the lens,
+    /// which blurs and dims what lies behind; every other one is an object before the camera, which
+    /// hides it.
     ///
     /// # Errors
-    /// [`LookError`] where a value of the look or the size of the scene's image is out of range.
-    pub fn new(scene: &Scene, look: &Look) -> Result<Self, LookError> {
-        let kinds: heapless::Vec<Kind, { scene::MAX_OCCLUSIONS }> =
-            scene.occlusions.iter().map(Kind::by_name).collect();
-        Self::with_kinds(scene, look, &kinds)
-    }
-
-    /// A renderer in which the caller says what each occlusion is, in the order of the scene.
-    ///
-    /// # Errors
-    /// [`LookError`], also where there is not one kind for each occlusion.
-    pub fn with_kinds(scene: &Scene, look: &Look, kinds: &[Kind]) -> Result<Self, LookError> {
-        look.check()?;
-        if kinds.len() != scene.occlusions.len() {
-            return Err(LookError::Kinds {
-                found: kinds.len(),
-                expected: scene.occlusions.len(),
-            });
-        }
+    /// [`ImageError`] where the size of the scene's image is out of range.
+    pub fn new(scene: &Scene, look: &Look) -> Result<Self, ImageError> {
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
         let image = Image::new(width, height)?;
         let mut random = ChaCha8Rng::seed_from_u64(look.seed);
@@ -68,8 +54,7 @@ impl Renderer {
         let layers = scene
             .occlusions
             .iter()
-            .zip(kinds)
-            .map(|(occlusion, kind)| match kind {
+            .map(|occlusion| match Kind::by_name(occlusion) {
                 Kind::Spot => Layer::Spot(Spot::new(occlusion, look.spot, width, height)),
                 Kind::Opaque => {
                     let area = Area::around(occlusion, 1.0, width, height);
@@ -102,8 +87,8 @@ impl Renderer {
         })
     }
 
-    /// Shows or takes away an occlusion, by its index in the scene: the object that the gripper lets go.
-    /// An index that the scene has not does nothing.
+    /// Shows or takes away an occlusion, by its index in the scene: the object that the gripper
+    /// lets go. An index that the scene has not does nothing.
     pub fn show(&mut self, occlusion: usize, shown: bool) {
         if let Some(layer) = self.layers.get_mut(occlusion) {
             layer.1 = shown;
@@ -115,8 +100,7 @@ impl Renderer {
         self.render_rolling(pose, pose)
     }
 
-    /// Draws a frame of a rolling shutter: the poses while the first and the last row are exposed; see
-    /// [`crate::Shutter::rows_ns`].
+    /// Draws a frame of a rolling shutter: the poses while the first and the last row are exposed.
     pub fn render_rolling(&mut self, first: &Pose, last: &Pose) -> &Image {
         let maps = [first, last].map(|pose| Homography::of_pose(&self.camera, pose));
         let (width, height) = (self.image.width(), self.image.height());
@@ -283,7 +267,8 @@ mod tests {
             let image = draw(&scene);
             let level = image.at(u as usize, v as usize);
             assert!(level < most, "{name}: {level}");
-            // The point spread reaches one pixel; a pixel is the square about its whole-numbered centre.
+            // The point spread reaches one pixel; a pixel is the square about its whole-numbered
+            // centre.
             for (i, j) in [
                 (column - 2, row + 20),
                 (column + 42, row + 20),
@@ -318,16 +303,5 @@ mod tests {
         let centroid = sums.map(|x| x / sum);
         let apart = (centroid[0] - u).hypot(centroid[1] - v);
         assert!(apart < 0.05, "{centroid:?}, ({u}, {v})");
-    }
-
-    #[test]
-    fn kinds_must_fit_the_scene() {
-        let message = Renderer::with_kinds(&robot(), &plain(), &[Kind::Spot])
-            .unwrap_err()
-            .to_string();
-        assert_eq!(
-            message,
-            "look: 1 kinds of occlusion; allowed: 2, one for each of the scene's"
-        );
     }
 }

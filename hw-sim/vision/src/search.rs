@@ -1,6 +1,6 @@
 //! Seeds of discs: over the whole frame, or near a prediction.
 
-use crate::disc::{Disc, Rules, measure};
+use crate::disc::{CONTRAST, Disc, measure};
 use crate::homography::{Point, distance};
 use crate::image::Image;
 
@@ -16,26 +16,25 @@ const TRIES: usize = 6;
 
 /// Every disc of the frame, the first [`MAX_DISCS`] of them.
 ///
-/// Tried at thresholds that lie half of the least contrast apart: one of them separates each disc from what it lies on,
-/// whatever else is near.
-pub(crate) fn whole_frame(image: &Image, rules: &Rules) -> Discs {
+/// Tried at thresholds that lie half of the least contrast apart: one of them separates each disc
+/// from what it lies on, whatever else is near.
+pub(crate) fn whole_frame(image: &Image, radius_px: [f64; 2]) -> Discs {
     let mut discs = Discs::new();
-    let longest = (2.0 * rules.radius[1]) as usize / STEP + 1;
-    let step = 0.5 * rules.contrast;
-    let extreme = if rules.sign > 0.0 { 0.0 } else { -255.0 };
+    let longest = (2.0 * radius_px[1]) as usize / STEP + 1;
+    let step = 0.5 * CONTRAST;
     for k in 1..(255.0 / step) as usize {
-        let threshold = extreme + step * k as f64;
+        let threshold = step * k as f64;
         for v in (0..image.height()).step_by(STEP) {
             let mut run = 0;
             let row = &image.pixels()[v * image.width()..(v + 1) * image.width()];
             for (i, level) in row.iter().step_by(STEP).enumerate() {
-                if rules.sign * f64::from(*level) > threshold {
+                if f64::from(*level) > threshold {
                     run += 1;
                     continue;
                 }
                 if run > 0 && run <= longest {
                     let middle = STEP as f64 * (i as f64 - 0.5 * (run + 1) as f64);
-                    add(&mut discs, image, [middle, v as f64], threshold, rules);
+                    add(&mut discs, image, [middle, v as f64], threshold, radius_px);
                 }
                 run = 0;
             }
@@ -44,7 +43,7 @@ pub(crate) fn whole_frame(image: &Image, rules: &Rules) -> Discs {
     discs
 }
 
-fn add(discs: &mut Discs, image: &Image, seed: Point, threshold: f64, rules: &Rules) {
+fn add(discs: &mut Discs, image: &Image, seed: Point, threshold: f64, radius_px: [f64; 2]) {
     let known = |discs: &Discs, at: Point| {
         discs
             .iter()
@@ -53,22 +52,23 @@ fn add(discs: &mut Discs, image: &Image, seed: Point, threshold: f64, rules: &Ru
     if discs.is_full() || known(discs, seed) {
         return;
     }
-    if let Some(disc) = measure(image, seed, threshold, rules)
+    if let Some(disc) = measure(image, seed, threshold, radius_px)
         && !known(discs, disc.center)
     {
         let _ = discs.push(disc);
     }
 }
 
-/// The disc nearest to a prediction and at most `gate` px away; `levels` are those of discs seen lately, `radius` is
-/// about theirs. None where there is no disc, or a second one within the gate: it is not clear then which.
+/// The disc nearest to a prediction and at most `gate` px away; `levels` are those of discs seen
+/// lately, `radius` is about theirs. None where there is no disc, or a second one within the gate:
+/// it is not clear then which.
 pub(crate) fn near(
     image: &Image,
     prediction: Point,
     gate: f64,
     levels: [f64; 2],
     radius: f64,
-    rules: &Rules,
+    radius_px: [f64; 2],
 ) -> Option<Disc> {
     let half = 0.5 * (levels[0] + levels[1]);
     let step = (0.7 * radius).max(2.0);
@@ -84,7 +84,7 @@ pub(crate) fn near(
             ];
             let bright = image
                 .level(seed[0], seed[1])
-                .is_some_and(|level| rules.sign * level > half);
+                .is_some_and(|level| level > half);
             let known = found
                 .iter()
                 .any(|disc| distance(disc.center, seed) < disc.radius + 2.0);
@@ -92,7 +92,7 @@ pub(crate) fn near(
             if !bright || known || (near_tried && ring > 0) || tried.push(seed).is_err() {
                 continue;
             }
-            let Some(disc) = measure(image, seed, half, rules) else {
+            let Some(disc) = measure(image, seed, half, radius_px) else {
                 continue;
             };
             let again = found
@@ -126,12 +126,7 @@ mod tests {
     use super::*;
     use crate::{Look, Renderer};
 
-    const RULES: Rules = Rules {
-        sign: 1.0,
-        radius: [4.0, 24.0],
-        contrast: 40.0,
-        rim: 0.4,
-    };
+    const RADIUS_PX: [f64; 2] = [4.0, 24.0];
 
     fn goal() -> Image {
         let scene = scene::Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
@@ -141,7 +136,7 @@ mod tests {
 
     #[test]
     fn the_whole_frame_has_four_discs() {
-        assert_eq!(whole_frame(&goal(), &RULES).len(), 4);
+        assert_eq!(whole_frame(&goal(), RADIUS_PX).len(), 4);
     }
 
     #[test]
@@ -155,7 +150,7 @@ mod tests {
                 gate,
                 levels,
                 10.0,
-                &RULES,
+                RADIUS_PX,
             )
         };
         assert!(distance(find(12.0, 25.0).unwrap().center, at) < 0.2);

@@ -8,7 +8,7 @@ use crate::image::Image;
 /// Numbers of noise drawn once; each row of each frame reads them from another place.
 const NOISE: usize = 1 << 16;
 
-/// What makes grey values of light.
+/// Turns light into grey values.
 #[derive(Clone, Debug)]
 pub(crate) struct Sensor {
     /// Standard deviation, levels.

@@ -83,7 +83,8 @@ impl Spot {
     }
 }
 
-/// The mean over 2 radius + 1 pixels of a line of `count` pixels `stride` apart; its ends are repeated.
+/// The mean over 2 radius + 1 pixels of a line of `count` pixels `stride` apart; its ends are
+/// repeated.
 fn box_blur(
     values: &mut [f32],
     start: usize,

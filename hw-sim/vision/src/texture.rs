@@ -8,7 +8,8 @@ const TILE: usize = 256;
 /// Size of a texel on the plane, m.
 const TEXEL: f32 = 0.0006;
 
-/// A tile of soft noise, about -1 to 1: grains of several sizes, each half as strong as the next larger one.
+/// A tile of soft noise, about -1 to 1: grains of several sizes, each half as strong as the next
+/// larger one.
 #[derive(Clone, Debug)]
 pub(crate) struct Texture {
     /// Row by row.
@@ -50,7 +51,8 @@ impl Texture {
     /// The grain at a point of the plane (m), bilinear between texels.
     #[inline(always)]
     pub fn at(&self, x: f32, y: f32) -> f32 {
-        // Positive within 10 m of the pattern, so that the cast rounds down; farther away nobody looks.
+        // Positive within 10 m of the pattern, so that the cast rounds down; farther away nobody
+        // looks.
         const FAR: f32 = (64 * TILE) as f32;
         let (x, y) = (x * (1.0 / TEXEL) + FAR, y * (1.0 / TEXEL) + FAR);
         let (column, row) = (x as i32, y as i32);

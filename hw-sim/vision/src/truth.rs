@@ -1,4 +1,4 @@
-//! What is true of a frame, for tests, recordings and the ground-truth mode.
+//! The truth about a frame, which detections are tested against.
 
 use scene::{Camera, MAX_POINTS, Pose, Scene};
 
@@ -9,7 +9,7 @@ use crate::layer::covers;
 const RINGS: usize = 8;
 const SPOKES: usize = 48;
 
-/// What is true of a marker.
+/// The truth about a marker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
     /// Where its centre is seen, px.
@@ -20,8 +20,9 @@ pub struct Truth {
     pub covered: f64,
 }
 
-/// What is true of each marker of a scene: discs of `radius` (m) about the pattern's points, seen from a pose. A marker
-/// behind the camera is occluded, covered, and seen at the principal point. `shown(i)` tells whether occlusion i is there.
+/// The truth about each marker of a scene: discs of `radius` (m) about the pattern's points, seen
+/// from a pose. A marker behind the camera is occluded, covered, and seen at the principal point.
+/// `shown(i)` returns whether occlusion i is there.
 pub fn truth(
     scene: &Scene,
     pose: &Pose,
@@ -68,7 +69,8 @@ mod tests {
     #[test]
     fn half_a_disc_behind_a_border_is_half_covered() {
         let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
-        // Shift the first marker, at the goal near (214.6, 143.4) px, onto the left border of the object's box.
+        // Shift the first marker, at the goal near (214.6, 143.4) px, onto the left border of the
+        // object's box.
         let mut pose = scene.goal;
         pose.translation = [0.06 + 0.35 * (200.0 - 320.0) / 615.0, 0.17, 0.35];
         let there = truth(&scene, &pose, 0.006, |_| true)[0];

@@ -1,10 +1,11 @@
-//! Nothing is allocated per frame: drawing, detecting and delivering take their memory when they are made.
+//! Nothing is allocated per frame: drawing, detecting and delivering take their memory when they
+//! are made.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use scene::Scene;
-use vision::{Detector, DetectorSettings, Fate, Latency, Look, Renderer, Sightings, Transit};
+use vision::{Detector, DetectorSettings, Latency, Look, Renderer, Sightings, Transit};
 
 thread_local! {
     static COUNT: Cell<usize> = const { Cell::new(0) };
@@ -41,17 +42,18 @@ fn a_frame_allocates_nothing() {
         ..Latency::default()
     })
     .unwrap();
-    // Down behind the object and out of the image, so that every path is taken: followed, hidden, lost, found again.
+    // Down behind the object and out of the image, so that every path is taken: followed, hidden,
+    // lost, found again.
     let mut frame = |k: u64| {
         let mut pose = scene.goal;
         pose.translation[1] += 0.25 * (std::f64::consts::PI * k as f64 / 60.0).sin();
         let found = detector.detect(renderer.render(&pose)).unwrap();
-        let fate = transit.expose(found.clone(), 33_333_333 * k);
+        let under_way = transit.expose(found.clone(), 33_333_333 * k);
         let mut delivered = 0;
         while transit.deliver(33_333_333 * k).is_some() {
             delivered += 1;
         }
-        (detector.visible(), fate == Fate::Lost, delivered)
+        (detector.visible(), !under_way, delivered)
     };
     // The first frame makes what is made once.
     frame(0);

@@ -23,7 +23,8 @@ fn between(random: &mut ChaCha8Rng, least: f64, most: f64) -> f64 {
     least + (most - least) * random.random::<f64>()
 }
 
-/// A pose of the start region, or of one twice as wide that also shows markers cut by the image border.
+/// A pose of the start region, or of one twice as wide that also shows markers cut by the image
+/// border.
 fn any_pose(scene: &Scene, random: &mut ChaCha8Rng, wider: f64) -> Pose {
     let starts = &scene.starts;
     let translation = [0, 1, 2].map(|k| {
@@ -95,7 +96,8 @@ impl Tally {
     }
 }
 
-/// In each of 10,000 random frames, found anew, more than a quarter of which have an occluded marker.
+/// In each of 10,000 random frames, found anew, more than a quarter of which have an occluded
+/// marker.
 #[test]
 fn occluded_markers_are_never_visible_and_the_others_are_where_they_are() {
     let scene = robot();
@@ -148,7 +150,8 @@ impl Walk {
     }
 }
 
-/// 10,000 frames in sequences of 1,000, with losses of frames: behind object, spot and border, and back again.
+/// 10,000 frames in sequences of 1,000, with losses of frames: behind object, spot and border, and
+/// back again.
 #[test]
 fn identity_is_never_swapped() {
     let scene = robot();
@@ -183,7 +186,8 @@ fn identity_is_never_swapped() {
     assert!(50 * tally.clear_missed < tally.clear, "{tally:?}");
 }
 
-/// Strong tilt and large discs, where centroids are off by a quarter to half a pixel: what the correction is for.
+/// Strong tilt and large discs, where centroids are off by a quarter to half a pixel: what the
+/// correction is for.
 #[test]
 fn centres_are_right_even_where_centroids_are_not() {
     let scene = robot();
@@ -194,7 +198,6 @@ fn centres_are_right_even_where_centroids_are_not() {
     let settings = DetectorSettings {
         marker_radius_m: 0.014,
         radius_px: [4.0, 40.0],
-        ..DetectorSettings::default()
     };
     let mut renderer = Renderer::new(&scene, &look).unwrap();
     let mut detector = Detector::new(&scene, &settings).unwrap();
@@ -244,8 +247,8 @@ fn a_dark_or_a_noisy_frame_has_no_markers() {
     let mut detector = detector(&scene);
     let mut random = random(4);
     let dark = Image::new(640, 480).unwrap();
-    let noise = (0..640 * 480).map(|_| random.random::<u8>()).collect();
-    let noisy = Image::from_pixels(640, 480, noise).unwrap();
+    let mut noisy = dark.clone();
+    noisy.pixels_mut().fill_with(|| random.random());
     for image in [dark, noisy] {
         detector.detect(&image).unwrap();
         assert_eq!(detector.visible(), 0);

@@ -18,10 +18,17 @@
 #ifndef VPC_H
 #define VPC_H
 
+#include <assert.h>
 #include <stddef.h>
 #include <stdint.h>
 
 #define VPC_MAX_POINTS 8
+
+// Handles: membership of a domain, and the ports of a role.
+typedef struct vpc_domain vpc_domain;
+typedef struct vpc_camera vpc_camera;
+typedef struct vpc_observer vpc_observer;
+typedef struct vpc_operator vpc_operator;
 
 // State of the controller.
 enum vpc_state {
@@ -77,19 +84,19 @@ enum vpc_solver {
     VPC_SOLVER_NUMERICAL_FAILURE = 5,
 };
 
-// What the memory had to say.
+// What the memory of motion answered.
 enum vpc_recall {
-    // It was not asked: no features near a border, or a strategy without memory.
+    // It was not asked: no feature is near an occlusion or a border, or the strategy has no memory.
     VPC_RECALL_UNASKED = 0,
     // Its warm start and way point were followed.
     VPC_RECALL_FOLLOWED = 1,
-    // Its answer was out of range; the cycle went without.
+    // Its answer was out of range and was not used.
     VPC_RECALL_REFUSED = 2,
-    // The law was stalled: the way point is a sample's features, back on a stored trajectory.
+    // The control law was stalled: the way point leads back to a stored trajectory.
     VPC_RECALL_DETOUR = 3,
 };
 
-// Strategy of the law.
+// Strategy of the control law.
 enum vpc_strategy {
     // Warm start from the previous cycle.
     VPC_STRATEGY_PREVIOUS = 0,
@@ -113,7 +120,7 @@ enum vpc_hold {
     VPC_HOLD_INVALID = 3,
     // A point was not visible.
     VPC_HOLD_HIDDEN = 4,
-    // The count of points is not the pattern's.
+    // The number of points is not that of the pattern.
     VPC_HOLD_COUNT = 5,
     // A point is not finite.
     VPC_HOLD_NOT_FINITE = 6,
@@ -121,17 +128,17 @@ enum vpc_hold {
     VPC_HOLD_OFF_IMAGE = 7,
     // The shared memory failed.
     VPC_HOLD_TRANSPORT = 8,
-    // The law gave a twist that is not finite or beyond the limits.
+    // The control law gave a twist that is not finite or beyond the limits.
     VPC_HOLD_BAD_TWIST = 9,
-    // Features came in the wrong order: older than those before, from the same camera.
+    // The features are older than those before, from the same camera.
     VPC_HOLD_ORDER = 10,
-    // Features bear the time of the future, or the clock jumped.
+    // The features are from the future, or the clock jumped.
     VPC_HOLD_CLOCK = 11,
     // The solver failed several cycles in a row.
     VPC_HOLD_SOLVER = 12,
     // The robot reports a fault or a reflex.
     VPC_HOLD_ROBOT_FAULT = 13,
-    // The robot's state was coming and fell silent.
+    // The robot's state came and then stopped coming.
     VPC_HOLD_ROBOT_LOST = 14,
     // Several releases in a row were missed.
     VPC_HOLD_OVERRUNS = 15,
@@ -143,14 +150,13 @@ enum vpc_hold {
     VPC_HOLD_SHUTDOWN = 18,
     // No usable features came for so long that the camera was disarmed.
     VPC_HOLD_LOST = 19,
-    // The loop itself stood still for that long.
+    // The loop itself stood still for so long that the camera was disarmed.
     VPC_HOLD_STANDSTILL = 20,
-    // Points lie in each other's places (they turn the other way than the pattern, or changed
-    // their names), in one place, all on a line, or leap.
+    // Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
     VPC_HOLD_MIXED = 21,
-    // Not one bit of the features changed, though the camera was commanded to move.
+    // The features did not change in any bit, although the camera was commanded to move.
     VPC_HOLD_FROZEN = 22,
-    // The memory's answers were out of range several cycles in a row.
+    // The answers of the memory of motion were out of range several cycles in a row.
     VPC_HOLD_RECALL = 23,
 };
 
@@ -178,15 +184,15 @@ enum vpc_input {
 
 // What an operator asks for.
 enum vpc_action {
-    // Nothing: the answer tells the state.
+    // Nothing but the answer, which has the state.
     VPC_ACTION_STATUS = 0,
-    // Let the law move the camera, from the next good features on.
+    // Let the control law move the camera, from the next good features on.
     VPC_ACTION_ARM = 1,
     // Brake to zero, and stay there until the next `arm`.
     VPC_ACTION_DISARM = 2,
     // Zero at once, without braking, and stay there until the next `arm`.
     VPC_ACTION_STOP = 3,
-    // Change the strategy of the law.
+    // Change the strategy of the control law.
     VPC_ACTION_STRATEGY = 4,
     // Write out the flight record.
     VPC_ACTION_RECORD = 5,
@@ -194,13 +200,13 @@ enum vpc_action {
 
 // What became of a request.
 enum vpc_outcome {
-    // Done, or already so.
+    // Done, or it was already so.
     VPC_OUTCOME_DONE = 0,
     // Refused: no good features are coming, so that nothing could be controlled.
     VPC_OUTCOME_NO_FEATURES = 1,
-    // Refused: the robot reports a fault, or was heard and fell silent.
+    // Refused: the robot reports a fault, or its state stopped coming.
     VPC_OUTCOME_ROBOT = 2,
-    // Refused: the camera still brakes; ask again when it stands.
+    // Refused: the camera is still braking; ask again when it stands still.
     VPC_OUTCOME_BRAKING = 3,
     // Refused: the controller's memory of motion lacks what the strategy needs, or there is no
     // memory.
@@ -211,7 +217,7 @@ enum vpc_outcome {
     VPC_OUTCOME_SHUTDOWN = 6,
     // Refused: the controller keeps no flight record.
     VPC_OUTCOME_NO_RECORD = 7,
-    // Refused: the code of the action or of the strategy is none of the contract's.
+    // Refused: the code of the action or of the strategy is unknown.
     VPC_OUTCOME_UNKNOWN = 8,
 };
 
@@ -476,8 +482,8 @@ typedef struct {
 } vpc_reply;
 
 
-// What every function returns but those that cannot fail: 0 done, above 0 nothing went wrong but there is no answer,
-// below 0 an error. `vpc_message()` has the words.
+// Result of every function that can fail: 0 done, above 0 no answer but no error either, below 0 an error.
+// vpc_message() explains it.
 enum vpc_status
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -487,7 +493,7 @@ enum vpc_status
     VPC_STATUS_OK = 0,
     // No message is waiting.
     VPC_STATUS_NOTHING = 1,
-    // No answer came in time: no controller is at work, or it is not of this domain.
+    // No answer came in time: no controller is at work in this domain.
     VPC_STATUS_TIMEOUT = 2,
     // The controller refused the request; the reply's `outcome` says why.
     VPC_STATUS_REFUSED = 3,
@@ -495,7 +501,7 @@ enum vpc_status
     VPC_STATUS_ARGUMENT = -1,
     // The domain cannot be joined.
     VPC_STATUS_DOMAIN = -2,
-    // The place is taken: another camera is at work in this domain, or as many operators or observers as fit.
+    // Another camera is at work in this domain, or as many operators or observers as the service allows.
     VPC_STATUS_TAKEN = -3,
     // A port cannot be opened.
     VPC_STATUS_OPEN = -4,
@@ -503,7 +509,7 @@ enum vpc_status
     VPC_STATUS_PUBLISH = -5,
     // Nothing can be received.
     VPC_STATUS_RECEIVE = -6,
-    // A message came that breaks the contract, and was thrown away.
+    // A message that breaks the contract came and was dropped.
     VPC_STATUS_INVALID = -7,
     // A handle was used in another thread than the one that made it.
     VPC_STATUS_THREAD = -8,
@@ -524,9 +530,9 @@ enum vpc_take
   : uint32_t
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
-    // The one that waited longest: for who wants all of them.
+    // The oldest, to get all of them.
     VPC_TAKE_OLDEST = 0,
-    // The newest; those before it are thrown away.
+    // The newest; those before it are dropped.
     VPC_TAKE_LATEST = 1,
 };
 #ifndef __cplusplus
@@ -537,19 +543,7 @@ typedef uint32_t vpc_take;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// Publishes features and the robot's state, receives twists.
-typedef struct vpc_camera vpc_camera;
-
-// Membership of a domain.
-typedef struct vpc_domain vpc_domain;
-
-// Receives everything and sends nothing.
-typedef struct vpc_observer vpc_observer;
-
-// Asks the controller, and waits for its answers.
-typedef struct vpc_operator vpc_operator;
-
-// What became of features that were published: what their answer bears.
+// Features that were published, as their answer names them.
 typedef struct {
     // Their sequence number.
     uint64_t sequence;
@@ -561,16 +555,16 @@ typedef struct {
 extern "C" {
 #endif // __cplusplus
 
-// What went wrong last in this thread, in words; empty where nothing did. Valid until the next call of this library
-// in this thread.
+// The last error of this thread in words; empty if there was none. Valid until the next call of this library in this
+// thread.
 const char *vpc_message(void);
 
-// Joins the domain in `directory`, which is created where it is missing; NULL: /tmp/vpc-UID. The handle and what
-// is opened with it stay in this thread.
+// Joins the domain in `directory`, which is created if it is missing; NULL: /tmp/vpc-UID. The handle and everything
+// opened with it stay in this thread.
 vpc_status vpc_domain_join(const char *directory,
                            vpc_domain **out);
 
-// Leaves the domain when the last port opened with it is closed, too. NULL does nothing.
+// Leaves the domain once the last port opened with it is closed. NULL does nothing.
 vpc_status vpc_domain_leave(vpc_domain *domain);
 
 // CLOCK_MONOTONIC in ns: the clock of all stamps.
@@ -586,7 +580,7 @@ vpc_status vpc_camera_close(vpc_camera *camera);
 vpc_status vpc_features_of(const double *points, uint32_t count, vpc_features *out);
 
 // Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present time and
-// `stamp.data_ns` 0 becomes `published_ns`; other values stand (simulated time in lockstep, the exposure of a real
+// `stamp.data_ns` 0 becomes `published_ns`; other values are kept (simulated time in lockstep, the exposure of a real
 // camera). `sent` may be NULL.
 vpc_status vpc_camera_publish(vpc_camera *camera,
                               const vpc_features *features,
@@ -595,14 +589,14 @@ vpc_status vpc_camera_publish(vpc_camera *camera,
 // Counts from 1 again: the next features begin a new run, for which the controller forgets everything.
 vpc_status vpc_camera_restart(vpc_camera *camera);
 
-// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`; VPC_STATUS_TIMEOUT when none
-// came. A controller that starts meanwhile gets them.
+// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`; VPC_STATUS_TIMEOUT if none
+// comes. A controller that starts meanwhile gets them.
 vpc_status vpc_camera_wait(vpc_camera *camera,
                            const vpc_sent *sent,
                            uint64_t patience_ns,
                            vpc_twist_command *out);
 
-// The newest command since the last call; VPC_STATUS_NOTHING where there is none. It may be executed until its
+// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed until its
 // `valid_until_ns`, never longer: stop then.
 vpc_status vpc_camera_twist(vpc_camera *camera,
                             vpc_twist_command *out);
@@ -611,15 +605,14 @@ vpc_status vpc_camera_twist(vpc_camera *camera,
 vpc_status vpc_camera_publish_robot(vpc_camera *camera,
                                     const vpc_robot_state *state);
 
-// Opens an observer's ports. VPC_STATUS_TAKEN where a service has all the subscribers that it takes.
-vpc_status vpc_observer_open(vpc_domain *domain,
-                             vpc_observer **out);
+// Opens an observer's ports. VPC_STATUS_TAKEN if a service has all the subscribers that it allows.
+vpc_status vpc_observer_open(vpc_domain *domain, vpc_observer **out);
 
 // Closes an observer's ports. NULL does nothing.
 vpc_status vpc_observer_close(vpc_observer *observer);
 
-// What the camera saw; VPC_STATUS_NOTHING where no message is waiting. `take` is a vpc_take. `missed` (may be NULL)
-// counts messages since the one before that were lost or thrown away.
+// What the camera saw; VPC_STATUS_NOTHING if no message is waiting. `take` is a vpc_take. `missed` (may be NULL) gets
+// the number of messages that were lost or dropped since the one before.
 vpc_status vpc_observer_features(vpc_observer *observer,
                                  uint32_t take,
                                  vpc_features *out,
@@ -637,13 +630,13 @@ vpc_status vpc_observer_robot(vpc_observer *observer,
                               vpc_robot_state *out,
                               uint64_t *missed);
 
-// What the controller's cycles did; as vpc_observer_features.
+// What a cycle of the controller did; as vpc_observer_features.
 vpc_status vpc_observer_cycle(vpc_observer *observer,
                               uint32_t take,
                               vpc_cycle_record *out,
                               uint64_t *missed);
 
-// Opens an operator's ports. VPC_STATUS_TAKEN where as many operators are at work as fit: stay no longer than needed.
+// Opens an operator's ports. VPC_STATUS_TAKEN if as many operators are at work as the service allows: close it when it is no longer needed.
 vpc_status vpc_operator_open(vpc_domain *domain,
                              vpc_operator **out);
 
@@ -660,7 +653,7 @@ vpc_status vpc_operator_ask(vpc_operator *operator_,
                             uint64_t patience_ns,
                             vpc_reply *out);
 
-// Lets the law move the camera, from the next good features on; waits for the answer, at most a second.
+// Lets the control law move the camera, from the next good features on; waits for the answer, at most a second.
 vpc_status vpc_arm(vpc_operator *operator_,
                    vpc_reply *out);
 
@@ -693,108 +686,102 @@ const char *vpc_solver_name(uint32_t code);
 
 
 /* The layout, as the Rust compiler has it. */
-#if defined(__cplusplus)
-#define VPC_ASSERT(condition, words) static_assert(condition, words)
-#else
-#define VPC_ASSERT(condition, words) _Static_assert(condition, words)
-#endif
-VPC_ASSERT(sizeof(vpc_stamp) == 24, "vpc_stamp");
-VPC_ASSERT(offsetof(vpc_stamp, sequence) == 0, "vpc_stamp.sequence");
-VPC_ASSERT(offsetof(vpc_stamp, published_ns) == 8, "vpc_stamp.published_ns");
-VPC_ASSERT(offsetof(vpc_stamp, data_ns) == 16, "vpc_stamp.data_ns");
-VPC_ASSERT(sizeof(vpc_features) == 168, "vpc_features");
-VPC_ASSERT(offsetof(vpc_features, stamp) == 0, "vpc_features.stamp");
-VPC_ASSERT(offsetof(vpc_features, exposure_ns) == 24, "vpc_features.exposure_ns");
-VPC_ASSERT(offsetof(vpc_features, count) == 32, "vpc_features.count");
-VPC_ASSERT(offsetof(vpc_features, visible) == 36, "vpc_features.visible");
-VPC_ASSERT(offsetof(vpc_features, points) == 40, "vpc_features.points");
-VPC_ASSERT(sizeof(vpc_twist_command) == 104, "vpc_twist_command");
-VPC_ASSERT(offsetof(vpc_twist_command, stamp) == 0, "vpc_twist_command.stamp");
-VPC_ASSERT(offsetof(vpc_twist_command, features_sequence) == 24, "vpc_twist_command.features_sequence");
-VPC_ASSERT(offsetof(vpc_twist_command, features_published_ns) == 32, "vpc_twist_command.features_published_ns");
-VPC_ASSERT(offsetof(vpc_twist_command, valid_until_ns) == 40, "vpc_twist_command.valid_until_ns");
-VPC_ASSERT(offsetof(vpc_twist_command, state) == 48, "vpc_twist_command.state");
-VPC_ASSERT(offsetof(vpc_twist_command, reserved) == 52, "vpc_twist_command.reserved");
-VPC_ASSERT(offsetof(vpc_twist_command, twist) == 56, "vpc_twist_command.twist");
-VPC_ASSERT(sizeof(vpc_robot_state) == 320, "vpc_robot_state");
-VPC_ASSERT(offsetof(vpc_robot_state, stamp) == 0, "vpc_robot_state.stamp");
-VPC_ASSERT(offsetof(vpc_robot_state, features_sequence) == 24, "vpc_robot_state.features_sequence");
-VPC_ASSERT(offsetof(vpc_robot_state, mode) == 32, "vpc_robot_state.mode");
-VPC_ASSERT(offsetof(vpc_robot_state, faults) == 36, "vpc_robot_state.faults");
-VPC_ASSERT(offsetof(vpc_robot_state, translation) == 40, "vpc_robot_state.translation");
-VPC_ASSERT(offsetof(vpc_robot_state, rotation) == 64, "vpc_robot_state.rotation");
-VPC_ASSERT(offsetof(vpc_robot_state, twist) == 88, "vpc_robot_state.twist");
-VPC_ASSERT(offsetof(vpc_robot_state, joints) == 136, "vpc_robot_state.joints");
-VPC_ASSERT(offsetof(vpc_robot_state, reserved) == 140, "vpc_robot_state.reserved");
-VPC_ASSERT(offsetof(vpc_robot_state, q) == 144, "vpc_robot_state.q");
-VPC_ASSERT(offsetof(vpc_robot_state, dq) == 200, "vpc_robot_state.dq");
-VPC_ASSERT(offsetof(vpc_robot_state, room) == 256, "vpc_robot_state.room");
-VPC_ASSERT(sizeof(vpc_cycle_record) == 584, "vpc_cycle_record");
-VPC_ASSERT(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
-VPC_ASSERT(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
-VPC_ASSERT(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
-VPC_ASSERT(offsetof(vpc_cycle_record, status) == 36, "vpc_cycle_record.status");
-VPC_ASSERT(offsetof(vpc_cycle_record, wake_latency_ns) == 40, "vpc_cycle_record.wake_latency_ns");
-VPC_ASSERT(offsetof(vpc_cycle_record, receive_ns) == 48, "vpc_cycle_record.receive_ns");
-VPC_ASSERT(offsetof(vpc_cycle_record, step_ns) == 56, "vpc_cycle_record.step_ns");
-VPC_ASSERT(offsetof(vpc_cycle_record, send_ns) == 64, "vpc_cycle_record.send_ns");
-VPC_ASSERT(offsetof(vpc_cycle_record, overruns) == 72, "vpc_cycle_record.overruns");
-VPC_ASSERT(offsetof(vpc_cycle_record, features_sequence) == 80, "vpc_cycle_record.features_sequence");
-VPC_ASSERT(offsetof(vpc_cycle_record, features_age_ns) == 88, "vpc_cycle_record.features_age_ns");
-VPC_ASSERT(offsetof(vpc_cycle_record, lost_records) == 96, "vpc_cycle_record.lost_records");
-VPC_ASSERT(offsetof(vpc_cycle_record, count) == 104, "vpc_cycle_record.count");
-VPC_ASSERT(offsetof(vpc_cycle_record, way_point_count) == 108, "vpc_cycle_record.way_point_count");
-VPC_ASSERT(offsetof(vpc_cycle_record, recalled) == 112, "vpc_cycle_record.recalled");
-VPC_ASSERT(offsetof(vpc_cycle_record, strategy) == 116, "vpc_cycle_record.strategy");
-VPC_ASSERT(offsetof(vpc_cycle_record, neighbours) == 120, "vpc_cycle_record.neighbours");
-VPC_ASSERT(offsetof(vpc_cycle_record, np) == 124, "vpc_cycle_record.np");
-VPC_ASSERT(offsetof(vpc_cycle_record, iterations) == 128, "vpc_cycle_record.iterations");
-VPC_ASSERT(offsetof(vpc_cycle_record, qp_iterations) == 132, "vpc_cycle_record.qp_iterations");
-VPC_ASSERT(offsetof(vpc_cycle_record, hold) == 136, "vpc_cycle_record.hold");
-VPC_ASSERT(offsetof(vpc_cycle_record, state) == 140, "vpc_cycle_record.state");
-VPC_ASSERT(offsetof(vpc_cycle_record, points) == 144, "vpc_cycle_record.points");
-VPC_ASSERT(offsetof(vpc_cycle_record, way_point) == 272, "vpc_cycle_record.way_point");
-VPC_ASSERT(offsetof(vpc_cycle_record, twist) == 400, "vpc_cycle_record.twist");
-VPC_ASSERT(offsetof(vpc_cycle_record, cost) == 448, "vpc_cycle_record.cost");
-VPC_ASSERT(offsetof(vpc_cycle_record, violation_px) == 456, "vpc_cycle_record.violation_px");
-VPC_ASSERT(offsetof(vpc_cycle_record, clearance_px) == 464, "vpc_cycle_record.clearance_px");
-VPC_ASSERT(offsetof(vpc_cycle_record, error_px) == 472, "vpc_cycle_record.error_px");
-VPC_ASSERT(offsetof(vpc_cycle_record, realtime) == 480, "vpc_cycle_record.realtime");
-VPC_ASSERT(offsetof(vpc_cycle_record, phase) == 484, "vpc_cycle_record.phase");
-VPC_ASSERT(offsetof(vpc_cycle_record, phase_error_ns) == 488, "vpc_cycle_record.phase_error_ns");
-VPC_ASSERT(offsetof(vpc_cycle_record, minor_faults) == 496, "vpc_cycle_record.minor_faults");
-VPC_ASSERT(offsetof(vpc_cycle_record, major_faults) == 500, "vpc_cycle_record.major_faults");
-VPC_ASSERT(offsetof(vpc_cycle_record, blocked) == 504, "vpc_cycle_record.blocked");
-VPC_ASSERT(offsetof(vpc_cycle_record, allocations) == 508, "vpc_cycle_record.allocations");
-VPC_ASSERT(offsetof(vpc_cycle_record, features_input) == 512, "vpc_cycle_record.features_input");
-VPC_ASSERT(offsetof(vpc_cycle_record, robot_input) == 516, "vpc_cycle_record.robot_input");
-VPC_ASSERT(offsetof(vpc_cycle_record, features_seen) == 520, "vpc_cycle_record.features_seen");
-VPC_ASSERT(offsetof(vpc_cycle_record, robot_seen) == 544, "vpc_cycle_record.robot_seen");
-VPC_ASSERT(offsetof(vpc_cycle_record, requests) == 568, "vpc_cycle_record.requests");
-VPC_ASSERT(offsetof(vpc_cycle_record, missed) == 572, "vpc_cycle_record.missed");
-VPC_ASSERT(offsetof(vpc_cycle_record, flags) == 576, "vpc_cycle_record.flags");
-VPC_ASSERT(offsetof(vpc_cycle_record, reserved) == 580, "vpc_cycle_record.reserved");
-VPC_ASSERT(sizeof(vpc_snapshot) == 8232, "vpc_snapshot");
-VPC_ASSERT(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
-VPC_ASSERT(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");
-VPC_ASSERT(offsetof(vpc_snapshot, length) == 32, "vpc_snapshot.length");
-VPC_ASSERT(offsetof(vpc_snapshot, version) == 36, "vpc_snapshot.version");
-VPC_ASSERT(offsetof(vpc_snapshot, state) == 40, "vpc_snapshot.state");
-VPC_ASSERT(sizeof(vpc_request) == 48, "vpc_request");
-VPC_ASSERT(offsetof(vpc_request, stamp) == 0, "vpc_request.stamp");
-VPC_ASSERT(offsetof(vpc_request, id) == 24, "vpc_request.id");
-VPC_ASSERT(offsetof(vpc_request, action) == 32, "vpc_request.action");
-VPC_ASSERT(offsetof(vpc_request, strategy) == 36, "vpc_request.strategy");
-VPC_ASSERT(offsetof(vpc_request, neighbours) == 40, "vpc_request.neighbours");
-VPC_ASSERT(offsetof(vpc_request, reserved) == 44, "vpc_request.reserved");
-VPC_ASSERT(sizeof(vpc_reply) == 64, "vpc_reply");
-VPC_ASSERT(offsetof(vpc_reply, stamp) == 0, "vpc_reply.stamp");
-VPC_ASSERT(offsetof(vpc_reply, id) == 24, "vpc_reply.id");
-VPC_ASSERT(offsetof(vpc_reply, cycle) == 32, "vpc_reply.cycle");
-VPC_ASSERT(offsetof(vpc_reply, action) == 40, "vpc_reply.action");
-VPC_ASSERT(offsetof(vpc_reply, outcome) == 44, "vpc_reply.outcome");
-VPC_ASSERT(offsetof(vpc_reply, state) == 48, "vpc_reply.state");
-VPC_ASSERT(offsetof(vpc_reply, hold) == 52, "vpc_reply.hold");
-VPC_ASSERT(offsetof(vpc_reply, strategy) == 56, "vpc_reply.strategy");
-VPC_ASSERT(offsetof(vpc_reply, neighbours) == 60, "vpc_reply.neighbours");
-#undef VPC_ASSERT
+static_assert(sizeof(vpc_stamp) == 24, "vpc_stamp");
+static_assert(offsetof(vpc_stamp, sequence) == 0, "vpc_stamp.sequence");
+static_assert(offsetof(vpc_stamp, published_ns) == 8, "vpc_stamp.published_ns");
+static_assert(offsetof(vpc_stamp, data_ns) == 16, "vpc_stamp.data_ns");
+static_assert(sizeof(vpc_features) == 168, "vpc_features");
+static_assert(offsetof(vpc_features, stamp) == 0, "vpc_features.stamp");
+static_assert(offsetof(vpc_features, exposure_ns) == 24, "vpc_features.exposure_ns");
+static_assert(offsetof(vpc_features, count) == 32, "vpc_features.count");
+static_assert(offsetof(vpc_features, visible) == 36, "vpc_features.visible");
+static_assert(offsetof(vpc_features, points) == 40, "vpc_features.points");
+static_assert(sizeof(vpc_twist_command) == 104, "vpc_twist_command");
+static_assert(offsetof(vpc_twist_command, stamp) == 0, "vpc_twist_command.stamp");
+static_assert(offsetof(vpc_twist_command, features_sequence) == 24, "vpc_twist_command.features_sequence");
+static_assert(offsetof(vpc_twist_command, features_published_ns) == 32, "vpc_twist_command.features_published_ns");
+static_assert(offsetof(vpc_twist_command, valid_until_ns) == 40, "vpc_twist_command.valid_until_ns");
+static_assert(offsetof(vpc_twist_command, state) == 48, "vpc_twist_command.state");
+static_assert(offsetof(vpc_twist_command, reserved) == 52, "vpc_twist_command.reserved");
+static_assert(offsetof(vpc_twist_command, twist) == 56, "vpc_twist_command.twist");
+static_assert(sizeof(vpc_robot_state) == 320, "vpc_robot_state");
+static_assert(offsetof(vpc_robot_state, stamp) == 0, "vpc_robot_state.stamp");
+static_assert(offsetof(vpc_robot_state, features_sequence) == 24, "vpc_robot_state.features_sequence");
+static_assert(offsetof(vpc_robot_state, mode) == 32, "vpc_robot_state.mode");
+static_assert(offsetof(vpc_robot_state, faults) == 36, "vpc_robot_state.faults");
+static_assert(offsetof(vpc_robot_state, translation) == 40, "vpc_robot_state.translation");
+static_assert(offsetof(vpc_robot_state, rotation) == 64, "vpc_robot_state.rotation");
+static_assert(offsetof(vpc_robot_state, twist) == 88, "vpc_robot_state.twist");
+static_assert(offsetof(vpc_robot_state, joints) == 136, "vpc_robot_state.joints");
+static_assert(offsetof(vpc_robot_state, reserved) == 140, "vpc_robot_state.reserved");
+static_assert(offsetof(vpc_robot_state, q) == 144, "vpc_robot_state.q");
+static_assert(offsetof(vpc_robot_state, dq) == 200, "vpc_robot_state.dq");
+static_assert(offsetof(vpc_robot_state, room) == 256, "vpc_robot_state.room");
+static_assert(sizeof(vpc_cycle_record) == 584, "vpc_cycle_record");
+static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
+static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
+static_assert(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
+static_assert(offsetof(vpc_cycle_record, status) == 36, "vpc_cycle_record.status");
+static_assert(offsetof(vpc_cycle_record, wake_latency_ns) == 40, "vpc_cycle_record.wake_latency_ns");
+static_assert(offsetof(vpc_cycle_record, receive_ns) == 48, "vpc_cycle_record.receive_ns");
+static_assert(offsetof(vpc_cycle_record, step_ns) == 56, "vpc_cycle_record.step_ns");
+static_assert(offsetof(vpc_cycle_record, send_ns) == 64, "vpc_cycle_record.send_ns");
+static_assert(offsetof(vpc_cycle_record, overruns) == 72, "vpc_cycle_record.overruns");
+static_assert(offsetof(vpc_cycle_record, features_sequence) == 80, "vpc_cycle_record.features_sequence");
+static_assert(offsetof(vpc_cycle_record, features_age_ns) == 88, "vpc_cycle_record.features_age_ns");
+static_assert(offsetof(vpc_cycle_record, lost_records) == 96, "vpc_cycle_record.lost_records");
+static_assert(offsetof(vpc_cycle_record, count) == 104, "vpc_cycle_record.count");
+static_assert(offsetof(vpc_cycle_record, way_point_count) == 108, "vpc_cycle_record.way_point_count");
+static_assert(offsetof(vpc_cycle_record, recalled) == 112, "vpc_cycle_record.recalled");
+static_assert(offsetof(vpc_cycle_record, strategy) == 116, "vpc_cycle_record.strategy");
+static_assert(offsetof(vpc_cycle_record, neighbours) == 120, "vpc_cycle_record.neighbours");
+static_assert(offsetof(vpc_cycle_record, np) == 124, "vpc_cycle_record.np");
+static_assert(offsetof(vpc_cycle_record, iterations) == 128, "vpc_cycle_record.iterations");
+static_assert(offsetof(vpc_cycle_record, qp_iterations) == 132, "vpc_cycle_record.qp_iterations");
+static_assert(offsetof(vpc_cycle_record, hold) == 136, "vpc_cycle_record.hold");
+static_assert(offsetof(vpc_cycle_record, state) == 140, "vpc_cycle_record.state");
+static_assert(offsetof(vpc_cycle_record, points) == 144, "vpc_cycle_record.points");
+static_assert(offsetof(vpc_cycle_record, way_point) == 272, "vpc_cycle_record.way_point");
+static_assert(offsetof(vpc_cycle_record, twist) == 400, "vpc_cycle_record.twist");
+static_assert(offsetof(vpc_cycle_record, cost) == 448, "vpc_cycle_record.cost");
+static_assert(offsetof(vpc_cycle_record, violation_px) == 456, "vpc_cycle_record.violation_px");
+static_assert(offsetof(vpc_cycle_record, clearance_px) == 464, "vpc_cycle_record.clearance_px");
+static_assert(offsetof(vpc_cycle_record, error_px) == 472, "vpc_cycle_record.error_px");
+static_assert(offsetof(vpc_cycle_record, realtime) == 480, "vpc_cycle_record.realtime");
+static_assert(offsetof(vpc_cycle_record, phase) == 484, "vpc_cycle_record.phase");
+static_assert(offsetof(vpc_cycle_record, phase_error_ns) == 488, "vpc_cycle_record.phase_error_ns");
+static_assert(offsetof(vpc_cycle_record, minor_faults) == 496, "vpc_cycle_record.minor_faults");
+static_assert(offsetof(vpc_cycle_record, major_faults) == 500, "vpc_cycle_record.major_faults");
+static_assert(offsetof(vpc_cycle_record, blocked) == 504, "vpc_cycle_record.blocked");
+static_assert(offsetof(vpc_cycle_record, allocations) == 508, "vpc_cycle_record.allocations");
+static_assert(offsetof(vpc_cycle_record, features_input) == 512, "vpc_cycle_record.features_input");
+static_assert(offsetof(vpc_cycle_record, robot_input) == 516, "vpc_cycle_record.robot_input");
+static_assert(offsetof(vpc_cycle_record, features_seen) == 520, "vpc_cycle_record.features_seen");
+static_assert(offsetof(vpc_cycle_record, robot_seen) == 544, "vpc_cycle_record.robot_seen");
+static_assert(offsetof(vpc_cycle_record, requests) == 568, "vpc_cycle_record.requests");
+static_assert(offsetof(vpc_cycle_record, missed) == 572, "vpc_cycle_record.missed");
+static_assert(offsetof(vpc_cycle_record, flags) == 576, "vpc_cycle_record.flags");
+static_assert(offsetof(vpc_cycle_record, reserved) == 580, "vpc_cycle_record.reserved");
+static_assert(sizeof(vpc_snapshot) == 8232, "vpc_snapshot");
+static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
+static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");
+static_assert(offsetof(vpc_snapshot, length) == 32, "vpc_snapshot.length");
+static_assert(offsetof(vpc_snapshot, version) == 36, "vpc_snapshot.version");
+static_assert(offsetof(vpc_snapshot, state) == 40, "vpc_snapshot.state");
+static_assert(sizeof(vpc_request) == 48, "vpc_request");
+static_assert(offsetof(vpc_request, stamp) == 0, "vpc_request.stamp");
+static_assert(offsetof(vpc_request, id) == 24, "vpc_request.id");
+static_assert(offsetof(vpc_request, action) == 32, "vpc_request.action");
+static_assert(offsetof(vpc_request, strategy) == 36, "vpc_request.strategy");
+static_assert(offsetof(vpc_request, neighbours) == 40, "vpc_request.neighbours");
+static_assert(offsetof(vpc_request, reserved) == 44, "vpc_request.reserved");
+static_assert(sizeof(vpc_reply) == 64, "vpc_reply");
+static_assert(offsetof(vpc_reply, stamp) == 0, "vpc_reply.stamp");
+static_assert(offsetof(vpc_reply, id) == 24, "vpc_reply.id");
+static_assert(offsetof(vpc_reply, cycle) == 32, "vpc_reply.cycle");
+static_assert(offsetof(vpc_reply, action) == 40, "vpc_reply.action");
+static_assert(offsetof(vpc_reply, outcome) == 44, "vpc_reply.outcome");
+static_assert(offsetof(vpc_reply, state) == 48, "vpc_reply.state");
+static_assert(offsetof(vpc_reply, hold) == 52, "vpc_reply.hold");
+static_assert(offsetof(vpc_reply, strategy) == 56, "vpc_reply.strategy");
+static_assert(offsetof(vpc_reply, neighbours) == 60, "vpc_reply.neighbours");

@@ -1,11 +1,12 @@
-//! The boundary to C: errors become numbers and words, panics stop here, handles stay in their thread.
+//! The boundary to C: errors become numbers and words, panics stop here, handles stay in their
+//! thread.
 
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::thread::ThreadId;
 
-use ipc::{AskError, JoinError, OpenError, PublishError, ReceiveError};
+use ipc::{AskError, Invalid, JoinError, OpenError, PublishError, ReceiveError};
 
 use crate::status::Status;
 
@@ -35,6 +36,12 @@ impl Fault {
             Status::Argument,
             format!("{argument} = NULL; allowed: a valid pointer"),
         )
+    }
+}
+
+impl From<Invalid> for Fault {
+    fn from(error: Invalid) -> Self {
+        Self::new(Status::Argument, error.to_string())
     }
 }
 
@@ -79,7 +86,8 @@ impl From<AskError> for Fault {
     }
 }
 
-/// Does what a function of the header does: no panic gets past it, and its words are kept for `vpc_message`.
+/// Runs the body of a function of the header: stops panics, and keeps the words of an error for
+/// `vpc_message`.
 pub fn enter(act: impl FnOnce() -> Result<(), Fault>) -> Status {
     // After a panic nothing is promised of the handle but that it can be closed.
     let fault = match catch_unwind(AssertUnwindSafe(act)) {
@@ -102,60 +110,52 @@ pub fn enter(act: impl FnOnce() -> Result<(), Fault>) -> Status {
     fault.status
 }
 
-/// Whose a handle is.
-#[derive(Debug)]
-pub struct Owner(ThreadId);
-
-impl Owner {
-    /// This thread.
-    pub fn here() -> Self {
-        Self(std::thread::current().id())
-    }
+/// What the caller holds a pointer to: a value and the thread that made it.
+pub struct Handle<T> {
+    thread: ThreadId,
+    value: T,
 }
 
-/// What the caller holds a pointer to.
-pub trait Handle {
-    /// Name of the argument.
-    const NAME: &'static str;
-
-    /// The thread that made it.
-    fn owner(&self) -> &Owner;
-}
-
-/// The handle behind a pointer.
+/// The value behind a pointer to a handle, which is the argument `name`.
 ///
 /// # Safety
-/// `handle` is NULL or came from `give` and was not closed.
+/// `handle` is NULL or came from [`give`] and was not closed.
 ///
 /// # Errors
 /// NULL, or another thread.
-pub unsafe fn handle<'a, T: Handle>(handle: *mut T) -> Result<&'a mut T, Fault> {
-    // SAFETY: valid where it is not NULL, says the caller; ports are used by one thread, which is checked before
-    // anything but the owner, which never changes, is looked at.
-    let owner = unsafe { handle.as_ref() }
-        .ok_or_else(|| Fault::null(T::NAME))?
-        .owner();
-    if owner.0 != std::thread::current().id() {
+pub unsafe fn handle<'a, T>(handle: *mut Handle<T>, name: &str) -> Result<&'a mut T, Fault> {
+    // SAFETY: valid if it is not NULL, by the caller's promise. Only its own thread uses the value;
+    // until that is checked, only the thread's id is read, which never changes.
+    let thread = unsafe { handle.as_ref() }
+        .ok_or_else(|| Fault::null(name))?
+        .thread;
+    if thread != std::thread::current().id() {
         let words = format!(
-            "{}: used in another thread than the one that made it; allowed: its own, others join for themselves",
-            T::NAME
+            "{name}: used in another thread than the one that made it; allowed: its own, others join for themselves"
         );
         return Err(Fault::new(Status::Thread, words));
     }
     // SAFETY: as above, and this thread is inside one function of this library at a time.
-    unsafe { handle.as_mut() }.ok_or_else(|| Fault::null(T::NAME))
+    Ok(unsafe { &mut (*handle).value })
 }
 
-/// Gives a handle to the caller.
+/// Gives a new handle to the caller.
 ///
 /// # Safety
 /// `place` is NULL or a place for a pointer.
 ///
 /// # Errors
 /// NULL.
-pub unsafe fn give<T: Handle>(place: *mut *mut T, new: T) -> Result<(), Fault> {
+pub unsafe fn give<T>(place: *mut *mut Handle<T>, value: T) -> Result<(), Fault> {
+    let thread = std::thread::current().id();
     // SAFETY: the caller's promise.
-    unsafe { put(place, "out", Box::into_raw(Box::new(new))) }
+    unsafe {
+        put(
+            place,
+            "out",
+            Box::into_raw(Box::new(Handle { thread, value })),
+        )
+    }
 }
 
 /// Closes a handle; NULL is closed already.
@@ -165,12 +165,12 @@ pub unsafe fn give<T: Handle>(place: *mut *mut T, new: T) -> Result<(), Fault> {
 ///
 /// # Errors
 /// Another thread: it stays open.
-pub unsafe fn close<T: Handle>(pointer: *mut T) -> Result<(), Fault> {
+pub unsafe fn close<T>(pointer: *mut Handle<T>, name: &str) -> Result<(), Fault> {
     if pointer.is_null() {
         return Ok(());
     }
     // SAFETY: the caller's promise.
-    unsafe { handle(pointer) }?;
+    unsafe { handle(pointer, name) }?;
     // SAFETY: it came from `give`, which made it by `Box::into_raw`.
     drop(unsafe { Box::from_raw(pointer) });
     Ok(())
@@ -226,8 +226,8 @@ pub unsafe fn text<'a>(text: *const c_char) -> Option<&'a CStr> {
     (!text.is_null()).then(|| unsafe { CStr::from_ptr(text) })
 }
 
-/// What went wrong last in this thread, in words; empty where nothing did. Valid until the next call of this library
-/// in this thread.
+/// The last error of this thread in words; empty if there was none. Valid until the next call of
+/// this library in this thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_message() -> *const c_char {
     let words = MESSAGE.try_with(|message| message.try_borrow().map(|words| words.as_ptr()));

@@ -4,26 +4,20 @@ use std::time::Duration;
 
 use ipc::{CameraPorts, Features, Message, RobotState, Stamp, TwistCommand};
 
-use crate::boundary::{self, Fault, Handle, Owner};
+use crate::boundary::{self, Fault, Handle};
 use crate::domain::Domain;
 use crate::status::Status;
 
-/// Publishes features and the robot's state, receives twists.
-pub struct Camera {
+/// The ports, and the number of the last features.
+pub struct CameraState {
     ports: CameraPorts,
     sequence: u64,
-    owner: Owner,
 }
 
-impl Handle for Camera {
-    const NAME: &'static str = "camera";
+/// Publishes features and the robot's state, receives twists.
+pub type Camera = Handle<CameraState>;
 
-    fn owner(&self) -> &Owner {
-        &self.owner
-    }
-}
-
-/// What became of features that were published: what their answer bears.
+/// Features that were published, as their answer names them.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sent {
@@ -38,11 +32,10 @@ pub struct Sent {
 pub unsafe extern "C" fn vpc_camera_open(domain: *mut Domain, out: *mut *mut Camera) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        let domain = unsafe { boundary::handle(domain) }?;
-        let camera = Camera {
-            ports: CameraPorts::open(&domain.domain)?,
+        let domain = unsafe { boundary::handle(domain, "domain") }?;
+        let camera = CameraState {
+            ports: CameraPorts::open(domain)?,
             sequence: 0,
-            owner: Owner::here(),
         };
         // SAFETY: the header asks for a place.
         unsafe { boundary::give(out, camera) }
@@ -53,7 +46,7 @@ pub unsafe extern "C" fn vpc_camera_open(domain: *mut Domain, out: *mut *mut Cam
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_close(camera: *mut Camera) -> Status {
     // SAFETY: the header asks for a handle that is not used again.
-    boundary::enter(|| unsafe { boundary::close(camera) })
+    boundary::enter(|| unsafe { boundary::close(camera, "camera") })
 }
 
 /// Fills in features: `count` points u1 v1 u2 v2 ... in px, 1 to 8, all visible, no times.
@@ -79,9 +72,9 @@ pub unsafe extern "C" fn vpc_features_of(
     })
 }
 
-/// Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present time and
-/// `stamp.data_ns` 0 becomes `published_ns`; other values stand (simulated time in lockstep, the exposure of a real
-/// camera). `sent` may be NULL.
+/// Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present
+/// time and `stamp.data_ns` 0 becomes `published_ns`; other values are kept (simulated time in
+/// lockstep, the exposure of a real camera). `sent` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_publish(
     camera: *mut Camera,
@@ -90,7 +83,7 @@ pub unsafe extern "C" fn vpc_camera_publish(
 ) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        let camera = unsafe { boundary::handle(camera) }?;
+        let camera = unsafe { boundary::handle(camera, "camera") }?;
         // SAFETY: the header asks for features.
         let mut features = unsafe { boundary::get(features, "features") }?;
         let Stamp {
@@ -105,9 +98,7 @@ pub unsafe extern "C" fn vpc_camera_publish(
         if *data_ns == 0 {
             *data_ns = *published_ns;
         }
-        features
-            .check()
-            .map_err(|invalid| Fault::new(Status::Argument, invalid.to_string()))?;
+        features.check()?;
         camera.sequence += 1;
         let done = camera.ports.features.publish_verbatim(&features)?;
         let done = Sent {
@@ -120,18 +111,19 @@ pub unsafe extern "C" fn vpc_camera_publish(
     })
 }
 
-/// Counts from 1 again: the next features begin a new run, for which the controller forgets everything.
+/// Counts from 1 again: the next features begin a new run, for which the controller forgets
+/// everything.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_restart(camera: *mut Camera) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        unsafe { boundary::handle(camera) }?.sequence = 0;
+        unsafe { boundary::handle(camera, "camera") }?.sequence = 0;
         Ok(())
     })
 }
 
-/// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`; VPC_STATUS_TIMEOUT when none
-/// came. A controller that starts meanwhile gets them.
+/// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`;
+/// VPC_STATUS_TIMEOUT if none comes. A controller that starts meanwhile gets them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_wait(
     camera: *mut Camera,
@@ -141,7 +133,7 @@ pub unsafe extern "C" fn vpc_camera_wait(
 ) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        let camera = unsafe { boundary::handle(camera) }?;
+        let camera = unsafe { boundary::handle(camera, "camera") }?;
         // SAFETY: the header asks for what `vpc_camera_publish` filled in.
         let sent = unsafe { boundary::get(sent, "sent") }?;
         let known = ipc::Sent {
@@ -165,13 +157,13 @@ pub unsafe extern "C" fn vpc_camera_wait(
     })
 }
 
-/// The newest command since the last call; VPC_STATUS_NOTHING where there is none. It may be executed until its
-/// `valid_until_ns`, never longer: stop then.
+/// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed
+/// until its `valid_until_ns`, never longer: stop then.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_twist(camera: *mut Camera, out: *mut TwistCommand) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        let camera = unsafe { boundary::handle(camera) }?;
+        let camera = unsafe { boundary::handle(camera, "camera") }?;
         let twist = camera.ports.twist.latest()?;
         let twist =
             twist.ok_or_else(|| Fault::new(Status::Nothing, "vpc/twist: no command came"))?;
@@ -180,7 +172,8 @@ pub unsafe extern "C" fn vpc_camera_twist(camera: *mut Camera, out: *mut TwistCo
     })
 }
 
-/// Publishes the robot's state; sequence and time of publication are filled in, the rest is as given.
+/// Publishes the robot's state; sequence and time of publication are filled in, the rest is as
+/// given.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_publish_robot(
     camera: *mut Camera,
@@ -188,13 +181,11 @@ pub unsafe extern "C" fn vpc_camera_publish_robot(
 ) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        let camera = unsafe { boundary::handle(camera) }?;
+        let camera = unsafe { boundary::handle(camera, "camera") }?;
         // SAFETY: the header asks for a state.
         let mut state = unsafe { boundary::get(state, "state") }?;
         state.stamp.sequence = 1;
-        state
-            .check()
-            .map_err(|invalid| Fault::new(Status::Argument, invalid.to_string()))?;
+        state.check()?;
         camera.ports.robot.publish(&state)?;
         Ok(())
     })

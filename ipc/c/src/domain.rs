@@ -4,25 +4,14 @@ use std::ffi::{OsStr, c_char};
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
-use crate::boundary::{self, Handle, Owner};
+use crate::boundary::{self, Handle};
 use crate::status::Status;
 
 /// Membership of a domain.
-pub struct Domain {
-    pub(crate) domain: ipc::Domain,
-    owner: Owner,
-}
+pub type Domain = Handle<ipc::Domain>;
 
-impl Handle for Domain {
-    const NAME: &'static str = "domain";
-
-    fn owner(&self) -> &Owner {
-        &self.owner
-    }
-}
-
-/// Joins the domain in `directory`, which is created where it is missing; NULL: /tmp/vpc-UID. The handle and what
-/// is opened with it stay in this thread.
+/// Joins the domain in `directory`, which is created if it is missing; NULL: /tmp/vpc-UID. The
+/// handle and everything opened with it stay in this thread.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_domain_join(
     directory: *const c_char,
@@ -35,17 +24,16 @@ pub unsafe extern "C" fn vpc_domain_join(
             None => ipc::default_directory(),
         };
         let domain = ipc::Domain::join(&directory)?;
-        let owner = Owner::here();
         // SAFETY: the header asks for a place.
-        unsafe { boundary::give(out, Domain { domain, owner }) }
+        unsafe { boundary::give(out, domain) }
     })
 }
 
-/// Leaves the domain when the last port opened with it is closed, too. NULL does nothing.
+/// Leaves the domain once the last port opened with it is closed. NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_domain_leave(domain: *mut Domain) -> Status {
     // SAFETY: the header asks for a handle that is not used again.
-    boundary::enter(|| unsafe { boundary::close(domain) })
+    boundary::enter(|| unsafe { boundary::close(domain, "domain") })
 }
 
 /// CLOCK_MONOTONIC in ns: the clock of all stamps.

@@ -1,47 +1,32 @@
-//! Somebody who watches.
+//! An observer: receives everything.
 
 use ipc::{CycleRecord, Features, Message, Order, RobotState, Subscriber, TwistCommand};
 
-use crate::boundary::{self, Fault, Handle, Owner};
+use crate::boundary::{self, Fault, Handle};
 use crate::domain::Domain;
 use crate::status::Status;
 
 /// Receives everything and sends nothing.
-pub struct Observer {
-    ports: ipc::Observer,
-    owner: Owner,
-}
-
-impl Handle for Observer {
-    const NAME: &'static str = "observer";
-
-    fn owner(&self) -> &Owner {
-        &self.owner
-    }
-}
+pub type Observer = Handle<ipc::Observer>;
 
 /// Which of the messages that wait is taken.
 #[repr(u32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Take {
-    /// The one that waited longest: for who wants all of them.
+    /// The oldest, to get all of them.
     Oldest = 0,
-    /// The newest; those before it are thrown away.
+    /// The newest; those before it are dropped.
     Latest = 1,
 }
 
-/// Opens an observer's ports. VPC_STATUS_TAKEN where a service has all the subscribers that it takes.
+/// Opens an observer's ports. VPC_STATUS_TAKEN if a service has all the subscribers that it allows.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_observer_open(domain: *mut Domain, out: *mut *mut Observer) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        let domain = unsafe { boundary::handle(domain) }?;
-        let observer = Observer {
-            ports: ipc::Observer::open(&domain.domain)?,
-            owner: Owner::here(),
-        };
+        let domain = unsafe { boundary::handle(domain, "domain") }?;
         // SAFETY: the header asks for a place.
-        unsafe { boundary::give(out, observer) }
+        unsafe { boundary::give(out, ipc::Observer::open(domain)?) }
     })
 }
 
@@ -49,7 +34,7 @@ pub unsafe extern "C" fn vpc_observer_open(domain: *mut Domain, out: *mut *mut O
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_observer_close(observer: *mut Observer) -> Status {
     // SAFETY: the header asks for a handle that is not used again.
-    boundary::enter(|| unsafe { boundary::close(observer) })
+    boundary::enter(|| unsafe { boundary::close(observer, "observer") })
 }
 
 /// Takes a message from one of the observer's subscribers.
@@ -65,7 +50,7 @@ unsafe fn take<T: Message>(
 ) -> Status {
     boundary::enter(|| {
         // SAFETY: the caller's promise.
-        let subscriber = subscriber(&mut unsafe { boundary::handle(observer) }?.ports);
+        let subscriber = subscriber(unsafe { boundary::handle(observer, "observer") }?);
         let service = T::SERVICE;
         if out.is_null() {
             return Err(Fault::null("out"));
@@ -92,8 +77,8 @@ unsafe fn take<T: Message>(
     })
 }
 
-/// What the camera saw; VPC_STATUS_NOTHING where no message is waiting. `take` is a vpc_take. `missed` (may be NULL)
-/// counts messages since the one before that were lost or thrown away.
+/// What the camera saw; VPC_STATUS_NOTHING if no message is waiting. `take` is a vpc_take. `missed`
+/// (may be NULL) gets the number of messages that were lost or dropped since the one before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_observer_features(
     observer: *mut Observer,
@@ -129,7 +114,7 @@ pub unsafe extern "C" fn vpc_observer_robot(
     unsafe { self::take(observer, |ports| &mut ports.robot, take, out, missed) }
 }
 
-/// What the controller's cycles did; as vpc_observer_features.
+/// What a cycle of the controller did; as vpc_observer_features.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_observer_cycle(
     observer: *mut Observer,

@@ -1,40 +1,26 @@
-//! Somebody who commands the controller.
+//! An operator: commands the controller.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::time::Duration;
 
-use ipc::{Action, OperatorPorts, Outcome, Reply, Request, StrategyCode};
+use ipc::{Action, OperatorPorts, Outcome, Reply, Request};
 
-use crate::boundary::{self, Fault, Handle, Owner};
+use crate::boundary::{self, Fault, Handle};
 use crate::domain::Domain;
 use crate::status::Status;
 
 /// Asks the controller, and waits for its answers.
-pub struct Operator {
-    ports: OperatorPorts,
-    owner: Owner,
-}
+pub type Operator = Handle<OperatorPorts>;
 
-impl Handle for Operator {
-    const NAME: &'static str = "operator";
-
-    fn owner(&self) -> &Owner {
-        &self.owner
-    }
-}
-
-/// Opens an operator's ports. VPC_STATUS_TAKEN where as many operators are at work as fit: stay no longer than needed.
+/// Opens an operator's ports. VPC_STATUS_TAKEN if as many operators are at work as the service
+/// allows: close it when it is no longer needed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_operator_open(domain: *mut Domain, out: *mut *mut Operator) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for a handle.
-        let domain = unsafe { boundary::handle(domain) }?;
-        let operator = Operator {
-            ports: OperatorPorts::open(&domain.domain)?,
-            owner: Owner::here(),
-        };
+        let domain = unsafe { boundary::handle(domain, "domain") }?;
         // SAFETY: the header asks for a place.
-        unsafe { boundary::give(out, operator) }
+        unsafe { boundary::give(out, OperatorPorts::open(domain)?) }
     })
 }
 
@@ -42,52 +28,20 @@ pub unsafe extern "C" fn vpc_operator_open(domain: *mut Domain, out: *mut *mut O
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_operator_close(operator: *mut Operator) -> Status {
     // SAFETY: the header asks for a handle that is not used again.
-    boundary::enter(|| unsafe { boundary::close(operator) })
+    boundary::enter(|| unsafe { boundary::close(operator, "operator") })
 }
 
-/// A number that no other operator uses: the standard library seeds its hash tables from the operating system's
-/// random numbers.
+/// A number that no other operator uses: the standard library seeds its hash tables from the
+/// operating system's random numbers.
 fn fresh_id() -> u64 {
     let mut hasher = RandomState::new().build_hasher();
     hasher.write_u64(ipc::now_ns());
     hasher.finish()
 }
 
-/// Sends a request and waits for its answer.
-///
-/// # Safety
-/// `operator` is NULL or an open handle, `out` is NULL or a place.
-unsafe fn ask(
-    operator: *mut Operator,
-    request: impl FnOnce() -> Result<Request, Fault>,
-    patience_ns: u64,
-    out: *mut Reply,
-) -> Status {
-    boundary::enter(|| {
-        // SAFETY: the caller's promise.
-        let operator = unsafe { boundary::handle(operator) }?;
-        let request = request()?;
-        let patience = Duration::from_nanos(patience_ns);
-        let Some(reply) = operator.ports.ask(&request, patience)? else {
-            let words = format!(
-                "vpc/replies: no answer within {} ms; does vpcd run in this domain?",
-                patience.as_millis()
-            );
-            return Err(Fault::new(Status::Timeout, words));
-        };
-        // SAFETY: the caller's promise.
-        unsafe { boundary::put_if_asked(out, reply) };
-        match reply.outcome() {
-            Some(Outcome::Done) => Ok(()),
-            Some(outcome) => Err(Fault::new(Status::Refused, outcome.to_string())),
-            None => Err(Fault::new(Status::Refused, "refused")),
-        }
-    })
-}
-
 /// Sends a request and waits for the answer, at most `patience_ns`. `action` is a vpc_action; for
-/// VPC_ACTION_STRATEGY, `strategy` is a vpc_strategy and `neighbours` 1 to 64 with knn; otherwise both are 0. `out`
-/// (may be NULL) gets the answer, also of VPC_STATUS_REFUSED.
+/// VPC_ACTION_STRATEGY, `strategy` is a vpc_strategy and `neighbours` 1 to 64 with knn; otherwise
+/// both are 0. `out` (may be NULL) gets the answer, also of VPC_STATUS_REFUSED.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_operator_ask(
     operator: *mut Operator,
@@ -97,47 +51,57 @@ pub unsafe extern "C" fn vpc_operator_ask(
     patience_ns: u64,
     out: *mut Reply,
 ) -> Status {
-    let request = || {
-        let refuse = |name: &str, code: u32, most: u32| {
-            let words = format!("{name} = {code}; allowed: 0 to {most}");
-            Fault::new(Status::Argument, words)
+    boundary::enter(|| {
+        // SAFETY: the header asks for a handle.
+        let operator = unsafe { boundary::handle(operator, "operator") }?;
+        let mut request = Request {
+            action,
+            strategy,
+            neighbours,
+            id: fresh_id(),
+            ..Request::default()
         };
-        let action = Action::from_code(action)
-            .ok_or_else(|| refuse("action", action, Action::Record.code()))?;
-        let known = StrategyCode::from_code(strategy)
-            .ok_or_else(|| refuse("strategy", strategy, StrategyCode::Ibvs.code()))?;
-        Ok(match action {
-            Action::Strategy => Request::strategy(fresh_id(), known, neighbours),
-            _ => Request::new(fresh_id(), action),
-        })
-    };
-    // SAFETY: the header asks for a handle and a place.
-    unsafe { ask(operator, request, patience_ns, out) }
+        request.stamp.sequence = 1;
+        request.check_codes()?;
+        let patience = Duration::from_nanos(patience_ns);
+        let Some(reply) = operator.ask(&request, patience)? else {
+            let words = format!(
+                "vpc/replies: no answer within {} ms; does vpcd run in this domain?",
+                patience.as_millis()
+            );
+            return Err(Fault::new(Status::Timeout, words));
+        };
+        // SAFETY: the header asks for NULL or a place.
+        unsafe { boundary::put_if_asked(out, reply) };
+        match reply.outcome() {
+            Some(Outcome::Done) => Ok(()),
+            Some(outcome) => Err(Fault::new(Status::Refused, outcome.to_string())),
+            None => Err(Fault::new(Status::Refused, "refused")),
+        }
+    })
 }
 
 /// How long vpc_arm, vpc_disarm and vpc_stop wait.
 const PATIENCE_NS: u64 = 1_000_000_000;
 
-/// Lets the law move the camera, from the next good features on; waits for the answer, at most a second.
+/// Lets the control law move the camera, from the next good features on; waits for the answer, at
+/// most a second.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_arm(operator: *mut Operator, out: *mut Reply) -> Status {
-    let request = || Ok(Request::new(fresh_id(), Action::Arm));
     // SAFETY: the header asks for a handle and a place.
-    unsafe { ask(operator, request, PATIENCE_NS, out) }
+    unsafe { vpc_operator_ask(operator, Action::Arm.code(), 0, 0, PATIENCE_NS, out) }
 }
 
 /// Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_disarm(operator: *mut Operator, out: *mut Reply) -> Status {
-    let request = || Ok(Request::new(fresh_id(), Action::Disarm));
     // SAFETY: the header asks for a handle and a place.
-    unsafe { ask(operator, request, PATIENCE_NS, out) }
+    unsafe { vpc_operator_ask(operator, Action::Disarm.code(), 0, 0, PATIENCE_NS, out) }
 }
 
 /// Zero at once, without braking, until the next vpc_arm; waits for the answer, at most a second.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_stop(operator: *mut Operator, out: *mut Reply) -> Status {
-    let request = || Ok(Request::new(fresh_id(), Action::Stop));
     // SAFETY: the header asks for a handle and a place.
-    unsafe { ask(operator, request, PATIENCE_NS, out) }
+    unsafe { vpc_operator_ask(operator, Action::Stop.code(), 0, 0, PATIENCE_NS, out) }
 }

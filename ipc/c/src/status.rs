@@ -1,7 +1,7 @@
-//! What a function came to, as a number.
+//! The result of a function.
 
-/// What every function returns but those that cannot fail: 0 done, above 0 nothing went wrong but there is no answer,
-/// below 0 an error. `vpc_message()` has the words.
+/// Result of every function that can fail: 0 done, above 0 no answer but no error either, below 0
+/// an error. vpc_message() explains it.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
@@ -9,7 +9,7 @@ pub enum Status {
     Ok = 0,
     /// No message is waiting.
     Nothing = 1,
-    /// No answer came in time: no controller is at work, or it is not of this domain.
+    /// No answer came in time: no controller is at work in this domain.
     Timeout = 2,
     /// The controller refused the request; the reply's `outcome` says why.
     Refused = 3,
@@ -17,7 +17,8 @@ pub enum Status {
     Argument = -1,
     /// The domain cannot be joined.
     Domain = -2,
-    /// The place is taken: another camera is at work in this domain, or as many operators or observers as fit.
+    /// Another camera is at work in this domain, or as many operators or observers as the service
+    /// allows.
     Taken = -3,
     /// A port cannot be opened.
     Open = -4,
@@ -25,7 +26,7 @@ pub enum Status {
     Publish = -5,
     /// Nothing can be received.
     Receive = -6,
-    /// A message came that breaks the contract, and was thrown away.
+    /// A message that breaks the contract came and was dropped.
     Invalid = -7,
     /// A handle was used in another thread than the one that made it.
     Thread = -8,

@@ -14,22 +14,31 @@ pub struct Comparison<'a> {
 impl Comparison<'_> {
     /// The drawing.
     pub fn canvas(&self) -> Canvas {
-        let drawn: Vec<(Canvas, Canvas)> = self
-            .columns
-            .iter()
-            .map(|(plane, velocity)| (plane.canvas(), velocity.canvas()))
-            .collect();
-        let widest = |c: &(Canvas, Canvas)| c.0.size().0.max(c.1.size().0);
-        let width = drawn.iter().map(widest).sum();
-        let above = drawn.iter().map(|c| c.0.size().1).fold(0.0, f64::max);
-        let below = drawn.iter().map(|c| c.1.size().1).fold(0.0, f64::max);
-        let mut canvas = Canvas::new(width, above + below);
-        let mut x = 0.0;
-        for column in &drawn {
-            canvas.inset(x, 0.0, &column.0);
-            canvas.inset(x, above, &column.1);
-            x += widest(column);
-        }
-        canvas
+        let columns = self.columns.iter().map(|(plane, velocity)| {
+            let (plane, velocity) = (plane.canvas(), velocity.canvas());
+            let width = plane.size().0.max(velocity.size().0);
+            let mut column = Canvas::new(width, plane.size().1 + velocity.size().1);
+            column.inset(0.0, 0.0, &plane);
+            column.inset(0.0, plane.size().1, &velocity);
+            column
+        });
+        side_by_side(columns)
     }
+}
+
+/// Canvases in a row, their upper edges aligned.
+pub fn side_by_side(canvases: impl Iterator<Item = Canvas>) -> Canvas {
+    let canvases: Vec<Canvas> = canvases.collect();
+    let width = canvases.iter().map(|canvas| canvas.size().0).sum();
+    let height = canvases
+        .iter()
+        .map(|canvas| canvas.size().1)
+        .fold(0.0, f64::max);
+    let mut row = Canvas::new(width, height);
+    let mut x = 0.0;
+    for canvas in &canvases {
+        row.inset(x, 0.0, canvas);
+        x += canvas.size().0;
+    }
+    row
 }

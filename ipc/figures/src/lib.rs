@@ -3,6 +3,7 @@
 //! Decisions: `README.md`.
 #![forbid(unsafe_code)]
 
+mod animation;
 mod canvas;
 mod comparison;
 mod frame;
@@ -14,8 +15,9 @@ mod preview;
 mod samples;
 mod velocity;
 
+pub use animation::Animation;
 pub use canvas::Canvas;
-pub use comparison::Comparison;
+pub use comparison::{Comparison, side_by_side};
 pub use frame::outline;
 pub use image_plane::ImagePlane;
 pub use joints::Joints;

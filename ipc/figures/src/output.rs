@@ -38,15 +38,6 @@ impl Canvas {
             PathBuf::from(name)
         };
         let files = [with(".svg"), with(".png")];
-        let save = |file: &Path, bytes: &[u8]| {
-            file.parent()
-                .map_or(Ok(()), fs::create_dir_all)
-                .and_then(|()| fs::write(file, bytes))
-                .map_err(|source| FigureError::Write {
-                    path: file.display().to_string(),
-                    source,
-                })
-        };
         let svg = self.svg();
         save(&files[0], svg.as_bytes())?;
         let png = png(&svg).map_err(|reason| FigureError::Draw {
@@ -59,6 +50,11 @@ impl Canvas {
 }
 
 fn png(svg: &str) -> Result<Vec<u8>, String> {
+    pixels(svg, SCALE)?.encode_png().map_err(|e| e.to_string())
+}
+
+/// A drawing as pixels, so many for one px.
+pub(crate) fn pixels(svg: &str, scale: f32) -> Result<Pixmap, String> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(dejavu::sans::regular().to_vec());
     let options = Options {
@@ -67,14 +63,25 @@ fn png(svg: &str) -> Result<Vec<u8>, String> {
         ..Options::default()
     };
     let tree = Tree::from_str(svg, &options).map_err(|e| e.to_string())?;
-    let size = tree.size().to_int_size().scale_by(SCALE).ok_or("no size")?;
+    let size = tree.size().to_int_size().scale_by(scale).ok_or("no size")?;
     let mut pixels = Pixmap::new(size.width(), size.height()).ok_or("no pixels")?;
     resvg::render(
         &tree,
-        Transform::from_scale(SCALE, SCALE),
+        Transform::from_scale(scale, scale),
         &mut pixels.as_mut(),
     );
-    pixels.encode_png().map_err(|e| e.to_string())
+    Ok(pixels)
+}
+
+/// Writes a file, and makes its directory first.
+pub(crate) fn save(file: &Path, bytes: &[u8]) -> Result<(), FigureError> {
+    let directory = file.parent().map_or(Ok(()), fs::create_dir_all);
+    directory
+        .and_then(|()| fs::write(file, bytes))
+        .map_err(|source| FigureError::Write {
+            path: file.display().to_string(),
+            source,
+        })
 }
 
 #[cfg(test)]

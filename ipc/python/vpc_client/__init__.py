@@ -1,13 +1,12 @@
 """The shared-memory contract of vpcd for Python; README.md beside this package is the page to begin with.
 
-    with vpc_client.Domain() as domain, domain.operator() as operator:
-        operator.arm()
+    with vpc_client.Domain() as domain:
         for cycle in domain.subscribe("vpc/cycles").messages(seconds=5):
-            print(cycle.state, cycle.step_ns)
+            print(vpc_client.Hold(cycle.hold).words, cycle.step_ns)
 """
 
 from .domain import Domain, default_directory
-from .errors import BadMessage, NoAnswer, OtherContract, Refused, Taken, VpcError
+from .errors import BadArgument, BadDomain, BadMessage, NoAnswer, OtherContract, Refused, Taken, VpcError
 from .messages import (
     MAX_POINTS,
     SERVICES,
@@ -36,4 +35,47 @@ from .messages import (
 )
 from .ports import CameraPorts, OperatorPorts, Publisher, Sent, Subscriber, now_ns
 
-__all__ = [name for name in dir() if name[0].isupper()] + ["default_directory", "now_ns"]
+__version__ = "0.1.0"
+
+__all__ = [
+    "MAX_POINTS",
+    "SERVICES",
+    "Action",
+    "BadArgument",
+    "BadDomain",
+    "BadMessage",
+    "CameraPorts",
+    "ClockMode",
+    "CycleFlags",
+    "CycleRecord",
+    "Domain",
+    "Features",
+    "Hold",
+    "InputCode",
+    "NoAnswer",
+    "OperatorPorts",
+    "OtherContract",
+    "Outcome",
+    "PhaseCode",
+    "Publisher",
+    "RealTime",
+    "RecallCode",
+    "Refused",
+    "Reply",
+    "Request",
+    "RobotFaults",
+    "RobotMode",
+    "RobotState",
+    "Sent",
+    "Snapshot",
+    "SolverStatus",
+    "Stamp",
+    "StrategyCode",
+    "Subscriber",
+    "Taken",
+    "TwistCommand",
+    "TwistState",
+    "VpcError",
+    "default_directory",
+    "now_ns",
+]

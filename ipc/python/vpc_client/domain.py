@@ -1,97 +1,169 @@
 """A domain: the guard of CONTRACT.md, the services, and the ports that open in it."""
 
+from __future__ import annotations
+
 import fcntl
 import os
 import shutil
 import time
 import weakref
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Any, TypeVar
 
 import iceoryx2 as iox2
 
-from .errors import OtherContract, Taken
+from .errors import BadArgument, BadDomain, NoAnswer, OtherContract, Taken
 from .messages import SERVICES
-from .ports import CameraPorts, OperatorPorts, Publisher, Subscriber
+from .ports import CameraPorts, OperatorPorts, Port, Publisher, Subscriber
 
-# How long joining waits for others that join or leave.
+# How long joining waits for others that join or leave, and how long to wait for a controller.
 PATIENCE_S = 10.0
 
+T = TypeVar("T")
+P = TypeVar("P", bound=Port)
 
-def default_directory():
+
+def default_directory() -> str:
+    """The domain where none is named, /tmp/vpc-UID."""
     return f"/tmp/vpc-{os.geteuid()}"
 
 
 class Domain:
-    """Membership of a domain, with the guard of CONTRACT.md; keep it for as long as its ports are in use.
+    """Membership of a domain. Keep it for as long as its ports are in use.
 
-    Leave it with `close` or at the end of a `with`; its ports are closed with it. It stays in its thread: a second
-    thread joins for itself."""
+    Leave it with `close` or at the end of a `with`; its ports are closed with it. A domain belongs to the thread that made
+    it: a second thread joins for itself."""
 
-    def __init__(self, directory=None):
-        directory = default_directory() if directory is None else os.fspath(directory)
-        os.makedirs(directory, mode=0o700, exist_ok=True)
-        if os.path.islink(directory) or os.stat(directory).st_uid != os.geteuid():
-            raise PermissionError(f"domain {directory}: allowed: a directory (no link) of our own")
-        mode = os.stat(directory).st_mode & 0o777
-        if mode & 0o022:
-            raise PermissionError(
-                f"domain {directory}: mode {mode:03o} lets other users put files into it; allowed: mode 700"
-            )
-        self.directory = os.path.realpath(directory)
+    def __init__(self, directory: str | os.PathLike[str] | None = None) -> None:
+        self._startup: int | None = None
+        self.directory = self._claim(default_directory() if directory is None else directory)
+        self._prefix = f"vpc_{_fnv1a(self.directory):016x}_"
         self._startup = self._open("startup")
         self._member = self._open("lock")
         # Weakly: ports keep their domain.
-        self._ports = weakref.WeakSet()
-        self.node = None
-        self.start_up(self._join)
+        self._ports: weakref.WeakSet[Port] = weakref.WeakSet()
+        self._node: Any = None
+        self._services: dict[str, Any] = {}
+        self._exclusively(self._join)
 
-    def __enter__(self):
+    def __enter__(self) -> Domain:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
-    def close(self):
+    def __repr__(self) -> str:
+        return f"Domain({self.directory!r}{', closed' if self._startup is None else ''})"
+
+    def close(self) -> None:
         """Closes the ports and leaves. The second time it does nothing."""
         if self._startup is None:
             return
         for port in list(self._ports):
             port.close()
         try:
-            self.start_up(self._leave)
-        except TimeoutError:
-            # Somebody who joins was stopped: leave all the same.
-            self.services, self.node = {}, None
+            self._exclusively(self._leave)
+        except NoAnswer:
+            # Another process was stopped while it joined: leave all the same.
+            self._services, self._node = {}, None
         os.close(self._member)
         os.close(self._startup)
         self._startup = None
 
-    def _leave(self):
-        self.services = {}
-        self.node = None
-        if self._alone():
-            self._wipe()
+    def publisher(self, service: str) -> Publisher:
+        """Opens the publisher of a service; raises Taken where it has all it takes."""
 
-    def _alone(self):
-        """Whether nobody else is in the domain; only to be asked within start_up."""
-        try:
-            fcntl.flock(self._member, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        except BlockingIOError:
+        def create() -> Publisher:
+            try:
+                port = self._create(lambda: self._services[service].publisher_builder().max_loaned_samples(1).create())
+            except iox2.PublisherCreateError as error:
+                most = SERVICES[service].publishers
+                raise Taken(
+                    f"{service}: no publisher in domain {self.directory} ({error}); allowed: {most} (stop the other, or use"
+                    " another domain)"
+                ) from error
+            return self._keep(Publisher(service, port))
+
+        return self._port(service, create)
+
+    def subscribe(self, service: str, buffer: int | None = None) -> Subscriber:
+        """Opens a subscriber that keeps the newest `buffer` messages [as many as the service allows]."""
+
+        def create() -> Subscriber:
+            most = SERVICES[service].buffer
+            size = most if buffer is None else buffer
+            if not 1 <= size <= most:
+                raise BadArgument(f"{service}: buffer = {size}; allowed: 1 to {most}")
+            try:
+                port = self._create(lambda: self._services[service].subscriber_builder().buffer_size(size).create())
+            except iox2.SubscriberCreateError as error:
+                most = SERVICES[service].subscribers
+                raise Taken(f"{service}: no subscriber ({error}); allowed: {most}") from error
+            return self._keep(Subscriber(service, port))
+
+        return self._port(service, create)
+
+    def camera(self) -> CameraPorts:
+        """Opens the ports of a camera; raises Taken while another camera is at work."""
+        twist = self.subscribe("vpc/twist", 4)
+        # The subscriber first: no answer may be missed.
+        return CameraPorts(twist, self._or_close("vpc/features", twist))
+
+    def operator(self) -> OperatorPorts:
+        """Opens the ports of an operator. Close them soon: there are few places."""
+        replies = self.subscribe("vpc/replies")
+        return OperatorPorts(replies, self._or_close("vpc/requests", replies), self)
+
+    def has_controller(self) -> bool:
+        """Whether a controller is in the domain: the one publisher of replies."""
+
+        def probe() -> bool:
+            try:
+                self._create(lambda: self._services["vpc/replies"].publisher_builder().create()).delete()
+            except iox2.PublisherCreateError:
+                return True
             return False
 
-    def _wipe(self):
-        """Removes what the dead left; only for who is alone."""
-        shutil.rmtree(os.path.join(self.directory, "iox2"), ignore_errors=True)
-        prefix = self._prefix()
-        for name in os.listdir("/dev/shm"):
-            if name.startswith(prefix):
-                os.unlink(os.path.join("/dev/shm", name))
+        return self._port("vpc/replies", probe)
 
-    def _open(self, name):
-        return os.open(os.path.join(self.directory, name), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    def wait_for_controller(self, patience_s: float = PATIENCE_S) -> None:
+        """Waits until a controller is in the domain; raises NoAnswer where none comes in time."""
+        end = time.monotonic() + patience_s
+        while not self.has_controller():
+            if time.monotonic() >= end:
+                raise NoAnswer(f"domain {self.directory}: no controller within {patience_s} s; start vpcd in this domain")
+            time.sleep(0.05)
 
-    def start_up(self, action):
+    @staticmethod
+    def _claim(directory: str | os.PathLike[str]) -> str:
+        """The real path of a directory of our own that nobody else can write to; makes it where it is missing."""
+        try:
+            path = os.fspath(directory)
+            os.makedirs(path, mode=0o700, exist_ok=True)
+            status = os.lstat(path)
+        except (OSError, TypeError, ValueError) as error:
+            raise BadDomain(f"domain {directory!r}: {error}; allowed: a directory") from error
+        if os.path.islink(path) or status.st_uid != os.geteuid():
+            raise BadDomain(f"domain {path}: allowed: a directory (no link) of our own")
+        mode = status.st_mode & 0o777
+        if mode & 0o022:
+            raise BadDomain(f"domain {path}: mode {mode:03o} lets other users put files into it; allowed: mode 700")
+        return os.path.realpath(path)
+
+    def _open(self, name: str) -> int:
+        path = os.path.join(self.directory, name)
+        try:
+            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise BadDomain(f"domain {self.directory}: {error}; allowed: a directory that we can write to") from error
+
+    def _exclusively(self, action: Callable[[], T]) -> T:
         """Runs `action` while nobody else joins, leaves or opens a port."""
+        if self._startup is None:
+            raise BadArgument(f"domain {self.directory}: left already; allowed: ports of a domain that was not closed")
         end = time.monotonic() + PATIENCE_S
         while True:
             try:
@@ -99,42 +171,43 @@ class Domain:
                 break
             except BlockingIOError:
                 if time.monotonic() > end:
-                    raise TimeoutError(f"domain {self.directory}: another process is joining or leaving") from None
+                    raise NoAnswer(f"domain {self.directory}: another process is joining or leaving") from None
                 time.sleep(0.001)
         try:
             return action()
         finally:
             fcntl.flock(self._startup, fcntl.LOCK_UN)
 
-    def _join(self):
-        prefix = self._prefix()
-        if self._alone():
+    def _join(self) -> None:
+        if self._is_alone():
             self._wipe()
         fcntl.flock(self._member, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        self._remove_unborn(prefix)
+        self._remove_unborn()
 
         iox2.set_log_level(iox2.LogLevel.Error)
         config = iox2.config.default()
         config.global_cfg.root_path = iox2.Path.new(os.path.join(self.directory, "iox2"))
-        config.global_cfg.prefix = iox2.FileName.new(prefix)
+        config.global_cfg.prefix = iox2.FileName.new(self._prefix)
         config.global_cfg.node.cleanup_dead_nodes_on_destruction = False
-        self.node = (
-            iox2.NodeBuilder.new()
-            .config(config)
-            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
-            .create(iox2.ServiceType.Ipc)
-        )
-        self.services = {name: self._service(name, *service) for name, service in SERVICES.items()}
+        builder = iox2.NodeBuilder.new().config(config)
+        self._node = builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
+        self._services = {name: self._service(name) for name in SERVICES}
 
-    def _service(self, name, message, history, buffer, subscribers, publishers):
+    def _leave(self) -> None:
+        self._services, self._node = {}, None
+        if self._is_alone():
+            self._wipe()
+
+    def _service(self, name: str) -> Any:
+        service = SERVICES[name]
         builder = (
-            self.node.service_builder(iox2.ServiceName.new(name))
-            .publish_subscribe(message)
-            .max_publishers(publishers)
-            .max_subscribers(subscribers)
+            self._node.service_builder(iox2.ServiceName.new(name))
+            .publish_subscribe(service.message)
+            .max_publishers(service.publishers)
+            .max_subscribers(service.subscribers)
             .max_nodes(32)
-            .history_size(history)
-            .subscriber_max_buffer_size(buffer)
+            .history_size(service.history)
+            .subscriber_max_buffer_size(service.buffer)
             .subscriber_max_borrowed_samples(1)
             .enable_safe_overflow(True)
         )
@@ -145,93 +218,73 @@ class Domain:
                 f"domain {self.directory}: {name} cannot be opened ({error}); is a process of another version in it?"
             ) from error
 
-    @staticmethod
-    def _remove_unborn(prefix):
+    def _is_alone(self) -> bool:
+        """Whether nobody else is in the domain. Ask it only while nobody else can join."""
+        try:
+            fcntl.flock(self._member, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            return False
+
+    def _wipe(self) -> None:
+        """Removes what processes left that were killed. Call it only while no other process is in the domain."""
+        shutil.rmtree(os.path.join(self.directory, "iox2"), ignore_errors=True)
+        for entry in os.scandir("/dev/shm"):
+            if entry.name.startswith(self._prefix):
+                os.unlink(entry.path)
+
+    def _empty_segments(self) -> Iterator[tuple[str, float]]:
+        """Shared memory without a size: its path and its age in s."""
+        for entry in os.scandir("/dev/shm"):
+            try:
+                if entry.name.startswith(self._prefix) and entry.stat().st_size == 0:
+                    yield entry.path, time.time() - entry.stat().st_mtime
+            except FileNotFoundError:
+                pass
+
+    def _remove_unborn(self) -> None:
         """Removes shared memory that a killed process created and never gave a size: iceoryx2 would wait for it."""
-
-        def empty():
-            for entry in os.scandir("/dev/shm"):
-                try:
-                    if entry.name.startswith(prefix) and entry.stat().st_size == 0:
-                        yield entry
-                except FileNotFoundError:
-                    pass
-
         for _ in range(120):
-            young = False
-            for entry in list(empty()):
-                if time.time() - entry.stat().st_mtime >= 0.3:
-                    os.unlink(entry.path)
+            is_young = False
+            for path, age_s in list(self._empty_segments()):
+                if age_s >= 0.3:
+                    os.unlink(path)
                 else:
-                    young = True
-            if not young:
+                    is_young = True
+            if not is_young:
                 return
             time.sleep(0.005)
 
-    def _prefix(self):
-        value = 0xCBF29CE484222325
-        for byte in os.fsencode(self.directory):
-            value = ((value ^ byte) * 0x100000001B3) % 2**64
-        return f"vpc_{value:016x}_"
+    def _port(self, service: str, create: Callable[[], T]) -> T:
+        if service not in SERVICES:
+            raise BadArgument(f"service {service}; allowed: {', '.join(SERVICES)}")
+        return self._exclusively(create)
 
-    def publisher(self, name):
-        """The publisher of the service `name`; see Publisher."""
+    def _or_close(self, service: str, other: Port) -> Publisher:
+        """A publisher; where there is none, `other` is closed as well."""
+        try:
+            return self.publisher(service)
+        except BaseException:
+            other.close()
+            raise
 
-        def create():
-            try:
-                port = self._alive(lambda: self.services[name].publisher_builder().max_loaned_samples(1).create())
-            except iox2.PublisherCreateError as error:
-                most = SERVICES[name].publishers
-                raise Taken(
-                    f"{name}: no publisher in domain {self.directory} ({error}); allowed: {most} (stop the other, or use"
-                    " another domain)"
-                ) from error
-            return self._keep(Publisher(name, port))
-
-        return self._port(name, create)
-
-    def subscriber(self, name, buffer=None):
-        """A subscriber that keeps the newest `buffer` messages [as many as the service allows]; see Subscriber."""
-
-        def create():
-            most = SERVICES[name].buffer
-            size = most if buffer is None else max(1, min(buffer, most))
-            try:
-                port = self._alive(lambda: self.services[name].subscriber_builder().buffer_size(size).create())
-            except iox2.SubscriberCreateError as error:
-                raise Taken(f"{name}: no subscriber ({error}); allowed: {SERVICES[name].subscribers}") from error
-            return self._keep(Subscriber(name, port))
-
-        return self._port(name, create)
-
-    # What watches says so.
-    subscribe = subscriber
-
-    def camera(self):
-        """The camera's ports; Taken while another camera is at work."""
-        return CameraPorts(self)
-
-    def operator(self):
-        """An operator's ports; stay no longer than needed, there are few places."""
-        return OperatorPorts(self)
-
-    def _port(self, name, create):
-        if name not in SERVICES:
-            raise ValueError(f"service {name}; allowed: {', '.join(SERVICES)}")
-        if self._startup is None:
-            raise ValueError(f"domain {self.directory}: left already; allowed: ports of a domain that was not closed")
-        return self.start_up(create)
-
-    def _alive(self, create):
-        """Creates a port; once more without those who were killed since we joined, should they hold its place."""
+    def _create(self, create: Callable[[], Any]) -> Any:
+        """Creates a port; once more without the processes that were killed meanwhile, should they hold its place."""
         try:
             return create()
         except (iox2.PublisherCreateError, iox2.SubscriberCreateError):
-            self._remove_unborn(self._prefix())
-            iox2.Node.try_cleanup_dead_nodes(iox2.ServiceType.Ipc, self.node.config)
+            self._remove_unborn()
+            iox2.Node.try_cleanup_dead_nodes(iox2.ServiceType.Ipc, self._node.config)
             return create()
 
-    def _keep(self, port):
+    def _keep(self, port: P) -> P:
         port.domain = self
         self._ports.add(port)
         return port
+
+
+def _fnv1a(text: str) -> int:
+    value = 0xCBF29CE484222325
+    for byte in os.fsencode(text):
+        value = ((value ^ byte) * 0x100000001B3) % 2**64
+    return value

@@ -1,12 +1,27 @@
-"""What can go wrong; every message names the thing, what was found and what is allowed."""
+"""What can go wrong. Every message names the thing, what was found, and what is allowed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .messages import Reply
 
 
 class VpcError(Exception):
-    """Any of these."""
+    """Base class of all errors of this package."""
+
+
+class BadArgument(VpcError, ValueError):
+    """An argument is out of its range, or a domain or port was closed before."""
+
+
+class BadDomain(VpcError, OSError):
+    """A directory cannot serve as a domain."""
 
 
 class Taken(VpcError):
-    """The place is taken: a service has all the publishers or subscribers that it takes."""
+    """A service has all the publishers or subscribers that it takes."""
 
 
 class OtherContract(VpcError):
@@ -18,12 +33,12 @@ class BadMessage(VpcError, ValueError):
 
 
 class NoAnswer(VpcError, TimeoutError):
-    """No answer came in time."""
+    """No answer came in time, or nobody is there to give one."""
 
 
 class Refused(VpcError):
     """The controller refused a request; `reply` is its answer."""
 
-    def __init__(self, reply, words):
+    def __init__(self, reply: Reply, words: str) -> None:
         super().__init__(words)
         self.reply = reply

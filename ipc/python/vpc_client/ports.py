@@ -1,25 +1,33 @@
 """Ports: publishers and subscribers of one service, and those of a camera and an operator."""
 
+from __future__ import annotations
+
 import math
+import numbers
 import os
 import time
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from .errors import BadMessage, NoAnswer, Refused
+from .errors import BadArgument, BadMessage, NoAnswer, Refused
 from .messages import (
-    CODES,
-    FINITE,
+    CHECKS,
     MAX_POINTS,
-    RANGES,
     SERVICES,
     Action,
     Features,
     Hold,
     Outcome,
+    Reply,
     Request,
     StrategyCode,
+    TwistCommand,
     TwistState,
 )
+
+if TYPE_CHECKING:
+    from .domain import Domain
 
 # How long a lockstep camera waits for an answer.
 PATIENCE_S = 10.0
@@ -27,26 +35,28 @@ PATIENCE_S = 10.0
 POLL_S = 20e-6
 SLOW_POLL_S = 1e-3
 
-def check(service, message):
+
+def check(service: str, message: Any) -> None:
     """Raises BadMessage where a message breaks the contract."""
     kind = type(message)
     if message.stamp.sequence == 0:
         raise BadMessage(f"{service}: sequence = 0; allowed: 1 and more")
-    for field, codes in CODES.get(kind, {}).items():
-        if getattr(message, field) >= len(codes):
-            raise BadMessage(f"{service}: {field} = {getattr(message, field)}; allowed: 0 to {len(codes) - 1}")
-    for field, (least, most) in RANGES.get(kind, {}).items():
-        if not least <= getattr(message, field) <= most:
-            raise BadMessage(f"{service}: {field} = {getattr(message, field)}; allowed: {least} to {most}")
-    for field, count in FINITE.get(kind, {}).items():
-        numbers = getattr(message, field)
-        used = 2 * getattr(message, count) if count else len(numbers)
-        for i in range(used):
-            if not math.isfinite(numbers[i]):
-                raise BadMessage(f"{service}: {field}[{i}] = {numbers[i]}; allowed: finite numbers")
+    for field, rule in CHECKS[kind].items():
+        value = getattr(message, field)
+        if isinstance(rule, tuple):
+            least, most = rule
+            if not least <= value <= most:
+                raise BadMessage(f"{service}: {field} = {value}; allowed: {least} to {most}")
+        elif isinstance(rule, str):
+            used = 2 * getattr(message, rule) if rule else len(value)
+            for i in range(used):
+                if not math.isfinite(value[i]):
+                    raise BadMessage(f"{service}: {field}[{i}] = {value[i]}; allowed: finite numbers")
+        elif value >= len(rule):
+            raise BadMessage(f"{service}: {field} = {value}; allowed: 0 to {len(rule) - 1}")
 
 
-def now_ns():
+def now_ns() -> int:
     """CLOCK_MONOTONIC, the clock of all stamps."""
     return time.clock_gettime_ns(time.CLOCK_MONOTONIC)
 
@@ -58,81 +68,108 @@ class Sent(NamedTuple):
     published_ns: int
 
 
-class _Port:
-    def __init__(self, name, port):
-        self.name = name
-        self._port = port
+S = TypeVar("S", bound="_Closes")
 
-    def __enter__(self):
+
+class _Closes:
+    """Closes at the end of a `with`."""
+
+    def __enter__(self: S) -> S:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
-    def close(self):
+    def close(self) -> None:
+        raise NotImplementedError
+
+
+class Port(_Closes):
+    """A publisher or subscriber of one service."""
+
+    def __init__(self, service: str, port: Any) -> None:
+        self.service = service
+        # A port keeps its domain.
+        self.domain: Domain | None = None
+        self._open: Any = port
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.service!r}{', closed' if self._open is None else ''})"
+
+    @property
+    def _port(self) -> Any:
+        if self._open is None:
+            raise BadArgument(f"{self.service}: this port was closed; allowed: open ports")
+        return self._open
+
+    def close(self) -> None:
         """Closes the port; the second time it does nothing."""
-        if self._port is not None:
-            self._port.delete()
-            self._port = None
+        if self._open is not None:
+            self._open.delete()
+            self._open = None
 
 
-class Publisher(_Port):
+class Publisher(Port):
     """Publishes the messages of one service."""
 
-    def __init__(self, name, port):
-        super().__init__(name, port)
-        self.sequence = 0
+    sequence = 0
 
-    def publish(self, message):
-        """Publishes a copy under the next sequence number. `published_ns` 0 becomes the present time, other values stand
-        (simulated time in lockstep); returns Sent."""
-        kind = SERVICES[self.name].message
+    def publish(self, message: Any) -> Sent:
+        """Publishes a copy under the next sequence number.
+
+        `published_ns` 0 becomes the present time; other values stand (simulated time in lockstep)."""
+        kind = SERVICES[self.service].message
         if not isinstance(message, kind):
-            raise BadMessage(f"{self.name}: a {type(message).__name__}; allowed: {kind.__name__}")
+            raise BadMessage(f"{self.service}: a {type(message).__name__}; allowed: {kind.__name__}")
         stamped = kind.from_buffer_copy(message)
         stamped.stamp.sequence = self.sequence + 1
         stamped.stamp.published_ns = stamped.stamp.published_ns or now_ns()
-        check(self.name, stamped)
-        self.sequence += 1
+        check(self.service, stamped)
         self._port.send_copy(stamped)
+        self.sequence += 1
         return Sent(stamped.stamp.sequence, stamped.stamp.published_ns)
 
-    def refresh(self):
+    def refresh(self) -> None:
         """Connects to subscribers that came since, and hands them the history of the service. Publishing does it, too;
-        who waits for an answer must do it while waiting."""
+        call it while you wait for an answer."""
         self._port.update_connections()
 
-    def restart(self):
+    def restart(self) -> None:
         """Counts from 1 again: for features, a new run."""
         self.sequence = 0
 
 
-class Subscriber(_Port):
+class Subscriber(Port):
     """Receives the messages of one service."""
 
-    def receive(self):
-        """The oldest message that waits, as a copy; None where there is none. BadMessage where it breaks the contract;
-        the next one may be good."""
+    def receive(self) -> Any:
+        """The oldest message that waits, as a copy; None where there is none.
+
+        Raises BadMessage where it breaks the contract; the next one may be good."""
         sample = self._port.receive()
         if sample is None:
             return None
-        message = SERVICES[self.name].message.from_buffer_copy(sample.payload().contents)
+        message = SERVICES[self.service].message.from_buffer_copy(sample.payload().contents)
         # Back to shared memory: one sample may be borrowed at a time.
         del sample
-        check(self.name, message)
+        check(self.service, message)
         return message
 
-    def latest(self):
+    def latest(self) -> Any:
         """The newest message since the last call, None where there is none; those before it are thrown away."""
         newest = None
-        for _ in range(SERVICES[self.name].buffer + 1):
+        for _ in range(SERVICES[self.service].buffer + 1):
             message = self.receive()
             if message is None:
                 break
             newest = message
         return newest
 
-    def messages(self, seconds=None, count=None, poll_s=SLOW_POLL_S):
+    def messages(
+        self, seconds: float | None = None, count: int | None = None, poll_s: float = SLOW_POLL_S
+    ) -> Iterator[Any]:
         """Every message as it comes, for so many seconds or messages [for ever]."""
         end = math.inf if seconds is None else time.monotonic() + seconds
         left = math.inf if count is None else count
@@ -146,69 +183,61 @@ class Subscriber(_Port):
             else:
                 time.sleep(poll_s)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Any]:
         return self.messages()
 
 
-class _Role:
-    """Ports that open and close together."""
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
-
-    def close(self):
-        """Closes the ports; the second time it does nothing."""
-        for port in self._ports:
-            port.close()
-
-
-class CameraPorts(_Role):
+class CameraPorts(_Closes):
     """Publishes features, receives twists."""
 
-    def __init__(self, domain):
-        # The subscriber first: no answer may be missed.
-        self.twist = domain.subscriber("vpc/twist", 4)
-        self._ports = [self.twist]
-        try:
-            self.features = domain.publisher("vpc/features")
-        except BaseException:
-            self.close()
-            raise
-        self._ports.append(self.features)
+    def __init__(self, twist: Subscriber, features: Publisher) -> None:
+        self.twist, self.features = twist, features
 
-    def publish_features(self, points, data_ns=None, exposure_ns=0, visible=None, published_ns=0):
-        """Publishes points [(u, v), ...] in px; returns Sent.
+    def __repr__(self) -> str:
+        return f"CameraPorts({self.twist!r}, {self.features!r})"
+
+    def close(self) -> None:
+        """Closes the ports; the second time it does nothing."""
+        self.twist.close()
+        self.features.close()
+
+    def publish_features(
+        self,
+        points: Iterable[Iterable[float]],
+        data_ns: int | None = None,
+        exposure_ns: int = 0,
+        visible: int | None = None,
+        published_ns: int = 0,
+    ) -> Sent:
+        """Publishes points [(u, v), ...] in px, or an array of shape (N, 2).
 
         `data_ns` is the middle of the exposure [as published], `exposure_ns` its length, 0 where unknown; bit i of
-        `visible` tells whether point i was measured [all]; `published_ns` is for simulated time [now]."""
-        count = len(points)
-        if not 1 <= count <= MAX_POINTS:
-            raise BadMessage(f"vpc/features: count = {count}; allowed: 1 to {MAX_POINTS}")
+        `visible` is set where point i was measured [all]; `published_ns` is for simulated time [now]."""
+        pairs = _pairs(points)
         message = Features()
-        message.stamp.published_ns = published_ns or now_ns()
-        message.stamp.data_ns = message.stamp.published_ns if data_ns is None else data_ns
-        message.count = count
-        message.exposure_ns = exposure_ns
-        message.visible = (1 << count) - 1 if visible is None else visible
-        for i, (u, v) in enumerate(points):
+        stamp = message.stamp
+        stamp.published_ns = _unsigned("published_ns", published_ns) or now_ns()
+        stamp.data_ns = stamp.published_ns if data_ns is None else _unsigned("data_ns", data_ns)
+        message.count = len(pairs)
+        message.exposure_ns = _unsigned("exposure_ns", exposure_ns)
+        all_bits = (1 << len(pairs)) - 1
+        message.visible = all_bits if visible is None else _unsigned("visible", visible, all_bits)
+        for i, (u, v) in enumerate(pairs):
             message.points[2 * i], message.points[2 * i + 1] = u, v
         return self.features.publish(message)
 
-    def restart(self):
+    def restart(self) -> None:
         """The next features begin a new run, for which the controller forgets everything."""
         self.features.restart()
 
-    def wait_for_answer(self, sent, patience_s=PATIENCE_S):
+    def wait_for_answer(self, sent: Sent, patience_s: float = PATIENCE_S) -> TwistCommand:
         """Lockstep: the TwistCommand that answers the features `sent`; answers to others are passed over."""
         end = time.monotonic() + patience_s
         while True:
             command = self.twist.receive()
             if command is not None:
                 if (command.features_sequence, command.features_published_ns) == sent:
-                    return command
+                    return command  # type: ignore[no-any-return]
                 continue
             if time.monotonic() > end:
                 raise NoAnswer(
@@ -220,70 +249,99 @@ class CameraPorts(_Role):
             time.sleep(POLL_S)
 
 
-class OperatorPorts(_Role):
-    """Asks the controller. Each method returns the Reply, and raises Refused or NoAnswer."""
+class OperatorPorts(_Closes):
+    """Asks the controller. Each method returns the Reply, and raises Refused or NoAnswer; where no controller is in the
+    domain, at once."""
 
-    def __init__(self, domain):
-        self.replies = domain.subscriber("vpc/replies")
-        self._ports = [self.replies]
-        try:
-            self.requests = domain.publisher("vpc/requests")
-        except BaseException:
-            self.close()
-            raise
-        self._ports.append(self.requests)
+    def __init__(self, replies: Subscriber, requests: Publisher, domain: Domain) -> None:
+        self.replies, self.requests, self._domain = replies, requests, domain
 
-    def status(self, **patience):
+    def __repr__(self) -> str:
+        return f"OperatorPorts({self.replies!r}, {self.requests!r})"
+
+    def close(self) -> None:
+        """Closes the ports; the second time it does nothing."""
+        self.replies.close()
+        self.requests.close()
+
+    def status(self, patience_s: float = 1.0) -> Reply:
         """Asks for nothing but the state."""
-        return self._asked(Action.STATUS, **patience)
+        return self._asked(Action.STATUS, patience_s)
 
-    def arm(self, **patience):
-        """Lets the law move the camera, from the next good features on."""
-        return self._asked(Action.ARM, **patience)
+    def arm(self, patience_s: float = 1.0) -> Reply:
+        """Lets the law move the camera, from the next good features on. Refused before the first."""
+        return self._asked(Action.ARM, patience_s)
 
-    def disarm(self, **patience):
+    def disarm(self, patience_s: float = 1.0) -> Reply:
         """Brakes to zero, and stays there until the next `arm`."""
-        return self._asked(Action.DISARM, **patience)
+        return self._asked(Action.DISARM, patience_s)
 
-    def stop(self, **patience):
+    def stop(self, patience_s: float = 1.0) -> Reply:
         """Zero at once, without braking, until the next `arm`."""
-        return self._asked(Action.STOP, **patience)
+        return self._asked(Action.STOP, patience_s)
 
-    def strategy(self, name, neighbours=0, **patience):
+    def strategy(self, name: str, neighbours: int = 0, patience_s: float = 1.0) -> Reply:
         """Another strategy: previous, knn with 1 to 64 neighbours, gpr, ibvs."""
         try:
             strategy = StrategyCode[name.upper()]
-        except KeyError:
+        except (AttributeError, KeyError):
             allowed = ", ".join(code.words for code in StrategyCode)
-            raise ValueError(f"strategy {name}; allowed: {allowed}") from None
-        return self._asked(Action.STRATEGY, strategy, neighbours, **patience)
+            raise BadArgument(f"strategy {name}; allowed: {allowed}") from None
+        return self._asked(Action.STRATEGY, patience_s, strategy, neighbours)
 
-    def record(self, **patience):
+    def record(self, patience_s: float = 1.0) -> Reply:
         """Has the controller write its flight record."""
-        return self._asked(Action.RECORD, **patience)
+        return self._asked(Action.RECORD, patience_s)
 
-    def _asked(self, action, strategy=0, neighbours=0, **patience):
-        reply = self.ask(action, strategy, neighbours, **patience)
+    def _asked(self, action: Action, patience_s: float, strategy: int = 0, neighbours: int = 0) -> Reply:
+        reply = self.ask(action, strategy, neighbours, patience_s)
         if reply.outcome != Outcome.DONE:
             words = Outcome(reply.outcome).words
             raise Refused(reply, f"{action.words}: {words} ({TwistState(reply.state).words}, {Hold(reply.hold).words})")
         return reply
 
-    def ask(self, action, strategy=0, neighbours=0, patience_s=1.0):
+    def ask(self, action: Action, strategy: int = 0, neighbours: int = 0, patience_s: float = 1.0) -> Reply:
         """Sends a request and returns its Reply, refusal or not."""
+        if not self._domain.has_controller():
+            raise NoAnswer(f"domain {self._domain.directory}: no controller; start vpcd in this domain")
         message = Request()
         message.id = int.from_bytes(os.urandom(8), "little")
-        message.action, message.strategy, message.neighbours = action, strategy, neighbours
+        message.action, message.strategy = action, strategy
+        message.neighbours = _unsigned("neighbours", neighbours, 64)
         self.requests.publish(message)
         end = time.monotonic() + patience_s
         while time.monotonic() < end:
             reply = self.replies.receive()
             if reply is not None:
                 if reply.id == message.id:
-                    return reply
+                    return reply  # type: ignore[no-any-return]
                 continue
             self.requests.refresh()
             time.sleep(SLOW_POLL_S)
         raise NoAnswer(
             f"vpc/replies: no answer to {Action(action).words} within {patience_s} s; does vpcd run in this domain?"
         )
+
+
+def _pairs(points: Iterable[Iterable[float]]) -> list[tuple[float, float]]:
+    """Points as pairs of numbers; raises BadMessage on arrays of any other shape than (N, 2)."""
+    shape = getattr(points, "shape", None)
+    pairs: list[tuple[float, float]] = []
+    try:
+        for u, v in points:
+            if not isinstance(u, numbers.Real) or not isinstance(v, numbers.Real):
+                raise TypeError
+            pairs.append((float(u), float(v)))
+    except (TypeError, ValueError):
+        found = f"points of shape {shape}" if shape is not None else f"points = {points!r}"
+        raise BadMessage(f"vpc/features: {found}; allowed: pairs (u, v) of numbers, shape (N, 2)") from None
+    if not 1 <= len(pairs) <= MAX_POINTS:
+        raise BadMessage(f"vpc/features: count = {len(pairs)}; allowed: 1 to {MAX_POINTS}")
+    return pairs
+
+
+def _unsigned(name: str, value: int, most: int = 2**64 - 1) -> int:
+    """An integer from 0 to `most`, which ctypes would cut without a word."""
+    if not isinstance(value, numbers.Integral) or not 0 <= value <= most:
+        raise BadArgument(f"{name} = {value}; allowed: 0 to {most}")
+    return int(value)

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 
 use crate::ledger::Notice;
 
@@ -13,7 +13,7 @@ use crate::ledger::Notice;
 #[allow(missing_docs)]
 pub enum ContextError {
     #[error(transparent)]
-    Scene(#[from] SceneError),
+    Scene(#[from] FileError),
     #[error("{path}: cannot read: {source}")]
     Read {
         path: String,

@@ -48,7 +48,7 @@ pub use record::{Options, RecordError, record};
 #[cfg(feature = "views")]
 pub use recorder::Recorder;
 #[cfg(feature = "views")]
-pub use report::{Phase, Report};
+pub use report::{Report, StageTimes};
 #[cfg(feature = "views")]
 pub use views::{Viewed, goal};
 pub use writer::{RecordingFile, WriteError};

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use figures::{Comparison, FigureError, ImagePlane, Latency, Times, Velocity};
 use ipc::{ClockMode, CycleRecord, MAX_POINTS};
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 
 use crate::reader::Recording;
 use crate::report::Report;
@@ -29,7 +29,7 @@ pub enum PlotError {
     },
     /// The scene in the recording.
     #[error(transparent)]
-    Scene(#[from] SceneError),
+    Scene(#[from] FileError),
     #[error(
         "no scene in the recording; allowed: one recorded with --scene or --config, or --scene here"
     )]
@@ -182,15 +182,15 @@ fn twists(run: &[&CycleRecord], period_s: f64) -> Vec<[f64; 6]> {
 }
 
 fn latency(report: &Report) -> Latency {
-    let panels = report.phases.iter().map(|phase| Times {
-        name: phase.name.to_owned(),
-        values_us: phase.values_us.clone(),
+    let panels = report.stages.iter().map(|stage| Times {
+        name: stage.name.to_owned(),
+        values_us: stage.values_us.clone(),
         note: format!(
             "{} cycles: p50 {}, p99 {}, max {}",
-            phase.count,
-            words(phase.p50_us),
-            words(phase.p99_us),
-            words(phase.max_us)
+            stage.count,
+            words(stage.p50_us),
+            words(stage.p99_us),
+            words(stage.max_us)
         ),
     });
     let misses = match report.has_deadlines {

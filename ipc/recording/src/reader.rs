@@ -9,7 +9,7 @@ use ipc::{CycleRecord, Features, Message, Reply, Request, RobotState, Snapshot, 
 use mcap::McapError;
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 
 use crate::clock::WallClock;
 use crate::message::Recorded;
@@ -148,8 +148,8 @@ impl Recording {
     /// The attached scene with its masks.
     ///
     /// # Errors
-    /// [`SceneError`]; a mask that is not attached cannot be read.
-    pub fn scene(&self) -> Result<Option<Scene>, SceneError> {
+    /// [`FileError`]; a mask that is not attached cannot be read.
+    pub fn scene(&self) -> Result<Option<Scene>, FileError> {
         let mask = |name: &str| {
             let missing = "not in the recording; allowed: the masks of its scene";
             let attached = self.attachments.get(name).cloned();

@@ -17,30 +17,30 @@ pub struct Report {
     pub cycles: u64,
     /// From the first wake-up to the last, s.
     pub duration_s: f64,
-    /// Cycles that sequence numbers tell of and that are not in the file.
+    /// Cycles missing in the file, by the sequence numbers.
     pub missing_cycles: u64,
-    /// Records that the daemon itself lost.
+    /// Records lost in the daemon.
     pub lost_records: u64,
-    /// Releases missed during the recording: deadlines that were not kept.
+    /// Releases missed: deadlines that were not kept.
     pub overruns: u64,
-    /// Whether the clock was a grid in time; in lockstep nothing can be late.
+    /// False in lockstep, where nothing can be late.
     pub has_deadlines: bool,
-    /// The period that was seen, ms: the median time between wake-ups.
+    /// Median time between wake-ups, ms.
     pub period_ms: f64,
     /// Cycles in each state, by its name.
     pub states: Vec<(String, u64)>,
-    /// Phases of the cycle, in its order, and their sum; then the age of the features at wake-up.
-    pub phases: Vec<Phase>,
-    /// Where the file is cut short.
+    /// The stages of a cycle in order, their sum, and the age of the features at wake-up.
+    pub stages: Vec<StageTimes>,
+    /// Why reading ended before the end of the file.
     pub cut: Option<String>,
 }
 
-/// Times of one phase.
+/// Times of one stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Phase {
-    /// Its name.
+pub struct StageTimes {
+    /// `wake`, `receive` and so on.
     pub name: &'static str,
-    /// Cycles in which it took place.
+    /// Cycles that had it.
     pub count: u64,
     /// Mean, us.
     pub mean_us: f64,
@@ -54,8 +54,7 @@ pub struct Phase {
     pub p999_us: f64,
     /// Longest, us.
     pub max_us: f64,
-    /// Counts between the round numbers 1, 2, 5, 10, 20, ...: each entry's upper end (us) and
-    /// count.
+    /// Upper end (us; 1, 2, 5, 10, 20, ...) and count of each bar.
     pub histogram: Vec<(f64, u64)>,
     /// The times, us, in the order of the cycles.
     #[serde(skip)]
@@ -65,11 +64,11 @@ pub struct Phase {
 /// Reads a time of a cycle, ns.
 type Clocked = fn(&CycleRecord) -> Option<u64>;
 
-/// The phases of a cycle.
-const PHASES: [(&str, Clocked); 6] = [
+/// The stages of a cycle.
+const STAGES: [(&str, Clocked); 6] = [
     ("wake", |c| (!is_lockstep(c)).then_some(c.wake_latency_ns)),
     ("receive", |c| Some(c.receive_ns)),
-    // A cycle without features has no step to speak of.
+    // Without features no step was computed.
     ("step", |c| (c.status != 0).then_some(c.step_ns)),
     ("send", |c| Some(c.send_ns)),
     ("wake to sent", |c| {
@@ -103,7 +102,7 @@ impl Report {
             .map(|pair| us(pair[1].stamp.data_ns.saturating_sub(pair[0].stamp.data_ns)) / 1e3)
             .collect();
         gaps.sort_by(f64::total_cmp);
-        // A counter that falls back is a daemon that started again.
+        // A counter falls where the daemon was restarted.
         let growth = |count: fn(&CycleRecord) -> u64| -> u64 {
             let pairs = cycles.windows(2);
             pairs
@@ -126,20 +125,20 @@ impl Report {
             has_deadlines: cycles.iter().any(|cycle| !is_lockstep(cycle)),
             period_ms: rounded(quantile(&gaps, 0.5)),
             states,
-            phases: PHASES
+            stages: STAGES
                 .iter()
                 .map(|(name, clocked)| {
                     let times = cycles.iter().filter_map(clocked).map(us);
-                    Phase::of(name, times.collect())
+                    StageTimes::of(name, times.collect())
                 })
-                .filter(|phase| phase.count > 0)
+                .filter(|stage| stage.count > 0)
                 .collect(),
             cut: recording.cut.clone(),
         }
     }
 }
 
-/// The report as text: a table, then a histogram of each phase.
+/// The report as text: a table, then a histogram of each stage.
 impl fmt::Display for Report {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
@@ -170,25 +169,25 @@ impl fmt::Display for Report {
             "\n{:<16} {:>8} {:>10} {:>10} {:>10} {:>10} {:>10} {:>10}",
             "us", "count", "mean", "p50", "p90", "p99", "p99.9", "max"
         )?;
-        for phase in &self.phases {
+        for stage in &self.stages {
             let row = [
-                phase.mean_us,
-                phase.p50_us,
-                phase.p90_us,
-                phase.p99_us,
-                phase.p999_us,
-                phase.max_us,
+                stage.mean_us,
+                stage.p50_us,
+                stage.p90_us,
+                stage.p99_us,
+                stage.p999_us,
+                stage.max_us,
             ];
-            write!(to, "{:<16} {:>8}", phase.name, phase.count)?;
+            write!(to, "{:<16} {:>8}", stage.name, stage.count)?;
             for us in row {
                 write!(to, " {us:>10.1}")?;
             }
             writeln!(to)?;
         }
-        for phase in &self.phases {
-            writeln!(to, "\n{}", phase.name)?;
-            let most = phase.histogram.iter().map(|(_, n)| *n).max().unwrap_or(1);
-            for (end, count) in &phase.histogram {
+        for stage in &self.stages {
+            writeln!(to, "\n{}", stage.name)?;
+            let most = stage.histogram.iter().map(|(_, n)| *n).max().unwrap_or(1);
+            for (end, count) in &stage.histogram {
                 let bar = "#".repeat((*count as usize * BAR).div_ceil(most.max(1) as usize));
                 writeln!(to, "  up to {end:>9} us {count:>8} {bar}")?;
             }
@@ -197,7 +196,7 @@ impl fmt::Display for Report {
     }
 }
 
-impl Phase {
+impl StageTimes {
     fn of(name: &'static str, values_us: Vec<f64>) -> Self {
         let mut sorted = values_us.clone();
         sorted.sort_by(f64::total_cmp);
@@ -281,8 +280,8 @@ mod tests {
         ] {
             assert_eq!(round_up(us), end, "{us}");
         }
-        let phase = Phase::of("step", vec![7.0, 3.0, 4.0, 180.0]);
-        assert_eq!(phase.histogram, [(5.0, 2), (10.0, 1), (200.0, 1)]);
+        let stage = StageTimes::of("step", vec![7.0, 3.0, 4.0, 180.0]);
+        assert_eq!(stage.histogram, [(5.0, 2), (10.0, 1), (200.0, 1)]);
     }
 
     #[test]

@@ -1,16 +1,14 @@
 //! The scene: everything that the controller, the builder of the memory and the emulator must agree on.
 //!
-//! A scene file (TOML) names the camera, the pattern that it looks at, the goal, the limits, the weights of the
-//! cost, what counts as success, where random starts are drawn from, and the occlusions of the image. This crate
-//! holds the words and their checks, and **no mathematics**: controller and emulator each bring their own, so that
-//! one mistake cannot hide on both sides.
-//!
-//! The crate's `README.md` tells the decisions that surprise.
+//! A scene file (TOML) names the camera, the pattern that it looks at, the goal, the limits, the weights of the cost,
+//! what counts as success, the region of random starts, and the occlusions of the image. This crate holds the types and
+//! their checks, and **no mathematics**: controller and emulator each bring their own, so that one mistake cannot hide on
+//! both sides. The `README.md` explains the decisions that may surprise.
 //!
 //! Without the feature `file` the crate is `no_std` and never allocates, so that the control law can use it.
 //!
 //! ```
-//! # fn main() -> Result<(), scene::SceneError> {
+//! # fn main() -> Result<(), scene::FileError> {
 //! let scene = scene::Scene::parse(scene::PAPER_SIM, "paper-sim.toml")?;
 //! assert_eq!(scene.pattern.len(), 4);
 //! assert_eq!(scene.occlusions.len(), 4);
@@ -21,19 +19,10 @@
 #![forbid(unsafe_code)]
 
 mod fingerprint;
-mod mask;
 mod model;
 
 #[cfg(feature = "file")]
-mod error;
-#[cfg(feature = "file")]
 mod file;
-#[cfg(feature = "file")]
-mod key;
-#[cfg(feature = "file")]
-mod keys;
-#[cfg(feature = "file")]
-mod raw;
 #[cfg(feature = "file")]
 mod starts;
 
@@ -45,15 +34,13 @@ pub use model::{
 };
 
 #[cfg(feature = "file")]
-pub use error::SceneError;
+pub use file::{schema, schema_file};
 #[cfg(feature = "file")]
-pub use key::{Key, Kind};
+pub use mask::write_mask;
 #[cfg(feature = "file")]
-pub use keys::KEYS;
+pub use starts::{parse_starts, read_starts, starts_csv};
 #[cfg(feature = "file")]
-pub use mask::picture::write_mask;
-#[cfg(feature = "file")]
-pub use starts::{StartsError, parse_starts, read_starts, starts_csv};
+pub use toml_schema::FileError;
 
 /// The text of `scenes/paper-sim.toml`: the simulated experiment of the paper.
 pub const PAPER_SIM: &str = include_str!("../scenes/paper-sim.toml");

@@ -1,8 +1,10 @@
 //! The checked scene. Units: px, m, s, rad.
 
-use heapless::{String, Vec};
+#[cfg(feature = "file")]
+use core::f64::consts::PI;
 
-use crate::mask::{Area, Mask};
+use heapless::{String, Vec};
+use mask::{Area, Mask};
 
 /// Fewest points of a pattern: four coplanar points fix a pose by homography.
 pub const MIN_POINTS: usize = 4;
@@ -38,80 +40,124 @@ pub struct Scene {
     pub occlusions: Vec<Occlusion, MAX_OCCLUSIONS>,
 }
 
-/// A pinhole camera without distortion; u to the right, v down, z forward. The centre of the first pixel, in the upper left
-/// corner of the image, is (0, 0), as in OpenCV and ViSP: their calibrations count as they are.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Camera {
-    /// Image width, px.
-    pub width: f64,
-    /// Image height, px.
-    pub height: f64,
-    /// Focal length along u, px.
-    pub fx: f64,
-    /// Focal length along v, px.
-    pub fy: f64,
-    /// Principal point, u, px.
-    pub cx: f64,
-    /// Principal point, v, px.
-    pub cy: f64,
-    /// Frame rate, Hz; the reciprocal of the sampling time.
-    pub rate_hz: f64,
+/// A table of the scene file: a struct that is read from TOML and has a JSON Schema with the feature `file`. `#[key(..)]`
+/// is `#[schemars(..)]` then, and nothing without the feature.
+macro_rules! table {
+    ($(#[$meta:meta])* pub struct $name:ident {
+        $($(#[doc = $text:literal])+ #[key($($schema:tt)*)] pub $field:ident: $type:ty,)+
+    }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        #[cfg_attr(feature = "file", derive(serde::Deserialize, schemars::JsonSchema))]
+        #[cfg_attr(feature = "file", serde(deny_unknown_fields))]
+        pub struct $name {
+            $($(#[doc = $text])+ #[cfg_attr(feature = "file", schemars($($schema)*))] pub $field: $type,)+
+        }
+    };
 }
 
-/// A pose of the object in the camera frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Translation, m.
-    pub translation: [f64; 3],
-    /// Rotation vector (axis times angle), rad.
-    pub rotation: [f64; 3],
+table! {
+    /// A pinhole camera without distortion; u to the right, v down, z forward. The centre of the first pixel, in the
+    /// upper left corner of the image, is (0, 0), as in OpenCV and ViSP.
+    pub struct Camera {
+        /// Width of the image.
+        #[key(range(min = 16, max = 16384), extend("multipleOf" = 1, "x-unit" = "px"))]
+        pub width: f64,
+        /// Height of the image.
+        #[key(range(min = 16, max = 16384), extend("multipleOf" = 1, "x-unit" = "px"))]
+        pub height: f64,
+        /// Focal length along u.
+        #[key(range(min = 10, max = 1e5), extend("x-unit" = "px"))]
+        pub fx: f64,
+        /// Focal length along v.
+        #[key(range(min = 10, max = 1e5), extend("x-unit" = "px"))]
+        pub fy: f64,
+        /// Principal point, u; in the image.
+        #[key(range(min = 0, max = 16384), extend("x-unit" = "px"))]
+        pub cx: f64,
+        /// Principal point, v; in the image.
+        #[key(range(min = 0, max = 16384), extend("x-unit" = "px"))]
+        pub cy: f64,
+        /// Frame rate; its reciprocal is the control period.
+        #[key(range(min = 1, max = 1000), extend("x-unit" = "Hz"))]
+        pub rate_hz: f64,
+    }
 }
 
-/// Limits on the size of each component of the camera velocity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
-    /// Each linear component, m/s.
-    pub linear: f64,
-    /// Each angular component, rad/s.
-    pub angular: f64,
+table! {
+    /// A pose of the object in the camera frame (x right, y down, z forward).
+    pub struct Pose {
+        /// Translation; z from 0.001 m.
+        #[key(inner(range(min = -100, max = 100)), extend("x-unit" = "m"))]
+        pub translation: [f64; 3],
+        /// Rotation vector: axis times angle.
+        #[key(inner(range(min = -PI, max = PI)), extend("x-unit" = "rad"))]
+        pub rotation: [f64; 3],
+    }
 }
 
-/// Weights of the cost.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cost {
-    /// Weight of the squared image error, 1/px^2: Q = k_q I.
-    pub k_q: f64,
-    /// Diagonal of R, the weight of the squared camera velocity (vx vy vz wx wy wz).
-    pub r: [f64; 6],
+table! {
+    /// Limits of the camera velocity.
+    pub struct Limits {
+        /// Largest magnitude of each linear component.
+        #[key(range(min = 1e-6, max = 10), extend("x-unit" = "m/s"))]
+        pub linear: f64,
+        /// Largest magnitude of each angular component.
+        #[key(range(min = 1e-6, max = 30), extend("x-unit" = "rad/s"))]
+        pub angular: f64,
+    }
 }
 
-/// What counts as success.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Success {
-    /// A point deeper than this (Euclidean distance to the border) in an occlusion or outside the image is a
-    /// violation, px.
-    pub violation_px: f64,
-    /// Largest component of s - s* that counts as arrived, px.
-    pub convergence_px: f64,
-    /// Time allowed for arriving, s.
-    pub time_s: f64,
+table! {
+    /// Weights of the cost.
+    pub struct Cost {
+        /// Weight of the squared image error: Q = k_q I.
+        #[key(range(min = 1e-12, max = 1e6), extend("x-unit" = "1/px^2"))]
+        pub k_q: f64,
+        /// Diagonal of R, the weight of the squared camera velocity (vx vy vz wx wy wz), s^2/m^2 and s^2/rad^2. The law
+        /// lowers it towards the goal.
+        #[key(inner(range(min = 0, max = 1e9)))]
+        pub r: [f64; 6],
+    }
 }
 
-/// Where random starts are drawn from.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StartRegion {
-    /// Least translation of the object in the camera frame, m.
-    pub translation_min: [f64; 3],
-    /// Greatest translation of the object in the camera frame, m.
-    pub translation_max: [f64; 3],
-    /// Greatest size of the rotation vector's x and y, rad; this rotation is applied first.
-    pub tilt_max: f64,
-    /// Greatest roll about the optical axis, rad; applied second.
-    pub roll_max: f64,
-    /// Least distance of every point from the image border and from every occlusion, px.
-    pub clearance_px: f64,
-    /// Least mean distance of the points from their goals, px.
-    pub min_error_px: f64,
+table! {
+    /// What counts as success.
+    pub struct Success {
+        /// A point deeper than this in an occlusion, or further outside the image, is a violation.
+        #[key(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
+        pub violation_px: f64,
+        /// Largest component of s - s* that counts as arrived.
+        #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "px"))]
+        pub convergence_px: f64,
+        /// Time in which the features must have arrived.
+        #[key(range(min = 0.1, max = 3600), extend("x-unit" = "s"))]
+        pub time_s: f64,
+    }
+}
+
+table! {
+    /// The region that random starts are drawn from.
+    pub struct StartRegion {
+        /// Least translation of the object in the camera frame; z from 0.001 m.
+        #[key(inner(range(min = -100, max = 100)), extend("x-unit" = "m"))]
+        pub translation_min: [f64; 3],
+        /// Greatest translation of the object in the camera frame; no component is less than in `translation_min`.
+        #[key(inner(range(min = -100, max = 100)), extend("x-unit" = "m"))]
+        pub translation_max: [f64; 3],
+        /// Greatest magnitude of the rotation vector's x and y; this rotation is applied first.
+        #[key(range(min = 0, max = 1.5), extend("x-unit" = "rad"))]
+        pub tilt_max: f64,
+        /// Greatest roll about the optical axis; applied second.
+        #[key(range(min = 0, max = PI), extend("x-unit" = "rad"))]
+        pub roll_max: f64,
+        /// Least distance of every point from the image border and from every occlusion.
+        #[key(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
+        pub clearance_px: f64,
+        /// Least mean distance of the points from their goals.
+        #[key(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
+        pub min_error_px: f64,
+    }
 }
 
 /// An area of the image in which no feature may be: the union of its parts and its mask.
@@ -125,15 +171,19 @@ pub struct Occlusion {
     pub mask: Option<Mask>,
 }
 
-/// A part covers the points with (|u-c_u|/h_u)^p + (|v-c_v|/h_v)^p < 1.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Part {
-    /// Centre (u, v), px.
-    pub center: [f64; 2],
-    /// Half sizes (u, v), px.
-    pub half: [f64; 2],
-    /// Exponent, 1 to 64: 2 an ellipse, 8 nearly a rectangle.
-    pub p: f64,
+table! {
+    /// A part covers the points with (|u-c_u|/h_u)^p + (|v-c_v|/h_v)^p < 1.
+    pub struct Part {
+        /// Centre (u, v).
+        #[key(inner(range(min = -1e5, max = 1e5)), extend("x-unit" = "px"))]
+        pub center: [f64; 2],
+        /// Half sizes (u, v).
+        #[key(inner(range(min = 1e-3, max = 1e5)), extend("x-unit" = "px"))]
+        pub half: [f64; 2],
+        /// Exponent: 2 is an ellipse, 8 nearly a rectangle.
+        #[key(range(min = 1, max = 64))]
+        pub p: f64,
+    }
 }
 
 impl Scene {

@@ -1,128 +1,81 @@
-//! Files of fixed start poses.
+//! Files of start poses: CSV with the header `tx,ty,tz,rx,ry,rz`, a pose of the object in the camera frame in each row,
+//! translation (m) and rotation vector (rad).
 
 use std::path::Path;
 
+use toml_schema::FileError;
+
 use crate::Pose;
 
-/// Why a file of starts was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum StartsError {
-    /// The file could not be read.
-    #[error("{path}: cannot read the starts: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The operating system's reason.
-        r#source: std::io::Error,
-    },
-    /// The header is not the documented one.
-    #[error("{path}: the first line is `{found}`; allowed: `tx,ty,tz,rx,ry,rz`")]
-    Header {
-        /// The file.
-        path: String,
-        /// What stands there.
-        found: String,
-    },
-    /// A row is not six finite numbers.
-    #[error(
-        "{path}: line {line}: {found}; allowed: six finite numbers tx,ty,tz (m), rx,ry,rz (rad), tz > 0"
-    )]
-    Row {
-        /// The file.
-        path: String,
-        /// Line number, from 1.
-        line: u64,
-        /// What is wrong with the row.
-        found: String,
-    },
-    /// There is no row.
-    #[error("{path}: no start; allowed: one row or more below the header")]
-    Empty {
-        /// The file.
-        path: String,
-    },
-}
+const HEADER: &str = "tx,ty,tz,rx,ry,rz";
 
-/// Reads a file of starts: CSV with the header `tx,ty,tz,rx,ry,rz`, one pose of the object in the camera frame a row
-/// (m and rotation vector in rad).
+/// Reads a file of starts.
 ///
 /// # Errors
-/// [`StartsError`] names the file, the line and what is allowed.
-pub fn read_starts(path: &Path) -> Result<Vec<Pose>, StartsError> {
-    let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|source| StartsError::Read {
-        path: name.clone(),
-        source,
-    })?;
-    parse_starts(&text, &name)
+/// [`FileError`] names the file, the line and what is allowed.
+pub fn read_starts(path: &Path) -> Result<Vec<Pose>, FileError> {
+    parse_starts(&toml_schema::read_text(path)?, &path.display().to_string())
 }
 
-/// The text of a file of starts, which [`parse_starts`] reads back to the bit.
+/// Returns the text of a file of starts, which [`parse_starts`] reads back to the bit.
 pub fn starts_csv(starts: &[Pose]) -> String {
-    let rows = starts.iter().map(|start| {
-        let [tx, ty, tz] = start.translation;
-        let [rx, ry, rz] = start.rotation;
+    let row = |start: &Pose| {
+        let ([tx, ty, tz], [rx, ry, rz]) = (start.translation, start.rotation);
         format!("{tx},{ty},{tz},{rx},{ry},{rz}\n")
-    });
-    std::iter::once("tx,ty,tz,rx,ry,rz\n".to_owned())
-        .chain(rows)
-        .collect()
+    };
+    format!("{HEADER}\n") + &starts.iter().map(row).collect::<String>()
 }
 
 /// Parses the text of a file of starts; `path` is for messages.
 ///
 /// # Errors
 /// As [`read_starts`].
-pub fn parse_starts(text: &str, path: &str) -> Result<Vec<Pose>, StartsError> {
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .comment(Some(b'#'))
-        .flexible(true)
-        .from_reader(text.as_bytes());
-    let row_error = |line: u64, found: String| StartsError::Row {
+pub fn parse_starts(text: &str, path: &str) -> Result<Vec<Pose>, FileError> {
+    let refuse = |message: String| FileError::Syntax {
         path: path.to_owned(),
-        line,
-        found,
+        message,
     };
+    let lines = text.lines().map(str::trim).zip(1..);
+    let mut lines = lines.filter(|(line, _)| !line.is_empty() && !line.starts_with('#'));
+    let (header, _) = lines.next().unwrap_or_default();
+    if header.replace(' ', "") != HEADER {
+        return Err(refuse(format!(
+            "the first line is `{header}`; allowed: `{HEADER}`"
+        )));
+    }
+    let starts: Result<Vec<_>, _> = lines
+        .map(|(line, number)| {
+            pose(line).map_err(|found| {
+                let allowed = "six finite numbers tx,ty,tz (m), rx,ry,rz (rad), tz > 0";
+                refuse(format!("line {number}: {found}; allowed: {allowed}"))
+            })
+        })
+        .collect();
+    match starts?.as_slice() {
+        [] => Err(refuse(
+            "no start; allowed: one row or more below the header".to_owned(),
+        )),
+        starts => Ok(starts.to_vec()),
+    }
+}
 
-    let header = reader.headers().map_err(|e| row_error(1, e.to_string()))?;
-    if header.iter().ne(["tx", "ty", "tz", "rx", "ry", "rz"]) {
-        let found = header.iter().collect::<Vec<_>>().join(",");
-        return Err(StartsError::Header {
-            path: path.to_owned(),
-            found,
-        });
+/// Parses a row; the error is what is wrong with it.
+fn pose(line: &str) -> Result<Pose, String> {
+    let number = |field: &str| match field.trim().parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ => Err(format!("`{}` is not a finite number", field.trim())),
+    };
+    let numbers = line.split(',').map(number).collect::<Result<Vec<_>, _>>()?;
+    let [tx, ty, tz, rx, ry, rz] = *numbers else {
+        return Err(format!("{} fields", numbers.len()));
+    };
+    if tz <= 0.0 {
+        return Err(format!("tz = {tz} is behind the camera"));
     }
-
-    let mut starts = Vec::new();
-    for record in reader.records() {
-        let record = record.map_err(|e| row_error(0, e.to_string()))?;
-        let line = record.position().map_or(0, csv::Position::line);
-        if record.len() != 6 {
-            return Err(row_error(line, format!("{} fields", record.len())));
-        }
-        let mut row = [0.0; 6];
-        for (number, field) in row.iter_mut().zip(&record) {
-            *number = match field.parse::<f64>() {
-                Ok(x) if x.is_finite() => x,
-                _ => return Err(row_error(line, format!("`{field}` is not a finite number"))),
-            };
-        }
-        let [tx, ty, tz, rx, ry, rz] = row;
-        if tz <= 0.0 {
-            return Err(row_error(line, format!("tz = {tz} is behind the camera")));
-        }
-        starts.push(Pose {
-            translation: [tx, ty, tz],
-            rotation: [rx, ry, rz],
-        });
-    }
-    if starts.is_empty() {
-        return Err(StartsError::Empty {
-            path: path.to_owned(),
-        });
-    }
-    Ok(starts)
+    Ok(Pose {
+        translation: [tx, ty, tz],
+        rotation: [rx, ry, rz],
+    })
 }
 
 #[cfg(test)]
@@ -181,13 +134,16 @@ mod tests {
 
     #[test]
     fn a_wrong_header_and_an_empty_list_are_refused() {
-        assert!(matches!(
-            parse_starts("x,y\n1,2\n", "s"),
-            Err(StartsError::Header { .. })
-        ));
-        assert!(matches!(
-            parse_starts("tx,ty,tz,rx,ry,rz\n", "s"),
-            Err(StartsError::Empty { .. })
-        ));
+        let refused = |text: &str| parse_starts(text, "s").unwrap_err().to_string();
+        let header = refused("x,y\n1,2\n");
+        assert!(
+            header.contains("the first line is `x,y`; allowed: `tx,ty,tz,rx,ry,rz`"),
+            "{header}"
+        );
+        let empty = refused("tx,ty,tz,rx,ry,rz\n");
+        assert!(
+            empty.contains("no start; allowed: one row or more"),
+            "{empty}"
+        );
     }
 }

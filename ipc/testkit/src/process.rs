@@ -20,6 +20,13 @@ pub struct Ended {
     pub stderr: String,
 }
 
+impl Ended {
+    /// The exit code, -1 for a signal, and standard error.
+    pub fn log(self) -> (i32, String) {
+        (self.code.unwrap_or(-1), self.stderr)
+    }
+}
+
 impl From<Output> for Ended {
     fn from(output: Output) -> Self {
         Self {

@@ -5,48 +5,37 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::{is_set, root};
 
-/// The programs and the package of each.
-const PACKAGES: [(&str, &str); 5] = [
-    ("vpcd", "controller"),
-    ("hw-sim", "hw-sim"),
-    ("vpcctl", "vpcctl"),
-    ("vpc-memory", "memory-builder"),
-    ("libvpcclient.so", "vpc-client-c"),
-];
-
-/// A program of this workspace, in the profile of the running test.
+/// A program of this workspace, `examples/NAME` or `libvpcclient.so`, in the profile of the running test.
 ///
-/// Asks cargo to build it, which has nothing to do after `cargo test --workspace`. With `VPC_STRICT=1` cargo is
-/// not asked, as CI has built everything before.
+/// Asks cargo to build it, which has nothing to do after `cargo test`. With `VPC_STRICT=1` cargo is not asked, as CI
+/// has built everything before.
 ///
 /// # Panics
-/// If the name is unknown, or the program does not build or is not there.
+/// If it does not build or is not there.
 pub fn program(name: &str) -> PathBuf {
-    static BUILT: Mutex<BTreeSet<&str>> = Mutex::new(BTreeSet::new());
-    let known = PACKAGES.iter().find(|(program, _)| *program == name);
-    let (_, package) = known.unwrap_or_else(|| panic!("no program `{name}`"));
-    let path = profile_directory().join(name);
-    if !is_set("VPC_STRICT")
-        && BUILT
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .insert(package)
-    {
-        build(package);
+    static BUILT: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+    if built.insert(name.to_owned()) && !is_set("VPC_STRICT") {
+        build(name);
     }
+    let path = profile_directory().join(name);
     assert!(
         path.exists(),
-        "{} is not built: cargo build -p {package}",
+        "{} is not built: cargo build",
         path.display()
     );
     path
 }
 
-fn build(package: &str) {
+fn build(name: &str) {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo
-        .current_dir(root())
-        .args(["build", "--quiet", "--package", package]);
+    // No package is named, so that features are those of `cargo test`, and nothing is built twice.
+    cargo.current_dir(root()).args(["build", "--quiet"]);
+    match name.strip_prefix("examples/") {
+        Some(example) => cargo.args(["--example", example]),
+        None if name.ends_with(".so") => cargo.arg("--lib"),
+        None => cargo.args(["--bin", name]),
+    };
     cargo.arg("--target-dir").arg(target_directory());
     if profile_directory().ends_with("release") {
         cargo.arg("--release");
@@ -54,7 +43,7 @@ fn build(package: &str) {
     let status = cargo.status();
     assert!(
         status.is_ok_and(|status| status.success()),
-        "{package} does not build"
+        "{name} does not build"
     );
 }
 

@@ -54,27 +54,29 @@ def exchange(directory):
 
 def refusals(directory):
     """What is refused, in the words of the exception; and that everything is gone after the end of a `with`."""
+    import numpy as np
+
+    def refused(action, head=""):
+        try:
+            action()
+        except vpc_client.VpcError as error:
+            print(f"{head}{error}")
+
+    square = np.ones((4, 2))
     with vpc_client.Domain(directory) as domain:
         with domain.camera() as camera:
-            for points in ([], [(1.0, float("nan"))]):
-                try:
-                    camera.publish_features(points)
-                except vpc_client.BadMessage as error:
-                    print(error)
-            try:
-                domain.camera()
-            except vpc_client.Taken as error:
-                print("taken:", error)
-            try:
-                camera.wait_for_answer(camera.publish_features([(1.0, 2.0)] * 4), patience_s=0.01)
-            except vpc_client.NoAnswer as error:
-                print(error)
+            for points in ([], [(1.0, float("nan"))], square.ravel(), square.reshape(4, 1, 2)):
+                refused(lambda: camera.publish_features(points))
+            refused(lambda: camera.publish_features(square, data_ns=-1))
+            refused(domain.camera, "taken: ")
+            refused(lambda: camera.wait_for_answer(camera.publish_features(square), patience_s=0.01))
         # Its place is free again.
         domain.camera().close()
-        try:
-            domain.subscribe("vpc/nothing")
-        except ValueError as error:
-            print(error)
+        refused(lambda: domain.subscribe("vpc/nothing"))
+        refused(lambda: domain.subscribe("vpc/twist", buffer=65))
+        refused(lambda: domain.operator().arm())
+        refused(lambda: camera.publish_features(square))
+    refused(lambda: vpc_client.Domain("/dev/null"))
 
 
 def hears(directory):

@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use recording::{ContextError, PlotError, ReadError, RecordError, WriteError};
-use scene::SceneError;
+use scene::FileError;
 
 /// How the command ends. Small numbers are answers; those from 64 on are `vpcd`'s (after `sysexits.h`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,8 +96,8 @@ exits! {
     ipc::ReceiveError => |_| Exit::Unavailable,
     io::Error => |_| Exit::Software,
     serde_json::Error => |_| Exit::Software,
-    SceneError => |error| match error {
-        SceneError::Read { .. } => Exit::NoInput,
+    FileError => |error| match error {
+        FileError::Read { .. } => Exit::NoInput,
         _ => Exit::Data,
     },
     ContextError => |error| match error {

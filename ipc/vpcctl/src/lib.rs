@@ -97,12 +97,11 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         }
         Command::Metrics(with) if with.once => return metrics::once(&directory, with.watch),
         Command::Metrics(with) => {
-            server::allow(with.listen, with.expose)?;
+            server::allow(with.listen, with.expose, false)?;
             return metrics::serve(Watcher::open(&directory)?, with.listen);
         }
         Command::Serve(with) => {
-            server::allow(with.listen, with.expose)?;
-            serve::allow(with.listen, with.control)?;
+            server::allow(with.listen, with.expose, with.control)?;
             let plane = ImagePlane::open(&directory, with.scene.as_deref())?;
             let watcher = Watcher::open(&directory)?;
             return serve::run(watcher, plane, with.listen, with.control);

@@ -45,7 +45,9 @@ impl Presence {
             .ok()
             .and_then(|text| text.trim().parse().ok());
         // Some file systems show another inode in the table; then the process's name decides.
-        let process = holder(&holders(&file), written)
+        let inode = std::fs::metadata(&file).map_or(0, |found| found.ino());
+        let locks = std::fs::read_to_string("/proc/locks").unwrap_or_default();
+        let process = holder(&locks, inode, written)
             .or_else(|| written.filter(|&process| is_daemon(process)));
         process.map_or(Self::NoDaemon, Self::Process)
     }
@@ -59,44 +61,23 @@ impl Presence {
     }
 }
 
-/// A holder of a `flock`.
-#[derive(Debug, PartialEq, Eq)]
-pub struct Holder {
-    process: u32,
-    is_exclusive: bool,
+/// The process that holds an exclusive `flock` on this inode. Two file systems may use the same
+/// inode number: the process that the file names is preferred.
+fn holder(locks: &str, inode: u64, written: Option<u32>) -> Option<u32> {
+    let holders = || locks.lines().filter_map(|line| parse(line, inode));
+    holders()
+        .find(|&process| Some(process) == written)
+        .or_else(|| holders().next())
 }
 
-/// The processes that hold a `flock` on this file.
-pub fn holders(file: &Path) -> Vec<Holder> {
-    let inode = std::fs::metadata(file).map(|found| found.ino());
-    match (inode, std::fs::read_to_string("/proc/locks")) {
-        (Ok(inode), Ok(locks)) => locks
-            .lines()
-            .filter_map(|line| parse(line, inode))
-            .collect(),
-        _ => Vec::new(),
-    }
-}
-
-/// Reads a line of `/proc/locks`; `None` where it is not a `flock` on this inode.
-fn parse(line: &str, inode: u64) -> Option<Holder> {
+/// Reads a line of `/proc/locks`; `None` where it is not an exclusive `flock` on this inode.
+fn parse(line: &str, inode: u64) -> Option<u32> {
     let words: Vec<&str> = line.split_whitespace().collect();
-    let &[_, "FLOCK", _, mode, process, place, ..] = words.as_slice() else {
+    let &[_, "FLOCK", _, "WRITE", process, place, ..] = words.as_slice() else {
         return None;
     };
     let found: u64 = place.rsplit(':').next()?.parse().ok()?;
-    (found == inode).then_some(Holder {
-        process: process.parse().ok()?,
-        is_exclusive: mode == "WRITE",
-    })
-}
-
-/// The exclusive holder. Two file systems may use the same inode number: the process that the file
-/// names is preferred.
-fn holder(holders: &[Holder], written: Option<u32>) -> Option<u32> {
-    let exclusive = || holders.iter().filter(|holder| holder.is_exclusive);
-    let named = exclusive().find(|holder| Some(holder.process) == written);
-    Some(named.or_else(|| exclusive().next())?.process)
+    process.parse().ok().filter(|_| found == inode)
 }
 
 fn is_daemon(process: u32) -> bool {
@@ -117,17 +98,10 @@ mod tests {
 
     #[test]
     fn the_holder_of_an_exclusive_flock_is_found_by_inode() {
-        let of = |inode, written| {
-            let holders: Vec<_> = LOCKS
-                .lines()
-                .filter_map(|line| parse(line, inode))
-                .collect();
-            holder(&holders, written)
-        };
-        assert_eq!(of(770, None), Some(13));
-        assert_eq!(of(7, None), None);
-        assert_eq!(of(77, Some(15)), Some(15));
-        assert_eq!(of(77, Some(99)), Some(14));
+        assert_eq!(holder(LOCKS, 770, None), Some(13));
+        assert_eq!(holder(LOCKS, 7, None), None);
+        assert_eq!(holder(LOCKS, 77, Some(15)), Some(15));
+        assert_eq!(holder(LOCKS, 77, Some(99)), Some(14));
     }
 
     #[test]

@@ -43,17 +43,17 @@ const HEADERS: [(HeaderName, &str); 4] = [
     ),
 ];
 
-/// Checks the address to listen at.
+/// Checks the address to listen at: other machines reach it with `expose` only, and never where
+/// `control` lets the page command, since its token would be readable on the way.
 ///
 /// # Errors
-/// Other machines reach it, without `expose`.
-pub fn allow(address: SocketAddr, expose: bool) -> Result<(), Failure> {
-    if expose || address.ip().is_loopback() {
-        return Ok(());
-    }
-    let message = format!(
-        "--listen {address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"
-    );
+/// [`Exit::Usage`] with what is allowed.
+pub fn allow(address: SocketAddr, expose: bool, control: bool) -> Result<(), Failure> {
+    let message = match (address.ip().is_loopback(), control, expose) {
+        (true, _, _) | (_, false, true) => return Ok(()),
+        (_, true, _) => "--control: token and commands would be readable on the network; allowed: with 127.0.0.0/8 and [::1] (from afar: ssh -L 9470:127.0.0.1:9470 HOST)".to_owned(),
+        (_, false, false) => format!("--listen {address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"),
+    };
     Err(Failure::new(Exit::Usage, message))
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use ipc::{CycleRecord, Features, Hold, Order, Received, RobotFaults, RobotState, TwistState};
+use ipc::{CycleRecord, Features, Hold, Order, Received, RobotState, TwistState};
 
 use crate::latency::{Histogram, STAGES, durations};
 use crate::units::duration;
@@ -160,17 +160,19 @@ impl View {
             return "silent".to_owned();
         };
         let mode = word(robot.mode());
-        match faults(robot.faults()).join(", ") {
+        match faults(robot) {
             none if none.is_empty() => mode,
-            names => format!("{mode}: {names}"),
+            faults => format!("{mode}: {}", faults.join(", ")),
         }
     }
 
     /// How long ago the camera sent the newest features, ns, where that is too long.
     pub fn camera_silence_ns(&self, now_ns: u64) -> Option<u64> {
         let sent = self.features.map(|features| features.stamp.published_ns);
-        let used = self.seen.map(|record| record.stamp.data_ns);
-        let age = now_ns.saturating_sub(sent.max(used)?);
+        let newest = self.latest().filter(|last| last.features_sequence > 0);
+        let used = newest.map(|last| last.stamp.data_ns.saturating_sub(last.features_age_ns));
+        let seen = self.seen.map(|record| record.stamp.data_ns);
+        let age = now_ns.saturating_sub(sent.max(used).max(seen)?);
         (age > SILENT_NS[1]).then_some(age)
     }
 
@@ -201,24 +203,14 @@ fn keep<T>(queue: &mut VecDeque<T>, value: T, most: usize) {
     queue.push_back(value);
 }
 
+/// The faults that the robot reports.
+pub fn faults(robot: &RobotState) -> Vec<&'static str> {
+    robot.faults().names().map(|fault| fault.text).collect()
+}
+
 /// A value of the contract in its words; "unknown" where its code is.
 pub fn word(value: Option<impl ToString>) -> String {
     value.map_or_else(|| "unknown".to_owned(), |value| value.to_string())
-}
-
-/// Every fault of a robot with its name.
-pub const FAULTS: [(RobotFaults, &str); 5] = [
-    (RobotFaults::STALE_COMMAND, "stale command"),
-    (RobotFaults::COMMAND_LIMITED, "command limited"),
-    (RobotFaults::REFLEX, "reflex"),
-    (RobotFaults::JOINT_LIMIT, "joint limit"),
-    (RobotFaults::PATTERN_LOST, "pattern lost"),
-];
-
-/// The names of the faults that are set.
-pub fn faults(faults: RobotFaults) -> Vec<&'static str> {
-    let set = FAULTS.iter().filter(|(bit, _)| faults.any(*bit));
-    set.map(|(_, name)| *name).collect()
 }
 
 #[cfg(test)]
@@ -328,11 +320,5 @@ pub(crate) mod tests {
             Some("robot fault")
         );
         assert_eq!(fed(&[used]).cause_words(u64::MAX), None);
-    }
-
-    #[test]
-    fn faults_are_named_bit_by_bit() {
-        assert_eq!(faults(RobotFaults(0b10100)), ["reflex", "pattern lost"]);
-        assert_eq!(faults(RobotFaults(0)).len(), 0);
     }
 }

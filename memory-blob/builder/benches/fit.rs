@@ -5,9 +5,8 @@
 use std::hint::black_box;
 
 use divan::Bencher;
-use memory_builder::mixture::{Mixture, MixtureSettings};
-use memory_builder::regression::likelihood::Likelihood;
-use memory_builder::regression::{FitSettings, Kernel, Matrix, fit};
+use memory_builder::regression::likelihood::{Inputs, Likelihood};
+use memory_builder::regression::{FitSettings, Kernel, fit};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -20,7 +19,7 @@ fn main() {
 }
 
 /// Waves of random directions with 1 % of noise.
-fn samples(count: usize) -> (Matrix, Matrix) {
+fn samples(count: usize) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut normal = |size: usize| -> Vec<f64> {
         (0..size)
@@ -38,19 +37,16 @@ fn samples(count: usize) -> (Matrix, Matrix) {
             .sum();
         phase.sin() + 0.01 * noise[row * OUTPUTS + column]
     };
-    let outputs = (0..count).flat_map(|row| (0..OUTPUTS).map(move |column| (row, column)));
-    let outputs = outputs.map(|(row, column)| value(row, column)).collect();
-    let matrix = |name, columns, data| Matrix::new(name, columns, data).expect("finite samples");
-    (
-        matrix("inputs", INPUTS, inputs.clone()),
-        matrix("outputs", OUTPUTS, outputs),
-    )
+    let output = |row| (0..OUTPUTS).map(|column| value(row, column)).collect();
+    let rows = inputs.chunks(INPUTS).map(<[f64]>::to_vec).collect();
+    (rows, (0..count).map(output).collect())
 }
 
 #[divan::bench(args = [400, 800], sample_count = 20)]
 fn likelihood_and_gradient(bencher: Bencher<'_, '_>, count: usize) {
     let (inputs, outputs) = samples(count);
-    let likelihood = Likelihood::new(&inputs, &outputs).expect("equal rows");
+    let y = faer::Mat::from_fn(count, OUTPUTS, |row, column| outputs[row][column]);
+    let likelihood = Likelihood::new(Inputs::of(&inputs), y);
     let kernel = Kernel {
         length_scales: vec![3.0; INPUTS],
         signal_variance: 1.0,
@@ -73,14 +69,4 @@ fn whole_fit_of_800_searched_on(bencher: Bencher<'_, '_>, subset: usize) {
     bencher.bench_local(|| {
         pool.install(|| fit(&inputs, &outputs, &[0.0; OUTPUTS], black_box(&settings)))
     });
-}
-
-#[divan::bench(args = [50, 300], sample_count = 10)]
-fn mixture_of_failures(bencher: Bencher<'_, '_>, count: usize) {
-    let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let mut point = |centre: f64| -> [f64; 6] {
-        std::array::from_fn(|_| centre + 0.1 * rng.sample::<f64, _>(StandardNormal))
-    };
-    let points: Vec<[f64; 6]> = (0..count).map(|at| point((at % 3) as f64)).collect();
-    bencher.bench_local(|| Mixture::fit(black_box(&points), &MixtureSettings::default(), 1));
 }

@@ -1,5 +1,5 @@
-//! The building of a memory: batches of starts, each tried against the memory as it was before the batch, so that
-//! the same seed gives the same memory whatever the number of threads.
+//! The building of a memory: batches of starts, each tried against the memory as it was before the
+//! batch, so that the same seed gives the same memory whatever the number of threads.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -10,7 +10,7 @@ use scene::{Pose, Scene};
 use serde::{Deserialize, Serialize};
 use vpc::Task;
 
-use crate::mixture::{Mixture, MixtureSettings};
+use crate::mixture::Mixture;
 use crate::settings::BuildSettings;
 use crate::solution::Finder;
 use crate::start::{self, NoStart};
@@ -23,7 +23,7 @@ const REMEMBERED_FAILURES: usize = 400;
 const HOPELESS_BATCHES: usize = 20;
 
 /// The state of a building, from which it can go on: what a Ctrl-C leaves behind.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Successful trajectories.
     pub trajectories: Vec<Trajectory>,
@@ -35,26 +35,6 @@ pub struct Progress {
     pub batches: u64,
     /// Failed starts by cause: stuck, no solution, violation, time out.
     pub causes: [u64; 4],
-}
-
-impl Progress {
-    /// Nothing done yet.
-    pub fn new() -> Self {
-        let (trajectories, failures) = (Vec::new(), Vec::new());
-        Self {
-            trajectories,
-            failures,
-            tried: 0,
-            batches: 0,
-            causes: [0; 4],
-        }
-    }
-}
-
-impl Default for Progress {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 /// Why building ended without a memory.
@@ -79,8 +59,8 @@ pub enum BuildError {
     },
 }
 
-/// Collects trajectories until there are enough, or `stop` is set; calls `report` after each batch. Going on from
-/// the progress of an earlier call gives the same memory as one uninterrupted call.
+/// Collects trajectories until there are enough, or `stop` is set; calls `report` after each batch.
+/// Going on from the progress of an earlier call gives the same memory as one uninterrupted call.
 ///
 /// # Errors
 /// [`BuildError`] where the scene leaves nothing to build.
@@ -147,7 +127,8 @@ pub fn collect(
     Ok(progress)
 }
 
-/// The starts of a batch: uniform at first; later a share of them from a mixture fitted to the failures.
+/// The starts of a batch: uniform at first; later a share of them from a mixture fitted to the
+/// failures.
 fn draw_starts(
     scene: &Scene,
     task: &Task,
@@ -155,19 +136,10 @@ fn draw_starts(
     progress: &Progress,
     rng: &mut ChaCha8Rng,
 ) -> Result<Vec<Pose>, NoStart> {
-    let adapting = progress.trajectories.len() as f64
-        >= settings.adapt_after * settings.trajectories as f64
-        && !progress.failures.is_empty();
+    let adapting =
+        progress.trajectories.len() as f64 >= settings.adapt_after * settings.trajectories as f64;
     let latest = progress.failures.len().saturating_sub(REMEMBERED_FAILURES);
-    let mixture = adapting
-        .then(|| {
-            Mixture::fit(
-                &progress.failures[latest..],
-                &MixtureSettings::default(),
-                settings.seed,
-            )
-        })
-        .and_then(Result::ok);
+    let mixture = Mixture::over(&progress.failures[latest..]).filter(|_| adapting);
     (0..settings.batch)
         .map(|_| {
             let adapted = rng.random::<f64>() < settings.adapt_share;

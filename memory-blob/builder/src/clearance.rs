@@ -1,24 +1,27 @@
-//! Euclidean distances of image points from the occlusions: what a scene's `clearance_px` is measured in.
+//! Euclidean distances of image points from the occlusions: what a scene's `clearance_px` is
+//! measured in.
 //!
-//! The control law has a first-order clearance, cheap and differentiable, which falls short of the distance near the
-//! corners of a part: fit for a constraint, too strict for choosing starts.
+//! The control law has a first-order clearance, cheap and differentiable, which falls short of the
+//! distance near the corners of a part: fit for a constraint, too strict for choosing starts.
 //!
-//! A part is a convex set, and the distance of a point q from a convex set is the greatest of n.q - h(n) over unit
-//! normals n, where h, the support function, is the dual norm of the part's half sizes (exponent p / (p - 1)). By
-//! symmetry n may be taken in the quadrant of q, so that one angle is left. For a point outside the derivative over
-//! that angle changes its sign once: a second stationary normal would make q a border point minus a multiple of that
-//! normal, and so a point inside.
+//! A part is a convex set, and the distance of a point q from a convex set is the greatest of n.q -
+//! h(n) over unit normals n, where h, the support function, is the dual norm of the part's half
+//! sizes (exponent p / (p - 1)). By symmetry n may be taken in the quadrant of q, so that one angle
+//! is left. For a point outside the derivative over that angle changes its sign once: a second
+//! stationary normal would make q a border point minus a multiple of that normal, and so a point
+//! inside.
 
 use scene::{Part, Scene};
 use vpc::field;
 
 /// Bound of the error of a distance, px.
 const TOLERANCE: f64 = 1e-9;
-/// Halvings and Newton steps together, at most; bisection alone reaches the last bit of the angle within them.
+/// Halvings and Newton steps together, at most; bisection alone reaches the last bit of the angle
+/// within them.
 const MAX_STEPS: usize = 60;
 
-/// Least Euclidean distance of a pixel (u, v) from the occlusions of a scene, px: zero inside one, infinite in a scene
-/// without any.
+/// Least Euclidean distance of a pixel (u, v) from the occlusions of a scene, px: zero inside one,
+/// infinite in a scene without any.
 pub fn of_pixel(scene: &Scene, pixel: [f64; 2]) -> f64 {
     let parts = scene.parts().fold(f64::INFINITY, |least, part| {
         if distance_from_box(part, pixel) < least {
@@ -27,7 +30,8 @@ pub fn of_pixel(scene: &Scene, pixel: [f64; 2]) -> f64 {
             least
         }
     });
-    // The field of a mask is the Euclidean distance already, within 0.1 px where starts are measured, and not above.
+    // The field of a mask is the Euclidean distance already, within 0.1 px where starts are
+    // measured, and not above.
     scene.areas().fold(parts, |least, area| {
         least.min(field::clearance(area, pixel).distance.max(0.0))
     })
@@ -58,7 +62,8 @@ pub fn distance(part: &Part, pixel: [f64; 2]) -> f64 {
         } else {
             high = angle;
         }
-        // Newton's step on the slope; not a number where the border has a corner, and then halving takes over.
+        // Newton's step on the slope; not a number where the border has a corner, and then halving
+        // takes over.
         let newton = angle + along / (across + tangent.radius);
         let third = (high - low) / 3.0;
         angle = if newton > low && newton < high && (newton - angle).abs() < third {
@@ -118,7 +123,8 @@ mod tests {
         Part { center, half, p }
     }
 
-    /// Least distance from points set densely on the border, both by u and by v, so that no stretch is left thin.
+    /// Least distance from points set densely on the border, both by u and by v, so that no stretch
+    /// is left thin.
     fn sampled(part: &Part, pixel: [f64; 2]) -> f64 {
         let q = offset(part, pixel);
         let other = |t: f64| (1.0 - t.powf(part.p)).max(0.0).powf(1.0 / part.p);
@@ -147,8 +153,8 @@ mod tests {
                             200.0 - scale * sin * (half[1] * radius + out),
                         ];
                         let (found, expected) = (distance(&part, pixel), sampled(&part, pixel));
-                        // Samples lie on the border, so they can only be too far: by half their spacing along the
-                        // border for a point near it.
+                        // Samples lie on the border, so they can only be too far: by half their
+                        // spacing along the border for a point near it.
                         assert!(
                             found <= expected + 1e-8,
                             "{part:?} {pixel:?}: {found}, {expected}"
@@ -208,7 +214,9 @@ mod tests {
         for u in (150..450).step_by(7) {
             for v in (100..300).step_by(7) {
                 let pixel = [f64::from(u), f64::from(v)];
-                let first_order = vpc::constraint::clearance(&part, pixel).distance;
+                let first_order = vpc::obstacle::Obstacle::Part(&part)
+                    .clearance(pixel)
+                    .distance;
                 let euclidean = distance(&part, pixel);
                 if euclidean > 0.0 {
                     assert!(first_order <= euclidean + 1e-6, "{pixel:?}");

@@ -4,8 +4,7 @@
 //! held at a bound by their gradient), walks along it with every point clipped to the box, and
 //! looks for a step that satisfies the Armijo condition and, while the box allows, the weak
 //! curvature condition (doubling, then bisection). A point where the function has no value counts
-//! as infinitely high. Everything is bounded by [`Settings::max_iterations`] and
-//! [`Settings::max_evaluations`].
+//! as infinitely high. Iterations and evaluations are bounded.
 //!
 //! Source: Nocedal and Wright, Numerical Optimization, 2nd ed., Alg. 7.4 and Sect. 16.7
 //! (projection).
@@ -19,48 +18,32 @@ const CURVATURE: f64 = 0.9;
 /// Evaluations in one line search.
 const LINE_SEARCH_STEPS: usize = 20;
 
-/// When to stop and how far to go at once.
+/// Pairs of steps and gradient changes that are remembered.
+const MEMORY: usize = 10;
+/// Most iterations.
+const MAX_ITERATIONS: usize = 100;
+/// Largest change of one variable in the first trial of an iteration.
+const LARGEST_STEP: f64 = 2.0;
+
+/// When to stop.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// Pairs of steps and gradient changes that are remembered, at least 1.
-    pub memory: usize,
-    /// Most iterations, at least 1.
-    pub max_iterations: usize,
     /// Most evaluations of the function, at least 1.
     pub max_evaluations: usize,
     /// Converged when no component of the projected gradient is larger than this.
     pub gradient_tolerance: f64,
     /// Converged when an iteration gains less than this times max(1, |value|).
     pub value_tolerance: f64,
-    /// Largest change of one variable in the first trial of an iteration, in units of the variable.
-    /// Above 0.
-    pub largest_step: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            memory: 10,
-            max_iterations: 100,
             max_evaluations: 150,
             gradient_tolerance: 1e-6,
             value_tolerance: 1e-9,
-            largest_step: 2.0,
         }
     }
-}
-
-/// Why the search ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
-    /// The projected gradient is small enough.
-    Gradient,
-    /// The last iteration gained too little.
-    Value,
-    /// No lower point was found along the gradient: as low as rounding allows.
-    LineSearch,
-    /// Out of iterations or evaluations; the point is the lowest so far.
-    Budget,
 }
 
 /// Where the search ended.
@@ -72,8 +55,6 @@ pub struct Minimum {
     pub value: f64,
     /// Evaluations used.
     pub evaluations: usize,
-    /// Why it ended.
-    pub ending: Ending,
 }
 
 /// A function with its gradient; `None` where it has no value.
@@ -105,48 +86,37 @@ pub fn minimise(
     upper: &[f64],
     settings: &Settings,
 ) -> Option<Minimum> {
-    let pairs = VecDeque::with_capacity(settings.memory);
     let mut search = Search {
         function,
         lower,
         upper,
         settings,
         evaluations: 0,
-        pairs,
+        pairs: VecDeque::new(),
     };
     let mut current = search.evaluate(clip(start.iter().copied(), lower, upper))?;
-    let mut ending = Ending::Budget;
-    for _ in 0..settings.max_iterations {
+    for _ in 0..MAX_ITERATIONS {
         if search.projected_gradient(&current) <= settings.gradient_tolerance {
-            ending = Ending::Gradient;
             break;
         }
         let mut next = search.descend(&current);
         if next.is_none() && !search.pairs.is_empty() {
-            // the remembered curvature may be the culprit: once more, along the gradient
+            // The remembered curvature may be the culprit: once more, along the gradient.
             search.pairs.clear();
             next = search.descend(&current);
         }
-        let Some(next) = next else {
-            if search.evaluations < settings.max_evaluations {
-                ending = Ending::LineSearch;
-            }
-            break;
-        };
+        let Some(next) = next else { break };
         let gain = current.value - next.value;
         search.remember(&current, &next);
         current = next;
         if gain <= settings.value_tolerance * current.value.abs().max(1.0) {
-            ending = Ending::Value;
             break;
         }
     }
-    let Iterate { point, value, .. } = current;
     Some(Minimum {
-        point,
-        value,
+        point: current.point,
+        value: current.value,
         evaluations: search.evaluations,
-        ending,
     })
 }
 
@@ -237,7 +207,7 @@ impl<F: FnMut(&[f64]) -> Evaluation> Search<'_, F> {
             let size = largest(&gradient).max(1.0);
             direction = gradient.iter().map(|g| -g / size).collect();
         }
-        let excess = largest(&direction) / self.settings.largest_step;
+        let excess = largest(&direction) / LARGEST_STEP;
         if excess > 1.0 {
             direction.iter_mut().for_each(|d| *d /= excess);
         }
@@ -283,7 +253,7 @@ impl<F: FnMut(&[f64]) -> Evaluation> Search<'_, F> {
             difference(&to.gradient, &from.gradient),
         );
         if dot(&s, &y) > 1e-10 * dot(&y, &y).max(dot(&s, &s)) {
-            if self.pairs.len() == self.settings.memory {
+            if self.pairs.len() == MEMORY {
                 self.pairs.pop_front();
             }
             self.pairs.push_back((s, y));
@@ -345,7 +315,6 @@ mod tests {
         let found = minimise(rosenbrock, &[-1.2, 3.0], &[-5.0; 2], &[0.5, 5.0], &settings).unwrap();
         assert!((found.point[0] - 0.5).abs() < 1e-9, "{:?}", found.point);
         assert!((found.point[1] - 0.25).abs() < 1e-6, "{:?}", found.point);
-        assert_eq!(found.ending, Ending::Gradient);
     }
 
     #[test]
@@ -420,7 +389,7 @@ mod tests {
             for (x, g) in found.point.iter().zip(gradient) {
                 held += usize::from(x.abs() == 1.0);
                 let optimal = g.abs() < 1e-5 || (*x == 1.0 && g < 0.0) || (*x == -1.0 && g > 0.0);
-                assert!(optimal, "slope {g} at {x}, {:?}", found.ending);
+                assert!(optimal, "slope {g} at {x}");
             }
             evaluations += found.evaluations;
         }
@@ -460,10 +429,7 @@ mod tests {
             ..Settings::default()
         };
         let found = minimise(counted, &[-1.2, 1.0], &[-5.0; 2], &[5.0; 2], &settings).unwrap();
-        assert_eq!(
-            (count, found.evaluations, found.ending),
-            (7, 7, Ending::Budget)
-        );
+        assert_eq!((count, found.evaluations), (7, 7));
         assert!(found.value < rosenbrock(&[-1.2, 1.0]).unwrap().0);
     }
 }

@@ -1,13 +1,13 @@
-//! Builds a memory of motion off line: the paper's two algorithms, adaptive sampling, and regression.
+//! Builds a memory of motion off line: the paper's two algorithms, adaptive sampling, and
+//! regression.
 //!
-//! [`build`] draws starts and collects the trajectories that [`trajectory`] finds step by step with [`solution`];
-//! starts that the controller leaves stuck go to [`planner`]. [`store`] keeps samples and way points, [`subsample`]
-//! chooses those that [`regression`] is fitted to, and [`memory`] writes the file. Decisions, promises and times stand in
-//! the crate's `README.md`.
+//! [`build`] draws starts and collects the trajectories that [`trajectory`] finds step by step with
+//! [`solution`]; starts that the controller leaves stuck go to [`planner`]. [`store`] keeps samples
+//! and way points, [`subsample`] chooses those that [`regression`] is fitted to, and [`memory`]
+//! writes the file. Decisions, promises and times stand in the crate's `README.md`.
 
 pub mod build;
 pub mod clearance;
-pub mod keys;
 pub mod lbfgs;
 pub mod memory;
 pub mod mixture;

@@ -15,12 +15,13 @@ use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::{MemoryFile, Report};
 use memory_builder::build::{self, Progress};
-use memory_builder::settings::{BuildSettings, WayPoint};
+use memory_builder::settings::BuildSettings;
 use memory_builder::{memory, start};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
+use toml_schema::Document;
 use vpc::Task;
 
 /// Builds, inspects, verifies and refits memories of motion for vpcd.
@@ -35,8 +36,9 @@ struct Cli {
 enum Command {
     /// Build a memory for a scene: solve it from many random starts and fit the regression.
     ///
-    /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from there and ends with
-    /// the same file. The same seed gives the same file whatever the number of threads.
+    /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from
+    /// there and ends with the same file. The same seed gives the same file whatever the number of
+    /// threads.
     Build(Build),
     /// Say what is in a memory.
     Inspect {
@@ -51,8 +53,8 @@ enum Command {
         #[arg(long)]
         scene: Option<PathBuf>,
     },
-    /// Draw valid start poses from the scene's region, for `cargo table`; another seed than the build's gives starts
-    /// that the memory has not seen.
+    /// Draw valid start poses from the scene's region, for `cargo table`; another seed than the
+    /// build's gives starts that the memory has not seen.
     Starts {
         /// Scene file (TOML).
         scene: PathBuf,
@@ -68,9 +70,11 @@ enum Command {
     },
     /// Write the scene file of a task of your own; on a terminal, what no flag tells is asked for.
     New(command::new::New),
-    /// Draw a scene: occlusions, the zone in which the memory is asked, goal, starts; and describe it.
+    /// Draw a scene: occlusions, the zone in which the memory is asked, goal, starts; and describe
+    /// it.
     Preview(command::preview::Preview),
-    /// Paint the occlusions of a scene into an image of the camera's size, to go on from in any editor.
+    /// Paint the occlusions of a scene into an image of the camera's size, to go on from in any
+    /// editor.
     Mask(command::mask::Mask),
     /// Fit the regression again from the samples stored in a memory.
     Fit {
@@ -109,24 +113,25 @@ struct Overrides {
     settings: Option<PathBuf>,
     /// Successful trajectories to collect [default: 900].
     #[arg(long)]
-    trajectories: Option<usize>,
+    trajectories: Option<u32>,
     /// Steps previewed by the solver [default: 10].
     #[arg(long)]
-    np: Option<usize>,
+    np: Option<u32>,
     /// Most iterations of the solver [default: 100].
     #[arg(long)]
     iterations: Option<u32>,
     /// Optimality precision of the solver [default: 1e-9].
     #[arg(long)]
     tolerance: Option<f64>,
-    /// Way points this many control periods ahead, as in the paper, instead of the last features in sight.
+    /// Way points this many control periods ahead, as in the paper, instead of the last features in
+    /// sight.
     #[arg(long)]
-    way_point_samples: Option<usize>,
+    way_point_samples: Option<u32>,
     /// Features closer than this to an occlusion are guided by the memory, px [default: 20].
     #[arg(long)]
     trigger_px: Option<f64>,
-    /// Draws an occlusion larger while trajectories are made, by its name: --grow "spot on the lens=1.2". The memory is
-    /// one for the scene as it is; its provenance tells what was grown.
+    /// Draws an occlusion larger while trajectories are made, by its name: --grow "spot on the
+    /// lens=1.2". The memory is one for the scene as it is; its provenance tells what was grown.
     #[arg(long, value_name = "NAME=FACTOR", value_parser = growth)]
     grow: Vec<(String, f64)>,
     /// Do without the planner in pose space: the paper's two algorithms only.
@@ -134,39 +139,37 @@ struct Overrides {
     no_planner: bool,
     /// Samples kept for regression [default: 800].
     #[arg(long)]
-    gpr_samples: Option<usize>,
+    gpr_samples: Option<u32>,
     /// Store the factor for predictive variances.
     #[arg(long)]
     variance: bool,
     /// Seed of every random choice [default: 1].
     #[arg(long)]
-    seed: Option<u64>,
+    seed: Option<i64>,
 }
 
 impl Overrides {
     fn settings(&self) -> anyhow::Result<BuildSettings> {
-        let mut settings: BuildSettings = match &self.settings {
-            Some(path) => {
-                let text = fs::read_to_string(path)
-                    .with_context(|| format!("{}: cannot read the settings", path.display()))?;
-                toml::from_str(&text).with_context(|| path.display().to_string())?
-            }
-            None => BuildSettings::default(),
-        };
-        settings.trajectories = self.trajectories.unwrap_or(settings.trajectories);
-        settings.np = self.np.unwrap_or(settings.np);
-        settings.iterations = self.iterations.unwrap_or(settings.iterations);
-        settings.tolerance = self.tolerance.unwrap_or(settings.tolerance);
-        settings.way_point = self
+        let mut document = Document::read(self.settings.as_deref())?;
+        document.set("trajectories", "--trajectories", self.trajectories);
+        document.set("np", "--np", self.np);
+        document.set("iterations", "--iterations", self.iterations);
+        document.set("tolerance", "--tolerance", self.tolerance);
+        let ahead = self
             .way_point_samples
-            .map_or(settings.way_point, WayPoint::Samples);
-        settings.trigger_px = self.trigger_px.unwrap_or(settings.trigger_px);
+            .map(|n| toml::Table::from_iter([("samples".to_owned(), n.into())]));
+        document.set("way_point", "--way-point-samples", ahead);
+        document.set("trigger_px", "--trigger-px", self.trigger_px);
+        document.set("planner", "--no-planner", self.no_planner.then_some(false));
+        document.set("regression.samples", "--gpr-samples", self.gpr_samples);
+        document.set(
+            "regression.variance",
+            "--variance",
+            self.variance.then_some(true),
+        );
+        document.set("seed", "--seed", self.seed);
+        let mut settings: BuildSettings = document.check()?;
         settings.grow.extend(self.grow.iter().cloned());
-        settings.planner &= !self.no_planner;
-        settings.regression.samples = self.gpr_samples.unwrap_or(settings.regression.samples);
-        settings.regression.variance |= self.variance;
-        settings.seed = self.seed.unwrap_or(settings.seed);
-        settings.check()?;
         Ok(settings)
     }
 }
@@ -247,15 +250,19 @@ fn run_verify(path: &Path, scene: Option<&Path>) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn run_starts(scene: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
-    let scene = Scene::read(scene)?;
+fn run_starts(path: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
+    let scene = Scene::read(path)?;
     let task = Task::new(&scene)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let starts = (0..count)
-        .map(|_| start::valid(&scene, &task, None, &mut rng))
-        .collect::<Result<Vec<_>, _>>()?;
+    let starts = (0..count).map(|_| start::valid(&scene, &task, None, &mut rng));
+    let starts = starts.collect::<Result<Vec<_>, _>>()?;
+    let (scene, file) = (path.display(), output.display());
     fs::write(output, scene::starts_csv(&starts))
-        .with_context(|| format!("{}: cannot write", output.display()))
+        .with_context(|| format!("{file}: cannot write"))?;
+    print(&format!(
+        "wrote {file}: {count} valid starts of {scene}, seed {seed}; next: cargo table -- --scene {scene} --starts {file}\n"
+    ));
+    Ok(())
 }
 
 fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> anyhow::Result<()> {
@@ -341,7 +348,7 @@ fn run_build(build: &Build) -> anyhow::Result<()> {
 /// The progress that an interrupted build left, where it was of the same scene and settings.
 fn resume(path: &Path, scene: &Scene, settings: &BuildSettings) -> anyhow::Result<Progress> {
     if !path.exists() {
-        return Ok(Progress::new());
+        return Ok(Progress::default());
     }
     let text = fs::read(path).with_context(|| path.display().to_string())?;
     let partial: Partial = serde_json::from_slice(&text).with_context(|| {

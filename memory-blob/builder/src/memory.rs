@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 use vpc::{DOF, Task};
 
 use crate::build::Progress;
-use crate::regression::{self, FitSettings, Matrix, RegressionError};
+use crate::regression::{self, FitSettings, NotPositiveDefinite};
 use crate::settings::BuildSettings;
 use crate::store::{Store, Trajectory};
 use crate::subsample;
@@ -14,13 +14,13 @@ use crate::subsample;
 /// The contents of the memory that some trajectories make.
 ///
 /// # Errors
-/// [`RegressionError`] where no process fits the samples.
+/// [`NotPositiveDefinite`] where no process fits the samples.
 pub fn contents(
     scene: &Scene,
     task: &Task,
     settings: &BuildSettings,
     progress: &Progress,
-) -> Result<Contents, RegressionError> {
+) -> Result<Contents, NotPositiveDefinite> {
     let mut store = Store::new(task);
     progress
         .trajectories
@@ -42,8 +42,8 @@ pub fn contents(
     })
 }
 
-/// The process fitted to the kept samples, with the constant mean (0, s*): no motion and the goal where the memory
-/// knows nothing.
+/// The process fitted to the kept samples, with the constant mean (0, s*): no motion and the goal
+/// where the memory knows nothing.
 ///
 /// Source: paper, Eq. (gpr).
 fn fit(
@@ -51,24 +51,13 @@ fn fit(
     settings: &BuildSettings,
     store: &Store,
     kept: &[usize],
-) -> Result<Regression, RegressionError> {
-    let scaled = |i: usize| {
-        store.inputs[i]
-            .iter()
-            .zip(store.scale())
-            .map(|(x, s)| x / s)
+) -> Result<Regression, NotPositiveDefinite> {
+    let scaled = |&i: &usize| -> Vec<f64> {
+        let pairs = store.inputs[i].iter().zip(store.scale());
+        pairs.map(|(x, s)| x / s).collect()
     };
-    let inputs = Matrix::new(
-        "inputs",
-        store.scale().len(),
-        kept.iter().flat_map(|&i| scaled(i)).collect(),
-    )?;
-    let width = DOF + 2 * task.goal.len();
-    let rows = kept
-        .iter()
-        .flat_map(|&i| store.outputs[i].iter().copied())
-        .collect();
-    let outputs = Matrix::new("outputs", width, rows)?;
+    let inputs: Vec<Vec<f64>> = kept.iter().map(scaled).collect();
+    let outputs: Vec<Vec<f64>> = kept.iter().map(|&i| store.outputs[i].clone()).collect();
     let mean: Vec<f64> = std::iter::repeat_n(0.0, DOF)
         .chain(task.goal.iter().flatten().copied())
         .collect();
@@ -86,29 +75,24 @@ fn fit(
     )?;
     Ok(Regression {
         x: kept.iter().map(|&i| store.inputs[i].clone()).collect(),
-        length_scale: fitted.length_scales,
-        signal_variance: fitted.signal_variance,
-        noise_variance: fitted.noise_variance,
+        length_scale: fitted.kernel.length_scales,
+        signal_variance: fitted.kernel.signal_variance,
+        noise_variance: fitted.kernel.noise_variance,
         mean,
-        lambda: fitted
-            .lambda
-            .data()
-            .chunks(width)
-            .map(<[f64]>::to_vec)
-            .collect(),
-        output_scale: Some(fitted.output_scales),
+        lambda: fitted.lambda,
+        output_scale: fitted.output_scales,
         cholesky: settings.regression.variance.then_some(fitted.cholesky),
     })
 }
 
-/// Trajectories as a memory file keeps them, for refitting: the stored samples in their order. Commands between
-/// stored samples are not in the file, so the way points stay as they were built.
+/// Trajectories as a memory file keeps them, for refitting: the stored samples in their order.
+/// Commands between stored samples are not in the file, so the way points stay as they were built.
 pub fn refit(
     scene: &Scene,
     task: &Task,
     settings: &BuildSettings,
     contents: &Contents,
-) -> Result<Contents, RegressionError> {
+) -> Result<Contents, NotPositiveDefinite> {
     let mut store = Store::new(task);
     store.inputs.clone_from(&contents.x);
     store.outputs.clone_from(&contents.y);
@@ -131,19 +115,19 @@ fn provenance(settings: &BuildSettings, progress: &Progress, store: &Store) -> M
         .iter()
         .map(|t: &Trajectory| t.twists.len())
         .sum();
-    let mut map = Map::new();
-    map.insert(
-        "tool".into(),
-        json!(concat!("vpc-memory ", env!("CARGO_PKG_VERSION"))),
-    );
-    map.insert("settings".into(), json!(settings));
-    map.insert("starts_tried".into(), json!(progress.tried));
-    map.insert("trajectories".into(), json!(progress.trajectories.len()));
-    map.insert("control_periods".into(), json!(steps));
-    map.insert("samples".into(), json!(store.inputs.len()));
-    map.insert(
-        "failed_starts".into(),
-        json!({"stuck": stuck, "no_solution": no_solution, "violation": violation, "time_out": time_out}),
-    );
-    map
+    let provenance = json!({
+        "tool": concat!("vpc-memory ", env!("CARGO_PKG_VERSION")),
+        "settings": settings,
+        "starts_tried": progress.tried,
+        "trajectories": progress.trajectories.len(),
+        "control_periods": steps,
+        "samples": store.inputs.len(),
+        "failed_starts": {
+            "stuck": stuck,
+            "no_solution": no_solution,
+            "violation": violation,
+            "time_out": time_out,
+        },
+    });
+    provenance.as_object().cloned().unwrap_or_default()
 }

@@ -1,17 +1,18 @@
 //! Shapes as pixels: a scene with parts becomes one with a mask.
 
 use scene::Scene;
-use vpc::constraint;
+use vpc::obstacle::Obstacle;
 
 /// Whether a pixel of the scene's image is forbidden: by its middle for parts, as it is for masks.
 pub fn is_forbidden(scene: &Scene, column: u32, row: u32) -> bool {
     let middle = [f64::from(column), f64::from(row)];
     let (i, j) = (column as usize, row as usize);
-    scene.parts().any(|part| constraint::hides(part, middle))
+    scene.parts().any(|part| Obstacle::Part(part).hides(middle))
         || scene.masks().any(|mask| mask.is_forbidden(i, j))
 }
 
-/// The text of a scene file with its occlusions replaced by one mask; every other table stays as it is written.
+/// The text of a scene file with its occlusions replaced by one mask; every other table stays as it
+/// is written.
 pub fn with_mask(text: &str, mask: &str) -> String {
     let mut kept: Vec<&str> = Vec::new();
     let mut in_occlusion = false;

@@ -1,8 +1,9 @@
-//! A planner in pose space for starts that the controller leaves stuck: two rapidly exploring random trees, one from
-//! the start and one from the goal, joined, shortened, and the shortest of a few such paths taken, so that
-//! neighbouring starts get similar paths.
+//! A planner in pose space for starts that the controller leaves stuck: two rapidly exploring
+//! random trees, one from the start and one from the goal, joined, shortened, and the shortest of a
+//! few such paths taken, so that neighbouring starts get similar paths.
 //!
-//! Source: J. Kuffner and S. LaValle, "RRT-Connect", ICRA 2000. The paper names a planner as its future work.
+//! Source: J. Kuffner and S. LaValle, "RRT-Connect", ICRA 2000. The paper names a planner as its
+//! future work.
 
 use nalgebra::{Rotation3, Vector3};
 use rand::RngExt;
@@ -47,7 +48,8 @@ impl Node {
         }
     }
 
-    /// Translation in units of the mean depth plus rotation in rad: both as image motion over the focal length.
+    /// Translation in units of the mean depth plus rotation in rad: both as image motion over the
+    /// focal length.
     fn distance(&self, other: &Self) -> f64 {
         let depth = 0.5 * (self.translation.z + other.translation.z);
         (self.translation - other.translation).norm() / depth
@@ -82,8 +84,8 @@ impl Space<'_> {
             .then_some(points)
     }
 
-    /// The features along the motion from `a` (left out) to `b`, none of them further than the resolution from the
-    /// one before; `None` where the motion is not clear.
+    /// The features along the motion from `a` (left out) to `b`, none of them further than the
+    /// resolution from the one before; `None` where the motion is not clear.
     fn motion(&self, a: &Node, b: &Node) -> Option<Vec<Points>> {
         let (first, last) = (self.task.features_at(&a.pose())?, self.features(b)?);
         let resolution = RESOLUTION * self.task.camera.width;
@@ -112,7 +114,8 @@ impl Tree {
         (0..self.nodes.len()).min_by(by_distance).unwrap_or(0)
     }
 
-    /// Extends the tree towards a pose once; the index of the new node, and whether it is the pose itself.
+    /// Extends the tree towards a pose once; the index of the new node, and whether it is the pose
+    /// itself.
     fn extend(&mut self, space: &Space<'_>, target: &Node) -> Option<(usize, bool)> {
         let parent = self.nearest(target);
         let from = self.nodes[parent].0;
@@ -139,7 +142,8 @@ impl Tree {
     }
 }
 
-/// A path of features from a start to the goal, finely sampled and clear; `None` where none was found.
+/// A path of features from a start to the goal, finely sampled and clear; `None` where none was
+/// found.
 pub fn path(scene: &Scene, task: &Task, start: &Pose, rng: &mut ChaCha8Rng) -> Option<Vec<Points>> {
     let (root, goal) = (Node::from_pose(start), Node::from_pose(&scene.goal));
     let clear = |node: &Node| -> Option<f64> {

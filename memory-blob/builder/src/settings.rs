@@ -3,121 +3,131 @@
 use std::collections::BTreeMap;
 
 use scene::Scene;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use vpc::Model;
-use vpc::solver::Effort;
+use smart_default::SmartDefault;
+use toml_schema::Refusal;
+use vpc::{Model, SolverOptions};
 
-/// How the memory is built.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Factors by which an occlusion may be drawn larger.
+const GROWTH: [f64; 2] = [1.0, 3.0];
+
+/// How a memory is built. The defaults are the paper's where it has them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
+#[schemars(title = "vpc-memory build")]
 pub struct BuildSettings {
-    /// N_t: successful trajectories to collect, 1 to 100000.
+    /// N_t: successful trajectories to collect. Flag: --trajectories.
+    #[default = 900]
+    #[schemars(range(min = 1, max = 100000))]
     pub trajectories: usize,
-    /// Steps previewed, 1 to 40.
+    /// Steps previewed by the solver. Flag: --np.
+    #[default = 10]
+    #[schemars(range(min = 1, max = vpc::MAX_NP))]
     pub np: usize,
-    /// Most iterations of the solver, 1 to 1000.
+    /// Most iterations of the solver. Flag: --iterations.
+    #[default = 100]
+    #[schemars(range(min = 1, max = 1000))]
     pub iterations: u32,
-    /// Optimality precision of the solver, 1e-15 to 1.
+    /// Optimality at which the solver stops. Flag: --tolerance.
+    #[default = 1e-9]
+    #[schemars(range(min = 1e-15, max = 1))]
     pub tolerance: f64,
-    /// Features closer than this to an occlusion are guided by the memory, px.
+    /// Features closer than this to an occlusion are guided by the memory. Flag: --trigger-px.
+    #[default = 20.0]
+    #[schemars(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
     pub trigger_px: f64,
-    /// n_th: trajectories from which on the memory guides its own building.
+    /// n_th: number of trajectories from which on the memory guides its own building.
+    #[default = 100]
     pub guide_after: usize,
-    /// Share of the trajectories after which starts are drawn near failed ones, 0 to 1.
+    /// Share of the trajectories after which starts are drawn near failed ones.
+    #[default = 0.5]
+    #[schemars(range(min = 0, max = 1))]
     pub adapt_after: f64,
-    /// Share of adapted starts once adapting has begun, 0 to 1; the rest stays uniform.
+    /// Share of such starts from then on; the rest stays uniform.
+    #[default = 0.5]
+    #[schemars(range(min = 0, max = 1))]
     pub adapt_share: f64,
-    /// Starts tried in parallel against one state of the memory; part of the result, unlike the threads.
+    /// Starts tried in parallel against one state of the memory. Part of the result, unlike the threads.
+    #[default = 32]
+    #[schemars(range(min = 1, max = 4096))]
     pub batch: usize,
-    /// Where way points lie on the trajectory.
+    /// Where the way point of a sample lies on its trajectory: `{ sight = SHARE }` or `{ samples = N }`. Flag:
+    /// --way-point-samples.
+    #[schemars(extend("x-allowed" = "sight: 0.001 to 1; samples: 1 to 10000"))]
     pub way_point: WayPoint,
-    /// Whether a start that every recovery leaves stuck is solved by a planner in pose space.
+    /// Whether a start that every recovery leaves stuck is solved by a planner in pose space. Flag: --no-planner.
+    #[default = true]
     pub planner: bool,
     /// Least image motion between two stored samples of a trajectory, share of the image width.
+    #[default = 0.01]
+    #[schemars(range(min = 0, max = 1))]
     pub sample_spacing: f64,
-    /// Seed of every random choice.
+    /// Seed of every random choice. Flag: --seed.
+    #[default = 1]
     pub seed: u64,
-    /// Occlusions that are drawn larger while trajectories are made, by name, with their factors: 1 to 3.
+    /// Occlusions drawn larger while trajectories are made: `{ "NAME" = FACTOR }`. Flag: --grow.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(extend("x-allowed" = "factors from 1 to 3", "additionalProperties" = growth()))]
     pub grow: BTreeMap<String, f64>,
-    /// Regression on the samples.
+    #[allow(missing_docs)]
     pub regression: RegressionSettings,
 }
 
+fn growth() -> serde_json::Value {
+    serde_json::json!({ "type": "number", "minimum": GROWTH[0], "maximum": GROWTH[1] })
+}
+
 /// Where the way point of a sample lies on its trajectory.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(rename_all = "kebab-case")]
 pub enum WayPoint {
-    /// n_s control periods ahead, as in the paper.
-    Samples(usize),
-    /// The last features in sight: within this image motion along the trajectory (share of the image width), and
-    /// to which every point can go straight without crossing an occlusion.
-    Sight(f64),
+    /// So many control periods ahead (n_s), as in the paper.
+    Samples(#[schemars(range(min = 1, max = 10000))] usize),
+    /// The last features in sight: within this image motion along the trajectory, share of the image width, and reached
+    /// by every point on a straight line without crossing an occlusion.
+    #[default]
+    Sight(
+        #[default = 0.25]
+        #[schemars(range(min = 1e-3, max = 1))]
+        f64,
+    ),
 }
 
 /// How the Gaussian process is fitted.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct RegressionSettings {
-    /// Samples kept for regression, at most; 2 to 20000.
+    /// Most samples kept for regression. Flag: --gpr-samples.
+    #[default = 800]
+    #[schemars(range(min = 2, max = 20000))]
     pub samples: usize,
     /// Samples are drawn where a feature is closer to an occlusion than this many times the trigger distance.
+    #[default = 2.0]
+    #[schemars(range(min = 1, max = 1e6))]
     pub zone: f64,
-    /// Samples on which the hyper-parameters are fitted, at most.
+    /// Most samples on which the hyper-parameters are fitted.
+    #[default = 400]
+    #[schemars(range(min = 2, max = 4000))]
     pub likelihood_samples: usize,
-    /// Seeded restarts of the likelihood maximisation.
+    /// Seeded restarts of the maximisation of the likelihood.
+    #[default = 3]
+    #[schemars(range(min = 1, max = 100))]
     pub restarts: usize,
     /// Evaluations of the likelihood on all kept samples that improve on the subset's best.
     pub polish: usize,
-    /// Whether the factor for predictive variances is stored (8 bytes for each pair of samples).
+    /// Whether the factor for predictive variances is stored: 8 bytes for each pair of samples. Flag: --variance.
     pub variance: bool,
 }
 
-impl Default for BuildSettings {
-    fn default() -> Self {
-        Self {
-            trajectories: 900,
-            np: 10,
-            iterations: 100,
-            tolerance: 1e-9,
-            trigger_px: 20.0,
-            guide_after: 100,
-            adapt_after: 0.5,
-            adapt_share: 0.5,
-            batch: 32,
-            way_point: WayPoint::Sight(0.25),
-            planner: true,
-            sample_spacing: 0.01,
-            seed: 1,
-            grow: BTreeMap::new(),
-            regression: RegressionSettings::default(),
-        }
-    }
+/// Returns the JSON Schema of a file of settings.
+pub fn schema() -> serde_json::Value {
+    toml_schema::schema::<BuildSettings>()
 }
 
-impl Default for RegressionSettings {
-    fn default() -> Self {
-        Self {
-            samples: 800,
-            zone: 2.0,
-            likelihood_samples: 400,
-            restarts: 3,
-            polish: 0,
-            variance: false,
-        }
-    }
-}
-
-/// A setting outside its range.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{name} = {value}; allowed: {allowed}")]
-pub struct SettingError {
-    /// Name of the setting.
-    pub name: &'static str,
-    /// What was found.
-    pub value: String,
-    /// What is allowed.
-    pub allowed: &'static str,
+/// Returns the text of `memory.schema.json`.
+pub fn schema_file() -> String {
+    toml_schema::schema_file::<BuildSettings>()
 }
 
 impl BuildSettings {
@@ -126,17 +136,17 @@ impl BuildSettings {
     /// these settings in its provenance.
     ///
     /// # Errors
-    /// [`SettingError`] where a name is not the scene's, or a factor out of its range.
-    pub fn grown(&self, scene: &Scene) -> Result<Scene, SettingError> {
+    /// [`Refusal`] where a name is not the scene's, or a factor out of its range.
+    pub fn grown(&self, scene: &Scene) -> Result<Scene, Refusal> {
         let mut grown = scene.clone();
         let mut most: f64 = 0.0;
         for (name, &factor) in &self.grow {
-            let refused = |allowed| SettingError {
-                name: "grow",
-                value: format!("{name}={factor}"),
-                allowed,
+            let refused = |allowed: &str| Refusal {
+                key: "grow".to_owned(),
+                value: Some(format!("{name}={factor}")),
+                allowed: allowed.to_owned(),
             };
-            if !(1.0..=3.0).contains(&factor) {
+            if !(GROWTH[0]..=GROWTH[1]).contains(&factor) {
                 return Err(refused("factors from 1 to 3"));
             }
             let mut named = grown.occlusions.iter_mut();
@@ -155,93 +165,9 @@ impl BuildSettings {
         Ok(grown)
     }
 
-    /// Checks every setting.
-    ///
-    /// # Errors
-    /// [`SettingError`] names the first one that is wrong.
-    pub fn check(&self) -> Result<(), SettingError> {
-        let range = |name, value: f64, low: f64, high: f64, allowed| {
-            if (low..=high).contains(&value) {
-                Ok(())
-            } else {
-                Err(SettingError {
-                    name,
-                    value: value.to_string(),
-                    allowed,
-                })
-            }
-        };
-        let r = &self.regression;
-        range(
-            "trajectories",
-            self.trajectories as f64,
-            1.0,
-            1e5,
-            "1 to 100000",
-        )?;
-        range("np", self.np as f64, 1.0, vpc::MAX_NP as f64, "1 to 40")?;
-        range(
-            "iterations",
-            f64::from(self.iterations),
-            1.0,
-            1000.0,
-            "1 to 1000",
-        )?;
-        range("tolerance", self.tolerance, 1e-15, 1.0, "1e-15 to 1")?;
-        range("trigger_px", self.trigger_px, 0.0, 1e4, "0 to 1e4 px")?;
-        range("adapt_after", self.adapt_after, 0.0, 1.0, "0 to 1")?;
-        range("adapt_share", self.adapt_share, 0.0, 1.0, "0 to 1")?;
-        range("batch", self.batch as f64, 1.0, 4096.0, "1 to 4096")?;
-        range(
-            "sample_spacing",
-            self.sample_spacing,
-            0.0,
-            1.0,
-            "0 to 1 (share of the image width)",
-        )?;
-        range(
-            "regression.samples",
-            r.samples as f64,
-            2.0,
-            2e4,
-            "2 to 20000",
-        )?;
-        range("regression.zone", r.zone, 1.0, 1e6, "1 to 1e6")?;
-        range(
-            "regression.likelihood_samples",
-            r.likelihood_samples as f64,
-            2.0,
-            4000.0,
-            "2 to 4000",
-        )?;
-        range(
-            "regression.restarts",
-            r.restarts as f64,
-            1.0,
-            100.0,
-            "1 to 100",
-        )?;
-        match self.way_point {
-            WayPoint::Samples(ahead) => range(
-                "way_point.samples",
-                ahead as f64,
-                1.0,
-                1e4,
-                "1 to 10000 control periods",
-            ),
-            WayPoint::Sight(share) => range(
-                "way_point.sight",
-                share,
-                1e-3,
-                1.0,
-                "0.001 to 1 (share of the image width)",
-            ),
-        }
-    }
-
-    /// The solver's effort.
-    pub fn effort(&self) -> Effort {
-        Effort {
+    /// When the solver stops.
+    pub fn solver(&self) -> SolverOptions {
+        SolverOptions {
             max_iterations: self.iterations,
             tolerance: self.tolerance,
         }
@@ -258,7 +184,7 @@ mod tests {
     #[test]
     fn the_defaults_are_the_papers_and_valid() {
         let settings = BuildSettings::default();
-        assert_eq!(settings.check(), Ok(()));
+        assert_eq!(toml_schema::check(&settings), Ok(()));
         assert_eq!(
             (settings.trajectories, settings.np, settings.iterations),
             (900, 10, 100)
@@ -271,7 +197,7 @@ mod tests {
             tolerance: f64::NAN,
             ..Default::default()
         };
-        let message = settings.check().unwrap_err().to_string();
+        let message = toml_schema::check(&settings).unwrap_err().to_string();
         assert_eq!(message, "tolerance = NaN; allowed: 1e-15 to 1");
     }
 

@@ -2,9 +2,10 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vpc::prediction::{Origin, Plan};
+use vpc::prediction::{InitialState, Plan};
+use vpc::problem::Problem;
 use vpc::recall::{self, Recall};
-use vpc::solver::{Problem, Solver};
+use vpc::solver::Solver;
 use vpc::{MAX_VARIABLES, Points, Strategy, Task, Twist, cost};
 
 use crate::settings::BuildSettings;
@@ -27,7 +28,7 @@ pub struct Finder<'a> {
 impl<'a> Finder<'a> {
     /// A finder with a solver of its own.
     pub fn new(task: &'a Task, settings: &'a BuildSettings) -> Self {
-        let solver = Box::new(Solver::new(settings.np, 1, settings.effort()));
+        let solver = Box::new(Solver::new(settings.np, 1, settings.solver()));
         Self {
             task,
             settings,
@@ -35,9 +36,10 @@ impl<'a> Finder<'a> {
         }
     }
 
-    /// The next command from the features `points`: guided by the memory where features are close to an occlusion
-    /// (`store` is given once it holds enough trajectories), else from the `previous` command; and where that gives
-    /// no success, from 12 predefined and 10 random directions. `None` where every start fails.
+    /// The next command from the features `points`: guided by the memory where features are close
+    /// to an occlusion (`store` is given once it holds enough trajectories), else from the
+    /// `previous` command; and where that gives no success, from 12 predefined and 10 random
+    /// directions. `None` where every start fails.
     ///
     /// Source: paper, the second algorithm.
     pub fn find(
@@ -71,13 +73,13 @@ impl<'a> Finder<'a> {
         })
     }
 
-    /// Solves one problem from `warm` towards `target`; `None` where the solution violates a constraint or did not
-    /// converge.
+    /// Solves one problem from `warm` towards `target`; `None` where the solution violates a
+    /// constraint or did not converge.
     pub fn solve(&mut self, points: &Points, target: &Points, warm: &Twist) -> Option<Twist> {
-        let origin = Origin::new(self.task, BuildSettings::MODEL, points);
+        let initial = InitialState::new(self.task, BuildSettings::MODEL, points);
         let problem = Problem {
             task: self.task,
-            origin: &origin,
+            initial: &initial,
             target,
             r_share: cost::r_share(self.task, points, target),
             margin: 0.0,

@@ -4,7 +4,8 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
-use vpc::{Points, Task, constraint, features};
+use vpc::features::signed_area;
+use vpc::{Points, Task, constraint};
 
 use crate::clearance;
 use crate::mixture::Mixture;
@@ -21,11 +22,12 @@ const MAX_DRAWS: usize = 100_000;
 pub struct NoStart;
 
 /// A number uniformly between `low` and `high`.
-pub(crate) fn uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
+fn uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
-/// A pose drawn uniformly from the region: a tilt about the image axes first, then a roll about the optical axis.
+/// A pose drawn uniformly from the region: a tilt about the image axes first, then a roll about the
+/// optical axis.
 pub fn draw(scene: &Scene, rng: &mut ChaCha8Rng) -> Pose {
     let region = &scene.starts;
     let translation =
@@ -43,8 +45,8 @@ pub fn draw(scene: &Scene, rng: &mut ChaCha8Rng) -> Pose {
     }
 }
 
-/// The features of a start, where it meets the scene's conditions: every point clear of border and occlusions, and
-/// far enough from the goal.
+/// The features of a start, where it meets the scene's conditions: every point clear of border and
+/// occlusions, and far enough from the goal.
 pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Points> {
     let region = &scene.starts;
     let points = task.features_at(pose)?;
@@ -60,7 +62,7 @@ pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Poin
         .sum::<f64>()
         / points.len() as f64;
     // The camera must see the front of the pattern.
-    let facing = orientation(&points) == orientation(&task.goal);
+    let facing = signed_area(&points) * signed_area(&task.goal) > 0.0;
     (clear && facing && mean >= region.min_error_px).then_some(points)
 }
 
@@ -114,7 +116,8 @@ fn inside(scene: &Scene, pose: &Pose) -> bool {
     let placed = (0..3).all(|k| {
         (region.translation_min[k]..=region.translation_max[k]).contains(&pose.translation[k])
     });
-    // R = Rz(roll) R(tilt), tilt about an axis in the image plane: the third row of R holds the tilt alone.
+    // R = Rz(roll) R(tilt), tilt about an axis in the image plane: the third row of R holds the
+    // tilt alone.
     let r: Matrix3<f64> = Rotation3::new(Vector3::from(pose.rotation)).into_inner();
     let angle = r[(2, 2)].clamp(-1.0, 1.0).acos();
     let axis = Vector3::new(r[(2, 1)], -r[(2, 0)], 0.0);
@@ -130,28 +133,12 @@ fn inside(scene: &Scene, pose: &Pose) -> bool {
         && roll.abs() <= region.roll_max + 1e-9
 }
 
-/// Whether the polygon of the points turns left or right.
-fn orientation(points: &[[f64; 2]]) -> bool {
-    let next = points.iter().cycle().skip(1);
-    points
-        .iter()
-        .zip(next)
-        .map(|(p, q)| p[0] * q[1] - q[0] * p[1])
-        .sum::<f64>()
-        > 0.0
-}
-
 /// Largest distance between corresponding points, px: how far an image has moved.
 pub fn image_motion(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
     a.iter()
         .zip(b)
         .map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]))
         .fold(0.0, f64::max)
-}
-
-/// Largest component of s - s*, px.
-pub fn error(task: &Task, points: &[[f64; 2]]) -> f64 {
-    features::largest_error(points, &task.goal)
 }
 
 #[cfg(test)]
@@ -188,8 +175,8 @@ mod tests {
                 refused.push((i, distances.fold(f64::INFINITY, f64::min)));
             }
         }
-        // Below the middle of the lowest bar and of the bar at the top, where every measure of distance agrees: the
-        // list does not keep the scene's 20 px there.
+        // Below the middle of the lowest bar and of the bar at the top, where every measure of
+        // distance agrees: the list does not keep the scene's 20 px there.
         let [(27, lowest), (99, top)] = refused[..] else {
             panic!("{refused:?}")
         };
@@ -200,7 +187,8 @@ mod tests {
     fn a_start_is_valid_from_the_scenes_clearance_of_an_occlusion_on() {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let task = Task::new(&scene).unwrap();
-        // One corner beside the spot on the right, a circle about (850, 560) of radius 75 px; the others in the open.
+        // One corner beside the spot on the right, a circle about (850, 560) of radius 75 px; the
+        // others in the open.
         let beside = |distance: f64| {
             let (u, v) = (850.0 - 75.0 - distance, 560.0);
             let pose = Pose {

@@ -2,18 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 use vpc::features::MAX_INPUTS;
-use vpc::{MotionMemory, Points, Strategy, Task, Twist, constraint, field};
+use vpc::{MotionMemory, Points, Strategy, Task, Twist, sight};
 
 use crate::settings::{BuildSettings, WayPoint};
 use crate::start::image_motion;
 
 /// Distance between the places at which a straight line is checked, px.
 const CHECK_EVERY_PX: f64 = 3.0;
-/// Way points are at least this far along the trajectory, share of the image width: nearer ones lie in the
-/// neighbourhood of the same sample, and the features would come to rest there.
+/// Way points are at least this far along the trajectory, share of the image width: nearer ones lie
+/// in the neighbourhood of the same sample, and the features would come to rest there.
 const LEAST_AHEAD: f64 = 0.05;
-/// A straight line may cut this deep into an occlusion, share of the image width: the controller slides round such a
-/// corner by itself.
+/// A straight line may cut this deep into an occlusion, share of the image width: the controller
+/// slides round such a corner by itself.
 const SLIDE: f64 = 0.015;
 
 /// A successful trajectory: features and commands, one a control period.
@@ -93,7 +93,8 @@ impl Store {
 
 /// The way point of sample `j` of a trajectory.
 ///
-/// Source: paper, Sect. IV.A; the rule by distance replaces the rule by samples, which makes slow stretches crawl.
+/// Source: paper, Sect. IV.A; the rule by distance replaces the rule by samples, which makes slow
+/// stretches crawl.
 fn way_point(task: &Task, rule: WayPoint, trajectory: &Trajectory, j: usize) -> Vec<[f64; 2]> {
     let ahead = match rule {
         WayPoint::Samples(count) => trajectory.features.get(j + count),
@@ -102,9 +103,10 @@ fn way_point(task: &Task, rule: WayPoint, trajectory: &Trajectory, j: usize) -> 
     ahead.map_or_else(|| task.goal.to_vec(), Clone::clone)
 }
 
-/// The last features ahead, no further than `far` px along the trajectory, that every point can reach on a straight
-/// line without being stopped by an occlusion; the goal itself where the trajectory's end is in sight. A sub-goal
-/// behind an occlusion would leave the controller stuck in front of it.
+/// The last features ahead, no further than `far` px along the trajectory, that every point can
+/// reach on a straight line without being stopped by an occlusion; the goal itself where the
+/// trajectory's end is in sight. A sub-goal behind an occlusion would leave the controller stuck in
+/// front of it.
 fn in_sight(task: &Task, far: f64, trajectory: &Trajectory, j: usize) -> Vec<[f64; 2]> {
     let here = &trajectory.features[j];
     let last = trajectory.features.len() - 1;
@@ -126,25 +128,13 @@ fn in_sight(task: &Task, far: f64, trajectory: &Trajectory, j: usize) -> Vec<[f6
 
 /// Whether no occlusion stops a point on its straight way from `a` to `b`.
 fn is_in_sight(task: &Task, a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
-    a.iter().zip(b).all(|(p, q)| {
-        let count = ((p[0] - q[0]).hypot(p[1] - q[1]) / CHECK_EVERY_PX).ceil() as usize;
-        (1..=count).all(|i| {
-            let t = i as f64 / count as f64;
-            let pixel = [p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])];
-            !task.parts.iter().any(|part| {
-                constraint::hides(part, pixel)
-                    && constraint::clearance(part, pixel).distance < -SLIDE * task.camera.width
-            }) && !task
-                .areas
-                .iter()
-                .any(|area| field::clearance(area, pixel).distance < -SLIDE * task.camera.width)
-        })
-    })
+    sight::is_free(task, a, b, SLIDE * task.camera.width, CHECK_EVERY_PX)
 }
 
-/// What inputs are divided by, so that an image motion of the whole pattern counts alike in points, area and angle:
-/// points by the image width; the area by twice the goal's (its relative change is twice that of lengths, seen over
-/// the pattern's size); the angle so that a turn counts as the arc that it moves the points by.
+/// What inputs are divided by, so that an image motion of the whole pattern counts alike in points,
+/// area and angle: points by the image width; the area by twice the goal's (its relative change is
+/// twice that of lengths, seen over the pattern's size); the angle so that a turn counts as the arc
+/// that it moves the points by.
 fn input_scale(task: &Task) -> Vec<f64> {
     let width = task.camera.width;
     let size = task.goal_area.sqrt();
@@ -169,18 +159,5 @@ impl MotionMemory for Store {
         let Some((_, y)) = nearest else { return false };
         output.copy_from_slice(y);
         true
-    }
-
-    /// The builder takes no detours.
-    fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
-        false
-    }
-
-    fn count(&self) -> usize {
-        0
-    }
-
-    fn sample(&self, _index: usize, _input: &mut [f64]) -> bool {
-        false
     }
 }

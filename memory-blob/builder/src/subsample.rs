@@ -5,10 +5,12 @@ use vpc::{Task, recall};
 use crate::settings::BuildSettings;
 use crate::store::Store;
 
-/// Indices of the samples for regression, in the order of the store: evenly spread over those that lie in the zone
-/// round the occlusions in which the memory is asked (all samples where the zone holds too few).
+/// Indices of the samples for regression, in the order of the store: evenly spread over those that
+/// lie in the zone round the occlusions in which the memory is asked (all samples where the zone
+/// holds too few).
 ///
-/// Source: paper, Sect. V.A sub-samples evenly over whole trajectories; where no query falls, samples only cost time.
+/// Source: paper, Sect. V.A sub-samples evenly over whole trajectories; where no query falls,
+/// samples only cost time.
 pub fn indices(task: &Task, settings: &BuildSettings, store: &Store) -> Vec<usize> {
     let wanted = settings.regression.samples;
     let reach = settings.regression.zone * settings.trigger_px;

@@ -33,18 +33,21 @@ pub struct Template {
     pub boxes: Vec<[f64; 4]>,
 }
 
-/// The paper's proportions: clearance, start distance, tolerated violation and arrival, shares of the image width.
+/// The paper's proportions: clearance, start distance, tolerated violation and arrival, shares of
+/// the image width.
 const CLEARANCE: f64 = 0.02;
 const MIN_ERROR: f64 = 0.12;
 const VIOLATION: f64 = 0.015;
 const ARRIVED: f64 = 0.002;
-/// How far starts lie beside the goal, times the distance from the optical axis to the image border at its depth.
+/// How far starts lie beside the goal, times the distance from the optical axis to the image border
+/// at its depth.
 const BESIDE: f64 = 1.3;
 /// Time allowed, times that of moving by the goal's depth at the linear limit.
 const TIME: f64 = 12.0;
 
 impl Template {
-    /// The corners of a rectangle about the object's origin, m, in the order in which features are stacked.
+    /// The corners of a rectangle about the object's origin, m, in the order in which features are
+    /// stacked.
     pub fn rectangle(width: f64, height: f64) -> Vec<[f64; 3]> {
         let (x, y) = (0.5 * width, 0.5 * height);
         vec![[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]]

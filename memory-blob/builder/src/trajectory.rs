@@ -3,18 +3,20 @@
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
-use vpc::motion::{self, Motion};
+use vpc::features::largest_error;
+use vpc::motion::Motion;
+use vpc::task::placed;
 use vpc::{Points, Task, Twist, camera, constraint};
 
 use crate::planner;
 use crate::solution::Finder;
-use crate::start::{error, image_motion};
+use crate::start::image_motion;
 use crate::store::{Store, Trajectory};
 
 /// Periods without motion after which a trajectory counts as stuck.
 const STUCK_PERIODS: usize = 6;
-/// Image motion below which a period counts as one without motion: share of the motion that the camera's linear limit
-/// gives the pattern at its goal.
+/// Image motion below which a period counts as one without motion: share of the motion that the
+/// camera's linear limit gives the pattern at its goal.
 const STILL: f64 = 2e-3;
 /// Constraint violation that an exact step may show after the solver's tolerance, px.
 const TOLERATED_PX: f64 = 1.0;
@@ -32,38 +34,11 @@ pub enum Failure {
     TimeOut,
 }
 
-/// The camera, simulated exactly: the points of the pattern in its frame.
-#[derive(Clone)]
-pub(crate) struct Camera {
-    points: Vec<Vector3<f64>>,
-}
-
-impl Camera {
-    pub(crate) fn at(task: &Task, pose: &Pose) -> Self {
-        let rotation = motion::rotation(pose.rotation);
-        let translation = Vector3::from(pose.translation);
-        let place = |p: &[f64; 3]| rotation * Vector3::from(*p) + translation;
-        Self {
-            points: task.pattern.iter().map(place).collect(),
-        }
-    }
-
-    pub(crate) fn features(&self, task: &Task) -> Option<Points> {
-        self.points
-            .iter()
-            .map(|x| camera::project(&task.camera, (*x).into()))
-            .collect()
-    }
-
-    pub(crate) fn advance(&mut self, task: &Task, twist: &Twist) {
-        let motion = Motion::of_camera(twist, task.ts);
-        self.points.iter_mut().for_each(|x| *x = motion.apply(x));
-    }
-}
-
-/// Runs from a start to the goal, step by step; `command` gives the next command from features and last command.
+/// Runs from a start to the goal, step by step; `command` gives the next command from features and
+/// last command.
 ///
-/// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not failed").
+/// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not
+/// failed").
 pub(crate) fn run(
     scene: &Scene,
     task: &Task,
@@ -73,14 +48,17 @@ pub(crate) fn run(
     let periods = (scene.success.time_s * scene.camera.rate_hz) as usize;
     let fastest = scene.limits.linear * task.ts * task.camera.fx / scene.goal.translation[2];
     let still = STILL * fastest;
-    let mut camera = Camera::at(task, start);
+    // The pattern's points in the frame of a camera that obeys exactly.
+    let mut pattern: Vec<Vector3<f64>> = placed(&task.pattern, start).collect();
     let mut trajectory = Trajectory {
         features: Vec::new(),
         twists: Vec::new(),
     };
     let (mut twist, mut rest) = ([0.0; 6], 0);
     for _ in 0..=periods {
-        let points = camera.features(task).ok_or(Failure::Violation)?;
+        let see = |x: &Vector3<f64>| camera::project(&task.camera, (*x).into());
+        let points: Option<Points> = pattern.iter().map(see).collect();
+        let points = points.ok_or(Failure::Violation)?;
         if !is_visible(task, &points) {
             return Err(Failure::Violation);
         }
@@ -91,7 +69,7 @@ pub(crate) fn run(
         rest = if moved < still { rest + 1 } else { 0 };
         trajectory.features.push(points.to_vec());
         // Half of what counts as arrived, so that the end of a trajectory lies inside it.
-        if error(task, &points) < 0.5 * scene.success.convergence_px {
+        if largest_error(&points, &task.goal) < 0.5 * scene.success.convergence_px {
             return Ok(trajectory);
         }
         if rest >= STUCK_PERIODS {
@@ -99,13 +77,14 @@ pub(crate) fn run(
         }
         twist = command(&points, &twist).ok_or(Failure::NoSolution)?;
         trajectory.twists.push(twist);
-        camera.advance(task, &twist);
+        let motion = Motion::of_camera(&twist, task.ts);
+        pattern.iter_mut().for_each(|x| *x = motion.apply(x));
     }
     Err(Failure::TimeOut)
 }
 
-/// A trajectory by the paper's algorithms, guided by `store` where it is given; where that fails and the settings
-/// allow it, along a path that the planner finds.
+/// A trajectory by the paper's algorithms, guided by `store` where it is given; where that fails
+/// and the settings allow it, along a path that the planner finds.
 pub fn generate(
     scene: &Scene,
     finder: &mut Finder<'_>,
@@ -125,8 +104,8 @@ pub fn generate(
     }
 }
 
-/// Tracks a path of features by the controller: the way point runs ahead of the features by a distance that is
-/// halved until the trajectory gets through.
+/// Tracks a path of features by the controller: the way point runs ahead of the features by a
+/// distance that is halved until the trajectory gets through.
 fn follow(
     scene: &Scene,
     finder: &mut Finder<'_>,

@@ -1,4 +1,5 @@
-//! The same seed gives the same memory: whatever the number of threads, and however often it was interrupted.
+//! The same seed gives the same memory: whatever the number of threads, and however often it was
+//! interrupted.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -28,7 +29,7 @@ fn built(threads: usize) -> Progress {
         .build()
         .unwrap();
     let never = AtomicBool::new(false);
-    pool.install(|| collect(&scene(), &settings(), Progress::new(), &never, |_| ()).unwrap())
+    pool.install(|| collect(&scene(), &settings(), Progress::default(), &never, |_| ()).unwrap())
 }
 
 #[test]
@@ -45,7 +46,7 @@ fn one_thread_and_three_build_the_same_memory() {
 #[test]
 fn an_interrupted_build_goes_on_to_the_same_memory() {
     let whole = built(2);
-    let mut progress = Progress::new();
+    let mut progress = Progress::default();
     let mut interruptions = 0;
     while progress.trajectories.len() < settings().trajectories {
         let stop = AtomicBool::new(false);
@@ -86,9 +87,10 @@ fn variances_are_in_the_units_of_the_outputs() {
     settings.regression.samples = 100;
     let contents = memory::contents(&scene(), &task, &settings, &built(2)).unwrap();
     let process = contents.regression.as_ref().unwrap();
-    let scales = process.output_scale.as_ref().unwrap();
+    let scales = &process.output_scale;
 
-    // What the outputs were divided by: the root mean square of y - m over the samples of the process.
+    // What the outputs were divided by: the root mean square of y - m over the samples of the
+    // process.
     let output_of = |x| &contents.y[contents.x.iter().position(|other| other == x).unwrap()];
     for (o, scale) in scales.iter().enumerate() {
         let square = |x| (output_of(x)[o] - process.mean[o]).powi(2);

@@ -54,7 +54,7 @@ fn from_a_painted_mask_to_a_verified_memory() {
         &format!("{NEW} --mask areas.png --ellipse 560,400,40,30"),
     );
     let words = said(here, "preview own.toml -o own.png");
-    assert!(words.contains("1 parts, 1 masks of 1 areas"), "{words}");
+    assert!(words.contains("1 part, 1 mask of 1 area;"), "{words}");
     assert!(here.join("own.svg").exists() && here.join("own.png").exists());
 
     said(
@@ -78,8 +78,13 @@ fn shapes_become_a_mask_that_forbids_the_same_pixels() {
         &format!("{NEW} --ellipse 560,400,40,30 --box 100,100,60,20"),
     );
     said(here, "mask own.toml -o areas.png --scene-out masked.toml");
+    let words = said(here, "starts masked.toml -o starts.csv --count 3");
+    assert!(
+        words.starts_with("wrote starts.csv: 3 valid starts of masked.toml"),
+        "{words}"
+    );
     let words = said(here, "preview masked.toml -o masked");
-    assert!(words.contains("0 parts, 1 masks of 2 areas"), "{words}");
+    assert!(words.contains("0 parts, 1 mask of 2 areas;"), "{words}");
     said(here, "mask masked.toml -o again.png");
     let read = |name: &str| std::fs::read(here.join(name)).unwrap();
     assert_eq!(read("areas.png"), read("again.png"));
@@ -102,18 +107,21 @@ fn nothing_is_overwritten_and_nothing_invalid_is_written() {
         "{words}"
     );
 
-    said(here, NEW);
+    // A square of equal markers is not found at every roll of the starts.
+    assert!(said(here, NEW).contains("only within 10 degrees"));
     let words = complaint(here, NEW);
     assert!(
         words.contains("own.toml: exists; allowed: a new file, or --force"),
         "{words}"
     );
-    said(here, &format!("{NEW} --force"));
+    let words = said(here, &format!("{NEW} --turn 0.5,0.1 --force"));
+    assert!(!words.contains("note"), "{words}");
     let words = complaint(here, "mask own.toml -o own.toml");
     assert!(words.contains("exists"), "{words}");
 }
 
-/// Types answers on a terminal, then the end of the input; what was asked and said, and whether it went well.
+/// Types answers on a terminal, then the end of the input; what was asked and said, and whether it
+/// went well.
 fn typed(directory: &Path, arguments: &str, answers: &str) -> (String, bool) {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
     grantpt(&master).unwrap();

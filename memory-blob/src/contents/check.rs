@@ -1,153 +1,112 @@
 //! Contents that contradict themselves are not written.
 
-use super::{Contents, WriteError};
+use super::{Contents, Regression, WriteError};
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
 
 impl Contents {
-    /// Every count, shape and range that a reader would refuse.
+    /// Refuses every count, shape and range that a reader would refuse.
     pub(super) fn check(&self) -> Result<(), WriteError> {
-        let wrong = |what, found: String, allowed: String| {
-            Err(WriteError::Contents {
-                what,
-                found,
-                allowed,
-            })
-        };
         let (n, p) = (self.scale.len(), self.y.first().map_or(0, Vec::len));
-        if n == 0 || n > MAX_INPUTS {
-            return wrong(
-                "scale",
-                format!("{n} entries"),
-                format!("1 to {MAX_INPUTS}"),
-            );
-        }
-        if p == 0 || p > MAX_OUTPUTS {
-            return wrong(
-                "y",
-                format!("{} rows of {p}", self.y.len()),
-                format!("rows of 1 to {MAX_OUTPUTS}"),
-            );
-        }
-        if self.offset.len() != n {
-            return wrong(
-                "offset",
-                format!("{} entries", self.offset.len()),
-                format!("{n}"),
-            );
-        }
-        if self.scale.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
-            return wrong(
-                "scale",
-                format!("{:?}", self.scale),
-                "finite numbers above 0".into(),
-            );
-        }
         let count = self.x.len();
-        for (what, found) in [
+        require((1..=MAX_INPUTS).contains(&n), "scale", entries(n), || {
+            format!("1 to {MAX_INPUTS}")
+        })?;
+        require(
+            (1..=MAX_OUTPUTS).contains(&p),
+            "y",
+            format!("{} rows of {p}", self.y.len()),
+            || format!("rows of 1 to {MAX_OUTPUTS}"),
+        )?;
+        require(
+            self.offset.len() == n,
+            "offset",
+            entries(self.offset.len()),
+            || n.to_string(),
+        )?;
+        positive("scale", &self.scale, n)?;
+        let lengths = [
             ("y", self.y.len()),
             ("trajectory", self.trajectory.len()),
             ("step", self.step.len()),
-        ] {
-            if found != count {
-                return wrong(
-                    what,
-                    format!("{found} rows"),
-                    format!("{count}, as many as x"),
-                );
-            }
+        ];
+        for (what, found) in lengths {
+            require(found == count, what, format!("{found} rows"), || {
+                format!("{count}, as many as x")
+            })?;
         }
         rows("x", &self.x, n)?;
         rows("y", &self.y, p)?;
-        let Some(r) = &self.regression else {
-            return Ok(());
-        };
-        rows("regression.x", &r.x, n)?;
-        rows("regression.lambda", &r.lambda, p)?;
-        let m = r.x.len();
-        if m == 0 || r.lambda.len() != m {
-            let found = format!("{} rows for {m} inputs", r.lambda.len());
-            return wrong(
-                "regression.lambda",
-                found,
-                "one row an input, at least one".into(),
-            );
-        }
-        if r.length_scale.len() != n || r.length_scale.iter().any(|l| !(l.is_finite() && *l > 0.0))
-        {
-            return wrong(
-                "regression.length_scale",
-                format!("{:?}", r.length_scale),
-                format!("{n} numbers above 0"),
-            );
-        }
-        if r.mean.len() != p || r.mean.iter().any(|m| !m.is_finite()) {
-            return wrong(
-                "regression.mean",
-                format!("{:?}", r.mean),
-                format!("{p} finite numbers"),
-            );
-        }
-        for (what, value) in [
-            ("regression.signal_variance", r.signal_variance),
-            ("regression.noise_variance", r.noise_variance),
-        ] {
-            if !(value.is_finite() && value > 0.0) {
-                return wrong(what, value.to_string(), "a finite number above 0".into());
-            }
-        }
-        match &r.output_scale {
-            Some(scale)
-                if scale.len() != p || scale.iter().any(|s| !(s.is_finite() && *s > 0.0)) =>
-            {
-                return wrong(
-                    "regression.output_scale",
-                    format!("{scale:?}"),
-                    format!("{p} finite numbers above 0"),
-                );
-            }
-            None if r.cholesky.is_some() => {
-                return wrong(
-                    "regression.output_scale",
-                    "missing".into(),
-                    "one number an output, where there is a factor for variances".into(),
-                );
-            }
-            _ => {}
-        }
-        match &r.cholesky {
-            Some(c) if c.len() != m * (m + 1) / 2 || c.iter().any(|x| !x.is_finite()) => {
-                let allowed = format!("{} finite numbers", m * (m + 1) / 2);
-                wrong(
-                    "regression.cholesky",
-                    format!("{} numbers", c.len()),
-                    allowed,
-                )
-            }
-            _ => Ok(()),
+        self.regression.as_ref().map_or(Ok(()), |r| r.check(n, p))
+    }
+}
+
+impl Regression {
+    fn check(&self, n: usize, p: usize) -> Result<(), WriteError> {
+        rows("regression.x", &self.x, n)?;
+        rows("regression.lambda", &self.lambda, p)?;
+        let (m, lambdas) = (self.x.len(), self.lambda.len());
+        require(
+            lambdas == m,
+            "regression.lambda",
+            format!("{lambdas} rows for {m} inputs"),
+            || "one row an input".into(),
+        )?;
+        positive("regression.length_scale", &self.length_scale, n)?;
+        rows("regression.mean", std::slice::from_ref(&self.mean), p)?;
+        positive("regression.signal_variance", &[self.signal_variance], 1)?;
+        positive("regression.noise_variance", &[self.noise_variance], 1)?;
+        positive("regression.output_scale", &self.output_scale, p)?;
+        match &self.cholesky {
+            Some(c) => rows(
+                "regression.cholesky",
+                std::slice::from_ref(c),
+                m * (m + 1) / 2,
+            ),
+            None => Ok(()),
         }
     }
 }
 
-fn rows(what: &'static str, rows: &[Vec<f64>], length: usize) -> Result<(), WriteError> {
-    let wrong = |found: String, allowed: String| {
-        Err(WriteError::Contents {
-            what,
-            found,
-            allowed,
-        })
+fn entries(count: usize) -> String {
+    format!("{count} entries")
+}
+
+fn require(
+    holds: bool,
+    what: &'static str,
+    found: String,
+    allowed: impl FnOnce() -> String,
+) -> Result<(), WriteError> {
+    let wrong = |()| WriteError::Contents {
+        what,
+        found,
+        allowed: allowed(),
     };
-    if rows.is_empty() {
-        return wrong("empty".into(), "at least one row".into());
-    }
+    holds.then_some(()).ok_or(()).map_err(wrong)
+}
+
+fn positive(what: &'static str, values: &[f64], count: usize) -> Result<(), WriteError> {
+    let fine = values.len() == count && values.iter().all(|x| x.is_finite() && *x > 0.0);
+    require(fine, what, format!("{values:?}"), || {
+        format!("{count} finite numbers above 0")
+    })
+}
+
+fn rows(what: &'static str, rows: &[Vec<f64>], length: usize) -> Result<(), WriteError> {
+    require(!rows.is_empty(), what, "empty".into(), || {
+        "at least one row".into()
+    })?;
     for (i, row) in rows.iter().enumerate() {
-        if row.len() != length {
-            return wrong(
-                format!("{} entries in row {i}", row.len()),
-                format!("{length}"),
-            );
-        }
+        require(
+            row.len() == length,
+            what,
+            format!("{} entries in row {i}", row.len()),
+            || length.to_string(),
+        )?;
         if let Some(x) = row.iter().find(|x| !x.is_finite()) {
-            return wrong(format!("{x} in row {i}"), "finite numbers".into());
+            require(false, what, format!("{x} in row {i}"), || {
+                "finite numbers".into()
+            })?;
         }
     }
     Ok(())

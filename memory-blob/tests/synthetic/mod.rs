@@ -1,4 +1,5 @@
-//! Memories made of numbers, for tests, benches and examples: their shapes are real, their advice is not.
+//! Memories made of numbers, for tests, benches and examples: their shapes are real, their advice
+//! is not.
 #![allow(dead_code)] // each user takes what it needs
 
 use memory_blob::{Contents, MemoryFile, Regression};
@@ -45,7 +46,8 @@ pub fn input(centre: [f64; 2], half: f64, angle: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Samples on smooth trajectories of a square that comes to rest in the middle of a 640 x 480 image.
+/// Samples on smooth trajectories of a square that comes to rest in the middle of a 640 x 480
+/// image.
 pub fn trajectories(count: usize, seed: u64) -> Contents {
     let mut random = Random(seed);
     let (mut x, mut y) = (Vec::new(), Vec::new());
@@ -81,7 +83,8 @@ pub fn trajectories(count: usize, seed: u64) -> Contents {
     contents(x, y)
 }
 
-/// Inputs without any structure, one unit wide in every scaled coordinate, so that none decides distances alone.
+/// Inputs without any structure, one unit wide in every scaled coordinate, so that none decides
+/// distances alone.
 pub fn noisy_input(random: &mut Random) -> Vec<f64> {
     (0..INPUTS)
         .map(|k| scale(k) * (random.next() - 0.5))
@@ -131,8 +134,8 @@ pub fn opened(contents: &Contents) -> MemoryFile {
     MemoryFile::open(&path, None).unwrap()
 }
 
-/// A process over `count` of the samples with random weights and, where asked for, a well-conditioned factor: right
-/// in its shapes, not fitted to anything.
+/// A process over `count` of the samples with random weights and, where asked for, a
+/// well-conditioned factor: right in its shapes, not fitted to anything.
 pub fn regression(contents: &Contents, count: usize, factor: bool) -> Regression {
     let mut random = Random(23);
     let total = contents.x.len();
@@ -150,7 +153,7 @@ pub fn regression(contents: &Contents, count: usize, factor: bool) -> Regression
         noise_variance: 0.01,
         mean: random.row(OUTPUTS, 5.0),
         lambda: (0..count).map(|_| random.row(OUTPUTS, 2.0)).collect(),
-        output_scale: Some((0..OUTPUTS).map(|o| 0.5 + o as f64).collect()),
+        output_scale: (0..OUTPUTS).map(|o| 0.5 + o as f64).collect(),
         cholesky: factor.then(|| (0..count).flat_map(|i| row(&mut random, i)).collect()),
     }
 }

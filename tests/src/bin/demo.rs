@@ -1,29 +1,28 @@
 //! `cargo demo`: emulator and daemon as two processes over shared memory, on a start where the memory-less strategy
 //! gets stuck; then the comparison of the strategies. With `--scene paper-robot` a Panda carries the camera.
 
-use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{ExitCode, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
+use figures::Points;
 use hw_sim::eye::Sight;
 use hw_sim::recording;
 use memory_blob::MemoryFile;
-use scene::{Scene, read_starts};
+use scene::{Pose, Scene, read_starts};
+use serde::Deserialize;
 use system_tests::children::{self, Children, attended};
-use system_tests::pictures;
+use system_tests::flags::{Common, RobotFlags, defaults};
+use system_tests::pictures::{self, Draw};
 use system_tests::processes::build;
-use system_tests::robot_table::{self, Common, RobotFlags};
-use system_tests::row::{Row, markdown};
-use system_tests::run::{run, time};
 use system_tests::spec::Spec;
-use vpc::{Controller, MotionMemory, Settings, Task};
+use system_tests::{robot_table, root, run};
+use vpc::{Controller, MotionMemory, Task};
 
 /// What can be shown.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -35,42 +34,27 @@ enum Which {
 }
 
 impl Which {
-    /// Name of scene, starts and memory.
-    fn name(self) -> &'static str {
+    /// The name of scene, starts and memory; the configurations of daemon and emulator; a start where `previous` stays in
+    /// front of an occlusion and `gpr` gets round it.
+    fn parts(self) -> (&'static str, [&'static str; 2], usize) {
         match self {
-            Self::PaperSim => "paper-sim",
-            Self::PaperRobot => "paper-robot",
-        }
-    }
-
-    /// A start where `previous` stays in front of an occlusion and `gpr` gets round it.
-    fn telling_start(self) -> usize {
-        match self {
-            Self::PaperSim => 82,
-            Self::PaperRobot => 5,
-        }
-    }
-
-    /// Configuration of the daemon.
-    fn daemon(self) -> &'static str {
-        match self {
-            Self::PaperSim => "controller/vpcd.toml",
-            Self::PaperRobot => "controller/vpcd-robot.toml",
-        }
-    }
-
-    /// Configuration of the emulator.
-    fn emulator(self) -> &'static str {
-        match self {
-            Self::PaperSim => "hw-sim/hw-sim.toml",
-            Self::PaperRobot => "hw-sim/hw-sim-robot.toml",
+            Self::PaperSim => (
+                "paper-sim",
+                ["controller/vpcd.toml", "hw-sim/hw-sim.toml"],
+                82,
+            ),
+            Self::PaperRobot => (
+                "paper-robot",
+                ["controller/vpcd-robot.toml", "hw-sim/hw-sim-robot.toml"],
+                5,
+            ),
         }
     }
 }
 
 /// Steers the emulated camera round occlusions with vpcd, as two processes over shared memory.
 ///
-/// Builds vpcd and hw-sim, runs the chosen strategy in real time, then compares all strategies on the same start and
+/// Builds vpcd and hw-sim, runs the chosen strategy in real time, then compares the strategies on the same start and
 /// draws pictures. Exits with 0 only if the goal was reached without a violation.
 #[derive(Parser)]
 #[command(name = "demo", version)]
@@ -81,7 +65,7 @@ struct Cli {
     /// Strategy that steers: previous, knn, gpr, ibvs.
     #[arg(long, default_value = "gpr")]
     strategy: Spec,
-    /// Start pose, by its index in the scene's file of starts; one that tells the strategies apart by default.
+    /// Start pose, by its index in the scene's file of starts; by default one that tells the strategies apart.
     #[arg(long)]
     start: Option<usize>,
     /// As fast as the controller instead of in real time.
@@ -95,290 +79,288 @@ struct Cli {
     no_progress: bool,
 }
 
+/// What `hw-sim` prints at its end.
+#[derive(Deserialize)]
+struct Verdict {
+    verdict: String,
+    time_s: f64,
+    frames: u64,
+}
+
+/// One demonstration.
+struct Demo<'a> {
+    cli: &'a Cli,
+    scene_path: PathBuf,
+    starts_path: PathBuf,
+    memory_path: PathBuf,
+    scene: Scene,
+    task: Task,
+    starts: Vec<Pose>,
+    start: usize,
+}
+
 fn main() -> ExitCode {
     attended("demo", |children| {
-        let arrived = demo(children, &Cli::parse_from(system_tests::arguments()))?;
-        Ok(ExitCode::from(u8::from(!arrived)))
+        let cli = Cli::parse_from(system_tests::arguments());
+        let has_arrived = Demo::new(&cli)?.show(children)?;
+        Ok(ExitCode::from(u8::from(!has_arrived)))
     })
 }
 
-fn demo(children: &Children, cli: &Cli) -> anyhow::Result<bool> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .context("no workspace")?;
-    let scenes = root.join("ipc/scene/scenes");
-    let name = cli.scene.name();
-    let (scene_path, starts_path) = (
-        scenes.join(format!("{name}.toml")),
-        scenes.join(format!("{name}-starts.csv")),
-    );
-    let memory_path = root.join(format!("memory-blob/default/{name}.vpcmem"));
-    let scene = Scene::read(&scene_path)?;
-    let starts = read_starts(&starts_path)?;
-    let index = cli.start.unwrap_or(cli.scene.telling_start());
-    let Some(start) = starts.get(index) else {
-        bail!("--start = {index}; allowed: 0 to {}", starts.len() - 1);
-    };
-    fs::create_dir_all(&cli.output).with_context(|| cli.output.display().to_string())?;
-    let binaries = build(children, root, &["vpcd", "hw-sim"])?;
-
-    println!(
-        "vpcd ({}) and hw-sim, two processes over shared memory: {}, start {index}",
-        cli.strategy,
-        scene_path.display(),
-    );
-    // The daemon puts its flight record beside the domain: the end of the camera is a fault to it.
-    let here = env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
-    let place = children.place(here.clone());
-    fs::create_dir_all(&here).with_context(|| here.display().to_string())?;
-    let domain = here.join("domain");
-    let clock = if cli.lockstep { "lockstep" } else { "fixed" };
-    let recording_path = cli.output.join("run.jsonl");
-    let log = fs::File::create(cli.output.join("vpcd.log"))?;
-    let mut daemon = children::command(binaries.join("vpcd"));
-    daemon
-        .arg("--config")
-        .arg(root.join(cli.scene.daemon()))
-        .arg("--arm")
-        .arg("--scene")
-        .arg(&scene_path)
-        .arg("--strategy")
-        .arg(cli.strategy.strategy.to_string())
-        .arg("--np")
-        .arg(cli.strategy.np.to_string())
-        .args(["--clock", clock])
-        .arg("--domain")
-        .arg(&domain)
-        .stderr(log);
-    if cli.strategy.strategy.needs_memory() {
-        daemon.arg("--memory").arg(&memory_path);
-    }
-    let daemon = children.start("vpcd", daemon)?;
-    let mut emulator = children::command(binaries.join("hw-sim"));
-    emulator
-        .arg("--config")
-        .arg(root.join(cli.scene.emulator()))
-        .arg("--scene")
-        .arg(&scene_path)
-        .arg("--starts")
-        .arg(&starts_path)
-        .arg("--start")
-        .arg(index.to_string())
-        .args(["--clock", clock])
-        .arg("--domain")
-        .arg(&domain)
-        .arg("--record")
-        .arg(&recording_path)
-        .stdout(Stdio::piped());
-    if !cli.no_progress {
-        emulator.arg("--progress");
-    }
-    let watch = WayPoints::watch(&domain);
-    let (status, verdict) = children.start("hw-sim", emulator)?.output()?;
-    let log = || format!("its log is in {}", cli.output.display());
-    let stopped = daemon.stop().with_context(log);
-    let way_points = watch.end();
-    drop(place);
-    let verdict = verdict.trim();
-    println!(
-        "hw-sim: {}",
-        if verdict.is_empty() {
-            "no verdict; see its message above"
-        } else {
-            verdict
+impl<'a> Demo<'a> {
+    fn new(cli: &'a Cli) -> anyhow::Result<Self> {
+        let (name, _, telling_start) = cli.scene.parts();
+        let scenes = root().canonicalize()?.join("ipc/scene/scenes");
+        let scene_path = scenes.join(format!("{name}.toml"));
+        let starts_path = scenes.join(format!("{name}-starts.csv"));
+        let scene = Scene::read(&scene_path)?;
+        let starts = read_starts(&starts_path)?;
+        let start = cli.start.unwrap_or(telling_start);
+        if start >= starts.len() {
+            bail!("--start = {start}; allowed: 0 to {}", starts.len() - 1);
         }
-    );
-    stopped?;
-    let arrived = status.success();
-
-    println!("\nThe strategies on the same start, in process:\n");
-    let mut written = match cli.scene {
-        Which::PaperSim => compare(&scene, &memory_path, start, &cli.output)?,
-        Which::PaperRobot => compare_on_robot(&scene, &memory_path, &starts, index, &cli.output)?,
-    };
-    written.extend(draw_recording(&scene, &recording_path, cli, way_points)?);
-    for path in written {
-        println!("wrote {}", path.display());
-    }
-    println!(
-        "\n{}",
-        if arrived {
-            "The goal was reached without a violation."
-        } else {
-            "The goal was NOT reached."
-        }
-    );
-    Ok(arrived)
-}
-
-/// Runs the strategies on one start and draws them side by side.
-fn compare(
-    scene: &Scene,
-    memory: &Path,
-    start: &scene::Pose,
-    output: &Path,
-) -> anyhow::Result<Vec<PathBuf>> {
-    let task = Task::new(scene)?;
-    let memory = MemoryFile::open(memory, Some(scene.fingerprint().bytes()))?;
-    let view = memory.view();
-    let (mut rows, mut runs) = (Vec::new(), Vec::new());
-    for text in ["previous:3", "knn:3", "gpr:3"] {
-        let spec: Spec = text.parse().map_err(anyhow::Error::msg)?;
-        let mut controller = Box::new(Controller::new(scene, spec.settings())?);
-        let memory = Some(&view as &dyn MotionMemory);
-        let mut result = run(scene, &mut controller, memory, start);
-        time(&mut result, &mut controller, memory, 5)?;
-        rows.push(Row::of(spec, std::slice::from_ref(&result)));
-        runs.push((text.to_owned(), result));
-    }
-    println!("{}", markdown(&rows));
-    let named = runs.iter().map(|(name, run)| (name.clone(), run));
-    let mut written = pictures::comparison(scene, &task, named)
-        .canvas()
-        .write(&output.join("strategies"))?
-        .to_vec();
-    written.extend(
-        pictures::samples(scene, &task, &memory)
-            .canvas()
-            .write(&output.join("memory"))?,
-    );
-    Ok(written)
-}
-
-/// Runs the strategies on one start with the emulated robot, in process, and draws them side by side.
-fn compare_on_robot(
-    scene: &Scene,
-    memory: &Path,
-    starts: &[scene::Pose],
-    start: usize,
-    output: &Path,
-) -> anyhow::Result<Vec<PathBuf>> {
-    let task = Task::new(scene)?;
-    let memory = MemoryFile::open(memory, Some(scene.fingerprint().bytes()))?;
-    let view = memory.view();
-    let strategies: Vec<Spec> = ["previous:3", "gpr:3"]
-        .iter()
-        .map(|text| text.parse().map_err(anyhow::Error::msg))
-        .collect::<anyhow::Result<_>>()?;
-    let flags = RobotFlags {
-        only: Some(start),
-        camera: Sight::Rendered,
-        ..RobotFlags::default()
-    };
-    let common = Common {
-        strategies: &strategies,
-        noise: 0.3,
-        drop: 0.01,
-        depth_error: 0.0,
-        seed: 1,
-        settings: Settings::default(),
-    };
-    let view = Some(&view as &(dyn MotionMemory + Sync));
-    let (document, runs) = robot_table::table(scene, starts, view, &flags, &common, &|| ())?;
-    println!("{}", robot_table::markdown(&document));
-    let runs = strategies.iter().zip(runs.iter().flatten());
-    let named = runs.map(|(spec, run)| (spec.to_string(), run));
-    let mut written = pictures::robot_comparison(scene, &task, named)
-        .canvas()
-        .write(&output.join("strategies"))?
-        .to_vec();
-    written.extend(
-        pictures::samples(scene, &task, &memory)
-            .canvas()
-            .write(&output.join("memory"))?,
-    );
-    Ok(written)
-}
-
-/// Draws what the two processes did.
-fn draw_recording(
-    scene: &Scene,
-    path: &Path,
-    cli: &Cli,
-    way_points: Vec<figures::Points>,
-) -> anyhow::Result<Vec<PathBuf>> {
-    let (head, records) = recording::read(path).with_context(|| path.display().to_string())?;
-    let joints = pictures::joints(&records, "joints while vpcd and hw-sim ran");
-    // The way to the goal; what comes after the release is the robot's.
-    let steered = records
-        .iter()
-        .take_while(|record| {
-            record
-                .arm
-                .as_ref()
-                .is_none_or(|arm| arm.phase.obeys_controller())
+        fs::create_dir_all(&cli.output).with_context(|| cli.output.display().to_string())?;
+        Ok(Self {
+            cli,
+            memory_path: root().join(format!("memory-blob/default/{name}.vpcmem")),
+            task: Task::new(&scene)?,
+            scene_path,
+            starts_path,
+            scene,
+            starts,
+            start,
         })
-        .filter(|record| record.arm.is_none() || record.time_s > 0.0);
-    let records: Vec<_> = steered.collect();
-    let plane = figures::ImagePlane {
-        scene,
-        path: records
-            .iter()
-            .map(|record| record.features.clone())
-            .collect(),
-        goal: head.goal,
-        way_points,
-        title: format!("vpcd {} and hw-sim over shared memory", cli.strategy),
-    };
-    let velocity = figures::Velocity {
-        period_s: scene.sampling_time(),
-        twists: records.iter().map(|record| record.twist).collect(),
-        limits: scene.limits,
-        title: "twist executed by hw-sim".to_owned(),
-    };
-    let comparison = figures::Comparison {
-        columns: vec![(plane, velocity)],
-    };
-    let mut written = comparison.canvas().write(&cli.output.join("run"))?.to_vec();
-    if let Some(joints) = joints {
-        written.extend(joints.canvas().write(&cli.output.join("joints"))?);
     }
-    Ok(written)
+
+    /// Shows everything; whether the goal was reached.
+    fn show(&self, children: &Children) -> anyhow::Result<bool> {
+        let strategy = self.cli.strategy;
+        eprintln!("Building vpcd and hw-sim.");
+        let programs = build(children, root(), &["vpcd", "hw-sim"])?;
+        println!(
+            "\nRunning vpcd ({strategy}) and hw-sim as two processes: {}, start {}.",
+            self.scene_path.display(),
+            self.start
+        );
+        let recording_path = self.cli.output.join("run.jsonl");
+        let (verdict, way_points) = self.run(children, &programs, &recording_path)?;
+        let Verdict { time_s, frames, .. } = verdict;
+        let has_arrived = verdict.verdict == "arrived";
+        println!(
+            "{} after {time_s:.1} s ({frames} frames).",
+            match has_arrived {
+                true => "The camera reached the goal, past every occlusion,".to_owned(),
+                false => format!(
+                    "The goal was NOT reached: {},",
+                    verdict.verdict.replace('_', " ")
+                ),
+            }
+        );
+        println!("\nThe strategies from the same start, in this process:");
+        let pictures = self.cli.output.join("strategies");
+        match self.cli.scene {
+            Which::PaperSim => self.draw_strategies(&self.compare()?, &pictures)?,
+            Which::PaperRobot => self.draw_strategies(&self.compare_on_robot()?, &pictures)?,
+        }
+        let has_joints = self.draw_recording(&recording_path, way_points)?;
+        self.say_what_to_look_at(has_joints);
+        Ok(has_arrived)
+    }
+
+    fn say_what_to_look_at(&self, has_joints: bool) {
+        println!("\nLook at (in {}):", self.cli.output.display());
+        let mut files = vec![
+            (
+                "strategies.gif",
+                "the same start without and with the memory, as a film",
+            ),
+            ("strategies.png", "the same, with the velocity commands"),
+            ("run.png", "what vpcd and hw-sim did together"),
+            ("memory.png", "trajectories in the memory of motion"),
+            ("vpcd.log", "what vpcd said"),
+        ];
+        if has_joints {
+            files.push(("joints.png", "the robot's joints while vpcd and hw-sim ran"));
+        }
+        for (file, what) in files {
+            println!("  {file:<16} {what}");
+        }
+        println!(
+            "Next: `cargo table --help` compares strategies over 100 starts; README.md, \"The daemon\"."
+        );
+    }
+
+    /// Runs the two processes: what `hw-sim` said, and the way points of the law.
+    fn run(
+        &self,
+        children: &Children,
+        programs: &Path,
+        recording: &Path,
+    ) -> anyhow::Result<(Verdict, Vec<Points>)> {
+        let (cli, [vpcd, hw_sim]) = (self.cli, self.cli.scene.parts().1);
+        // The daemon puts its flight record beside the domain: to it, the end of the camera is a fault.
+        let here = std::env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
+        let _place = children.place(here.clone());
+        fs::create_dir_all(&here).with_context(|| here.display().to_string())?;
+        let domain = here.join("domain");
+        let clock = if cli.lockstep { "lockstep" } else { "fixed" };
+        let mut daemon = children::command(programs.join("vpcd"));
+        daemon.arg("--config").arg(root().join(vpcd)).arg("--arm");
+        daemon.arg("--scene").arg(&self.scene_path);
+        daemon
+            .arg("--strategy")
+            .arg(cli.strategy.strategy.to_string());
+        daemon.arg("--np").arg(cli.strategy.np.to_string());
+        daemon.args(["--clock", clock]).arg("--domain").arg(&domain);
+        daemon.stderr(fs::File::create(cli.output.join("vpcd.log"))?);
+        if cli.strategy.strategy.needs_memory() {
+            daemon.arg("--memory").arg(&self.memory_path);
+        }
+        let mut emulator = children::command(programs.join("hw-sim"));
+        emulator.arg("--config").arg(root().join(hw_sim));
+        emulator.arg("--scene").arg(&self.scene_path);
+        emulator.arg("--starts").arg(&self.starts_path);
+        emulator.args(["--start", &self.start.to_string(), "--clock", clock]);
+        emulator
+            .arg("--domain")
+            .arg(&domain)
+            .arg("--record")
+            .arg(recording);
+        emulator.stdout(Stdio::piped());
+        if !cli.no_progress {
+            emulator.arg("--progress");
+        }
+        let ended = AtomicBool::new(false);
+        let (said, way_points) = thread::scope(|scope| {
+            let watch = scope.spawn(|| way_points(&domain, &ended));
+            let said = || {
+                let daemon = children.start("vpcd", daemon)?;
+                let (_, said) = children.start("hw-sim", emulator)?.output()?;
+                daemon.stop()?;
+                anyhow::Ok(said)
+            };
+            let said = said();
+            ended.store(true, Ordering::Relaxed);
+            (said, watch.join())
+        });
+        let log = || format!("see {}", cli.output.join("vpcd.log").display());
+        let said = said.with_context(log)?;
+        let verdict = serde_json::from_str(&said)
+            .context("hw-sim gave no verdict")
+            .with_context(log)?;
+        // Without way points in the picture the demo is still a demo.
+        Ok((
+            verdict,
+            way_points.ok().and_then(Result::ok).unwrap_or_default(),
+        ))
+    }
+
+    /// Runs the strategies with the camera that flies freely.
+    fn compare(&self) -> anyhow::Result<Vec<(Spec, run::Run)>> {
+        let memory = self.memory()?;
+        let view = memory.view();
+        let mut runs = Vec::new();
+        for text in ["previous:3", "knn:3", "gpr:3"] {
+            let spec: Spec = text.parse().map_err(anyhow::Error::msg)?;
+            let mut controller = Box::new(Controller::new(&self.scene, spec.settings())?);
+            let view = Some(&view as &dyn MotionMemory);
+            let start = &self.starts[self.start];
+            runs.push((spec, run::run(&self.scene, &mut controller, view, start)));
+        }
+        Ok(runs)
+    }
+
+    /// Runs the strategies with the emulated robot.
+    fn compare_on_robot(&self) -> anyhow::Result<Vec<(Spec, system_tests::robot::RobotRun)>> {
+        let flags = RobotFlags {
+            only: Some(self.start),
+            camera: Sight::Rendered,
+            ..defaults()
+        };
+        let strategies =
+            ["previous:3", "gpr:3"].map(|text| text.parse::<Spec>().map_err(anyhow::Error::msg));
+        let common = Common {
+            strategies: strategies.into_iter().collect::<anyhow::Result<_>>()?,
+            noise: 0.3,
+            drop: 0.01,
+            ..defaults()
+        };
+        let memory = self.memory()?;
+        let view = memory.view();
+        let view = Some(&view as &(dyn MotionMemory + Sync));
+        let all = robot_table::table(&self.scene, &self.starts, view, &flags, &common, &|| ())?;
+        let runs = all
+            .into_iter()
+            .flat_map(|(spec, runs)| runs.into_iter().map(move |run| (spec, run)));
+        Ok(runs.collect())
+    }
+
+    fn memory(&self) -> anyhow::Result<MemoryFile> {
+        let task = self.scene.fingerprint();
+        Ok(MemoryFile::open(&self.memory_path, Some(task.bytes()))?)
+    }
+
+    /// Draws the strategies side by side, the first and the last of them as a film, and the memory.
+    fn draw_strategies<R: Draw>(&self, runs: &[(Spec, R)], path: &Path) -> anyhow::Result<()> {
+        for (spec, run) in runs {
+            println!("  {}", run.drawn(&spec.to_string(), &self.task).title);
+        }
+        let named = runs.iter().map(|(spec, run)| (*spec, run));
+        pictures::comparison(&self.scene, &self.task, named).canvas().write(path)?;
+        let film: Vec<_> = runs.first().into_iter().chain(runs.last()).collect();
+        pictures::animation(&self.scene, &self.task, &film).write(path)?;
+        let memory = self.memory()?;
+        let memory = pictures::samples(&self.scene, &self.task, &memory);
+        memory.canvas().write(&self.cli.output.join("memory"))?;
+        Ok(())
+    }
+
+    /// Draws what the two processes did; whether a robot's joints were drawn.
+    fn draw_recording(&self, path: &Path, way_points: Vec<Points>) -> anyhow::Result<bool> {
+        let (head, records) = recording::read(path).with_context(|| path.display().to_string())?;
+        // The way to the goal; what comes after the release is the robot's.
+        let obeys = |record: &&recording::Record| {
+            let arm = record.arm.as_ref();
+            arm.is_none_or(|arm| arm.phase.obeys_controller())
+        };
+        let steered = records.iter().take_while(obeys);
+        let steered = steered.filter(|record| record.arm.is_none() || record.time_s > 0.0);
+        let plane = figures::ImagePlane {
+            scene: &self.scene,
+            path: steered
+                .clone()
+                .map(|record| record.features.clone())
+                .collect(),
+            goal: head.goal,
+            way_points,
+            title: format!("vpcd {} and hw-sim over shared memory", self.cli.strategy),
+        };
+        let velocity = figures::Velocity {
+            period_s: self.scene.sampling_time(),
+            twists: steered.map(|record| record.twist).collect(),
+            limits: self.scene.limits,
+            title: "twist executed by hw-sim".to_owned(),
+        };
+        let columns = vec![(plane, velocity)];
+        figures::Comparison { columns }.canvas().write(&self.cli.output.join("run"))?;
+        let joints = pictures::joints(&records, "joints while vpcd and hw-sim ran");
+        if let Some(joints) = &joints {
+            joints.canvas().write(&self.cli.output.join("joints"))?;
+        }
+        Ok(joints.is_some())
+    }
 }
 
-/// Collects the way points that the daemon's cycles report, until it is told to end or dropped: a domain that is left
-/// in order leaves nothing in shared memory.
-struct WayPoints {
-    end: Arc<AtomicBool>,
-    thread: Option<JoinHandle<Vec<figures::Points>>>,
-}
-
-impl WayPoints {
-    fn watch(domain: &Path) -> Self {
-        let end = Arc::new(AtomicBool::new(false));
-        let (ended, domain) = (Arc::clone(&end), domain.to_owned());
-        // Without the pictures' way points the demo is still a demo: errors mean that there are none.
-        let thread = thread::spawn(move || collect(&domain, &ended).unwrap_or_default());
-        let thread = Some(thread);
-        Self { end, thread }
-    }
-
-    fn end(mut self) -> Vec<figures::Points> {
-        self.collected()
-    }
-
-    fn collected(&mut self) -> Vec<figures::Points> {
-        self.end.store(true, Ordering::Relaxed);
-        let thread = self.thread.take().map(JoinHandle::join);
-        thread.and_then(Result::ok).unwrap_or_default()
-    }
-}
-
-impl Drop for WayPoints {
-    fn drop(&mut self) {
-        self.collected();
-    }
-}
-
-fn collect(domain: &Path, end: &AtomicBool) -> anyhow::Result<Vec<figures::Points>> {
+/// Collects the way points that the daemon's cycles report, until the end.
+fn way_points(domain: &Path, ended: &AtomicBool) -> anyhow::Result<Vec<Points>> {
     let domain = ipc::Domain::join(domain)?;
     let mut observer = ipc::Observer::open(&domain)?;
     let mut way_points = Vec::new();
-    while !end.load(Ordering::Relaxed) {
+    while !ended.load(Ordering::Relaxed) {
         while let Ok(Some(record)) = observer.cycles.oldest() {
             let count = record.way_point_count as usize;
             let points = record.way_point.chunks_exact(2).take(count);
-            let points: figures::Points = points.map(|p| [p[0], p[1]]).collect();
+            let points: Points = points.map(|p| [p[0], p[1]]).collect();
             if !points.is_empty() {
                 way_points.push(points);
             }

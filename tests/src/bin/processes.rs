@@ -3,13 +3,14 @@
 
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use clap::Parser;
 use system_tests::children::{Children, attended};
 use system_tests::processes::{Cell, HEAD, build, row, runs};
+use system_tests::root;
 use system_tests::spec::Spec;
 
 /// Runs vpcd and hw-sim with the emulated Panda as two processes over shared memory at 30 Hz, from many starts, and
@@ -66,9 +67,6 @@ fn main() -> ExitCode {
 }
 
 fn processes(children: &Children, cli: &Cli) -> anyhow::Result<()> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .context("no workspace")?;
     if cli.from >= cli.to || cli.to > 100 || cli.every == 0 {
         let (from, to, every) = (cli.from, cli.to, cli.every);
         bail!(
@@ -78,8 +76,8 @@ fn processes(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     let starts: Vec<usize> = (cli.from..cli.to).step_by(cli.every).collect();
     let flag = |name: &str, value: f64| [name.to_owned(), value.to_string()];
     let cell = Cell {
-        binaries: build(children, root, &["vpcd", "hw-sim"])?,
-        root: root.to_owned(),
+        binaries: build(children, root(), &["vpcd", "hw-sim"])?,
+        root: root().to_owned(),
         place: std::env::temp_dir().join(format!("vpc-processes-{}", std::process::id())),
         camera: [["--camera".to_owned(), cli.camera.clone()]]
             .into_iter()
@@ -101,7 +99,9 @@ fn processes(children: &Children, cli: &Cli) -> anyhow::Result<()> {
             let said = &run.said;
             eprintln!(
                 "{spec}, start {}: {} after {:.1} s",
-                run.start, said.verdict, said.time_s
+                run.start,
+                said["verdict"].as_str().unwrap_or("no verdict"),
+                said["time_s"].as_f64().unwrap_or(f64::NAN)
             );
         })?;
         writeln!(out, "{}", row(spec, &runs))?;

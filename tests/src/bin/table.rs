@@ -4,7 +4,6 @@ use std::fs;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, bail};
 use clap::error::ErrorKind;
@@ -13,16 +12,16 @@ use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
-use memory_builder::build::{self, Progress};
-use memory_builder::memory;
-use memory_builder::settings::BuildSettings;
-use scene::{Scene, read_starts};
+use scene::{Pose, Scene, read_starts};
 use serde::Serialize;
-use system_tests::robot_table::{self, Common, RobotFlags};
-use system_tests::row::{Row, markdown};
-use system_tests::run::{Reason, Run, flawed, time};
-use system_tests::spec::Spec;
-use vpc::{Controller, Model, MotionMemory, Settings, Task};
+use system_tests::children::{self, Children, attended};
+use system_tests::flags::{Common, RobotFlags};
+use system_tests::pictures::{self, Draw};
+use system_tests::processes::build;
+use system_tests::row::{self, Row};
+use system_tests::run::{flawed, time};
+use system_tests::{arguments, robot_table, root};
+use vpc::{Controller, MotionMemory, Task};
 
 /// Runs every strategy on the same starts against an emulated camera and prints the paper's Table I.
 ///
@@ -37,49 +36,12 @@ struct Cli {
     /// Start poses (CSV: tx,ty,tz,rx,ry,rz).
     #[arg(long)]
     starts: PathBuf,
-    /// Memory of motion; built first (paper-size) where none is given.
+    /// Memory of motion; built first with 900 trajectories where none is given.
     #[arg(long)]
     memory: Option<PathBuf>,
-    /// Strategies with their preview windows: previous, knn, knn2 to knn64, gpr, ibvs.
-    #[arg(
-        long,
-        value_delimiter = ',',
-        default_value = "previous:3,previous:30,knn:3,gpr:3"
-    )]
-    strategies: Vec<Spec>,
-    /// Times each cycle as the median of this many replays.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
-    repeats: u16,
-    /// Frames between exposure and delivery (of a Panda's camera: --delay-ms).
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
-    delay: u16,
-    /// Leaves the law where it stalls, as the paper's does: no detour over a sample of the memory.
-    #[arg(long)]
-    no_detour: bool,
-    /// Leaves the delay uncompensated: the law takes the features for those of now.
-    #[arg(long)]
-    no_compensation: bool,
-    /// Pixel noise, standard deviation, px.
-    #[arg(long, value_name = "PX", default_value_t = 0.0)]
-    noise: f64,
-    /// Probability that a frame is lost.
-    #[arg(long, value_name = "P", default_value_t = 0.0)]
-    drop: f64,
-    /// What the law believes of depths is wrong by this share: it takes pattern and goal for 1 + E times as large and far.
-    #[arg(
-        long,
-        value_name = "E",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    depth_error: f64,
-    /// Seed of noise and losses; each start adds its index.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// How the law predicts features: pose, area-depth, target-depth.
-    #[arg(long, value_parser = model, default_value = "pose")]
-    model: Model,
-    /// What carries the camera: nobody (the paper's hand-held camera), or a Panda with its bridge and a late camera.
+    #[command(flatten)]
+    common: Common,
+    /// What carries the camera.
     #[arg(long, value_enum, default_value = "free")]
     robot: Body,
     /// Writes rows and runs to this file.
@@ -88,247 +50,204 @@ struct Cli {
     /// Draws pictures into this directory.
     #[arg(long)]
     plots: Option<PathBuf>,
+    #[command(flatten, next_help_heading = "With --robot free")]
+    camera: CameraFlags,
     #[command(flatten, next_help_heading = "With --robot panda")]
     arm: RobotFlags,
+}
+
+/// The camera that flies freely.
+#[derive(Args)]
+struct CameraFlags {
+    /// Times each cycle as the median of this many replays.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
+    repeats: u16,
+    /// Frames between exposure and delivery.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
+    delay: u16,
 }
 
 /// What carries the camera.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Body {
-    /// It flies freely and moves exactly as told.
+    /// Nothing, as in the paper's simulation: it moves exactly as told.
     Free,
-    /// A Franka Emika Panda.
+    /// A Franka Emika Panda, with frames that come late.
     Panda,
 }
 
 /// What `--json` writes.
 #[derive(Serialize)]
-struct Document {
-    scene: String,
-    starts: String,
-    memory: Option<String>,
-    delay_frames: u16,
-    delay_compensation: bool,
-    noise_px: f64,
-    drop: f64,
-    depth_error: f64,
-    seed: u64,
-    rows: Vec<Row>,
-    runs: Vec<Record>,
+struct Document<'a, Row, Run> {
+    command: String,
+    rows: &'a [Row],
+    runs: Vec<Record<'a, Run>>,
 }
 
 /// One run in the document.
 #[derive(Serialize)]
-struct Record {
+struct Record<'a, Run> {
     start: usize,
     strategy: String,
-    np: usize,
-    success: bool,
-    reason: Option<Reason>,
-    steps: usize,
-    cost: f64,
+    #[serde(flatten)]
+    run: &'a Run,
 }
 
-/// A model by its word in configuration files.
-fn model(word: &str) -> Result<Model, String> {
-    match word {
-        "pose" => Ok(Model::Pose),
-        "area-depth" => Ok(Model::AreaDepth),
-        "target-depth" => Ok(Model::TargetDepth),
-        _ => Err("allowed: pose, area-depth, target-depth".to_owned()),
-    }
-}
-
-/// The command line, unless it holds a flag that the chosen body would not look at: a margin that changes nothing must not
-/// pass for one that does nothing.
+/// The command line, unless it holds a flag that the chosen body ignores: a margin that changes nothing must not pass for
+/// one that does nothing.
 fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
     let matches = Cli::command().try_get_matches_from(arguments)?;
     let cli = Cli::from_arg_matches(&matches)?;
+    let (others, body) = match cli.robot {
+        Body::Free => (RobotFlags::augment_args(clap::Command::new("")), "panda"),
+        Body::Panda => (CameraFlags::augment_args(clap::Command::new("")), "free"),
+    };
     let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
-    let refused = |id: &str, body: &str| {
-        let words = format!("--{} goes with --robot {body}", id.replace('_', "-"));
-        Cli::command().error(ErrorKind::ArgumentConflict, words)
-    };
-    let (of_others, body) = match cli.robot {
-        Body::Free => {
-            let arm = RobotFlags::augment_args(clap::Command::new("arm"));
-            let ids = arm.get_arguments().map(|flag| flag.get_id().to_string());
-            (ids.collect(), "panda")
+    let mut ids = others.get_arguments().map(|flag| flag.get_id().as_str());
+    match ids.find(|id| given(id)) {
+        Some(id) => {
+            let words = format!("--{} goes with --robot {body}", id.replace('_', "-"));
+            Err(Cli::command().error(ErrorKind::ArgumentConflict, words))
         }
-        Body::Panda => (vec!["delay".to_owned(), "repeats".to_owned()], "free"),
-    };
-    match of_others.iter().find(|id| given(id)) {
-        Some(id) => Err(refused(id, body)),
         None => Ok(cli),
     }
 }
 
 fn main() -> ExitCode {
-    let cli = match parse(system_tests::arguments()) {
-        Ok(cli) => cli,
-        Err(error) => error.exit(),
-    };
-    match table(&cli) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("table: {error:#}");
-            ExitCode::FAILURE
+    attended("table", |children| {
+        let cli = parse(arguments()).unwrap_or_else(|error| error.exit());
+        table(children, &cli)?;
+        Ok(ExitCode::SUCCESS)
+    })
+}
+
+fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
+    cli.common.check()?;
+    let scene = Scene::read(&cli.scene)?;
+    let starts = read_starts(&cli.starts)?;
+    let mut strategies = cli.common.strategies.iter();
+    let memory = match &cli.memory {
+        Some(path) => Some(MemoryFile::open(path, Some(scene.fingerprint().bytes()))?),
+        None if strategies.any(|spec| spec.strategy.needs_memory()) => {
+            Some(built(children, cli, &scene)?)
         }
+        None => None,
+    };
+    match cli.robot {
+        Body::Free => free(cli, &scene, &starts, memory.as_ref()),
+        Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
     }
 }
 
-fn table(cli: &Cli) -> anyhow::Result<()> {
-    for (flag, value, least, most) in [
-        ("--noise", cli.noise, 0.0, 100.0),
-        ("--drop", cli.drop, 0.0, 1.0),
-        ("--depth-error", cli.depth_error, -0.9, 9.0),
-    ] {
-        if !(least..=most).contains(&value) {
-            bail!("{flag} = {value}; allowed: {least} to {most}");
-        }
-    }
-    let scene = Scene::read(&cli.scene)?;
-    let task = Task::new(&scene).with_context(|| cli.scene.display().to_string())?;
-    let starts = read_starts(&cli.starts)?;
-    let needs_memory = cli
-        .strategies
-        .iter()
-        .any(|spec| spec.strategy.needs_memory());
-    let memory = match &cli.memory {
-        Some(path) => Some(MemoryFile::open(path, Some(scene.fingerprint().bytes()))?),
-        None if needs_memory => Some(built(&scene, &task)?),
-        None => None,
-    };
-    let view = memory.as_ref().map(MemoryFile::view);
-    if cli.robot == Body::Panda {
-        let view = view.as_ref().map(|view| view as &(dyn MotionMemory + Sync));
-        return on_robot(cli, &scene, &starts, view);
-    }
-
-    let believed = with_depth_error(&scene, cli.depth_error);
-    let bar = bar((cli.strategies.len() * starts.len()) as u64);
-    let (mut rows, mut records, mut all) = (Vec::new(), Vec::new(), Vec::new());
-    for &spec in &cli.strategies {
-        let settings = Settings {
-            detour: !cli.no_detour,
-            delay_compensation: !cli.no_compensation,
-            model: cli.model,
-            ..spec.settings()
-        };
-        let mut controller = Box::new(Controller::new(&believed, settings)?);
-        let mut runs: Vec<Run> = Vec::with_capacity(starts.len());
+/// The table of the camera that flies freely.
+fn free(
+    cli: &Cli,
+    scene: &Scene,
+    starts: &[Pose],
+    memory: Option<&MemoryFile>,
+) -> anyhow::Result<()> {
+    let Common { noise, drop, .. } = cli.common;
+    let CameraFlags { delay, repeats } = cli.camera;
+    let believed = with_depth_error(scene, cli.common.depth_error);
+    let view = memory.map(MemoryFile::view);
+    let view = view.as_ref().map(|view| view as &dyn MotionMemory);
+    let bar = bar(cli.common.strategies.len() * starts.len());
+    let (mut rows, mut all) = (Vec::new(), Vec::new());
+    for &spec in &cli.common.strategies {
+        let mut controller = Box::new(Controller::new(&believed, cli.common.settings(spec))?);
+        let mut runs = Vec::with_capacity(starts.len());
         for (start, pose) in starts.iter().enumerate() {
             bar.set_message(format!("{spec}, start {start}"));
-            let view = view.as_ref().map(|view| view as &dyn MotionMemory);
             let flaws = Flaws {
-                noise_px: cli.noise,
-                delay_frames: usize::from(cli.delay),
-                drop: cli.drop,
-                seed: cli.seed + start as u64,
+                noise_px: noise,
+                delay_frames: usize::from(delay),
+                drop,
+                seed: cli.common.seed + start as u64,
             };
-            let mut result = flawed(&scene, &mut controller, view, pose, flaws);
-            time(&mut result, &mut controller, view, usize::from(cli.repeats))?;
-            records.push(Record {
-                start,
-                strategy: spec.strategy.to_string(),
-                np: spec.np,
-                success: result.success,
-                reason: result.reason,
-                steps: result.steps,
-                cost: result.cost,
-            });
-            runs.push(result);
+            let mut run = flawed(scene, &mut controller, view, pose, flaws);
+            time(&mut run, &mut controller, view, usize::from(repeats))?;
+            runs.push(run);
             bar.inc(1);
         }
         rows.push(Row::of(spec, &runs));
         all.push((spec, runs));
     }
     bar.finish_and_clear();
-
-    let mut out = std::io::stdout().lock();
-    writeln!(
-        out,
-        "{}, {} starts, delay {} frames {}, noise {} px, {} % of frames lost, depths wrong by {} %\n\n{}",
+    let text = format!(
+        "{}, {} starts, delay {delay} frames {}, noise {noise} px, {} % of frames lost, depths wrong by {} %\n\n{}",
         cli.scene.display(),
         starts.len(),
-        cli.delay,
-        if cli.no_compensation {
+        if cli.common.no_compensation {
             "uncompensated"
         } else {
             "compensated"
         },
-        cli.noise,
-        100.0 * cli.drop,
-        100.0 * cli.depth_error,
-        markdown(&rows)
-    )?;
-    if let Some(path) = &cli.json {
-        let document = Document {
-            scene: cli.scene.display().to_string(),
-            starts: cli.starts.display().to_string(),
-            memory: cli.memory.as_ref().map(|path| path.display().to_string()),
-            delay_frames: cli.delay,
-            delay_compensation: !cli.no_compensation,
-            noise_px: cli.noise,
-            drop: cli.drop,
-            depth_error: cli.depth_error,
-            seed: cli.seed,
-            rows,
-            runs: records,
-        };
-        write(path, &serde_json::to_vec_pretty(&document)?)?;
-        writeln!(out, "wrote {}", path.display())?;
-    }
-    if let Some(directory) = &cli.plots {
-        for path in
-            system_tests::pictures::of_table(directory, &scene, &task, memory.as_ref(), &all)?
-        {
-            writeln!(out, "wrote {}", path.display())?;
-        }
-    }
-    Ok(())
+        100.0 * drop,
+        100.0 * cli.common.depth_error,
+        row::markdown(&rows)
+    );
+    finish(cli, scene, memory, &text, &rows, &all)
 }
 
 /// The table of the robot.
 fn on_robot(
     cli: &Cli,
     scene: &Scene,
-    starts: &[scene::Pose],
-    memory: Option<&(dyn MotionMemory + Sync)>,
+    starts: &[Pose],
+    memory: Option<&MemoryFile>,
 ) -> anyhow::Result<()> {
-    let bar = bar((cli.strategies.len() * starts.len()) as u64);
-    let common = Common {
-        strategies: &cli.strategies,
-        noise: cli.noise,
-        drop: cli.drop,
-        depth_error: cli.depth_error,
-        seed: cli.seed,
-        settings: Settings {
-            detour: !cli.no_detour,
-            delay_compensation: !cli.no_compensation,
-            model: cli.model,
-            ..Settings::default()
-        },
-    };
+    let view = memory.map(MemoryFile::view);
+    let view = view.as_ref().map(|view| view as &(dyn MotionMemory + Sync));
+    let count = cli.arm.only.map_or(starts.len(), |_| 1);
+    let bar = bar(cli.common.strategies.len() * count);
     let tick = || bar.inc(1);
-    let (document, all) = robot_table::table(scene, starts, memory, &cli.arm, &common, &tick)?;
+    let all = robot_table::table(scene, starts, view, &cli.arm, &cli.common, &tick)?;
     bar.finish_and_clear();
+    let rows = all.iter().map(|(spec, runs)| robot_table::row(*spec, runs));
+    let rows: Vec<_> = rows.collect();
+    finish(cli, scene, None, &robot_table::markdown(&rows), &rows, &all)
+}
+
+/// Prints the rows and what failed, and writes what was asked for.
+fn finish<Row: Serialize, Run: Draw + Serialize>(
+    cli: &Cli,
+    scene: &Scene,
+    memory: Option<&MemoryFile>,
+    text: &str,
+    rows: &[Row],
+    all: &[(system_tests::spec::Spec, Vec<Run>)],
+) -> anyhow::Result<()> {
+    let first = cli.arm.only.unwrap_or(0);
     let mut out = std::io::stdout().lock();
-    writeln!(out, "{}", robot_table::markdown(&document))?;
+    writeln!(out, "{text}")?;
+    for (spec, runs) in all {
+        let failed = (first..).zip(runs).filter(|(_, run)| !run.is_success());
+        let failed: Vec<_> = failed.map(|(start, _)| start.to_string()).collect();
+        if !failed.is_empty() {
+            writeln!(out, "{spec} failed from {}", failed.join(", "))?;
+        }
+    }
     if let Some(path) = &cli.json {
-        robot_table::write(&document, path, &mut out)?;
+        let runs = all.iter().flat_map(|(spec, runs)| {
+            (first..).zip(runs).map(move |(start, run)| Record {
+                start,
+                strategy: spec.to_string(),
+                run,
+            })
+        });
+        let document = Document {
+            command: arguments()
+                .map(|word| word.display().to_string() + " ")
+                .collect(),
+            rows,
+            runs: runs.collect(),
+        };
+        write(path, &serde_json::to_vec_pretty(&document)?)?;
+        writeln!(out, "wrote {}", path.display())?;
     }
     if let Some(directory) = &cli.plots {
         let task = Task::new(scene)?;
-        let pictures = system_tests::pictures::of_robot_table(
-            directory,
-            scene,
-            &task,
-            &cli.strategies,
-            &all,
-            cli.arm.only,
-        )?;
-        for path in pictures {
+        for path in pictures::of_table(directory, scene, &task, memory, all, cli.arm.only)? {
             writeln!(out, "wrote {}", path.display())?;
         }
     }
@@ -352,40 +271,31 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// Builds a paper-size memory for the scene in a temporary file, which is gone once it is mapped.
-fn built(scene: &Scene, task: &Task) -> anyhow::Result<MemoryFile> {
-    let settings = BuildSettings::default();
-    let bar = bar(settings.trajectories as u64);
-    bar.set_message("building a memory");
-    let progress = build::collect(
-        scene,
-        &settings,
-        Progress::new(),
-        &AtomicBool::new(false),
-        |p| {
-            bar.set_position(p.trajectories.len() as u64);
-        },
-    )?;
-    bar.finish_and_clear();
-    if progress.trajectories.is_empty() {
-        bail!("no trajectory found");
+/// Has `vpc-memory` build a memory for the scene in a temporary file, which is removed once it is mapped.
+fn built(children: &Children, cli: &Cli, scene: &Scene) -> anyhow::Result<MemoryFile> {
+    let programs = build(children, root(), &["vpc-memory"])?;
+    let directory = std::env::temp_dir().join(format!("vpc-table-{}", std::process::id()));
+    let _place = children.place(directory.clone());
+    fs::create_dir_all(&directory).with_context(|| directory.display().to_string())?;
+    let path = directory.join("memory.vpcmem");
+    let mut builder = children::command(programs.join("vpc-memory"));
+    builder.arg("build").arg(&cli.scene).arg("-o").arg(&path);
+    // Standard output is the table's.
+    builder.stdout(std::process::Stdio::piped());
+    let (status, said) = children.start("vpc-memory", builder)?.output()?;
+    if !status.success() {
+        bail!("vpc-memory built no memory: {said}");
     }
-    let path = std::env::temp_dir().join(format!("vpc-table-{}.vpcmem", std::process::id()));
-    memory::contents(scene, task, &settings, &progress)?.write(&path)?;
-    let file = MemoryFile::open(&path, Some(scene.fingerprint().bytes()));
-    fs::remove_file(&path).with_context(|| path.display().to_string())?;
-    Ok(file?)
+    Ok(MemoryFile::open(&path, Some(scene.fingerprint().bytes()))?)
 }
 
-fn bar(total: u64) -> ProgressBar {
-    let bar = if std::io::stderr().is_terminal() {
-        ProgressBar::new(total)
-    } else {
-        ProgressBar::hidden()
+fn bar(total: usize) -> ProgressBar {
+    let bar = match std::io::stderr().is_terminal() {
+        true => ProgressBar::new(total as u64),
+        false => ProgressBar::hidden(),
     };
     let style = ProgressStyle::with_template("{bar:40.cyan/blue} {pos}/{len} {msg}, ETA {eta}");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-    bar
+    bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
 #[cfg(test)]

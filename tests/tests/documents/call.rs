@@ -161,7 +161,8 @@ fn exists(word: &str) -> Result<(), String> {
     let path = word.trim_end_matches('/').trim_start_matches("./");
     let top = path.split('/').next().unwrap_or("");
     let is_ours = ["controller", "ipc", "memory-blob", "hw-sim", "tests"].contains(&top);
-    match is_ours && path.contains('/') && !root().join(path).exists() {
+    let is_path = is_ours && path.contains('/') && !path.contains('$');
+    match is_path && !root().join(path).exists() {
         true => Err(format!("{path} does not exist")),
         false => Ok(()),
     }

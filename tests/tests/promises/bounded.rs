@@ -5,8 +5,8 @@
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
-use vpc::plausible::{check_sense, check_shape};
-use vpc::solver::work;
+use vpc::gate::{check_sense, check_shape};
+use vpc::work;
 use vpc::{Controller, Measurement, Settings, Task};
 
 use crate::fixture::{repeats, speed, tell};
@@ -101,10 +101,10 @@ fn check(np: usize, problems: usize) {
         };
         assert!(speed(&step.twist) <= 1.0, "{points:?}: {:?}", step.twist);
         // Two starts, each with its iterations and its share of the budget, which an iteration that has begun may pass
-        // by its expansion and the looks of its line search.
-        let iterations = settings.effort.max_iterations;
+        // by its expansion and the evaluations of its line search.
+        let iterations = settings.solver.max_iterations;
         assert!(step.iterations <= 2 * iterations);
-        let beyond = work::expansion(np) + 13 * work::look(np);
+        let beyond = work::expansion(np) + 13 * work::evaluation(np);
         let bound = work::budget(np, iterations) + 2 * beyond;
         assert!(step.work <= bound, "{points:?}: {} > {bound}", step.work);
         worked.push(step.work);

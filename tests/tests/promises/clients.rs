@@ -151,3 +151,30 @@ fn the_camera_in_c_arrives() {
         "{text}; the table: {steps}"
     );
 }
+
+/// The ten lines of the client's README, as they stand there, in a domain of the test.
+#[test]
+fn the_ten_lines_of_the_readme_run_as_written() {
+    let _turn = turn();
+    let Some(python) = Environment::CLIENT.python("the ten lines of the README") else {
+        return;
+    };
+    let readme = std::fs::read_to_string(root().join("ipc/python/README.md")).unwrap();
+    let (_, rest) = readme.split_once("```python\n").unwrap();
+    let (lines, _) = rest.split_once("```").unwrap();
+    let place = Place::new();
+    let domain = place.domain();
+    let program = place.path("ten.py");
+    let head = "import vpc_client.domain\nvpc_client.domain.default_directory = lambda:";
+    std::fs::write(&program, format!("{head} {domain:?}\n{lines}")).unwrap();
+    let daemon = daemon(&place, "previous");
+    let said = python::run(&mut python::script(&python, &program)).unwrap();
+    daemon.kill();
+    let lines: Vec<&str> = said.lines().collect();
+    assert_eq!(lines.len(), 20, "{said}");
+    assert!(
+        lines[1..10].iter().all(|line| line.starts_with("moving ")),
+        "{said}"
+    );
+    assert!(lines[19].starts_with("10 none "), "{said}");
+}

@@ -1,28 +1,24 @@
-//! `ipc/c/include/vpc.h`: messages and codes from the tables of `ipc`, functions from the sources of `ipc/c` by cbindgen.
+//! `ipc/c/include/vpc.h`: messages and codes from the tables of `ipc`, functions from the sources
+//! of `ipc/c` by cbindgen.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use anyhow::Context;
-use ipc::Table;
+use ipc::{Struct, Table};
 
 use crate::doc::{self, constant, snake, structs, tables, wrapped};
 
 /// The files whose functions the header declares.
 const FILES: [&str; 7] = [
-    "status.rs",
-    "boundary.rs",
-    "domain.rs",
-    "camera.rs",
-    "observer.rs",
-    "operator.rs",
-    "names.rs",
+    "status", "boundary", "domain", "camera", "observer", "operator", "names",
 ];
 
-/// Types of the library itself.
-const OWN: [&str; 7] = [
-    "Status", "Take", "Sent", "Domain", "Camera", "Observer", "Operator",
-];
+/// Types of the library itself that are no handles.
+const PLAIN: [&str; 3] = ["Status", "Take", "Sent"];
+
+/// Opaque types: generic in Rust, which C cannot say.
+const HANDLES: [&str; 4] = ["Domain", "Camera", "Observer", "Operator"];
 
 const HEAD: &str = "\
 /* The shared-memory contract of vpcd for C: camera, observer, operator.
@@ -42,15 +38,6 @@ const HEAD: &str = "\
  * Times are CLOCK_MONOTONIC in ns, image points px, twists m/s and rad/s in the camera frame.
  */";
 
-const ASSERTS: &str = "
-/* The layout, as the Rust compiler has it. */
-#if defined(__cplusplus)
-#define VPC_ASSERT(condition, words) static_assert(condition, words)
-#else
-#define VPC_ASSERT(condition, words) _Static_assert(condition, words)
-#endif
-";
-
 /// `TwistState` as C has it: codes without the word that tells them from other types in Rust.
 fn name(rust: &str) -> String {
     let short = match rust {
@@ -67,11 +54,10 @@ fn name(rust: &str) -> String {
 }
 
 fn number(rust: &str) -> String {
-    match rust {
-        "f64" => "double".to_owned(),
-        "u8" | "u32" | "u64" => format!("uint{}_t", &rust[1..]),
-        "i64" => "int64_t".to_owned(),
-        part => name(part),
+    match (rust, rust.split_at(1)) {
+        ("Stamp", _) => name(rust),
+        ("f64", _) => "double".to_owned(),
+        (_, (sign, bits)) => format!("{}int{bits}_t", sign.replace('i', "")),
     }
 }
 
@@ -92,50 +78,61 @@ fn enumeration(text: &mut String, table: &Table) {
 /// Messages and codes.
 fn messages() -> String {
     let mut text = format!("\n#define VPC_MAX_POINTS {}\n", ipc::MAX_POINTS);
+    text += "\n// Handles: membership of a domain, and the ports of a role.\n";
+    for handle in HANDLES.map(name) {
+        let _ = writeln!(text, "typedef struct {handle} {handle};");
+    }
     for table in [tables(false), tables(true)].concat() {
         enumeration(&mut text, table);
     }
     for message in structs() {
         text += "\n";
-        text += &wrapped("// ", &message.doc);
+        text += &wrapped("// ", &doc::one_line(message.doc));
         text += "typedef struct {\n";
         for field in message.fields {
             let about = doc::of_field(field, |table| name(table.name));
             text += &wrapped("    // ", &about.replace('`', ""));
-            let _ = write!(text, "    {} {}", number(doc::kind(field)), field.name);
-            match field.count {
-                1 => text += ";\n",
-                count => _ = writeln!(text, "[{count}];"),
-            }
+            let kind = doc::kind(field, number, |_| String::new());
+            let length = match field.count {
+                1 => String::new(),
+                count => format!("[{count}]"),
+            };
+            let _ = writeln!(text, "    {kind} {}{length};", field.name);
         }
         let _ = writeln!(text, "}} {};", name(message.name));
     }
     text
 }
 
+/// Statements that the layout is that of the Rust compiler.
 fn asserts() -> String {
-    let mut text = ASSERTS.to_owned();
-    for message in structs() {
-        let (message, size, fields) = (name(message.name), message.size, message.fields);
+    let mut text = "\n/* The layout, as the Rust compiler has it. */\n".to_owned();
+    for Struct {
+        name, size, fields, ..
+    } in structs()
+    {
+        let message = self::name(name);
         let _ = writeln!(
             text,
-            "VPC_ASSERT(sizeof({message}) == {size}, \"{message}\");"
+            "static_assert(sizeof({message}) == {size}, \"{message}\");"
         );
         for field in fields {
             let (field, offset) = (field.name, field.offset);
             let _ = writeln!(
                 text,
-                "VPC_ASSERT(offsetof({message}, {field}) == {offset}, \"{message}.{field}\");"
+                "static_assert(offsetof({message}, {field}) == {offset}, \"{message}.{field}\");"
             );
         }
     }
-    text + "#undef VPC_ASSERT"
+    text
 }
 
 /// The header.
 pub fn make() -> anyhow::Result<String> {
-    let structs = structs();
-    let types = structs.iter().map(|message| message.name).chain(OWN);
+    let types = structs()
+        .map(|message| message.name)
+        .chain(PLAIN)
+        .chain(HANDLES);
     let rename: HashMap<String, String> = types.map(|n| (n.to_owned(), name(n))).collect();
     let mut config = cbindgen::Config {
         language: cbindgen::Language::C,
@@ -144,7 +141,9 @@ pub fn make() -> anyhow::Result<String> {
         trailer: Some(asserts()),
         include_guard: Some("VPC_H".to_owned()),
         no_includes: true,
-        sys_includes: ["stddef.h", "stdint.h"].map(str::to_owned).to_vec(),
+        sys_includes: ["assert.h", "stddef.h", "stdint.h"]
+            .map(str::to_owned)
+            .to_vec(),
         cpp_compat: true,
         line_length: 100,
         tab_width: 4,
@@ -153,12 +152,13 @@ pub fn make() -> anyhow::Result<String> {
         usize_is_size_t: true,
         ..cbindgen::Config::default()
     };
-    config.export.include = OWN.map(str::to_owned).to_vec();
+    config.export.include = vec!["Take".to_owned()];
+    config.export.exclude = HANDLES.map(str::to_owned).to_vec();
     config.export.rename = rename;
     config.enumeration.rename_variants = cbindgen::RenameRule::QualifiedScreamingSnakeCase;
     let mut builder = cbindgen::Builder::new().with_config(config);
     for file in FILES {
-        builder = builder.with_src(crate::root().join("ipc/c/src").join(file));
+        builder = builder.with_src(crate::root().join(format!("ipc/c/src/{file}.rs")));
     }
     let bindings = builder.generate().context("cbindgen")?;
     let mut text = Vec::new();

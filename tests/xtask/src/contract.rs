@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Context;
-use ipc::{Qos, SERVICES, Table};
+use ipc::SERVICES;
 
 use crate::doc::{self, structs, tables};
 
@@ -14,17 +14,12 @@ fn services() -> String {
 "
     .to_owned();
     for service in SERVICES {
-        let Qos {
-            history,
-            buffer,
-            subscribers,
-            publishers,
-        } = service.qos;
-        let (name, type_name) = (service.name, service.type_name);
-        let (size, publisher) = (service.size, service.publisher);
+        let (name, message) = (service.name, service.message);
+        let (type_name, size) = (message.type_name, message.size);
+        let (queues, publisher) = (doc::queues(service.qos, " | "), service.publisher);
         let _ = writeln!(
             text,
-            "| `{name}` | `{type_name}` | {size} | {history} | {buffer} | {subscribers} | {publishers} | {publisher} |"
+            "| `{name}` | `{type_name}` | {size} | {queues} | {publisher} |"
         );
     }
     text
@@ -33,14 +28,11 @@ fn services() -> String {
 fn messages() -> String {
     let mut text = String::new();
     for message in structs() {
-        let (name, size, doc) = (message.name, message.size, message.doc);
-        let _ = writeln!(text, "**{name}** ({size} bytes). {doc}\n");
+        let (name, size, about) = (message.name, message.size, doc::one_line(message.doc));
+        let _ = writeln!(text, "**{name}** ({size} bytes). {about}\n");
         text += "| Offset | Type | Field | Meaning |\n|---|---|---|---|\n";
         for field in message.fields {
-            let mut kind = doc::kind(field).to_owned();
-            if field.count > 1 {
-                kind += &format!("[{}]", field.count);
-            }
+            let kind = doc::kind(field, str::to_owned, |length| format!("[{length}]"));
             let about = doc::of_field(field, |table| format!("`{}`", table.name));
             let _ = writeln!(
                 text,
@@ -55,15 +47,12 @@ fn messages() -> String {
 
 fn codes() -> String {
     let mut text = "| Codes | Values |\n|---|---|\n".to_owned();
-    let mut row = |table: &Table| {
+    for table in [tables(false), tables(true)].concat() {
         let values = table.names.iter();
-        let values: Vec<String> = values
-            .map(|value| format!("{} {}", value.number, value.text))
-            .collect();
-        let _ = writeln!(text, "| `{}` | {} |", table.name, values.join(", "));
-    };
-    tables(false).into_iter().for_each(&mut row);
-    tables(true).into_iter().for_each(&mut row);
+        let values = values.map(|value| format!("{} {}", value.number, value.text));
+        let values = values.collect::<Vec<_>>().join(", ");
+        let _ = writeln!(text, "| `{}` | {values} |", table.name);
+    }
     text
 }
 

@@ -1,48 +1,20 @@
 //! Documentation of messages as text.
 
-use ipc::{Field, Kind, Meaning, SERVICES, Stamp, Table, Wire};
-
-/// A struct on the wire.
-pub struct Struct {
-    /// Name in Rust.
-    pub name: &'static str,
-    /// Name that iceoryx2 compares.
-    pub type_name: &'static str,
-    /// Documentation in one line.
-    pub doc: String,
-    pub size: usize,
-    pub fields: &'static [Field],
-}
+use ipc::{Field, Kind, Meaning, Qos, SERVICES, Stamp, Struct, Table};
 
 /// All structs on the wire, parts first.
-pub fn structs() -> Vec<Struct> {
-    let head = Struct {
-        name: Stamp::NAME,
-        type_name: Stamp::TYPE_NAME,
-        doc: one_line(Stamp::DOC),
-        size: size_of::<Stamp>(),
-        fields: Stamp::FIELDS,
-    };
-    let messages = SERVICES.iter().map(|service| Struct {
-        name: service.message,
-        type_name: service.type_name,
-        doc: one_line(service.doc),
-        size: service.size,
-        fields: service.fields,
-    });
-    std::iter::once(head).chain(messages).collect()
+pub fn structs() -> impl Iterator<Item = Struct> {
+    let messages = SERVICES.iter().map(|service| service.message);
+    std::iter::once(Struct::of::<Stamp>()).chain(messages)
 }
 
 /// All tables of codes (`false`) or bits (`true`) that fields refer to, each once.
 pub fn tables(bits: bool) -> Vec<&'static Table> {
     let mut tables: Vec<&Table> = Vec::new();
-    for field in structs().iter().flat_map(|message| message.fields) {
+    for field in structs().flat_map(|message| message.fields) {
         let is_bits = matches!(field.meaning, Meaning::Bits(_));
-        if let Some(table) = field.meaning.table().filter(|_| is_bits == bits)
-            && tables.iter().all(|known| known.name != table.name)
-        {
-            tables.push(table);
-        }
+        let table = field.meaning.table().filter(|_| is_bits == bits);
+        tables.extend(table.filter(|table| !tables.contains(table)));
     }
     tables
 }
@@ -62,16 +34,24 @@ pub fn of_field(field: &Field, named: impl Fn(&Table) -> String) -> String {
     text
 }
 
-/// `f64[16]`, with the names that a language has for numbers.
-pub fn kind(field: &Field) -> &'static str {
-    match field.kind {
-        Kind::U8 => "u8",
-        Kind::U32 => "u32",
-        Kind::U64 => "u64",
-        Kind::I64 => "i64",
-        Kind::F64 => "f64",
-        Kind::Stamp => Stamp::NAME,
-    }
+/// Name of the type of one element, and `array` with the length if it is an array.
+pub fn kind(
+    field: &Field,
+    name: impl Fn(&str) -> String,
+    array: impl Fn(usize) -> String,
+) -> String {
+    let element = match field.kind {
+        Kind::Stamp => "Stamp".to_owned(),
+        number => format!("{number:?}").to_lowercase(),
+    };
+    let length = (field.count > 1).then(|| array(field.count));
+    name(&element) + &length.unwrap_or_default()
+}
+
+/// The queues of a service, in the order of the contract.
+pub fn queues(qos: Qos, between: &str) -> String {
+    let queues = [qos.history, qos.buffer, qos.subscribers, qos.publishers];
+    queues.map(|number| number.to_string()).join(between)
 }
 
 /// Documentation in one line.
@@ -81,18 +61,19 @@ pub fn one_line(doc: &str) -> String {
 
 /// Text in lines of at most 100 columns, each with this head.
 pub fn wrapped(head: &str, text: &str) -> String {
-    let mut lines = String::new();
-    let mut line = head.to_owned();
-    for word in text.split(' ') {
-        if line.len() + 1 + word.len() > 100 && line.len() > head.len() {
-            lines += line.trim_end();
-            lines += "\n";
-            line = head.to_owned();
+    let mut lines = vec![head.to_owned()];
+    for word in text.split_whitespace() {
+        let last = lines.len() - 1;
+        if lines[last].len() + word.len() > 100 && lines[last] != head {
+            lines.push(head.to_owned());
         }
-        line += word;
-        line += " ";
+        let last = lines.len() - 1;
+        lines[last] += &format!("{word} ");
     }
-    lines + line.trim_end() + "\n"
+    lines
+        .iter()
+        .map(|line| format!("{}\n", line.trim_end()))
+        .collect()
 }
 
 /// `RobotState` as `robot_state`.

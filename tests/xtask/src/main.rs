@@ -1,7 +1,9 @@
-//! Commands for developers. `cargo xtask codegen` writes every file that is made from the code, `cargo xtask codegen
-//! --check` fails if one of them is stale. Each kind of file has a module here; [`ARTEFACTS`] lists them.
+//! Commands for developers. `cargo xtask codegen` writes every file that is made from the code,
+//! `cargo xtask codegen --check` fails if one of them is stale. Each kind of file has a module
+//! here; [`ARTEFACTS`] lists them.
 
 mod c_header;
+mod configuration;
 mod contract;
 mod doc;
 mod python;
@@ -31,6 +33,26 @@ const ARTEFACTS: &[Artefact] = &[
     Artefact {
         path: "ipc/CONTRACT.md",
         make: contract::make,
+    },
+    Artefact {
+        path: "controller/CONFIGURATION.md",
+        make: |_| Ok(configuration::make()),
+    },
+    Artefact {
+        path: "controller/vpcd.schema.json",
+        make: |_| Ok(controller::config::schema_file()),
+    },
+    Artefact {
+        path: "ipc/scene/scene.schema.json",
+        make: |_| Ok(scene::schema_file()),
+    },
+    Artefact {
+        path: "hw-sim/hw-sim.schema.json",
+        make: |_| Ok(hw_sim::config::schema_file()),
+    },
+    Artefact {
+        path: "memory-blob/builder/memory.schema.json",
+        make: |_| Ok(memory_builder::settings::schema_file()),
     },
 ];
 

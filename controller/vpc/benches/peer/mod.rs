@@ -1,6 +1,8 @@
-//! Solvers that a Rust user would otherwise take, on the same cost and constraints with exact gradients.
+//! Solvers that a Rust user would otherwise take, on the same cost and constraints with exact
+//! gradients.
 //!
-//! Both ask for cost, constraints and their gradients one by one; [`Nlp`] previews a command once for all of them.
+//! Both ask for cost, constraints and their gradients one by one; [`Nlp`] previews a command once
+//! for all of them.
 
 mod open;
 mod slsqp;
@@ -16,7 +18,8 @@ use crate::subproblem::Case;
 pub use open::open;
 pub use slsqp::slsqp;
 
-/// The problem of a case as a nonlinear program: the cost over its value at rest, and rows that must not be negative.
+/// The problem of a case as a nonlinear program: the cost over its value at rest, and rows that
+/// must not be negative.
 pub struct Nlp<'a> {
     case: &'a Case,
     unit: f64,
@@ -48,7 +51,7 @@ impl<'a> Nlp<'a> {
 
     /// Rows: the four sides and every part, for every point of every step.
     fn rows(&self) -> usize {
-        self.case.np * self.case.origin.points.len() * self.sides()
+        self.case.np * self.case.initial.points.len() * self.sides()
     }
 
     fn sides(&self) -> usize {
@@ -71,7 +74,7 @@ impl<'a> Nlp<'a> {
     /// Row `i` and, where asked for, its gradient.
     fn row(&self, x: &[f64], i: usize, gradient: Option<&mut [f64]>) -> f64 {
         let seen = self.at(x);
-        let (sides, count) = (self.sides(), self.case.origin.points.len());
+        let (sides, count) = (self.sides(), self.case.initial.points.len());
         let (point, side) = (i / sides, i % sides);
         let pixel = seen.preview.step(point / count)[point % count];
         let camera = &self.case.task.camera;
@@ -95,7 +98,7 @@ impl<'a> Nlp<'a> {
 
 impl Seen {
     fn look(&mut self, case: &Case, unit: f64, twist: Twist) {
-        assert!(self.preview.run(&case.task, &case.origin, &twist));
+        assert!(self.preview.linearize(&case.task, &case.initial, &twist));
         let weights = &case.task.cost;
         let commands = (case.np - 1) as f64;
         self.cost = cost::value(&case.task, &self.preview, &twist, &case.target, 1.0) / unit;

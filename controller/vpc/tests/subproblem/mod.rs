@@ -2,9 +2,10 @@
 
 use scene::Scene;
 use serde::Deserialize;
-use vpc::prediction::{Model, Origin, Plan, Preview};
-use vpc::solver::{Effort, Problem, Solution, Solver};
-use vpc::{DOF, MAX_VARIABLES, Points, Task, Twist, constraint, cost};
+use vpc::prediction::{InitialState, Model, Plan, Preview};
+use vpc::problem::{Problem, Solution};
+use vpc::solver::Solver;
+use vpc::{DOF, MAX_VARIABLES, Points, SolverOptions, Task, Twist, constraint, cost};
 
 /// The file that `fixtures/subproblems.py` writes.
 #[derive(Deserialize)]
@@ -44,7 +45,8 @@ pub struct Subproblem {
 /// Where SciPy started, and what it found from there alone.
 #[derive(Deserialize)]
 pub struct Start {
-    /// "zero", "unconstrained" (the answer where features may be anywhere), "random 0" to "random 3".
+    /// "zero", "unconstrained" (the answer where features may be anywhere), "random 0" to "random
+    /// 3".
     pub name: String,
     /// The start.
     pub v: Twist,
@@ -56,7 +58,7 @@ pub struct Start {
 pub struct Case {
     pub np: usize,
     pub task: Task,
-    pub origin: Origin,
+    pub initial: InitialState,
     pub target: Points,
 }
 
@@ -80,7 +82,7 @@ impl Fixture {
         let points: Points = problem.features.iter().copied().collect();
         Case {
             np: problem.np,
-            origin: Origin::new(&task, Model::TargetDepth, &points),
+            initial: InitialState::new(&task, Model::TargetDepth, &points),
             target: problem.target.iter().copied().collect(),
             task,
         }
@@ -104,7 +106,7 @@ impl Case {
     pub fn problem(&self) -> Problem<'_> {
         Problem {
             task: &self.task,
-            origin: &self.origin,
+            initial: &self.initial,
             target: &self.target,
             r_share: 1.0,
             margin: 0.0,
@@ -113,11 +115,11 @@ impl Case {
 
     /// A solver for this window: ten iterations, tolerance 1e-6.
     pub fn solver(&self) -> Box<Solver> {
-        let effort = Effort {
+        let options = SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
         };
-        Box::new(Solver::new(self.np, 1, effort))
+        Box::new(Solver::new(self.np, 1, options))
     }
 
     /// The solution from the starts of `Controller::step`: the warm start, and standing still.
@@ -128,7 +130,7 @@ impl Case {
     /// Cost and worst violation (px) of a twist, by a preview of its own.
     pub fn judge(&self, twist: &Twist) -> (f64, f64) {
         let mut preview = Box::new(Preview::<DOF>::new(self.np));
-        assert!(preview.look(&self.task, &self.origin, twist));
+        assert!(preview.evaluate(&self.task, &self.initial, twist));
         let worst = (0..self.np)
             .flat_map(|j| preview.step(j))
             .map(|&pixel| constraint::violation(&self.task, pixel, 0.0))

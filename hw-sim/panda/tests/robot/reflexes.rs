@@ -173,16 +173,16 @@ fn a_step_of_the_command_trips_by_all_that_it_breaks() {
     assert_eq!(step_of(0, 0.0005), Errors::NONE);
     assert_eq!(step_of(0, 0.002), jerk);
     // 5 m/s^2 and 5000 m/s^3 are allowed to the end effector, not to the joints that make it.
-    let joints = jerk.with(CartesianMotionGeneratorJointVelocityDiscontinuity, true);
+    let joints = jerk.union(CartesianMotionGeneratorJointVelocityDiscontinuity.into());
     assert_eq!(step_of(0, 0.005), joints);
-    let both = joints.with(CartesianMotionGeneratorAccelerationDiscontinuity, true);
+    let both = joints.union(CartesianMotionGeneratorAccelerationDiscontinuity.into());
     assert_eq!(step_of(0, 0.01), both);
-    let three = both.with(CartesianMotionGeneratorVelocityDiscontinuity, true);
+    let three = both.union(CartesianMotionGeneratorVelocityDiscontinuity.into());
     assert_eq!(step_of(0, 0.02), three);
     let all = three
-        .with(CartesianMotionGeneratorVelocityLimitsViolation, true)
-        .with(CartesianMotionGeneratorJointVelocityLimitsViolation, true)
-        .with(CartesianMotionGeneratorJointPositionLimitsViolation, true);
+        .union(CartesianMotionGeneratorVelocityLimitsViolation.into())
+        .union(CartesianMotionGeneratorJointVelocityLimitsViolation.into())
+        .union(CartesianMotionGeneratorJointPositionLimitsViolation.into());
     assert_eq!(step_of(0, 3.0), all);
 }
 

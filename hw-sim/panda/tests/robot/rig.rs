@@ -36,7 +36,8 @@ pub fn answer(robot: &mut Robot, twist: Twist) -> State {
     *robot.step(&[command])
 }
 
-/// Speeds up along an axis at an even acceleration (m/s^2 or rad/s^2), built up and never taken back.
+/// Speeds up along an axis at an even acceleration (m/s^2 or rad/s^2), built up and never taken
+/// back.
 pub fn speed_up(robot: &mut Robot, axis: usize, acceleration: f64, to: f64) {
     let mut current = robot.state().o_ddp_ee_c[axis];
     while robot.state().robot_mode == Mode::Move && robot.state().o_dp_ee_c[axis].abs() < to {
@@ -47,8 +48,8 @@ pub fn speed_up(robot: &mut Robot, axis: usize, acceleration: f64, to: f64) {
     }
 }
 
-/// Steps without commands until the desired joints stand, each step within the joints' bounds, and gives the number of
-/// steps.
+/// Steps without commands until the desired joints stand, each step within the joints' bounds, and
+/// gives the number of steps.
 pub fn watch_stop(robot: &mut Robot) -> usize {
     let mut before = setpoint(robot.state());
     for steps in 0..1000 {

@@ -45,7 +45,8 @@ fn command(random: &mut ChaCha8Rng) -> Twist {
     })
 }
 
-/// Drives for `ticks` ms; whether the robot is still in motion. Every frame brings a command, every 33.3 ms.
+/// Drives for `ticks` ms; whether the robot is still in motion. Every frame brings a command, every
+/// 33.3 ms.
 fn drive(robot: &mut Robot, shaped: bool, ticks: u64, loss: f64, random: &mut ChaCha8Rng) -> bool {
     let mut shaper = Shaper::new(ShaperSettings::default()).expect("good settings");
     let mut frame = 0;

@@ -14,15 +14,14 @@ use crate::view::word;
 
 /// Age from which features count as missing, ns.
 const SILENT_NS: u64 = 500_000_000;
-/// Place of the state in `/proc/PID/stat`, counted from behind the name.
-const STATE: usize = 0;
-/// Place of the scheduling policy.
-const POLICY: usize = 38;
+/// The domain of the service (systemd/vpcd.service).
+const SERVICE: &str = "/run/vpcd";
 
 pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
     let mut findings = Vec::new();
-    if let Presence::Process(process) = Presence::of(directory) {
-        findings.push(life(process));
+    match Presence::of(directory) {
+        Presence::Process(process) => findings.push(life(process)),
+        _ => findings.extend(elsewhere(directory, Path::new(SERVICE))),
     }
     match status::look(directory, watch, Asking::Always) {
         Ok(status) => findings.extend(health(&status)),
@@ -34,51 +33,50 @@ pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
             findings.push(Finding::warn("daemon", words, remedy));
         }
         Err(failure) => {
-            let remedy = "do what the line says; other versions of vpcd and vpcctl do not mix";
-            findings.push(Finding::fail("daemon", failure.to_string(), remedy));
+            let remedy = "run as the user of the domain (sudo -u), or name another --domain; other \
+                          versions of vpcd and vpcctl do not mix";
+            findings.push(Finding::fail("domain", failure.to_string(), remedy));
         }
     }
     findings
 }
 
-/// What the kernel says of the process.
+/// Whether the domain of the service exists, where no daemon runs in the one asked for.
+fn elsewhere(directory: &Path, service: &Path) -> Option<Finding> {
+    // Other users cannot see inside: that it exists tells that the service was started.
+    if directory == service || !service.exists() {
+        return None;
+    }
+    let path = service.display();
+    let words = format!("{path} exists: the service's domain");
+    let remedy = format!("to reach the service: sudo -u vpcd vpcctl --domain {path}");
+    Some(Finding::warn("other domain", words, remedy))
+}
+
+/// Whether the kernel lets the process run.
 fn life(process: u32) -> Finding {
-    let Ok(stat) = std::fs::read_to_string(format!("/proc/{process}/stat")) else {
-        let words = format!("{process}: hidden, or ended just now");
-        return Finding::warn("process", words, "look again");
-    };
-    let tasks = std::fs::read_dir(format!("/proc/{process}/task"));
-    let is_realtime = tasks
-        .into_iter()
-        .flatten()
-        .filter_map(|task| std::fs::read_to_string(task.ok()?.path().join("stat")).ok())
-        .any(|stat| field(&stat, POLICY) == Some("1"));
-    judge(process, field(&stat, STATE).unwrap_or("?"), is_realtime)
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    judge(process, state(&stat).unwrap_or('?'))
 }
 
-/// A field of `/proc/PID/stat`; the name before them may have blanks and brackets in it.
-fn field(stat: &str, place: usize) -> Option<&str> {
-    stat.rsplit_once(')')?.1.split_whitespace().nth(place)
+/// The state in `/proc/PID/stat`; the name before it may have blanks and brackets in it.
+fn state(stat: &str) -> Option<char> {
+    stat.rsplit_once(')')?.1.trim_start().chars().next()
 }
 
-fn judge(process: u32, state: &str, is_realtime: bool) -> Finding {
+fn judge(process: u32, state: char) -> Finding {
     let what = "process";
-    match (state, is_realtime) {
-        ("T" | "t", _) => {
+    match state {
+        'T' | 't' => {
             let remedy = format!("kill -CONT {process}, or end it: kill -KILL {process}");
             let words = format!("{process}: stopped by a signal or a debugger");
             Finding::fail(what, words, remedy)
         }
-        ("Z" | "X", _) => {
+        'Z' | 'X' => {
             let remedy = "its parent must collect it; start the daemon again";
             Finding::fail(what, format!("{process}: dead"), remedy)
         }
-        (_, true) => Finding::ok(what, format!("{process}: alive, real-time (SCHED_FIFO)")),
-        (_, false) => {
-            let remedy = "fine for simulation; else set realtime.priority, see `vpcd --preflight`";
-            let words = format!("{process}: alive, without real-time scheduling");
-            Finding::warn(what, words, remedy)
-        }
+        _ => Finding::ok(what, format!("{process}: alive")),
     }
 }
 
@@ -135,12 +133,15 @@ fn cycles(last: &CycleRecord) -> Vec<Finding> {
             Finding::warn("deadline", words, remedy)
         }
     };
-    let mut findings = vec![camera(last), deadline];
-    let lacks = lacks(RealTime(last.realtime)).unwrap_or_default();
-    if !lacks.is_empty() {
-        let remedy = "`vpcd --preflight` says how to get it";
-        findings.push(Finding::warn("real time", lacks.join(", "), remedy));
-    }
+    let realtime = match lacks(RealTime(last.realtime)) {
+        None => Finding::ok("real time", "not asked for: fine for simulation"),
+        Some(lacks) if lacks.is_empty() => Finding::ok("real time", "held"),
+        Some(lacks) => {
+            let remedy = "`vpcd --preflight` says how to get it";
+            Finding::warn("real time", lacks.join(", "), remedy)
+        }
+    };
+    let mut findings = vec![camera(last), deadline, realtime];
     if last.lost_records > 0 {
         let words = format!("{} lost by the daemon", last.lost_records);
         let remedy = "its ordinary thread gets too little time: fewer processes on its core";
@@ -199,21 +200,26 @@ mod tests {
     use ipc::{Hold, Order, Received, TwistState};
 
     #[test]
-    fn fields_are_counted_behind_a_nasty_name() {
-        let tail: Vec<String> = (4..=52).map(|n| n.to_string()).collect();
-        let stat = format!("12 (a) b) T {}", tail.join(" "));
-        assert_eq!(field(&stat, STATE), Some("T"));
-        // proc(5) numbers the policy 41.
-        assert_eq!(field(&stat, POLICY), Some("41"));
+    fn the_state_is_found_behind_a_nasty_name() {
+        assert_eq!(state("12 (a) b) T 4 5 6"), Some('T'));
+        assert_eq!(state(""), None);
     }
 
     #[test]
     fn a_stopped_process_is_a_failure_with_its_number_in_the_remedy() {
-        let finding = judge(77, "T", true);
+        let finding = judge(77, 'T');
         assert_eq!(finding.verdict, Verdict::Fail);
         assert!(finding.remedy.starts_with("kill -CONT 77"));
-        assert_eq!(judge(77, "S", true).verdict, Verdict::Ok);
-        assert_eq!(judge(77, "S", false).verdict, Verdict::Warn);
+        assert_eq!(judge(77, 'S').verdict, Verdict::Ok);
+    }
+
+    #[test]
+    fn the_services_domain_is_pointed_out() {
+        let (asked, service) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let finding = elsewhere(asked.path(), service.path()).unwrap();
+        assert!(finding.remedy.contains("sudo -u vpcd"), "{finding:?}");
+        assert_eq!(elsewhere(service.path(), service.path()), None);
+        assert_eq!(elsewhere(asked.path(), &service.path().join("none")), None);
     }
 
     #[test]

@@ -1,13 +1,12 @@
 //! `vpcctl doctor`: what is wrong with this machine or set-up, and how to mend it.
 
 mod daemon;
-mod domain;
-mod machine;
+mod logind;
 
 use std::path::Path;
 
 use memory_blob::MemoryFile;
-use scene::{Scene, SceneError};
+use scene::{FileError, Scene};
 
 use crate::arguments::DoctorArguments;
 use crate::exit::Exit;
@@ -65,18 +64,17 @@ impl Finding {
 
 /// Looks at everything. A domain that does not exist is not created.
 pub fn examine(directory: &Path, arguments: &DoctorArguments) -> Vec<Finding> {
-    let mut findings = domain::examine(directory);
-    findings.extend(daemon::examine(directory, arguments.watch));
+    let mut findings = daemon::examine(directory, arguments.watch);
     let scene = arguments.scene.as_deref().map(Scene::read);
     findings.extend(scene.as_ref().map(scene_file));
     let scene = scene.and_then(Result::ok);
     let memory = arguments.memory.as_deref();
     findings.extend(memory.map(|path| memory_of_motion(path, scene.as_ref())));
-    findings.extend(machine::examine());
+    findings.extend(logind::examine());
     findings
 }
 
-fn scene_file(scene: &Result<Scene, SceneError>) -> Finding {
+fn scene_file(scene: &Result<Scene, FileError>) -> Finding {
     match scene {
         Ok(scene) => {
             let (points, areas) = (scene.pattern.len(), scene.occlusions.len());
@@ -92,7 +90,7 @@ fn memory_of_motion(path: &Path, scene: Option<&Scene>) -> Finding {
     let name = path.display();
     match MemoryFile::open(path, task.as_ref()) {
         Ok(memory) => {
-            let samples = memory.view().samples().map_or(0, |samples| samples.len());
+            let samples = memory.view().samples().len();
             Finding::ok("memory", format!("{name}: {samples} samples"))
         }
         Err(error) => {

@@ -52,7 +52,15 @@ pub fn look(directory: &Path, watch: Duration, asking: Asking) -> Result<Status,
     }
 }
 
-fn watch_until(end: Instant, watcher: &mut Watcher, status: &mut Status) -> Result<(), Failure> {
+/// Keeps the status up to date until this instant.
+///
+/// # Errors
+/// As [`Status::update`].
+pub fn watch_until(
+    end: Instant,
+    watcher: &mut Watcher,
+    status: &mut Status,
+) -> Result<(), Failure> {
     loop {
         status.update(watcher)?;
         if Instant::now() >= end {

@@ -11,7 +11,7 @@ use ipc::{ClockMode, CycleRecord, Hold, PhaseCode, RealTime, ReceiveError, Reply
 use ipc::{SolverStatus, TwistState};
 use serde_json::{Value, json};
 
-pub use look::{Asking, look};
+pub use look::{Asking, look, watch_until};
 
 use crate::exit::{Exit, Failure};
 use crate::latency::{Percentiles, STAGES, durations};
@@ -142,7 +142,7 @@ impl Status {
         let (last, over) = view.last_cause().unzip();
         let robot = view.robot_at(now_ns).map(|robot| {
             let age_ns = now_ns.saturating_sub(robot.stamp.published_ns);
-            json!({ "mode": word(robot.mode()), "faults": faults(robot.faults()), "age_ns": age_ns })
+            json!({ "mode": word(robot.mode()), "faults": faults(robot), "age_ns": age_ns })
         });
         json!({
             "domain": self.directory.display().to_string(),
@@ -163,36 +163,31 @@ impl Status {
     pub fn text(&self, colours: bool) -> String {
         let process = self.process.map(|process| format!("process {process}"));
         let process = process.unwrap_or_else(|| "not vpcd".to_owned());
-        let mut lines = vec![format!(
-            "daemon    {process}, domain {}",
-            self.directory.display()
-        )];
+        let domain = self.directory.display();
+        let mut text = format!("daemon    {process}, domain {domain}\n");
         if self.hangs() {
             let words = paint("does not answer, no cycles are coming", Tone::Bad, colours);
-            lines.push(format!("          {words}; see `vpcctl doctor`"));
+            text += &format!("          {words}; see `vpcctl doctor`\n");
         }
-        lines.push(self.state_line(colours));
+        text += &self.state_line(colours);
         let strategy = self.strategy().unwrap_or_else(|| "unknown".to_owned());
-        match self.view.latest() {
-            Some(last) => lines.extend(self.cycle_lines(last, &strategy, colours)),
-            None => {
-                lines.push(format!("strategy  {strategy}"));
-                lines.push("cycles    none came while watching".to_owned());
-            }
-        }
+        text += &match self.view.latest() {
+            Some(last) => self.cycle_text(last, &strategy, colours),
+            None => format!("strategy  {strategy}\ncycles    none came while watching\n"),
+        };
         let robot = self.view.robot_at(self.now_ns).map(|robot| {
             let age = duration(self.now_ns.saturating_sub(robot.stamp.published_ns));
-            let faults = match faults(robot.faults()).join(", ") {
+            let faults = match faults(robot).join(", ") {
                 none if none.is_empty() => "no faults".to_owned(),
                 names => paint(&names, Tone::Bad, colours),
             };
             format!("{}, {faults}, {age} ago", word(robot.mode()))
         });
-        let robot = robot.as_deref().unwrap_or("says nothing");
-        lines.push(format!("robot     {robot}"));
-        let full = self.full.iter();
-        lines.extend(full.map(|s| format!("not seen  {s}: all subscribers' places are taken")));
-        lines.join("\n") + "\n"
+        text += &format!("robot     {}\n", robot.as_deref().unwrap_or("says nothing"));
+        for service in &self.full {
+            text += &format!("not seen  {service}: all subscribers' places are taken\n");
+        }
+        text
     }
 
     fn state_line(&self, colours: bool) -> String {
@@ -205,72 +200,66 @@ impl Status {
         let cause = self.view.cause_words(self.now_ns);
         let cause = cause.or_else(|| hold.map(|hold| hold.to_string()));
         match (cause, self.view.last_cause()) {
-            (Some(cause), _) => format!("state     {state}: {cause}"),
+            (Some(cause), _) => format!("state     {state}: {cause}\n"),
             (None, Some((last, over))) => {
                 let ago = duration(over.map_or(0, |at| self.now_ns.saturating_sub(at)));
-                format!("state     {state} (before: {}, until {ago} ago)", last.hold)
+                format!(
+                    "state     {state} (before: {}, until {ago} ago)\n",
+                    last.hold
+                )
             }
-            (None, None) => format!("state     {state}"),
+            (None, None) => format!("state     {state}\n"),
         }
     }
 
-    fn cycle_lines(&self, last: &CycleRecord, strategy: &str, colours: bool) -> Vec<String> {
+    fn cycle_text(&self, last: &CycleRecord, strategy: &str, colours: bool) -> String {
         let view = &self.view;
-        let target = match last.way_point_count {
-            0 => "goal",
-            _ => "way point",
+        let target = if last.way_point_count > 0 {
+            "way point"
+        } else {
+            "goal"
         };
         let clock = word(ClockMode::from_code(last.clock));
-        let rate = view.rate_hz().map(|rate| format!("{rate:.1} Hz"));
-        let rate = rate.unwrap_or_else(|| "unknown rate".to_owned());
-        let mut lines = vec![
-            format!(
-                "strategy  {strategy}, {} steps previewed, towards the {target}",
-                last.np
-            ),
-            format!("clock     {clock}, {rate} measured, cycle {}", last.cycle),
-            format!("times     {:>9}{:>10}{:>10}", "p50", "p99", "max"),
-        ];
+        let rate = view.rate_hz().unwrap_or(f64::NAN);
+        let mut text = format!(
+            "strategy  {strategy}, {} steps previewed, towards the {target}
+clock     {clock}, {rate:.1} Hz measured, cycle {}
+times     {:>9}{:>10}{:>10}\n",
+            last.np, last.cycle, "p50", "p99", "max"
+        );
         for (name, of) in STAGES.iter().zip(stages(view)) {
             let [p50, p99, max] = [of.p50_ns, of.p99_ns, of.max_ns].map(duration);
-            lines.push(format!("  {name:<8}{p50:>9}{p99:>10}{max:>10}"));
+            text += &format!("  {name:<8}{p50:>9}{p99:>10}{max:>10}\n");
         }
+        let warning = |text: String| paint(&text, Tone::Warning, colours);
         let counts = [last.overruns, last.lost_records, view.missed];
         let [overruns, lost, missed] = counts.map(|count| match count {
             0 => count.to_string(),
-            _ => paint(&count.to_string(), Tone::Warning, colours),
+            _ => warning(count.to_string()),
         });
-        lines.push(format!(
-            "deadline  {overruns} overruns, {lost} records lost, {missed} missed here"
-        ));
         let realtime = match lacks(RealTime(last.realtime)) {
             None => "not asked for".to_owned(),
             Some(lacks) if lacks.is_empty() => "held".to_owned(),
-            Some(lacks) => paint(&lacks.join(", "), Tone::Warning, colours),
+            Some(lacks) => warning(lacks.join(", ")),
         };
         let [minor, major, blocked, heap] = view.disturbances;
         let faults = minor + major;
-        lines.push(format!(
-            "real time {realtime}; {faults} page faults, {blocked} blocked, {heap} heap calls"
-        ));
         let (error, clearance) = (pixels(last.error_px), pixels(last.clearance_px));
-        lines.push(match last.features_sequence {
-            0 => "features  none used".to_owned(),
-            _ => {
-                let (count, age) = (last.count, duration(last.features_age_ns));
-                format!("features  {count} points, {age} old, error {error}, clearance {clearance}")
-            }
-        });
-        let solver = word(SolverStatus::from_code(last.status));
-        lines.push(format!(
-            "solver    {solver}, {} iterations",
-            last.iterations
-        ));
+        let (count, age) = (last.count, duration(last.features_age_ns));
+        let features = match last.features_sequence {
+            0 => "none used".to_owned(),
+            _ => format!("{count} points, {age} old, error {error}, clearance {clearance}"),
+        };
+        let (solver, steps) = (word(SolverStatus::from_code(last.status)), last.iterations);
         let [vx, vy, vz, wx, wy, wz] = last.twist;
-        lines.push(format!(
-            "twist     {vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s"
-        ));
-        lines
+        text += &format!(
+            "deadline  {overruns} overruns, {lost} records lost, {missed} missed here
+real time {realtime}; {faults} page faults, {blocked} blocked, {heap} heap calls
+features  {features}
+solver    {solver}, {steps} iterations
+twist     {vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s\n"
+        );
+        text
     }
 }
 
@@ -334,13 +323,10 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
 
 /// What is missing of the real time that was asked for; `None` where none was.
 pub fn lacks(realtime: RealTime) -> Option<Vec<&'static str>> {
-    let names = [
-        (RealTime::NO_FIFO, "no SCHED_FIFO"),
-        (RealTime::NO_CPU, "not on its processor"),
-        (RealTime::NO_LOCK, "memory not locked"),
-    ];
-    let missing = names.into_iter().filter(|(bit, _)| realtime.has(*bit));
-    let lacks = missing.map(|(_, name)| name).collect();
+    let lacks = realtime
+        .names()
+        .filter(|name| name.number != RealTime::ASKED.0);
+    let lacks = lacks.map(|name| name.text).collect();
     realtime.has(RealTime::ASKED).then_some(lacks)
 }
 
@@ -395,6 +381,6 @@ mod tests {
         assert_eq!(lacks(RealTime::default()), None);
         assert_eq!(lacks(RealTime::ASKED), Some(vec![]));
         let without = RealTime::ASKED.with(RealTime::NO_LOCK);
-        assert_eq!(lacks(without), Some(vec!["memory not locked"]));
+        assert_eq!(lacks(without), Some(vec!["no locked memory"]));
     }
 }

@@ -5,7 +5,7 @@ use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Block, Borders, Paragraph};
+use ratatui::widgets::{Bar, BarChart, Block, Borders, Paragraph};
 
 use super::palette::Palette;
 use super::plane;
@@ -143,48 +143,33 @@ fn twist_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
     frame.render_widget(panel, area);
 }
 
-/// Eighths of a character's height.
-const LEVELS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-
 fn histogram_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
-    let block = titled(" cycle time, since watching ");
-    let inner = block.inner(area);
-    frame.render_widget(block, area);
-    if inner.height < 2 {
-        return;
-    }
+    let [above, below] = Layout::vertical([Constraint::Fill(1), Constraint::Length(1)]).areas(area);
     let counts = &screen.status.view.histograms[CYCLE].counts;
     let most = counts.iter().copied().max().unwrap_or(0).max(1);
-    let wide = usize::from(inner.width) / counts.len();
-    let rows = usize::from(inner.height) - 1;
+    let width = (area.width / counts.len() as u16).max(1);
     // What happened at all is seen: at least an eighth of a character.
-    let eighths = |count: u64| match count {
-        0 => 0,
-        _ => ((count as f64 / most as f64 * (8 * rows) as f64).round() as usize).max(1),
-    };
-    let mut lines: Vec<Line> = (0..rows)
-        .map(|row| {
-            let below = 8 * (rows - 1 - row);
-            let columns = counts.iter().flat_map(|&count| {
-                let level = eighths(count).saturating_sub(below).min(8);
-                std::iter::repeat_n(LEVELS[level], wide.max(1))
-            });
-            let style = screen.palette.style(Color::Cyan);
-            Line::styled(columns.collect::<String>(), style)
-        })
-        .collect();
+    let least = most.div_ceil(8 * u64::from(above.height.max(2) - 1));
+    let bars = counts.iter().map(|&count| {
+        let height = if count == 0 { 0 } else { count.max(least) };
+        Bar::default().value(height).text_value("")
+    });
+    let chart = BarChart::new(bars.collect::<Vec<_>>())
+        .block(titled(" cycle time, since watching "))
+        .bar_style(screen.palette.style(Color::Cyan))
+        .bar_width(width)
+        .bar_gap(0)
+        .max(most);
+    frame.render_widget(chart, above);
     // A label below the bucket that ends at each power of ten.
-    let mut axis = String::new();
-    for (bucket, bound) in BOUNDS.iter().enumerate().step_by(3) {
-        let gap = (bucket * wide.max(1)).saturating_sub(axis.chars().count());
+    let labels = BOUNDS.iter().step_by(3).map(|bound| {
         let label = match bound {
             0..1_000_000 => format!("{}u", bound / 1_000),
             _ => format!("{}m", bound / 1_000_000),
         };
-        axis += &format!("{}{label}", " ".repeat(gap));
-    }
-    lines.push(Line::from(axis));
-    frame.render_widget(Paragraph::new(lines), inner);
+        format!("{label:<0$}", 3 * usize::from(width))
+    });
+    frame.render_widget(Line::from(labels.collect::<String>()), below);
 }
 
 fn number_panel(frame: &mut Frame, area: Rect, screen: &Screen) {

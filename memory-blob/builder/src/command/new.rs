@@ -29,7 +29,8 @@ pub struct New {
     /// Frame rate, Hz [default: 30].
     #[arg(long)]
     rate: Option<String>,
-    /// The pattern, m: SIDE of a square, WIDTHxHEIGHT of a rectangle, or X,Y of each point between semicolons.
+    /// The pattern, m: SIDE of a square, WIDTHxHEIGHT of a rectangle, or X,Y of each point between
+    /// semicolons.
     #[arg(long)]
     pattern: Option<String>,
     /// Where the camera shall see the pattern, m and rad: depth Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ.
@@ -58,6 +59,11 @@ pub struct New {
     force: bool,
 }
 
+/// Greatest roll of starts, rad, at which `opencv_camera.py` finds a pattern that looks the same
+/// after a quarter turn: it looks for turns up to 1.4 rad, and beyond this another one of those
+/// fits as well.
+const TOLD_APART: f64 = std::f64::consts::FRAC_PI_2 - 1.4;
+
 impl New {
     /// Writes the scene once it is a valid one; says what was written and what comes next.
     pub fn run(&self) -> anyhow::Result<String> {
@@ -68,86 +74,77 @@ impl New {
         let scene = Scene::parse(&text, &name)?;
         Task::new(&scene).with_context(|| name.clone())?;
         fs::write(&self.scene, text).with_context(|| format!("{name}: cannot write"))?;
-        Ok(format!(
-            "wrote {name}; next: vpc-memory preview {name} -o preview.png\n"
-        ))
+        let mut said = format!("wrote {name}; next: vpc-memory preview {name} -o preview.png\n");
+        if is_like_a_square(&template.pattern) && template.roll > TOLD_APART {
+            said += &format!(
+                "note: the pattern looks the same after a quarter turn. With equal markers, ipc/python/opencv_camera.py \
+                 finds it only within {:.0} degrees of its orientation at the goal, and starts are rolled by up to \
+                 {:.0}. Remedy: a rectangle such as --pattern 0.12x0.08, or markers that differ and a detector for them\n",
+                TOLD_APART.to_degrees(),
+                template.roll.to_degrees()
+            );
+        }
+        Ok(said)
     }
 
     fn template(&self) -> anyhow::Result<Template> {
-        let list = |flag: &'static str| move |text: &str| numbers(flag, text, ',');
-        let [width, height] = self.known(
-            "image",
+        let [width, height] = ask(
+            "--image",
             "Image size, px (WIDTHxHEIGHT)",
             &self.image,
             None,
-            |text| exactly("--image", text, 'x'),
+            exactly('x'),
         )?;
-        let (fx, fy) = self.known(
-            "focal",
-            "Focal lengths, px (FX or FX,FY)",
+        let focal = "Focal lengths, px (FX or FX,FY)";
+        let focal = ask(
+            "--focal",
+            focal,
             &self.focal,
             None,
-            |text| match list("--focal")(text)?[..] {
-                [f] => Ok((f, f)),
-                [fx, fy] => Ok((fx, fy)),
-                _ => bail!("--focal = {text}; allowed: FX or FX,FY"),
-            },
+            one_of(&[1, 2], "FX or FX,FY"),
         )?;
         let middle = format!("{},{}", 0.5 * width, 0.5 * height);
-        let [cx, cy] = self.known(
-            "centre",
-            "Principal point, px (CX,CY)",
+        let centre = "Principal point, px (CX,CY)";
+        let [cx, cy] = ask(
+            "--centre",
+            centre,
             &self.centre,
             Some(&middle),
-            |text| exactly("--centre", text, ','),
+            exactly(','),
         )?;
-        let [rate_hz] = self.known("rate", "Frame rate, Hz", &self.rate, Some("30"), |text| {
-            exactly("--rate", text, ',')
-        })?;
-        let pattern = self.known(
-            "pattern",
-            "Pattern, m (SIDE of a square, WIDTHxHEIGHT, or points X,Y;X,Y;...)",
-            &self.pattern,
-            None,
-            points,
+        let [rate_hz] = ask(
+            "--rate",
+            "Frame rate, Hz",
+            &self.rate,
+            Some("30"),
+            exactly(','),
         )?;
-        let (goal, goal_rotation) = self.known(
-            "goal",
-            "Goal, m and rad (Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ)",
-            &self.goal,
-            None,
-            |text| match list("--goal")(text)?[..] {
-                [z] => Ok(([0.0, 0.0, z], [0.0; 3])),
-                [x, y, z] => Ok(([x, y, z], [0.0; 3])),
-                [x, y, z, rx, ry, rz] => Ok(([x, y, z], [rx, ry, rz])),
-                _ => bail!("--goal = {text}; allowed: Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ"),
-            },
-        )?;
-        let [linear, angular] = self.known(
-            "limits",
-            "Limits, m/s and rad/s (LINEAR,ANGULAR)",
+        let pattern = "Pattern, m (SIDE of a square, WIDTHxHEIGHT, or points X,Y;X,Y;...)";
+        let pattern = ask("--pattern", pattern, &self.pattern, None, points)?;
+        let goal = "Goal, m and rad (Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ)";
+        let poses = one_of(&[1, 3, 6], "Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ");
+        let (goal, goal_rotation) = match ask("--goal", goal, &self.goal, None, poses)?[..] {
+            [x, y, z, rx, ry, rz] => ([x, y, z], [rx, ry, rz]),
+            [x, y, z] => ([x, y, z], [0.0; 3]),
+            ref depth => ([0.0, 0.0, depth[0]], [0.0; 3]),
+        };
+        let limits = "Limits, m/s and rad/s (LINEAR,ANGULAR)";
+        let [linear, angular] = ask(
+            "--limits",
+            limits,
             &self.limits,
             Some("0.5,1"),
-            |text| exactly("--limits", text, ','),
+            exactly(','),
         )?;
         let reach = format!("{:.3},{:.3}", 0.75 * goal[2], 2.0 * goal[2]);
-        let depth = self.known(
-            "depth",
-            "Depths of starts, m (NEAR,FAR)",
-            &self.depth,
-            Some(&reach),
-            |text| exactly("--depth", text, ','),
-        )?;
-        let [tilt, roll] = self.known(
-            "turn",
-            "Tilt and roll of starts, rad (TILT,ROLL)",
-            &self.turn,
-            Some("0.5,1.5"),
-            |text| exactly("--turn", text, ','),
-        )?;
+        let depth = "Depths of starts, m (NEAR,FAR)";
+        let depth = ask("--depth", depth, &self.depth, Some(&reach), exactly(','))?;
+        let turn = "Tilt and roll of starts, rad (TILT,ROLL)";
+        let [tilt, roll] = ask("--turn", turn, &self.turn, Some("0.5,1.5"), exactly(','))?;
         let shapes = |flag: &str, texts: &[String]| -> anyhow::Result<Vec<[f64; 4]>> {
-            texts.iter().map(|text| exactly(flag, text, ',')).collect()
+            texts.iter().map(|text| exactly(',')(flag, text)).collect()
         };
+        let (fx, fy) = (focal[0], focal[focal.len() - 1]);
         Ok(Template {
             camera: Camera {
                 width,
@@ -172,78 +169,76 @@ impl New {
         })
     }
 
-    /// The mask as the scene file names it; on a terminal it is asked for where no occlusion is given.
+    /// The mask as the scene file names it; on a terminal it is asked for where no occlusion is
+    /// given.
     fn mask_path(&self) -> anyhow::Result<Option<String>> {
         let mut mask = self.mask.clone();
         if mask.is_none() && self.ellipse.is_empty() && self.boxes.is_empty() {
-            mask = self.known(
-                "mask",
-                "Mask of the occlusions (PNG; empty for none)",
+            let question = "Mask of the occlusions (PNG; empty for none)";
+            mask = ask(
+                "--mask",
+                question,
                 &None,
                 Some(""),
-                |answer| match Path::new(answer) {
+                |flag, answer| match Path::new(answer) {
                     _ if answer.is_empty() => Ok(None),
                     path if path.exists() => Ok(Some(path.to_owned())),
-                    _ => bail!("--mask = {answer}; allowed: a file that is there"),
+                    _ => bail!("{flag} = {answer}; allowed: a file that is there"),
                 },
             )?;
         }
         mask.map(|mask| beside(&self.scene, &mask)).transpose()
     }
+}
 
-    /// What the flag's value means; else, on a terminal, the answer to a question, which is asked again until it means
-    /// something; else the default.
-    fn known<T>(
-        &self,
-        flag: &str,
-        question: &str,
-        given: &Option<String>,
-        default: Option<&str>,
-        read: impl Fn(&str) -> anyhow::Result<T>,
-    ) -> anyhow::Result<T> {
-        if let Some(given) = given {
-            return read(given);
+/// What a flag's value means; else, on a terminal, the answer to a question, which is asked again
+/// until it means something; else the default. `read` takes the flag and the text.
+fn ask<T>(
+    flag: &str,
+    question: &str,
+    given: &Option<String>,
+    default: Option<&str>,
+    read: impl Fn(&str, &str) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    if let Some(given) = given {
+        return read(flag, given);
+    }
+    let stdin = std::io::stdin();
+    while stdin.is_terminal() {
+        let shown = default.filter(|default| !default.is_empty());
+        let hint = shown.map_or(String::new(), |default| format!(" [{default}]"));
+        let mut out = std::io::stderr().lock();
+        write!(out, "{question}{hint}: ").and_then(|()| out.flush())?;
+        let mut line = String::new();
+        if stdin.lock().read_line(&mut line).context("no answer")? == 0 {
+            bail!("no answer to: {question}");
         }
-        let stdin = std::io::stdin();
-        while stdin.is_terminal() {
-            let hint = default
-                .filter(|default| !default.is_empty())
-                .map_or(String::new(), |default| format!(" [{default}]"));
-            let mut out = std::io::stderr().lock();
-            write!(out, "{question}{hint}: ").and_then(|()| out.flush())?;
-            let mut line = String::new();
-            if stdin.lock().read_line(&mut line).context("no answer")? == 0 {
-                bail!("no answer to: {question}");
-            }
-            let answer = match (line.trim(), default) {
-                ("", None) => continue,
-                ("", Some(default)) => default,
-                (answer, _) => answer,
-            };
-            match read(answer) {
-                Ok(value) => return Ok(value),
-                Err(error) => writeln!(out, "{error}")?,
-            }
+        let answer = match (line.trim(), default) {
+            ("", None) => continue,
+            ("", Some(default)) => default,
+            (answer, _) => answer,
+        };
+        match read(flag, answer) {
+            Ok(value) => return Ok(value),
+            Err(error) => writeln!(out, "{error}")?,
         }
-        match default {
-            Some(default) => read(default),
-            None => bail!("--{flag} is missing; {question}"),
-        }
+    }
+    match default {
+        Some(default) => read(flag, default),
+        None => bail!("{flag} is missing; {question}"),
     }
 }
 
 /// Points of the pattern on z = 0, m.
-fn points(text: &str) -> anyhow::Result<Vec<[f64; 3]>> {
+fn points(flag: &str, text: &str) -> anyhow::Result<Vec<[f64; 3]>> {
     if text.contains(';') {
-        return text
-            .split(';')
-            .map(|point| exactly("--pattern", point, ',').map(|[x, y]| [x, y, 0.0]))
-            .collect();
+        let point = |point| exactly(',')(flag, point).map(|[x, y]| [x, y, 0.0]);
+        return text.split(';').map(point).collect();
     }
-    match numbers("--pattern", text, 'x')?[..] {
+    match numbers(flag, text, 'x')?[..] {
         [side] => Ok(Template::rectangle(side, side)),
         [width, height] => Ok(Template::rectangle(width, height)),
-        _ => bail!("--pattern = {text}; allowed: SIDE, WIDTHxHEIGHT, or X,Y;X,Y;..."),
+        _ => bail!("{flag} = {text}; allowed: SIDE, WIDTHxHEIGHT, or X,Y;X,Y;..."),
     }
 }
 
@@ -257,13 +252,37 @@ fn numbers(flag: &str, text: &str, separator: char) -> anyhow::Result<Vec<f64>> 
         .collect()
 }
 
-/// So many of them.
-fn exactly<const N: usize>(flag: &str, text: &str, separator: char) -> anyhow::Result<[f64; N]> {
-    match numbers(flag, text, separator)?.try_into() {
+/// Reads `N` numbers.
+fn exactly<const N: usize>(separator: char) -> impl Fn(&str, &str) -> anyhow::Result<[f64; N]> {
+    move |flag, text| match numbers(flag, text, separator)?.try_into() {
         Ok(numbers) => Ok(numbers),
         Err(_) if N == 1 => bail!("{flag} = {text}; allowed: one number"),
         Err(_) => bail!("{flag} = {text}; allowed: {N} numbers with `{separator}` between them"),
     }
+}
+
+/// Reads as many numbers between commas as one of some counts.
+fn one_of(
+    counts: &'static [usize],
+    allowed: &'static str,
+) -> impl Fn(&str, &str) -> anyhow::Result<Vec<f64>> {
+    move |flag, text| match numbers(flag, text, ',')? {
+        numbers if counts.contains(&numbers.len()) => Ok(numbers),
+        _ => bail!("{flag} = {text}; allowed: {allowed}"),
+    }
+}
+
+/// Whether a pattern looks the same after a quarter turn about its middle, to a tenth of its size.
+fn is_like_a_square(pattern: &[[f64; 3]]) -> bool {
+    let mean = |k: usize| pattern.iter().map(|p| p[k]).sum::<f64>() / pattern.len() as f64;
+    let (x, y) = (mean(0), mean(1));
+    let centred: Vec<[f64; 2]> = pattern.iter().map(|p| [p[0] - x, p[1] - y]).collect();
+    let size = centred.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f64::max);
+    let is_there = |p: [f64; 2]| {
+        let mut gaps = centred.iter().map(|q| (q[0] - p[0]).hypot(q[1] - p[1]));
+        gaps.any(|gap| gap < 0.1 * size)
+    };
+    centred.iter().all(|&[x, y]| is_there([-y, x]))
 }
 
 #[cfg(test)]
@@ -272,11 +291,14 @@ mod tests {
 
     #[test]
     fn a_pattern_is_a_square_a_rectangle_or_points() {
-        assert_eq!(points("0.2").unwrap(), Template::rectangle(0.2, 0.2));
-        assert_eq!(points("0.2x0.1").unwrap()[2], [0.1, 0.05, 0.0]);
-        let four = points("0,0; 1,0; 1,1; -0.5,1").unwrap();
+        assert_eq!(
+            points("--pattern", "0.2").unwrap(),
+            Template::rectangle(0.2, 0.2)
+        );
+        assert_eq!(points("--pattern", "0.2x0.1").unwrap()[2], [0.1, 0.05, 0.0]);
+        let four = points("--pattern", "0,0; 1,0; 1,1; -0.5,1").unwrap();
         assert_eq!((four.len(), four[3]), (4, [-0.5, 1.0, 0.0]));
-        let message = points("0.1x0.1x0.1").unwrap_err().to_string();
+        let message = points("--pattern", "0.1x0.1x0.1").unwrap_err().to_string();
         assert!(
             message.contains("--pattern = 0.1x0.1x0.1; allowed: SIDE"),
             "{message}"
@@ -285,16 +307,23 @@ mod tests {
 
     #[test]
     fn a_wrong_count_names_flag_value_and_what_is_allowed() {
-        let message = exactly::<2>("--image", "640", 'x').unwrap_err().to_string();
+        let message = exactly::<2>('x')("--image", "640").unwrap_err().to_string();
         assert_eq!(
             message,
             "--image = 640; allowed: 2 numbers with `x` between them"
         );
-        let message = exactly::<1>("--rate", "30,60", ',')
+        let message = exactly::<1>(',')("--rate", "30,60")
             .unwrap_err()
             .to_string();
         assert_eq!(message, "--rate = 30,60; allowed: one number");
-        let message = exactly::<1>("--rate", "fast", ',').unwrap_err().to_string();
+        let message = exactly::<1>(',')("--rate", "fast").unwrap_err().to_string();
         assert!(message.contains("--rate = fast"), "{message}");
+    }
+
+    #[test]
+    fn a_square_is_told_from_patterns_that_show_how_they_are_turned() {
+        let like = |text| is_like_a_square(&points("--pattern", text).unwrap());
+        assert!(like("0.12") && like("0.12x0.125"));
+        assert!(!like("0.12x0.08") && !like("0,0; 0.12,0; 0.12,0.12; 0.02,0.08"));
     }
 }

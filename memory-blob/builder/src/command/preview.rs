@@ -12,7 +12,8 @@ use rand_chacha::rand_core::SeedableRng;
 use scene::{Area, Scene};
 use vpc::{Settings, Task, constraint, field};
 
-/// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer side.
+/// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer
+/// side.
 const SQUARE: f64 = 1.0 / 256.0;
 /// Places across an area of a mask at which its thickness is looked for.
 const PLACES: usize = 64;
@@ -86,7 +87,8 @@ impl Preview {
     }
 }
 
-/// Where a feature is nearer to an occlusion than the trigger distance: rows of squares, joined along each row.
+/// Where a feature is nearer to an occlusion than the trigger distance: rows of squares, joined
+/// along each row.
 fn zone(task: &Task, trigger: f64) -> Vec<[f64; 4]> {
     let (width, height) = (task.camera.width, task.camera.height);
     let side = (SQUARE * width.max(height)).max(1.0);
@@ -130,11 +132,12 @@ fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize
     if occlusion.is_finite() {
         let _ = write!(said, ", {occlusion:.0} px from the occlusions");
     }
-    let parts = scene.parts().count();
-    let (masks, areas) = (scene.masks().count(), scene.areas().count());
+    let parts = counted(scene.parts().count(), "part");
+    let masks = counted(scene.masks().count(), "mask");
+    let areas = counted(scene.areas().count(), "area");
     let _ = writeln!(
         said,
-        "\nocclusions  {parts} parts, {masks} masks of {areas} areas; the memory is asked below {trigger:.0} px (orange)"
+        "\nocclusions  {parts}, {masks} of {areas}; the memory is asked below {trigger:.0} px (orange)"
     );
     let share = 100.0 * found as f64 / drawn.max(1) as f64;
     let _ = writeln!(
@@ -158,7 +161,14 @@ fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize
     said
 }
 
-/// How far the camera's translation across the image can move a feature in one period near the goal, px.
+/// A count with its noun.
+fn counted(count: usize, noun: &str) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{count} {noun}{plural}")
+}
+
+/// How far the camera's translation across the image can move a feature in one period near the
+/// goal, px.
 fn stride(task: &Task) -> f64 {
     let nearest = task
         .goal_depth
@@ -169,7 +179,8 @@ fn stride(task: &Task) -> f64 {
     (task.camera.fx * vx).hypot(task.camera.fy * vy) / nearest * task.ts
 }
 
-/// Occlusions with a part or an area that is thinner than this, px: name and thickness of the thinnest.
+/// Occlusions with a part or an area that is thinner than this, px: name and thickness of the
+/// thinnest.
 fn thin(scene: &Scene, stride: f64) -> Vec<(&str, f64)> {
     let thinnest = scene.occlusions.iter().map(|occlusion| {
         let parts = occlusion.parts.iter();
@@ -187,7 +198,7 @@ fn thin(scene: &Scene, stride: f64) -> Vec<(&str, f64)> {
 
 /// Twice the greatest depth that a point in an area can have, px.
 fn thickness(area: &Area) -> f64 {
-    let (low, high) = (area.low(), area.high());
+    let (low, high) = (area.low, area.high);
     let share = |k: usize| (k as f64 + 0.5) / PLACES as f64;
     let depths = (0..PLACES * PLACES).map(|k| {
         let place = [share(k % PLACES), share(k / PLACES)];

@@ -2,23 +2,30 @@
 
 use faer::Mat;
 
-use super::{Kernel, Matrix};
+use super::Kernel;
 
 /// One vector of length D for each of the n inputs.
 #[derive(Clone, Debug)]
-pub(super) struct Inputs {
+pub struct Inputs {
     columns: Vec<Vec<f64>>,
     rows: usize,
 }
 
 impl Inputs {
-    pub(super) fn new(matrix: &Matrix) -> Self {
-        let columns = (0..matrix.columns())
-            .map(|c| matrix.column(c).collect())
-            .collect();
+    /// The inputs in some rows of equal length.
+    pub fn of<'a>(rows: impl IntoIterator<Item = &'a Vec<f64>>) -> Self {
+        let (mut columns, mut count) = (Vec::new(), 0);
+        for row in rows {
+            columns.resize(row.len(), Vec::new());
+            columns
+                .iter_mut()
+                .zip(row)
+                .for_each(|(column, x): (&mut Vec<f64>, _)| column.push(*x));
+            count += 1;
+        }
         Self {
             columns,
-            rows: matrix.rows(),
+            rows: count,
         }
     }
 

@@ -13,11 +13,23 @@ use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::linalg::triangular_solve::solve_upper_triangular_in_place;
 use faer::{Accum, Mat, Par};
 
-use super::inputs::Inputs;
-use super::{Kernel, Matrix, RegressionError};
+use super::Kernel;
+pub use super::inputs::Inputs;
 
 /// Jitters that are tried in turn, as shares of phi_o^2.
 const JITTERS: [f64; 6] = [0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4];
+
+/// The covariance has no Cholesky factor, even with the largest jitter.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "the covariance of {samples} samples is not positive definite, even with a jitter of {jitter:e}: \
+     raise the lower bound of the noise variance"
+)]
+pub struct NotPositiveDefinite {
+    samples: usize,
+    /// In squared output scales.
+    jitter: f64,
+}
 
 /// The Cholesky factor of a covariance with its noise.
 #[derive(Clone, Debug)]
@@ -30,7 +42,7 @@ pub(super) struct Factor {
 
 impl Factor {
     /// Factorises `covariance` (lower triangle) + noise, with the smallest jitter that works.
-    pub(super) fn new(covariance: &Mat<f64>, kernel: &Kernel) -> Result<Self, RegressionError> {
+    pub(super) fn new(covariance: &Mat<f64>, kernel: &Kernel) -> Result<Self, NotPositiveDefinite> {
         let samples = covariance.nrows();
         let request =
             llt::factor::cholesky_in_place_scratch::<f64>(samples, Par::Seq, Default::default());
@@ -53,7 +65,7 @@ impl Factor {
                 return Ok(Self { lower, jitter });
             }
         }
-        Err(RegressionError::NotPositiveDefinite { samples, jitter })
+        Err(NotPositiveDefinite { samples, jitter })
     }
 
     /// Replaces `right` by C^-1 `right`.
@@ -90,33 +102,16 @@ pub struct Likelihood {
 }
 
 impl Likelihood {
-    /// Samples with D x n `inputs` and D x p centred and scaled `outputs`.
-    ///
-    /// # Errors
-    /// When the numbers of rows differ.
-    pub fn new(inputs: &Matrix, outputs: &Matrix) -> Result<Self, RegressionError> {
-        if outputs.rows() != inputs.rows() {
-            let expected = format!("as many as the inputs, {}, are needed", inputs.rows());
-            let found = outputs.rows();
-            return Err(RegressionError::Size {
-                name: "outputs",
-                what: "rows",
-                found,
-                expected,
-            });
-        }
-        let values = Mat::from_fn(outputs.rows(), outputs.columns(), |r, c| outputs.row(r)[c]);
-        Ok(Self {
-            inputs: Inputs::new(inputs),
-            outputs: values,
-        })
+    /// Samples with as many inputs as rows of centred and scaled `outputs`.
+    pub fn new(inputs: Inputs, outputs: Mat<f64>) -> Self {
+        Self { inputs, outputs }
     }
 
     /// L (nats) at `kernel`, which has as many length scales as there are inputs.
     ///
     /// # Errors
-    /// [`RegressionError::NotPositiveDefinite`].
-    pub fn value(&self, kernel: &Kernel) -> Result<f64, RegressionError> {
+    /// [`NotPositiveDefinite`].
+    pub fn value(&self, kernel: &Kernel) -> Result<f64, NotPositiveDefinite> {
         let covariance = self
             .inputs
             .scaled(kernel)
@@ -132,8 +127,11 @@ impl Likelihood {
     /// jitter does not change.
     ///
     /// # Errors
-    /// [`RegressionError::NotPositiveDefinite`].
-    pub fn value_and_gradient(&self, kernel: &Kernel) -> Result<(f64, Vec<f64>), RegressionError> {
+    /// [`NotPositiveDefinite`].
+    pub fn value_and_gradient(
+        &self,
+        kernel: &Kernel,
+    ) -> Result<(f64, Vec<f64>), NotPositiveDefinite> {
         let scaled = self.inputs.scaled(kernel);
         let mut covariance = scaled.covariance(kernel.signal_variance);
         let factor = Factor::new(&covariance, kernel)?;

@@ -5,18 +5,18 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::likelihood::Likelihood;
-use super::{FitSettings, HyperBounds, Kernel, Matrix, moments};
+use super::{FitSettings, HyperBounds, Kernel, moments};
 use crate::lbfgs;
 
 /// The best kernel over all starts and the number of evaluations. Equal values are settled by the
 /// order of the starts, never by which thread came first.
 pub(super) fn search(
-    inputs: &Matrix,
+    inputs: &[Vec<f64>],
     subset: &Likelihood,
     whole: &Likelihood,
     settings: &FitSettings,
 ) -> (Kernel, usize) {
-    let (lower, upper) = box_of(inputs.columns(), &settings.bounds);
+    let (lower, upper) = box_of(inputs[0].len(), &settings.bounds);
     let first = first_start(inputs, &settings.bounds);
     let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
     rng.set_stream(1); // stream 0 draws the subset: a setting of the one must not move the other
@@ -90,21 +90,20 @@ fn box_of(inputs: usize, bounds: &HyperBounds) -> (Vec<f64>, Vec<f64>) {
 
 /// Length scales of sqrt(n) spreads, so that typical samples are about one length apart; phi_o = 1,
 /// phi_s = 0.01.
-pub(super) fn first_start(inputs: &Matrix, bounds: &HyperBounds) -> Vec<f64> {
-    let root = (inputs.columns() as f64).sqrt();
-    let spread = |column| {
-        let (_, deviation) = moments(inputs.column(column));
+pub(super) fn first_start(inputs: &[Vec<f64>], bounds: &HyperBounds) -> Vec<f64> {
+    let columns = inputs[0].len();
+    let root = (columns as f64).sqrt();
+    let spread = |column: usize| {
+        let (_, deviation) = moments(inputs.iter().map(|row| row[column]));
         if deviation > 0.0 {
             deviation * root
         } else {
             1.0
         }
     };
-    let mut start: Vec<f64> = (0..inputs.columns())
-        .map(|column| spread(column).ln())
-        .collect();
-    start.extend([0.0, 0.01f64.ln()]);
-    let (lower, upper) = box_of(inputs.columns(), bounds);
+    let lengths = (0..columns).map(|column| spread(column).ln());
+    let start: Vec<f64> = lengths.chain([0.0, 0.01f64.ln()]).collect();
+    let (lower, upper) = box_of(columns, bounds);
     start
         .iter()
         .zip(lower.iter().zip(upper))
@@ -157,7 +156,6 @@ mod tests {
                 point: vec![at],
                 value,
                 evaluations: 1,
-                ending: lbfgs::Ending::Value,
             })
         };
         let ends = vec![

@@ -1,0 +1,220 @@
+//! The tables of a configuration file: every key with its default, range and meaning.
+
+use std::path::PathBuf;
+
+use ipc::ClockMode;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
+use vpc::Strategy;
+
+/// Paths are relative to the file. A flag of the command line wins over the file.
+#[derive(Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(title = "vpcd")]
+pub struct Tables {
+    /// The scene file: camera, pattern, goal, limits, occlusions. The control period is that of its `camera.rate_hz`.
+    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    pub scene: PathBuf,
+    /// The memory of motion, made by `vpc-memory build` for exactly this scene. The strategies knn and gpr need one; it is
+    /// opened whenever it is named, so that an operator can change to them later. Flag: --memory.
+    pub memory: Option<PathBuf>,
+    #[serde(default)]
+    pub law: Law,
+    #[serde(default)]
+    pub cycle: Cycle,
+    #[serde(default)]
+    pub safety: Safety,
+    #[serde(default)]
+    pub ipc: Ipc,
+    #[serde(default)]
+    pub realtime: Realtime,
+    #[serde(default)]
+    pub log: Log,
+    #[serde(default)]
+    pub flight: Flight,
+}
+
+/// The control law.
+#[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields, default)]
+pub struct Law {
+    /// Where warm start and target come from: the previous cycle (`previous`), the nearest sample of the memory (`knn`) or
+    /// the mean of several (`knn5`), or regression over the memory (`gpr`); `ibvs` is the classic law without prediction.
+    /// Flag: --strategy.
+    #[default = "previous"]
+    #[schemars(extend("enum" = strategies(), "x-allowed" = "previous, knn, knn2 to knn64, gpr, ibvs"))]
+    pub strategy: String,
+    /// Steps of the preview. Flag: --np.
+    #[default = 3]
+    #[schemars(range(min = 1, max = vpc::MAX_NP))]
+    pub np: usize,
+    /// Free commands in the preview.
+    #[default = 1]
+    #[schemars(range(min = 1, max = vpc::MAX_NC), extend("x-allowed" = "1 to 4, at most np"))]
+    pub nc: usize,
+    /// Most iterations of the solver.
+    #[default = 10]
+    #[schemars(range(min = 1, max = 1000))]
+    pub iterations: u32,
+    /// Optimality at which the solver stops.
+    #[default = 1e-3]
+    #[schemars(range(min = 1e-15, max = 1))]
+    pub tolerance: f64,
+    /// How features are predicted.
+    #[serde(with = "Model")]
+    pub model: vpc::Model,
+    /// The memory is asked when a feature comes this close to an occlusion.
+    #[default = 20.0]
+    #[schemars(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
+    pub trigger_px: f64,
+    /// The memory is asked until every feature is this many times `trigger_px` away.
+    #[default = 2.0]
+    #[schemars(range(min = 1, max = 100))]
+    pub hysteresis: f64,
+    /// Clearance kept from every border.
+    #[schemars(range(min = 0, max = 1e3), extend("x-unit" = "px"))]
+    pub margin_px: f64,
+    /// Gain of ibvs.
+    #[default = 0.5]
+    #[schemars(range(min = 1e-6, max = 100), extend("x-unit" = "per s"))]
+    pub lambda: f64,
+    /// Whether a stall beside an occlusion is left by a detour over a sample of the memory (knn, gpr).
+    #[default = true]
+    pub detour: bool,
+    /// Whether features are advanced from their exposure to now by the commands sent since.
+    #[default = true]
+    pub delay_compensation: bool,
+}
+
+/// Every word that is a strategy.
+fn strategies() -> Vec<String> {
+    let averaged = (2..).map(|k| format!("knn{k}"));
+    let averaged = averaged.take_while(|word| word.parse::<Strategy>().is_ok());
+    let named = ["previous", "knn", "gpr", "ibvs"].map(str::to_owned);
+    named.into_iter().chain(averaged).collect()
+}
+
+/// The words of `law.model`.
+#[derive(Deserialize, Serialize, JsonSchema)]
+#[serde(remote = "vpc::Model", rename_all = "kebab-case")]
+pub enum Model {
+    /// With the depths that the points have at the goal, as in the paper.
+    TargetDepth,
+    /// With one depth, from the area of the features.
+    AreaDepth,
+    /// By the pose of the known pattern.
+    Pose,
+}
+
+/// When a cycle runs.
+#[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields, default)]
+pub struct Cycle {
+    /// What starts a cycle. Flag: --clock.
+    pub clock: Clock,
+    /// With clock `phase`, a cycle begins this long after its features are expected.
+    #[default = 1.0]
+    #[schemars(range(min = 0, max = 20), extend("x-unit" = "ms"))]
+    pub margin_ms: f64,
+    /// Longest time that a command stands without new features.
+    #[default = 3.0]
+    #[schemars(range(min = 2, max = 1000), extend("x-unit" = "periods"))]
+    pub stale_periods: f64,
+}
+
+/// The words of `cycle.clock`.
+#[derive(Clone, Copy, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Clock {
+    /// A grid in time at the scene's rate.
+    #[default]
+    Fixed,
+    /// The same grid, following the camera's frames.
+    Phase,
+    /// Each features message.
+    Lockstep,
+}
+
+impl From<Clock> for ClockMode {
+    fn from(clock: Clock) -> Self {
+        match clock {
+            Clock::Fixed => Self::Fixed,
+            Clock::Phase => Self::Phase,
+            Clock::Lockstep => Self::Lockstep,
+        }
+    }
+}
+
+/// What the supervisor goes by.
+#[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields, default)]
+pub struct Safety {
+    /// Whether the controller starts armed. Flag: --arm.
+    #[schemars(extend("x-default" = "true in lockstep, where no arm moves, else false"))]
+    pub armed: Option<bool>,
+    /// Time in which a twist at the limits is braked to zero; not in lockstep.
+    #[default = 0.15]
+    #[schemars(range(min = 0, max = 0.15), extend("x-unit" = "s"))]
+    pub brake_s: f64,
+    /// Time without usable features, or without a message of the robot, after which the controller disarms; at least two
+    /// periods more than `cycle.stale_periods`; not in lockstep.
+    #[default = 0.3]
+    #[schemars(range(min = 0.1, max = 10), extend("x-unit" = "s"))]
+    pub lost_s: f64,
+}
+
+/// The shared memory.
+#[derive(Default, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ipc {
+    /// Directory of the domain, the same for all who are to meet. Flag: --domain.
+    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    pub domain: Option<PathBuf>,
+}
+
+/// Real time.
+#[derive(Default, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Realtime {
+    /// SCHED_FIFO priority of the loop, which also locks the memory; without it the loop is an ordinary thread. `vpcd
+    /// --preflight` tells what the machine lacks for it.
+    #[schemars(range(min = 1, max = 99))]
+    pub priority: Option<i32>,
+    /// Processor that the loop's thread stays on, if on one; needs `realtime.priority`.
+    #[schemars(range(min = 0, max = 1023))]
+    pub cpu: Option<usize>,
+}
+
+/// The log: to the journal, or else to standard error.
+#[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields, default)]
+pub struct Log {
+    /// Least severity of what is logged.
+    #[default = "info"]
+    #[schemars(extend("enum" = ["off", "error", "warn", "info", "debug", "trace"]))]
+    pub level: String,
+    /// Form of lines on standard error.
+    #[default = "text"]
+    #[schemars(extend("enum" = ["text", "json"]))]
+    pub format: String,
+}
+
+/// The flight record: the last minutes of the loop, kept in memory and written on a fault or on request.
+#[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields, default)]
+pub struct Flight {
+    /// Where flight records are written; made if it is missing.
+    #[schemars(extend("x-default" = "the domain's name with `-flight`"))]
+    pub directory: Option<PathBuf>,
+    /// Time kept in memory, at the scene's rate; in all at most a quarter of the machine's memory.
+    #[default = 5.0]
+    #[schemars(range(min = 0.1, max = 60), extend("x-unit" = "min"))]
+    pub minutes: f64,
+    /// Files kept, the newest ones.
+    #[default = 10]
+    #[schemars(range(min = 1, max = 1000), extend("x-unit" = "files"))]
+    pub keep: usize,
+    /// Whether a record is also written when the daemon ends.
+    pub at_exit: bool,
+}

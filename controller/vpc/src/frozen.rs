@@ -1,0 +1,72 @@
+//! The frozen-image check: a driver may hand out its last image for ever, with fresh stamps.
+
+use crate::Points;
+use crate::measurement::Refusal;
+
+/// Commanded motion of the image in which not one bit of the features changed that shows a frozen
+/// image, px.
+const FROZEN_PX: f64 = 3.0;
+
+/// Compares features with those `before`; `expected` is where the commands should have moved them.
+/// Real features never repeat to the last bit under motion. At rest and without noise they do, and
+/// no motion is expected. `still_px` is the largest expected motion of a point since the bits
+/// changed, summed over the frames, px.
+///
+/// # Errors
+/// [`Refusal::Frozen`] where more motion was commanded than a live image can hide.
+pub fn check(
+    still_px: &mut f64,
+    points: &Points,
+    before: &Points,
+    expected: &Points,
+) -> Result<(), Refusal> {
+    let motions = expected.iter().zip(before);
+    let moved_px = motions
+        .map(|(e, b)| libm::hypot(e[0] - b[0], e[1] - b[1]))
+        .fold(0.0, f64::max);
+    let mut pairs = points.iter().flatten().zip(before.iter().flatten());
+    let is_same = pairs.all(|(now, before)| now.to_bits() == before.to_bits());
+    if moved_px == 0.0 || !is_same {
+        *still_px = 0.0;
+        return Ok(());
+    }
+    *still_px += moved_px;
+    match *still_px > FROZEN_PX {
+        true => Err(Refusal::Frozen {
+            expected_px: *still_px,
+        }),
+        false => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Task;
+
+    #[test]
+    fn an_image_that_ignores_the_commands_to_the_last_bit_is_frozen() {
+        let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let points = Task::new(&scene).unwrap().goal;
+        let mut still_px = 0.0;
+        let mut frame = |points: &Points, before: &Points, by: f64| {
+            check(
+                &mut still_px,
+                points,
+                before,
+                &before.iter().map(|p| [p[0] + by, p[1]]).collect(),
+            )
+        };
+        assert_eq!(frame(&points, &points, 1.4), Ok(()));
+        assert_eq!(frame(&points, &points, 1.4), Ok(()));
+        let refusal = frame(&points, &points, 1.4);
+        assert!(matches!(refusal, Err(Refusal::Frozen { .. })));
+        // No motion, or one bit that changes, and nothing is wrong.
+        assert_eq!(frame(&points, &points, 0.0), Ok(()));
+        assert_eq!(frame(&points, &points, 2.0), Ok(()));
+        let mut changed = points.clone();
+        changed[2][1] = f64::from_bits(changed[2][1].to_bits() + 1);
+        assert_eq!(frame(&changed, &points, 2.0), Ok(()));
+        assert_eq!(frame(&changed, &changed, 2.0), Ok(()));
+    }
+}

@@ -1,0 +1,86 @@
+//! Measured features, and why they may be refused.
+
+use crate::{MAX_POINTS, Points};
+
+/// Measured features, px, in the order of the pattern.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    /// The points (u, v).
+    pub points: Points,
+    /// When they were exposed, ns.
+    pub exposed_ns: u64,
+    /// When the command that answers them takes effect, on the same clock, ns.
+    pub effective_ns: u64,
+}
+
+impl Measurement {
+    /// A measurement of these points, of this very instant; those past [`MAX_POINTS`] are left out,
+    /// and the gate then refuses the count.
+    pub fn from_points(points: &[[f64; 2]]) -> Self {
+        Self {
+            points: points.iter().copied().take(MAX_POINTS).collect(),
+            exposed_ns: 0,
+            effective_ns: 0,
+        }
+    }
+
+    /// The same points, exposed at `exposed_ns`, for a command that takes effect at `effective_ns`.
+    /// An exposure after that counts as one of that instant.
+    pub fn taken(mut self, exposed_ns: u64, effective_ns: u64) -> Self {
+        (self.exposed_ns, self.effective_ns) = (exposed_ns.min(effective_ns), effective_ns);
+        self
+    }
+
+    /// Time from the exposure to the command's effect, ns.
+    pub fn age_ns(&self) -> u64 {
+        self.effective_ns.saturating_sub(self.exposed_ns)
+    }
+}
+
+/// Why a measurement was refused; the command for such a cycle is zero. Points are counted from 0.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // the messages say it
+pub enum Refusal {
+    #[error("features: {found} points; allowed: the pattern's {expected}")]
+    Count { found: usize, expected: usize },
+    #[error("features: point {point} is not finite; allowed: finite pixels")]
+    NotFinite { point: usize },
+    /// By more than the scene's tolerance.
+    #[error("features: point {point} = ({:.1}, {:.1}) px; allowed: inside the image", .pixel[0], .pixel[1])]
+    OffImage { point: usize, pixel: [f64; 2] },
+    #[error(
+        "features: points {} and {} lie in each other's places; allowed: the order of the pattern",
+        .points[0], .points[1]
+    )]
+    Mixed { points: [usize; 2] },
+    #[error(
+        "features: point {point} lies {by_px:.0} px from where the motion of the others leads; allowed: a few times theirs"
+    )]
+    Leap { point: usize, by_px: f64 },
+    #[error("features: points {} and {} lie in one place; allowed: a view of the pattern", .points[0], .points[1])]
+    Coincident { points: [usize; 2] },
+    #[error(
+        "features: all points lie on a line, within {height_px:.2} px; allowed: a view of the pattern"
+    )]
+    Flat { height_px: f64 },
+    #[error(
+        "features: unchanged to the last bit where {expected_px:.1} px of motion were commanded; allowed: an image that moves"
+    )]
+    Frozen { expected_px: f64 },
+    /// The command takes effect `age_ns` after the exposure, and the commands are known for the
+    /// last `known_ns` only: where the features are by then is unknown.
+    #[error(
+        "features: exposed {:.1} ms ago; allowed: {:.1} ms, since when the commands are known",
+        ms(.age_ns), ms(.known_ns)
+    )]
+    Late { age_ns: u64, known_ns: u64 },
+    /// By the commands sent since the exposure, the pattern is behind the camera now.
+    #[error(
+        "features: the pattern is out of sight by the commands since the exposure; allowed: in front of the camera"
+    )]
+    Lost,
+}
+
+fn ms(ns: &u64) -> f64 {
+    *ns as f64 * 1e-6
+}

@@ -1,0 +1,104 @@
+//! The optimal-control problem of one cycle, and what a solution of it is.
+//!
+//! Source: paper, Eq. (vpc).
+
+use crate::prediction::{InitialState, Plan};
+use crate::task::Task;
+use crate::{MAX_VARIABLES, Points, constraint};
+
+/// When the solver stops.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolverOptions {
+    /// Most iterations of sequential quadratic programming.
+    pub max_iterations: u32,
+    /// Optimality: stop when the predicted decrease of the merit is below this share of the merit.
+    pub tolerance: f64,
+}
+
+/// The problem of one cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct Problem<'a> {
+    /// Camera, pattern, weights, limits, occlusions.
+    pub task: &'a Task,
+    /// Where the preview starts.
+    pub initial: &'a InitialState,
+    /// What the features track: goal or way point, less the mismatch, px.
+    pub target: &'a Points,
+    /// Share of R that applies, 0 to 1.
+    pub r_share: f64,
+    /// Extra clearance kept from every border, px.
+    pub margin: f64,
+}
+
+impl Problem<'_> {
+    /// The greatest violation among some points, px: of the initial ones, that of standing still.
+    pub fn worst_violation(&self, points: &[[f64; 2]]) -> f64 {
+        let violation = |&pixel: &[f64; 2]| constraint::violation(self.task, pixel, self.margin);
+        points.iter().map(violation).fold(0.0, f64::max)
+    }
+}
+
+/// How a solution ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// Optimal to the tolerance, and no constraint violated.
+    Converged,
+    /// Feasible and finite, but the iterations or the work ran out.
+    IterationLimit,
+    /// The line search found no decrease: the plan is optimal to what the model's accuracy allows.
+    Stalled,
+    /// The best plan found violates a constraint somewhere in the window.
+    Infeasible,
+    /// No plan could be computed; the solution is the zero twist.
+    NumericalFailure,
+}
+
+impl Status {
+    /// Whether the solver ended by itself, with a feasible plan.
+    pub fn is_success(self) -> bool {
+        matches!(self, Self::Converged | Self::Stalled)
+    }
+
+    /// Whether the plan violates no constraint.
+    pub fn is_feasible(self) -> bool {
+        self.is_success() || self == Self::IterationLimit
+    }
+}
+
+/// The solution of one cycle's problem.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solution {
+    /// The commands; the first one is sent.
+    pub plan: Plan,
+    /// How it ended.
+    pub status: Status,
+    /// Iterations of sequential quadratic programming.
+    pub iterations: u32,
+    /// Active-set changes in all quadratic programs.
+    pub qp_iterations: u32,
+    /// Counted [work](crate::work).
+    pub work: u32,
+    /// Cost of the plan.
+    pub cost: f64,
+    /// Cost plus weighted violation.
+    pub merit: f64,
+    /// Greatest predicted violation over the window, px.
+    pub violation_px: f64,
+    /// Greatest predicted violation at the first step, px.
+    pub next_violation_px: f64,
+}
+
+impl Solution {
+    /// The solution of a problem that has none: the zero twist.
+    pub(crate) const NONE: Self = Self {
+        plan: [0.0; MAX_VARIABLES],
+        status: Status::NumericalFailure,
+        iterations: 0,
+        qp_iterations: 0,
+        work: 0,
+        cost: f64::INFINITY,
+        merit: f64::INFINITY,
+        violation_px: f64::INFINITY,
+        next_violation_px: f64::INFINITY,
+    };
+}

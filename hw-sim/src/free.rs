@@ -1,0 +1,175 @@
+//! The paper's hand-held camera: it moves exactly as told, at once. A command takes effect when it
+//! was sent.
+
+use ipc::RobotState;
+use scene::{Pose, Scene};
+
+use crate::camera::{FreeCamera, Points};
+use crate::cell::{self, Cell, Exposed, Observation, Order};
+use crate::eye::{EyeError, Shot};
+use crate::progress::Progress;
+use crate::referee::End;
+use crate::sensor::{Flaws, Sensor};
+use crate::standing::Standing;
+
+/// A camera that is free to move.
+#[derive(Clone, Debug)]
+pub struct FreeCell {
+    scene: Scene,
+    camera: FreeCamera,
+    sensor: Sensor,
+    delay_frames: u64,
+    time_limit_s: f64,
+    progress: Progress,
+    standing: Standing,
+    epoch_ns: u64,
+    /// The instant of the camera's pose.
+    now_ns: u64,
+}
+
+impl FreeCell {
+    /// A camera that sees the object at `start`. Without a limit of time its run never ends.
+    pub fn new(scene: &Scene, start: &Pose, flaws: Flaws, time_limit_s: f64) -> Self {
+        Self {
+            scene: scene.clone(),
+            camera: FreeCamera::new(scene, start),
+            sensor: Sensor::new(flaws),
+            delay_frames: flaws.delay_frames as u64,
+            time_limit_s,
+            progress: Progress::new(scene),
+            standing: Standing::default(),
+            epoch_ns: 0,
+            now_ns: 0,
+        }
+    }
+
+    /// Moves the camera to an instant by the command, for as long as that holds.
+    fn carry(&mut self, to_ns: u64) {
+        let end_ns = to_ns.min(self.standing.until_ns());
+        let seconds = end_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
+        self.camera.advance(&self.standing.twist(), seconds);
+        self.now_ns = to_ns.max(self.now_ns);
+    }
+
+    fn judge(&mut self, points: &Points) {
+        let end = self.progress.judge(points);
+        let is_late = self.progress.time_s >= self.time_limit_s;
+        if let Some(end) = end.or(is_late.then_some(End::TimeOut))
+            && self.time_limit_s.is_finite()
+        {
+            self.progress.finish(end);
+        }
+    }
+}
+
+impl Cell for FreeCell {
+    fn begin(&mut self, epoch_ns: u64) {
+        (self.epoch_ns, self.now_ns) = (epoch_ns, epoch_ns);
+    }
+
+    fn due_ns(&self) -> u64 {
+        let elapsed_s = self.progress.frames as f64 * self.scene.sampling_time();
+        self.epoch_ns + (1e9 * elapsed_s).round() as u64
+    }
+
+    fn obey(&mut self, order: &Order) {
+        if order.is_armed {
+            self.progress.begin(self.now_ns);
+        }
+        self.carry(order.sent_ns);
+        self.standing = Standing::new(&order.twist, order.until_ns, &self.scene.limits);
+        self.progress.limited += u64::from(self.standing.was_limited());
+    }
+
+    fn look(&mut self, now_ns: u64) -> Result<Observation, EyeError> {
+        self.carry(now_ns);
+        self.progress.tick(now_ns);
+        let Ok(points) = self.camera.features() else {
+            self.progress.finish(End::LostSight);
+            return Ok(Observation::default());
+        };
+        self.judge(&points);
+        if self.progress.end.is_some() {
+            return Ok(Observation::default());
+        }
+        self.progress.frames += 1;
+        let frame = self.sensor.expose(&points, now_ns);
+        let shot = frame.map(|frame| Shot {
+            // Frames are numbered as they are exposed: a lost one shows as a gap.
+            number: self.progress.frames - self.delay_frames,
+            stamp_ns: frame.exposure_ns,
+            visible: (1 << frame.points.len()) - 1,
+            points: frame.points,
+        });
+        let object = self.camera.pose;
+        let exposed = Some(Exposed { points, object });
+        Ok(Observation { exposed, shot })
+    }
+
+    fn advance(&mut self) {}
+
+    fn progress(&mut self) -> &mut Progress {
+        &mut self.progress
+    }
+
+    fn aimed(&self) -> [f64; 6] {
+        self.standing.twist_at(self.now_ns)
+    }
+
+    fn is_stale(&self) -> bool {
+        self.standing.is_stale(self.now_ns)
+    }
+
+    fn state(&self) -> RobotState {
+        let (stale, limited) = (self.is_stale(), self.standing.was_limited());
+        let pose = &self.camera.pose;
+        let mut state = cell::state(&self.progress, pose, self.now_ns, stale, limited);
+        state.twist = self.aimed();
+        state
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_carries_the_camera_from_when_it_was_sent_for_as_long_as_it_is_valid() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let mut cell = FreeCell::new(&scene, &scene.goal, Flaws::default(), 15.0);
+        cell.begin(1_000_000_000);
+        cell.obey(&Order {
+            twist: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0],
+            sent_ns: 1_010_000_000,
+            until_ns: 1_100_000_000,
+            is_armed: true,
+        });
+        let mut moved = |to_ns: u64| {
+            let before = cell.camera.pose.translation.x;
+            cell.look(to_ns).unwrap();
+            before - cell.camera.pose.translation.x
+        };
+        assert!((moved(1_030_000_000) - 0.002).abs() < 1e-12);
+        // 70 ms are left of the 100.
+        assert!((moved(1_200_000_000) - 0.007).abs() < 1e-12);
+        assert_eq!(moved(1_300_000_000), 0.0);
+        assert!(cell.is_stale() && cell.aimed() == [0.0; 6]);
+    }
+
+    #[test]
+    fn frames_are_numbered_as_they_are_exposed_and_due_at_whole_periods() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let flaws = Flaws {
+            delay_frames: 2,
+            ..Flaws::default()
+        };
+        let mut cell = FreeCell::new(&scene, &scene.goal, flaws, f64::INFINITY);
+        let mut numbers = Vec::new();
+        for _ in 0..4 {
+            let now_ns = cell.due_ns();
+            let shot = cell.look(now_ns).unwrap().shot;
+            numbers.push(shot.map(|shot| (shot.number, shot.stamp_ns)));
+        }
+        assert_eq!(numbers, [None, None, Some((1, 0)), Some((2, 33_333_333))]);
+    }
+}

@@ -1,0 +1,149 @@
+//! What a run came to: a line of JSON for programs, a sentence for people.
+
+use serde::Serialize;
+
+use crate::lateness::LatenessReport;
+use crate::progress::Progress;
+use crate::referee::End;
+use crate::robot::inspector::ArmReport;
+
+/// What a run came to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outcome {
+    /// Which start, from 0.
+    pub start: usize,
+    /// `arrived`, `violation`, `time_out`, `lost_sight` or `stopped`; of an arm, too, `reflex`, and
+    /// `arm_violation` where it arrived but its referee saw a limit exceeded.
+    pub verdict: &'static str,
+    /// Seconds from start to verdict.
+    pub time_s: f64,
+    /// Frames exposed.
+    pub frames: u64,
+    /// Frames after which the camera stood still for want of a valid command.
+    pub stale: u64,
+    /// Commands that were outside the limits.
+    pub limited: u64,
+    /// Largest component of s - s* at the end, px.
+    pub error_px: f64,
+    /// Least signed distance of any point from an occlusion or the border, px; negative inside.
+    pub least_clearance_px: f64,
+    /// The depth from which on being inside is a violation, px: `success.violation_px` of the
+    /// scene.
+    pub violation_px: f64,
+    /// The violation, in words.
+    pub violation: Option<String>,
+    /// Of an arm: what the sequence was about at the end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step: Option<&'static str>,
+    /// Of an arm: seconds until the features were at the goal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arrived_s: Option<f64>,
+    /// Of an arm: what its referee reports.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arm: Option<ArmReport>,
+    /// Of an arm on the fixed clock: how late its milliseconds began.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lateness: Option<LatenessReport>,
+}
+
+impl Outcome {
+    /// Of a run from this start, without what only an arm knows.
+    pub fn new(start: usize, progress: &Progress, violation_px: f64) -> Self {
+        let (verdict, violation) = match &progress.end {
+            None => ("stopped", None),
+            Some(End::Arrived) => ("arrived", None),
+            Some(End::TimeOut) => ("time_out", None),
+            Some(End::LostSight) => ("lost_sight", None),
+            Some(End::Reflex) => ("reflex", None),
+            Some(End::Violation(violation)) => ("violation", Some(violation.to_string())),
+        };
+        Self {
+            start,
+            verdict,
+            time_s: rounded(progress.time_s),
+            frames: progress.frames,
+            stale: progress.stale,
+            limited: progress.limited,
+            error_px: rounded(progress.error_px),
+            least_clearance_px: rounded(progress.referee.least_clearance()),
+            violation_px,
+            violation,
+            step: None,
+            arrived_s: None,
+            arm: None,
+            lateness: None,
+        }
+    }
+
+    /// Whether the goal was reached without a violation.
+    pub fn is_success(&self) -> bool {
+        self.verdict == "arrived"
+    }
+
+    /// The outcome as a sentence.
+    pub fn sentence(&self) -> String {
+        let after = format!("after {:.1} s", self.time_s);
+        let error = format!("{:.1} px from the goal", self.error_px);
+        match (self.verdict, &self.violation) {
+            ("arrived", _) => format!("arrived at the goal {after}; {}", self.clearance()),
+            ("time_out", _) => format!("did not arrive in time: {error} {after}"),
+            ("lost_sight", _) => format!("lost sight of the pattern {after}"),
+            ("reflex", _) => format!("the robot stopped itself {after}, {error}"),
+            ("arm_violation", _) => format!("arrived {after}, but the robot exceeded its limits"),
+            (_, Some(violation)) => format!("violation {after}: {violation}"),
+            _ => format!("stopped {after}, {error}"),
+        }
+    }
+
+    fn clearance(&self) -> String {
+        let (least, allowed) = (self.least_clearance_px, self.violation_px);
+        if least < 0.0 {
+            let depth = -least;
+            format!("at most {depth:.1} px deep in an occlusion; the scene allows {allowed} px")
+        } else {
+            format!("{least:.1} px from occlusions and border, or more")
+        }
+    }
+}
+
+/// To thousandths: more digits say nothing.
+fn rounded(x: f64) -> f64 {
+    (x * 1e3).round() * 1e-3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Points;
+    use scene::Scene;
+
+    fn outcome(point: [f64; 2], end: Option<End>) -> Outcome {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let mut progress = Progress::new(&scene);
+        let points: Points = [point].into_iter().collect();
+        progress.judge(&points);
+        (progress.time_s, progress.end) = (1.43, end);
+        Outcome::new(0, &progress, scene.success.violation_px)
+    }
+
+    #[test]
+    fn a_depth_that_the_scene_allows_is_told_with_what_is_allowed() {
+        // Half a pixel inside the spot about (850, 560) of radius 75.
+        let inside = outcome([775.5, 560.0], Some(End::Arrived));
+        let expected = "arrived at the goal after 1.4 s; at most 0.5 px deep in an occlusion; the scene allows 15 px";
+        assert_eq!(inside.sentence(), expected);
+        assert!(inside.is_success() && inside.violation.is_none());
+        let clear = outcome([755.0, 560.0], Some(End::Arrived)).sentence();
+        assert!(
+            clear.ends_with("20.0 px from occlusions and border, or more"),
+            "{clear}"
+        );
+    }
+
+    #[test]
+    fn a_run_that_was_not_decided_was_stopped() {
+        let stopped = outcome([755.0, 560.0], None);
+        assert_eq!((stopped.verdict, stopped.is_success()), ("stopped", false));
+        assert!(stopped.sentence().starts_with("stopped after 1.4 s"));
+    }
+}

@@ -1,0 +1,77 @@
+//! How far a run has come, and how it ended: the same for every carrier.
+
+use scene::Scene;
+
+use crate::camera::Points;
+use crate::referee::{End, Referee};
+
+/// A run so far.
+#[derive(Clone, Debug)]
+pub struct Progress {
+    /// Judges the true features.
+    pub referee: Referee,
+    /// Seconds since the first command of an armed controller; 0 before.
+    pub time_s: f64,
+    /// Frames exposed.
+    pub frames: u64,
+    /// Frames after the beginning at which no valid command was there, so that the camera stood
+    /// still.
+    pub stale: u64,
+    /// Commands that were outside the limits.
+    pub limited: u64,
+    /// Largest component of the true s - s* at the last exposure, px.
+    pub error_px: f64,
+    /// Seconds until the features were first at the goal.
+    pub arrived_s: Option<f64>,
+    /// How it ended, once it has.
+    pub end: Option<End>,
+    begun_ns: Option<u64>,
+}
+
+impl Progress {
+    /// A run that has not begun.
+    pub fn new(scene: &Scene) -> Self {
+        Self {
+            referee: Referee::new(scene),
+            time_s: 0.0,
+            frames: 0,
+            stale: 0,
+            limited: 0,
+            error_px: f64::INFINITY,
+            arrived_s: None,
+            end: None,
+            begun_ns: None,
+        }
+    }
+
+    /// Whether an armed controller has commanded.
+    pub fn has_begun(&self) -> bool {
+        self.begun_ns.is_some()
+    }
+
+    /// An armed controller commands: the first time, the run begins.
+    pub fn begin(&mut self, now_ns: u64) {
+        self.begun_ns.get_or_insert(now_ns);
+    }
+
+    /// The time is now this instant, ns.
+    pub fn tick(&mut self, now_ns: u64) {
+        let begun = self.begun_ns.unwrap_or(now_ns);
+        self.time_s = now_ns.saturating_sub(begun) as f64 * 1e-9;
+    }
+
+    /// Has the referee judge the true features; returns its judgement.
+    pub fn judge(&mut self, points: &Points) -> Option<End> {
+        self.error_px = self.referee.error(points);
+        let end = self.referee.judge(points);
+        if end == Some(End::Arrived) {
+            self.arrived_s.get_or_insert(self.time_s);
+        }
+        end
+    }
+
+    /// Ends the run, unless it has ended before.
+    pub fn finish(&mut self, end: End) {
+        self.end.get_or_insert(end);
+    }
+}

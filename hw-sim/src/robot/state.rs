@@ -1,0 +1,99 @@
+//! What an arm adds to the state of the cell: beyond the contract's fields it stands in `room`, as
+//! `CONTRACT.md` lists.
+
+use ipc::{RobotFaults, RobotMode, RobotState};
+use panda::{Errors, Flag, JOINTS, Mode, State};
+
+use super::sequence::Phase;
+use crate::cell::raise;
+
+/// Adds the robot's own state and the step of the sequence.
+pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: Phase) {
+    state.joints = JOINTS as u32;
+    (state.q, state.dq) = (told.q.into(), told.dq.into());
+    state.room = [
+        f64::from(told.robot_mode as u32 + 1),
+        f64::from(bits(told.current_errors)),
+        f64::from(bits(told.last_motion_errors)),
+        told.control_command_success_rate,
+        f64::from(phase as u32 + 1),
+        f64::from(gripper(phase)),
+        0.0,
+        0.0,
+    ];
+    let is_reflex = told.robot_mode == Mode::Reflex;
+    if is_reflex
+        || matches!(
+            told.robot_mode,
+            Mode::UserStopped | Mode::AutomaticErrorRecovery
+        )
+    {
+        state.mode = RobotMode::Fault.code();
+    }
+    let mut errors = told.current_errors.flags();
+    let is_outside = errors.any(|flag| flag.name().contains("position_limits"));
+    raise(state, RobotFaults::REFLEX, is_reflex);
+    raise(state, RobotFaults::JOINT_LIMIT, is_outside);
+}
+
+/// A bit for each flag, in the order of [`Flag::ALL`], which the contract lists.
+fn bits(errors: Errors) -> u32 {
+    let set = |(bit, &flag): (usize, &Flag)| u32::from(errors.contains(flag)) << bit;
+    Flag::ALL.iter().enumerate().map(set).sum()
+}
+
+/// 1 holding, 2 opening, 3 open.
+fn gripper(phase: Phase) -> u32 {
+    match phase {
+        Phase::Releasing => 2,
+        Phase::Retreating | Phase::Done => 3,
+        _ => 1,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use scene::Scene;
+
+    use super::*;
+    use crate::cell::{Cell, Order};
+    use crate::robot::rig::{Rig, RigSettings};
+
+    #[test]
+    fn the_bits_of_errors_are_those_that_the_contract_lists() {
+        let contract = include_str!("../../../ipc/CONTRACT.md");
+        for (name, bit) in [
+            ("joint_position_limits_violation", 0),
+            ("cartesian_velocity_violation", 3),
+            ("communication_constraints_violation", 15),
+        ] {
+            let flag = Flag::ALL.iter().find(|flag| flag.name() == name).unwrap();
+            assert_eq!(bits(Errors::from(*flag)), 1 << bit);
+            assert!(contract.contains(&format!("{bit} {name}")));
+        }
+        assert_eq!(Flag::ALL.len(), 16);
+    }
+
+    #[test]
+    fn a_robot_in_reflex_is_at_fault_and_says_why() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let mut settings = RigSettings::new(&scene);
+        settings.arm.shaping = crate::robot::bridge::Shaping::Off;
+        let mut rig = Rig::new(&scene, &scene.goal, &settings).unwrap();
+        assert_eq!(rig.state().mode(), Some(RobotMode::Idle));
+        rig.obey(&Order {
+            twist: [0.01, 0.0, 0.0, 0.0, 0.0, 0.03],
+            sent_ns: 0,
+            until_ns: u64::MAX,
+            is_armed: true,
+        });
+        for ms in 0..10 {
+            rig.look(ms * 1_000_000).unwrap();
+            rig.advance();
+        }
+        let state = rig.state();
+        assert_eq!(state.mode(), Some(RobotMode::Fault));
+        assert_eq!(state.room[0], 3.0);
+        assert!(state.faults().any(RobotFaults::REFLEX) && state.room[1] != 0.0);
+    }
+}

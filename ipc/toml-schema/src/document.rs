@@ -1,0 +1,177 @@
+//! A configuration file with the flags of the command line over it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
+use toml::{Table, Value};
+
+use crate::judge::{Refusal, judge};
+use crate::schema::schema;
+
+/// Stands for a file in messages about flags.
+pub const COMMAND_LINE: &str = "command line";
+
+/// Why a file was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The file could not be read. The raw name keeps thiserror from making the reason a source: the message has it.
+    #[error("{path}: cannot read: {source}")]
+    #[allow(missing_docs)]
+    Read {
+        path: String,
+        r#source: std::io::Error,
+    },
+    /// Wrong syntax, an unknown key or a wrong type, with line and column.
+    #[error("{path}: {message}")]
+    #[allow(missing_docs)]
+    Syntax { path: String, message: String },
+    /// A value that is not allowed, or a key that is missing; of a flag, the path is [`COMMAND_LINE`].
+    #[error("{path}: {refusal}")]
+    #[allow(missing_docs)]
+    Value { path: String, refusal: Refusal },
+}
+
+impl FileError {
+    /// Returns the error for the value of a key in the file `path`.
+    pub fn value(path: &str, key: &str, value: impl ToString, allowed: impl Into<String>) -> Self {
+        let refusal = Refusal {
+            key: key.to_owned(),
+            value: Some(value.to_string()),
+            allowed: allowed.into(),
+        };
+        Self::Value {
+            path: path.to_owned(),
+            refusal,
+        }
+    }
+}
+
+/// Reads a file.
+///
+/// # Errors
+/// [`FileError::Read`].
+pub fn read_text(path: &Path) -> Result<String, FileError> {
+    std::fs::read_to_string(path).map_err(|source| FileError::Read {
+        path: path.display().to_string(),
+        source,
+    })
+}
+
+/// A configuration file with the flags of the command line over it.
+#[derive(Clone, Debug)]
+pub struct Document {
+    path: String,
+    text: String,
+    table: Table,
+    /// The flag that set a key.
+    flags: BTreeMap<String, String>,
+}
+
+impl Document {
+    /// Reads a file; without one, the document is empty and named [`COMMAND_LINE`].
+    ///
+    /// # Errors
+    /// [`FileError`] where it cannot be read or is not TOML.
+    pub fn read(path: Option<&Path>) -> Result<Self, FileError> {
+        let Some(path) = path else {
+            return Self::parse("", COMMAND_LINE);
+        };
+        Self::parse(&read_text(path)?, &path.display().to_string())
+    }
+
+    /// Parses the text of a file; `path` is for messages.
+    ///
+    /// # Errors
+    /// [`FileError::Syntax`] where it is not TOML.
+    pub fn parse(text: &str, path: &str) -> Result<Self, FileError> {
+        let table = text.parse().map_err(|error| syntax(path, &error))?;
+        Ok(Self {
+            path: path.to_owned(),
+            text: text.to_owned(),
+            table,
+            flags: BTreeMap::new(),
+        })
+    }
+
+    /// Makes these paths, keys with their tables, relative to `directory`.
+    pub fn relative_to(&mut self, directory: &Path, keys: &[&str]) {
+        for key in keys {
+            if let Some(Value::String(path)) = self.entry(key) {
+                *path = directory.join(&*path).display().to_string();
+            }
+        }
+    }
+
+    /// Sets a key, named with its table, to the value of a flag if the flag was given.
+    pub fn set(&mut self, key: &str, flag: &str, value: Option<impl Into<Value>>) {
+        let Some(value) = value else { return };
+        let (tables, name) = key.rsplit_once('.').unwrap_or(("", key));
+        let mut table = &mut self.table;
+        for part in tables.split('.').filter(|part| !part.is_empty()) {
+            let inner = table.entry(part).or_insert_with(|| Table::new().into());
+            // What stands where a table should be is refused by `check`.
+            let Value::Table(inner) = inner else { return };
+            table = inner;
+        }
+        table.insert(name.to_owned(), value.into());
+        self.flags.insert(key.to_owned(), flag.to_owned());
+    }
+
+    /// Checks the document against the schema of a struct, and returns the struct.
+    ///
+    /// # Errors
+    /// [`FileError`] names file or flag, key, value and what is allowed.
+    pub fn check<T: DeserializeOwned + JsonSchema>(&self) -> Result<T, FileError> {
+        let table = Value::Table(self.table.clone());
+        if let Err(Some(refusal)) = judge(&schema::<T>(), &table, "") {
+            return Err(self.refused(refusal));
+        }
+        T::deserialize(table).map_err(|error| {
+            // The error of the text has line and column.
+            let error = toml::from_str::<T>(&self.text).err().unwrap_or(error);
+            syntax(&self.path, &error)
+        })
+    }
+
+    /// Returns the error for a value that no schema refuses, for instance because it depends on another key.
+    pub fn refuse(&self, key: &str, value: impl ToString, allowed: impl Into<String>) -> FileError {
+        self.refused(Refusal {
+            key: key.to_owned(),
+            value: Some(value.to_string()),
+            allowed: allowed.into(),
+        })
+    }
+
+    /// Returns the error for a key that another key makes necessary.
+    pub fn missing(&self, key: &str, allowed: impl Into<String>) -> FileError {
+        self.refused(Refusal {
+            key: key.to_owned(),
+            value: None,
+            allowed: allowed.into(),
+        })
+    }
+
+    fn refused(&self, mut refusal: Refusal) -> FileError {
+        let mut path = self.path.clone();
+        if let Some(flag) = self.flags.get(&refusal.key) {
+            path = COMMAND_LINE.to_owned();
+            refusal.key.clone_from(flag);
+        }
+        FileError::Value { path, refusal }
+    }
+
+    fn entry(&mut self, key: &str) -> Option<&mut Value> {
+        let mut parts = key.split('.');
+        let first = self.table.get_mut(parts.next()?)?;
+        parts.try_fold(first, |value, part| value.get_mut(part))
+    }
+}
+
+fn syntax(path: &str, error: &toml::de::Error) -> FileError {
+    FileError::Syntax {
+        path: path.to_owned(),
+        message: error.to_string().trim_end().to_owned(),
+    }
+}

@@ -1,0 +1,30 @@
+//! TOML files read into structs and checked against the JSON Schema that the structs derive.
+//!
+//! A key of a file is declared once, as the field of a struct: its doc comment is the description, its serde default the
+//! default, and `#[schemars(..)]` gives range or length. From the derived [`schema`] come the checks at run time
+//! ([`Document::check`]), the file that editors complete from ([`schema_file`]) and the page of reference ([`reference`]).
+//! These keywords of our own are understood: `x-unit`, the unit of a number; `x-allowed`, what is allowed in words, where
+//! range and type do not tell it all; `x-default`, the default in words, where it depends on something.
+//!
+//! ```
+//! #[derive(serde::Deserialize, schemars::JsonSchema)]
+//! struct Settings {
+//!     /// Width of the image.
+//!     #[schemars(range(min = 16, max = 4096), extend("x-unit" = "px"))]
+//!     width: u32,
+//! }
+//! let wrong = toml_schema::Document::parse("width = 3", "a.toml").unwrap();
+//! let error = wrong.check::<Settings>().err().unwrap();
+//! assert_eq!(error.to_string(), "a.toml: width = 3; allowed: 16 to 4096 px");
+//! ```
+#![forbid(unsafe_code)]
+
+mod document;
+mod judge;
+mod reference;
+mod schema;
+
+pub use document::{COMMAND_LINE, Document, FileError, read_text};
+pub use judge::{Refusal, check};
+pub use reference::reference;
+pub use schema::{schema, schema_file};

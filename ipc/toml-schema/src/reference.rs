@@ -1,0 +1,96 @@
+//! The page of reference.
+
+use std::fmt::Write;
+
+use serde_json::Value;
+
+use crate::schema::allowed;
+
+/// Returns every key of a schema as tables of Markdown, one for each table of the file.
+pub fn reference(schema: &Value) -> String {
+    let meaning = schema["description"].as_str().unwrap_or_default();
+    let mut text = format!("\n{meaning}\n");
+    section(&mut text, schema, "");
+    text
+}
+
+fn section(text: &mut String, schema: &Value, table: &str) {
+    let properties = schema["properties"].as_object();
+    let properties: Vec<_> = properties.into_iter().flatten().collect();
+    let is_table = |of: &Value| of["properties"].is_object();
+    let mut rows = properties
+        .iter()
+        .filter(|(_, key)| !is_table(key))
+        .peekable();
+    if rows.peek().is_some() {
+        *text += "\n| key | type | default | allowed | meaning |\n|---|---|---|---|---|\n";
+    }
+    for (name, key) in rows {
+        let is_required = schema["required"]
+            .as_array()
+            .is_some_and(|list| list.contains(&name.as_str().into()));
+        let _ = writeln!(
+            text,
+            "| `{name}` | {} |",
+            cells(key, is_required)
+                .map(|cell| cell.replace('|', "\\|"))
+                .join(" | ")
+        );
+    }
+    for (name, key) in properties {
+        let table = format!("{table}{name}");
+        let (inner, head) = match key["type"].as_str() {
+            Some("array") => (&key["items"], format!("`[[{table}]]`")),
+            _ => (key, format!("`[{table}]`")),
+        };
+        if is_table(inner) {
+            let meaning = inner["description"].as_str().unwrap_or_default();
+            let _ = write!(text, "\n### {head}\n\n{meaning}\n");
+            section(text, inner, &format!("{table}."));
+        }
+    }
+}
+
+/// Type, default, what is allowed, and meaning.
+fn cells(key: &Value, is_required: bool) -> [String; 4] {
+    let string = |name: &str| key[name].as_str().unwrap_or_default().to_owned();
+    let kind = match &key["type"] {
+        Value::String(kind) => kind.clone(),
+        _ if key["oneOf"][0]["type"] == "object" => "table".to_owned(),
+        _ => "string".to_owned(),
+    };
+    let default = match (&key["default"], string("x-default")) {
+        (Value::Null, words) if words.is_empty() => {
+            if is_required { "required" } else { "none" }.to_owned()
+        }
+        (Value::Null, words) => words,
+        (value, _) => format!("`{}`", toml(value)),
+    };
+    let mut meaning = string("description");
+    // Words that have a meaning of their own.
+    for one in key["oneOf"].as_array().into_iter().flatten() {
+        if let (Some(word), Some(words)) = (one["const"].as_str(), one["description"].as_str()) {
+            let _ = write!(meaning, " `{word}`: {words}");
+        }
+    }
+    [kind, default, allowed(key), meaning.trim_start().to_owned()]
+}
+
+/// A value as TOML writes it.
+fn toml(value: &Value) -> String {
+    match value {
+        Value::Object(table) => {
+            let pairs: Vec<_> = table
+                .iter()
+                .map(|(key, value)| format!("{key} = {}", toml(value)))
+                .collect();
+            if pairs.is_empty() {
+                "{}".to_owned()
+            } else {
+                format!("{{ {} }}", pairs.join(", "))
+            }
+        }
+        Value::Array(list) => format!("[{}]", list.iter().map(toml).collect::<Vec<_>>().join(", ")),
+        other => other.to_string(),
+    }
+}

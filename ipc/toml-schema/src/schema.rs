@@ -1,0 +1,121 @@
+//! The JSON Schema of a file, and what it says in words.
+
+use schemars::generate::SchemaSettings;
+use schemars::transform::{RecursiveTransform, transform_subschemas};
+use schemars::{JsonSchema, Schema};
+use serde_json::Value;
+
+/// Returns the JSON Schema (draft 7, which TOML editors know) of a file that is read into a `T`, without references.
+pub fn schema<T: JsonSchema>() -> Value {
+    let settings = SchemaSettings::draft07().with(|settings| settings.inline_subschemas = true);
+    let settings = settings.with_transform(RecursiveTransform(for_toml));
+    settings.into_generator().into_root_schema_for::<T>().into()
+}
+
+/// Returns the text of a `*.schema.json` file: [`schema`], with what is allowed in the descriptions that editors show.
+pub fn schema_file<T: JsonSchema>() -> String {
+    fn describe(schema: &mut Schema) {
+        let words = allowed(schema.as_value());
+        if let Some(Value::String(text)) = schema.get_mut("description")
+            && !words.is_empty()
+        {
+            *text = format!("{text} Allowed: {words}.");
+        }
+        transform_subschemas(&mut describe, schema);
+    }
+    let mut schema = Schema::try_from(schema::<T>()).unwrap_or_default();
+    describe(&mut schema);
+    format!("{:#}\n", schema.as_value())
+}
+
+/// Removes what TOML does not have (null) and what only Rust has (formats of integers), and lets items know their unit.
+fn for_toml(schema: &mut Schema) {
+    schema.remove("format");
+    if let Some(Value::Array(types)) = schema.get_mut("type") {
+        types.retain(|name| name != "null");
+        if let [only] = types.as_slice() {
+            let only = only.clone();
+            schema.insert("type".to_owned(), only);
+        }
+    }
+    // The defaults of a table are those of its keys.
+    let is_table = schema.get("properties").is_some();
+    if is_table || schema.get("default").is_some_and(Value::is_null) {
+        schema.remove("default");
+    }
+    if let Some(Value::String(text)) = schema.get_mut("description") {
+        *text = text.replace('\n', " ");
+    }
+    if let (Some(unit), Some(Value::Object(items))) =
+        (schema.get("x-unit").cloned(), schema.get_mut("items"))
+    {
+        items.insert("x-unit".to_owned(), unit);
+    }
+}
+
+/// Returns the words that a string may be, if it is not free.
+pub(crate) fn words(schema: &Value) -> Option<Vec<&str>> {
+    if let Value::Array(words) = &schema["enum"] {
+        return Some(words.iter().filter_map(Value::as_str).collect());
+    }
+    let mut found = Vec::new();
+    for one in schema["oneOf"].as_array()? {
+        match &one["const"] {
+            Value::String(word) => found.push(word.as_str()),
+            _ => found.extend(words(one)?),
+        }
+    }
+    Some(found)
+}
+
+/// Returns what is allowed in words, for instance `0 to 20 ms`; nothing where everything of the type is.
+pub(crate) fn allowed(schema: &Value) -> String {
+    if let Value::String(words) = &schema["x-allowed"] {
+        return words.clone();
+    }
+    if let Some(words) = words(schema) {
+        return words.join(", ");
+    }
+    let range = |low: &str, high: &str| match (number(&schema[low]), number(&schema[high])) {
+        (Some(low), Some(high)) if low == high => low,
+        (Some(low), Some(high)) => format!("{low} to {high}"),
+        (Some(low), None) => format!("{low} or more"),
+        (None, Some(high)) => format!("at most {high}"),
+        (None, None) => String::new(),
+    };
+    let items = &schema["items"];
+    match (schema["type"].as_str(), items["type"].as_str()) {
+        (Some("array"), Some("number")) => {
+            format!(
+                "{} numbers, {}",
+                range("minItems", "maxItems"),
+                allowed(items)
+            )
+        }
+        (Some("array"), Some("array")) => {
+            format!(
+                "{} lists of {}",
+                range("minItems", "maxItems"),
+                allowed(items)
+            )
+        }
+        (Some("array"), _) => format!("{} tables", range("minItems", "maxItems")),
+        _ => {
+            let unit = schema["x-unit"].as_str().unwrap_or_default();
+            format!("{} {unit}", range("minimum", "maximum"))
+                .trim()
+                .to_owned()
+        }
+    }
+}
+
+/// Returns the shorter of `10000` and `1e4`.
+fn number(value: &Value) -> Option<String> {
+    let value = value.as_f64()?;
+    if value.abs() == std::f64::consts::PI {
+        return Some(format!("{}pi", if value < 0.0 { "-" } else { "" }));
+    }
+    let (plain, short) = (format!("{value}"), format!("{value:e}"));
+    let is_plain = plain.len() <= short.len() + 1;
+    Some(if is_plain { plain } else { short })
+}

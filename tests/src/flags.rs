@@ -1,0 +1,159 @@
+//! What both kinds of table are told on the command line.
+
+use clap::{Args, FromArgMatches, ValueEnum};
+use hw_sim::eye::Sight;
+use vpc::{Model, Settings};
+
+use crate::spec::Spec;
+
+/// The law, and what a camera has wrong with it.
+#[derive(Args, Clone, Debug)]
+pub struct Common {
+    /// Strategies with their preview windows: previous, knn, knn2 to knn64, gpr, ibvs.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "previous:3,previous:30,knn:3,gpr:3"
+    )]
+    pub strategies: Vec<Spec>,
+    /// Stays where it stalls, as the paper's law does: no detour over a sample of the memory.
+    #[arg(long)]
+    pub no_detour: bool,
+    /// Takes the features for those of now, however late they are.
+    #[arg(long)]
+    pub no_compensation: bool,
+    /// Pixel noise, standard deviation, px.
+    #[arg(long, value_name = "PX", default_value_t = 0.0)]
+    pub noise: f64,
+    /// Probability that a frame is lost.
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub drop: f64,
+    /// The law takes pattern and goal for 1 + E times as large and as far as they are.
+    #[arg(
+        long,
+        value_name = "E",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub depth_error: f64,
+    /// Seed of noise and losses; each start adds its index.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// How the law predicts features.
+    #[arg(long, value_enum, default_value = "pose")]
+    pub model: Prediction,
+}
+
+/// The law's models by their words in configuration files.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Prediction {
+    /// The pose of the known pattern.
+    Pose,
+    /// One depth, from the area that the features span.
+    AreaDepth,
+    /// The depths at the goal.
+    TargetDepth,
+}
+
+impl Common {
+    /// The law's settings for one of the strategies.
+    pub fn settings(&self, spec: Spec) -> Settings {
+        Settings {
+            detour: !self.no_detour,
+            delay_compensation: !self.no_compensation,
+            model: match self.model {
+                Prediction::Pose => Model::Pose,
+                Prediction::AreaDepth => Model::AreaDepth,
+                Prediction::TargetDepth => Model::TargetDepth,
+            },
+            ..spec.settings()
+        }
+    }
+
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// Names flag, value and range.
+    pub fn check(&self) -> anyhow::Result<()> {
+        check("--noise", self.noise, 0.0, 100.0)?;
+        check("--drop", self.drop, 0.0, 1.0)?;
+        check("--depth-error", self.depth_error, -0.9, 9.0)
+    }
+}
+
+/// The robot and its law.
+#[derive(Args, Clone, Debug)]
+pub struct RobotFlags {
+    /// From the middle of an exposure to the delivery, ms.
+    #[arg(long, value_name = "MS", default_value_t = 110.0)]
+    pub delay_ms: f64,
+    /// Deviation of that to either side, ms.
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
+    pub jitter_ms: f64,
+    /// Where the features come from.
+    #[arg(long, value_enum, default_value = "ideal")]
+    pub camera: Sight,
+    /// True focal lengths are larger by this share.
+    #[arg(
+        long,
+        value_name = "E",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub focal_error: f64,
+    /// Distance of the true camera from where the calibration has it, in another direction for each start, cm.
+    #[arg(long, value_name = "CM", default_value_t = 0.0)]
+    pub hand_eye_cm: f64,
+    /// ... and the angle by which it is turned, about another axis for each start, deg.
+    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
+    pub hand_eye_deg: f64,
+    /// The memory is asked once a feature is this close to an occlusion, px.
+    #[arg(long, value_name = "PX", default_value_t = 30.0)]
+    pub trigger: f64,
+    /// ... and until every feature is this many times further away.
+    #[arg(long, value_name = "X", default_value_t = 2.0)]
+    pub release: f64,
+    /// Extra clearance that the law keeps from every border, px; the paper has none.
+    #[arg(long, value_name = "PX", default_value_t = 0.0)]
+    pub margin: f64,
+    /// Sends the 30 Hz staircase to the robot as it is.
+    #[arg(long)]
+    pub unshaped: bool,
+    /// Runs only this start.
+    #[arg(long, value_name = "INDEX")]
+    pub only: Option<usize>,
+}
+
+impl RobotFlags {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// Names flag, value and range.
+    pub fn check(&self, starts: usize) -> anyhow::Result<()> {
+        check("--delay-ms", self.delay_ms, 0.0, 900.0)?;
+        check("--jitter-ms", self.jitter_ms, 0.0, self.delay_ms)?;
+        check("--focal-error", self.focal_error, -0.5, 0.5)?;
+        check("--hand-eye-cm", self.hand_eye_cm, 0.0, 20.0)?;
+        check("--hand-eye-deg", self.hand_eye_deg, 0.0, 30.0)?;
+        check(
+            "--only",
+            self.only.unwrap_or(0) as f64,
+            0.0,
+            starts as f64 - 1.0,
+        )
+    }
+}
+
+fn check(flag: &str, value: f64, least: f64, most: f64) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        (least..=most).contains(&value),
+        "{flag} = {value}; allowed: {least} to {most}"
+    );
+    Ok(())
+}
+
+/// Flags with the defaults of the command line.
+pub fn defaults<F: Args + FromArgMatches>() -> F {
+    let matches = F::augment_args(clap::Command::new("defaults")).get_matches_from(["defaults"]);
+    F::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
