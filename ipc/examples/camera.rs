@@ -1,4 +1,5 @@
-//! A free-flying camera that closes the loop in lockstep: publishes features and moves by the twists that come back.
+//! A free-flying camera that closes the loop in lockstep: publishes features and moves by the
+//! twists that come back.
 //!
 //! ```sh
 //! vpcd --scene ipc/scene/scenes/paper-sim.toml --clock lockstep &
@@ -34,7 +35,8 @@ fn projected(points: &[[f64; 3]; 4]) -> [[f64; 2]; 4] {
     points.map(|[x, y, z]| [x, y].map(|a| CENTRE_PX + FOCAL_PX * a / z))
 }
 
-/// Moves the camera by a twist in its own frame for one period: points go the other way, -v - w x p, in small steps.
+/// Moves the camera by a twist in its own frame for one period: points go the other way, -v - w x
+/// p, in small steps.
 fn moved(points: &mut [[f64; 3]; 4], [vx, vy, vz, wx, wy, wz]: [f64; 6]) {
     const STEPS: u32 = 1000;
     let step_s = PERIOD_S / f64::from(STEPS);

@@ -62,8 +62,8 @@ macro_rules! table {
 }
 pub(crate) use table;
 
-/// Declares an enumeration that travels as `u32`. A number from another process becomes a value by `from_code`, and
-/// only if the contract knows it.
+/// Declares an enumeration that travels as `u32`. A number from another process becomes a value by
+/// `from_code`, and only if the contract knows it.
 macro_rules! codes {
     ($(#[doc = $doc:literal])+ $name:ident {
         $($(#[doc = $value_doc:literal])+ $value:ident = $code:literal => $text:literal,)+

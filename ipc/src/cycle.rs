@@ -153,7 +153,8 @@ codes! {
 codes! {
     /// What the memory of motion answered.
     RecallCode {
-        /// It was not asked: no feature is near an occlusion or a border, or the strategy has no memory.
+        /// It was not asked: no feature is near an occlusion or a border, or the strategy has no
+        /// memory.
         Unasked = 0 => "not asked",
         /// Its warm start and way point were followed.
         Followed = 1 => "followed",
@@ -191,7 +192,8 @@ message! {
         status: u32 [code(SolverStatus)],
         /// Wake-up after the release; 0 in lockstep.
         wake_latency_ns: u64 ["ns"],
-        /// Time taken by receiving: the decision was made for the instant `stamp.data_ns + receive_ns`.
+        /// Time taken by receiving: the decision was made for the instant `stamp.data_ns +
+        /// receive_ns`.
         receive_ns: u64 ["ns"],
         /// Time taken by the decision.
         step_ns: u64 ["ns"],
@@ -245,7 +247,8 @@ message! {
         phase: u32 [code(PhaseCode)],
         /// This release minus the one that the camera's phase asks for; 0 while the grid is free.
         phase_error_ns: i64 ["ns"],
-        /// Page faults of the loop's thread from wake-up to sending that were served without a disk.
+        /// Page faults of the loop's thread from wake-up to sending that were served without a
+        /// disk.
         minor_faults: u32,
         /// Page faults in that time that waited for a disk.
         major_faults: u32,

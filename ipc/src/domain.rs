@@ -21,11 +21,12 @@ use crate::stale;
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
 
-/// Age from which on shared memory of size 0 counts as left by a killed process: its creator gives it a size at once.
+/// Age from which on shared memory of size 0 counts as left by a killed process: its creator gives
+/// it a size at once.
 const UNFINISHED: Duration = Duration::from_millis(300);
 
-/// Membership of a domain. Cheap to clone; ports keep it alive. Stays in the thread that made it: a second thread
-/// joins for itself.
+/// Membership of a domain. Cheap to clone; ports keep it alive. Stays in the thread that made it: a
+/// second thread joins for itself.
 #[derive(Clone, Debug)]
 pub struct Domain {
     pub(crate) shared: Rc<Shared>,
@@ -42,8 +43,8 @@ pub(crate) struct Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // The last user removes a service: not while another process is opening it. If that process is stopped, leave
-        // all the same.
+        // The last user removes a service: not while another process is opening it. If that process
+        // is stopped, leave all the same.
         let startup = self.guard.startup();
         self.services.clear();
         drop(self.node.take());
@@ -68,7 +69,8 @@ impl Domain {
         Ok(ours(&directory.canonicalize()?)?.count())
     }
 
-    /// Joins the domain in `directory`, which is created if it is missing. Removes what killed participants left.
+    /// Joins the domain in `directory`, which is created if it is missing. Removes what killed
+    /// participants left.
     ///
     /// # Errors
     /// [`JoinError`] names the directory and the reason.
@@ -105,17 +107,18 @@ impl Domain {
         self.shared.guard.directory()
     }
 
-    /// Removes shared memory that a killed process created but gave no size. iceoryx2 0.9.3, run by root, waits for such
-    /// a size without end, also in peers that only receive. Joining removes it; a process with an ordinary thread calls
-    /// this once a second, so that its loop is freed even if nobody joins. Does not wait.
+    /// Removes shared memory that a killed process created but gave no size. iceoryx2 0.9.3, run by
+    /// root, waits for such a size without end, also in peers that only receive. Joining removes
+    /// it; a process with an ordinary thread calls this once a second, so that its loop is freed
+    /// even if nobody joins. Does not wait.
     pub fn sweep(&self) {
         sweep_unfinished(self.directory());
     }
 }
 
 impl Shared {
-    /// Opens a port of the service that carries `T`. If all places are taken, removes what killed participants left and
-    /// tries again.
+    /// Opens a port of the service that carries `T`. If all places are taken, removes what killed
+    /// participants left and tries again.
     pub(crate) fn open<T: Message, P>(
         &self,
         create: impl Fn(&Factory<T>) -> Result<P, OpenError>,
@@ -147,7 +150,8 @@ impl Shared {
     }
 }
 
-/// iceoryx2's configuration, made here and not read from a file, with a root and a prefix that no other domain has.
+/// iceoryx2's configuration, made here and not read from a file, with a root and a prefix that no
+/// other domain has.
 fn configuration(directory: &Path) -> Option<Config> {
     let bytes = directory.as_os_str().as_bytes();
     if bytes.len() > 200 {
@@ -165,8 +169,8 @@ fn configuration(directory: &Path) -> Option<Config> {
     Some(config)
 }
 
-/// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit FNV-1a hash of the
-/// canonical path, `_`.
+/// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit
+/// FNV-1a hash of the canonical path, `_`.
 pub fn shared_memory_prefix(directory: &Path) -> String {
     let hash = directory
         .as_os_str()
@@ -178,8 +182,8 @@ pub fn shared_memory_prefix(directory: &Path) -> String {
     format!("vpc_{hash:016x}_")
 }
 
-/// Removes what dead processes left: our root, and our files in shared memory. Call this only while no other process is
-/// in the domain.
+/// Removes what dead processes left: our root, and our files in shared memory. Call this only while
+/// no other process is in the domain.
 fn wipe(directory: &Path) -> io::Result<()> {
     let gone = |result: io::Result<()>| match result {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -196,8 +200,8 @@ fn ours(directory: &Path) -> io::Result<impl Iterator<Item = DirEntry>> {
     Ok(entries.filter(move |entry| entry.file_name().as_bytes().starts_with(prefix.as_bytes())))
 }
 
-/// Removes shared memory of size 0 that is old enough to have been left by a killed process. Returns how many files are
-/// too young to tell.
+/// Removes shared memory of size 0 that is old enough to have been left by a killed process.
+/// Returns how many files are too young to tell.
 fn sweep_unfinished(directory: &Path) -> usize {
     let unfinished = ours(directory).into_iter().flatten().filter_map(|entry| {
         let found = entry.metadata().ok().filter(|found| found.len() == 0)?;
@@ -212,7 +216,8 @@ fn sweep_unfinished(directory: &Path) -> usize {
     unfinished.filter(|is_old| !is_old).count()
 }
 
-/// Waits until every file of size 0 has a size or is old, and removes the old ones. There is almost never one.
+/// Waits until every file of size 0 has a size or is old, and removes the old ones. There is almost
+/// never one.
 fn remove_unfinished(directory: &Path) {
     let pause = Duration::from_millis(5);
     for _ in 0..2 * UNFINISHED.as_millis() / pause.as_millis() {

@@ -15,19 +15,22 @@ message! {
         exposure_ns: u64 ["ns"],
         /// Points in this message, in the order of the scene's pattern.
         count: u32 [range(1, MAX_POINTS)],
-        /// Bit i is set if point i was measured in this frame; otherwise the point is a guess of the tracker.
+        /// Bit i is set if point i was measured in this frame; otherwise the point is a guess of
+        /// the tracker.
         visible: u32,
-        /// Image points u1 v1 u2 v2 ...; u to the right, v down, origin at the centre of the upper left pixel. The
-        /// first `2 * count` are finite, the rest is zero.
+        /// Image points u1 v1 u2 v2 ...; u to the right, v down, origin at the centre of the upper
+        /// left pixel. The first `2 * count` are finite, the rest is zero.
         points: [f64; 2 * MAX_POINTS] ["px" finite_pairs],
     }
-    // A history of one: a controller that comes late finds the message that a lockstep camera waits on.
+    // A history of one: a controller that comes late finds the message that a lockstep camera waits
+    // on.
     "vpc/features" from "camera": Qos { history: 1, buffer: 64, subscribers: 8, publishers: 1 }
 }
 
 impl Features {
-    /// A message with these points (px, all visible), exposed at `data_ns`. Points past the eighth are left out of
-    /// the array but counted, so that the receiver refuses the message instead of using a part of it.
+    /// A message with these points (px, all visible), exposed at `data_ns`. Points past the eighth
+    /// are left out of the array but counted, so that the receiver refuses the message instead of
+    /// using a part of it.
     pub fn new(points: &[[f64; 2]], data_ns: u64) -> Self {
         let mut features = Self {
             count: u32::try_from(points.len()).unwrap_or(u32::MAX),

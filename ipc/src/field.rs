@@ -1,5 +1,6 @@
-//! Structs on the wire. The macro `wire!` lists the fields of each once and derives from the list the `repr(C)` struct,
-//! its default, the check that it has no padding, and the table [`Wire::FIELDS`].
+//! Structs on the wire. The macro `wire!` lists the fields of each once and derives from the list
+//! the `repr(C)` struct, its default, the check that it has no padding, and the table
+//! [`Wire::FIELDS`].
 
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -206,9 +207,11 @@ impl FieldType for Stamp {
     }
 }
 
-/// Declares a struct on the wire: `name: type [unit meaning] = default`, the last two only where needed.
+/// Declares a struct on the wire: `name: type [unit meaning] = default`, the last two only where
+/// needed.
 ///
-/// Meanings: `finite`, `finite_pairs`, `range(least, most)`, `code(Type)`, `any_code(Type)`, `bits(Type)`.
+/// Meanings: `finite`, `finite_pairs`, `range(least, most)`, `code(Type)`, `any_code(Type)`,
+/// `bits(Type)`.
 macro_rules! wire {
     ($(#[doc = $doc:expr])+ $(#[derive($($derive:path),+)])? $name:ident: $type_name:tt {
         $(
@@ -289,7 +292,8 @@ wire! {
     /// Head of every message. Times are CLOCK_MONOTONIC.
     #[derive(Eq, serde::Serialize, serde::Deserialize)]
     Stamp: "vpc/Stamp/1" {
-        /// Number of the message. Each publisher counts from 1, and starts again from 1 when it restarts.
+        /// Number of the message. Each publisher counts from 1, and starts again from 1 when it
+        /// restarts.
         sequence: u64,
         /// When the message was published.
         published_ns: u64 ["ns"],

@@ -1,16 +1,19 @@
-//! The guard of a domain: which processes are in it, which one starts right now, and which one may clean up.
+//! The guard of a domain: which processes are in it, which one starts right now, and which one may
+//! clean up.
 //!
-//! A process that is killed while it creates a service can leave that service unusable for ever. Two locked files
-//! prevent it:
+//! A process that is killed while it creates a service can leave that service unusable for ever.
+//! Two locked files prevent it:
 //!
-//! - `startup` is locked exclusively by a process that joins, leaves or opens a port, for as long as that takes: one at a
-//!   time.
-//! - `lock` is locked in shared mode by every participant for as long as it lives. A process that gets it exclusively
-//!   while holding `startup` is alone, and wipes what dead processes left before it creates anything.
+//! - `startup` is locked exclusively by a process that joins, leaves or opens a port, for as long
+//!   as that takes: one at a time.
+//! - `lock` is locked in shared mode by every participant for as long as it lives. A process that
+//!   gets it exclusively while holding `startup` is alone, and wipes what dead processes left
+//!   before it creates anything.
 //!
-//! So services are only ever created by a process that is alone in the domain; if it is killed halfway, the next one is
-//! alone again. The kernel drops the locks of dead processes, however they died. Linux does not turn an exclusive lock
-//! into a shared one atomically; no other process can slip in between, because trying takes `startup`.
+//! So services are only ever created by a process that is alone in the domain; if it is killed
+//! halfway, the next one is alone again. The kernel drops the locks of dead processes, however they
+//! died. Linux does not turn an exclusive lock into a shared one atomically; no other process can
+//! slip in between, because trying takes `startup`.
 
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io;
@@ -23,11 +26,12 @@ use rustix::io::Errno;
 
 use crate::error::JoinReason;
 
-/// Permissions that the directory of a domain must not have: users who can replace its files can take part.
+/// Permissions that the directory of a domain must not have: users who can replace its files can
+/// take part.
 pub const WRITABLE_BY_OTHERS: u32 = 0o022;
 
-/// Longest wait for others that join or leave. Joining takes milliseconds; a process that holds the lock for longer is
-/// stopped.
+/// Longest wait for others that join or leave. Joining takes milliseconds; a process that holds the
+/// lock for longer is stopped.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Pause between two attempts.
 const PAUSE: Duration = Duration::from_millis(1);
@@ -44,7 +48,8 @@ pub(crate) struct Guard {
 pub(crate) struct Startup(#[allow(dead_code)] File);
 
 impl Guard {
-    /// Enters the domain in `directory`, which is created if it is missing. `wipe` runs if no other process is in it.
+    /// Enters the domain in `directory`, which is created if it is missing. `wipe` runs if no other
+    /// process is in it.
     pub(crate) fn enter(
         directory: &Path,
         wipe: impl FnOnce(&Path) -> io::Result<()>,
@@ -55,7 +60,8 @@ impl Guard {
         if try_lock(&member)? {
             wipe(&directory)?;
         }
-        // Never waits: only the holder of `startup`, which is this process, locks `lock` exclusively.
+        // Never waits: only the holder of `startup`, which is this process, locks `lock`
+        // exclusively.
         flock(&member, FlockOperation::NonBlockingLockShared).map_err(io::Error::from)?;
         Ok((Self { directory, member }, startup))
     }
@@ -106,7 +112,8 @@ fn try_lock(file: &File) -> io::Result<bool> {
     }
 }
 
-/// Opens a file to be locked. Descriptors are closed in child processes, so that these do not stay members.
+/// Opens a file to be locked. Descriptors are closed in child processes, so that these do not stay
+/// members.
 fn open(directory: &Path, name: &str) -> io::Result<File> {
     OpenOptions::new()
         .create(true)
@@ -116,7 +123,8 @@ fn open(directory: &Path, name: &str) -> io::Result<File> {
         .open(directory.join(name))
 }
 
-/// Creates the directory if it is missing, and checks that it is ours: names below /tmp can be guessed.
+/// Creates the directory if it is missing, and checks that it is ours: names below /tmp can be
+/// guessed.
 fn prepare(directory: &Path) -> Result<PathBuf, JoinReason> {
     DirBuilder::new()
         .recursive(true)

@@ -12,13 +12,15 @@
 //! | `vpc/requests` | [`Request`] | operators | controller |
 //! | `vpc/replies` | [`Reply`] | controller | operators |
 //!
-//! Layouts, quality of service and the lockstep protocol: `CONTRACT.md` beside this crate. Tour and decisions: `README.md`.
-//! The fields of a message are listed once, in its file; [`Wire::FIELDS`] tells them at run time, and the C header, the
-//! Python module, the tables of `CONTRACT.md` and the schemas of recordings are made from it.
+//! Layouts, quality of service and the lockstep protocol: `CONTRACT.md` beside this crate. Tour and
+//! decisions: `README.md`. The fields of a message are listed once, in its file; [`Wire::FIELDS`]
+//! tells them at run time, and the C header, the Python module, the tables of `CONTRACT.md` and the
+//! schemas of recordings are made from it.
 //!
-//! A process joins a [`Domain`], a directory that separates experiments on one machine, and opens the ports of its role:
-//! [`CameraPorts`], [`ControllerPorts`], [`RecorderPort`], [`OperatorPorts`] or [`Observer`]. Peers may be absent, late,
-//! killed and restarted in any order. Complete programs: `examples/camera.rs`, `examples/observer.rs`.
+//! A process joins a [`Domain`], a directory that separates experiments on one machine, and opens
+//! the ports of its role: [`CameraPorts`], [`ControllerPorts`], [`RecorderPort`], [`OperatorPorts`]
+//! or [`Observer`]. Peers may be absent, late, killed and restarted in any order. Complete
+//! programs: `examples/camera.rs`, `examples/observer.rs`.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -89,6 +91,6 @@ pub use twist::{TwistCommand, TwistState};
 /// Most points that one message carries.
 pub const MAX_POINTS: usize = 8;
 
-/// Where the daemon leaves the scene that it runs on, for viewers: a path below the domain's directory. The masks that
-/// the scene names lie beside it.
+/// Where the daemon leaves the scene that it runs on, for viewers: a path below the domain's
+/// directory. The masks that the scene names lie beside it.
 pub const SCENE_FILE: &str = "scene/scene.toml";

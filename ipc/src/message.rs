@@ -9,7 +9,8 @@ use crate::field::{Field, Meaning, Stamp, Values, Wire};
 pub struct Qos {
     /// Messages that a publisher keeps for subscribers that come later.
     pub history: usize,
-    /// Largest buffer that a subscriber may ask for. When it is full, the oldest message is dropped.
+    /// Largest buffer that a subscriber may ask for. When it is full, the oldest message is
+    /// dropped.
     pub buffer: usize,
     /// Most subscribers.
     pub subscribers: usize,
@@ -34,7 +35,8 @@ pub trait Message: Wire + Debug {
     /// The head, to be filled in.
     fn stamp_mut(&mut self) -> &mut Stamp;
 
-    /// Checks a message from another process: sequence number, counts, codes, and that numbers are finite.
+    /// Checks a message from another process: sequence number, counts, codes, and that numbers are
+    /// finite.
     ///
     /// # Errors
     /// [`Invalid`] names the first field that is wrong.
@@ -114,7 +116,8 @@ pub(crate) fn check<T: Message>(message: &T, every_code: bool) -> Result<(), Inv
     Ok(())
 }
 
-/// Declares a message: a struct on the wire (see `wire!`), then its service, publisher and quality of service.
+/// Declares a message: a struct on the wire (see `wire!`), then its service, publisher and quality
+/// of service.
 macro_rules! message {
     ($(#[doc = $doc:literal])+ $name:ident: $type_name:tt { $($fields:tt)+ }
      $service:literal from $publisher:literal: $qos:expr) => {

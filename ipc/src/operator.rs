@@ -37,7 +37,8 @@ codes! {
         Robot = 2 => "refused: the robot is not ready",
         /// Refused: the camera is still braking; ask again when it stands still.
         Braking = 3 => "refused: still braking",
-        /// Refused: the controller's memory of motion lacks what the strategy needs, or there is no memory.
+        /// Refused: the controller's memory of motion lacks what the strategy needs, or there is no
+        /// memory.
         NoMemory = 4 => "refused: no memory of motion for this strategy",
         /// Refused: neighbours out of range (knn: 1 to 64; other strategies: 0).
         Neighbours = 5 => "refused: neighbours out of range",

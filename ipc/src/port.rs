@@ -1,4 +1,5 @@
-//! Typed ports: sequence numbers, time stamps, checks. They do not touch the heap once a connection stands.
+//! Typed ports: sequence numbers, time stamps, checks. They do not touch the heap once a connection
+//! stands.
 
 use std::ops::Deref;
 
@@ -18,7 +19,8 @@ impl Domain {
     /// Opens a publisher of `T`.
     ///
     /// # Errors
-    /// [`OpenError::Taken`] if the service has all the publishers that it takes, even if they are stopped.
+    /// [`OpenError::Taken`] if the service has all the publishers that it takes, even if they are
+    /// stopped.
     pub fn publisher<T: Message>(&self) -> Result<Publisher<T>, OpenError> {
         let service = T::SERVICE;
         let port = self.shared.open(|factory: &Factory<T>| {
@@ -90,7 +92,8 @@ pub struct Publisher<T: Message> {
 }
 
 impl<T: Message> Publisher<T> {
-    /// Publishes a copy of `message` with the next sequence number and the present time; the rest is unchanged.
+    /// Publishes a copy of `message` with the next sequence number and the present time; the rest
+    /// is unchanged.
     ///
     /// # Errors
     /// [`PublishError`]; the sequence number is used up, so that subscribers see a gap.
@@ -130,8 +133,9 @@ impl<T: Message> Publisher<T> {
         self.sequence += 1;
     }
 
-    /// Connects to subscribers that came since the last message, and gives them the history of the service. Publishing
-    /// does it too; call this while waiting for an answer before publishing again.
+    /// Connects to subscribers that came since the last message, and gives them the history of the
+    /// service. Publishing does it too; call this while waiting for an answer before publishing
+    /// again.
     ///
     /// # Errors
     /// [`PublishError`] if a connection cannot be made.
@@ -232,8 +236,8 @@ impl<T: Message> Subscriber<T> {
         message.map(|message| self.accept(message)).transpose()
     }
 
-    /// Connects to a publisher that came since the last call. Receiving does it too; call this to get the last messages of
-    /// a publisher that may end soon.
+    /// Connects to a publisher that came since the last call. Receiving does it too; call this to
+    /// get the last messages of a publisher that may end soon.
     ///
     /// # Errors
     /// [`ReceiveError::Transport`] if the connection cannot be made.

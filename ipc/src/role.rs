@@ -16,8 +16,8 @@ const POLL: Duration = Duration::from_micros(20);
 /// Sleep between two polls for an answer to an operator.
 const ANSWER_POLL: Duration = Duration::from_millis(1);
 
-/// Declares the ports of a role in the order in which they are opened: `out` are publishers, `in` are subscribers with the
-/// largest buffer that the service allows, or with this many messages.
+/// Declares the ports of a role in the order in which they are opened: `out` are publishers, `in`
+/// are subscribers with the largest buffer that the service allows, or with this many messages.
 macro_rules! ports {
     ($(#[$doc:meta])+ $role:ident {
         $($(#[$port_doc:meta])+ $direction:ident $port:ident: $message:ty $(, $buffer:expr)?;)+
@@ -48,8 +48,9 @@ macro_rules! ports {
 ports! {
     /// The camera and the robot that carries it: publishes features and state, executes twists.
     CameraPorts {
-        /// Commands. A few are kept, so that the zero twist at the end of a run does not overwrite the answer of its last
-        /// cycle. Read the newest with [`Subscriber::latest`]. Opened first, so that no answer is missed.
+        /// Commands. A few are kept, so that the zero twist at the end of a run does not overwrite
+        /// the answer of its last cycle. Read the newest with [`Subscriber::latest`]. Opened first,
+        /// so that no answer is missed.
         in twist: TwistCommand, COMMANDS;
         /// What the camera sees.
         out features: Features;
@@ -61,7 +62,8 @@ ports! {
 ports! {
     /// The controller: answers features with twists.
     ControllerPorts {
-        /// The command. Opened first, so that a second controller is refused before it takes anything.
+        /// The command. Opened first, so that a second controller is refused before it takes
+        /// anything.
         out twist: TwistCommand;
         /// Answers to operators.
         out replies: Reply;
@@ -89,9 +91,9 @@ ports! {
 }
 
 ports! {
-    /// A process that only watches. Read all messages with [`Subscriber::oldest`], or the newest with
-    /// [`Subscriber::latest`]. Recorders also subscribe to [`Request`], [`Reply`] and [`Snapshot`] by
-    /// [`Domain::subscriber`].
+    /// A process that only watches. Read all messages with [`Subscriber::oldest`], or the newest
+    /// with [`Subscriber::latest`]. Recorders also subscribe to [`Request`], [`Reply`] and
+    /// [`Snapshot`] by [`Domain::subscriber`].
     Observer {
         /// What the camera sees.
         in features: Features;
@@ -115,8 +117,9 @@ ports! {
 }
 
 impl CameraPorts {
-    /// Lockstep: waits for the answer to the features message `sent`, at most `patience`; `None` if it does not come.
-    /// Answers to other messages are ignored. A controller that comes late gets the message by history.
+    /// Lockstep: waits for the answer to the features message `sent`, at most `patience`; `None` if
+    /// it does not come. Answers to other messages are ignored. A controller that comes late gets
+    /// the message by history.
     ///
     /// # Errors
     /// [`ReceiveError`].
@@ -154,8 +157,9 @@ impl CameraPorts {
 }
 
 impl OperatorPorts {
-    /// Sends a request and waits for its answer, at most `patience`; `None` if none comes: no controller is at work, or it
-    /// hangs. The request's id must be a random number, which no other operator uses.
+    /// Sends a request and waits for its answer, at most `patience`; `None` if none comes: no
+    /// controller is at work, or it hangs. The request's id must be a random number, which no other
+    /// operator uses.
     ///
     /// # Errors
     /// [`AskError`] if it cannot be sent, or the answer breaks the contract.
@@ -173,7 +177,8 @@ impl OperatorPorts {
                     return Ok(Some(reply.message));
                 }
             }
-            // A controller that came since then has not seen the request, and will not: there is no history.
+            // A controller that came since then has not seen the request, and will not: there is no
+            // history.
             self.requests.refresh()?;
             std::thread::sleep(ANSWER_POLL);
         }

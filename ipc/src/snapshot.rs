@@ -9,8 +9,8 @@ use crate::message::{Qos, message};
 const STATE: usize = 8192;
 
 message! {
-    /// All that a cycle leaves to the next one, at the beginning and every second or so. Only for a replay by the same
-    /// version of vpcd: `state` is private to it.
+    /// All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
+    /// replay by the same version of vpcd: `state` is private to it.
     Snapshot: "vpc/Snapshot/1" {
         /// Head.
         stamp: Stamp,

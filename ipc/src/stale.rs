@@ -1,18 +1,20 @@
-//! What killed processes leave behind and iceoryx2 0.9.3 cannot clean up: stale nodes, and taken places in services.
+//! What killed processes leave behind and iceoryx2 0.9.3 cannot clean up: stale nodes, and taken
+//! places in services.
 //!
 //! Its own cleaning gives up for good in three cases, each of them a kill at the wrong moment:
 //!
-//! - A process died between creating the file that announces a port (its tag) and the port itself. The cleaner keeps
-//!   such a tag, so it fails to remove the directory around it, but has already deleted the node's details. Without
-//!   them later cleaners look for the node in the default domain and find nothing.
-//! - A cleaner died between removing a port's tag and the port's place in the service: later ones skip a port without a
-//!   tag, and the place stays taken.
-//! - A cleaner died between removing two of the three files of a node's monitor: later ones cannot tell whether the node
-//!   is alive.
+//! - A process died between creating the file that announces a port (its tag) and the port itself.
+//!   The cleaner keeps such a tag, so it fails to remove the directory around it, but has already
+//!   deleted the node's details. Without them later cleaners look for the node in the default
+//!   domain and find nothing.
+//! - A cleaner died between removing a port's tag and the port's place in the service: later ones
+//!   skip a port without a tag, and the place stays taken.
+//! - A cleaner died between removing two of the three files of a node's monitor: later ones cannot
+//!   tell whether the node is alive.
 //!
-//! One rule replaces them. Only the holder of the startup lock creates or removes nodes, so **what belongs to a node that
-//! is not alive belongs to nobody**: it is removed from each service, after restoring the tags that this needs, and its
-//! files are deleted.
+//! One rule replaces them. Only the holder of the startup lock creates or removes nodes, so **what
+//! belongs to a node that is not alive belongs to nobody**: it is removed from each service, after
+//! restoring the tags that this needs, and its files are deleted.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -66,8 +68,9 @@ pub(crate) fn clean(config: &Config) {
     }
 }
 
-/// Removes what [`clean`] has left. Call this only while holding the startup lock: then no node is being created. What
-/// cannot be removed stays as before, and the next process that joins tries again.
+/// Removes what [`clean`] has left. Call this only while holding the startup lock: then no node is
+/// being created. What cannot be removed stays as before, and the next process that joins tries
+/// again.
 pub(crate) fn reap(services: &[Box<dyn OpenService>], config: &Config) {
     let Some(nodes) = Nodes::list(config) else {
         return;
@@ -93,7 +96,8 @@ fn remove_files(nodes: &Nodes, config: &Config) -> io::Result<()> {
     let prefix = config.global.prefix.as_bytes();
     for entry in std::fs::read_dir(node_directory(config))? {
         let path = entry?.path();
-        // A node's directory is its number; its monitor's files have a prefix before and a kind behind it.
+        // A node's directory is its number; its monitor's files have a prefix before and a kind
+        // behind it.
         let name = path.file_name().unwrap_or_default().as_bytes();
         let name = name.strip_prefix(prefix).unwrap_or(name);
         let digits = name.iter().take_while(|byte| byte.is_ascii_digit()).count();

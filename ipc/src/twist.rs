@@ -14,7 +14,8 @@ codes! {
         Stopped = 0 => "stopped",
         /// On the way to the goal.
         Moving = 1 => "moving",
-        /// The image error is below the scene's convergence threshold; the controller keeps regulating.
+        /// The image error is below the scene's convergence threshold; the controller keeps
+        /// regulating.
         Arrived = 2 => "arrived",
         /// Features are missing, stale or refused; the twist is zero until good ones come.
         Holding = 3 => "holding",
@@ -26,23 +27,25 @@ codes! {
 }
 
 message! {
-    /// Camera velocity command. Stop executing it when it is no longer valid: the controller may have died.
+    /// Camera velocity command. Stop executing it when it is no longer valid: the controller may
+    /// have died.
     TwistCommand: "vpc/TwistCommand/1" {
         /// Head; `data_ns` is that of the features it answers.
         stamp: Stamp,
         /// Sequence number of the features it answers; 0 if it answers none.
         features_sequence: u64,
-        /// `published_ns` of the features it answers: tells a restarted camera's message from its predecessor's.
+        /// `published_ns` of the features it answers: tells a restarted camera's message from its
+        /// predecessor's.
         features_published_ns: u64 ["ns"],
-        /// The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop. 2^64-1 in lockstep,
-        /// where time does not pass between frames.
+        /// The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop.
+        /// 2^64-1 in lockstep, where time does not pass between frames.
         valid_until_ns: u64 ["ns"],
         /// State of the controller.
         state: u32 [code(TwistState)],
         /// Zero.
         reserved: u32,
-        /// Camera velocity in the camera frame (x right, y down, z forward): vx vy vz wx wy wz, within the scene's
-        /// limits.
+        /// Camera velocity in the camera frame (x right, y down, z forward): vx vy vz wx wy wz,
+        /// within the scene's limits.
         twist: [f64; 6] ["m/s, rad/s" finite],
     }
     // No history: a camera that restarts must not execute a command from before.
@@ -50,7 +53,8 @@ message! {
 }
 
 impl TwistCommand {
-    /// The answer to `features`, valid for ever: what lockstep wants. See [`TwistCommand::valid_for_ns`].
+    /// The answer to `features`, valid for ever: what lockstep wants. See
+    /// [`TwistCommand::valid_for_ns`].
     pub fn answer(features: &Features, twist: [f64; 6], state: TwistState) -> Self {
         Self::answer_to(&features.stamp, twist, state)
     }
@@ -80,7 +84,8 @@ impl TwistCommand {
         self
     }
 
-    /// Whether this is the answer to the features message with this sequence number and time of publication.
+    /// Whether this is the answer to the features message with this sequence number and time of
+    /// publication.
     pub fn answers(&self, sequence: u64, published_ns: u64) -> bool {
         self.features_sequence == sequence && self.features_published_ns == published_ns
     }

@@ -1,5 +1,6 @@
-//! The promises of the contract, over real shared memory and with real processes. One executable: each that links
-//! iceoryx2 costs up to a minute of build. Peers that are killed are this same executable, started again.
+//! The promises of the contract, over real shared memory and with real processes. One executable:
+//! each that links iceoryx2 costs up to a minute of build. Peers that are killed are this same
+//! executable, started again.
 
 mod python;
 
@@ -32,7 +33,8 @@ fn square(offset: f64) -> Features {
     Features::new(&[[a, a], [b, a], [b, b], [a, b]], ipc::now_ns())
 }
 
-/// A domain's directory. When the test ends, joining and leaving clears away what killed peers left in /dev/shm.
+/// A domain's directory. When the test ends, joining and leaving clears away what killed peers left
+/// in /dev/shm.
 struct Directory(tempfile::TempDir);
 
 impl Directory {

@@ -1,7 +1,14 @@
 //! The cost of a plan and its Gauss-Newton expansion.
 //!
-//! Source: paper, Eq. (cost): every previewed step weighs the image error by Q, every command but
-//! the last step's by R.
+//! l(V) = k_Q sum_{j=1..Np} |s_d - s_j|^2 + r sum_{j=1..Np-1} v_j^T R v_j
+//!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | s_d | `target` | what is tracked: goal or way point, less the mismatch, px |
+//! | k_Q, R | `task.cost` | weight of the image error, 1/px^2, and of the velocity |
+//! | r | [`r_share`] | share of R that applies |
+//!
+//! Source: paper, Eq. (cost).
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: indices run over the N variables, and an offset leaves DOF of them"

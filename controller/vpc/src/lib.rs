@@ -16,7 +16,7 @@
 //! | v, V | `twist`, `plan` | camera velocity (vx vy vz m/s, wx wy wz rad/s) in the camera frame; Nc of them |
 //! | N_p, N_c | `np`, `nc` | steps previewed, free commands |
 //! | T_s | `ts` | sampling time, s |
-//! | L | [`interaction`] | interaction matrix |
+//! | L | `interaction` | interaction matrix |
 //! | Q = k_Q I, R | `k_q`, `r` | weights of image error and velocity |
 //! | eps | `mismatch` | measured minus predicted features, px |
 //! | a, alpha | [`features::area`], [`features::angle`] | of the pattern's polygon, px^2 and rad |

@@ -1,5 +1,14 @@
 //! Prediction of the features over the preview window, with exact first derivatives.
 //!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | s_j | [`Preview::step`] | features after step j, px; j = 0 is one sampling time ahead |
+//! | V = (v_1 .. v_Nc) | `plan` | free commands; the last one is held to the end of the window |
+//! | Np, Nc | `np`, `NC` | steps previewed, free commands |
+//! | Ts | `task.ts` | sampling time, s |
+//! | L | `interaction` | interaction matrix, for the depth models |
+//! | X_j = exp(-Ts v_j) X_{j-1} | [`Motion`] | points in the camera frame, m, for [`Model::Pose`] |
+//!
 //! Source: paper, Eq. (model): s_j = s_{j-1} + Ts L_j v_j.
 #![expect(
     clippy::indexing_slicing,

@@ -23,17 +23,8 @@ pub struct Recall {
 /// then until every feature is `hysteresis` times as far away, so that the law does not fall back
 /// on the goal at the edge of the zone.
 pub fn is_near(was_near: bool, clearance_px: f64, settings: &Settings) -> bool {
-    let Settings {
-        trigger_px,
-        hysteresis,
-        ..
-    } = *settings;
-    clearance_px
-        < if was_near {
-            trigger_px * hysteresis
-        } else {
-            trigger_px
-        }
+    let widening = if was_near { settings.hysteresis } else { 1.0 };
+    clearance_px < settings.trigger_px * widening
 }
 
 /// Least clearance of any feature from any occlusion, px.

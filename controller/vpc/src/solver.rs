@@ -1,6 +1,6 @@
 //! The solver of the optimal-control problem: bounded work, a status with every answer.
 //!
-//! Source: paper, Eq. (vpc); the method is in [`crate::sqp`].
+//! Source: paper, Eq. (vpc); the method is in `sqp`.
 
 use crate::DOF;
 use crate::prediction::Plan;

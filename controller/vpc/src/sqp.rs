@@ -207,13 +207,8 @@ impl<const N: usize> Sqp<N> {
     }
 
     fn may_go_on(&self) -> bool {
-        let Progress {
-            iterations,
-            work,
-            budget,
-            ..
-        } = self.progress;
-        iterations < self.options.max_iterations && work < budget
+        let is_allowed = self.progress.iterations < self.options.max_iterations;
+        is_allowed && self.progress.work < self.progress.budget
     }
 
     /// Begins an iteration: the cost, and its expansion about the plan that was evaluated last,
@@ -290,13 +285,14 @@ impl<const N: usize> Sqp<N> {
     /// Solves the quadratic program in as many changes as a hard one takes, unless the budget ends
     /// first.
     fn solve_program(&mut self, quadratic: &Quadratic<N>) -> Answer<N> {
-        let Progress {
-            work, budget, rho, ..
-        } = self.progress;
-        let limit = (QP_CHANGES_PER_VARIABLE * N as u32).min(budget.saturating_sub(work));
-        let answer = self.program.solve(quadratic, &mut self.rows, rho, limit);
-        self.progress.qp_iterations += answer.iterations;
-        self.progress.work += answer.iterations;
+        let progress = &mut self.progress;
+        let left = progress.budget.saturating_sub(progress.work);
+        let limit = left.min(QP_CHANGES_PER_VARIABLE * N as u32);
+        let answer = self
+            .program
+            .solve(quadratic, &mut self.rows, progress.rho, limit);
+        progress.qp_iterations += answer.iterations;
+        progress.work += answer.iterations;
         answer
     }
 
@@ -402,13 +398,6 @@ impl<const N: usize> Sqp<N> {
     }
 
     fn solution(&self, problem: &Problem<'_>, at: &Iterate<N>, status: Status) -> Solution {
-        let Progress {
-            iterations,
-            qp_iterations,
-            work,
-            rho,
-            ..
-        } = self.progress;
         let violates = at.outcome.worst > problem.margin.max(0.0) + FEASIBLE;
         let clamped = clamped(&at.plan, problem.task);
         let mut plan = [0.0; MAX_VARIABLES];
@@ -422,11 +411,11 @@ impl<const N: usize> Sqp<N> {
                 _ if violates => Status::Infeasible,
                 other => other,
             },
-            iterations,
-            qp_iterations,
-            work,
+            iterations: self.progress.iterations,
+            qp_iterations: self.progress.qp_iterations,
+            work: self.progress.work,
             cost: at.outcome.cost,
-            merit: at.outcome.merit(rho),
+            merit: at.outcome.merit(self.progress.rho),
             violation_px: at.outcome.worst,
             next_violation_px: at.outcome.next,
         }

@@ -1,4 +1,5 @@
-//! The boundary to C: errors become numbers and words, panics stop here, handles stay in their thread.
+//! The boundary to C: errors become numbers and words, panics stop here, handles stay in their
+//! thread.
 
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
@@ -85,7 +86,8 @@ impl From<AskError> for Fault {
     }
 }
 
-/// Runs the body of a function of the header: stops panics, and keeps the words of an error for `vpc_message`.
+/// Runs the body of a function of the header: stops panics, and keeps the words of an error for
+/// `vpc_message`.
 pub fn enter(act: impl FnOnce() -> Result<(), Fault>) -> Status {
     // After a panic nothing is promised of the handle but that it can be closed.
     let fault = match catch_unwind(AssertUnwindSafe(act)) {
@@ -122,8 +124,8 @@ pub struct Handle<T> {
 /// # Errors
 /// NULL, or another thread.
 pub unsafe fn handle<'a, T>(handle: *mut Handle<T>, name: &str) -> Result<&'a mut T, Fault> {
-    // SAFETY: valid if it is not NULL, by the caller's promise. Only its own thread uses the value; until that is checked,
-    // only the thread's id is read, which never changes.
+    // SAFETY: valid if it is not NULL, by the caller's promise. Only its own thread uses the value;
+    // until that is checked, only the thread's id is read, which never changes.
     let thread = unsafe { handle.as_ref() }
         .ok_or_else(|| Fault::null(name))?
         .thread;
@@ -224,8 +226,8 @@ pub unsafe fn text<'a>(text: *const c_char) -> Option<&'a CStr> {
     (!text.is_null()).then(|| unsafe { CStr::from_ptr(text) })
 }
 
-/// The last error of this thread in words; empty if there was none. Valid until the next call of this library in this
-/// thread.
+/// The last error of this thread in words; empty if there was none. Valid until the next call of
+/// this library in this thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_message() -> *const c_char {
     let words = MESSAGE.try_with(|message| message.try_borrow().map(|words| words.as_ptr()));

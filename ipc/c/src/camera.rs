@@ -72,9 +72,9 @@ pub unsafe extern "C" fn vpc_features_of(
     })
 }
 
-/// Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present time and
-/// `stamp.data_ns` 0 becomes `published_ns`; other values are kept (simulated time in lockstep, the exposure of a real
-/// camera). `sent` may be NULL.
+/// Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present
+/// time and `stamp.data_ns` 0 becomes `published_ns`; other values are kept (simulated time in
+/// lockstep, the exposure of a real camera). `sent` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_publish(
     camera: *mut Camera,
@@ -111,7 +111,8 @@ pub unsafe extern "C" fn vpc_camera_publish(
     })
 }
 
-/// Counts from 1 again: the next features begin a new run, for which the controller forgets everything.
+/// Counts from 1 again: the next features begin a new run, for which the controller forgets
+/// everything.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_restart(camera: *mut Camera) -> Status {
     boundary::enter(|| {
@@ -121,8 +122,8 @@ pub unsafe extern "C" fn vpc_camera_restart(camera: *mut Camera) -> Status {
     })
 }
 
-/// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`; VPC_STATUS_TIMEOUT if none
-/// comes. A controller that starts meanwhile gets them.
+/// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`;
+/// VPC_STATUS_TIMEOUT if none comes. A controller that starts meanwhile gets them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_wait(
     camera: *mut Camera,
@@ -156,8 +157,8 @@ pub unsafe extern "C" fn vpc_camera_wait(
     })
 }
 
-/// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed until its
-/// `valid_until_ns`, never longer: stop then.
+/// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed
+/// until its `valid_until_ns`, never longer: stop then.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_twist(camera: *mut Camera, out: *mut TwistCommand) -> Status {
     boundary::enter(|| {
@@ -171,7 +172,8 @@ pub unsafe extern "C" fn vpc_camera_twist(camera: *mut Camera, out: *mut TwistCo
     })
 }
 
-/// Publishes the robot's state; sequence and time of publication are filled in, the rest is as given.
+/// Publishes the robot's state; sequence and time of publication are filled in, the rest is as
+/// given.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_publish_robot(
     camera: *mut Camera,

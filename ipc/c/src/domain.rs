@@ -10,8 +10,8 @@ use crate::status::Status;
 /// Membership of a domain.
 pub type Domain = Handle<ipc::Domain>;
 
-/// Joins the domain in `directory`, which is created if it is missing; NULL: /tmp/vpc-UID. The handle and everything
-/// opened with it stay in this thread.
+/// Joins the domain in `directory`, which is created if it is missing; NULL: /tmp/vpc-UID. The
+/// handle and everything opened with it stay in this thread.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_domain_join(
     directory: *const c_char,

@@ -11,7 +11,8 @@ fn name(table: &Table, code: u32) -> *const c_char {
         .as_ptr()
 }
 
-/// The name of a vpc_state for people; "unknown" for other numbers. Always valid, as are those below.
+/// The name of a vpc_state for people; "unknown" for other numbers. Always valid, as are those
+/// below.
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_state_name(code: u32) -> *const c_char {
     name(&TwistState::TABLE, code)

@@ -77,8 +77,8 @@ unsafe fn take<T: Message>(
     })
 }
 
-/// What the camera saw; VPC_STATUS_NOTHING if no message is waiting. `take` is a vpc_take. `missed` (may be NULL) gets
-/// the number of messages that were lost or dropped since the one before.
+/// What the camera saw; VPC_STATUS_NOTHING if no message is waiting. `take` is a vpc_take. `missed`
+/// (may be NULL) gets the number of messages that were lost or dropped since the one before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_observer_features(
     observer: *mut Observer,

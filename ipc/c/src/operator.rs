@@ -12,7 +12,8 @@ use crate::status::Status;
 /// Asks the controller, and waits for its answers.
 pub type Operator = Handle<OperatorPorts>;
 
-/// Opens an operator's ports. VPC_STATUS_TAKEN if as many operators are at work as the service allows: close it when it is no longer needed.
+/// Opens an operator's ports. VPC_STATUS_TAKEN if as many operators are at work as the service
+/// allows: close it when it is no longer needed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_operator_open(domain: *mut Domain, out: *mut *mut Operator) -> Status {
     boundary::enter(|| {
@@ -30,8 +31,8 @@ pub unsafe extern "C" fn vpc_operator_close(operator: *mut Operator) -> Status {
     boundary::enter(|| unsafe { boundary::close(operator, "operator") })
 }
 
-/// A number that no other operator uses: the standard library seeds its hash tables from the operating system's
-/// random numbers.
+/// A number that no other operator uses: the standard library seeds its hash tables from the
+/// operating system's random numbers.
 fn fresh_id() -> u64 {
     let mut hasher = RandomState::new().build_hasher();
     hasher.write_u64(ipc::now_ns());
@@ -39,8 +40,8 @@ fn fresh_id() -> u64 {
 }
 
 /// Sends a request and waits for the answer, at most `patience_ns`. `action` is a vpc_action; for
-/// VPC_ACTION_STRATEGY, `strategy` is a vpc_strategy and `neighbours` 1 to 64 with knn; otherwise both are 0. `out`
-/// (may be NULL) gets the answer, also of VPC_STATUS_REFUSED.
+/// VPC_ACTION_STRATEGY, `strategy` is a vpc_strategy and `neighbours` 1 to 64 with knn; otherwise
+/// both are 0. `out` (may be NULL) gets the answer, also of VPC_STATUS_REFUSED.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_operator_ask(
     operator: *mut Operator,
@@ -83,7 +84,8 @@ pub unsafe extern "C" fn vpc_operator_ask(
 /// How long vpc_arm, vpc_disarm and vpc_stop wait.
 const PATIENCE_NS: u64 = 1_000_000_000;
 
-/// Lets the control law move the camera, from the next good features on; waits for the answer, at most a second.
+/// Lets the control law move the camera, from the next good features on; waits for the answer, at
+/// most a second.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_arm(operator: *mut Operator, out: *mut Reply) -> Status {
     // SAFETY: the header asks for a handle and a place.

@@ -1,7 +1,7 @@
 //! The result of a function.
 
-/// Result of every function that can fail: 0 done, above 0 no answer but no error either, below 0 an error.
-/// vpc_message() explains it.
+/// Result of every function that can fail: 0 done, above 0 no answer but no error either, below 0
+/// an error. vpc_message() explains it.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
@@ -17,7 +17,8 @@ pub enum Status {
     Argument = -1,
     /// The domain cannot be joined.
     Domain = -2,
-    /// Another camera is at work in this domain, or as many operators or observers as the service allows.
+    /// Another camera is at work in this domain, or as many operators or observers as the service
+    /// allows.
     Taken = -3,
     /// A port cannot be opened.
     Open = -4,

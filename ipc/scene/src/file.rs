@@ -330,7 +330,7 @@ mod tests {
     fn unknown_missing_and_mistyped_keys_are_refused() {
         assert!(edited("fx = 800.0", "fx = 800.0\nskew = 0.0").contains("skew"));
         assert!(edited("fy = 800.0\n", "").contains("fy"));
-        assert!(edited("fy = 800.0", "fy = \"far\"").contains("line 10"));
+        assert!(edited("fy = 800.0", "fy = \"far\"").contains("line 11"));
     }
 
     #[test]

@@ -1,6 +1,6 @@
-//! The client in Python (`ipc/python`) against this crate: the same layouts, the same guard, real messages both ways,
-//! its camera driven to the goal, its logger's tables, its package installed. Needs python3 and, the first time, the
-//! network: without them the tests say so and do nothing, or fail where `VPC_REQUIRE_PYTHON` is set.
+//! The client in Python (`ipc/python`) against this crate: the same layouts, the same guard, real
+//! messages both ways, its camera driven to the goal, its logger's tables, its package installed.
+//! Needs Python 3.11 and, the first time, the network.
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read};
@@ -15,9 +15,7 @@ use ipc::{
 };
 
 use super::{directory, eventually};
-use environment::{Environment, run};
-
-mod environment;
+use testkit::python::{Environment, run};
 
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
@@ -38,7 +36,7 @@ fn sources(within: &str) -> PathBuf {
 
 /// A script of the tree, ready to run.
 fn script(python: &Path, within: &str) -> Command {
-    environment::script(python, &sources("python"), &sources(within))
+    testkit::python::script(python, &sources(within))
 }
 
 /// Lines for the layout of a message and of its fields, as peer.py has them.
@@ -53,8 +51,7 @@ fn layout(lines: &mut String, message: &Struct) {
 }
 
 fn layouts_agree(python: &Path) {
-    let output = run(script(python, "tests/python/peer.py").arg("layout")).unwrap();
-    let theirs = String::from_utf8(output.stdout).unwrap();
+    let theirs = run(script(python, "tests/python/peer.py").arg("layout")).unwrap();
     let mut ours = String::new();
     for service in ipc::SERVICES {
         let Qos {
@@ -216,8 +213,9 @@ fn messages_go_both_ways(python: &Path) {
     );
 }
 
-/// Drives the camera of camera.py from a start (object in the camera frame, m and rotation vector in rad) by one twist,
-/// held for a second; returns what it says, and the first point at each step, px.
+/// Drives the camera of camera.py from a start (object in the camera frame, m and rotation vector
+/// in rad) by one twist, held for a second; returns what it says, and the first point at each step,
+/// px.
 fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64; 2]>) {
     let directory = directory();
     let domain = Domain::join(directory.path()).unwrap();
@@ -227,7 +225,8 @@ fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64;
         .arg("--scene")
         .arg(sources("scene/scenes/paper-sim.toml"));
     camera.arg("--domain").arg(directory.path());
-    // One more than are needed: with a wrong twist it says so instead of waiting for an answer for ever.
+    // One more than are needed: with a wrong twist it says so instead of waiting for an answer for
+    // ever.
     camera.args(["--steps", &(STEPS + 1).to_string(), "--start"]);
     camera.args(start.map(|x| x.to_string()));
     let mut camera = Running(camera.stdout(Stdio::piped()).spawn().unwrap());
@@ -248,7 +247,8 @@ fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64;
 
 fn the_camera_can_be_driven(python: &Path) {
     let arrives = format!("{STEPS} steps, final error 0.0");
-    // Straight to the goal, which is at 0.6 m: the first point of the pattern is at (-0.15, -0.15) m.
+    // Straight to the goal, which is at 0.6 m: the first point of the pattern is at (-0.15, -0.15)
+    // m.
     let (text, seen) = driven(
         python,
         [0.2, 0.0, 0.7, 0.0, 0.0, 0.0],
@@ -280,7 +280,6 @@ fn refusals_have_words(python: &Path) {
     let directory = directory();
     let mut peer = script(python, "tests/python/peer.py");
     let said = run(peer.arg("refusals").arg(directory.path())).unwrap();
-    let said = String::from_utf8(said.stdout).unwrap();
     let lines: Vec<&str> = said.lines().collect();
     let pairs = "allowed: pairs (u, v) of numbers, shape (N, 2)";
     let expected = [
@@ -390,7 +389,6 @@ fn the_logger_fills_tables(python: &Path, format: &str) {
     let mut pandas = Command::new(python);
     pandas.args(["-c", read, format]);
     let table = run(pandas.arg(out.join(format!("features.{format}")))).unwrap();
-    let table = String::from_utf8(table.stdout).unwrap();
     let (points, times) = table.trim().split_once('\n').unwrap();
     let first: Vec<f64> = points.split(' ').map(|x| x.parse().unwrap()).collect();
     let published: Vec<f64> = (0..20).map(f64::from).collect();
@@ -406,7 +404,6 @@ fn the_referee_measures(python: &Path) {
     let directory = tempfile::tempdir().unwrap();
     let mut peer = script(python, "tests/python/peer.py");
     let said = run(peer.arg("depths").arg(directory.path())).unwrap();
-    let said = String::from_utf8(said.stdout).unwrap();
     let expected = [
         "16.0 75.0 0.0",
         "30.0 50.0 0.0",
@@ -453,7 +450,6 @@ fn the_package_installs(python: &Path) {
                         print(v.__file__, m.requires('vpc-client')[0], len(v.SERVICES))",
     ]);
     let said = run(&mut use_it).unwrap();
-    let said = String::from_utf8(said.stdout).unwrap();
     let end = format!("iceoryx2==0.9.3 {}", ipc::SERVICES.len());
     assert!(
         said.starts_with(installed.to_str().unwrap()) && said.trim().ends_with(&end),
@@ -461,15 +457,9 @@ fn the_package_installs(python: &Path) {
     );
 }
 
-/// What Python needs, or `None` where it is missing and may be.
-fn python(test: &str) -> Option<PathBuf> {
-    let place = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Environment::of_client(&sources("python"), place).python(test)
-}
-
 #[test]
 fn the_client_in_python_agrees() {
-    if let Some(python) = python("the_client_in_python_agrees") {
+    if let Some(python) = Environment::CLIENT.python("the_client_in_python_agrees") {
         layouts_agree(&python);
         messages_go_both_ways(&python);
         the_camera_can_be_driven(&python);
@@ -479,7 +469,9 @@ fn the_client_in_python_agrees() {
 
 #[test]
 fn the_client_in_python_refuses_what_breaks_the_contract() {
-    if let Some(python) = python("the_client_in_python_refuses_what_breaks_the_contract") {
+    if let Some(python) =
+        Environment::CLIENT.python("the_client_in_python_refuses_what_breaks_the_contract")
+    {
         refusals_have_words(&python);
         bad_messages_are_refused(&python);
     }
@@ -487,7 +479,7 @@ fn the_client_in_python_refuses_what_breaks_the_contract() {
 
 #[test]
 fn the_logger_in_python_fills_tables() {
-    if let Some(python) = python("the_logger_in_python_fills_tables") {
+    if let Some(python) = Environment::CLIENT.python("the_logger_in_python_fills_tables") {
         the_logger_fills_tables(&python, "csv");
         the_logger_fills_tables(&python, "parquet");
     }
@@ -495,7 +487,7 @@ fn the_logger_in_python_fills_tables() {
 
 #[test]
 fn the_package_of_the_client_installs() {
-    if let Some(python) = python("the_package_of_the_client_installs") {
+    if let Some(python) = Environment::CLIENT.python("the_package_of_the_client_installs") {
         the_package_installs(&python);
     }
 }

@@ -44,7 +44,7 @@ fn section(text: &mut String, schema: &Value, table: &str) {
             _ => (key, format!("`[{table}]`")),
         };
         if is_table(inner) {
-            let meaning = key["description"].as_str().unwrap_or_default();
+            let meaning = inner["description"].as_str().unwrap_or_default();
             let _ = write!(text, "\n### {head}\n\n{meaning}\n");
             section(text, inner, &format!("{table}."));
         }
@@ -73,7 +73,7 @@ fn cells(key: &Value, is_required: bool) -> [String; 4] {
             let _ = write!(meaning, " `{word}`: {words}");
         }
     }
-    [kind, default, allowed(key), meaning]
+    [kind, default, allowed(key), meaning.trim_start().to_owned()]
 }
 
 /// A value as TOML writes it.

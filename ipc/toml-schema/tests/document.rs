@@ -36,9 +36,10 @@ struct Camera {
 #[derive(Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 enum Clock {
-    /// a quartz.
+    /// A quartz.
     #[default]
     Fixed,
+    /// None.
     Free,
 }
 
@@ -50,7 +51,7 @@ struct Part {
     #[schemars(inner(range(min = -std::f64::consts::PI, max = 10)), extend("x-unit" = "m"))]
     at: [f64; 2],
     /// Its form.
-    form: Option<Form>,
+    form: Form,
 }
 
 #[derive(Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -107,7 +108,7 @@ fn a_refusal_names_file_key_value_and_range() {
             "a.toml: part[0].form.corners = 2; allowed: 3 to 12",
         ),
         (
-            "part = [{ at = [0, 0] }, { at = [0, 0] }, { at = [0, 0] }]",
+            "part = [{}, {}, {}]",
             "a.toml: part = a list of 3; allowed: at most 2 tables",
         ),
         (
@@ -188,7 +189,7 @@ fn the_page_has_a_row_for_each_key_under_its_table() {
         "| `picture` | string | required | a file | A file. |",
         "### `[camera]`\n\nThe camera.\n",
         "| `width` | integer | none | 16 to 2e4 px | Width of the image, in all. |",
-        "| `clock` | string | `\"fixed\"` | fixed, free |  `fixed`: a quartz. |",
+        "| `clock` | string | `\"fixed\"` | fixed, free | `fixed`: A quartz. `free`: None. |",
         "### `[[part]]`\n\nA part.\n",
     ] {
         assert!(page.contains(row), "{page}\nlacks {row}");

@@ -16,14 +16,6 @@ const SIZES: [[f64; 2]; 5] = [
     [5120.0, 3840.0],
 ];
 
-/// The scene file to show: `given`, else the one that the daemon left in this domain, if any.
-pub fn scene_file(directory: &Path, given: Option<&Path>) -> Option<PathBuf> {
-    let left = directory.join(ipc::SCENE_FILE);
-    given
-        .map(Path::to_owned)
-        .or_else(|| left.is_file().then_some(left))
-}
-
 /// The image plane.
 #[derive(Clone, Debug, Default)]
 pub struct ImagePlane {
@@ -160,7 +152,6 @@ pub(crate) mod tests {
         let domain = tempfile::tempdir().unwrap();
         let mut plane = ImagePlane::open(domain.path(), None).unwrap();
         assert!(!plane.has_scene() && plane.goal().is_empty());
-        assert_eq!(scene_file(domain.path(), None), None);
         let path = domain.path().join(ipc::SCENE_FILE);
         std::fs::create_dir(path.parent().unwrap()).unwrap();
         let write = |text: &str, second| {
@@ -175,13 +166,10 @@ pub(crate) mod tests {
         write(scene::PAPER_SIM, 2);
         plane.refresh();
         assert_eq!(plane.limits(&View::default()), [0.5, 1.0]);
-        assert_eq!(scene_file(domain.path(), None), Some(path.clone()));
         let other = scene::PAPER_SIM.replace("linear = 0.5", "linear = 0.25");
         write(&other, 3);
         plane.refresh();
         assert_eq!(plane.limits(&View::default()), [0.25, 1.0]);
-        let given = Path::new("other.toml");
-        assert_eq!(scene_file(domain.path(), Some(given)), Some(given.into()));
     }
 
     #[test]

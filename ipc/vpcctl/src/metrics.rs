@@ -10,13 +10,13 @@ use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::Html;
 use axum::routing::get;
-use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RobotMode, TwistState};
+use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RobotFaults, RobotMode, Table, TwistState};
 
 use crate::exit::{Exit, Failure};
 use crate::latency::{BOUNDS, Histogram, STAGES};
 use crate::request::strategy_name;
 use crate::status::{self, Status};
-use crate::view::{FAULTS, View};
+use crate::view::View;
 use crate::watcher::Watcher;
 use crate::{output, server};
 
@@ -134,17 +134,11 @@ impl Text {
         self.text += &format!("{name}{labels} {value}\n");
     }
 
-    /// A family with a sample for each code of the contract: 1 for the present one.
-    fn codes<T: Display>(
-        &mut self,
-        family: &'static str,
-        label: &str,
-        of: fn(u32) -> Option<T>,
-        present: u32,
-    ) {
-        for (code, word) in (0..).map_while(of).enumerate() {
-            let label = format!("{label}=\"{word}\"");
-            self.sample(family, &label, u8::from(code == present as usize));
+    /// A family with a sample for each value: 1 for the present one.
+    fn codes(&mut self, family: &'static str, label: &str, table: &Table, present: u32) {
+        for name in table.names {
+            let label = format!("{label}=\"{}\"", name.text);
+            self.sample(family, &label, u8::from(name.number == present));
         }
     }
 
@@ -202,9 +196,9 @@ fn observer(out: &mut Text, view: &View) {
     out.sample("vpc_observer_missed_records_total", "", view.missed);
     out.sample("vpc_observer_refused_messages_total", "", view.refused);
     out.sample("vpc_observer_restarts_total", "", view.restarts);
-    for hold in (0..).map_while(Hold::from_code) {
-        let count = view.held.get(&hold.code()).copied().unwrap_or(0);
-        let cause = format!("cause=\"{hold}\"");
+    for hold in Hold::TABLE.names {
+        let count = view.held.get(&hold.number).copied().unwrap_or(0);
+        let cause = format!("cause=\"{}\"", hold.text);
         out.sample("vpc_observed_cycles_total", &cause, count);
     }
     out.sample("vpc_observed_recalls_total", "", view.recalled);
@@ -225,13 +219,13 @@ fn daemon(out: &mut Text, last: &CycleRecord) {
     out.sample("vpc_cycles_total", "", last.cycle);
     out.sample("vpc_overruns_total", "", last.overruns);
     out.sample("vpc_lost_records_total", "", last.lost_records);
-    out.codes("vpc_state", "state", TwistState::from_code, last.state);
+    out.codes("vpc_state", "state", &TwistState::TABLE, last.state);
     let strategy = strategy_name(last.strategy, last.neighbours);
     let label = format!("strategy=\"{strategy}\"");
     out.sample("vpc_strategy_info", &label, 1);
     let is_degraded = RealTime(last.realtime).is_degraded();
     out.sample("vpc_realtime_degraded", "", u8::from(is_degraded));
-    out.codes("vpc_phase_state", "phase", PhaseCode::from_code, last.phase);
+    out.codes("vpc_phase_state", "phase", &PhaseCode::TABLE, last.phase);
     let error_s = last.phase_error_ns as f64 / 1e9;
     out.sample("vpc_phase_error_seconds", "", error_s);
     if last.features_sequence > 0 {
@@ -252,10 +246,11 @@ fn robot(out: &mut Text, view: &View, now_ns: u64) {
     let Some(robot) = view.robot_at(now_ns) else {
         return;
     };
-    out.codes("vpc_robot_mode", "mode", RobotMode::from_code, robot.mode);
-    for (fault, name) in FAULTS {
-        let is_set = u8::from(robot.faults().any(fault));
-        out.sample("vpc_robot_fault", &format!("fault=\"{name}\""), is_set);
+    out.codes("vpc_robot_mode", "mode", &RobotMode::TABLE, robot.mode);
+    for fault in RobotFaults::TABLE.names {
+        let is_set = u8::from(robot.faults & fault.number != 0);
+        let label = format!("fault=\"{}\"", fault.text);
+        out.sample("vpc_robot_fault", &label, is_set);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use ipc::{CycleRecord, Features, Hold, Order, Received, RobotFaults, RobotState, TwistState};
+use ipc::{CycleRecord, Features, Hold, Order, Received, RobotState, TwistState};
 
 use crate::latency::{Histogram, STAGES, durations};
 use crate::units::duration;
@@ -160,9 +160,9 @@ impl View {
             return "silent".to_owned();
         };
         let mode = word(robot.mode());
-        match faults(robot.faults()).join(", ") {
+        match faults(robot) {
             none if none.is_empty() => mode,
-            names => format!("{mode}: {names}"),
+            faults => format!("{mode}: {}", faults.join(", ")),
         }
     }
 
@@ -203,24 +203,14 @@ fn keep<T>(queue: &mut VecDeque<T>, value: T, most: usize) {
     queue.push_back(value);
 }
 
+/// The faults that the robot reports.
+pub fn faults(robot: &RobotState) -> Vec<&'static str> {
+    robot.faults().names().map(|fault| fault.text).collect()
+}
+
 /// A value of the contract in its words; "unknown" where its code is.
 pub fn word(value: Option<impl ToString>) -> String {
     value.map_or_else(|| "unknown".to_owned(), |value| value.to_string())
-}
-
-/// Every fault of a robot with its name.
-pub const FAULTS: [(RobotFaults, &str); 5] = [
-    (RobotFaults::STALE_COMMAND, "stale command"),
-    (RobotFaults::COMMAND_LIMITED, "command limited"),
-    (RobotFaults::REFLEX, "reflex"),
-    (RobotFaults::JOINT_LIMIT, "joint limit"),
-    (RobotFaults::PATTERN_LOST, "pattern lost"),
-];
-
-/// The names of the faults that are set.
-pub fn faults(faults: RobotFaults) -> Vec<&'static str> {
-    let set = FAULTS.iter().filter(|(bit, _)| faults.any(*bit));
-    set.map(|(_, name)| *name).collect()
 }
 
 #[cfg(test)]
@@ -330,11 +320,5 @@ pub(crate) mod tests {
             Some("robot fault")
         );
         assert_eq!(fed(&[used]).cause_words(u64::MAX), None);
-    }
-
-    #[test]
-    fn faults_are_named_bit_by_bit() {
-        assert_eq!(faults(RobotFaults(0b10100)), ["reflex", "pattern lost"]);
-        assert_eq!(faults(RobotFaults(0)).len(), 0);
     }
 }

@@ -1,4 +1,5 @@
-//! `ipc/c/include/vpc.h`: messages and codes from the tables of `ipc`, functions from the sources of `ipc/c` by cbindgen.
+//! `ipc/c/include/vpc.h`: messages and codes from the tables of `ipc`, functions from the sources
+//! of `ipc/c` by cbindgen.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;

@@ -1,127 +1,51 @@
-//! Programs in C, compiled with the header and linked with the shared library: layouts, and the three examples.
+//! Programs in C, compiled with the header and linked with the shared library: layouts, and the
+//! three examples.
 
 use std::fmt::Write as _;
-use std::io::{BufRead, BufReader, Read, Write as _};
 use std::mem::offset_of;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 use ipc::{
     Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RealTime, RecorderPort, Reply,
     RobotFaults, SERVICES, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
 };
+use testkit::{Ended, Place, Running, eventually};
 use vpcclient::camera::Sent;
 
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
-/// Longest wait for anything.
-const PATIENCE: Duration = Duration::from_secs(20);
-
-/// A process that ends with its owner.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// Compiles a source as the README says; warnings are errors.
+fn compiled(place: &Place, source: &Path) -> Command {
+    let program = place.path("program");
+    // The shared library is beside this executable.
+    let tests = std::env::current_exe().unwrap();
+    let libraries = tests.parent().unwrap();
+    let library = libraries.join("libvpcclient.so");
+    assert!(library.exists(), "{} is missing", library.display());
+    let mut cc = Command::new("cc");
+    cc.args(["-std=c11", "-pedantic", "-Wall", "-Wextra", "-Werror", "-I"]);
+    cc.arg(testkit::root().join("ipc/c/include"));
+    cc.arg(source).arg("-o").arg(&program);
+    cc.arg("-L").arg(libraries).arg("-lvpcclient").arg("-lm");
+    cc.arg(format!("-Wl,-rpath,{}", libraries.display()));
+    let status = cc.status().unwrap();
+    assert!(status.success(), "{} does not compile", source.display());
+    let mut command = Command::new(program);
+    command.stdout(Stdio::piped());
+    command
 }
 
-impl Running {
-    fn start(mut command: Command) -> Self {
-        Self(command.stdout(Stdio::piped()).spawn().unwrap())
-    }
-
-    /// What it says until it ends, and whether it ended well.
-    fn ended(mut self) -> (String, bool) {
-        let mut text = String::new();
-        let mut output = self.0.stdout.take().unwrap();
-        output.read_to_string(&mut text).unwrap();
-        (text, self.0.wait().unwrap().success())
-    }
+fn example(place: &Place, name: &str) -> Command {
+    let source = testkit::root().join("ipc/c/examples").join(name);
+    let mut command = compiled(place, &source);
+    command.arg(place.domain());
+    command
 }
 
-/// A place for programs and a domain; joining and leaving at the end clears away what killed programs left.
-struct Place(tempfile::TempDir);
-
-impl Place {
-    fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    fn domain(&self) -> PathBuf {
-        self.0.path().join("domain")
-    }
-
-    /// Compiles a source; warnings are errors.
-    fn compiled(&self, source: &Path) -> Command {
-        let program = self.0.path().join(source.file_stem().unwrap());
-        // The shared library is beside this executable.
-        let tests = std::env::current_exe().unwrap();
-        let libraries = tests.parent().unwrap();
-        assert!(
-            libraries.join("libvpcclient.so").exists(),
-            "no libvpcclient.so in {}",
-            libraries.display()
-        );
-        let mut cc = Command::new("cc");
-        cc.args(["-std=c11", "-pedantic", "-Wall", "-Wextra", "-Werror", "-I"]);
-        cc.arg(root().join("ipc/c/include"))
-            .arg(source)
-            .arg("-o")
-            .arg(&program);
-        cc.arg("-L").arg(libraries).arg("-lvpcclient").arg("-lm");
-        cc.arg(format!("-Wl,-rpath,{}", libraries.display()));
-        assert!(
-            cc.status().unwrap().success(),
-            "{} does not compile",
-            source.display()
-        );
-        Command::new(program)
-    }
-
-    fn example(&self, name: &str) -> Command {
-        let mut command = self.compiled(&root().join("ipc/c/examples").join(name));
-        command.arg(self.domain());
-        command
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        if self.domain().exists() {
-            let _ = Domain::join(&self.domain());
-        }
-    }
-}
-
-/// Whether there is a compiler; says past the capture of the harness that a test did nothing.
+/// Whether there is a compiler.
 fn compiler(test: &str) -> bool {
-    let found = Command::new("cc")
-        .arg("--version")
-        .stdout(Stdio::null())
-        .status();
-    if found.is_ok_and(|status| status.success()) {
-        return true;
-    }
-    let _ = writeln!(std::io::stderr(), "{test}: skipped: no C compiler (cc)");
-    assert!(
-        std::env::var_os("VPC_REQUIRE_PYTHON").is_none(),
-        "no C compiler (cc)"
-    );
-    false
-}
-
-fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    while start.elapsed() < PATIENCE {
-        if let Some(value) = attempt() {
-            return value;
-        }
-        std::thread::sleep(Duration::from_micros(200));
-    }
-    panic!("{what}: did not happen");
+    testkit::are_installed(test, &["cc=gcc"])
 }
 
 /// `RobotState` as `robot_state`.
@@ -132,11 +56,6 @@ fn snake(name: &str) -> String {
         (_, true) => format!("_{}", letter.to_lowercase()),
     });
     parts.collect()
-}
-
-/// The root of the repository.
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
 #[test]
@@ -185,14 +104,13 @@ fn the_compiler_of_c_has_the_layouts_of_rust() {
     }
     source += "return 0;\n}\n";
     let place = Place::new();
-    let path = place.0.path().join("layouts.c");
-    std::fs::write(&path, source).unwrap();
-    let (found, well) = Running::start(place.compiled(&path)).ended();
-    assert!(well);
-    for (found, expected) in found.lines().zip(expected.lines()) {
+    let source = place.file("layouts.c", source);
+    let Ended { code, stdout, .. } = testkit::ended(compiled(&place, &source));
+    assert_eq!(code, Some(0));
+    for (found, expected) in stdout.lines().zip(expected.lines()) {
         assert_eq!(found, expected, "C first, then Rust");
     }
-    assert_eq!(found.lines().count(), expected.lines().count());
+    assert_eq!(stdout.lines().count(), expected.lines().count());
 }
 
 #[test]
@@ -200,7 +118,8 @@ fn a_camera_in_c_closes_the_loop() {
     if !compiler("a_camera_in_c_closes_the_loop") {
         return;
     }
-    // Straight to the goal, which is at 0.6 m; rolling on the way; along a screw. A twist held for a second.
+    // Straight to the goal, which is at 0.6 m; rolling on the way; along a screw. A twist held for
+    // a second.
     for (start, twist) in [
         (
             [0.2, 0.0, 0.7, 0.0, 0.0, 0.0],
@@ -226,7 +145,7 @@ fn a_camera_in_c_closes_the_loop() {
         let place = Place::new();
         let domain = Domain::join(&place.domain()).unwrap();
         let mut controller = ControllerPorts::open(&domain).unwrap();
-        let mut command = place.example("camera.c");
+        let mut command = example(&place, "camera.c");
         command
             .arg((STEPS + 1).to_string())
             .args(start.map(|x| x.to_string()));
@@ -245,14 +164,16 @@ fn a_camera_in_c_closes_the_loop() {
                 controller.twist.publish(&answer).unwrap();
                 answered += 1;
             }
-            camera.0.try_wait().unwrap()
+            (!camera.is_running()).then_some(())
         });
-        let (text, well) = camera.ended();
+        let Ended {
+            code, stdout: text, ..
+        } = camera.ended();
         let arrived = text.strip_prefix(&format!("{answered} steps, final error "));
         let arrived = arrived.unwrap_or_else(|| panic!("{answered} answers: {text}"));
         let error: f64 = arrived.split(' ').next().unwrap().parse().unwrap();
         // It stops where it is within 2 px, which is at most two steps early.
-        assert!(well && error <= 2.0, "{text}");
+        assert!(code == Some(0) && error <= 2.0, "{text}");
         assert!((STEPS - 2..=STEPS).contains(&answered), "{text}");
         assert!(text.trim().ends_with("controller moving"), "{text}");
     }
@@ -266,11 +187,10 @@ fn an_observer_in_c_hears_every_cycle() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut recorder = RecorderPort::open(&domain).unwrap();
-    let mut command = place.example("observer.c");
+    let mut command = example(&place, "observer.c");
     command.args(["3", "20"]);
     let mut observer = Running::start(command);
-    let mut lines = BufReader::new(observer.0.stdout.take().unwrap()).lines();
-    assert_eq!(lines.next().unwrap().unwrap(), "watching");
+    observer.line("watching");
     let record = |cycle: u64| CycleRecord {
         cycle,
         state: TwistState::Braking.code(),
@@ -287,13 +207,14 @@ fn an_observer_in_c_hears_every_cycle() {
         }
         recorder.cycles.publish(&record(cycle)).unwrap();
     }
-    let said: Vec<String> = lines.map(Result::unwrap).collect();
+    let Ended { code, stdout, .. } = observer.ended();
+    let said: Vec<&str> = stdout.lines().collect();
     assert_eq!(
-        said[1],
+        said[2],
         "cycle 8: braking, robot silent, gpr, law 12.0 us, error 12.25 px, twist 0.5 -0.25 0 1 0 0.001"
     );
-    assert_eq!(said[3], "3 cycles, 1 missed, slowest law 13.5 us");
-    assert!(observer.0.wait().unwrap().success());
+    assert_eq!(said[4], "3 cycles, 1 missed, slowest law 13.5 us");
+    assert_eq!(code, Some(0));
 }
 
 #[test]
@@ -315,7 +236,7 @@ fn an_operator_in_c_is_heard_and_told() {
             Outcome::Done,
         ),
     ] {
-        let mut command = place.example("operator.c");
+        let mut command = example(&place, "operator.c");
         command.args(words);
         let operator = Running::start(command);
         let request = eventually("a request", || controller.requests.oldest().unwrap());
@@ -343,11 +264,13 @@ fn an_operator_in_c_is_heard_and_told() {
             ..reply
         };
         controller.replies.publish(&reply).unwrap();
-        let (text, well) = operator.ended();
+        let Ended {
+            code, stdout: text, ..
+        } = operator.ended();
         assert_eq!(
             text.trim(),
             format!("{outcome}; now disarmed (not armed), gpr")
         );
-        assert_eq!(well, outcome == Outcome::Done);
+        assert_eq!(code == Some(0), outcome == Outcome::Done);
     }
 }

@@ -142,7 +142,7 @@ impl Status {
         let (last, over) = view.last_cause().unzip();
         let robot = view.robot_at(now_ns).map(|robot| {
             let age_ns = now_ns.saturating_sub(robot.stamp.published_ns);
-            json!({ "mode": word(robot.mode()), "faults": faults(robot.faults()), "age_ns": age_ns })
+            json!({ "mode": word(robot.mode()), "faults": faults(robot), "age_ns": age_ns })
         });
         json!({
             "domain": self.directory.display().to_string(),
@@ -177,7 +177,7 @@ impl Status {
         };
         let robot = self.view.robot_at(self.now_ns).map(|robot| {
             let age = duration(self.now_ns.saturating_sub(robot.stamp.published_ns));
-            let faults = match faults(robot.faults()).join(", ") {
+            let faults = match faults(robot).join(", ") {
                 none if none.is_empty() => "no faults".to_owned(),
                 names => paint(&names, Tone::Bad, colours),
             };
@@ -323,13 +323,10 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
 
 /// What is missing of the real time that was asked for; `None` where none was.
 pub fn lacks(realtime: RealTime) -> Option<Vec<&'static str>> {
-    let names = [
-        (RealTime::NO_FIFO, "no SCHED_FIFO"),
-        (RealTime::NO_CPU, "not on its processor"),
-        (RealTime::NO_LOCK, "memory not locked"),
-    ];
-    let missing = names.into_iter().filter(|(bit, _)| realtime.has(*bit));
-    let lacks = missing.map(|(_, name)| name).collect();
+    let lacks = realtime
+        .names()
+        .filter(|name| name.number != RealTime::ASKED.0);
+    let lacks = lacks.map(|name| name.text).collect();
     realtime.has(RealTime::ASKED).then_some(lacks)
 }
 
@@ -384,6 +381,6 @@ mod tests {
         assert_eq!(lacks(RealTime::default()), None);
         assert_eq!(lacks(RealTime::ASKED), Some(vec![]));
         let without = RealTime::ASKED.with(RealTime::NO_LOCK);
-        assert_eq!(lacks(without), Some(vec!["memory not locked"]));
+        assert_eq!(lacks(without), Some(vec!["no locked memory"]));
     }
 }

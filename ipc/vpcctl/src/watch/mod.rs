@@ -13,7 +13,6 @@ use std::time::{Duration, Instant};
 
 use ipc::{Action, Request, StrategyCode};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-use rustix::event::{PollFd, PollFlags, Timespec};
 
 use crate::exit::{Exit, Failure};
 use crate::image_plane::ImagePlane;
@@ -92,7 +91,8 @@ pub fn run(directory: &Path, plane: ImagePlane, neighbours: u32) -> Result<Exit,
     result.map(|()| Exit::Ok)
 }
 
-/// Keys, from a thread of its own: crossterm 0.29 may hang in reading a terminal that is gone.
+/// Keys, from a thread of its own: crossterm 0.29 reads a terminal that is gone for ever. The
+/// kernel tells us by SIGHUP.
 fn keys() -> Receiver<KeyEvent> {
     let (sender, keys) = mpsc::channel();
     std::thread::spawn(move || {
@@ -105,18 +105,6 @@ fn keys() -> Receiver<KeyEvent> {
         }
     });
     keys
-}
-
-/// Whether the terminal is gone, as after a dropped connection.
-fn has_hung_up() -> bool {
-    let input = std::io::stdin();
-    let mut ports = [PollFd::new(&input, PollFlags::empty())];
-    let at_once = Timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
-    rustix::event::poll(&mut ports, Some(&at_once)).is_ok() && ports[0].revents().intersects(gone)
 }
 
 /// What is shown.
@@ -139,7 +127,7 @@ impl Session {
             colours: output::colours(),
         };
         let (keys, mut looked) = (keys(), Instant::now());
-        while !end.load(Ordering::Relaxed) && !has_hung_up() {
+        while !end.load(Ordering::Relaxed) {
             self.status.update(watcher)?;
             self.take_answer();
             if looked.elapsed() >= LOOK {
