@@ -7,7 +7,7 @@ use ipc::ClockMode;
 use vpc::{Model, Settings};
 
 use crate::arguments::Arguments;
-use crate::realtime::Wish;
+use crate::realtime::RealtimeRequest;
 
 mod check;
 mod error;
@@ -45,7 +45,7 @@ pub struct Config {
     /// How far after the expected arrival of features the clock `phase` releases a cycle, ns.
     pub margin_ns: u64,
     /// What the loop's thread asks for; `None`: an ordinary thread.
-    pub realtime: Option<Wish>,
+    pub realtime: Option<RealtimeRequest>,
     /// Filter of the log.
     pub log_level: String,
     /// Whether log lines are JSON.

@@ -10,7 +10,7 @@ use vpc::{Settings, Strategy};
 use super::raw::{Raw, RawCycle, RawFlight, RawLaw, RawRealtime, RawSafety};
 use super::{COMMAND_LINE, Config, ConfigError, FlightConfig, Safety, keys, model};
 use crate::arguments::Arguments;
-use crate::realtime::Wish;
+use crate::realtime::RealtimeRequest;
 
 /// Checks the values of one file, or of the command line alone.
 pub(super) struct Checker<'a> {
@@ -102,11 +102,11 @@ impl Checker<'_> {
         }
     }
 
-    fn realtime(&self, raw: &RawRealtime) -> Result<Option<Wish>, ConfigError> {
+    fn realtime(&self, raw: &RawRealtime) -> Result<Option<RealtimeRequest>, ConfigError> {
         let integer = |key, value: Option<i64>| value.map(|x| self.integer(key, x)).transpose();
         let cpu = integer(&keys::CPU, raw.cpu)?.map(|cpu| cpu as usize);
         match integer(&keys::PRIORITY, raw.priority)? {
-            Some(priority) => Ok(Some(Wish {
+            Some(priority) => Ok(Some(RealtimeRequest {
                 priority: priority as i32,
                 cpu,
             })),
