@@ -222,7 +222,7 @@ impl Cycle {
         let woken_ns = now_ns();
         self.woken = Usage::now();
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
-        let features = self.ports.features.latest().into();
+        let features: Input<Features> = self.ports.features.latest().into();
         if let (Some(pll), Input::Message(message)) = (&mut self.pll, &features) {
             pll.hear(&message.stamp, woken_ns);
         }
