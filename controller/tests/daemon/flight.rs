@@ -384,6 +384,7 @@ const RECEIVED: [&str; 7] = [
 fn changed(record: &CycleRecord, index: usize) -> Option<(CycleRecord, &'static str)> {
     let mut changed = *record;
     let mut left = index;
+    let mut name = None;
     for (field, values) in changed.fields_mut() {
         if left >= field.count {
             left -= field.count;
@@ -401,9 +402,10 @@ fn changed(record: &CycleRecord, index: usize) -> Option<(CycleRecord, &'static 
             }
             ValuesMut::Stamp(stamp) => stamp.data_ns ^= 1,
         }
-        return Some((changed, field.name));
+        name = Some(field.name);
+        break;
     }
-    None
+    name.map(|name| (changed, name))
 }
 
 /// Records of all kinds: with a message, without, refused, held, asked for things.
