@@ -1,6 +1,7 @@
 //! The daemon from its command line to its exit code.
 
 use std::ffi::OsString;
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -17,6 +18,7 @@ use crate::loaded::{LoadError, LoadedController};
 use crate::log::Log;
 use crate::preflight::Facts;
 use crate::report::{Report, ReportError};
+use crate::scene_files::PublishedScene;
 use crate::service::{Notifier, Progress, Service, ServiceError};
 use crate::shutdown::{Hangup, Stop};
 use crate::summary::Summary;
@@ -188,7 +190,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let domain = Domain::join(&config.domain)?;
     let instance = Instance::claim(domain.directory())?;
     let ports = ControllerPorts::open(&domain)?;
-    leave_scene(&loaded, domain.directory());
+    let scene = publish_scene(&loaded, domain.directory());
     let (producer, consumer) = flight::queue();
     let progress = Progress::default();
     let stop = signals.stop.clone();
@@ -222,6 +224,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let reported =
         recorded(recorder.join()).and_then(|summary| report(arguments, &summary, machine, &log));
     // The ports are closed: the next one may come.
+    drop(scene);
     drop(instance);
     outcome?;
     stopped.map_err(|source| Failure::Send { most: 1, source })?;
@@ -229,11 +232,14 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Leaves the scene in the domain, where viewers find it. They do without if it cannot be written.
-fn leave_scene(loaded: &LoadedController, domain: &std::path::Path) {
+fn publish_scene(loaded: &LoadedController, domain: &Path) -> Option<PublishedScene> {
     let path = domain.join(ipc::SCENE_FILE);
-    if let Err(error) = loaded.scene_files().write(&path) {
-        tracing::warn!(%error, "{}: viewers lack the scene: {error}", path.display());
-    }
+    let published = loaded.scene_files().publish(&path);
+    published
+        .inspect_err(|error| {
+            tracing::warn!(%error, "{}: viewers lack the scene: {error}", path.display());
+        })
+        .ok()
 }
 
 /// What the recorder's thread left when it ended; a panic of it is a failure of the daemon.

@@ -3,9 +3,10 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::fs;
-use std::io;
-use std::path::{Component, Path};
+use std::fs::{self, DirBuilder, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::path::{Component, Path, PathBuf};
 
 use scene::{Scene, SceneError};
 
@@ -59,13 +60,15 @@ impl SceneFiles {
         })
     }
 
-    /// Writes the scene to `path` and its masks beside it, in place of what is there. Each file is
-    /// whole at any time, and the scene comes last.
+    /// Writes the scene to `path` and its masks beside it, in place of what is there, until what
+    /// is returned is dropped. Each file is whole at any time, and the scene comes last. Only the
+    /// user may read them.
     ///
     /// # Errors
-    /// Where a file cannot be written, or a mask has a name that leads out of the directory.
-    pub fn write(&self, path: &Path) -> io::Result<()> {
+    /// If a file cannot be written, or a mask has a name that leads out of the directory.
+    pub fn publish(&self, path: &Path) -> io::Result<PublishedScene> {
         let directory = path.parent().unwrap_or(Path::new(""));
+        let published = PublishedScene(directory.to_owned());
         for (name, png) in &self.masks {
             let mut parts = Path::new(name).components();
             if !parts.all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
@@ -75,17 +78,34 @@ impl SceneFiles {
             }
             replace(&directory.join(name), png)?;
         }
-        replace(path, self.text.as_bytes())
+        replace(path, self.text.as_bytes())?;
+        Ok(published)
+    }
+}
+
+/// A scene in a directory of its own, which is removed with this.
+#[derive(Debug)]
+pub struct PublishedScene(PathBuf);
+
+impl Drop for PublishedScene {
+    fn drop(&mut self) {
+        // What stays is overwritten by the next one.
+        let _ = fs::remove_dir_all(&self.0);
     }
 }
 
 fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     if let Some(directory) = path.parent() {
-        fs::create_dir_all(directory)?;
+        DirBuilder::new()
+            .recursive(true)
+            .mode(0o700)
+            .create(directory)?;
     }
     let mut beside = path.as_os_str().to_owned();
     beside.push(".tmp");
-    fs::write(&beside, bytes)?;
+    let mut how = OpenOptions::new();
+    how.write(true).create(true).truncate(true).mode(0o600);
+    how.open(&beside)?.write_all(bytes)?;
     fs::rename(&beside, path)
 }
 
@@ -107,12 +127,14 @@ mod tests {
         );
         let files = SceneFiles::parse(text, "s.toml", &|_| Ok(png.clone())).unwrap();
         let path = place.path().join("scene/scene.toml");
-        files.write(&path).unwrap();
-        // Again, over it.
-        files.write(&path).unwrap();
+        // Left by a daemon that was killed.
+        std::mem::forget(files.publish(&path).unwrap());
+        let published = files.publish(&path).unwrap();
         let read = SceneFiles::read(&path).unwrap();
         assert_eq!(read.scene.fingerprint(), files.scene.fingerprint());
         assert_eq!((read.text, read.masks), (files.text, files.masks));
+        drop(published);
+        assert!(!path.exists());
     }
 
     #[test]
@@ -121,8 +143,7 @@ mod tests {
         let mut files =
             SceneFiles::parse(scene::PAPER_SIM.to_owned(), "s", &|_| Ok(vec![])).unwrap();
         files.masks.insert("../up.png".to_owned(), vec![1]);
-        let error = files
-            .write(&place.path().join("in/scene.toml"))
+        let error = files.publish(&place.path().join("in/scene.toml"))
             .unwrap_err();
         assert!(error.to_string().contains("mask = ../up.png"), "{error}");
         assert!(!place.path().join("up.png").exists());
