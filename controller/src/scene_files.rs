@@ -143,7 +143,8 @@ mod tests {
         let mut files =
             SceneFiles::parse(scene::PAPER_SIM.to_owned(), "s", &|_| Ok(vec![])).unwrap();
         files.masks.insert("../up.png".to_owned(), vec![1]);
-        let error = files.publish(&place.path().join("in/scene.toml"))
+        let error = files
+            .publish(&place.path().join("in/scene.toml"))
             .unwrap_err();
         assert!(error.to_string().contains("mask = ../up.png"), "{error}");
         assert!(!place.path().join("up.png").exists());
