@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
-/// Real-time visual predictive controller: image features in, camera twist out, through shared memory.
+/// Real-time visual predictive controller: image features in, camera twist out, through shared
+/// memory.
 ///
 /// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or a replay differs;
 /// 64 command line; 65 scene, memory or flight record wrong, or memory built for another task; 66 file missing;
@@ -88,31 +89,29 @@ pub struct Arguments {
 /// What `vpcd` does beside controlling.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Command {
-    /// Repeat the cycles of a flight record and compare every bit: exit code 0 all the same, 1 something differs.
+    /// Repeat the cycles of a flight record or a recording and compare every bit: exit code 0 if
+    /// all are the same, 1 if something differs.
     ///
-    /// The scene comes from the record, the memory of motion from where it was. 65: the record is damaged, or another
-    /// scene or memory is given than the recorded one; 66: a file is missing.
+    /// Scene and configuration come from the file, the memory of motion from where the
+    /// configuration says. 65: the file is damaged or no recording, or another memory is given than
+    /// the recorded one; 66: a file is missing.
     Replay(ReplayArguments),
 }
 
 /// The command line of `vpcd replay`.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ReplayArguments {
-    /// The flight record.
-    #[arg(value_name = "FILE")]
+    /// The flight record, or a recording by `vpcctl record`.
+    #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
-
-    /// Scene file, which must be of the recorded task, instead of the one in the record.
-    #[arg(long, value_name = "FILE")]
-    pub scene: Option<PathBuf>,
 
     /// Memory of motion, which must be the recorded one, instead of where it was.
     #[arg(long, value_name = "FILE")]
     pub memory: Option<PathBuf>,
 
-    /// Only up to this cycle, from the last key frame before it, and tell all of it.
+    /// Only up to this cycle, from the last snapshot before it, and print its record.
     #[arg(long, value_name = "N")]
-    pub cycle: Option<u64>,
+    pub until: Option<u64>,
 
     /// As JSON.
     #[arg(long)]

@@ -15,8 +15,8 @@ const DELAY: u64 = 4;
 const FRAMES: u64 = 60;
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Steers the emulator's camera by a daemon that sees it late; for each answer, its largest distance (m/s, rad/s) from
-/// that of the law to the true features of now.
+/// Steers the emulator's camera by a daemon that sees it late; for each answer, its largest
+/// distance (m/s, rad/s) from that of the law to the true features of now.
 fn distances(config: &str) -> Vec<f64> {
     let place = Place::new();
     let scene = Scene::read(&scene_file()).unwrap();

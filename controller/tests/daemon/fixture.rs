@@ -9,8 +9,8 @@ use rand::{Rng, RngExt};
 use scene::Scene;
 use serde_json::Map;
 
-/// A directory for one test, with a domain in it. When the test ends, joining and leaving clears away what killed
-/// processes left in /dev/shm.
+/// A directory for one test, with a domain in it. When the test ends, joining and leaving clears
+/// away what killed processes left in /dev/shm.
 pub struct Place(tempfile::TempDir);
 
 impl Place {
@@ -64,8 +64,8 @@ pub fn square(scene: &Scene, random: &mut impl Rng) -> Vec<[f64; 2]> {
         .to_vec()
 }
 
-/// Writes a memory for this scene: 300 random samples and a regression over 100 of them. It steers nowhere sensible,
-/// but it is asked as a real one is.
+/// Writes a memory for this scene: 300 random samples and a regression over 100 of them. It steers
+/// nowhere sensible, but it is asked as a real one is.
 pub fn write_memory(scene: &Scene, path: &Path, random: &mut impl Rng) {
     let points = scene.pattern.len();
     let (inputs, outputs) = (2 * points + 2, 6 + 2 * points);

@@ -55,7 +55,8 @@ impl Bench {
         answer.expect("an answer in time").message
     }
 
-    /// Connects to the daemon, which is at work: what it says later is then kept, even after its end.
+    /// Connects to the daemon, which is at work: what it says later is then kept, even after its
+    /// end.
     fn attach(&mut self) {
         self.observer.twist.refresh().unwrap();
         self.observer.cycles.refresh().unwrap();
@@ -366,7 +367,8 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
     eventually("a command", || bench.camera.twist.latest().unwrap());
     let mut points = bench.features();
     let mut id = 0;
-    // A frame, and what the robot says of itself beside it; what the daemon does about it, and what it says to `arm`.
+    // A frame, and what the robot says of itself beside it; what the daemon does about it, and what
+    // it says to `arm`.
     let mut frame = |robot: Option<RobotMode>, arms: bool| {
         for x in &mut points.points[..8] {
             *x += bench.random.random_range(-0.1..0.1);
@@ -463,7 +465,8 @@ fn a_killed_daemon_is_replaced() {
         let daemon = bench.start(&["--clock", "lockstep"]);
         for k in 1..=5 {
             let features = bench.features();
-            // A new daemon counts its commands from 1; the first one may answer the features of the round before.
+            // A new daemon counts its commands from 1; the first one may answer the features of the
+            // round before.
             let answer = bench.ask(&features);
             assert!(answer.stamp.sequence >= k, "round {round}: {answer:?}");
         }
