@@ -1,7 +1,7 @@
 //! The flight record of the real daemon: asked for, written, replayed by the real binary.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
+use std::process::Command;
 use std::time::Duration;
 
 use ipc::{
@@ -11,11 +11,11 @@ use ipc::{
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use recording::{Recording, RecordingFile};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use scene::Scene;
 use serde_json::Value;
 
-use crate::fixture::{Place, end_of, eventually, scene_file, square, vpcd, vpcd_in, write_memory};
+use crate::fixture::{Place, Running, eventually, scene_file, square, vpcd, vpcd_in, write_memory};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -25,7 +25,7 @@ struct Bench {
     camera: CameraPorts,
     operator: OperatorPorts,
     random: ChaCha8Rng,
-    daemon: Option<Child>,
+    daemon: Option<Running>,
     place: Place,
 }
 
@@ -50,7 +50,7 @@ impl Bench {
             camera,
             operator,
             random,
-            daemon: Some(command.spawn().unwrap()),
+            daemon: Some(Running::start(command)),
             place,
         }
     }
@@ -70,8 +70,7 @@ impl Bench {
     }
 
     fn signal(&self, signal: Signal) {
-        let daemon = self.daemon.as_ref().unwrap();
-        kill_process(Pid::from_child(daemon), signal).unwrap();
+        self.daemon.as_ref().unwrap().signal(signal);
     }
 
     fn files(&self) -> Vec<PathBuf> {
@@ -95,19 +94,10 @@ impl Bench {
     }
 
     fn end(&mut self) {
-        self.signal(Signal::TERM);
-        let (code, log) = end_of(self.daemon.take().unwrap());
+        let daemon = self.daemon.take().unwrap();
+        let (code, log) = daemon.terminated().log();
         assert_eq!(code, 0, "{log}");
         assert!(log.contains("flight record written"), "{log}");
-    }
-}
-
-impl Drop for Bench {
-    fn drop(&mut self) {
-        if let Some(daemon) = &mut self.daemon {
-            let _ = daemon.kill();
-            let _ = daemon.wait();
-        }
     }
 }
 
