@@ -247,7 +247,10 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
     checked.map_err(|error| document.refuse("law", error, "what the law allows"))
 }
 
-fn realtime(document: &Document, table: &tables::Realtime) -> Result<Option<RealtimeRequest>, ConfigError> {
+fn realtime(
+    document: &Document,
+    table: &tables::Realtime,
+) -> Result<Option<RealtimeRequest>, ConfigError> {
     match (table.priority, table.cpu) {
         (None, Some(_)) => {
             let allowed = "1 to 99, where realtime.cpu is given";

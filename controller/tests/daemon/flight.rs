@@ -9,11 +9,11 @@ use controller::loaded::LoadedController;
 use controller::replay::{Difference, ReplayError, Report, replay};
 use controller::snapshot;
 use controller::supervisor::Rules;
-use ipc::{ValuesMut, Wire};
 use ipc::{
     Action, CycleFlags, CycleRecord, Features, Hold, InputCode, RecallCode, Request, RobotState,
     Stamp, StrategyCode, TwistState,
 };
+use ipc::{ValuesMut, Wire};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use recording::Recording;

@@ -306,7 +306,9 @@ impl<'a> Demo<'a> {
             println!("  {}", run.drawn(&spec.to_string(), &self.task).title);
         }
         let named = runs.iter().map(|(spec, run)| (*spec, run));
-        pictures::comparison(&self.scene, &self.task, named).canvas().write(path)?;
+        pictures::comparison(&self.scene, &self.task, named)
+            .canvas()
+            .write(path)?;
         let film: Vec<_> = runs.first().into_iter().chain(runs.last()).collect();
         pictures::animation(&self.scene, &self.task, &film).write(path)?;
         let memory = self.memory()?;
@@ -342,7 +344,9 @@ impl<'a> Demo<'a> {
             title: "twist executed by hw-sim".to_owned(),
         };
         let columns = vec![(plane, velocity)];
-        figures::Comparison { columns }.canvas().write(&self.cli.output.join("run"))?;
+        figures::Comparison { columns }
+            .canvas()
+            .write(&self.cli.output.join("run"))?;
         let joints = pictures::joints(&records, "joints while vpcd and hw-sim ran");
         if let Some(joints) = &joints {
             joints.canvas().write(&self.cli.output.join("joints"))?;
