@@ -122,7 +122,7 @@ mod tests {
         scene::write_mask(&mask, width, height, covered).unwrap();
         let png = fs::read(mask).unwrap();
         let text = format!(
-            "{}\n[[occlusions]]\nname = 'bush'\nmask = 'masks/bush.png'\n",
+            "{}\n[[occlusion]]\nname = 'bush'\nmask = 'masks/bush.png'\n",
             scene::PAPER_SIM
         );
         let files = SceneFiles::parse(text, "s.toml", &|_| Ok(png.clone())).unwrap();
