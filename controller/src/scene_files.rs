@@ -118,11 +118,10 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let mask = place.path().join("drawn.png");
         let covered = |u, v| (300..340).contains(&u) && (200..240).contains(&v);
-        let [width, height] = [1024, 768];
-        scene::write_mask(&mask, width, height, covered).unwrap();
+                scene::write_mask(&mask, 1024, 1024, covered).unwrap();
         let png = fs::read(mask).unwrap();
         let text = format!(
-            "{}\n[[occlusions]]\nname = 'bush'\nmask = 'masks/bush.png'\n",
+            "{}\n[[occlusion]]\nname = 'bush'\nmask = 'masks/bush.png'\n",
             scene::PAPER_SIM
         );
         let files = SceneFiles::parse(text, "s.toml", &|_| Ok(png.clone())).unwrap();

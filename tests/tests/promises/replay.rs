@@ -6,8 +6,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use ipc::{Values, Wire};
 use ipc::{CycleRecord, RecallCode};
+use ipc::{Values, Wire};
 use recording::{Recording, RecordingFile};
 use rustix::process::Signal;
 use serde_json::Value;
