@@ -18,7 +18,6 @@ use scene::{Pose, Scene, read_starts};
 use system_tests::children::{self, Children, attended};
 use system_tests::flags::{Common, RobotFlags, defaults};
 use system_tests::pictures::{self, Draw};
-use system_tests::processes::build;
 use system_tests::spec::Spec;
 use system_tests::{robot_table, root, run};
 use vpc::{Controller, MotionMemory, Task};
@@ -127,7 +126,7 @@ impl<'a> Demo<'a> {
     fn show(&self, children: &Children) -> anyhow::Result<bool> {
         let strategy = self.cli.strategy;
         eprintln!("Building vpcd and hw-sim.");
-        let programs = build(children, root(), &["vpcd", "hw-sim"])?;
+        let programs = children.build(&["vpcd", "hw-sim"])?;
         println!(
             "\nRunning vpcd ({strategy}) and hw-sim as two processes: {}, start {}.",
             self.scene_path.display(),
