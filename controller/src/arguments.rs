@@ -7,10 +7,10 @@ use clap::{Args, Parser, Subcommand};
 /// Real-time visual predictive controller: image features in, camera twist out, through shared
 /// memory.
 ///
-/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or a replay differs;
-/// 64 command line; 65 scene, memory or flight record wrong, or memory built for another task; 66 file missing;
-/// 69 shared memory not available, or another vpcd at work; 70 failure of vpcd; 73 a file cannot be written;
-/// 78 configuration.
+/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or
+/// a replay differs; 64 command line; 65 scene, memory or flight record wrong, or memory built for
+/// another task; 66 file missing; 69 shared memory not available, or another vpcd at work; 70
+/// failure of vpcd; 73 a file cannot be written; 78 configuration.
 #[derive(Clone, Debug, Default, Parser)]
 #[command(
     name = "vpcd",
@@ -23,8 +23,8 @@ pub struct Arguments {
     #[command(subcommand)]
     pub command: Option<Command>,
 
-    /// Configuration file (TOML); paths in it are relative to its directory. Without one every key has its default and
-    /// --scene must be given. CONFIGURATION.md lists all keys.
+    /// Configuration file (TOML); paths in it are relative to its directory. Without one every key
+    /// has its default and --scene must be given. CONFIGURATION.md lists all keys.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 
@@ -36,7 +36,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub memory: Option<PathBuf>,
 
-    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr or ibvs, instead of `law.strategy`.
+    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr or ibvs, instead of
+    /// `law.strategy`.
     #[arg(long, value_name = "NAME")]
     pub strategy: Option<String>,
 
@@ -44,18 +45,19 @@ pub struct Arguments {
     #[arg(long, value_name = "STEPS")]
     pub np: Option<i64>,
 
-    /// fixed (a grid in time at the scene's rate), phase (the same grid, following the camera's frames) or lockstep (one
-    /// cycle for each features message), instead of `cycle.clock`.
+    /// fixed (a grid in time at the scene's rate), phase (the same grid, following the camera's
+    /// frames) or lockstep (one cycle for each features message), instead of `cycle.clock`.
     #[arg(long, value_name = "MODE")]
     pub clock: Option<String>,
 
-    /// Directory of the shared-memory domain, the same for all who are to meet, instead of `ipc.domain`.
-    /// [default: /tmp/vpc-UID]
+    /// Directory of the shared-memory domain, the same for all who are to meet, instead of
+    /// `ipc.domain`. [default: /tmp/vpc-UID]
     #[arg(long, value_name = "DIR")]
     pub domain: Option<PathBuf>,
 
-    /// Start armed: the first good features set the camera in motion. Otherwise, and without `safety.armed`, it stands
-    /// until an operator arms it; in lockstep, where no arm moves, it starts armed.
+    /// Start armed: the first good features set the camera in motion. Otherwise, and without
+    /// `safety.armed`, it stands until an operator arms it; in lockstep, where no arm moves, it
+    /// starts armed.
     #[arg(long)]
     pub arm: bool,
 
@@ -63,13 +65,13 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,
 
-    /// Write a report to this file at the end (JSON): times of wake-up, reception, law and sending, page faults,
-    /// blocking calls and heap allocations.
+    /// Write a report to this file at the end (JSON): times of wake-up, reception, law and sending,
+    /// page faults, blocking calls and heap allocations.
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
 
-    /// Print what this machine lacks for real time and how to provide it, and exit: 0 if fit, else 1. Takes a second;
-    /// needs neither configuration nor scene.
+    /// Print what this machine lacks for real time and how to provide it, and exit: 0 if fit, else
+    /// 1. Takes a second; needs neither configuration nor scene.
     #[arg(long)]
     pub preflight: bool,
 

@@ -35,7 +35,7 @@ impl Grid {
     }
 
     /// Ends the cycle of the present release at `now_ns`: moves on to the first release after it.
-    /// Tells how many were missed.
+    /// Returns how many were missed.
     pub fn advance(&mut self, now_ns: u64) -> u64 {
         self.advance_by(self.period_ns, now_ns)
     }

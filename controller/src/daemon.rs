@@ -128,7 +128,7 @@ fn print_config(arguments: &Arguments) -> Exit {
     }
 }
 
-/// Tells what the machine lacks for the loop of this configuration; for a usual one if none is
+/// Prints what the machine lacks for the loop of this configuration; for a usual one if none is
 /// given.
 fn preflight(arguments: &Arguments) -> Exit {
     let usual = realtime::RealtimeRequest {
@@ -247,7 +247,7 @@ fn recorded(ended: std::thread::Result<Summary>) -> Result<Summary, Failure> {
     ended.map_err(|_| RecorderError::Died.into())
 }
 
-/// Tells how the run was: to the log, and to the file of `--report`.
+/// Reports how the run was: to the log, and to the file of `--report`.
 fn report(
     arguments: &Arguments,
     summary: &Summary,

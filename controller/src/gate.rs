@@ -101,8 +101,8 @@ impl Gate {
         Verdict::Hold(reason, self.last())
     }
 
-    /// Tells the law at the next features that its last command was not in force all the time: it
-    /// was not sent.
+    /// Lets the law know at the next features that its last command was not in force all the time:
+    /// it was not sent.
     pub fn mark_gap(&mut self) {
         self.gap = true;
     }

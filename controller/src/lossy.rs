@@ -44,7 +44,7 @@ impl Lossy {
         Ok(Self { lines, counts })
     }
 
-    /// Lines lost so far: dropped, or refused by who should have taken them.
+    /// Lines lost so far: dropped, or refused by the writer.
     pub fn lost(&self) -> u64 {
         self.counts.lost.load(Ordering::Relaxed)
     }

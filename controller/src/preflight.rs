@@ -92,7 +92,7 @@ impl Display for Preflight {
     }
 }
 
-/// Judges the facts for a loop that wishes this.
+/// Judges the facts for a loop that wants this.
 pub fn judge(facts: &Facts, wanted: RealtimeRequest) -> Preflight {
     let checks = vec![
         priority(facts, wanted),

@@ -118,7 +118,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let mask = place.path().join("drawn.png");
         let covered = |u, v| (300..340).contains(&u) && (200..240).contains(&v);
-                scene::write_mask(&mask, 1024, 1024, covered).unwrap();
+        scene::write_mask(&mask, 1024, 1024, covered).unwrap();
         let png = fs::read(mask).unwrap();
         let text = format!(
             "{}\n[[occlusion]]\nname = 'bush'\nmask = 'masks/bush.png'\n",

@@ -12,7 +12,7 @@ use crate::snapshot;
 
 /// Cycles that the queue holds: many pauses' worth of lockstep cycles.
 pub const CAPACITY: usize = 8192;
-/// Snapshots that go with so many cycles, and some to spare for those after losses.
+/// Snapshots that go with as many cycles, and some to spare for those after losses.
 const SNAPSHOTS: usize = 2 * CAPACITY / snapshot::EVERY as usize;
 /// Replies: a flood of requests, taken as fast as the loop takes them, for a while.
 const REPLIES: usize = 1024;

@@ -112,7 +112,7 @@ impl Recorder {
         ))
     }
 
-    /// A recorder of so many cycles that writes nothing.
+    /// A recorder that keeps `cycles` and writes nothing.
     pub fn nowhere(cycles: usize) -> Self {
         Self {
             ring: Ring::new(cycles),
@@ -196,7 +196,7 @@ impl Recorder {
     }
 
     /// Waits for the writer, but for no disk that hangs: what it leaves then is removed with the
-    /// next file. Tells whether it is done.
+    /// next file. Returns whether it is done.
     fn wait(&mut self) -> bool {
         let end = Instant::now() + PATIENCE;
         while self.is_writing() && Instant::now() < end {

@@ -24,7 +24,7 @@ impl Ring {
     pub const BYTES_PER_CYCLE: usize =
         size_of::<FlightCycle>() + size_of::<Snapshot>().div_ceil(snapshot::EVERY as usize);
 
-    /// A ring for so many cycles, at least one.
+    /// A ring for at least one cycle.
     pub fn new(capacity: usize) -> Self {
         let capacity = capacity.max(1);
         Self {

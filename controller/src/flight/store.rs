@@ -1,4 +1,4 @@
-//! The directory of flight records: whole files only, and not more than so many.
+//! The directory of flight records: whole files only, and a bounded number of them.
 
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io;
