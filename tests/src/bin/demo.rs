@@ -4,13 +4,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{ExitCode, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
-use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
-use figures::Points;
 use hw_sim::eye::Sight;
 use hw_sim::recording;
 use memory_blob::MemoryFile;
@@ -133,14 +129,14 @@ impl<'a> Demo<'a> {
             self.start
         );
         let recording_path = self.cli.output.join("run.jsonl");
-        let (has_arrived, way_points) = self.run(children, &programs, &recording_path)?;
+        let has_arrived = self.run(children, &programs, &recording_path)?;
         println!("\nThe strategies from the same start, in this process:");
         let pictures = self.cli.output.join("strategies");
         match self.cli.scene {
             Which::PaperSim => self.draw_strategies(&self.compare()?, &pictures)?,
             Which::PaperRobot => self.draw_strategies(&self.compare_on_robot()?, &pictures)?,
         }
-        let has_joints = self.draw_recording(&recording_path, way_points)?;
+        let has_joints = self.draw_recording(&recording_path)?;
         self.say_what_to_look_at(has_joints);
         Ok(has_arrived)
     }
@@ -168,14 +164,8 @@ impl<'a> Demo<'a> {
         );
     }
 
-    /// Runs the two processes, of which `hw-sim` says what came of it: whether the goal was reached without a violation, and
-    /// the way points of the law.
-    fn run(
-        &self,
-        children: &Children,
-        programs: &Path,
-        recording: &Path,
-    ) -> anyhow::Result<(bool, Vec<Points>)> {
+    /// Runs the two processes; `hw-sim` prints what came of it. Returns whether the goal was reached without a violation.
+    fn run(&self, children: &Children, programs: &Path, recording: &Path) -> anyhow::Result<bool> {
         let (cli, [vpcd, hw_sim]) = (self.cli, self.cli.scene.parts().1);
         // The daemon puts its flight record beside the domain: to it, the end of the camera is a fault.
         let here = std::env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
@@ -209,23 +199,11 @@ impl<'a> Demo<'a> {
         if !cli.no_progress {
             emulator.arg("--progress");
         }
-        let ended = AtomicBool::new(false);
-        let (status, way_points) = thread::scope(|scope| {
-            let watch = scope.spawn(|| way_points(&domain, &ended));
-            let both = || {
-                let daemon = children.start("vpcd", daemon)?;
-                let (status, _) = children.start("hw-sim", emulator)?.output()?;
-                daemon.stop()?;
-                anyhow::Ok(status)
-            };
-            let status = both();
-            ended.store(true, Ordering::Relaxed);
-            (status, watch.join())
-        });
+        let daemon = children.start("vpcd", daemon)?;
+        let (status, _) = children.start("hw-sim", emulator)?.output()?;
         let log = || format!("see {}", cli.output.join("vpcd.log").display());
-        // Without way points in the picture the demo is still a demo.
-        let way_points = way_points.ok().and_then(Result::ok).unwrap_or_default();
-        Ok((status.with_context(log)?.success(), way_points))
+        daemon.stop().with_context(log)?;
+        Ok(status.success())
     }
 
     /// Runs the strategies with the camera that flies freely.
@@ -291,7 +269,7 @@ impl<'a> Demo<'a> {
     }
 
     /// Draws what the two processes did; whether a robot's joints were drawn.
-    fn draw_recording(&self, path: &Path, way_points: Vec<Points>) -> anyhow::Result<bool> {
+    fn draw_recording(&self, path: &Path) -> anyhow::Result<bool> {
         let (head, records) = recording::read(path).with_context(|| path.display().to_string())?;
         // The way to the goal; what comes after the release is the robot's.
         let obeys = |record: &&recording::Record| {
@@ -307,7 +285,7 @@ impl<'a> Demo<'a> {
                 .map(|record| record.features.clone())
                 .collect(),
             goal: head.goal,
-            way_points,
+            way_points: Vec::new(),
             title: format!("vpcd {} and hw-sim over shared memory", self.cli.strategy),
         };
         let velocity = figures::Velocity {
@@ -326,23 +304,4 @@ impl<'a> Demo<'a> {
         }
         Ok(joints.is_some())
     }
-}
-
-/// Collects the way points that the daemon's cycles report, until the end.
-fn way_points(domain: &Path, ended: &AtomicBool) -> anyhow::Result<Vec<Points>> {
-    let domain = ipc::Domain::join(domain)?;
-    let mut observer = ipc::Observer::open(&domain)?;
-    let mut way_points = Vec::new();
-    while !ended.load(Ordering::Relaxed) {
-        while let Ok(Some(record)) = observer.cycles.oldest() {
-            let count = record.way_point_count as usize;
-            let points = record.way_point.chunks_exact(2).take(count);
-            let points: Points = points.map(|p| [p[0], p[1]]).collect();
-            if !points.is_empty() {
-                way_points.push(points);
-            }
-        }
-        thread::sleep(Duration::from_millis(20));
-    }
-    Ok(way_points)
 }
