@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
-/// Real-time visual predictive controller: image features in, camera twist out, through shared memory.
+/// Real-time visual predictive controller: image features in, camera twist out, through shared
+/// memory.
 ///
-/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or a replay differs;
-/// 64 command line; 65 scene, memory or flight record wrong, or memory built for another task; 66 file missing;
-/// 69 shared memory not available, or another vpcd at work; 70 failure of vpcd; 73 a file cannot be written;
-/// 78 configuration.
+/// Exit codes: 0 stopped by SIGTERM, SIGINT or --cycles; 1 --preflight found the machine unfit, or
+/// a replay differs; 64 command line; 65 scene, memory or flight record wrong, or memory built for
+/// another task; 66 file missing; 69 shared memory not available, or another vpcd at work; 70
+/// failure of vpcd; 73 a file cannot be written; 78 configuration.
 #[derive(Clone, Debug, Default, Parser)]
 #[command(
     name = "vpcd",
@@ -22,8 +23,8 @@ pub struct Arguments {
     #[command(subcommand)]
     pub command: Option<Command>,
 
-    /// Configuration file (TOML); paths in it are relative to its directory. Without one every key has its default and
-    /// --scene must be given. CONFIGURATION.md lists all keys.
+    /// Configuration file (TOML); paths in it are relative to its directory. Without one every key
+    /// has its default and --scene must be given. CONFIGURATION.md lists all keys.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 
@@ -35,7 +36,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub memory: Option<PathBuf>,
 
-    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr or ibvs, instead of `law.strategy`.
+    /// previous, knn (or knn2 ... knn64: neighbours averaged), gpr or ibvs, instead of
+    /// `law.strategy`.
     #[arg(long, value_name = "NAME")]
     pub strategy: Option<String>,
 
@@ -43,18 +45,19 @@ pub struct Arguments {
     #[arg(long, value_name = "STEPS")]
     pub np: Option<i64>,
 
-    /// fixed (a grid in time at the scene's rate), phase (the same grid, following the camera's frames) or lockstep (one
-    /// cycle for each features message), instead of `cycle.clock`.
+    /// fixed (a grid in time at the scene's rate), phase (the same grid, following the camera's
+    /// frames) or lockstep (one cycle for each features message), instead of `cycle.clock`.
     #[arg(long, value_name = "MODE")]
     pub clock: Option<String>,
 
-    /// Directory of the shared-memory domain, the same for all who are to meet, instead of `ipc.domain`.
-    /// [default: /tmp/vpc-UID]
+    /// Directory of the shared-memory domain, the same for all who are to meet, instead of
+    /// `ipc.domain`. [default: /tmp/vpc-UID]
     #[arg(long, value_name = "DIR")]
     pub domain: Option<PathBuf>,
 
-    /// Start armed: the first good features set the camera in motion. Otherwise, and without `safety.armed`, it stands
-    /// until an operator arms it; in lockstep, where no arm moves, it starts armed.
+    /// Start armed: the first good features set the camera in motion. Otherwise, and without
+    /// `safety.armed`, it stands until an operator arms it; in lockstep, where no arm moves, it
+    /// starts armed.
     #[arg(long)]
     pub arm: bool,
 
@@ -62,13 +65,13 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,
 
-    /// Write a report to this file at the end (JSON): times of wake-up, reception, law and sending, page faults,
-    /// blocking calls and heap allocations.
+    /// Write a report to this file at the end (JSON): times of wake-up, reception, law and sending,
+    /// page faults, blocking calls and heap allocations.
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
 
-    /// Print what this machine lacks for real time and how to provide it, and exit: 0 if fit, else 1. Takes a second;
-    /// needs neither configuration nor scene.
+    /// Print what this machine lacks for real time and how to provide it, and exit: 0 if fit, else
+    /// 1. Takes a second; needs neither configuration nor scene.
     #[arg(long)]
     pub preflight: bool,
 
@@ -88,31 +91,29 @@ pub struct Arguments {
 /// What `vpcd` does beside controlling.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Command {
-    /// Repeat the cycles of a flight record and compare every bit: exit code 0 all the same, 1 something differs.
+    /// Repeat the cycles of a flight record or a recording and compare every bit: exit code 0 if
+    /// all are the same, 1 if something differs.
     ///
-    /// The scene comes from the record, the memory of motion from where it was. 65: the record is damaged, or another
-    /// scene or memory is given than the recorded one; 66: a file is missing.
+    /// Scene and configuration come from the file, the memory of motion from where the
+    /// configuration says. 65: the file is damaged or no recording, or another memory is given than
+    /// the recorded one; 66: a file is missing.
     Replay(ReplayArguments),
 }
 
 /// The command line of `vpcd replay`.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ReplayArguments {
-    /// The flight record.
-    #[arg(value_name = "FILE")]
+    /// The flight record, or a recording by `vpcctl record`.
+    #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
-
-    /// Scene file, which must be of the recorded task, instead of the one in the record.
-    #[arg(long, value_name = "FILE")]
-    pub scene: Option<PathBuf>,
 
     /// Memory of motion, which must be the recorded one, instead of where it was.
     #[arg(long, value_name = "FILE")]
     pub memory: Option<PathBuf>,
 
-    /// Only up to this cycle, from the last key frame before it, and tell all of it.
+    /// Only up to this cycle, from the last snapshot before it, and print its record.
     #[arg(long, value_name = "N")]
-    pub cycle: Option<u64>,
+    pub until: Option<u64>,
 
     /// As JSON.
     #[arg(long)]

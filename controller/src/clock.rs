@@ -4,8 +4,8 @@ use rustix::io::Errno;
 use rustix::thread::clock_nanosleep_absolute;
 use rustix::thread::{ClockId, Timespec};
 
-/// A grid of releases on CLOCK_MONOTONIC. A release that passed while a cycle was still running is skipped and
-/// counted, never caught up: two commands in a row would answer the same features.
+/// A grid of releases on CLOCK_MONOTONIC. A release that passed while a cycle was still running is
+/// skipped and counted, never caught up: two commands in a row would answer the same features.
 #[derive(Clone, Copy, Debug)]
 pub struct Grid {
     period_ns: u64,
@@ -34,14 +34,14 @@ impl Grid {
         self.missed
     }
 
-    /// Ends the cycle of the present release at `now_ns`: moves on to the first release after it. Tells how many
-    /// were missed.
+    /// Ends the cycle of the present release at `now_ns`: moves on to the first release after it.
+    /// Returns how many were missed.
     pub fn advance(&mut self, now_ns: u64) -> u64 {
         self.advance_by(self.period_ns, now_ns)
     }
 
-    /// The same where the grid moves: the next release comes so long after the present one, ns, and the others a
-    /// period each after that.
+    /// The same where the grid moves: the next release comes so long after the present one, ns, and
+    /// the others a period each after that.
     pub fn advance_by(&mut self, interval_ns: u64, now_ns: u64) -> u64 {
         self.next_ns += interval_ns;
         let missed = match now_ns.checked_sub(self.next_ns) {
@@ -54,13 +54,15 @@ impl Grid {
     }
 }
 
-/// Sleeps until an instant of CLOCK_MONOTONIC, through signals: a cycle never starts before its release.
+/// Sleeps until an instant of CLOCK_MONOTONIC, through signals: a cycle never starts before its
+/// release.
 pub fn sleep_until(deadline_ns: u64) {
     let deadline = Timespec {
         tv_sec: (deadline_ns / 1_000_000_000) as i64,
         tv_nsec: (deadline_ns % 1_000_000_000) as _,
     };
-    // Any other error than an interruption: not to sleep is the better choice; the grid counts what was missed.
+    // Any other error than an interruption: not to sleep is the better choice; the grid counts what
+    // was missed.
     while clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(Errno::INTR) {}
 }
 

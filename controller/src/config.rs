@@ -9,7 +9,7 @@ use vpc::{Settings, Strategy};
 
 use crate::arguments::Arguments;
 use crate::exit::Exit;
-use crate::realtime::Wish;
+use crate::realtime::RealtimeRequest;
 
 mod tables;
 #[cfg(test)]
@@ -17,7 +17,6 @@ mod tests;
 
 use tables::{Law, Tables};
 
-pub(crate) use tables::Model as ModelWord;
 pub use toml_schema::FileError as ConfigError;
 
 /// A valid configuration.
@@ -43,7 +42,7 @@ pub struct Config {
     /// How far after the expected arrival of features the clock `phase` releases a cycle, ns.
     pub margin_ns: u64,
     /// What the loop's thread asks for; `None`: an ordinary thread.
-    pub realtime: Option<Wish>,
+    pub realtime: Option<RealtimeRequest>,
     /// Filter of the log.
     pub log_level: String,
     /// Whether log lines are JSON.
@@ -248,12 +247,15 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
     checked.map_err(|error| document.refuse("law", error, "what the law allows"))
 }
 
-fn realtime(document: &Document, table: &tables::Realtime) -> Result<Option<Wish>, ConfigError> {
+fn realtime(
+    document: &Document,
+    table: &tables::Realtime,
+) -> Result<Option<RealtimeRequest>, ConfigError> {
     match (table.priority, table.cpu) {
         (None, Some(_)) => {
             let allowed = "1 to 99, where realtime.cpu is given";
             Err(document.missing("realtime.priority", allowed))
         }
-        (priority, cpu) => Ok(priority.map(|priority| Wish { priority, cpu })),
+        (priority, cpu) => Ok(priority.map(|priority| RealtimeRequest { priority, cpu })),
     }
 }

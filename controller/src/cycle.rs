@@ -1,17 +1,20 @@
-//! The loop: Wake -> Receive -> Step -> Send -> Slack. Nothing here allocates, logs, or waits without a bound.
+//! The loop: wake, receive, decide, send, slack. Nothing here allocates, logs, or waits without a
+//! bound.
 
 use heapless::Vec;
 use ipc::{
-    ClockMode, ControllerPorts, CycleFlags, CycleRecord, PublishError, RealTime, ReceiveError,
-    Reply, TwistCommand, TwistState, now_ns,
+    Action, ClockMode, ControllerPorts, CycleFlags, CycleRecord, Features, Order, Outcome,
+    PublishError, RealTime, ReceiveError, Reply, TwistCommand, TwistState, now_ns,
 };
+use scene::Scene;
 
 use crate::clock::{Grid, sleep_until};
-use crate::flight::Tap;
-use crate::gate::Input;
-use crate::law::Law;
-use crate::phase::Phase;
-use crate::pilot::{Answer, Inputs, Pilot};
+use crate::config::Config;
+use crate::control::{Answer, ControlStep};
+use crate::flight::{DumpRequest, Producer};
+use crate::input::{Input, Inputs};
+use crate::loaded::LoadedController;
+use crate::pll::CameraPll;
 use crate::shutdown::Stop;
 use crate::supervisor::Rules;
 use crate::usage::Usage;
@@ -24,7 +27,7 @@ const POLL_NS: u64 = 20_000;
 const WAIT_NS: u64 = 5_000_000;
 
 /// Most requests of operators taken in a cycle: as many as wait in the queue.
-pub const REQUESTS: usize = 16;
+const REQUESTS: usize = 16;
 
 /// How the loop runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,36 +42,66 @@ pub struct Pace {
     pub rules: Rules,
     /// Clock `phase`: how far after the expected arrival of features a cycle begins, ns.
     pub margin_ns: u64,
-    /// How real the thread's real time is. Under SCHED_FIFO polling only sleeps.
+    /// The real-time properties that the thread has. Under SCHED_FIFO polling only sleeps.
     pub realtime: RealTime,
 }
 
 impl Pace {
-    /// The pilot of such a loop before its first cycle.
-    pub fn pilot(&self, mut law: Law) -> Pilot {
+    /// How the loop of this configuration runs on this scene; real time is not asked for yet.
+    pub fn new(config: &Config, scene: &Scene) -> Self {
+        let ns = |seconds: f64| (seconds * 1e9) as u64;
+        // Never before the command has gone stale and a brake has had time to begin.
+        let least_ns = ns((config.stale_periods + 2.0) * scene.sampling_time());
+        let (linear, angular) = (scene.limits.linear, scene.limits.angular);
+        let is_lockstep = config.clock == ClockMode::Lockstep;
+        Self {
+            clock: config.clock,
+            period_ns: ns(scene.sampling_time()),
+            stale_periods: config.stale_periods,
+            rules: Rules {
+                limits: [linear, linear, linear, angular, angular, angular],
+                brake_ns: match is_lockstep {
+                    true => 0,
+                    false => ns(config.safety.brake_s),
+                },
+                lost_ns: (!is_lockstep).then(|| ns(config.safety.lost_s).max(least_ns)),
+                armed: config.safety.armed,
+            },
+            margin_ns: config.margin_ns,
+            realtime: RealTime::default(),
+        }
+    }
+
+    /// The control step of such a loop before its first cycle.
+    pub fn control(&self, mut loaded: LoadedController) -> ControlStep {
         let stale_ns = match self.clock {
             // Looked at once a period: what would be too old at the next release is too old now.
             ClockMode::Fixed | ClockMode::Phase => {
-                Some(stale_ns(self).saturating_sub(self.period_ns))
+                loaded.controller.go_live(self.stale_ns());
+                Some(self.stale_ns().saturating_sub(self.period_ns))
             }
             ClockMode::Lockstep => None,
         };
-        if stale_ns.is_some() {
-            law.go_live(self::stale_ns(self));
-        }
-        Pilot::new(law, stale_ns, self.rules)
+        ControlStep::new(loaded, stale_ns, self.rules)
+    }
+
+    /// Age from which on features and commands are stale, ns.
+    fn stale_ns(&self) -> u64 {
+        (self.stale_periods * self.period_ns as f64) as u64
     }
 }
 
-/// The loop with all it owns. It shares nothing with other threads but the tap of flight records.
+/// The loop with all it owns. With other threads it shares the queue of its records and the flag
+/// for the flight record.
 pub struct Cycle {
     pace: Pace,
     ports: ControllerPorts,
-    pilot: Pilot,
+    control: ControlStep,
     grid: Grid,
-    /// What moves the grid, in the clock `phase`.
-    phase: Option<Phase>,
-    tap: Tap,
+    /// Moves the grid, in the clock `phase`.
+    pll: Option<CameraPll>,
+    producer: Producer,
+    dump: DumpRequest,
     /// What stays the same in each record.
     blank: CycleRecord,
     count: u64,
@@ -83,28 +116,33 @@ pub struct Cycle {
 
 impl Cycle {
     /// A loop that starts now.
-    pub fn new(pace: Pace, ports: ControllerPorts, law: Law, mut tap: Tap) -> Self {
-        let blank = CycleRecord {
-            clock: pace.clock.code(),
-            realtime: pace.realtime.0,
-            ..CycleRecord::default()
-        };
-        let pilot = pace.pilot(law);
-        tap.begin(&pilot);
+    pub fn new(
+        pace: Pace,
+        ports: ControllerPorts,
+        control: ControlStep,
+        mut producer: Producer,
+        dump: DumpRequest,
+    ) -> Self {
+        producer.begin(&control, now_ns());
+        let is_phase = pace.clock == ClockMode::Phase;
         Self {
-            pace,
             ports,
-            pilot,
+            control,
             grid: Grid::new(now_ns(), pace.period_ns),
-            phase: (pace.clock == ClockMode::Phase)
-                .then(|| Phase::new(pace.period_ns, pace.margin_ns)),
-            tap,
-            blank,
+            pll: is_phase.then(|| CameraPll::new(pace.period_ns, pace.margin_ns)),
+            producer,
+            dump,
+            blank: CycleRecord {
+                clock: pace.clock.code(),
+                realtime: pace.realtime.0,
+                ..CycleRecord::default()
+            },
             count: 0,
             missed: 0,
             requests: 0,
             replies: Vec::new(),
             woken: Usage::now(),
+            pace,
         }
     }
 
@@ -115,96 +153,42 @@ impl Cycle {
 
     /// Whether the last twist was zero.
     pub fn is_at_rest(&self) -> bool {
-        self.pilot.is_at_rest()
+        self.control.is_at_rest()
     }
 
     /// Whether nobody takes the records any more: the ordinary thread is gone.
     pub fn is_unheard(&self) -> bool {
-        self.tap.is_unheard()
+        self.producer.is_abandoned()
     }
 
-    /// One cycle; once `stop` is asked for it brakes. In lockstep `Ok(None)` where no message came within a few
-    /// milliseconds.
+    /// One cycle; once `stop` is asked for it brakes. In lockstep `Ok(None)` if no message came
+    /// within a few milliseconds.
     ///
     /// # Errors
-    /// [`PublishError`] where the command could not be sent; the camera then stops by its validity.
+    /// [`PublishError`] if the command could not be sent; the camera then stops by its validity.
     pub fn run(&mut self, stop: &Stop) -> Result<Option<CycleRecord>, PublishError> {
         let mut record = self.blank;
-        // Wake, Receive.
-        let (woken_ns, features) = match self.pace.clock {
-            ClockMode::Fixed | ClockMode::Phase => self.release(&mut record),
-            ClockMode::Lockstep => match self.poll() {
-                Some(found) => found,
-                None => {
-                    self.take_requests();
-                    self.reply();
-                    return Ok(None);
-                }
-            },
+        let Some((woken_ns, features)) = self.wake(&mut record) else {
+            self.take_requests();
+            self.reply();
+            return Ok(None);
         };
-        let robot = self.ports.robot.latest().into();
-        self.take_requests();
-        let received_ns = now_ns();
-        // Step.
-        let inputs = Inputs {
-            now_ns: received_ns,
-            features,
-            robot,
-            missed: self.grid.missed() - self.missed,
-            shutdown: stop.is_asked(),
-        };
-        self.missed = self.grid.missed();
-        let answer = self.pilot.decide(&inputs, &mut record);
-        let stepped_ns = now_ns();
-        // Send.
-        let sent = self.send(&answer);
-        let sent_ns = now_ns();
-        if sent.is_err() {
-            self.pilot.unsent();
-        }
-        self.woken.tell(&mut record);
-        // Slack.
-        self.reply();
-        self.count += 1;
-        record.cycle = self.count;
-        self.tell_inputs(&inputs, &mut record);
-        if sent.is_ok() {
-            record.flags |= CycleFlags::SENT.0;
-        }
+        let inputs = self.receive(features, stop);
+        let answer = self.control.decide(&inputs, &mut record);
+        let decided_ns = now_ns();
+        let sent = self.send(&answer, &mut record);
         record.stamp.data_ns = woken_ns;
-        record.receive_ns = received_ns.saturating_sub(woken_ns);
-        record.step_ns = stepped_ns.saturating_sub(received_ns);
-        record.send_ns = sent_ns.saturating_sub(stepped_ns);
-        record.features_age_ns = match answer.stamp.sequence {
-            0 => 0,
-            _ => self
-                .pilot
-                .effective_ns(&answer.stamp, woken_ns)
-                .saturating_sub(answer.stamp.data_ns),
-        };
-        if self.pace.clock != ClockMode::Lockstep {
-            self.advance(&mut record);
-        }
-        record.overruns = self.grid.missed();
-        record.lost_records = self.tap.lost();
-        self.tap
-            .cycle(inputs, answer, sent.is_ok(), &record, &self.pilot);
+        record.receive_ns = inputs.now_ns.saturating_sub(woken_ns);
+        record.step_ns = decided_ns.saturating_sub(inputs.now_ns);
+        record.send_ns = now_ns().saturating_sub(decided_ns);
+        self.woken.tell(&mut record);
+        self.reply();
+        self.finish(&inputs, &answer, &mut record);
         sent.map(|()| Some(record))
     }
 
-    /// Notes what the cycle received.
-    fn tell_inputs(&mut self, inputs: &Inputs, record: &mut CycleRecord) {
-        let (features, robot) = (inputs.features.seen(), inputs.robot.seen());
-        (record.features_input, record.features_seen) = (features.0.code(), features.1);
-        (record.robot_input, record.robot_seen) = (robot.0.code(), robot.1);
-        record.requests = core::mem::take(&mut self.requests);
-        record.missed = u32::try_from(inputs.missed).unwrap_or(u32::MAX);
-        if inputs.shutdown {
-            record.flags |= CycleFlags::SHUTDOWN.0;
-        }
-    }
-
-    /// Most cycles that braking from the limits to zero takes, and one to begin with; none in lockstep.
+    /// Most cycles that braking from the limits to zero takes, and one to begin with; none in
+    /// lockstep.
     pub fn braking_cycles(&self) -> u64 {
         match self.pace.clock {
             ClockMode::Fixed | ClockMode::Phase => {
@@ -217,40 +201,36 @@ impl Cycle {
     /// Sends the zero twist that ends a run, whatever came before.
     ///
     /// # Errors
-    /// [`PublishError`] where it could not be sent.
+    /// [`PublishError`] if it could not be sent.
     pub fn stop(&mut self) -> Result<(), PublishError> {
         let command = TwistCommand::zero(TwistState::Stopped);
         self.ports.twist.publish(&command).map(|_| ())
     }
 
-    /// Fixed clock: waits for the next release, and takes the latest message.
-    fn release(&mut self, record: &mut CycleRecord) -> (u64, Input) {
+    /// Waits for the beginning of a cycle: when it was, and the features that are there.
+    fn wake(&mut self, record: &mut CycleRecord) -> Option<(u64, Input<Features>)> {
+        match self.pace.clock {
+            ClockMode::Fixed | ClockMode::Phase => Some(self.wait_for_release(record)),
+            ClockMode::Lockstep => self.poll(),
+        }
+    }
+
+    /// Waits for the next release, and takes the latest message.
+    fn wait_for_release(&mut self, record: &mut CycleRecord) -> (u64, Input<Features>) {
         let release_ns = self.grid.next_ns();
         sleep_until(release_ns);
         let woken_ns = now_ns();
         self.woken = Usage::now();
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
-        let features = self.ports.features.latest().into();
-        if let (Some(phase), Input::Message(received)) = (&mut self.phase, &features) {
-            phase.hear(&received.message.stamp, woken_ns);
+        let features: Input<Features> = self.ports.features.latest().into();
+        if let (Some(pll), Input::Message(message)) = (&mut self.pll, &features) {
+            pll.hear(&message.stamp, woken_ns);
         }
         (woken_ns, features)
     }
 
-    /// Moves the grid on to the next release.
-    fn advance(&mut self, record: &mut CycleRecord) {
-        let Some(phase) = &mut self.phase else {
-            self.grid.advance(now_ns());
-            return;
-        };
-        let interval_ns = phase.interval_ns(self.grid.next_ns());
-        let (code, error_ns) = phase.standing();
-        (record.phase, record.phase_error_ns) = (code.code(), error_ns);
-        self.grid.advance_by(interval_ns, now_ns());
-    }
-
     /// Lockstep: polls for a message. A repeated one was answered already.
-    fn poll(&mut self) -> Option<(u64, Input)> {
+    fn poll(&mut self) -> Option<(u64, Input<Features>)> {
         let end_ns = now_ns() + WAIT_NS;
         let is_fifo =
             self.pace.realtime.has(RealTime::ASKED) && !self.pace.realtime.has(RealTime::NO_FIFO);
@@ -258,10 +238,10 @@ impl Cycle {
         loop {
             let woken_ns = now_ns();
             self.woken = Usage::now();
-            match self.ports.features.latest().into() {
-                Input::Nothing => (),
-                Input::Message(received) if received.order == ipc::Order::Repeated => (),
-                input => return Some((woken_ns, input)),
+            match self.ports.features.latest() {
+                Ok(None) => (),
+                Ok(Some(received)) if received.order == Order::Repeated => (),
+                received => return Some((woken_ns, received.into())),
             }
             if woken_ns >= end_ns {
                 return None;
@@ -275,16 +255,33 @@ impl Cycle {
         }
     }
 
-    /// Hands the requests of operators to the pilot. Those without a head are passed over here; the recorder, which
-    /// reads along, logs them.
+    /// Takes what came from robot and operators, and the time for which the cycle decides.
+    fn receive(&mut self, features: Input<Features>, stop: &Stop) -> Inputs {
+        let robot = self.ports.robot.latest().into();
+        self.take_requests();
+        let missed = self.grid.missed() - self.missed;
+        self.missed = self.grid.missed();
+        Inputs {
+            now_ns: now_ns(),
+            features,
+            robot,
+            missed: u32::try_from(missed).unwrap_or(u32::MAX),
+            shutdown: stop.is_asked(),
+        }
+    }
+
+    /// Hands the requests of operators to the control step. Those without a head are passed over
+    /// here; the recorder, which reads along, logs them.
     fn take_requests(&mut self) {
         for _ in 0..REQUESTS {
             match self.ports.requests.oldest() {
                 Ok(Some(request)) => {
-                    let mut reply = self.pilot.request(&request);
-                    reply.cycle = self.count + 1;
-                    self.requests += 1;
-                    self.tap.ask(&request, &mut reply);
+                    let reply = self.control.request(&request, self.count + 1);
+                    let is_done = reply.outcome() == Some(Outcome::Done);
+                    if is_done && request.action() == Some(Action::Record) {
+                        self.dump.make();
+                    }
+                    self.requests = self.requests.saturating_add(1);
                     // There is room for as many as this loop takes.
                     let _ = self.replies.push(reply);
                 }
@@ -294,26 +291,64 @@ impl Cycle {
         }
     }
 
-    /// Answers the requests. An answer that cannot be sent is missed by the operator, who asks again.
+    fn send(&mut self, answer: &Answer, record: &mut CycleRecord) -> Result<(), PublishError> {
+        let decision = &answer.decision;
+        let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state);
+        let command = match self.pace.clock {
+            ClockMode::Fixed | ClockMode::Phase => command.valid_for_ns(self.pace.stale_ns()),
+            ClockMode::Lockstep => command,
+        };
+        let sent = self.ports.twist.publish(&command);
+        match sent {
+            Ok(_) => record.flags |= CycleFlags::SENT.0,
+            Err(_) => self.control.unsent(),
+        }
+        sent.map(|_| ())
+    }
+
+    /// Answers the requests. An answer that cannot be sent is missed by the operator, who asks
+    /// again.
     fn reply(&mut self) {
-        for reply in &self.replies {
-            let _ = self.ports.replies.publish(reply);
+        for reply in &mut self.replies {
+            let sent = self.ports.replies.publish(reply);
+            (reply.stamp.sequence, reply.stamp.published_ns) = match sent {
+                Ok(sent) => (sent.sequence, sent.published_ns),
+                Err(_) => (0, now_ns()),
+            };
+            self.producer.reply(reply);
         }
         self.replies.clear();
     }
 
-    fn send(&mut self, answer: &Answer) -> Result<(), PublishError> {
-        let decision = &answer.decision;
-        let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state);
-        let command = match self.pace.clock {
-            ClockMode::Fixed | ClockMode::Phase => command.valid_for_ns(stale_ns(&self.pace)),
-            ClockMode::Lockstep => command,
+    /// Ends a cycle: moves the grid on to the next release, and leaves the record.
+    fn finish(&mut self, inputs: &Inputs, answer: &Answer, record: &mut CycleRecord) {
+        self.count += 1;
+        record.cycle = self.count;
+        record.requests = std::mem::take(&mut self.requests);
+        record.features_age_ns = match answer.stamp.sequence {
+            0 => 0,
+            _ => self
+                .control
+                .effective_ns(&answer.stamp, record.stamp.data_ns)
+                .saturating_sub(answer.stamp.data_ns),
         };
-        self.ports.twist.publish(&command).map(|_| ())
+        if self.pace.clock != ClockMode::Lockstep {
+            self.advance(record);
+        }
+        record.overruns = self.grid.missed();
+        record.lost_records = self.producer.lost();
+        self.producer.cycle(record, inputs, &self.control);
     }
-}
 
-/// Age from which on features and commands are stale, ns.
-fn stale_ns(pace: &Pace) -> u64 {
-    (pace.stale_periods * pace.period_ns as f64) as u64
+    /// Moves the grid on to the next release.
+    fn advance(&mut self, record: &mut CycleRecord) {
+        let Some(pll) = &mut self.pll else {
+            self.grid.advance(now_ns());
+            return;
+        };
+        let interval_ns = pll.interval_ns(self.grid.next_ns());
+        let (code, error_ns) = pll.standing();
+        (record.phase, record.phase_error_ns) = (code.code(), error_ns);
+        self.grid.advance_by(interval_ns, now_ns());
+    }
 }

@@ -1,6 +1,7 @@
 //! The daemon from its command line to its exit code.
 
 use std::ffi::OsString;
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -11,62 +12,52 @@ use crate::arguments::{Arguments, Command};
 use crate::config::{self, Config, ConfigError};
 use crate::cycle::{Cycle, Pace};
 use crate::exit::Exit;
-use crate::flight::{self, Recorder};
+use crate::flight::{self, About, DumpRequest, Recorder};
 use crate::instance::{Instance, InstanceError};
-use crate::law::{Law, LawError};
+use crate::loaded::{LoadError, LoadedController};
+use crate::log::Log;
 use crate::preflight::Facts;
-use crate::realtime::Wish;
 use crate::report::{Report, ReportError};
-use crate::service::{Progress, Service, ServiceError, Talk};
+use crate::scene_files::PublishedScene;
+use crate::service::{Notifier, Progress, Service, ServiceError};
 use crate::shutdown::{Hangup, Stop};
-use crate::supervisor::Rules;
-use crate::telemetry::{self, RecorderError, Summary};
-use crate::{log, preflight, realtime, stack};
+use crate::summary::Summary;
+use crate::telemetry::{RecorderError, Telemetry};
+use crate::{log, preflight, realtime, replay, stack};
 
-/// Failures to send in a row after which the daemon gives up: a broken segment does not mend itself.
+/// Failures to send in a row after which the daemon gives up: a broken segment does not mend
+/// itself.
 const MOST_FAILURES: u32 = 30;
-/// Priority that the preflight asks about where no configuration names one.
+/// Priority that the preflight asks about if no configuration names one.
 const PRIORITY: i32 = 80;
 
 /// Why the daemon ended other than by being asked to.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum Failure {
-    /// The configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Scene, memory or law.
     #[error(transparent)]
-    Law(#[from] LawError),
-    /// The domain.
+    Load(#[from] LoadError),
     #[error(transparent)]
     Join(#[from] ipc::JoinError),
-    /// Another daemon at work.
     #[error(transparent)]
     Instance(#[from] InstanceError),
-    /// The environment of a service.
     #[error(transparent)]
     Service(#[from] ServiceError),
-    /// The ports.
     #[error(transparent)]
     Open(#[from] ipc::OpenError),
-    /// The recorder.
     #[error(transparent)]
     Recorder(#[from] RecorderError),
-    /// The report.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// The log.
     #[error("log: {0}")]
     Log(std::io::Error),
-    /// The signal handlers.
     #[error("signal handlers: {0}")]
     Signals(std::io::Error),
-    /// Commands cannot be sent.
     #[error("{most} commands in a row could not be sent; the last: {source}")]
     Send {
-        /// How many.
         most: u32,
-        /// The last failure.
         source: ipc::PublishError,
     },
 }
@@ -76,7 +67,7 @@ impl Failure {
     pub fn exit(&self) -> Exit {
         match self {
             Self::Config(error) => error.into(),
-            Self::Law(error) => error.exit(),
+            Self::Load(error) => error.exit(),
             Self::Join(_) | Self::Instance(_) | Self::Open(_) => Exit::Unavailable,
             Self::Service(_) => Exit::Config,
             Self::Report(_) => Exit::CannotCreate,
@@ -103,64 +94,77 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             return exit.into();
         }
     };
-    if arguments.preflight {
-        return preflight(&arguments);
-    }
-    if arguments.print_config {
-        return print_config(&arguments);
-    }
-    if let Some(Command::Replay(arguments)) = &arguments.command {
-        return flight::command::run(arguments).into();
-    }
-    match run(&arguments) {
-        Ok(()) => Exit::Ok.into(),
-        Err(failure) => {
-            log::complain(&failure.to_string());
-            if let Ok(service) = Service::by_environment(Duration::ZERO) {
-                service.leave(&failure.to_string());
+    let exit = match &arguments.command {
+        Some(Command::Replay(arguments)) => replay::command::run(arguments),
+        None if arguments.preflight => preflight(&arguments),
+        None if arguments.print_config => print_config(&arguments),
+        None => match run(&arguments) {
+            Ok(()) => Exit::Ok,
+            Err(failure) => {
+                if let Ok(service) = Service::by_environment(Duration::ZERO) {
+                    service.leave(&failure.to_string());
+                }
+                failed(&failure, failure.exit())
             }
-            failure.exit().into()
-        }
-    }
+        },
+    };
+    exit.into()
+}
+
+/// Writes a failure to standard error.
+fn failed(failure: &impl ToString, exit: Exit) -> Exit {
+    log::complain(&failure.to_string());
+    exit
 }
 
 /// Prints the configuration that would run.
-fn print_config(arguments: &Arguments) -> ExitCode {
+fn print_config(arguments: &Arguments) -> Exit {
     match Config::print(arguments) {
         Ok(text) => {
             print!("{text}");
-            Exit::Ok.into()
+            Exit::Ok
         }
-        Err(error) => {
-            log::complain(&error.to_string());
-            Exit::from(&error).into()
-        }
+        Err(error) => failed(&error, Exit::from(&error)),
     }
 }
 
-/// Tells what the machine lacks for the loop of this configuration; for a usual one where none is given.
-fn preflight(arguments: &Arguments) -> ExitCode {
-    let usual = Wish {
+/// Prints what the machine lacks for the loop of this configuration; for a usual one if none is
+/// given.
+fn preflight(arguments: &Arguments) -> Exit {
+    let usual = realtime::RealtimeRequest {
         priority: PRIORITY,
         cpu: None,
     };
-    let wish = match &arguments.config {
-        Some(_) => match Config::read(arguments) {
-            Ok(config) => config.realtime.unwrap_or(usual),
-            Err(error) => {
-                log::complain(&error.to_string());
-                return Exit::from(&error).into();
-            }
-        },
+    let config = arguments.config.as_ref().map(|_| Config::read(arguments));
+    let wanted = match config {
+        Some(Ok(config)) => config.realtime.unwrap_or(usual),
+        Some(Err(error)) => return failed(&error, Exit::from(&error)),
         None => usual,
     };
-    let found = preflight::judge(&Facts::gather(wish), wish);
+    let found = preflight::judge(&Facts::gather(wanted), wanted);
     if arguments.json {
         println!("{}", serde_json::json!(found));
     } else {
         println!("{found}");
     }
-    if found.fit { Exit::Ok } else { Exit::No }.into()
+    if found.fit { Exit::Ok } else { Exit::No }
+}
+
+/// What signals set.
+struct Signals {
+    stop: Stop,
+    hangup: Hangup,
+    dump: DumpRequest,
+}
+
+impl Signals {
+    fn handle() -> Result<Self, Failure> {
+        Ok(Self {
+            stop: Stop::by_signals().map_err(Failure::Signals)?,
+            hangup: Hangup::by_signal().map_err(Failure::Signals)?,
+            dump: DumpRequest::by_signal().map_err(Failure::Signals)?,
+        })
+    }
 }
 
 /// Checks everything, then runs the loop in this thread.
@@ -169,68 +173,73 @@ fn preflight(arguments: &Arguments) -> ExitCode {
 /// [`Failure`] names what is wrong.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // First of all: a hang-up while the memory is read must not kill.
-    let stop = Stop::by_signals().map_err(Failure::Signals)?;
-    let hangup = Hangup::by_signal().map_err(Failure::Signals)?;
-    let wish = flight::Wish::by_signal().map_err(Failure::Signals)?;
+    let signals = Signals::handle()?;
     let config = Config::read(arguments)?;
-    let law = Law::open(&config.scene, config.memory.as_deref(), config.settings)?;
-    Recorder::check_room(
-        &config.flight,
-        law.scene().camera.rate_hz,
-        realtime::memory_bytes(),
-        config::named(arguments),
-    )?;
+    let loaded = LoadedController::open(&config.scene, config.memory.as_deref(), config.settings)?;
+    let rate_hz = loaded.scene().camera.rate_hz;
+    let (room, source) = (realtime::memory_bytes(), config::named(arguments));
+    Recorder::check_room(&config.flight, rate_hz, room, source)?;
     if arguments.check_only {
-        println!("{}", describe(&config, &law));
+        println!("{}", describe(&config, &loaded));
         return Ok(());
     }
-    let period = Duration::from_nanos(pace(&config, &law).period_ns);
+    let mut pace = Pace::new(&config, loaded.scene());
+    let period = Duration::from_nanos(pace.period_ns);
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
     let instance = Instance::claim(domain.directory())?;
     let ports = ControllerPorts::open(&domain)?;
-    let (tap, tail) = flight::tap::tap(wish);
-    let flight = Recorder::new(&config, &law);
+    let scene = publish_scene(&loaded, domain.directory());
+    let (producer, consumer) = flight::queue();
     let progress = Progress::default();
-    let talk = Talk::new(service, period, progress.clone(), stop.clone(), hangup);
-    let recorder = telemetry::start(&config.domain, tail, talk, flight)?;
-    tracing::info!("{}", describe(&config, &law));
-    let realtime = match config.realtime {
-        Some(wish) => realtime::enter(wish),
+    let stop = signals.stop.clone();
+    let about = About::new(Config::print(arguments)?, &loaded);
+    let telemetry = Telemetry {
+        consumer,
+        dump: signals.dump.clone(),
+        flight: Recorder::new(&config, about, rate_hz),
+        notifier: Notifier::new(service, period, progress.clone(), stop, signals.hangup),
+    };
+    let recorder = telemetry.start(&config.domain)?;
+    tracing::info!("{}", describe(&config, &loaded));
+    pace.realtime = match config.realtime {
+        Some(wanted) => realtime::enter(wanted),
         None => {
             realtime::precise_sleep();
             RealTime::default()
         }
     };
-    let mut pace = pace(&config, &law);
-    pace.realtime = realtime;
-    let mut cycle = Cycle::new(pace, ports, law, tap);
-    let outcome = turn(&mut cycle, &stop, &progress, arguments.cycles);
+    let mut cycle = Cycle::new(pace, ports, pace.control(loaded), producer, signals.dump);
+    let outcome = turn(&mut cycle, &signals.stop, &progress, arguments.cycles);
     // Whatever happened, the last word is zero.
     let stopped = cycle.stop();
     drop(cycle);
-    let stack_used_bytes = config.realtime.map_or(0, |_| stack::used());
-    let locked_kib = realtime::status_kib("VmLck").unwrap_or(0);
-    let reported = recorded(recorder.join()).and_then(|summary| {
-        summary.tell();
-        let Some(path) = &arguments.report else {
-            return Ok(());
-        };
-        let report = Report {
-            realtime: realtime.0,
-            stack_used_bytes,
-            locked_kib,
-            lost_lines: log.lost(),
-            ..summary.report()
-        };
-        Ok(report.write(path)?)
-    });
+    let machine = Report {
+        realtime: pace.realtime.0,
+        stack_used_bytes: config.realtime.map_or(0, |_| stack::used()),
+        locked_kib: realtime::status_kib("VmLck").unwrap_or(0),
+        ..Report::default()
+    };
+    let reported =
+        recorded(recorder.join()).and_then(|summary| report(arguments, &summary, machine, &log));
     // The ports are closed: the next one may come.
+    drop(scene);
     drop(instance);
     outcome?;
     stopped.map_err(|source| Failure::Send { most: 1, source })?;
     reported
+}
+
+/// Leaves the scene in the domain, where viewers find it. They do without if it cannot be written.
+fn publish_scene(loaded: &LoadedController, domain: &Path) -> Option<PublishedScene> {
+    let path = domain.join(ipc::SCENE_FILE);
+    let published = loaded.scene_files().publish(&path);
+    published
+        .inspect_err(|error| {
+            tracing::warn!(%error, "{}: viewers lack the scene: {error}", path.display());
+        })
+        .ok()
 }
 
 /// What the recorder's thread left when it ended; a panic of it is a failure of the daemon.
@@ -238,8 +247,29 @@ fn recorded(ended: std::thread::Result<Summary>) -> Result<Summary, Failure> {
     ended.map_err(|_| RecorderError::Died.into())
 }
 
-/// Runs cycles until asked to stop, and then until the camera stands; in lockstep, where nothing moves between
-/// messages, no longer.
+/// Reports how the run was: to the log, and to the file of `--report`.
+fn report(
+    arguments: &Arguments,
+    summary: &Summary,
+    machine: Report,
+    log: &Log,
+) -> Result<(), Failure> {
+    summary.tell();
+    let Some(path) = &arguments.report else {
+        return Ok(());
+    };
+    let report = Report {
+        realtime: machine.realtime,
+        stack_used_bytes: machine.stack_used_bytes,
+        locked_kib: machine.locked_kib,
+        lost_lines: log.lost(),
+        ..summary.report()
+    };
+    Ok(report.write(path)?)
+}
+
+/// Runs cycles until asked to stop, and then until the camera stands; in lockstep, where nothing
+/// moves between messages, no longer.
 fn turn(
     cycle: &mut Cycle,
     stop: &Stop,
@@ -256,7 +286,7 @@ fn turn(
         }
         if stop.is_asked() {
             if left == 0 || cycle.is_at_rest() {
-                break;
+                return Ok(());
             }
             left -= 1;
         }
@@ -268,69 +298,38 @@ fn turn(
             Err(source) => {
                 failures += 1;
                 if failures >= MOST_FAILURES {
-                    return Err(Failure::Send {
-                        most: failures,
-                        source,
-                    });
+                    let most = failures;
+                    return Err(Failure::Send { most, source });
                 }
             }
         }
     }
-    Ok(())
-}
-
-/// How the loop of this configuration runs.
-pub fn pace(config: &Config, law: &Law) -> Pace {
-    let scene = law.scene();
-    let period_ns = (scene.sampling_time() * 1e9) as u64;
-    let ns = |seconds: f64| (seconds * 1e9) as u64;
-    // Never before the command has gone stale and a brake has had time to begin.
-    let least_ns = ns((config.stale_periods + 2.0) * scene.sampling_time());
-    let (linear, angular) = (scene.limits.linear, scene.limits.angular);
-    let is_lockstep = config.clock == ClockMode::Lockstep;
-    let rules = Rules {
-        limits: [linear, linear, linear, angular, angular, angular],
-        brake_ns: if is_lockstep {
-            0
-        } else {
-            ns(config.safety.brake_s)
-        },
-        lost_ns: (!is_lockstep).then(|| ns(config.safety.lost_s).max(least_ns)),
-        armed: config.safety.armed,
-    };
-    Pace {
-        clock: config.clock,
-        period_ns,
-        stale_periods: config.stale_periods,
-        rules,
-        margin_ns: config.margin_ns,
-        realtime: RealTime::default(),
-    }
 }
 
 /// What runs, in one line.
-fn describe(config: &Config, law: &Law) -> String {
-    let settings = law.settings();
-    let memory = match (&config.memory, law.memory()) {
+fn describe(config: &Config, loaded: &LoadedController) -> String {
+    let settings = loaded.controller.settings();
+    let memory = match (&config.memory, loaded.memory()) {
         (Some(path), Some(memory)) => format!("{} ({} bytes)", path.display(), memory.size()),
         _ => "none".to_owned(),
     };
-    let clock = match config.clock {
-        ClockMode::Fixed => format!("fixed at {} Hz", law.scene().camera.rate_hz),
-        ClockMode::Phase => format!("phase at {} Hz", law.scene().camera.rate_hz),
-        ClockMode::Lockstep => "lockstep".to_owned(),
-    };
-    let armed = if config.safety.armed {
-        "armed"
-    } else {
-        "disarmed"
+    let rate = match config.clock {
+        ClockMode::Fixed | ClockMode::Phase => {
+            format!(" at {} Hz", loaded.scene().camera.rate_hz)
+        }
+        ClockMode::Lockstep => String::new(),
     };
     format!(
-        "scene {}, strategy {}, np {}, memory {memory}, clock {clock}, domain {}, {armed}",
+        "scene {}, strategy {}, np {}, memory {memory}, clock {}{rate}, domain {}, {}",
         config.scene.display(),
         settings.strategy,
         settings.np,
+        config.clock,
         config.domain.display(),
+        match config.safety.armed {
+            true => "armed",
+            false => "disarmed",
+        },
     )
 }
 

@@ -1,45 +1,14 @@
-//! The gate: which features may reach the law, and what to do without. Pure; the time is an argument.
+//! The gate: which features may reach the law, and what to do without. Pure; the time is an
+//! argument.
 //!
-//! It knows messages: their order, their age, whether all points were visible. The law's own gate then checks the
-//! numbers against the scene.
+//! It knows messages: their order, their age, whether all points were visible. The law then checks
+//! the numbers against the scene.
 
-use ipc::{Features, Hold, InputCode, Message, Order, ReceiveError, Received, Stamp};
+use ipc::{Features, Order, Stamp};
+use serde::{Deserialize, Serialize};
 
-/// What a cycle received, as far as it matters to what is done.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Input<T = Features> {
-    /// A message, and where it stands in the sequence.
-    Message(Received<T>),
-    /// Nothing.
-    Nothing,
-    /// A message with this head that did not pass its checks.
-    Refused(Stamp),
-    /// The connection failed.
-    Failed,
-}
-
-impl<T: Message> Input<T> {
-    /// What came, and the head of the message; all zero where there is none.
-    pub fn seen(&self) -> (InputCode, Stamp) {
-        match self {
-            Self::Nothing => (InputCode::Nothing, Stamp::default()),
-            Self::Message(received) => (InputCode::Message, *received.message.stamp()),
-            Self::Refused(stamp) => (InputCode::Refused, *stamp),
-            Self::Failed => (InputCode::Failed, Stamp::default()),
-        }
-    }
-}
-
-impl<T> From<Result<Option<Received<T>>, ReceiveError>> for Input<T> {
-    fn from(received: Result<Option<Received<T>>, ReceiveError>) -> Self {
-        match received {
-            Ok(Some(received)) => Self::Message(received),
-            Ok(None) => Self::Nothing,
-            Err(ReceiveError::Invalid { stamp, .. }) => Self::Refused(stamp),
-            Err(ReceiveError::Transport { .. }) => Self::Failed,
-        }
-    }
-}
+use crate::decision::HoldReason;
+use crate::input::Input;
 
 /// What a cycle is to do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +23,7 @@ pub enum Verdict {
     /// Nothing new, and the last command is still good: send it again.
     Repeat,
     /// Send the zero twist, as the answer to the message with this head.
-    Hold(Hold, Stamp),
+    Hold(HoldReason, Stamp),
 }
 
 /// What features are to those of the law's previous step.
@@ -62,7 +31,8 @@ pub enum Verdict {
 pub enum Link {
     /// One period later, with the law's command in force.
     Next,
-    /// Frames are missing between, or the command was not in force all the time: the prediction means nothing.
+    /// Frames are missing between, or the command was not in force all the time: the prediction
+    /// means nothing.
     Broken,
     /// A new run: nothing of before means anything.
     New,
@@ -72,36 +42,31 @@ pub enum Link {
 pub(crate) const FUTURE_NS: u64 = 1_000_000;
 
 /// The gate. Plain data: a copy goes on as the original does.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gate {
-    pub(crate) stale_ns: Option<u64>,
-    pub(crate) last: Stamp,
+    stale_ns: Option<u64>,
+    /// Head of the last message.
+    heard: Option<Stamp>,
     /// Head of the last message that came in order.
-    pub(crate) believed: Stamp,
-    pub(crate) good_ns: Option<u64>,
-    pub(crate) standing: Standing,
-    pub(crate) gap: bool,
+    believed: Stamp,
+    good_ns: Option<u64>,
+    /// Why the last message was of no use; `None` if it was.
+    held: Option<HoldReason>,
+    gap: bool,
     /// Whether the last message that came in order was the first of a camera that started again.
-    pub(crate) restarted: bool,
-}
-
-/// What became of the last message.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Standing {
-    Good,
-    Held(Hold),
+    restarted: bool,
 }
 
 impl Gate {
-    /// A gate that holds when no message came for `stale_ns`; `None` in lockstep, where time does not pass and stamps
-    /// are not looked at.
+    /// A gate that holds when no message came for `stale_ns`; `None` in lockstep, where time does
+    /// not pass and stamps are not looked at.
     pub fn new(stale_ns: Option<u64>) -> Self {
         Self {
             stale_ns,
-            last: Stamp::default(),
+            heard: None,
             believed: Stamp::default(),
             good_ns: None,
-            standing: Standing::Held(Hold::NoFeatures),
+            held: Some(HoldReason::NoFeatures),
             gap: true,
             restarted: false,
         }
@@ -113,96 +78,115 @@ impl Gate {
     }
 
     /// Judges what was received by `now_ns` (CLOCK_MONOTONIC).
-    pub fn judge(&mut self, input: &Input, now_ns: u64) -> Verdict {
+    pub fn judge(&mut self, input: &Input<Features>, now_ns: u64) -> Verdict {
         match input {
-            Input::Message(received) if received.order != Order::Repeated => {
-                self.fresh(received, now_ns)
-            }
-            Input::Message(_) | Input::Nothing => self.nothing(now_ns),
+            Input::Message(features) => match Order::after(self.heard, &features.stamp) {
+                Order::Repeated => self.nothing(now_ns),
+                order => self.fresh(features, order, now_ns),
+            },
+            Input::Nothing => self.nothing(now_ns),
             Input::Refused(stamp) => {
-                self.last = *stamp;
-                self.hold(Hold::Invalid)
+                self.heard = Some(*stamp);
+                self.hold(HoldReason::Invalid)
             }
-            Input::Failed => self.hold(Hold::Transport),
+            Input::Failed => self.hold(HoldReason::Transport),
         }
     }
 
-    /// Holds until the next good message, and tells the law then that there was a gap: for refusals by the law, too.
-    pub fn hold(&mut self, cause: Hold) -> Verdict {
-        self.standing = Standing::Held(cause);
+    /// Holds until the next good message, and tells the law then that there was a gap: for refusals
+    /// by the law, too.
+    pub fn hold(&mut self, reason: HoldReason) -> Verdict {
+        self.held = Some(reason);
         self.gap = true;
-        Verdict::Hold(cause, self.last)
+        Verdict::Hold(reason, self.last())
     }
 
-    /// Tells the law at the next features that its last command was not in force all the time: it was not sent.
+    /// Lets the law know at the next features that its last command was not in force all the time:
+    /// it was not sent.
     pub fn mark_gap(&mut self) {
         self.gap = true;
     }
 
     /// Notes that the law could use the features that the gate let pass.
     pub fn approve(&mut self) {
-        self.good_ns = Some(self.last.published_ns);
+        self.good_ns = Some(self.last().published_ns);
     }
 
-    /// When the last features were published that the law could use, CLOCK_MONOTONIC, ns; `None` before the first.
+    /// When the last features were published that the law could use, CLOCK_MONOTONIC, ns; `None`
+    /// before the first.
     pub fn good_ns(&self) -> Option<u64> {
         self.good_ns
     }
 
-    fn fresh(&mut self, received: &Received<Features>, now_ns: u64) -> Verdict {
-        let features = received.message;
-        let before = self.believed;
-        self.last = features.stamp;
-        if self.stale_ns.is_some() {
-            let now = now_ns.saturating_add(FUTURE_NS);
-            let Stamp {
-                published_ns,
-                data_ns,
-                ..
-            } = features.stamp;
-            if published_ns > now || data_ns > now {
-                return self.hold(Hold::Clock);
-            }
-            let is_same_camera = !matches!(received.order, Order::First | Order::Restarted);
-            let is_older = published_ns < before.published_ns || data_ns < before.data_ns;
-            if published_ns < before.published_ns || (is_same_camera && is_older) {
-                return self.hold(Hold::Order);
-            }
-            // A camera that hangs and sends one exposure again and again, also where it seems to have started again (a
-            // driver that does not count its messages); 0 is for who does not know the instant.
-            if data_ns == before.data_ns && data_ns != 0 {
-                return self.hold(Hold::Stale);
-            }
-            // A driver that does not count its messages seems to start again with each, and what is compared with the
-            // features before (a frozen image, points mixed up) would never be looked at.
-            let is_restart = received.order == Order::Restarted;
-            if is_restart && self.restarted {
-                return self.hold(Hold::Order);
-            }
-            self.restarted = is_restart;
+    /// Head of the last message; zero before the first.
+    fn last(&self) -> Stamp {
+        self.heard.unwrap_or_default()
+    }
+
+    fn fresh(&mut self, features: &Features, order: Order, now_ns: u64) -> Verdict {
+        self.heard = Some(features.stamp);
+        if self.is_live()
+            && let Some(reason) = self.wrong_time(&features.stamp, order, now_ns)
+        {
+            return self.hold(reason);
         }
         self.believed = features.stamp;
         if self.is_stale(now_ns) {
-            return self.hold(Hold::Stale);
+            return self.hold(HoldReason::Stale);
         }
         if !features.all_visible() {
-            return self.hold(Hold::Hidden);
+            return self.hold(HoldReason::Hidden);
         }
-        let link = match received.order {
+        let link = match order {
             Order::First | Order::Restarted => Link::New,
             Order::Next if !self.gap => Link::Next,
             _ => Link::Broken,
         };
-        self.gap = false;
-        self.standing = Standing::Good;
-        Verdict::Step { features, link }
+        (self.gap, self.held) = (false, None);
+        Verdict::Step {
+            features: *features,
+            link,
+        }
+    }
+
+    /// What is wrong with the times of a new message, compared with now and with the message
+    /// before.
+    fn wrong_time(&mut self, stamp: &Stamp, order: Order, now_ns: u64) -> Option<HoldReason> {
+        let Stamp {
+            published_ns,
+            data_ns,
+            ..
+        } = *stamp;
+        let before = self.believed;
+        if published_ns.max(data_ns) > now_ns.saturating_add(FUTURE_NS) {
+            return Some(HoldReason::Clock);
+        }
+        let is_same_camera = !matches!(order, Order::First | Order::Restarted);
+        if published_ns < before.published_ns || (is_same_camera && data_ns < before.data_ns) {
+            return Some(HoldReason::Order);
+        }
+        // A camera that hangs and sends one exposure again and again, also where it seems to have
+        // started again (a driver that does not count its messages); 0 means that the exposure time
+        // is unknown.
+        if data_ns == before.data_ns && data_ns != 0 {
+            return Some(HoldReason::Stale);
+        }
+        // A driver that does not count its messages seems to start again with each, and what is
+        // compared with the features before (a frozen image, points mixed up) would never be looked
+        // at.
+        let is_restart = order == Order::Restarted;
+        if is_restart && self.restarted {
+            return Some(HoldReason::Order);
+        }
+        self.restarted = is_restart;
+        None
     }
 
     fn nothing(&mut self, now_ns: u64) -> Verdict {
-        match self.standing {
-            Standing::Held(cause) => Verdict::Hold(cause, self.last),
-            Standing::Good if self.is_stale(now_ns) => self.hold(Hold::Stale),
-            Standing::Good => {
+        match self.held {
+            Some(reason) => Verdict::Hold(reason, self.last()),
+            None if self.is_stale(now_ns) => self.hold(HoldReason::Stale),
+            None => {
                 // The next features are more than one period away from the law's last ones.
                 self.gap = true;
                 Verdict::Repeat
@@ -219,6 +203,8 @@ impl Gate {
 
 #[cfg(test)]
 mod tests {
+    use ipc::ReceiveError;
+
     use super::*;
 
     const LIMIT: u64 = 100;
@@ -230,11 +216,8 @@ mod tests {
         features
     }
 
-    fn came(sequence: u64, published_ns: u64, order: Order) -> Input {
-        Input::Message(Received {
-            message: message(sequence, published_ns),
-            order,
-        })
+    fn came(sequence: u64, published_ns: u64) -> Input<Features> {
+        Input::Message(message(sequence, published_ns))
     }
 
     fn link(verdict: Verdict) -> Option<Link> {
@@ -244,7 +227,7 @@ mod tests {
         }
     }
 
-    fn cause(verdict: Verdict) -> Option<Hold> {
+    fn cause(verdict: Verdict) -> Option<HoldReason> {
         match verdict {
             Verdict::Hold(cause, _) => Some(cause),
             _ => None,
@@ -256,119 +239,103 @@ mod tests {
         let mut gate = Gate::new(Some(LIMIT));
         assert_eq!(
             cause(gate.judge(&Input::Nothing, 0)),
-            Some(Hold::NoFeatures)
+            Some(HoldReason::NoFeatures)
         );
     }
 
     #[test]
     fn steady_messages_are_linked_and_a_gap_breaks_the_link_once() {
         let mut gate = Gate::new(Some(LIMIT));
-        let mut judge = |input: Input, now| link(gate.judge(&input, now));
-        assert_eq!(judge(came(1, 0, Order::First), 1), Some(Link::New));
-        assert_eq!(judge(came(2, 30, Order::Next), 31), Some(Link::Next));
-        assert_eq!(
-            judge(came(4, 90, Order::Gap { missed: 1 }), 91),
-            Some(Link::Broken)
-        );
-        assert_eq!(judge(came(5, 120, Order::Next), 121), Some(Link::Next));
-        assert_eq!(judge(came(1, 150, Order::Restarted), 151), Some(Link::New));
+        let mut judge = |input: Input<Features>, now| link(gate.judge(&input, now));
+        assert_eq!(judge(came(1, 0), 1), Some(Link::New));
+        assert_eq!(judge(came(2, 30), 31), Some(Link::Next));
+        assert_eq!(judge(came(4, 90), 91), Some(Link::Broken));
+        assert_eq!(judge(came(5, 120), 121), Some(Link::Next));
+        assert_eq!(judge(came(1, 150), 151), Some(Link::New));
     }
 
     #[test]
     fn without_news_the_command_is_repeated_until_it_is_stale() {
         let mut gate = Gate::new(Some(LIMIT));
-        gate.judge(&came(1, 0, Order::First), 1);
+        gate.judge(&came(1, 0), 1);
         assert_eq!(gate.judge(&Input::Nothing, 50), Verdict::Repeat);
         assert_eq!(gate.judge(&Input::Nothing, 100), Verdict::Repeat);
-        assert_eq!(cause(gate.judge(&Input::Nothing, 101)), Some(Hold::Stale));
-        // Good features end it, and the law is told of the gap.
         assert_eq!(
-            link(gate.judge(&came(2, 200, Order::Next), 201)),
-            Some(Link::Broken)
+            cause(gate.judge(&Input::Nothing, 101)),
+            Some(HoldReason::Stale)
         );
+        // Good features end it, and the law is told of the gap.
+        assert_eq!(link(gate.judge(&came(2, 200), 201)), Some(Link::Broken));
     }
 
     #[test]
     fn a_camera_that_seems_to_start_again_with_each_message_is_held() {
         let mut gate = Gate::new(Some(LIMIT));
-        let mut judge = |at, order| cause(gate.judge(&came(7, at, order), at + 1));
-        assert_eq!(judge(10, Order::First), None);
-        assert_eq!(judge(20, Order::Restarted), None);
-        assert_eq!(judge(30, Order::Restarted), Some(Hold::Order));
-        assert_eq!(judge(40, Order::Restarted), Some(Hold::Order));
+        let mut judge = |at, number| cause(gate.judge(&came(number, at), at + 1));
+        assert_eq!(judge(10, 7), None);
+        assert_eq!(judge(20, 7), None);
+        assert_eq!(judge(30, 7), Some(HoldReason::Order));
+        assert_eq!(judge(40, 7), Some(HoldReason::Order));
         // Until it counts.
-        assert_eq!(judge(50, Order::Next), None);
-        assert_eq!(judge(60, Order::Restarted), None);
-        assert_eq!(judge(70, Order::Gap { missed: 2 }), None);
+        assert_eq!(judge(50, 8), None);
+        assert_eq!(judge(60, 8), None);
+        assert_eq!(judge(70, 11), None);
     }
 
     #[test]
     fn a_message_from_long_ago_is_stale_when_it_comes() {
         let mut gate = Gate::new(Some(LIMIT));
-        assert_eq!(
-            cause(gate.judge(&came(1, 0, Order::First), 500)),
-            Some(Hold::Stale)
-        );
+        assert_eq!(cause(gate.judge(&came(1, 0), 500)), Some(HoldReason::Stale));
         let mut lockstep = Gate::new(None);
-        assert_eq!(
-            link(lockstep.judge(&came(1, 0, Order::First), 500)),
-            Some(Link::New)
-        );
+        assert_eq!(link(lockstep.judge(&came(1, 0), 500)), Some(Link::New));
     }
 
     #[test]
     fn features_from_the_future_are_a_matter_of_the_clock_and_poison_nothing() {
         let mut gate = Gate::new(Some(LIMIT));
-        gate.judge(&came(1, 10, Order::First), 11);
+        gate.judge(&came(1, 10), 11);
         let future = 11 + FUTURE_NS + 1;
-        let verdict = gate.judge(&came(2, future, Order::Next), 11);
-        assert_eq!(cause(verdict), Some(Hold::Clock));
-        let verdict = gate.judge(&came(3, 12, Order::Next), 13);
+        let verdict = gate.judge(&came(2, future), 11);
+        assert_eq!(cause(verdict), Some(HoldReason::Clock));
+        let verdict = gate.judge(&came(3, 12), 13);
         assert_eq!(link(verdict), Some(Link::Broken));
     }
 
     #[test]
     fn older_features_are_out_of_order_from_the_same_camera_or_another() {
         let mut gate = Gate::new(Some(LIMIT));
-        gate.judge(&came(5, 50, Order::First), 51);
-        for order in [Order::Next, Order::Restarted] {
-            assert_eq!(
-                cause(gate.judge(&came(6, 49, order), 52)),
-                Some(Hold::Order)
-            );
+        gate.judge(&came(5, 50), 51);
+        // The next one, and the first of a camera that starts again.
+        for number in [6, 1] {
+            let verdict = gate.judge(&came(number, 49), 52);
+            assert_eq!(cause(verdict), Some(HoldReason::Order));
         }
-        let mut older_exposure = message(7, 53);
+        let mut older_exposure = message(2, 53);
         older_exposure.stamp.data_ns = 49;
-        let received = |message, order| Input::Message(Received { message, order });
-        let verdict = gate.judge(&received(older_exposure, Order::Next), 54);
-        assert_eq!(cause(verdict), Some(Hold::Order));
+        let verdict = gate.judge(&Input::Message(older_exposure), 54);
+        assert_eq!(cause(verdict), Some(HoldReason::Order));
         // A camera that starts again has exposures of its own.
-        let verdict = gate.judge(&received(older_exposure, Order::Restarted), 54);
+        older_exposure.stamp.sequence = 1;
+        let verdict = gate.judge(&Input::Message(older_exposure), 54);
         assert_eq!(link(verdict), Some(Link::New));
     }
 
     #[test]
     fn one_exposure_sent_again_and_again_is_stale() {
         let mut gate = Gate::new(Some(LIMIT));
-        gate.judge(&came(1, 0, Order::First), 1);
-        gate.judge(&came(2, 30, Order::Next), 31);
+        gate.judge(&came(1, 0), 1);
+        gate.judge(&came(2, 30), 31);
         let mut frozen = message(3, 60);
         frozen.stamp.data_ns = 30;
-        let frozen = Input::Message(Received {
-            message: frozen,
-            order: Order::Next,
-        });
-        assert_eq!(cause(gate.judge(&frozen, 61)), Some(Hold::Stale));
+        let frozen = Input::Message(frozen);
+        assert_eq!(cause(gate.judge(&frozen, 61)), Some(HoldReason::Stale));
         // Nor is it new by another count.
         let mut restarted = message(1, 90);
         restarted.stamp.data_ns = 30;
-        let restarted = Input::Message(Received {
-            message: restarted,
-            order: Order::Restarted,
-        });
-        assert_eq!(cause(gate.judge(&restarted, 91)), Some(Hold::Stale));
+        let restarted = Input::Message(restarted);
+        assert_eq!(cause(gate.judge(&restarted, 91)), Some(HoldReason::Stale));
         let mut lockstep = Gate::new(None);
-        lockstep.judge(&came(1, 30, Order::First), 31);
+        lockstep.judge(&came(2, 30), 31);
         assert_eq!(link(lockstep.judge(&frozen, 61)), Some(Link::Next));
     }
 
@@ -376,10 +343,10 @@ mod tests {
     fn only_what_the_law_could_use_is_good() {
         let mut gate = Gate::new(Some(LIMIT));
         assert_eq!(gate.good_ns(), None);
-        gate.judge(&came(1, 10, Order::First), 11);
+        gate.judge(&came(1, 10), 11);
         gate.approve();
-        gate.judge(&came(2, 40, Order::Next), 41);
-        gate.hold(Hold::OffImage);
+        gate.judge(&came(2, 40), 41);
+        gate.hold(HoldReason::OffImage);
         gate.judge(&Input::Nothing, 60);
         assert_eq!(gate.good_ns(), Some(10));
     }
@@ -387,14 +354,14 @@ mod tests {
     #[test]
     fn a_repeated_message_is_no_news() {
         let mut gate = Gate::new(Some(LIMIT));
-        gate.judge(&came(1, 0, Order::First), 1);
-        assert_eq!(gate.judge(&came(1, 0, Order::Repeated), 2), Verdict::Repeat);
+        gate.judge(&came(1, 0), 1);
+        assert_eq!(gate.judge(&came(1, 0), 2), Verdict::Repeat);
     }
 
     #[test]
     fn a_bad_message_holds_until_a_good_one_comes() {
         let mut gate = Gate::new(Some(LIMIT));
-        gate.judge(&came(1, 0, Order::First), 1);
+        gate.judge(&came(1, 0), 1);
         let invalid = message(0, 30).stamp;
         let refused = Input::from(Err(ReceiveError::Invalid {
             invalid: ipc::Message::check(&message(0, 30)).unwrap_err(),
@@ -402,19 +369,16 @@ mod tests {
         }));
         assert_eq!(
             gate.judge(&refused, 31),
-            Verdict::Hold(Hold::Invalid, invalid)
+            Verdict::Hold(HoldReason::Invalid, invalid)
         );
-        assert_eq!(cause(gate.judge(&Input::Nothing, 32)), Some(Hold::Invalid));
+        assert_eq!(
+            cause(gate.judge(&Input::Nothing, 32)),
+            Some(HoldReason::Invalid)
+        );
         let mut hidden = message(2, 60);
         hidden.visible = 0b0111;
-        let hidden = Input::Message(Received {
-            message: hidden,
-            order: Order::Next,
-        });
-        assert_eq!(cause(gate.judge(&hidden, 61)), Some(Hold::Hidden));
-        assert_eq!(
-            link(gate.judge(&came(3, 90, Order::Next), 91)),
-            Some(Link::Broken)
-        );
+        let hidden = Input::Message(hidden);
+        assert_eq!(cause(gate.judge(&hidden, 61)), Some(HoldReason::Hidden));
+        assert_eq!(link(gate.judge(&came(3, 90), 91)), Some(Link::Broken));
     }
 }

@@ -34,7 +34,8 @@ impl Histogram {
         self.max_ns = self.max_ns.max(ns);
     }
 
-    /// The duration (ns) that this share (0 to 1) of all durations does not exceed: upper edge of its bucket.
+    /// The duration (ns) that this share (0 to 1) of all durations does not exceed: upper edge of
+    /// its bucket.
     pub fn quantile(&self, share: f64) -> u64 {
         let rank = (share * self.count as f64).ceil() as u64;
         let mut seen = 0;

@@ -1,35 +1,42 @@
-//! `vpcd`, the daemon: configuration, clock, the real-time cycle, telemetry, shutdown. The law itself is the crate
-//! `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions: `README.md`).
+//! `vpcd`, the daemon: configuration, the real-time loop, telemetry, shutdown. The control law is
+//! the crate `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions:
+//! `README.md`).
 //!
-//! A cycle is *Wake -> Receive -> Step -> Send -> Slack*; its modules in that order:
-//! [`clock`] (when), [`pilot`] (the decision, a pure function: [`gate`], whether the features can be trusted, [`law`],
-//! what to command, [`supervisor`], whether it may go out), [`cycle`] (the loop itself), [`telemetry`] (what an ordinary
-//! thread makes of the records).
+//! A cycle receives, judges order and age, runs the law, lets the supervisor decide what may go
+//! out, and sends: [`input`] -> [`gate`] -> [`law`] -> [`supervisor`] -> [`cycle`]. The three in
+//! the middle make [`control`], a pure function of inputs and state that [`mod@replay`] repeats.
 #![deny(unsafe_code)]
 
 pub mod arguments;
 pub mod clock;
 pub mod config;
+pub mod contract;
+pub mod control;
 pub mod cycle;
 pub mod daemon;
+pub mod decision;
 pub mod exit;
 pub mod flight;
 pub mod gate;
 pub mod histogram;
+pub mod input;
 pub mod instance;
 pub mod law;
+pub mod loaded;
 pub mod log;
 pub mod lossy;
-pub mod phase;
-pub mod pilot;
+pub mod pll;
 pub mod preflight;
 pub mod realtime;
+pub mod replay;
 pub mod report;
 pub mod robot;
+pub mod scene_files;
 pub mod service;
 pub mod shutdown;
+pub mod snapshot;
 pub mod stack;
+pub mod summary;
 pub mod supervisor;
-pub mod takeover;
 pub mod telemetry;
 pub mod usage;

@@ -1,5 +1,5 @@
-//! The log goes to the journal where standard error is connected to it, and to standard error elsewhere; the loop
-//! itself never logs.
+//! The log goes to the journal where standard error is connected to it, and to standard error
+//! elsewhere; the loop itself never logs.
 
 use std::io::{IsTerminal, Write};
 
@@ -61,8 +61,8 @@ pub fn start(config: &Config) -> std::io::Result<Log> {
     Ok(Log(Some(lossy)))
 }
 
-/// Writes a failure to standard error, before or after the log; in the journal with the priority of an error. Who does
-/// not read it does not hold up the end.
+/// Writes a failure to standard error, before or after the log; in the journal with the priority of
+/// an error. Who does not read it does not hold up the end.
 pub fn complain(message: &str) {
     let priority = if is_journal() { "<3>" } else { "" };
     let lines: String = format!("vpcd: {message}")
@@ -81,7 +81,8 @@ pub fn complain(message: &str) {
     }
 }
 
-/// The journal with its fields, which carry our name: `VPCD_CYCLE=`. None where it cannot be reached.
+/// The journal with its fields, which carry our name: `VPCD_CYCLE=`. None where it cannot be
+/// reached.
 fn journal() -> Option<tracing_journald::Layer> {
     let layer = is_journal()
         .then(tracing_journald::layer)

@@ -1,5 +1,5 @@
-//! Where log lines go when nobody takes them: nowhere, and counted. A pipe that nobody reads or a full disk must hold up
-//! neither the recorder nor the end of the daemon.
+//! Where log lines go when nobody takes them: nowhere, and counted. A pipe that nobody reads or a
+//! full disk must hold up neither the recorder nor the end of the daemon.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -14,7 +14,8 @@ const QUEUE: usize = 1024;
 /// Longest wait for the lines that are left when the daemon ends.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Hands lines to a thread of its own, which may wait for ever; a line too many is dropped and counted.
+/// Hands lines to a thread of its own, which may wait for ever; a line too many is dropped and
+/// counted.
 #[derive(Clone, Debug)]
 pub struct Lossy {
     lines: SyncSender<Vec<u8>>,
@@ -43,7 +44,7 @@ impl Lossy {
         Ok(Self { lines, counts })
     }
 
-    /// Lines lost so far: dropped, or refused by who should have taken them.
+    /// Lines lost so far: dropped, or refused by the writer.
     pub fn lost(&self) -> u64 {
         self.counts.lost.load(Ordering::Relaxed)
     }

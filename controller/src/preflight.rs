@@ -8,7 +8,7 @@ use std::fmt::{self, Display, Formatter};
 
 use serde::Serialize;
 
-use crate::realtime::Wish;
+use crate::realtime::RealtimeRequest;
 use crate::report::Percentiles;
 pub use facts::Facts;
 
@@ -92,11 +92,11 @@ impl Display for Preflight {
     }
 }
 
-/// Judges the facts for a loop that wishes this.
-pub fn judge(facts: &Facts, wish: Wish) -> Preflight {
+/// Judges the facts for a loop that wants this.
+pub fn judge(facts: &Facts, wanted: RealtimeRequest) -> Preflight {
     let checks = vec![
-        priority(facts, wish),
-        processor(facts, wish),
+        priority(facts, wanted),
+        processor(facts, wanted),
         memory(facts),
         throttling(facts),
         kernel(facts),
@@ -104,7 +104,7 @@ pub fn judge(facts: &Facts, wish: Wish) -> Preflight {
         governor(facts),
         idle(facts),
         threads(facts),
-        isolation(facts, wish),
+        isolation(facts, wanted),
         room(facts),
         wake(facts),
     ];
@@ -137,7 +137,7 @@ fn check(
     }
 }
 
-fn priority(facts: &Facts, Wish { priority, .. }: Wish) -> Check {
+fn priority(facts: &Facts, RealtimeRequest { priority, .. }: RealtimeRequest) -> Check {
     let is_within = facts
         .priority_limit
         .is_none_or(|limit| limit >= priority as u64);
@@ -164,7 +164,7 @@ fn priority(facts: &Facts, Wish { priority, .. }: Wish) -> Check {
     )
 }
 
-fn processor(facts: &Facts, Wish { cpu, .. }: Wish) -> Check {
+fn processor(facts: &Facts, RealtimeRequest { cpu, .. }: RealtimeRequest) -> Check {
     let wished = cpu.map_or("any".to_owned(), |cpu| cpu.to_string());
     check(
         "processor",
@@ -283,7 +283,7 @@ fn threads(facts: &Facts) -> Check {
     )
 }
 
-fn isolation(facts: &Facts, Wish { cpu, .. }: Wish) -> Check {
+fn isolation(facts: &Facts, RealtimeRequest { cpu, .. }: RealtimeRequest) -> Check {
     let found = match (&*facts.isolated, cpu) {
         ("", _) => "none isolated".to_owned(),
         (list, _) => format!("isolated: {list}"),
@@ -346,7 +346,7 @@ fn contains(list: &str, cpu: usize) -> bool {
 mod tests {
     use super::*;
 
-    const WISH: Wish = Wish {
+    const WISH: RealtimeRequest = RealtimeRequest {
         priority: 80,
         cpu: Some(5),
     };

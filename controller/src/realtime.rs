@@ -1,5 +1,6 @@
-//! Real-time scheduling of the loop's thread, where it is asked for and permitted: SCHED_FIFO, a processor of its own,
-//! a stack that is already there, locked memory; each read back after it was asked for.
+//! Real-time scheduling of the loop's thread, where it is asked for and permitted: SCHED_FIFO, a
+//! processor of its own, a stack that is already there, locked memory; each read back after it was
+//! asked for.
 
 use std::io;
 
@@ -17,17 +18,18 @@ pub(crate) const CAP_SYS_NICE: u32 = 23;
 
 /// What the loop's thread asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Wish {
+pub struct RealtimeRequest {
     /// SCHED_FIFO priority, 1 to 99.
     pub priority: i32,
     /// The processor to stay on, from 0; `None`: any.
     pub cpu: Option<usize>,
 }
 
-/// Gives the calling thread what it asks for, as far as that is permitted, and reads back what it got. Where something
-/// is missing the daemon runs all the same and says so: once in the log here, and all the time in status and telemetry
-/// by the bits returned. Late cycles are counted, and stale commands stop the camera.
-pub fn enter(wish: Wish) -> RealTime {
+/// Gives the calling thread what it asks for, as far as that is permitted, and reads back what it
+/// got. Where something is missing the daemon runs all the same and says so: once in the log here,
+/// and all the time in status and telemetry by the bits returned. Late cycles are counted, and
+/// stale commands stop the camera.
+pub fn enter(wanted: RealtimeRequest) -> RealTime {
     let mut bits = RealTime::ASKED;
     let mut lacks = Vec::new();
     let mut lack = |bit: RealTime, outcome: io::Result<()>, what: &str| {
@@ -36,15 +38,15 @@ pub fn enter(wish: Wish) -> RealTime {
             lacks.push(format!("{what}: {error}"));
         }
     };
-    if let Some(cpu) = wish.cpu {
+    if let Some(cpu) = wanted.cpu {
         let what = format!("not on processor {cpu} (realtime.cpu; CPUAffinity= in the unit)");
         lack(RealTime::NO_CPU, pin(cpu), &what);
     }
     let what = format!(
         "no SCHED_FIFO at priority {}, expect wake-ups late by up to 200 ms under load (CAP_SYS_NICE, or LimitRTPRIO= in the unit)",
-        wish.priority
+        wanted.priority
     );
-    lack(RealTime::NO_FIFO, fifo(wish.priority), &what);
+    lack(RealTime::NO_FIFO, fifo(wanted.priority), &what);
     let what =
         "memory is not locked, expect page faults in the loop (LimitMEMLOCK=infinity in the unit)";
     lack(RealTime::NO_LOCK, lock(), what);
@@ -105,8 +107,8 @@ fn fifo(priority: i32) -> io::Result<()> {
     Err(io::Error::other("the kernel says otherwise"))
 }
 
-/// All memory, present and future, or none: under a limit, locking the future would make a later mapping (a peer's
-/// segment) fail when the limit is reached, in the middle of a run.
+/// All memory, present and future, or none: under a limit, locking the future would make a later
+/// mapping (a peer's segment) fail when the limit is reached, in the middle of a run.
 fn lock() -> io::Result<()> {
     let limit = getrlimit(Resource::Memlock).current;
     if let Some(limit) = limit.filter(|_| !has_capability(CAP_IPC_LOCK)) {
@@ -153,8 +155,8 @@ pub(crate) fn has_capability(number: u32) -> bool {
     set.is_some_and(|set| set >> number & 1 == 1)
 }
 
-/// Lets the kernel wake the calling thread as precisely as it can (1 ns of slack instead of 50 us): for polling in
-/// lockstep, without real-time scheduling.
+/// Lets the kernel wake the calling thread as precisely as it can (1 ns of slack instead of 50 us):
+/// for polling in lockstep, without real-time scheduling.
 #[allow(unsafe_code)]
 pub fn precise_sleep() {
     // SAFETY: PR_SET_TIMERSLACK takes a number and touches no memory of ours.

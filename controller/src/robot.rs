@@ -1,20 +1,23 @@
 //! The robot as the controller hears it: at fault, silent, or fine. Pure; the time is an argument.
 
-use ipc::{Hold, RobotFaults, RobotMode, RobotState};
+use ipc::{RobotFaults, RobotMode, RobotState};
+use serde::{Deserialize, Serialize};
 
-use crate::gate::Input;
+use crate::decision::HoldReason;
+use crate::input::Input;
 
 /// What was heard of the robot so far.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotWatch {
-    pub(crate) lost_ns: Option<u64>,
+    lost_ns: Option<u64>,
     /// When the last state was published, CLOCK_MONOTONIC, ns; not later than it was looked at.
-    pub(crate) heard_ns: Option<u64>,
-    pub(crate) at_fault: bool,
+    heard_ns: Option<u64>,
+    at_fault: bool,
 }
 
 impl RobotWatch {
-    /// A watch that misses a robot after `lost_ns` of silence; `None` in lockstep, where time does not pass.
+    /// A watch that misses a robot after `lost_ns` of silence; `None` in lockstep, where time does
+    /// not pass.
     pub fn new(lost_ns: Option<u64>) -> Self {
         Self {
             lost_ns,
@@ -23,9 +26,9 @@ impl RobotWatch {
         }
     }
 
-    /// What is wrong at `now_ns`, after what was received by then. A robot that was never heard is none: a camera may
-    /// be carried by something that says nothing.
-    pub fn look(&mut self, input: &Input<RobotState>, now_ns: u64) -> Option<Hold> {
+    /// What is wrong at `now_ns`, after what was received by then. A robot that was never heard is
+    /// none: a camera may be carried by something that says nothing.
+    pub fn look(&mut self, input: &Input<RobotState>, now_ns: u64) -> Option<HoldReason> {
         if let Input::Message(state) = input {
             // A stamp from the future would put off the silence after it.
             self.heard_ns = Some(state.stamp.published_ns.min(now_ns));
@@ -37,8 +40,8 @@ impl RobotWatch {
         };
         // A state that breaks the contract is as good as none: it ends in silence.
         match self.heard_ns {
-            _ if self.at_fault => Some(Hold::RobotFault),
-            Some(heard) if silent(heard) => Some(Hold::RobotLost),
+            _ if self.at_fault => Some(HoldReason::RobotFault),
+            Some(heard) if silent(heard) => Some(HoldReason::RobotLost),
             _ => None,
         }
     }
@@ -52,17 +55,13 @@ fn is_fault(state: &RobotState) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ipc::{Order, Received};
 
     fn state(mode: RobotMode, faults: RobotFaults, published_ns: u64) -> Input<RobotState> {
         let mut message = RobotState::free_camera([0.0; 3], [0.0; 3], published_ns);
         message.mode = mode.code();
         message.faults = faults.0;
         message.stamp.published_ns = published_ns;
-        Input::Message(Received {
-            message,
-            order: Order::Next,
-        })
+        Input::Message(message)
     }
 
     #[test]
@@ -79,7 +78,10 @@ mod tests {
         let fine = RobotFaults::default();
         assert_eq!(watch.look(&state(RobotMode::Moving, fine, 100), 101), None);
         assert_eq!(watch.look(&Input::Nothing, 110), None);
-        assert_eq!(watch.look(&Input::Nothing, 111), Some(Hold::RobotLost));
+        assert_eq!(
+            watch.look(&Input::Nothing, 111),
+            Some(HoldReason::RobotLost)
+        );
         assert_eq!(watch.look(&state(RobotMode::Idle, fine, 112), 113), None);
     }
 
@@ -88,7 +90,10 @@ mod tests {
         let mut watch = RobotWatch::new(Some(10));
         let future = state(RobotMode::Moving, RobotFaults::default(), u64::MAX);
         assert_eq!(watch.look(&future, 100), None);
-        assert_eq!(watch.look(&Input::Nothing, 111), Some(Hold::RobotLost));
+        assert_eq!(
+            watch.look(&Input::Nothing, 111),
+            Some(HoldReason::RobotLost)
+        );
     }
 
     #[test]
@@ -96,11 +101,14 @@ mod tests {
         let mut watch = RobotWatch::new(None);
         let fine = RobotFaults::default();
         let reflex = state(RobotMode::Moving, RobotFaults::REFLEX, 1);
-        assert_eq!(watch.look(&reflex, 2), Some(Hold::RobotFault));
-        assert_eq!(watch.look(&Input::Nothing, 1 << 40), Some(Hold::RobotFault));
+        assert_eq!(watch.look(&reflex, 2), Some(HoldReason::RobotFault));
+        assert_eq!(
+            watch.look(&Input::Nothing, 1 << 40),
+            Some(HoldReason::RobotFault)
+        );
         assert_eq!(watch.look(&state(RobotMode::Idle, fine, 3), 4), None);
         let fault = state(RobotMode::Fault, fine, 5);
-        assert_eq!(watch.look(&fault, 6), Some(Hold::RobotFault));
+        assert_eq!(watch.look(&fault, 6), Some(HoldReason::RobotFault));
         // Standing still for want of commands, or cutting one, is no fault.
         let cut = RobotFaults(RobotFaults::STALE_COMMAND.0 | RobotFaults::COMMAND_LIMITED.0);
         assert_eq!(watch.look(&state(RobotMode::Stale, cut, 7), 8), None);

@@ -1,8 +1,9 @@
-//! The talk with the service manager: readiness, status and watchdog, after `sd_notify(3)`.
+//! Notifications to the service manager: readiness, status and watchdog, after `sd_notify(3)`.
 //!
-//! The ordinary thread does all the talking; the loop only counts its turns in [`Progress`]. A watchdog message goes
-//! out on no other occasion than a look of the ordinary thread that finds the loop moved since the look before. So it
-//! stops at once when either of the two hangs, and the loop pays one atomic addition for it.
+//! The ordinary thread sends them; the loop only counts its turns in [`Progress`]. A watchdog
+//! message goes out on no other occasion than a look of the ordinary thread that finds the loop
+//! moved since the look before. So it stops at once when either of the two hangs, and the loop pays
+//! one atomic addition for it.
 
 use std::ffi::OsString;
 use std::fmt::Display;
@@ -28,20 +29,17 @@ const LEAST_PERIODS: u32 = 4;
 /// Shortest stillness of the loop that the log tells.
 const STILL: Duration = Duration::from_millis(500);
 
-/// Why the service manager cannot be talked to.
+/// Why the service manager cannot be notified.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ServiceError {
     /// A variable of the environment is malformed.
     #[error("environment: {name} = {value}; allowed: {allowed}")]
     Value {
-        /// The variable.
         name: &'static str,
-        /// What was found.
         value: String,
-        /// What is allowed.
         allowed: String,
     },
-    /// No socket could be made.
     #[error("NOTIFY_SOCKET: {0}")]
     Socket(#[from] io::Error),
 }
@@ -65,16 +63,17 @@ impl Progress {
 /// What the environment says about the service manager.
 #[derive(Debug, Default)]
 pub struct Service {
-    line: Option<Line>,
+    line: Option<Socket>,
     watchdog: Option<Duration>,
 }
 
 impl Service {
-    /// Reads `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. Where there is no service manager, nobody is told
-    /// anything.
+    /// Reads `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. Where there is no service
+    /// manager, nobody is told anything.
     ///
     /// # Errors
-    /// [`ServiceError`] names a malformed variable, or a watchdog interval that a loop with this period cannot meet.
+    /// [`ServiceError`] names a malformed variable, or a watchdog interval that a loop with this
+    /// period cannot meet.
     pub fn by_environment(period: Duration) -> Result<Self, ServiceError> {
         Self::parse(|name| std::env::var_os(name), std::process::id(), period)
     }
@@ -85,7 +84,7 @@ impl Service {
         period: Duration,
     ) -> Result<Self, ServiceError> {
         let line = variable("NOTIFY_SOCKET")
-            .map(|name| Line::to(&name))
+            .map(|name| Socket::to(&name))
             .transpose()?;
         let number = |name: &'static str| {
             variable(name)
@@ -136,12 +135,12 @@ fn one_line(text: &str) -> String {
 
 /// The socket of the service manager. Never waits: a manager that does not read must not stop us.
 #[derive(Debug)]
-struct Line {
+struct Socket {
     socket: UnixDatagram,
     manager: SocketAddr,
 }
 
-impl Line {
+impl Socket {
     fn to(name: &OsString) -> Result<Self, ServiceError> {
         let manager = match name.as_bytes() {
             [b'@', rest @ ..] if !rest.is_empty() => SocketAddr::from_abstract_name(rest),
@@ -174,7 +173,7 @@ struct Due {
 
 /// What has been said and seen; pure, so that tests move the clock by hand.
 #[derive(Debug)]
-struct Agenda {
+struct Schedule {
     /// Time between two watchdog messages.
     feed: Option<Duration>,
     is_ready: bool,
@@ -185,7 +184,7 @@ struct Agenda {
     moved: Instant,
 }
 
-impl Agenda {
+impl Schedule {
     fn new(watchdog: Option<Duration>, now: Instant) -> Self {
         Self {
             feed: watchdog.map(|interval| interval / FEEDS),
@@ -233,11 +232,11 @@ impl Agenda {
     }
 }
 
-/// The ordinary thread's side of the talk, and its answer to signals.
+/// Notifies the service manager from the ordinary thread, and answers SIGHUP.
 #[derive(Debug)]
-pub struct Talk {
-    line: Option<Line>,
-    agenda: Agenda,
+pub struct Notifier {
+    line: Option<Socket>,
+    schedule: Schedule,
     /// Stillness that is told.
     most_still: Duration,
     is_still: bool,
@@ -247,8 +246,8 @@ pub struct Talk {
     hangup: Hangup,
 }
 
-impl Default for Talk {
-    /// A talk with nobody, about nothing.
+impl Default for Notifier {
+    /// A notifier that does nothing.
     fn default() -> Self {
         Self::new(
             Service::default(),
@@ -260,8 +259,8 @@ impl Default for Talk {
     }
 }
 
-impl Talk {
-    /// A talk about a loop of this period that counts in `progress` and ends by `stop`.
+impl Notifier {
+    /// A notifier for a loop of this period that counts in `progress` and ends by `stop`.
     pub fn new(
         service: Service,
         period: Duration,
@@ -271,7 +270,7 @@ impl Talk {
     ) -> Self {
         Self {
             line: service.line,
-            agenda: Agenda::new(service.watchdog, Instant::now()),
+            schedule: Schedule::new(service.watchdog, Instant::now()),
             most_still: STILL.max(LEAST_PERIODS * period),
             is_still: false,
             is_cut: false,
@@ -281,7 +280,8 @@ impl Talk {
         }
     }
 
-    /// One look at the loop, every few milliseconds; says what is due. `status` is asked once a second.
+    /// One look at the loop, every few milliseconds; says what is due. `status` is asked once a
+    /// second.
     pub fn tend(&mut self, status: impl FnOnce() -> String) {
         if self.hangup.take() {
             info!(
@@ -294,13 +294,13 @@ impl Talk {
 
     /// The last word, when the loop has ended for whatever reason.
     pub fn end(&mut self, status: impl FnOnce() -> String) {
-        self.agenda.told = None;
+        self.schedule.told = None;
         self.say_due(status, true);
     }
 
     fn say_due(&mut self, status: impl FnOnce() -> String, stop: bool) {
         let now = Instant::now();
-        let due = self.agenda.look(now, self.progress.count(), stop);
+        let due = self.schedule.look(now, self.progress.count(), stop);
         let Some(line) = &self.line else {
             return;
         };
@@ -315,7 +315,7 @@ impl Talk {
             }
         }
         if due.status {
-            let still = match self.agenda.stillness(now, self.most_still) {
+            let still = match self.schedule.stillness(now, self.most_still) {
                 Some(still) => format!("LOOP STANDS STILL for {:.1} s; ", still.as_secs_f64()),
                 None => String::new(),
             };
@@ -326,7 +326,7 @@ impl Talk {
         }
         match line.say(&message) {
             Ok(()) => {
-                self.agenda.done(now, due);
+                self.schedule.done(now, due);
                 self.is_cut = false;
             }
             // Said again at the next occasion.
@@ -340,10 +340,10 @@ impl Talk {
     }
 
     fn tell_stillness(&mut self) {
-        let still = self.agenda.stillness(Instant::now(), self.most_still);
+        let still = self.schedule.stillness(Instant::now(), self.most_still);
         if still.is_some() != self.is_still {
             self.is_still = still.is_some();
-            let cycle = self.agenda.count;
+            let cycle = self.schedule.count;
             match still {
                 Some(_) => error!(
                     cycle,
@@ -433,20 +433,20 @@ mod tests {
     #[test]
     fn ready_is_said_once_and_not_before_the_loop_has_moved() {
         let start = Instant::now();
-        let mut agenda = Agenda::new(None, start);
-        assert!(!agenda.look(start, 0, false).ready);
-        let due = agenda.look(start + PERIOD, 1, false);
+        let mut schedule = Schedule::new(None, start);
+        assert!(!schedule.look(start, 0, false).ready);
+        let due = schedule.look(start + PERIOD, 1, false);
         assert!(due.ready && !due.watchdog);
-        agenda.done(start + PERIOD, due);
-        assert!(!agenda.look(start + 2 * PERIOD, 2, false).ready);
+        schedule.done(start + PERIOD, due);
+        assert!(!schedule.look(start + 2 * PERIOD, 2, false).ready);
     }
 
     #[test]
     fn what_did_not_reach_the_manager_is_said_again() {
         let start = Instant::now();
-        let mut agenda = Agenda::new(None, start);
-        assert!(agenda.look(start, 1, true).ready);
-        let due = agenda.look(start + PERIOD, 2, true);
+        let mut schedule = Schedule::new(None, start);
+        assert!(schedule.look(start, 1, true).ready);
+        let due = schedule.look(start + PERIOD, 2, true);
         assert!(due.ready && due.stopping && due.status);
     }
 
@@ -454,17 +454,17 @@ mod tests {
     fn a_loop_that_stands_still_is_never_fed_for() {
         let start = Instant::now();
         let interval = Duration::from_secs(2);
-        let mut agenda = Agenda::new(Some(interval), start);
+        let mut schedule = Schedule::new(Some(interval), start);
         let mut fed = Vec::new();
         let mut now = start;
         // Looks every 5 ms; the loop counts to 60, one each 33 ms, and hangs at 1.98 s.
         for look in 0..2000_u32 {
             now = start + look * Duration::from_millis(5);
-            let due = agenda.look(now, u64::from(look * 5 / 33).min(60), false);
+            let due = schedule.look(now, u64::from(look * 5 / 33).min(60), false);
             if due.watchdog {
                 fed.push(now - start);
             }
-            agenda.done(now, due);
+            schedule.done(now, due);
         }
         let hang = 60 * PERIOD;
         assert!(
@@ -474,7 +474,7 @@ mod tests {
         let widest = fed.windows(2).map(|pair| pair[1] - pair[0]).max();
         assert!(fed.len() == 4 && widest <= Some(interval / 2), "{fed:?}");
         assert_eq!(
-            agenda.stillness(now, STILL).map(|still| still.as_secs()),
+            schedule.stillness(now, STILL).map(|still| still.as_secs()),
             Some(8)
         );
     }

@@ -12,8 +12,8 @@ use signal_hook::flag;
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// A stop flag that SIGTERM and SIGINT set. Further ones change nothing: an impatient operator must not cut a
-    /// controlled stop short. What does not end by them ends by SIGQUIT or SIGKILL.
+    /// A stop flag that SIGTERM and SIGINT set. Further ones change nothing: an impatient operator
+    /// must not cut a controlled stop short. What does not end by them ends by SIGQUIT or SIGKILL.
     ///
     /// # Errors
     /// Where the operating system refuses the handlers.

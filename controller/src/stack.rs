@@ -1,16 +1,17 @@
-//! The stack of the loop's thread: touched before the loop begins, so that no cycle meets a page for the first time,
-//! and measured when it has ended.
+//! The stack of the loop's thread: touched before the loop begins, so that no cycle meets a page
+//! for the first time, and measured when it has ended.
 
 use std::mem::MaybeUninit;
 
-/// Bytes touched below the caller: eight times what a cycle with a memory was seen to use (48 KiB without full
-/// optimization; `stack_used_bytes` of `vpcd --report`).
+/// Bytes touched below the caller: eight times what a cycle with a memory was seen to use (48 KiB
+/// without full optimization; `stack_used_bytes` of `vpcd --report`).
 pub const SIZE: usize = 384 << 10;
 /// A page: what is measured in.
 const PAGE: usize = 4096;
 /// What untouched stack is painted with.
 const PAINT: u8 = 0xA5;
-/// Bytes of a page that may differ from the paint though no frame lies there: large frames probe each page.
+/// Bytes of a page that may differ from the paint though no frame lies there: large frames probe
+/// each page.
 const PROBES: usize = 32;
 
 type Area = [MaybeUninit<u8>; SIZE];
@@ -27,13 +28,15 @@ pub fn prepare() {
     }
 }
 
-/// Bytes of the painted stack that were used since, in whole pages; called from the same depth as [`prepare`].
+/// Bytes of the painted stack that were used since, in whole pages; called from the same depth as
+/// [`prepare`].
 #[allow(unsafe_code)]
 #[inline(never)]
 pub fn used() -> usize {
     let mut area: Area = [const { MaybeUninit::uninit() }; SIZE];
     let start = area.as_mut_ptr();
-    // SAFETY: no instruction; but for the compiler the block may have written the area, with what was there before.
+    // SAFETY: no instruction; but for the compiler the block may have written the area, with what
+    // was there before.
     unsafe { std::arch::asm!("/* {0} */", in(reg) start) };
     let is_used = |page: usize| {
         let changed = (0..PAGE).filter(|i| {

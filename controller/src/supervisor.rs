@@ -1,8 +1,9 @@
-//! The supervisor: whether the law's twist may go out, and what goes out instead. Pure; the time is an argument.
+//! The supervisor: whether the law's twist may go out, and what goes out instead. Pure; the time is
+//! an argument.
 //!
-//! Three modes: *armed*, where the law moves the camera; *braking to disarm*; *disarmed*, where the twist is zero until
-//! an operator arms. Each cycle has at most one cause against the law's twist, the gravest of all that hold, and each
-//! cause has one response:
+//! Three modes: *armed*, where the law moves the camera; *braking to disarm*; *disarmed*, where the
+//! twist is zero until an operator arms. Each cycle has at most one cause against the law's twist,
+//! the gravest of all that hold, and each cause has one response:
 //!
 //! | Response | Causes, the gravest first |
 //! |---|---|
@@ -12,72 +13,75 @@
 //!
 //! Features are *lost* when none that the law could use came for a while, for whatever reason.
 
-use ipc::{Action, Hold, Outcome, TwistState};
+use ipc::{Action, Outcome, TwistState};
+use serde::{Deserialize, Serialize};
 
-use crate::law::Decision;
+use crate::decision::{Decision, HoldReason};
 
-/// Cycles in a row with missed releases, with a solver that failed, or with a memory whose answers were out of range, after
-/// which the camera is stopped.
+/// Cycles in a row with missed releases, with a solver that failed, or with a memory whose answers
+/// were out of range, after which the camera is stopped.
 const IN_A_ROW: u32 = 3;
-/// What a cycle with missed releases counts; one without counts this down by 1. So more than one overrun in three cycles
-/// stops the camera, too, if it lasts.
+/// What a cycle with missed releases counts; one without counts this down by 1. So more than one
+/// overrun in three cycles stops the camera, too, if it lasts.
 const OVERRUN: u32 = 2;
 
 /// What the supervisor goes by.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rules {
     /// Largest magnitude of each component of the twist, m/s and rad/s.
     pub limits: [f64; 6],
     /// Time in which a twist at the limits is braked to zero, ns; 0: at once.
     pub brake_ns: u64,
-    /// Time without usable features, or of standstill of the loop, or of silence of a robot that was heard, after
-    /// which the camera is disarmed, ns; `None` in lockstep, where time does not pass.
+    /// Time without usable features, or of standstill of the loop, or of silence of a robot that
+    /// was heard, after which the camera is disarmed, ns; `None` in lockstep, where time does not
+    /// pass.
     pub lost_ns: Option<u64>,
     /// Whether it starts armed.
     pub armed: bool,
 }
 
 /// What a cycle knows, but for the time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Situation {
     /// What the law, or the gate before it, decided.
     pub decision: Decision,
-    /// When the last features that the law could use were published, CLOCK_MONOTONIC, ns; `None` before the first.
+    /// When the last features that the law could use were published, CLOCK_MONOTONIC, ns; `None`
+    /// before the first.
     pub good_ns: Option<u64>,
     /// Whether the law ran in this cycle, and if, whether its solver failed.
     pub solver_failed: Option<bool>,
     /// Whether the memory was asked in this cycle, and if, whether its answer was out of range.
     pub recall_refused: Option<bool>,
     /// Releases missed just before this cycle.
-    pub missed: u64,
-    /// What is wrong with the robot: [`Hold::RobotFault`] or [`Hold::RobotLost`].
-    pub robot: Option<Hold>,
+    pub missed: u32,
+    /// What is wrong with the robot: [`HoldReason::RobotFault`] or [`HoldReason::RobotLost`].
+    pub robot: Option<HoldReason>,
     /// Whether the daemon is to stop.
     pub shutdown: bool,
 }
 
 /// Whether the law moves the camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Mode {
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+enum Mode {
     Armed,
     /// On the way to disarmed, for this cause.
-    Disarming(Hold),
-    Disarmed(Hold),
+    Disarming(HoldReason),
+    Disarmed(HoldReason),
 }
 
 /// The state machine.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Supervisor {
-    pub(crate) rules: Rules,
-    pub(crate) mode: Mode,
+    rules: Rules,
+    mode: Mode,
     /// The last cycle: when it was, and what it sent.
-    pub(crate) last: Option<u64>,
-    pub(crate) sent: Decision,
+    last: Option<u64>,
+    sent: Decision,
     /// What the last cycle knew.
-    pub(crate) situation: Option<Situation>,
-    pub(crate) overruns: u32,
-    pub(crate) failures: u32,
-    pub(crate) refusals: u32,
+    situation: Option<Situation>,
+    overruns: u32,
+    failures: u32,
+    refusals: u32,
 }
 
 /// How a cause is met.
@@ -99,10 +103,10 @@ impl Supervisor {
             mode: if rules.armed {
                 Mode::Armed
             } else {
-                Mode::Disarmed(Hold::NotArmed)
+                Mode::Disarmed(HoldReason::NotArmed)
             },
             last: None,
-            sent: still(Hold::NoFeatures, TwistState::Holding),
+            sent: Decision::hold(HoldReason::NoFeatures),
             situation: None,
             overruns: 0,
             failures: 0,
@@ -121,31 +125,30 @@ impl Supervisor {
     }
 
     /// The state, and its cause.
-    pub fn state(&self) -> (TwistState, Hold) {
+    pub fn state(&self) -> (TwistState, Option<HoldReason>) {
         match self.mode {
-            Mode::Disarmed(cause) => (TwistState::Disarmed, cause),
-            Mode::Disarming(cause) => (TwistState::Braking, cause),
+            Mode::Disarmed(cause) => (TwistState::Disarmed, Some(cause)),
+            Mode::Disarming(cause) => (TwistState::Braking, Some(cause)),
             // Armed since the last cycle: nothing was sent yet.
-            Mode::Armed if self.sent.state == TwistState::Disarmed => {
-                (TwistState::Holding, Hold::None)
-            }
+            Mode::Armed if self.sent.state == TwistState::Disarmed => (TwistState::Holding, None),
             Mode::Armed => (self.sent.state, self.sent.hold),
         }
     }
 
-    /// What an operator asks for: arm, disarm, stop. It goes by what the last cycle knew, and counts from the next
-    /// cycle on. Other actions are none of the supervisor's business.
+    /// What an operator asks for: arm, disarm, stop. It goes by what the last cycle knew, and
+    /// counts from the next cycle on. Other actions are none of the supervisor's business.
     pub fn request(&mut self, action: Action) -> Outcome {
         match action {
             Action::Arm => return self.arm(),
-            Action::Disarm => self.disarm(Hold::Operator),
-            Action::Stop => self.mode = Mode::Disarmed(Hold::Operator),
+            Action::Disarm => self.disarm(HoldReason::Operator),
+            Action::Stop => self.mode = Mode::Disarmed(HoldReason::Operator),
             Action::Status | Action::Strategy | Action::Record => (),
         }
         Outcome::Done
     }
 
-    /// What goes out in the cycle of `now_ns` (CLOCK_MONOTONIC): the law's decision, or another instead.
+    /// What goes out in the cycle of `now_ns` (CLOCK_MONOTONIC): the law's decision, or another
+    /// instead.
     pub fn supervise(&mut self, situation: &Situation, now_ns: u64) -> Decision {
         let elapsed_ns = match self.last.replace(now_ns) {
             // A clock that goes back tells nothing about the time that went by: brake in one step.
@@ -166,26 +169,14 @@ impl Supervisor {
             (Mode::Armed, None) => situation.decision,
             (Mode::Armed, Some(cause)) => self.braked(cause, TwistState::Holding, elapsed_ns),
             (Mode::Disarming(cause), _) => self.braked(cause, TwistState::Disarmed, elapsed_ns),
-            (Mode::Disarmed(cause), _) => still(cause, TwistState::Disarmed),
+            (Mode::Disarmed(cause), _) => Decision::still(cause, TwistState::Disarmed),
         };
         if decision.state == TwistState::Disarmed {
-            self.mode = Mode::Disarmed(decision.hold);
+            self.mode = Mode::Disarmed(decision.hold.unwrap_or(HoldReason::NotArmed));
         }
         self.sent = decision;
         self.situation = Some(*situation);
         decision
-    }
-
-    /// Takes it that the last cycle sent this: its twist, and the mode that its state and cause tell.
-    pub(crate) fn follow(&mut self, sent: Decision) {
-        self.mode = match sent.state {
-            TwistState::Disarmed => Mode::Disarmed(sent.hold),
-            TwistState::Braking if response(sent.hold) != Response::Wait => {
-                Mode::Disarming(sent.hold)
-            }
-            _ => Mode::Armed,
-        };
-        self.sent = sent;
     }
 
     fn arm(&mut self) -> Outcome {
@@ -207,7 +198,7 @@ impl Supervisor {
         if situation.robot.is_some() {
             return Outcome::Robot;
         }
-        if situation.decision.hold != Hold::None {
+        if situation.decision.hold.is_some() {
             return Outcome::NoFeatures;
         }
         (self.overruns, self.failures, self.refusals) = (0, 0, 0);
@@ -216,7 +207,7 @@ impl Supervisor {
     }
 
     /// Towards disarmed. Who is on the way there, or is there, keeps the first cause.
-    fn disarm(&mut self, cause: Hold) {
+    fn disarm(&mut self, cause: HoldReason) {
         if self.mode == Mode::Armed {
             self.mode = Mode::Disarming(cause);
         }
@@ -232,47 +223,49 @@ impl Supervisor {
     }
 
     /// How a cause is met now: a solver that failed may find its way again, but not for long.
-    fn response(&self, cause: Hold) -> Response {
+    fn response(&self, cause: HoldReason) -> Response {
         match cause {
-            Hold::Solver if self.failures < IN_A_ROW => Response::Wait,
+            HoldReason::Solver if self.failures < IN_A_ROW => Response::Wait,
             _ => response(cause),
         }
     }
 
     /// The gravest cause against the law's twist.
-    fn cause(&self, situation: &Situation, now_ns: u64, elapsed_ns: u64) -> Option<Hold> {
+    fn cause(&self, situation: &Situation, now_ns: u64, elapsed_ns: u64) -> Option<HoldReason> {
         let decided = situation.decision.hold;
         let beyond = |since: u64| {
             let limit = self.rules.lost_ns;
             limit.is_some_and(|limit| now_ns.saturating_sub(since) > limit)
         };
         let stood_still = self.rules.lost_ns.is_some_and(|limit| elapsed_ns > limit);
-        let faulty = situation.robot == Some(Hold::RobotFault);
+        let faulty = situation.robot == Some(HoldReason::RobotFault);
+        let is_decided = |reason| decided == Some(reason);
         // The order of this list is the order of gravity.
         [
-            (faulty, Hold::RobotFault),
+            (faulty, HoldReason::RobotFault),
             (
-                decided == Hold::Clock || elapsed_ns == u64::MAX,
-                Hold::Clock,
+                is_decided(HoldReason::Clock) || elapsed_ns == u64::MAX,
+                HoldReason::Clock,
             ),
-            (stood_still, Hold::Standstill),
-            (situation.shutdown, Hold::Shutdown),
-            (situation.robot.is_some(), Hold::RobotLost),
-            (self.overruns >= OVERRUN * IN_A_ROW, Hold::Overruns),
-            (decided == Hold::BadTwist, Hold::BadTwist),
-            (self.failures >= IN_A_ROW, Hold::Solver),
-            (self.refusals >= IN_A_ROW, Hold::Recall),
-            (decided == Hold::Frozen, Hold::Frozen),
-            (situation.good_ns.is_some_and(beyond), Hold::Lost),
-            (decided != Hold::None, decided),
+            (stood_still, HoldReason::Standstill),
+            (situation.shutdown, HoldReason::Shutdown),
+            (situation.robot.is_some(), HoldReason::RobotLost),
+            (self.overruns >= OVERRUN * IN_A_ROW, HoldReason::Overruns),
+            (is_decided(HoldReason::BadTwist), HoldReason::BadTwist),
+            (self.failures >= IN_A_ROW, HoldReason::Solver),
+            (self.refusals >= IN_A_ROW, HoldReason::Recall),
+            (is_decided(HoldReason::Frozen), HoldReason::Frozen),
+            (situation.good_ns.is_some_and(beyond), HoldReason::Lost),
         ]
         .into_iter()
         .find_map(|(holds, cause)| holds.then_some(cause))
+        .or(decided)
     }
 
-    /// One step of braking: the twist shrinks as a whole, so that the camera stays on its path, at a rate that takes
-    /// one at the limits to zero in the braking time. At zero the state is `after`.
-    fn braked(&self, cause: Hold, after: TwistState, elapsed_ns: u64) -> Decision {
+    /// One step of braking: the twist shrinks as a whole, so that the camera stays on its path, at
+    /// a rate that takes one at the limits to zero in the braking time. At zero the state is
+    /// `after`.
+    fn braked(&self, cause: HoldReason, after: TwistState, elapsed_ns: u64) -> Decision {
         let limits = self.rules.limits;
         let ratios = self.sent.twist.iter().zip(limits);
         let ratios = ratios.map(|(v, limit)| v.abs() / limit);
@@ -283,25 +276,18 @@ impl Supervisor {
         };
         // Also where the last twist was zero, and for a NaN.
         if slower.is_nan() || slower <= 0.0 {
-            return still(cause, after);
+            return Decision::still(cause, after);
         }
         Decision {
             twist: self.sent.twist.map(|v| v * (slower / speed)),
             state: TwistState::Braking,
-            hold: cause,
+            hold: Some(cause),
         }
     }
 }
 
-fn still(hold: Hold, state: TwistState) -> Decision {
-    Decision {
-        twist: [0.0; 6],
-        state,
-        hold,
-    }
-}
-
-/// How often in a row something failed, after one more cycle that tells whether, or that tells nothing.
+/// How often in a row something failed, after one more cycle that tells whether, or that tells
+/// nothing.
 fn in_a_row(before: u32, failed: Option<bool>) -> u32 {
     match failed {
         Some(true) => before.saturating_add(1),
@@ -311,30 +297,29 @@ fn in_a_row(before: u32, failed: Option<bool>) -> u32 {
 }
 
 /// How a cause is met that lasts.
-fn response(cause: Hold) -> Response {
+fn response(cause: HoldReason) -> Response {
     match cause {
-        Hold::RobotFault | Hold::Clock | Hold::Standstill => Response::Stop,
-        Hold::Shutdown
-        | Hold::Operator
-        | Hold::NotArmed
-        | Hold::RobotLost
-        | Hold::Overruns
-        | Hold::BadTwist
-        | Hold::Solver
-        | Hold::Recall
-        | Hold::Frozen
-        | Hold::Lost => Response::Disarm,
-        Hold::None
-        | Hold::NoFeatures
-        | Hold::Stale
-        | Hold::Invalid
-        | Hold::Hidden
-        | Hold::Count
-        | Hold::NotFinite
-        | Hold::OffImage
-        | Hold::Transport
-        | Hold::Mixed
-        | Hold::Order => Response::Wait,
+        HoldReason::RobotFault | HoldReason::Clock | HoldReason::Standstill => Response::Stop,
+        HoldReason::Shutdown
+        | HoldReason::Operator
+        | HoldReason::NotArmed
+        | HoldReason::RobotLost
+        | HoldReason::Overruns
+        | HoldReason::BadTwist
+        | HoldReason::Solver
+        | HoldReason::Recall
+        | HoldReason::Frozen
+        | HoldReason::Lost => Response::Disarm,
+        HoldReason::NoFeatures
+        | HoldReason::Stale
+        | HoldReason::Invalid
+        | HoldReason::Hidden
+        | HoldReason::Count
+        | HoldReason::NotFinite
+        | HoldReason::OffImage
+        | HoldReason::Transport
+        | HoldReason::Mixed
+        | HoldReason::Order => Response::Wait,
     }
 }
 

@@ -1,4 +1,5 @@
-//! What a stretch of the loop's thread cost beside time: page faults, calls that blocked, calls of the heap.
+//! What a stretch of the loop's thread cost beside time: page faults, calls that blocked, calls of
+//! the heap.
 
 use ipc::CycleRecord;
 
@@ -16,8 +17,8 @@ impl Usage {
     #[allow(unsafe_code)]
     pub fn now() -> Self {
         let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
-        // SAFETY: the pointer is to a live value of the right type. It stays zero where the call fails, and all zeros
-        // are a valid value.
+        // SAFETY: the pointer is to a live value of the right type. It stays zero where the call
+        // fails, and all zeros are a valid value.
         let usage = unsafe {
             libc::getrusage(libc::RUSAGE_THREAD, usage.as_mut_ptr());
             usage.assume_init()

@@ -31,8 +31,8 @@ use scene::Scene;
 
 type Failure = Box<dyn std::error::Error>;
 
-/// What the bridge must know of the robot in every millisecond.
-struct Told {
+/// What the bridge needs of the robot in every millisecond.
+struct Measured {
     /// From the flange frame to the base frame: the rotation in libfranka's O_T_EE, with the flange
     /// as end effector.
     base_from_flange: Rotation3<f64>,
@@ -44,9 +44,9 @@ struct Told {
     is_at_fault: bool,
 }
 
-/// A driver: this is what yours has to do.
+/// A driver: implement it for your robot.
 trait Driver {
-    fn told(&self) -> Told;
+    fn measured(&self) -> Measured;
     /// Velocity of the flange's origin along base axes, m/s and rad/s; called once in each of the
     /// robot's milliseconds.
     fn command(&mut self, twist: &Twist);
@@ -79,46 +79,46 @@ impl Bridge {
         if let Some(newest) = self.twists.latest()? {
             self.command = newest.message;
         }
-        let told = robot.told();
+        let measured = robot.measured();
         // Transported with the lever arm anew each time: the base axes turn under the camera.
         let camera = Twist::from_column_slice(&self.command.twist);
-        let base = self.mount.to_base(&told.base_from_flange, &camera);
+        let base = self.mount.to_base(&measured.base_from_flange, &camera);
         // From `valid_until_ns` on the shaper goes to zero by itself: a controller that fell silent
         // moves nothing.
         self.shaper.aim(&base, self.command.valid_until_ns);
         let now = now_ns();
-        robot.command(&self.shaper.step(&told.echo, now));
+        robot.command(&self.shaper.step(&measured.echo, now));
 
-        // For who watches, and for vpcd: a robot at fault disarms it.
+        // For observers, and for vpcd, which a robot at fault disarms.
         let mut state = RobotState::free_camera([0.0; 3], [0.0; 3], now);
         let is_stale = self.shaper.is_stale(now);
-        let mode = match (told.is_at_fault, is_stale) {
+        let mode = match (measured.is_at_fault, is_stale) {
             (true, _) => RobotMode::Fault,
             (false, true) => RobotMode::Stale,
             (false, false) => RobotMode::Moving,
         };
         state.mode = mode.code();
         for (fault, raised) in [
-            (RobotFaults::REFLEX, told.is_at_fault),
+            (RobotFaults::REFLEX, measured.is_at_fault),
             (RobotFaults::STALE_COMMAND, is_stale),
         ] {
             state.faults |= if raised { fault.0 } else { 0 };
         }
         state.twist = self.command.twist;
         state.joints = JOINTS as u32;
-        (state.q, state.dq) = (told.q, told.dq);
+        (state.q, state.dq) = (measured.q, measured.dq);
         self.states.publish(&state)?;
         Ok(())
     }
 }
 
-/// In the place of your driver.
+/// Stands in for your driver.
 struct Emulated(panda::Robot);
 
 impl Driver for Emulated {
-    fn told(&self) -> Told {
+    fn measured(&self) -> Measured {
         let state = self.0.state();
-        Told {
+        Measured {
             base_from_flange: state.o_t_ee.rotation,
             echo: Echo::from(state),
             q: state.q.into(),
@@ -138,7 +138,7 @@ impl Driver for Emulated {
     }
 }
 
-/// In the place of your camera: true projections by the emulated robot's pose.
+/// Stands in for your camera: true projections by the emulated robot's pose.
 struct Camera {
     features: Publisher<Features>,
     scene: Scene,
@@ -146,7 +146,7 @@ struct Camera {
 }
 
 impl Camera {
-    /// Publishes a frame that is exposed now; gives the largest component of s - s*, px.
+    /// Publishes a frame that is exposed now; returns the largest component of s - s*, px.
     fn expose(&mut self, robot: &Emulated, mount: &Mount) -> Result<f64, Failure> {
         let camera = mount.camera(&robot.0.state().o_t_ee);
         let object = camera.inverse() * base_from_object();

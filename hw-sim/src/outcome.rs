@@ -108,7 +108,7 @@ impl Outcome {
 
 /// To thousandths: more digits say nothing.
 fn rounded(x: f64) -> f64 {
-    (x * 1e3).round() * 1e-3
+    (x * 1e3).round() / 1e3
 }
 
 #[cfg(test)]

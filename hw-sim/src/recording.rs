@@ -9,7 +9,7 @@ use scene::Scene;
 use serde::{Deserialize, Serialize};
 
 use crate::referee::Referee;
-use crate::robot::sequence::Phase;
+use crate::robot::sequence::TaskStep;
 
 /// The first line of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,7 +56,7 @@ pub struct ArmRecord {
     /// Measured joint velocities, rad/s.
     pub dq: [f64; JOINTS],
     /// The step of the task.
-    pub phase: Phase,
+    pub phase: TaskStep,
     /// The robot's mode.
     pub mode: String,
     /// Bits of the markers that the last delivered frame showed.

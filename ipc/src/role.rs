@@ -85,8 +85,6 @@ ports! {
         out snapshots: Snapshot;
         /// What operators ask for.
         in requests: Request;
-        /// What they are answered.
-        in replies: Reply;
     }
 }
 

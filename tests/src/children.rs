@@ -17,6 +17,8 @@ use anyhow::{Context, bail};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
+use crate::root;
+
 /// Longest time for a child to end after a termination signal; then it is killed.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Between two looks at signals and children.
@@ -142,12 +144,33 @@ impl Children {
         })
     }
 
+    /// Builds these programs beside the program that runs, with the cargo that runs it; gives their directory.
+    ///
+    /// # Errors
+    /// Cargo cannot be run, or fails.
+    pub fn build(&self, programs: &[&str]) -> anyhow::Result<PathBuf> {
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let mut build = command(cargo);
+        // No package is named, so that features are those of `cargo build`, and nothing is built twice.
+        build.current_dir(root()).arg("build");
+        build.args(programs.iter().flat_map(|program| ["--bin", program]));
+        if !cfg!(debug_assertions) {
+            build.arg("--release");
+        }
+        let (status, _) = self.start("cargo", build)?.output()?;
+        if !status.success() {
+            bail!("cargo build of {} failed", programs.join(", "));
+        }
+        let program = std::env::current_exe()?;
+        let directory = program.parent().context("no directory of binaries")?;
+        Ok(directory.to_owned())
+    }
+
     /// A directory for children to work in, which is removed with everything in it when it is dropped.
     pub fn place(&self, path: PathBuf) -> Place<'_> {
         self.state().places += 1;
         Place {
             path,
-            is_kept: false,
             children: self,
         }
     }
@@ -243,23 +266,13 @@ impl Drop for Running<'_> {
 #[derive(Debug)]
 pub struct Place<'a> {
     path: PathBuf,
-    is_kept: bool,
     children: &'a Children,
-}
-
-impl Place<'_> {
-    /// Leaves the directory to whoever looks for the reason of an error; not so where a signal was the reason.
-    pub fn keep(&mut self) {
-        self.is_kept = true;
-    }
 }
 
 impl Drop for Place<'_> {
     fn drop(&mut self) {
         let mut state = self.children.state();
-        if state.is_ending || !self.is_kept {
-            let _ = std::fs::remove_dir_all(&self.path);
-        }
+        let _ = std::fs::remove_dir_all(&self.path);
         state.places -= 1;
     }
 }

@@ -6,7 +6,6 @@
 pub mod children;
 pub mod flags;
 pub mod pictures;
-pub mod processes;
 pub mod robot;
 pub mod robot_table;
 pub mod row;

@@ -127,7 +127,11 @@ pub fn of_table<R: Draw>(
 ) -> anyhow::Result<Vec<PathBuf>> {
     let mut written = Vec::new();
     if let Some(memory) = memory {
-        written.extend(samples(scene, task, memory).canvas().write(&directory.join("memory"))?);
+        written.extend(
+            samples(scene, task, memory)
+                .canvas()
+                .write(&directory.join("memory"))?,
+        );
     }
     if let (Some((_, first)), Some((_, last))) = (all.first(), all.last()) {
         let telling = |i: &usize| !first[*i].is_success() && last[*i].is_success();
@@ -136,7 +140,11 @@ pub fn of_table<R: Draw>(
             .iter()
             .filter_map(|(spec, runs)| Some((*spec, runs.get(index)?)));
         let name = format!("start-{}", only.unwrap_or(index));
-        written.extend(comparison(scene, task, runs).canvas().write(&directory.join(name))?);
+        written.extend(
+            comparison(scene, task, runs)
+                .canvas()
+                .write(&directory.join(name))?,
+        );
     }
     Ok(written)
 }

@@ -7,7 +7,7 @@ use hw_sim::eye::Shot;
 use hw_sim::recording::ArmRecord;
 use hw_sim::robot::inspector::ArmReport;
 use hw_sim::robot::rig::{Rig, RigError, RigSettings};
-use hw_sim::robot::sequence::Phase;
+use hw_sim::robot::sequence::TaskStep;
 use scene::{Pose, Scene};
 use serde::Serialize;
 use vpc::{Controller, Measurement, MotionMemory};
@@ -223,7 +223,7 @@ pub fn approach(history: &[Sample]) -> &[Sample] {
     let end = history.iter().position(|sample| {
         !matches!(
             sample.arm.phase,
-            Phase::Waiting | Phase::Approach | Phase::Settling
+            TaskStep::Waiting | TaskStep::Approach | TaskStep::Settling
         )
     });
     &history[..end.unwrap_or(history.len())]

@@ -1,22 +1,23 @@
-//! The ordinary thread's part: keeps the ring, sees faults and wishes, and has files written by a thread that may wait
-//! for the disk.
+//! The ordinary thread's part: keeps the ring, sees faults and requests, and has files written by a
+//! thread that may wait for the disk.
 
+use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use ipc::{CycleRecord, Hold, TwistState};
+use ipc::{CycleRecord, Reply, Snapshot, TwistState};
 use tracing::{info, warn};
 
-use super::about::{About, Build};
-use super::file::Flight;
-use super::record::{FlightRecord, Key};
+use super::file::{self, About};
+use super::queue::FlightCycle;
 use super::ring::Ring;
 use super::store::Store;
 use crate::config::{Config, ConfigError, FlightConfig};
-use crate::law::Law;
+use crate::decision::HoldReason;
 
-/// Faults within this time of the last written one are in the log only: features that come and go must not fill a disk.
-/// But for one that disarms: after that nothing comes and goes, and the next file may never be.
+/// Faults within this time of the last written one are in the log only: features that come and go
+/// must not fill a disk. But for one that disarms: after that nothing comes and goes, and the next
+/// file may never be.
 const BETWEEN_FAULTS: Duration = Duration::from_secs(60);
 
 /// Longest wait for a file when the daemon ends.
@@ -28,7 +29,7 @@ pub enum Cause {
     /// An operator or a signal asked.
     Request,
     /// The camera was moving and was held.
-    Fault(Hold),
+    Fault(HoldReason),
     /// The daemon ends.
     Exit,
 }
@@ -60,10 +61,10 @@ pub struct Recorder {
     at_exit: bool,
     was_moving: bool,
     was_armed: bool,
-    /// What is due: a wish; a camera that was moving and was held; one that was disarmed.
-    wished: bool,
-    fault: Option<Hold>,
-    disarmed: Option<Hold>,
+    /// What is due: a request; a camera that was moving and was held; one that was disarmed.
+    requested: bool,
+    fault: Option<HoldReason>,
+    disarmed: Option<HoldReason>,
     /// Whether a file was made of a fault since the camera last moved.
     is_told: bool,
     written: Option<Instant>,
@@ -71,19 +72,20 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder for this configuration and law.
-    pub fn new(config: &Config, law: &Law) -> Self {
+    /// A recorder for this configuration at this rate of cycles, Hz.
+    pub fn new(config: &Config, about: About, rate_hz: f64) -> Self {
         let flight = &config.flight;
         let store = Store::new(flight.directory.clone(), flight.keep);
         Self {
-            store: Some((store, About::new(config, law))),
+            store: Some((store, about)),
             at_exit: flight.at_exit,
-            ..Self::nowhere(flight.cycles(law.scene().camera.rate_hz))
+            ..Self::nowhere(flight.cycles(rate_hz))
         }
     }
 
-    /// Whether the cycles that are to be kept at this rate (Hz) fit in a quarter of a machine's memory (bytes): while a
-    /// file is written there are two of each, and the rest is not ours. `source` names the configuration in messages.
+    /// Whether the cycles that are to be kept at this rate (Hz) fit in a quarter of a machine's
+    /// memory (bytes): while a file is written there are two of each, and the rest is not ours.
+    /// `source` names the configuration in messages.
     ///
     /// # Errors
     /// [`ConfigError::Value`] names the minutes that fit.
@@ -110,7 +112,7 @@ impl Recorder {
         ))
     }
 
-    /// A recorder of so many cycles that writes nothing.
+    /// A recorder that keeps `cycles` and writes nothing.
     pub fn nowhere(cycles: usize) -> Self {
         Self {
             ring: Ring::new(cycles),
@@ -118,7 +120,7 @@ impl Recorder {
             at_exit: false,
             was_moving: false,
             was_armed: false,
-            wished: false,
+            requested: false,
             fault: None,
             disarmed: None,
             is_told: false,
@@ -127,38 +129,44 @@ impl Recorder {
         }
     }
 
-    /// Takes in a record.
-    pub fn push(&mut self, record: FlightRecord) {
-        self.ring.push(record);
-        let is_moving = is_moving(&record.told);
+    /// Takes in a cycle.
+    pub fn push(&mut self, cycle: FlightCycle) {
+        let record = &cycle.record;
+        let (is_moving, is_armed) = (is_moving(record), is_armed(record));
         if is_moving {
             self.is_told = false;
         }
-        if let Some(hold) = unwanted(&record.told) {
+        if let Some(reason) = unwanted(record) {
             if self.was_moving {
-                self.fault.get_or_insert(hold);
+                self.fault.get_or_insert(reason);
             }
-            if self.was_armed && !is_armed(&record.told) {
-                self.disarmed.get_or_insert(hold);
+            if self.was_armed && !is_armed {
+                self.disarmed.get_or_insert(reason);
             }
         }
-        (self.was_moving, self.was_armed) = (is_moving, is_armed(&record.told));
+        (self.was_moving, self.was_armed) = (is_moving, is_armed);
+        self.ring.push(cycle);
     }
 
-    /// Takes in a key.
-    pub fn push_key(&mut self, key: Key) {
-        self.ring.push_key(key);
+    /// Takes in a reply.
+    pub fn push_reply(&mut self, reply: Reply) {
+        self.ring.push_reply(reply);
     }
 
-    /// Has written what is due: on a wish, or on a fault since the last call. While a file is being written the next one
-    /// waits.
-    pub fn tend(&mut self, wished: bool, now: Instant) {
-        self.wished |= wished;
+    /// Takes in a snapshot.
+    pub fn push_snapshot(&mut self, snapshot: Snapshot) {
+        self.ring.push_snapshot(snapshot);
+    }
+
+    /// Has written what is due: on request, or on a fault since the last call. While a file is
+    /// being written the next one waits.
+    pub fn tend(&mut self, requested: bool, now: Instant) {
+        self.requested |= requested;
         if self.is_writing() {
             return;
         }
         let (fault, disarmed) = (self.fault.take(), self.disarmed.take());
-        if std::mem::take(&mut self.wished) {
+        if std::mem::take(&mut self.requested) {
             self.write(Cause::Request);
             return;
         }
@@ -171,7 +179,7 @@ impl Recorder {
         }
     }
 
-    /// Has written what is wished at the end, and waits for it.
+    /// Has written what is requested at the end, and waits for it.
     pub fn end(&mut self) {
         if !self.wait() {
             return;
@@ -187,8 +195,8 @@ impl Recorder {
         self.writer.as_ref().is_some_and(|w| !w.is_finished())
     }
 
-    /// Waits for the writer, but for no disk that hangs: what it leaves then is removed with the next file. Tells whether
-    /// it is done.
+    /// Waits for the writer, but for no disk that hangs: what it leaves then is removed with the
+    /// next file. Returns whether it is done.
     fn wait(&mut self) -> bool {
         let end = Instant::now() + PATIENCE;
         while self.is_writing() && Instant::now() < end {
@@ -201,14 +209,14 @@ impl Recorder {
         !is_writing
     }
 
-    /// Hands a copy to a thread of its own: a disk that hangs holds up neither telemetry nor the watchdog.
+    /// Hands a copy to a thread of its own: a disk that hangs holds up neither telemetry nor the
+    /// watchdog.
     fn write(&mut self, cause: Cause) {
         let Some((store, about)) = &self.store else {
             return;
         };
-        let (keys, records) = self.ring.copy();
-        let (store, about) = (store.clone(), about.clone());
-        let work = move || write(&store, about, cause, keys, records);
+        let (store, about, ring) = (store.clone(), about.clone(), self.ring.clone());
+        let work = move || write(&store, &about, cause, &ring);
         match std::thread::Builder::new()
             .name("flight".to_owned())
             .spawn(work)
@@ -219,66 +227,61 @@ impl Recorder {
     }
 }
 
-fn write(store: &Store, about: About, cause: Cause, keys: Vec<Key>, records: Vec<FlightRecord>) {
+fn write(store: &Store, about: &About, cause: Cause, ring: &Ring) {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    let written_unix_ms = since.map_or(0, |since| since.as_millis() as u64);
-    let cycles = records.len();
-    let flight = Flight {
-        about: About {
-            build: Build::running(),
-            written_unix_ms,
-            cause: cause.text(),
-            ..about
-        },
-        keys,
-        records,
-    };
-    match store.write(written_unix_ms, cause.word(), &flight.to_bytes()) {
+    let unix_ms = since.map_or(0, |since| since.as_millis() as u64);
+    let (cycles, text) = (ring.len(), cause.text());
+    let fill = |path: &Path| file::write(path, about, &text, ring);
+    match store.write(unix_ms, cause.word(), fill) {
         Ok(path) => info!(
             cycles,
-            cause = flight.about.cause,
+            cause = text,
             "flight record written: {}",
             path.display()
         ),
-        Err(error) => warn!(
-            cause = flight.about.cause,
-            "flight record not written: {error}"
-        ),
+        Err(error) => warn!(cause = text, "flight record not written: {error}"),
     }
 }
 
-fn is_moving(told: &CycleRecord) -> bool {
-    let state = TwistState::from_code(told.state);
+fn is_moving(record: &CycleRecord) -> bool {
+    let state = TwistState::from_code(record.state);
     matches!(state, Some(TwistState::Moving | TwistState::Arrived))
 }
 
-fn is_armed(told: &CycleRecord) -> bool {
-    let state = TwistState::from_code(told.state);
+fn is_armed(record: &CycleRecord) -> bool {
+    let state = TwistState::from_code(record.state);
     !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped))
 }
 
-/// The cause, where the camera is held for another reason than that somebody wanted it.
-fn unwanted(told: &CycleRecord) -> Option<Hold> {
-    let hold = Hold::from_code(told.hold)?;
-    let is_wanted = matches!(
-        hold,
-        Hold::None | Hold::NotArmed | Hold::Operator | Hold::Shutdown
-    );
-    (!is_wanted).then_some(hold)
+/// The reason, if the camera is held for another one than that somebody wanted it.
+fn unwanted(record: &CycleRecord) -> Option<HoldReason> {
+    use HoldReason::{NotArmed, Operator, Shutdown};
+    let reason = HoldReason::from_code(record.hold)?;
+    (!matches!(reason, NotArmed | Operator | Shutdown)).then_some(reason)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::Path;
 
+    use ipc::Hold;
+    use recording::Recording;
+
+    use super::super::file::origin;
     use crate::arguments::Arguments;
+    use crate::loaded::LoadedController;
 
-    fn told(state: TwistState, hold: Hold) -> CycleRecord {
-        CycleRecord {
+    fn cycle(number: u64, state: TwistState, hold: Hold) -> FlightCycle {
+        let record = CycleRecord {
+            cycle: number,
             state: state.code(),
             hold: hold.code(),
             ..CycleRecord::default()
+        };
+        FlightCycle {
+            record,
+            features: None,
+            robot: None,
         }
     }
 
@@ -286,9 +289,7 @@ mod tests {
     fn told_of(cycles: &[(TwistState, Hold)]) -> Recorder {
         let mut recorder = Recorder::nowhere(10);
         for (state, hold) in cycles {
-            let mut record = FlightRecord::blank();
-            record.told = told(*state, *hold);
-            recorder.push(record);
+            recorder.push(cycle(1, *state, *hold));
         }
         recorder
     }
@@ -298,7 +299,7 @@ mod tests {
         let moving = (TwistState::Moving, Hold::None);
         let fault = |before, state, hold| told_of(&[before, (state, hold)]).fault;
         let stale = fault(moving, TwistState::Braking, Hold::Stale);
-        assert_eq!(stale, Some(Hold::Stale));
+        assert_eq!(stale, Some(HoldReason::Stale));
         let still = (TwistState::Holding, Hold::Stale);
         assert_eq!(fault(still, TwistState::Holding, Hold::Stale), None);
         assert_eq!(fault(moving, TwistState::Moving, Hold::None), None);
@@ -309,7 +310,10 @@ mod tests {
     fn a_camera_is_disarmed_once_and_never_by_its_start() {
         let (disarmed, lost) = (TwistState::Disarmed, Hold::Lost);
         let braking = (TwistState::Braking, lost);
-        assert_eq!(told_of(&[braking, (disarmed, lost)]).disarmed, Some(lost));
+        assert_eq!(
+            told_of(&[braking, (disarmed, lost)]).disarmed,
+            Some(HoldReason::Lost)
+        );
         assert_eq!(
             told_of(&[(disarmed, lost), (disarmed, lost)]).disarmed,
             None
@@ -328,39 +332,38 @@ mod tests {
             scene.display()
         );
         let config = Config::parse(&text, "v.toml", place.path(), &Arguments::default()).unwrap();
-        let law = Law::open(&config.scene, None, config.settings).unwrap();
-        let mut recorder = Recorder::new(&config, &law);
+        let loaded = LoadedController::open(&config.scene, None, config.settings).unwrap();
+        let mut recorder = Recorder::new(&config, About::new(text, &loaded), 30.0);
         let store = Store::new(config.flight.directory.clone(), 10);
         let start = Instant::now();
-        let mut cycle = 0;
-        let mut look = |after: u64, state, hold, wished| {
-            let mut record = FlightRecord::blank();
-            record.told = told(state, hold);
-            cycle += 1;
-            record.told.cycle = cycle;
-            recorder.push(record);
-            recorder.tend(wished, start + Duration::from_secs(after));
+        let mut number = 0;
+        let mut look = |after: u64, state, hold, requested| {
+            number += 1;
+            recorder.push(cycle(number, state, hold));
+            recorder.tend(requested, start + Duration::from_secs(after));
             recorder.wait();
             store.files().len()
+        };
+        let cause = || {
+            let newest = Recording::read(store.files().last().unwrap()).unwrap();
+            newest.origin(origin::CAUSE).unwrap().to_owned()
         };
         assert_eq!(look(0, TwistState::Moving, Hold::None, false), 0);
         assert_eq!(look(1, TwistState::Holding, Hold::Stale, false), 1);
         assert_eq!(look(2, TwistState::Holding, Hold::Stale, false), 1);
         assert_eq!(look(3, TwistState::Moving, Hold::None, false), 1);
         assert_eq!(look(4, TwistState::Holding, Hold::Hidden, false), 1);
-        // A wish is always fulfilled.
+        // A request is always fulfilled.
         assert_eq!(look(5, TwistState::Moving, Hold::None, true), 2);
         assert_eq!(look(62, TwistState::Holding, Hold::Stale, false), 3);
-        let newest = Flight::read(store.files().last().unwrap()).unwrap();
-        assert_eq!(newest.about.cause, "fault: stale features");
+        assert_eq!(cause(), "fault: stale features");
         // One that disarms is written in any case, and once.
         assert_eq!(look(63, TwistState::Moving, Hold::None, false), 3);
         assert_eq!(look(64, TwistState::Braking, Hold::Overruns, false), 3);
         assert_eq!(look(64, TwistState::Disarmed, Hold::Overruns, false), 4);
         assert_eq!(look(65, TwistState::Moving, Hold::None, false), 4);
         assert_eq!(look(66, TwistState::Disarmed, Hold::RobotFault, false), 5);
-        let newest = Flight::read(store.files().last().unwrap()).unwrap();
-        assert_eq!(newest.about.cause, "fault: robot fault");
+        assert_eq!(cause(), "fault: robot fault");
         assert_eq!(look(200, TwistState::Moving, Hold::None, false), 5);
         assert_eq!(look(200, TwistState::Braking, Hold::Solver, false), 6);
         assert_eq!(look(200, TwistState::Disarmed, Hold::Solver, false), 6);
@@ -398,10 +401,10 @@ mod tests {
         recorder.writer = Some(std::thread::spawn(move || _ = is_slow.recv()));
         recorder.tend(true, now);
         recorder.tend(false, now);
-        assert!(recorder.wished && recorder.disarmed == Some(Hold::RobotFault));
+        assert!(recorder.requested && recorder.disarmed == Some(HoldReason::RobotFault));
         drop(disk);
         assert!(recorder.wait());
         recorder.tend(false, now);
-        assert!(!recorder.wished && recorder.disarmed.is_none());
+        assert!(!recorder.requested && recorder.disarmed.is_none());
     }
 }

@@ -2,71 +2,96 @@
 
 use std::collections::VecDeque;
 
-use super::record::{FlightRecord, KEY_EVERY, Key};
+use ipc::{Reply, Snapshot};
 
-/// The latest records and their keys; the oldest fall out.
-#[derive(Debug)]
+use super::queue::FlightCycle;
+use crate::snapshot;
+
+/// Room for replies, whatever the room for cycles.
+const LEAST_REPLIES: usize = 1024;
+
+/// The latest cycles with the replies and snapshots that belong to them; the oldest fall out.
+#[derive(Clone, Debug, Default)]
 pub struct Ring {
     capacity: usize,
-    records: VecDeque<FlightRecord>,
-    keys: VecDeque<Key>,
+    cycles: VecDeque<FlightCycle>,
+    replies: VecDeque<Reply>,
+    snapshots: VecDeque<Snapshot>,
 }
 
 impl Ring {
-    /// Bytes that a cycle takes, with its part of the keys.
+    /// Bytes that a cycle takes, with its part of the snapshots.
     pub const BYTES_PER_CYCLE: usize =
-        size_of::<FlightRecord>() + size_of::<Key>().div_ceil(KEY_EVERY as usize);
+        size_of::<FlightCycle>() + size_of::<Snapshot>().div_ceil(snapshot::EVERY as usize);
 
-    /// A ring for so many cycles, at least one.
+    /// A ring for at least one cycle.
     pub fn new(capacity: usize) -> Self {
         let capacity = capacity.max(1);
         Self {
             capacity,
-            records: VecDeque::with_capacity(capacity),
-            keys: VecDeque::new(),
+            cycles: VecDeque::with_capacity(capacity),
+            ..Self::default()
         }
     }
 
-    /// Takes in a record.
-    pub fn push(&mut self, record: FlightRecord) {
-        if self.records.len() == self.capacity {
-            self.records.pop_front();
+    /// Takes in a cycle.
+    pub fn push(&mut self, cycle: FlightCycle) {
+        if self.cycles.len() == self.capacity {
+            self.cycles.pop_front();
         }
-        self.records.push_back(record);
-        let oldest = self.records.front().map_or(0, FlightRecord::cycle);
-        while self.keys.front().is_some_and(|key| key.cycle < oldest) {
-            self.keys.pop_front();
+        self.cycles.push_back(cycle);
+        let oldest = self.oldest();
+        while self.snapshots.front().is_some_and(|s| s.cycle < oldest) {
+            self.snapshots.pop_front();
+        }
+        while self
+            .replies
+            .front()
+            .is_some_and(|reply| reply.cycle < oldest)
+        {
+            self.replies.pop_front();
         }
     }
 
-    /// Takes in a key.
-    pub fn push_key(&mut self, key: Key) {
-        self.keys.push_back(key);
+    /// Takes in a reply. Without cycles, a flood of them must not take all memory.
+    pub fn push_reply(&mut self, reply: Reply) {
+        if self.replies.len() == self.capacity.max(LEAST_REPLIES) {
+            self.replies.pop_front();
+        }
+        self.replies.push_back(reply);
+    }
+
+    /// Takes in a snapshot.
+    pub fn push_snapshot(&mut self, snapshot: Snapshot) {
+        self.snapshots.push_back(snapshot);
     }
 
     /// Cycles in it.
     pub fn len(&self) -> usize {
-        self.records.len()
+        self.cycles.len()
     }
 
     /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
-        self.records.is_empty()
+        self.cycles.is_empty()
     }
 
-    /// What a replay can use, from the oldest key on: keys and records.
-    pub fn copy(&self) -> (Vec<Key>, Vec<FlightRecord>) {
-        let newest = self.records.back().map_or(0, FlightRecord::cycle);
-        let keys: Vec<Key> = self
-            .keys
-            .iter()
-            .filter(|key| key.cycle <= newest)
-            .copied()
-            .collect();
-        let first = keys.first().map_or(u64::MAX, |key| key.cycle);
-        let from = self
-            .records
-            .partition_point(|record| record.cycle() < first);
-        (keys, self.records.range(from..).copied().collect())
+    /// The cycles, the oldest first.
+    pub fn cycles(&self) -> impl Iterator<Item = &FlightCycle> {
+        self.cycles.iter()
+    }
+
+    /// The replies.
+    pub fn replies(&self) -> impl Iterator<Item = &Reply> {
+        self.replies.iter()
+    }
+
+    /// The snapshots.
+    pub fn snapshots(&self) -> impl Iterator<Item = &Snapshot> {
+        self.snapshots.iter()
+    }
+
+    fn oldest(&self) -> u64 {
+        self.cycles.front().map_or(0, |cycle| cycle.record.cycle)
     }
 }

@@ -1,46 +1,39 @@
-//! The directory of flight records: whole files only, and not more than so many.
+//! The directory of flight records: whole files only, and a bounded number of them.
 
 use std::fs::{self, DirBuilder, File, OpenOptions};
-use std::io::{self, Write};
+use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+
+use recording::WriteError;
 
 /// How names begin.
 const PREFIX: &str = "vpcd-";
 /// How names of whole files end.
-const SUFFIX: &str = ".flight";
+const SUFFIX: &str = ".mcap";
 /// How names of files end while they are written.
-const BESIDE: &str = ".flight.tmp";
+const BESIDE: &str = ".mcap.tmp";
 
 /// Why a flight record was not written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum StoreError {
-    /// The directory.
     #[error("{directory}: cannot be used for flight records: {source}")]
     Directory {
-        /// The directory.
         directory: String,
-        /// The operating system's reason.
         source: io::Error,
     },
     /// Somebody else's directory: they could take the files away or put others in.
     #[error("{directory}: belongs to user {found}; allowed: {own}, who runs vpcd")]
     Owner {
-        /// The directory.
         directory: String,
-        /// Its owner's id.
         found: u32,
-        /// The id of the process.
         own: u32,
     },
-    /// The file.
     #[error("{path}: cannot write the flight record: {source}")]
-    Write {
-        /// The file.
-        path: String,
-        /// The operating system's reason.
-        source: io::Error,
-    },
+    Write { path: String, source: io::Error },
+    #[error(transparent)]
+    Recording(#[from] WriteError),
 }
 
 /// A directory that keeps the newest files.
@@ -51,7 +44,8 @@ pub struct Store {
 }
 
 impl Store {
-    /// A store in this directory, which is made with the first file; it keeps `keep` files, at least one.
+    /// A store in this directory, which is made with the first file; it keeps `keep` files, at
+    /// least one.
     pub fn new(directory: PathBuf, keep: usize) -> Self {
         Self {
             directory,
@@ -59,34 +53,40 @@ impl Store {
         }
     }
 
-    /// Writes a file, whole or not at all, readable by this user only, and removes the oldest ones beyond those kept.
-    /// `stamp` orders files by age, `cause` tells them apart: letters, digits and hyphens. May wait for the disk.
+    /// Makes a file, whole or not at all, readable by this user only, and removes the oldest ones
+    /// beyond those kept. `stamp` orders files by age, `cause` tells them apart: letters, digits
+    /// and hyphens. `fill` is called with the path of an empty file, and synchronizes what it
+    /// writes to the disk, which may take long.
     ///
     /// # Errors
     /// [`StoreError`]; nothing is left of the file then.
-    pub fn write(&self, stamp: u64, cause: &str, bytes: &[u8]) -> Result<PathBuf, StoreError> {
+    pub fn write(
+        &self,
+        stamp: u64,
+        cause: &str,
+        fill: impl FnOnce(&Path) -> Result<(), WriteError>,
+    ) -> Result<PathBuf, StoreError> {
         self.prepare()?;
         let name = format!("{PREFIX}{stamp:015}-{cause}");
         let path = self.directory.join(format!("{name}{SUFFIX}"));
         let beside = self.directory.join(format!("{name}{BESIDE}"));
-        let written = || {
-            let mut file = OpenOptions::new()
-                .write(true)
-                .create_new(true)
-                .mode(0o600)
-                .open(&beside)?;
-            file.write_all(bytes)?;
-            file.sync_all()?;
-            fs::rename(&beside, &path)?;
-            // The directory holds the name.
-            File::open(&self.directory)?.sync_all()
+        let failed = |source| StoreError::Write {
+            path: path.display().to_string(),
+            source,
         };
-        if let Err(source) = written() {
+        let written = || {
+            let mut how = OpenOptions::new();
+            let made = how.write(true).create_new(true).mode(0o600).open(&beside);
+            made.map_err(failed)?;
+            fill(&beside)?;
+            fs::rename(&beside, &path).map_err(failed)?;
+            // The directory holds the name.
+            let directory = File::open(&self.directory);
+            directory.and_then(|d| d.sync_all()).map_err(failed)
+        };
+        if let Err(error) = written() {
             let _ = fs::remove_file(&beside);
-            return Err(StoreError::Write {
-                path: path.display().to_string(),
-                source,
-            });
+            return Err(error);
         }
         self.prune();
         Ok(path)
@@ -149,20 +149,27 @@ impl Store {
 mod tests {
     use super::*;
 
+    fn text(text: &str) -> impl FnOnce(&Path) -> Result<(), WriteError> {
+        move |path| {
+            fs::write(path, text).unwrap();
+            Ok(())
+        }
+    }
+
     #[test]
     fn the_newest_files_are_kept_and_nothing_else_is_touched() {
         let place = tempfile::tempdir().unwrap();
         let directory = place.path().join("deep/er");
         let store = Store::new(directory.clone(), 2);
-        store.write(5, "request", b"five").unwrap();
+        store.write(5, "request", text("five")).unwrap();
         fs::write(directory.join("notes.txt"), "mine").unwrap();
         fs::write(
-            directory.join("vpcd-000000000000001-fault.flight.tmp"),
+            directory.join("vpcd-000000000000001-fault.mcap.tmp"),
             "torn",
         )
         .unwrap();
-        store.write(7, "fault", b"seven").unwrap();
-        let last = store.write(600, "request", b"six hundred").unwrap();
+        store.write(7, "fault", text("seven")).unwrap();
+        let last = store.write(600, "request", text("six hundred")).unwrap();
         assert_eq!(fs::read(&last).unwrap(), b"six hundred");
         let files = store.files();
         assert_eq!(files.len(), 2);
@@ -176,16 +183,18 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let taken = place.path().join("taken");
         fs::write(&taken, "a file").unwrap();
-        let error = Store::new(taken, 2).write(5, "request", b"x").unwrap_err();
+        let error = Store::new(taken, 2)
+            .write(5, "request", text("x"))
+            .unwrap_err();
         assert!(
             error.to_string().contains("/taken: cannot be used"),
             "{error}"
         );
         let store = Store::new(place.path().to_owned(), 2);
-        fs::create_dir_all(place.path().join("vpcd-000000000000005-exit.flight/inside")).unwrap();
-        let error = store.write(5, "exit", b"x").unwrap_err();
+        fs::create_dir_all(place.path().join("vpcd-000000000000005-exit.mcap/inside")).unwrap();
+        let error = store.write(5, "exit", text("x")).unwrap_err();
         assert!(
-            error.to_string().contains("-exit.flight: cannot write"),
+            error.to_string().contains("-exit.mcap: cannot write"),
             "{error}"
         );
         assert!(store.named(BESIDE).is_empty());

@@ -9,7 +9,7 @@ use rustix::process::{Resource, getrlimit};
 
 use crate::clock::sleep_until;
 use crate::histogram::Histogram;
-use crate::realtime::{self, CAP_IPC_LOCK, CAP_SYS_NICE, Wish, has_capability};
+use crate::realtime::{self, CAP_IPC_LOCK, CAP_SYS_NICE, RealtimeRequest, has_capability};
 use crate::report::Percentiles;
 
 /// Wake-ups measured.
@@ -24,9 +24,9 @@ pub struct Facts {
     pub priority_limit: Option<u64>,
     /// CAP_SYS_NICE.
     pub may_schedule: bool,
-    /// The wished SCHED_FIFO was given.
+    /// The wanted SCHED_FIFO was given.
     pub has_fifo: bool,
-    /// The wished processor was given, or none was wished.
+    /// The wanted processor was given, or none was wanted.
     pub has_cpu: bool,
     /// Processors of this process.
     pub processors: usize,
@@ -63,9 +63,10 @@ pub struct Facts {
 }
 
 impl Facts {
-    /// Reads and measures; takes a second. Locks the memory of this process where that is permitted.
-    pub fn gather(wish: Wish) -> Self {
-        let (given, wake_ns) = thread::spawn(move || measure(wish)).join().unwrap_or((
+    /// Reads and measures; takes a second. Locks the memory of this process where that is
+    /// permitted.
+    pub fn gather(wanted: RealtimeRequest) -> Self {
+        let (given, wake_ns) = thread::spawn(move || measure(wanted)).join().unwrap_or((
             RealTime::ASKED
                 .with(RealTime::NO_FIFO)
                 .with(RealTime::NO_LOCK),
@@ -128,8 +129,8 @@ fn governors() -> Vec<String> {
 }
 
 /// Wakes up on a grid, as the loop does, in a thread that gets what the loop would get.
-fn measure(wish: Wish) -> (RealTime, Percentiles) {
-    let given = realtime::enter(wish);
+fn measure(wanted: RealtimeRequest) -> (RealTime, Percentiles) {
+    let given = realtime::enter(wanted);
     let mut latencies = Histogram::default();
     let mut release_ns = now_ns() + PERIOD_NS;
     for _ in 0..WAKE_UPS {

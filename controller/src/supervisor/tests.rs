@@ -8,7 +8,7 @@ const FAST: [f64; 6] = [0.1, 0.0, 0.05, 0.0, 0.2, 0.0];
 const GOOD: Decision = Decision {
     twist: FAST,
     state: TwistState::Moving,
-    hold: Hold::None,
+    hold: None,
 };
 
 /// A supervisor whose clock is moved by hand.
@@ -55,8 +55,8 @@ impl Bench {
     }
 
     /// The next cycle, with this cause against the law.
-    fn bad(&mut self, hold: Hold) -> Decision {
-        self.situation.decision = still(hold, TwistState::Holding);
+    fn bad(&mut self, hold: HoldReason) -> Decision {
+        self.situation.decision = Decision::still(hold, TwistState::Holding);
         self.cycle()
     }
 
@@ -79,7 +79,10 @@ fn without_arming_nothing_moves() {
     let mut bench = Bench::new(false);
     assert_eq!(bench.ask(Action::Arm), Outcome::NoFeatures);
     for _ in 0..10 {
-        assert_eq!(bench.good(), still(Hold::NotArmed, TwistState::Disarmed));
+        assert_eq!(
+            bench.good(),
+            Decision::still(HoldReason::NotArmed, TwistState::Disarmed)
+        );
     }
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     assert_eq!(bench.good(), GOOD);
@@ -90,10 +93,10 @@ fn braking_stays_on_the_path_and_within_its_time() {
     let mut bench = Bench::moving();
     let mut last = FAST;
     for _ in 0..4 {
-        let decision = bench.bad(Hold::Hidden);
+        let decision = bench.bad(HoldReason::Hidden);
         assert_eq!(
             (decision.state, decision.hold),
-            (TwistState::Braking, Hold::Hidden)
+            (TwistState::Braking, Some(HoldReason::Hidden))
         );
         let share = decision.twist[0] / FAST[0];
         assert!((last[0] - decision.twist[0] - 0.1 * 33.0 / 150.0).abs() < 1e-12);
@@ -103,23 +106,23 @@ fn braking_stays_on_the_path_and_within_its_time() {
         last = decision.twist;
     }
     assert_eq!(
-        bench.bad(Hold::Hidden),
-        still(Hold::Hidden, TwistState::Holding)
+        bench.bad(HoldReason::Hidden),
+        Decision::still(HoldReason::Hidden, TwistState::Holding)
     );
 }
 
 #[test]
 fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
     for cause in [
-        Hold::Stale,
-        Hold::Invalid,
-        Hold::Hidden,
-        Hold::Count,
-        Hold::NotFinite,
-        Hold::OffImage,
-        Hold::Transport,
-        Hold::Mixed,
-        Hold::Order,
+        HoldReason::Stale,
+        HoldReason::Invalid,
+        HoldReason::Hidden,
+        HoldReason::Count,
+        HoldReason::NotFinite,
+        HoldReason::OffImage,
+        HoldReason::Transport,
+        HoldReason::Mixed,
+        HoldReason::Order,
     ] {
         let mut bench = Bench::moving();
         assert_eq!(bench.bad(cause).state, TwistState::Braking);
@@ -131,11 +134,14 @@ fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
 fn features_that_stay_away_disarm() {
     let mut bench = Bench::moving();
     let mut cycles = 0;
-    while bench.bad(Hold::Stale).state != TwistState::Disarmed {
+    while bench.bad(HoldReason::Stale).state != TwistState::Disarmed {
         cycles += 1;
     }
     assert_eq!(cycles, 300 / 33);
-    assert_eq!(bench.good(), still(Hold::Lost, TwistState::Disarmed));
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::Lost, TwistState::Disarmed)
+    );
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     assert_eq!(bench.good(), GOOD);
 }
@@ -143,13 +149,19 @@ fn features_that_stay_away_disarm() {
 #[test]
 fn graver_causes_brake_and_disarm() {
     type Change = fn(&mut Situation);
-    let cases: [(Hold, Change); 6] = [
-        (Hold::Shutdown, |s| s.shutdown = true),
-        (Hold::RobotLost, |s| s.robot = Some(Hold::RobotLost)),
-        (Hold::BadTwist, |s| s.decision.hold = Hold::BadTwist),
-        (Hold::Overruns, |s| s.missed = 1),
-        (Hold::Recall, |s| s.recall_refused = Some(true)),
-        (Hold::Frozen, |s| s.decision.hold = Hold::Frozen),
+    let cases: [(HoldReason, Change); 6] = [
+        (HoldReason::Shutdown, |s| s.shutdown = true),
+        (HoldReason::RobotLost, |s| {
+            s.robot = Some(HoldReason::RobotLost)
+        }),
+        (HoldReason::BadTwist, |s| {
+            s.decision.hold = Some(HoldReason::BadTwist)
+        }),
+        (HoldReason::Overruns, |s| s.missed = 1),
+        (HoldReason::Recall, |s| s.recall_refused = Some(true)),
+        (HoldReason::Frozen, |s| {
+            s.decision.hold = Some(HoldReason::Frozen)
+        }),
     ];
     for (cause, change) in cases {
         let mut bench = Bench::moving();
@@ -157,16 +169,19 @@ fn graver_causes_brake_and_disarm() {
         change(&mut bench.situation);
         let first = (0..IN_A_ROW)
             .map(|_| bench.cycle())
-            .find(|d| d.hold != Hold::None);
+            .find(|d| d.hold.is_some());
         let first = first.unwrap();
-        assert_eq!((first.state, first.hold), (TwistState::Braking, cause));
+        assert_eq!(
+            (first.state, first.hold),
+            (TwistState::Braking, Some(cause))
+        );
         assert!(!is_still(&first));
         // The cause is gone: it goes on braking, and stays.
         bench.situation = untouched;
         for _ in 0..4 {
-            assert_eq!(bench.good().hold, cause);
+            assert_eq!(bench.good().hold, Some(cause));
         }
-        assert_eq!(bench.good(), still(cause, TwistState::Disarmed));
+        assert_eq!(bench.good(), Decision::still(cause, TwistState::Disarmed));
         assert!(bench.supervisor.is_at_rest());
     }
 }
@@ -189,7 +204,7 @@ fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
     let mut look = |failed: bool| {
         bench.situation.solver_failed = Some(failed);
         match failed {
-            true => bench.bad(Hold::Solver),
+            true => bench.bad(HoldReason::Solver),
             false => bench.good(),
         }
     };
@@ -198,7 +213,7 @@ fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
             let decision = look(true);
             assert_eq!(
                 (decision.state, decision.hold),
-                (TwistState::Braking, Hold::Solver)
+                (TwistState::Braking, Some(HoldReason::Solver))
             );
             assert!(!is_still(&decision));
         }
@@ -208,7 +223,10 @@ fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
         assert_eq!(look(true).state, TwistState::Braking);
     }
     while look(false).state == TwistState::Braking {}
-    assert_eq!(look(false), still(Hold::Solver, TwistState::Disarmed));
+    assert_eq!(
+        look(false),
+        Decision::still(HoldReason::Solver, TwistState::Disarmed)
+    );
 }
 
 #[test]
@@ -218,21 +236,24 @@ fn an_overrun_every_other_cycle_stops_the_camera_in_the_end() {
     let forgiven = (0..100)
         .take_while(|_| {
             bench.situation.missed = missed.next().unwrap();
-            bench.good().hold == Hold::None
+            bench.good().hold.is_none()
         })
         .count();
     assert_eq!(forgiven, 8);
     assert_eq!(
         bench.supervisor.state(),
-        (TwistState::Braking, Hold::Overruns)
+        (TwistState::Braking, Some(HoldReason::Overruns))
     );
 }
 
 #[test]
 fn the_gravest_stop_at_once() {
     let mut bench = Bench::moving();
-    bench.situation.robot = Some(Hold::RobotFault);
-    assert_eq!(bench.good(), still(Hold::RobotFault, TwistState::Disarmed));
+    bench.situation.robot = Some(HoldReason::RobotFault);
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::RobotFault, TwistState::Disarmed)
+    );
     assert_eq!(bench.ask(Action::Arm), Outcome::Robot);
     bench.situation.robot = None;
     bench.good();
@@ -240,12 +261,15 @@ fn the_gravest_stop_at_once() {
 
     let mut bench = Bench::moving();
     assert_eq!(bench.ask(Action::Stop), Outcome::Done);
-    assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::Operator, TwistState::Disarmed)
+    );
 
     let mut bench = Bench::moving();
     assert_eq!(
-        bench.bad(Hold::Clock),
-        still(Hold::Clock, TwistState::Disarmed)
+        bench.bad(HoldReason::Clock),
+        Decision::still(HoldReason::Clock, TwistState::Disarmed)
     );
 }
 
@@ -254,16 +278,25 @@ fn a_loop_that_stood_still_starts_no_motion() {
     let mut bench = Bench::moving();
     bench.now += 2000 * MS;
     bench.situation.missed = 60;
-    assert_eq!(bench.good(), still(Hold::Standstill, TwistState::Disarmed));
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::Standstill, TwistState::Disarmed)
+    );
     bench.situation.missed = 0;
-    assert_eq!(bench.good(), still(Hold::Standstill, TwistState::Disarmed));
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::Standstill, TwistState::Disarmed)
+    );
 }
 
 #[test]
 fn a_clock_that_goes_back_stops() {
     let mut bench = Bench::moving();
     bench.now -= 2 * PERIOD;
-    assert_eq!(bench.good(), still(Hold::Clock, TwistState::Disarmed));
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::Clock, TwistState::Disarmed)
+    );
 }
 
 #[test]
@@ -273,13 +306,16 @@ fn an_operator_brakes_and_arms_again() {
     let decision = bench.good();
     assert_eq!(
         (decision.state, decision.hold),
-        (TwistState::Braking, Hold::Operator)
+        (TwistState::Braking, Some(HoldReason::Operator))
     );
     assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
     for _ in 0..4 {
         bench.good();
     }
-    assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::Operator, TwistState::Disarmed)
+    );
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     assert_eq!(bench.good(), GOOD);
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
@@ -290,7 +326,10 @@ fn an_arm_behind_a_stop_in_the_same_cycle_does_not_undo_it() {
     let mut bench = Bench::moving();
     assert_eq!(bench.ask(Action::Stop), Outcome::Done);
     assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
-    assert_eq!(bench.good(), still(Hold::Operator, TwistState::Disarmed));
+    assert_eq!(
+        bench.good(),
+        Decision::still(HoldReason::Operator, TwistState::Disarmed)
+    );
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     assert_eq!(bench.good(), GOOD);
 }
@@ -298,7 +337,7 @@ fn an_arm_behind_a_stop_in_the_same_cycle_does_not_undo_it() {
 #[test]
 fn who_cannot_see_cannot_be_armed() {
     let mut bench = Bench::new(false);
-    bench.bad(Hold::NoFeatures);
+    bench.bad(HoldReason::NoFeatures);
     assert_eq!(bench.ask(Action::Arm), Outcome::NoFeatures);
     bench.situation.shutdown = true;
     bench.good();
@@ -309,12 +348,15 @@ fn who_cannot_see_cannot_be_armed() {
 fn the_gravest_of_several_causes_is_told() {
     let mut bench = Bench::moving();
     bench.situation.shutdown = true;
-    bench.situation.robot = Some(Hold::RobotLost);
-    assert_eq!(bench.bad(Hold::Hidden).hold, Hold::Shutdown);
-    bench.situation.robot = Some(Hold::RobotFault);
+    bench.situation.robot = Some(HoldReason::RobotLost);
     assert_eq!(
-        bench.bad(Hold::Hidden),
-        still(Hold::RobotFault, TwistState::Disarmed)
+        bench.bad(HoldReason::Hidden).hold,
+        Some(HoldReason::Shutdown)
+    );
+    bench.situation.robot = Some(HoldReason::RobotFault);
+    assert_eq!(
+        bench.bad(HoldReason::Hidden),
+        Decision::still(HoldReason::RobotFault, TwistState::Disarmed)
     );
 }
 
@@ -331,8 +373,8 @@ fn in_lockstep_braking_takes_no_time() {
     assert_eq!(bench.good(), GOOD);
     for _ in 0..100 {
         assert_eq!(
-            bench.bad(Hold::Hidden),
-            still(Hold::Hidden, TwistState::Holding)
+            bench.bad(HoldReason::Hidden),
+            Decision::still(HoldReason::Hidden, TwistState::Holding)
         );
     }
     assert_eq!(bench.good(), GOOD);

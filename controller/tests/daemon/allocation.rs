@@ -4,12 +4,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use controller::cycle::{Cycle, Pace};
-use controller::flight;
-use controller::law::Law;
-use controller::service::Talk;
+use controller::flight::{DumpRequest, Recorder, queue};
+use controller::loaded::LoadedController;
+use controller::service::Notifier;
 use controller::shutdown::Stop;
 use controller::supervisor::Rules;
-use controller::telemetry;
+use controller::telemetry::Telemetry;
 use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -44,7 +44,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         strategy,
         ..Settings::default()
     };
-    let law = Law::open(&scene_file(), Some(&memory), settings).unwrap();
+    let loaded = LoadedController::open(&scene_file(), Some(&memory), settings).unwrap();
     let pace = Pace {
         clock,
         period_ns: 100_000,
@@ -66,10 +66,16 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         let looping = threads.spawn(|| {
             let domain = Domain::join(&place.domain()).unwrap();
             let ports = ControllerPorts::open(&domain).unwrap();
-            let (tap, tail) = flight::tap::tap(flight::Wish::default());
-            let ring = flight::Recorder::nowhere(1000);
-            let recorder = telemetry::start(&place.domain(), tail, Talk::default(), ring).unwrap();
-            let mut cycle = Cycle::new(pace, ports, law, tap);
+            let (producer, consumer) = queue::queue();
+            let dump = DumpRequest::default();
+            let telemetry = Telemetry {
+                consumer,
+                dump: dump.clone(),
+                flight: Recorder::nowhere(1000),
+                notifier: Notifier::default(),
+            };
+            let recorder = telemetry.start(&place.domain()).unwrap();
+            let mut cycle = Cycle::new(pace, ports, pace.control(loaded), producer, dump);
             let mut tally = Tally::default();
             let never = Stop::default();
             while cycle.count() < WARM_UP + CYCLES {

@@ -7,7 +7,7 @@ use ipc::{CameraPorts, Domain, Features, Stamp};
 use scene::Scene;
 use vpc::{Controller, Measurement, Settings};
 
-use crate::fixture::{Place, end_of, scene_file, vpcd_in};
+use crate::fixture::{Place, Running, scene_file, vpcd_in};
 
 /// Frames of delay.
 const DELAY: u64 = 4;
@@ -15,8 +15,8 @@ const DELAY: u64 = 4;
 const FRAMES: u64 = 60;
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Steers the emulator's camera by a daemon that sees it late; for each answer, its largest distance (m/s, rad/s) from
-/// that of the law to the true features of now.
+/// Steers the emulator's camera by a daemon that sees it late; for each answer, its largest
+/// distance (m/s, rad/s) from that of the law to the true features of now.
 fn distances(config: &str) -> Vec<f64> {
     let place = Place::new();
     let scene = Scene::read(&scene_file()).unwrap();
@@ -28,7 +28,7 @@ fn distances(config: &str) -> Vec<f64> {
     command.arg("--config").arg(config);
     command.args(["--clock", "lockstep"]);
     command.args(["--cycles", &(FRAMES - DELAY).to_string()]);
-    let daemon = command.spawn().unwrap();
+    let daemon = Running::start(command);
 
     let mut camera = FreeCamera::new(&scene, &start);
     let mut present = Box::new(Controller::new(&scene, Settings::default()).unwrap());
@@ -56,7 +56,7 @@ fn distances(config: &str) -> Vec<f64> {
         }
         camera.advance(&twist, scene.sampling_time());
     }
-    let (code, log) = end_of(daemon);
+    let (code, log) = daemon.ended().log();
     assert_eq!(code, 0, "{log}");
     distances
 }

@@ -1,50 +1,13 @@
 //! What the tests share: a domain, a memory, random features, the daemon's process.
 
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 use memory_blob::{Contents, Regression};
 use rand::{Rng, RngExt};
 use scene::Scene;
 use serde_json::Map;
-
-/// A directory for one test, with a domain in it. When the test ends, joining and leaving clears away what killed
-/// processes left in /dev/shm.
-pub struct Place(tempfile::TempDir);
-
-impl Place {
-    pub fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    pub fn domain(&self) -> PathBuf {
-        self.0.path().join("domain")
-    }
-
-    pub fn file(&self, name: &str, text: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.0.path().join(name);
-        std::fs::write(&path, text).unwrap();
-        path
-    }
-
-    pub fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        if self.domain().exists() {
-            let _ = ipc::Domain::join(&self.domain());
-        }
-    }
-}
-
-/// The scene file of the paper's simulation.
-pub fn scene_file() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../ipc/scene/scenes/paper-sim.toml")
-}
+pub use testkit::{Place, Running, eventually, not_run, scene_file};
 
 /// A square pattern somewhere in the image, in any orientation.
 pub fn square(scene: &Scene, random: &mut impl Rng) -> Vec<[f64; 2]> {
@@ -64,8 +27,8 @@ pub fn square(scene: &Scene, random: &mut impl Rng) -> Vec<[f64; 2]> {
         .to_vec()
 }
 
-/// Writes a memory for this scene: 300 random samples and a regression over 100 of them. It steers nowhere sensible,
-/// but it is asked as a real one is.
+/// Writes a memory for this scene: 300 random samples and a regression over 100 of them. It steers
+/// nowhere sensible, but it is asked as a real one is.
 pub fn write_memory(scene: &Scene, path: &Path, random: &mut impl Rng) {
     let points = scene.pattern.len();
     let (inputs, outputs) = (2 * points + 2, 6 + 2 * points);
@@ -126,26 +89,7 @@ pub fn vpcd_in(place: &Place) -> Command {
     command
 }
 
-/// Runs a command to its end; standard error as text.
-pub fn ended(mut command: Command) -> (i32, String) {
-    let Output { status, stderr, .. } = command.output().unwrap();
-    (status.code().unwrap(), String::from_utf8(stderr).unwrap())
-}
-
-/// Waits for a child that was told to end.
-pub fn end_of(child: Child) -> (i32, String) {
-    let Output { status, stderr, .. } = child.wait_with_output().unwrap();
-    (status.code().unwrap(), String::from_utf8(stderr).unwrap())
-}
-
-/// Calls `attempt` until it gives something; panics after ten seconds.
-pub fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    while start.elapsed() < Duration::from_secs(10) {
-        if let Some(value) = attempt() {
-            return value;
-        }
-        std::thread::sleep(Duration::from_millis(1));
-    }
-    panic!("{what}: did not happen");
+/// Runs a command to its end: exit code and standard error.
+pub fn ended(command: Command) -> (i32, String) {
+    testkit::ended(command).log()
 }

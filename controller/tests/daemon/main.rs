@@ -1,4 +1,5 @@
-//! The daemon over real shared memory. One executable: each that links iceoryx2 costs up to a minute of build.
+//! The daemon over real shared memory. One executable: each that links iceoryx2 costs up to a
+//! minute of build.
 
 mod allocation;
 mod delay;

@@ -1,6 +1,6 @@
 //! The whole daemon as its peers see it.
 
-use std::process::{Child, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 
-use crate::fixture::{Place, end_of, ended, eventually, scene_file, square, vpcd, vpcd_in};
+use crate::fixture::{Place, Running, ended, eventually, scene_file, square, vpcd, vpcd_in};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -42,7 +42,7 @@ impl Bench {
     fn start(&self, arguments: &[&str]) -> Running {
         let mut command = vpcd_in(&self.place);
         command.args(arguments);
-        Running(Some(command.spawn().unwrap()))
+        Running::start(command)
     }
 
     fn features(&mut self) -> Features {
@@ -55,7 +55,8 @@ impl Bench {
         answer.expect("an answer in time").message
     }
 
-    /// Connects to the daemon, which is at work: what it says later is then kept, even after its end.
+    /// Connects to the daemon, which is at work: what it says later is then kept, even after its
+    /// end.
     fn attach(&mut self) {
         self.observer.twist.refresh().unwrap();
         self.observer.cycles.refresh().unwrap();
@@ -65,35 +66,6 @@ impl Bench {
         let newest = self.observer.twist.latest().unwrap();
         newest.expect("a command").message
     }
-}
-
-/// The daemon at work; killed when the test ends first.
-struct Running(Option<Child>);
-
-impl Running {
-    fn terminated(mut self) -> (i32, String) {
-        let child = self.0.take().unwrap();
-        terminate(&child);
-        end_of(child)
-    }
-
-    fn ended(mut self) -> (i32, String) {
-        end_of(self.0.take().unwrap())
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        if let Some(child) = &mut self.0 {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
-fn terminate(child: &Child) {
-    let pid = rustix::process::Pid::from_child(child);
-    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
 }
 
 #[test]
@@ -119,7 +91,7 @@ fn lockstep_answers_each_message_exactly_once_and_says_what_it_did() {
                 .all(|w| w.abs() <= limits.angular * 1.000_001)
         );
     }
-    let (code, log) = daemon.ended();
+    let (code, log) = daemon.ended().log();
     assert_eq!(code, 0, "{log}");
     assert!(
         log.contains("stopped") && log.contains("cycles=50"),
@@ -184,7 +156,7 @@ fn bad_features_are_answered_with_zero_and_good_ones_go_on() {
         assert_eq!(answer.state(), Some(TwistState::Moving), "{cause}");
         eventually("a record", || bench.observer.cycles.latest().unwrap());
     }
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     for words in [
         "invalid message",
@@ -224,7 +196,7 @@ fn a_silent_camera_is_met_with_zero() {
             (Some(TwistState::Disarmed), [0.0; 6])
         );
     }
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     // A machine so busy that releases were missed gives the daemon other reasons to stop.
     let is_starved = log.contains("overrun");
@@ -240,7 +212,7 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
     command.arg("--scene").arg(scene_file());
     command.arg("--domain").arg(place.domain());
     command.stdout(Stdio::null()).stderr(Stdio::piped());
-    let daemon = Running(Some(command.spawn().unwrap()));
+    let daemon = Running::start(command);
     let domain = Domain::join(&place.domain()).unwrap();
     let mut operator = OperatorPorts::open(&domain).unwrap();
     let id = std::cell::Cell::new(0);
@@ -339,7 +311,7 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
         let is_still = twist.twist == [0.0; 6];
         assert_eq!(is_still, twist.state() == Some(Disarmed), "{twist:?}");
     }
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     for words in [
         "operator: arm: refused: no good features",
@@ -366,7 +338,8 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
     eventually("a command", || bench.camera.twist.latest().unwrap());
     let mut points = bench.features();
     let mut id = 0;
-    // A frame, and what the robot says of itself beside it; what the daemon does about it, and what it says to `arm`.
+    // A frame, and what the robot says of itself beside it; what the daemon does about it, and what
+    // it says to `arm`.
     let mut frame = |robot: Option<RobotMode>, arms: bool| {
         for x in &mut points.points[..8] {
             *x += bench.random.random_range(-0.1..0.1);
@@ -416,7 +389,7 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
             (frame(Some(RobotMode::Idle), true).0 == Some(Outcome::Done)).then_some(())
         });
     }
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
 }
 
@@ -431,7 +404,7 @@ fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
     );
     assert_eq!(first.features_sequence, 0);
     bench.attach();
-    let (code, log) = daemon.terminated();
+    let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     assert_eq!(bench.last_command().state(), Some(TwistState::Stopped));
 }
@@ -446,7 +419,7 @@ fn a_second_daemon_is_69_and_the_first_goes_on() {
     second.args(["--clock", "lockstep"]);
     let (code, message) = ended(second);
     assert_eq!(code, 69, "{message}");
-    let holder = first.0.as_ref().map(Child::id).unwrap();
+    let holder = first.id();
     assert!(
         message.contains(&format!("another vpcd is at work, process {holder};")),
         "{message}"
@@ -463,7 +436,8 @@ fn a_killed_daemon_is_replaced() {
         let daemon = bench.start(&["--clock", "lockstep"]);
         for k in 1..=5 {
             let features = bench.features();
-            // A new daemon counts its commands from 1; the first one may answer the features of the round before.
+            // A new daemon counts its commands from 1; the first one may answer the features of the
+            // round before.
             let answer = bench.ask(&features);
             assert!(answer.stamp.sequence >= k, "round {round}: {answer:?}");
         }
@@ -479,7 +453,7 @@ fn a_restarted_camera_is_a_new_run() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut command = vpcd_in(&place);
     command.args(["--clock", "lockstep"]);
-    let daemon = Running(Some(command.spawn().unwrap()));
+    let daemon = Running::start(command);
     let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
     let answers: Vec<_> = (0..3)
         .map(|_| {

@@ -4,10 +4,10 @@ use std::process::Command;
 
 use serde_json::Value;
 
-use crate::fixture::{Place, ended, scene_file, vpcd, vpcd_in};
+use crate::fixture::{Place, ended, not_run, scene_file, vpcd, vpcd_in};
 
-/// A command without the right to real time: as we are where we have none, else without the capabilities. None where
-/// they cannot be dropped.
+/// A command without the right to real time: as we are where we have none, else without the
+/// capabilities. None where they cannot be dropped.
 fn without_rights(command: &Command) -> Option<Command> {
     if !rustix::process::geteuid().is_root() {
         let mut same = Command::new(command.get_program());
@@ -56,8 +56,10 @@ fn three_cycles(place: &Place) -> Command {
 fn without_the_right_real_time_is_degraded_and_says_so_once() {
     let place = Place::new();
     let Some(command) = without_rights(&three_cycles(&place)) else {
-        eprintln!("NOT CHECKED: setpriv and prlimit cannot take capabilities away here");
-        return;
+        return not_run(
+            "less rights",
+            "setpriv and prlimit cannot take capabilities away",
+        );
     };
     let (code, log) = ended(command);
     assert_eq!(code, 0, "{log}");
@@ -81,8 +83,7 @@ fn without_the_right_real_time_is_degraded_and_says_so_once() {
 #[test]
 fn with_the_right_everything_is_given() {
     if !rustix::process::geteuid().is_root() {
-        eprintln!("NOT CHECKED: real time is not ours to take");
-        return;
+        return not_run("real time with every right", "needs root");
     }
     let place = Place::new();
     let (code, log) = ended(three_cycles(&place));
@@ -131,8 +132,10 @@ fn the_preflight_names_what_is_lacking_and_how_to_give_it() {
     let mut command = vpcd();
     command.args(["--preflight", "--json"]);
     let Some(mut command) = without_rights(&command) else {
-        eprintln!("NOT CHECKED: setpriv and prlimit cannot take capabilities away here");
-        return;
+        return not_run(
+            "less rights",
+            "setpriv and prlimit cannot take capabilities away",
+        );
     };
     let output = command.output().unwrap();
     assert_eq!(output.status.code(), Some(1));

@@ -1,18 +1,21 @@
 //! The flight record of the real daemon: asked for, written, replayed by the real binary.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
+use std::process::Command;
 use std::time::Duration;
 
-use controller::flight::Flight;
-use ipc::{Action, CameraPorts, Domain, Features, OperatorPorts, Outcome, Request, StrategyCode};
+use ipc::{
+    Action, CameraPorts, CycleRecord, Domain, Features, OperatorPorts, Outcome, Request,
+    StrategyCode,
+};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rustix::process::{Pid, Signal, kill_process};
+use recording::{Recording, RecordingFile};
+use rustix::process::Signal;
 use scene::Scene;
 use serde_json::Value;
 
-use crate::fixture::{Place, end_of, eventually, scene_file, square, vpcd, vpcd_in, write_memory};
+use crate::fixture::{Place, Running, eventually, scene_file, square, vpcd, vpcd_in, write_memory};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -22,7 +25,7 @@ struct Bench {
     camera: CameraPorts,
     operator: OperatorPorts,
     random: ChaCha8Rng,
-    daemon: Option<Child>,
+    daemon: Option<Running>,
     place: Place,
 }
 
@@ -47,7 +50,7 @@ impl Bench {
             camera,
             operator,
             random,
-            daemon: Some(command.spawn().unwrap()),
+            daemon: Some(Running::start(command)),
             place,
         }
     }
@@ -67,8 +70,7 @@ impl Bench {
     }
 
     fn signal(&self, signal: Signal) {
-        let daemon = self.daemon.as_ref().unwrap();
-        kill_process(Pid::from_child(daemon), signal).unwrap();
+        self.daemon.as_ref().unwrap().signal(signal);
     }
 
     fn files(&self) -> Vec<PathBuf> {
@@ -77,7 +79,7 @@ impl Bench {
         };
         let paths = entries.map(|entry| entry.unwrap().path());
         let mut files: Vec<_> = paths
-            .filter(|path| path.extension().is_some_and(|end| end == "flight"))
+            .filter(|path| path.extension().is_some_and(|end| end == "mcap"))
             .collect();
         files.sort();
         files
@@ -92,19 +94,10 @@ impl Bench {
     }
 
     fn end(&mut self) {
-        self.signal(Signal::TERM);
-        let (code, log) = end_of(self.daemon.take().unwrap());
+        let daemon = self.daemon.take().unwrap();
+        let (code, log) = daemon.terminated().log();
         assert_eq!(code, 0, "{log}");
         assert!(log.contains("flight record written"), "{log}");
-    }
-}
-
-impl Drop for Bench {
-    fn drop(&mut self) {
-        if let Some(daemon) = &mut self.daemon {
-            let _ = daemon.kill();
-            let _ = daemon.wait();
-        }
     }
 }
 
@@ -126,6 +119,28 @@ fn report(file: &Path) -> Value {
     serde_json::from_str(&text).unwrap()
 }
 
+/// Writes a flight record again.
+fn write(flight: &Recording, path: &Path) {
+    let mut file = RecordingFile::create(path, true).unwrap();
+    let origin = ["cause", "executable", "memory_sha256", "vpcd.toml"];
+    for key in origin {
+        let entry = flight.origin(key).unwrap().to_owned();
+        file.origin([(key, entry)]).unwrap();
+    }
+    for (name, data) in &flight.attachments {
+        file.attach(name, data).unwrap();
+    }
+    flight.snapshots.iter().for_each(|m| file.write(m).unwrap());
+    flight.features.iter().for_each(|m| file.write(m).unwrap());
+    flight.robot.iter().for_each(|m| file.write(m).unwrap());
+    flight.replies.iter().for_each(|m| file.write(m).unwrap());
+    flight
+        .cycles
+        .iter()
+        .for_each(|m: &CycleRecord| file.write(m).unwrap());
+    file.finish().unwrap();
+}
+
 #[test]
 fn an_operator_a_signal_a_fault_and_the_end_each_leave_a_record_that_replays() {
     let mut bench = Bench::new("at_exit = true");
@@ -145,10 +160,13 @@ fn an_operator_a_signal_a_fault_and_the_end_each_leave_a_record_that_replays() {
     assert_eq!(told["report"]["cycles"], 200);
     assert_eq!(told["report"]["skipped"], 0);
     // The change of the strategy is in it, and was replayed.
-    let flight = Flight::read(&file).unwrap();
-    let counts: Vec<u32> = flight.records.iter().map(|r| r.asked.count).collect();
+    let flight = Recording::read(&file).unwrap();
+    let counts: Vec<u32> = flight.cycles.iter().map(|r| r.requests).collect();
     assert_eq!(counts.iter().sum::<u32>(), 1);
     assert_eq!(counts[150], 1);
+    let answered = flight.replies.iter().find(|reply| reply.cycle == 151);
+    assert_eq!(answered.unwrap().strategy, StrategyCode::Gpr.code());
+    assert!(flight.config().unwrap().contains("strategy = \"knn3\""));
 
     bench.show(|features| features.visible = 0b0001);
     let told = report(&bench.file(2));
@@ -163,10 +181,10 @@ fn an_operator_a_signal_a_fault_and_the_end_each_leave_a_record_that_replays() {
     bench.end();
     let told = report(&bench.file(4));
     assert_eq!(told["cause"], "exit");
-    let (code, text, _) = replayed(&file, &["--cycle", "77"]);
+    let (code, text, _) = replayed(&file, &["--until", "77"]);
     assert_eq!(code, 0, "{text}");
     assert!(
-        text.contains("told.cycle = 77") && text.contains("same: "),
+        text.contains("\"cycle\":77") && text.contains("same: 13 cycles (65 to 77)"),
         "{text}"
     );
 }
@@ -201,25 +219,24 @@ fn what_is_not_the_same_is_1_and_what_cannot_be_replayed_is_named() {
     let file = bench.file(1);
     bench.end();
 
-    // One bit of a twist, with a seal that fits.
-    let mut flight = Flight::read(&file).unwrap();
-    let record = &mut flight.records[20];
-    let twist = &mut record.told.twist[2];
+    // One bit of a twist, in a file without damage.
+    let mut flight = Recording::read(&file).unwrap();
+    let twist = &mut flight.cycles[20].twist[2];
     *twist = f64::from_bits(twist.to_bits() ^ 1);
-    record.seal = record.computed_seal();
-    let forged = bench.place.file("forged.flight", flight.to_bytes());
+    let forged = bench.place.path("forged.mcap");
+    write(&flight, &forged);
     let (code, text, _) = replayed(&forged, &[]);
     assert_eq!(code, 1, "{text}");
     assert!(
-        text.contains("cycle 21: told.twist[2] differs: recorded"),
+        text.contains("cycle 21: twist[2] differs: recorded"),
         "{text}"
     );
     let (code, text, _) = replayed(&forged, &["--json"]);
     let told: Value = serde_json::from_str(&text).unwrap();
     assert_eq!((code, &told["same"]), (1, &Value::Bool(false)));
-    assert_eq!(told["difference"]["field"], "told.twist[2]");
+    assert_eq!(told["difference"]["field"], "twist[2]");
     // Before it all is well.
-    assert_eq!(replayed(&forged, &["--cycle", "20"]).0, 0);
+    assert_eq!(replayed(&forged, &["--until", "20"]).0, 0);
 
     let refused = |file: &Path, arguments: &[&str], exit: i32, words: &[&str]| {
         let (code, _, trouble) = replayed(file, arguments);
@@ -229,45 +246,25 @@ fn what_is_not_the_same_is_1_and_what_cannot_be_replayed_is_named() {
         }
     };
     let mut bytes = std::fs::read(&file).unwrap();
-    let at = bytes.len() - 4000;
+    let at = bytes.len() / 2;
     bytes[at] ^= 1;
-    let damaged = bench.place.file("damaged.flight", &bytes);
+    let damaged = bench.place.file("damaged.mcap", &bytes);
     refused(
         &damaged,
         &[],
         65,
-        &["damaged.flight: byte ", "record ", "; allowed: "],
+        &["damaged.mcap: damaged: ", "; allowed: "],
     );
     bytes.truncate(at);
-    let short = bench.place.file("short.flight", &bytes);
-    refused(
-        &short,
-        &[],
-        65,
-        &["short.flight: byte ", "the end of the file"],
-    );
-    refused(
-        &bench.place.path("none.flight"),
-        &[],
-        66,
-        &["none.flight", "No such file"],
-    );
-    refused(
-        &file,
-        &["--cycle", "41"],
-        64,
-        &["--cycle = 41; allowed: 1 to 40"],
-    );
-    refused(&file, &["--cycle", "x"], 64, &["--cycle"]);
-    let other_scene = scene_file().with_file_name("paper-robot.toml");
-    let other_scene = other_scene.display().to_string();
-    // Its memory, too, is for the recorded scene.
-    refused(
-        &file,
-        &["--scene", &other_scene],
-        65,
-        &["built for another task"],
-    );
+    let short = bench.place.file("short.mcap", &bytes);
+    refused(&short, &[], 65, &["short.mcap: damaged: "]);
+    let text = bench.place.file("text.mcap", "no recording");
+    refused(&text, &[], 65, &["text.mcap: not a recording"]);
+    let none = bench.place.path("none.mcap");
+    refused(&none, &[], 66, &["none.mcap", "No such file"]);
+    let beyond = ["--until = 41; allowed: 1 to 40"];
+    refused(&file, &["--until", "41"], 64, &beyond);
+    refused(&file, &["--until", "x"], 64, &["--until"]);
     let other_memory = bench.place.path("other.vpcmem");
     write_memory(
         &bench.scene,

@@ -1,4 +1,5 @@
-//! What the tests share: a place, a service manager's socket, the daemon's process, and a way to freeze one thread.
+//! What the tests share: a place, a service manager's socket, the daemon's process, and a way to
+//! freeze one thread.
 
 use std::io::ErrorKind;
 use std::os::unix::net::UnixDatagram;
@@ -24,7 +25,8 @@ impl Place {
         Self(testkit::Place::for_all_users())
     }
 
-    /// The daemon in this place's domain, with the paper's scene, armed, and nothing of our own service manager.
+    /// The daemon in this place's domain, with the paper's scene, armed, and nothing of our own
+    /// service manager.
     pub fn vpcd(&self) -> Command {
         let mut command = vpcd();
         command.arg("--scene").arg(scene_file());
@@ -82,7 +84,8 @@ pub fn thread(pid: u32, name: &str) -> i32 {
     })
 }
 
-/// One thread of another process that stands still while the others run: a hang without a hook in the daemon.
+/// One thread of another process that stands still while the others run: a hang without a hook in
+/// the daemon.
 pub struct Frozen(i32);
 
 impl Frozen {
@@ -103,7 +106,8 @@ impl Frozen {
         Self(thread)
     }
 
-    /// Takes note of its end, without waiting: a process is not dead to its parent before its tracer knows.
+    /// Takes note of its end, without waiting: a process is not dead to its parent before its
+    /// tracer knows.
     #[allow(unsafe_code)]
     pub fn reap(&self) {
         let mut status = 0;
@@ -122,8 +126,8 @@ impl Drop for Frozen {
     }
 }
 
-/// Puts a thread into an endless loop, without a hook in the daemon: the system call that it sleeps in becomes a jump
-/// to itself. False where that is not known for the machine's processor.
+/// Puts a thread into an endless loop, without a hook in the daemon: the system call that it sleeps
+/// in becomes a jump to itself. False where that is not known for the machine's processor.
 #[cfg(not(target_arch = "x86_64"))]
 pub fn spin(_thread: i32) -> bool {
     false
@@ -195,7 +199,8 @@ impl Manager {
             match self.socket.recv(&mut buffer) {
                 Ok(length) => return Some(String::from_utf8(buffer[..length].to_vec()).unwrap()),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return None,
-                // A receive with a timeout is not begun anew by the kernel, and we trace another process's threads.
+                // A receive with a timeout is not begun anew by the kernel, and we trace another
+                // process's threads.
                 Err(error) if error.kind() == ErrorKind::Interrupted => {
                     let rest = end.checked_duration_since(Instant::now())?;
                     let rest = rest.max(Duration::from_micros(1));

@@ -1,7 +1,8 @@
-//! A machine for tests: a real systemd in namespaces of its own (root only), over the machine's own files.
+//! A machine for tests: a real systemd in namespaces of its own (root only), over the machine's own
+//! files.
 //!
-//! The whole ends within five minutes, whatever happens: `timeout` kills process 1 of the namespace then, and
-//! everything in it.
+//! The whole ends within five minutes, whatever happens: `timeout` kills process 1 of the namespace
+//! then, and everything in it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -31,8 +32,8 @@ const TARGETS: [&str; 5] = [
 /// Two machines at once would take each other's processors: the loops in them run before all else.
 static TURN: Mutex<()> = Mutex::new(());
 
-/// Files laid over the machine's: those below `usr`, `etc` and `var` where they say, those below `units` as the only
-/// ones in `/usr/lib/systemd/system`.
+/// Files laid over the machine's: those below `usr`, `etc` and `var` where they say, those below
+/// `units` as the only ones in `/usr/lib/systemd/system`.
 pub struct Stage(PathBuf);
 
 impl Stage {
@@ -77,7 +78,8 @@ pub struct Machine {
     boot: Child,
     /// Its process 1, as we see it.
     init: u32,
-    // In this order: the stage must outlive the mounts, and whoever comes next finds the cgroup removed.
+    // In this order: the stage must outlive the mounts, and whoever comes next finds the cgroup
+    // removed.
     _cgroup: Cgroup,
     _place: Place,
     _turn: MutexGuard<'static, ()>,
@@ -275,7 +277,8 @@ fn child(process: u32) -> Option<u32> {
     children.split_whitespace().next()?.parse().ok()
 }
 
-/// Whether root is root in this: containers often keep CAP_SYS_RESOURCE back, and then units cannot raise limits.
+/// Whether root is root in this: containers often keep CAP_SYS_RESOURCE back, and then units cannot
+/// raise limits.
 pub fn may_raise_limits() -> bool {
     let capabilities = status(std::process::id(), "CapEff");
     u64::from_str_radix(&capabilities, 16).unwrap() & (1 << 24) != 0

@@ -1,5 +1,6 @@
-//! The daemon under a service manager: what it says to it, what the units promise, and a real systemd in a namespace.
-//! This executable does not link iceoryx2: it meets the daemon as a process.
+//! The daemon under a service manager: what it says to it, what the units promise, and a real
+//! systemd in a namespace. This executable does not link iceoryx2: it meets the daemon as a
+//! process.
 
 mod fixture;
 mod instance;

@@ -14,7 +14,8 @@ use crate::fixture::{
 const WATCHDOG: Duration = Duration::from_millis(500);
 /// One period of the loop.
 const PERIOD: Duration = Duration::from_nanos(33_333_333);
-/// Trials of one hang: a machine that stands still delays the last feed of a daemon that did not hang yet.
+/// Trials of one hang: a machine that stands still delays the last feed of a daemon that did not
+/// hang yet.
 const TRIALS: u32 = 3;
 /// Phases of the cycle at which it hangs.
 const PHASES: u32 = 3;
@@ -142,7 +143,8 @@ fn a_loop_that_hangs_is_no_longer_fed_for_and_the_status_says_so() {
     manager.until("WATCHDOG=1");
     let frozen = Frozen::freeze(thread(daemon.id(), "vpcd"));
     manager.drain();
-    // The ordinary thread goes on talking, for two intervals and more; it may have had one feed left to send.
+    // The ordinary thread goes on talking, for two intervals and more; it may have had one feed
+    // left to send.
     let mut messages = manager.until("STATUS=LOOP STANDS STILL");
     messages.extend(manager.until("STATUS=LOOP STANDS STILL"));
     let fed = count(&messages, "WATCHDOG=1");
@@ -251,7 +253,8 @@ fn last_feed(hang: Hang, phase: u32) -> Duration {
     last
 }
 
-/// At several phases of the cycle: two periods of the loop after it hangs nothing vouches for it any more.
+/// At several phases of the cycle: two periods of the loop after it hangs nothing vouches for it
+/// any more.
 fn stops_in_two_periods(hang: Hang) {
     for phase in 0..PHASES {
         let mut trials = (0..TRIALS).map(|_| last_feed(hang, phase));

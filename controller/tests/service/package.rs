@@ -1,10 +1,11 @@
-//! The Debian package: built, looked at, and installed, started, reinstalled, removed and purged on a Debian of its own
-//! (root only; the machine's files are not touched).
+//! The Debian package: built, looked at, and installed, started, reinstalled, removed and purged on
+//! a Debian of its own (root only; the machine's files are not touched).
 //!
-//! The programs in it are those that lie beside the daemon that is tested, so nothing is built for release.
+//! The programs in it are those that lie beside the daemon that is tested, so nothing is built for
+//! release.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 use crate::fixture::{Place, are_installed, eventually, not_run, root};
@@ -45,7 +46,8 @@ impl Package {
         if !are_installed(what, &tools) {
             return None;
         }
-        // cargo-deb packs what is below `release` of the target directory, and refuses the profile `dev`.
+        // cargo-deb packs what is below `release` of the target directory, and refuses the profile
+        // `dev`.
         let place = Place::new();
         let release = place.path("target/release");
         fs::create_dir_all(&release).unwrap();
@@ -199,7 +201,8 @@ fn has_all_files_in_their_places(machine: &Machine, pages: &str) {
     for path in &wanted {
         assert!(listed.contains(&path.as_str()), "{path} is not packaged");
     }
-    // The units name their documentation; the page is one; programs run and memories fit their scenes.
+    // The units name their documentation; the page is one; programs run and memories fit their
+    // scenes.
     for unit in ["vpcd", "hw-sim"] {
         let named = machine.must(&format!(
             "systemctl show {unit} --value --property=Documentation"

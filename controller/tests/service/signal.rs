@@ -1,4 +1,5 @@
-//! Signals: a hang-up is noted, a second request to stop does no harm, and no signal hastens the loop.
+//! Signals: a hang-up is noted, a second request to stop does no harm, and no signal hastens the
+//! loop.
 
 use std::time::{Duration, Instant};
 

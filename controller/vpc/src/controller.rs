@@ -376,14 +376,6 @@ impl Controller {
         };
     }
 
-    /// Replaces the last command by `twist` and predicts from it.
-    pub fn follow(&mut self, twist: &Twist) {
-        if let Some(seen) = self.state.seen.get() {
-            let initial = InitialState::new(&self.task, self.settings.model, &seen);
-            self.predict(&initial, twist);
-        }
-    }
-
     /// l(v) of the command that is sent, held over the window, always against the goal with the
     /// fixed schedule of R.
     fn running_cost(&mut self, initial: &InitialState, twist: &Twist) -> f64 {

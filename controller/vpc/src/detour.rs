@@ -42,7 +42,7 @@ const PASSES: usize = 4;
 const RING_PX: f64 = 30.0;
 const RINGS: u32 = 4;
 /// Cycles after a detour in which its trajectory is followed.
-pub const FOLLOWING: u32 = 40;
+const FOLLOWING: u32 = 40;
 /// Difference between the ranks of two attempts by rank, modulo `RANKS`.
 const STRIDE: usize = 13;
 const RANKS: usize = 64;
@@ -136,33 +136,6 @@ impl Detour {
             tries: self.tries,
             ..Self::default()
         };
-    }
-
-    /// Takes it that a cycle whose largest error was `error_px` tracked the target of a detour, or
-    /// of none, whatever this one says; `was_away`: whether the cycle before it did, where that is
-    /// known. Tells whether all but `tries` is right by that.
-    pub fn follow(
-        &mut self,
-        target: Option<&[[f64; 2]]>,
-        was_away: Option<bool>,
-        error_px: f64,
-    ) -> bool {
-        let is_under_way = self.left > 0;
-        let Some(target) = target else {
-            if is_under_way || was_away == Some(true) {
-                (self.left, self.best_px, self.cycles) = (0, error_px, 0);
-            }
-            if was_away == Some(true) {
-                self.following = FOLLOWING;
-            }
-            return was_away == Some(true);
-        };
-        if was_away == Some(true) && is_under_way && self.target() == target {
-            return false;
-        }
-        self.aim(target);
-        (self.left, self.best_px, self.cycles) = (LENGTH, f64::MAX, 0);
-        was_away == Some(false)
     }
 
     /// Counts a cycle in which so much was left to go, px.

@@ -8,7 +8,7 @@ use scene::{Pose, Scene};
 
 use super::arm::{Arm, ArmError, ArmSettings};
 use super::inspector::ArmReport;
-use super::sequence::{Phase, Sequence, SequenceSettings, Situation};
+use super::sequence::{Sequence, SequenceSettings, Situation, TaskStep};
 use super::state;
 use crate::camera::{Points, project};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
@@ -111,7 +111,7 @@ impl Rig {
     }
 
     /// The present step of the task.
-    pub fn phase(&self) -> Phase {
+    pub fn phase(&self) -> TaskStep {
         self.sequence.phase()
     }
 
@@ -200,7 +200,7 @@ impl Cell for Rig {
         if let Some(twist) = self.sequence.twist() {
             self.arm.bridge.move_by_itself(&twist, now_ns + 2 * STEP_NS);
         }
-        if let (Some(Phase::Retreating), Some(occlusion)) = (begun, self.grasped) {
+        if let (Some(TaskStep::Retreating), Some(occlusion)) = (begun, self.grasped) {
             self.eye.show(occlusion, false);
         }
         self.arm.step(now_ns);
@@ -210,7 +210,7 @@ impl Cell for Rig {
         let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0);
         if self.arm.state().robot_mode == Mode::Reflex {
             self.progress.finish(End::Reflex);
-        } else if self.sequence.phase() == Phase::Done && self.arm.is_at_rest() {
+        } else if self.sequence.phase() == TaskStep::Done && self.arm.is_at_rest() {
             self.progress.finish(End::Arrived);
         } else if self.progress.time_s >= self.settings.time_limit_s + grace_s {
             self.progress.finish(End::TimeOut);

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// A step of the task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Phase {
+pub enum TaskStep {
     /// No armed controller has commanded anything yet.
     Waiting,
     /// The controller moves the camera.
@@ -21,7 +21,7 @@ pub enum Phase {
     Done,
 }
 
-impl Phase {
+impl TaskStep {
     /// In words.
     pub const fn name(self) -> &'static str {
         match self {
@@ -86,7 +86,7 @@ pub struct Situation {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sequence {
     settings: SequenceSettings,
-    phase: Phase,
+    phase: TaskStep,
     since_ns: u64,
     /// When the last frame at the goal was delivered.
     good_ns: u64,
@@ -102,7 +102,7 @@ impl Sequence {
     pub fn new(settings: SequenceSettings) -> Self {
         Self {
             settings,
-            phase: Phase::Waiting,
+            phase: TaskStep::Waiting,
             since_ns: 0,
             good_ns: 0,
             opening_ns: None,
@@ -110,7 +110,7 @@ impl Sequence {
     }
 
     /// The present step of the task.
-    pub fn phase(&self) -> Phase {
+    pub fn phase(&self) -> TaskStep {
         self.phase
     }
 
@@ -118,14 +118,14 @@ impl Sequence {
     /// controller is obeyed.
     pub fn twist(&self) -> Option<[f64; 6]> {
         match self.phase {
-            Phase::Retreating => Some([0.0, 0.0, -self.settings.retreat_speed, 0.0, 0.0, 0.0]),
+            TaskStep::Retreating => Some([0.0, 0.0, -self.settings.retreat_speed, 0.0, 0.0, 0.0]),
             phase if phase.obeys_controller() => None,
             _ => Some([0.0; 6]),
         }
     }
 
     /// One millisecond; returns the phase that begins in it, if one does.
-    pub fn step(&mut self, situation: &Situation) -> Option<Phase> {
+    pub fn step(&mut self, situation: &Situation) -> Option<TaskStep> {
         let next = self.next(situation);
         if next == self.phase {
             return None;
@@ -134,47 +134,47 @@ impl Sequence {
         Some(next)
     }
 
-    fn next(&mut self, situation: &Situation) -> Phase {
+    fn next(&mut self, situation: &Situation) -> TaskStep {
         let now_ns = situation.now_ns;
         let elapsed_ns = now_ns.saturating_sub(self.since_ns);
         let is_there =
             matches!(situation.frame, Some(Some(error)) if error <= self.settings.convergence_px);
         match self.phase {
-            Phase::Waiting if situation.is_commanded => Phase::Approach,
-            Phase::Approach if is_there => {
+            TaskStep::Waiting if situation.is_commanded => TaskStep::Approach,
+            TaskStep::Approach if is_there => {
                 self.good_ns = now_ns;
-                Phase::Settling
+                TaskStep::Settling
             }
-            Phase::Settling => {
+            TaskStep::Settling => {
                 let is_away = matches!(situation.frame, Some(Some(error)) if error > self.settings.convergence_px);
                 if is_there {
                     self.good_ns = now_ns;
                 }
                 if is_away || now_ns.saturating_sub(self.good_ns) > PATIENCE_NS {
-                    Phase::Approach
+                    TaskStep::Approach
                 } else if is_there && elapsed_ns >= self.settings.dwell_ns {
-                    Phase::Releasing
+                    TaskStep::Releasing
                 } else {
-                    Phase::Settling
+                    TaskStep::Settling
                 }
             }
-            Phase::Releasing => {
+            TaskStep::Releasing => {
                 if self.opening_ns.is_none() && situation.is_at_rest {
                     self.opening_ns = Some(now_ns);
                 }
                 let open = |began: u64| now_ns.saturating_sub(began) >= self.settings.opening_ns;
                 if self.opening_ns.is_some_and(open) {
-                    Phase::Retreating
+                    TaskStep::Retreating
                 } else {
-                    Phase::Releasing
+                    TaskStep::Releasing
                 }
             }
-            Phase::Retreating => {
+            TaskStep::Retreating => {
                 let seconds = self.settings.retreat_m / self.settings.retreat_speed;
                 if elapsed_ns as f64 * 1e-9 >= seconds {
-                    Phase::Done
+                    TaskStep::Done
                 } else {
-                    Phase::Retreating
+                    TaskStep::Retreating
                 }
             }
             phase => phase,
@@ -223,7 +223,7 @@ mod tests {
             ..situation(5, Some(Some(1.0)))
         };
         assert_eq!(sequence.step(&idle), None);
-        assert_eq!(sequence.step(&situation(6, None)), Some(Phase::Approach));
+        assert_eq!(sequence.step(&situation(6, None)), Some(TaskStep::Approach));
         assert_eq!(sequence.twist(), None);
     }
 
@@ -231,10 +231,10 @@ mod tests {
     fn the_object_is_released_after_a_dwell_and_not_before() {
         let mut sequence = sequence();
         frames(&mut sequence, 0, 100, Some(80.0));
-        assert_eq!(sequence.phase(), Phase::Approach);
+        assert_eq!(sequence.phase(), TaskStep::Approach);
         frames(&mut sequence, 100, 560, Some(3.0));
-        assert_eq!(sequence.phase(), Phase::Settling);
-        assert_eq!(settled().phase(), Phase::Releasing);
+        assert_eq!(sequence.phase(), TaskStep::Settling);
+        assert_eq!(settled().phase(), TaskStep::Releasing);
     }
 
     #[test]
@@ -242,11 +242,11 @@ mod tests {
         let mut sequence = sequence();
         frames(&mut sequence, 0, 400, Some(3.0));
         frames(&mut sequence, 400, 433, Some(6.0));
-        assert_eq!(sequence.phase(), Phase::Approach);
+        assert_eq!(sequence.phase(), TaskStep::Approach);
         frames(&mut sequence, 433, 800, Some(3.0));
-        assert_eq!(sequence.phase(), Phase::Settling);
+        assert_eq!(sequence.phase(), TaskStep::Settling);
         frames(&mut sequence, 800, 1200, None);
-        assert_eq!(sequence.phase(), Phase::Approach);
+        assert_eq!(sequence.phase(), TaskStep::Approach);
     }
 
     #[test]
@@ -255,7 +255,7 @@ mod tests {
         frames(&mut sequence, 0, 300, Some(3.0));
         frames(&mut sequence, 300, 333, None);
         frames(&mut sequence, 333, 700, Some(3.0));
-        assert_eq!(sequence.phase(), Phase::Releasing);
+        assert_eq!(sequence.phase(), TaskStep::Releasing);
     }
 
     #[test]
@@ -269,10 +269,10 @@ mod tests {
         assert_eq!(sequence.step(&at(2000, false)), None);
         assert_eq!(sequence.step(&at(2001, true)), None);
         assert_eq!(sequence.step(&at(2500, true)), None);
-        assert_eq!(sequence.step(&at(2501, true)), Some(Phase::Retreating));
+        assert_eq!(sequence.step(&at(2501, true)), Some(TaskStep::Retreating));
         assert_eq!(sequence.twist(), Some([0.0, 0.0, -0.02, 0.0, 0.0, 0.0]));
         assert_eq!(sequence.step(&at(4500, false)), None);
-        assert_eq!(sequence.step(&at(4502, false)), Some(Phase::Done));
+        assert_eq!(sequence.step(&at(4502, false)), Some(TaskStep::Done));
         assert_eq!(sequence.twist(), Some([0.0; 6]));
     }
 }

@@ -4,11 +4,11 @@
 use ipc::{RobotFaults, RobotMode, RobotState};
 use panda::{Errors, Flag, JOINTS, Mode, State};
 
-use super::sequence::Phase;
+use super::sequence::TaskStep;
 use crate::cell::raise;
 
 /// Adds the robot's own state and the step of the sequence.
-pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: Phase) {
+pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: TaskStep) {
     state.joints = JOINTS as u32;
     (state.q, state.dq) = (told.q.into(), told.dq.into());
     state.room = [
@@ -43,10 +43,10 @@ fn bits(errors: Errors) -> u32 {
 }
 
 /// 1 holding, 2 opening, 3 open.
-fn gripper(phase: Phase) -> u32 {
+fn gripper(phase: TaskStep) -> u32 {
     match phase {
-        Phase::Releasing => 2,
-        Phase::Retreating | Phase::Done => 3,
+        TaskStep::Releasing => 2,
+        TaskStep::Retreating | TaskStep::Done => 3,
         _ => 1,
     }
 }

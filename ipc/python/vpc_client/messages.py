@@ -46,19 +46,6 @@ class Service(NamedTuple):
 MAX_POINTS = 8
 
 
-class Message(ctypes.Structure):
-    """A structure of the contract."""
-
-    @staticmethod
-    def type_name() -> str:
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
-        values = ((field[0], getattr(self, field[0])) for field in self._fields_)
-        shown = (f"{name}={list(x) if isinstance(x, ctypes.Array) else x!r}" for name, x in values)
-        return f"{type(self).__name__}({', '.join(shown)})"
-
-
 class TwistState(Code):
     """State of the controller."""
 

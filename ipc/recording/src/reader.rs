@@ -73,6 +73,8 @@ impl Recording {
             LinearReaderOptions::default()
                 .with_skip_end_magic(true)
                 .with_validate_chunk_crcs(true)
+                .with_validate_data_section_crc(true)
+                .with_validate_summary_section_crc(true)
                 .with_record_length_limit(LONGEST),
         );
         let mut recording = Self {

@@ -12,7 +12,7 @@ use crate::record::RecordArguments;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
-/// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be mended
+/// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be fixed
 /// (doctor); 2 the request was refused; 3 no daemon; 4 the daemon does not answer; 5 disarmed
 /// (status); 64 command line; 65 a file is wrong; 66 a file is missing; 69 shared memory, place or
 /// address not available; 70 failure of vpcctl.
@@ -52,7 +52,7 @@ pub enum Command {
     Strategy(StrategyArguments),
     /// Make the daemon write its flight record.
     Flight(RequestArguments),
-    /// Find out what is wrong with this machine or set-up, and how to mend it.
+    /// Find out what is wrong with this machine or setup, and how to fix it.
     Doctor(DoctorArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
@@ -123,7 +123,7 @@ pub struct MetricsArguments {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9469")]
     pub listen: SocketAddr,
 
-    /// Allow an address that other machines can reach, without encryption or password.
+    /// Allow an address that other machines can reach; no encryption, no password.
     #[arg(long)]
     pub expose: bool,
 
@@ -147,7 +147,7 @@ pub struct ServeArguments {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9470")]
     pub listen: SocketAddr,
 
-    /// Allow an address that other machines can reach, for watching, without encryption or password.
+    /// Allow an address that other machines can reach, to watch; no encryption, no password.
     #[arg(long)]
     pub expose: bool,
 

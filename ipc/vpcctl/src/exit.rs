@@ -7,7 +7,8 @@ use std::path::Path;
 use recording::{ContextError, PlotError, ReadError, RecordError, WriteError};
 use scene::FileError;
 
-/// How the command ends. Small numbers are answers; those from 64 on are `vpcd`'s (after `sysexits.h`).
+/// How the command ends. Small numbers are answers; those from 64 on are those of `sysexits.h`, as
+/// `vpcd` uses them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {

@@ -22,7 +22,7 @@ pub fn join(directory: &Path) -> Result<Domain, Failure> {
     }
 }
 
-/// Who serves a domain.
+/// The daemon of a domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
     /// There is no such directory.

@@ -116,7 +116,7 @@ impl View {
         self.recent.range(first..)
     }
 
-    /// The cycles that used features, of the last `span_ns` before the newest of them, oldest first.
+    /// The cycles that used features in the last `span_ns` before the newest of them, oldest first.
     pub fn trail(&self, span_ns: u64) -> impl Iterator<Item = &CycleRecord> {
         let newest = self.seen.map_or(0, |seen| seen.stamp.data_ns);
         let from = newest.saturating_sub(span_ns);

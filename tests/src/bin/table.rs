@@ -17,10 +17,9 @@ use serde::Serialize;
 use system_tests::children::{self, Children, attended};
 use system_tests::flags::{Common, RobotFlags};
 use system_tests::pictures::{self, Draw};
-use system_tests::processes::build;
 use system_tests::row::{self, Row};
 use system_tests::run::{flawed, time};
-use system_tests::{arguments, robot_table, root};
+use system_tests::{arguments, robot_table};
 use vpc::{Controller, MotionMemory, Task};
 
 /// Runs every strategy on the same starts against an emulated camera and prints the paper's Table I.
@@ -273,7 +272,7 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 
 /// Has `vpc-memory` build a memory for the scene in a temporary file, which is removed once it is mapped.
 fn built(children: &Children, cli: &Cli, scene: &Scene) -> anyhow::Result<MemoryFile> {
-    let programs = build(children, root(), &["vpc-memory"])?;
+    let programs = children.build(&["vpc-memory"])?;
     let directory = std::env::temp_dir().join(format!("vpc-table-{}", std::process::id()));
     let _place = children.place(directory.clone());
     fs::create_dir_all(&directory).with_context(|| directory.display().to_string())?;

@@ -9,15 +9,7 @@ use serde_json::Value;
 use testkit::{ended, root};
 
 /// The programs of the workspace that the documents call.
-const OURS: [&str; 7] = [
-    "vpcd",
-    "hw-sim",
-    "vpcctl",
-    "vpc-memory",
-    "demo",
-    "table",
-    "processes",
-];
+const OURS: [&str; 6] = ["vpcd", "hw-sim", "vpcctl", "vpc-memory", "demo", "table"];
 
 /// A command, as a program of ours where it is one.
 #[derive(Clone, Debug)]
@@ -133,7 +125,6 @@ pub fn program(name: &str) -> PathBuf {
     match name {
         "demo" => env!("CARGO_BIN_EXE_demo").into(),
         "table" => env!("CARGO_BIN_EXE_table").into(),
-        "processes" => env!("CARGO_BIN_EXE_processes").into(),
         name => testkit::program(name),
     }
 }

@@ -1,5 +1,5 @@
-//! `processes` and `demo` start `cargo`, `vpcd` and `hw-sim`, and leave nothing behind whichever way they end: no
-//! process, and, where they could hear of their end, no directory and nothing in shared memory.
+//! `demo` starts `cargo`, `vpcd` and `hw-sim`, and leaves nothing behind whichever way it ends: no process, and, where it
+//! could hear of its end, no directory and nothing in shared memory.
 
 use std::fs;
 use std::os::unix::ffi::OsStrExt;
@@ -160,16 +160,6 @@ fn leaves_nothing(program: &str, arguments: &[&str]) {
 }
 
 #[test]
-fn processes_leaves_nothing_behind() {
-    let _turn = turn();
-    program("vpcd");
-    leaves_nothing(
-        env!("CARGO_BIN_EXE_processes"),
-        &["--jobs", "2", "--to", "4"],
-    );
-}
-
-#[test]
 fn the_demo_leaves_nothing_behind() {
     let _turn = turn();
     program("vpcd");
@@ -179,19 +169,17 @@ fn the_demo_leaves_nothing_behind() {
 #[test]
 fn a_build_ends_with_its_compilers() {
     let _turn = turn();
-    for parent in [env!("CARGO_BIN_EXE_processes"), env!("CARGO_BIN_EXE_demo")] {
-        let place = Place::new();
-        // It does what cargo does while it compiles.
-        let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
-        fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
-        let mut parent = Parent::start(parent, &[], Some(&cargo));
-        parent.runs(&["cargo", "sleep"]);
-        let status = parent.ends_by(Signal::TERM);
-        assert_eq!(status.signal(), Some(Signal::TERM.as_raw()), "{status}");
-        eventually("the end of compilers", || {
-            parent.family().is_empty().then_some(())
-        });
-    }
+    let place = Place::new();
+    // It does what cargo does while it compiles.
+    let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
+    fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
+    let mut parent = Parent::start(env!("CARGO_BIN_EXE_demo"), &[], Some(&cargo));
+    parent.runs(&["cargo", "sleep"]);
+    let status = parent.ends_by(Signal::TERM);
+    assert_eq!(status.signal(), Some(Signal::TERM.as_raw()), "{status}");
+    eventually("the end of compilers", || {
+        parent.family().is_empty().then_some(())
+    });
 }
 
 #[test]
@@ -200,7 +188,7 @@ fn what_was_started_to_outlive_a_terminal_does() {
     let place = Place::new();
     let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
     fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
-    let words = [env!("CARGO_BIN_EXE_processes")];
+    let words = [env!("CARGO_BIN_EXE_demo")];
     let mut parent = Parent::start("nohup", &words, Some(&cargo));
     parent.runs(&["cargo", "sleep"]);
     kill_process(Pid::from_child(&parent.child), Signal::HUP).unwrap();

@@ -1,136 +1,74 @@
-//! Replay: ten minutes of flight with real processes, twice; both records say the same, a replay says the same again,
-//! and one bit more or less in any of it is told. Any cycle is replayed from the key before it, too: what the pilot
-//! remembers beside its keys would show there.
-//!
-//! The records are read here as `controller/FLIGHT.md` says that anybody can.
+//! Replay: ten minutes of flight with real processes, twice; both records say the same, a replay
+//! says the same again, and one bit more or less in any of it is told. Any cycle is replayed from
+//! the snapshot before it, too: what the controller remembers beside its snapshots would show
+//! there.
 
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use ipc::{CycleRecord, RecallCode};
+use ipc::{Values, Wire};
+use recording::{Recording, RecordingFile};
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::fixture::{Place, Running, Witness, eventually, program, root, scene_file, turn};
+use crate::fixture::{
+    Place, Running, Witness, ended, eventually, memory_file, program, scene_file, starts_file, turn,
+};
 
 /// Ten minutes at 30 Hz.
 const CYCLES: u64 = 18_000;
-/// From one cycle that is replayed by itself to the next; no multiple of the distance of keys.
+/// From one cycle that is replayed by itself to the next; no multiple of the distance of snapshots.
 const APART: usize = 1999;
+/// Cycles from one snapshot to the next.
+const SNAPSHOTS: usize = 32;
 
-/// What two runs need not have in common, by the beginning of the field's name or its end: clocks and what hangs on
-/// them, the machine, and the robot's words, which nobody waits for.
-const OWN: [&str; 14] = [
-    "before",
-    "seal",
-    "inputs.robot.",
-    "told.overruns",
-    "told.phase",
-    "told.minor_faults",
-    "told.major_faults",
-    "told.blocked",
-    "told.allocations",
-    "told.realtime",
-    "told.lost_records",
-    "told.stamp.",
-    "_ns",
-    "told.robot_",
+/// What two runs need not have in common: clocks and what hangs on them, the machine, and the
+/// robot's messages, which nobody waits for.
+const OWN: [&str; 12] = [
+    "stamp",
+    "overruns",
+    "lost_records",
+    "phase",
+    "minor_faults",
+    "major_faults",
+    "blocked",
+    "allocations",
+    "realtime",
+    "robot_input",
+    "robot_seen",
+    "features_seen",
 ];
 
-/// A file of a flight record, taken apart by its own description.
-struct Flight {
-    header: Value,
-    bytes: Vec<u8>,
-    records: usize,
-    size: usize,
-    /// Name of each word of a record.
-    names: Vec<String>,
+/// The bits of the fields of a record that every run has in common, with their names.
+fn common(record: &CycleRecord) -> Vec<(&'static str, Vec<u64>)> {
+    let fields = record.fields();
+    let common =
+        fields.filter(|(field, _)| !OWN.contains(&field.name) && !field.name.ends_with("_ns"));
+    common
+        .map(|(field, values)| (field.name, bits(values)))
+        .collect()
 }
 
-impl Flight {
-    fn read(path: &Path) -> Self {
-        let bytes = std::fs::read(path).unwrap();
-        let length = u64::from_le_bytes(bytes[8..16].try_into().unwrap()) as usize;
-        let header: Value = serde_json::from_slice(&bytes[64..64 + length]).unwrap();
-        let names = |fields: &str| -> Vec<String> {
-            let fields = header[fields].as_array().unwrap().iter();
-            fields
-                .flat_map(|field| {
-                    let count = field["count"].as_u64().unwrap() as usize;
-                    vec![field["name"].as_str().unwrap().to_owned(); count]
-                })
-                .collect()
-        };
-        let keys = header["keys"].as_u64().unwrap() as usize * 8 * names("key_fields").len();
-        let names = names("record_fields");
-        Self {
-            records: 64 + length + keys,
-            size: 8 * names.len(),
-            header,
-            bytes,
-            names,
-        }
-    }
-
-    fn count(&self) -> usize {
-        self.header["records"].as_u64().unwrap() as usize
-    }
-
-    fn word(&self, record: usize, word: usize) -> Range<usize> {
-        let start = self.records + record * self.size + 8 * word;
-        start..start + 8
-    }
-
-    fn value(&self, record: usize, word: usize) -> u64 {
-        u64::from_le_bytes(self.bytes[self.word(record, word)].try_into().unwrap())
-    }
-
-    /// The words of a record that every run has in common.
-    fn common(&self, record: usize) -> Vec<(&str, u64)> {
-        let words = self.names.iter().enumerate();
-        let common = words.filter(|(_, name)| {
-            !OWN.iter()
-                .any(|own| name.starts_with(own) || name.ends_with(own))
-        });
-        common
-            .map(|(word, name)| (name.as_str(), self.value(record, word)))
-            .collect()
-    }
-
-    /// Index of the first word of a field.
-    fn find(&self, field: &str) -> usize {
-        self.names.iter().position(|name| name == field).unwrap()
-    }
-
-    /// The file with the last bit of a word changed, and a seal that fits where `sealed`.
-    fn forged(&self, record: usize, word: usize, sealed: bool) -> Vec<u8> {
-        let mut bytes = self.bytes.clone();
-        bytes[self.word(record, word).start] ^= 1;
-        if sealed {
-            let last = self.names.len() - 1;
-            let mut seal: u64 = 0x7670_6364_2066_6c74;
-            for word in 0..last {
-                let word = bytes[self.word(record, word)].try_into().unwrap();
-                seal = (seal.rotate_left(29) ^ u64::from_le_bytes(word))
-                    .wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            }
-            bytes[self.word(record, last)].copy_from_slice(&seal.to_le_bytes());
-        }
-        bytes
+fn bits(values: Values<'_>) -> Vec<u64> {
+    match values {
+        Values::U32(numbers) => numbers.iter().map(|&number| number.into()).collect(),
+        Values::U64(numbers) => numbers.to_vec(),
+        Values::F64(numbers) => numbers.iter().map(|number| number.to_bits()).collect(),
+        other => panic!("{other:?} is one of those that runs need not have in common"),
     }
 }
 
-/// Cameras one after the other, each on another start with noise and lost frames, until the daemon has made its
-/// cycles; its flight record.
+/// Cameras one after the other, each on another start with noise and lost frames, until the daemon
+/// has made its cycles; its flight record.
 fn fly(place: &Place) -> PathBuf {
-    let memory = root().join("memory-blob/default/paper-sim.vpcmem");
     let text = "[flight]\ndirectory = 'records'\nminutes = 11\nat_exit = true\n";
     let mut command = Command::new(program("vpcd"));
     command
         .arg("--config")
         .arg(place.file("lockstep.toml", text));
     command.arg("--scene").arg(scene_file());
-    command.arg("--memory").arg(memory);
+    command.arg("--memory").arg(memory_file());
     command.args(["--strategy", "gpr", "--clock", "lockstep"]);
     command.arg("--domain").arg(place.domain());
     command.args(["--cycles", &CYCLES.to_string()]);
@@ -139,11 +77,10 @@ fn fly(place: &Place) -> PathBuf {
     for start in (0..100).cycle() {
         let mut camera = Command::new(program("hw-sim"));
         let number = start.to_string();
-        let starts = root().join("ipc/scene/scenes/paper-sim-starts.csv");
         camera.arg("--scene").arg(scene_file());
         camera
             .arg("--starts")
-            .arg(starts)
+            .arg(starts_file())
             .args(["--start", &number]);
         camera.args(["--clock", "lockstep", "--time-limit", "30"]);
         camera.args(["--noise", "0.3", "--drop", "0.01", "--seed", &number]);
@@ -166,19 +103,16 @@ fn newest(place: &Place) -> Option<PathBuf> {
     let entries = std::fs::read_dir(place.path("records")).ok()?;
     let paths = entries.map(|entry| entry.unwrap().path());
     paths
-        .filter(|path| path.extension().is_some_and(|end| end == "flight"))
+        .filter(|path| path.extension().is_some_and(|end| end == "mcap"))
         .max()
 }
 
-/// `vpcd replay`, with these words more: exit code, and what it says.
+/// `vpcd replay` with more flags: exit code, and what it prints.
 fn replayed(file: &Path, more: &[&str]) -> (i32, String) {
     let mut command = Command::new(program("vpcd"));
     command.arg("replay").arg(file).arg("--json").args(more);
-    let output = command.output();
-    let output = output.unwrap();
-    let mut words = String::from_utf8(output.stdout).unwrap();
-    words.push_str(&String::from_utf8(output.stderr).unwrap());
-    (output.status.code().unwrap(), words)
+    let ended = ended(command);
+    (ended.code.unwrap(), ended.stdout + &ended.stderr)
 }
 
 fn report(file: &Path, more: &[&str]) -> Value {
@@ -186,6 +120,30 @@ fn report(file: &Path, more: &[&str]) -> Value {
     assert_eq!(code, 0, "{words}");
     let mut told: Value = serde_json::from_str(&words).unwrap();
     told["report"].take()
+}
+
+/// Writes a flight record again, with what was changed in it.
+fn write(place: &Place, flight: &Recording) -> PathBuf {
+    let path = place.path("forged.mcap");
+    let mut file = RecordingFile::create(&path, true).unwrap();
+    for key in ["cause", "executable", "memory_sha256", "vpcd.toml"] {
+        let entry = flight.origin(key).unwrap().to_owned();
+        file.origin([(key, entry)]).unwrap();
+    }
+    for (name, data) in &flight.attachments {
+        file.attach(name, data).unwrap();
+    }
+    flight.snapshots.iter().for_each(|m| file.write(m).unwrap());
+    flight.features.iter().for_each(|m| file.write(m).unwrap());
+    flight.robot.iter().for_each(|m| file.write(m).unwrap());
+    flight.replies.iter().for_each(|m| file.write(m).unwrap());
+    flight.cycles.iter().for_each(|m| file.write(m).unwrap());
+    file.finish().unwrap();
+    path
+}
+
+fn flip(number: &mut f64) {
+    *number = f64::from_bits(number.to_bits() ^ 1);
 }
 
 #[test]
@@ -196,20 +154,20 @@ fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
         let b = threads.spawn(|| fly(&place_b));
         (fly(&place_a), b.join().unwrap())
     });
-    let (a, b) = (Flight::read(&file_a), Flight::read(&file_b));
-    assert_eq!((a.count(), b.count()), (18_000, 18_000));
-    assert_eq!(a.names, b.names);
-    for record in 0..a.count() {
-        let (of_a, of_b) = (a.common(record), b.common(record));
-        assert!(of_a.len() > 100);
+    let read = |path: &Path| Recording::read(path).unwrap();
+    let (a, b) = (read(&file_a), read(&file_b));
+    assert_eq!((a.cycles.len(), b.cycles.len()), (18_000, 18_000));
+    for (of_a, of_b) in a.cycles.iter().zip(&b.cycles) {
+        let cycle = of_a.cycle;
+        let (of_a, of_b) = (common(of_a), common(of_b));
+        assert!(of_a.len() > 20);
         if let Some(k) = of_a.iter().zip(&of_b).position(|(a, b)| a != b) {
-            panic!("record {record}: {:?} and {:?}", of_a[k], of_b[k]);
+            panic!("cycle {cycle}: {:?} and {:?}", of_a[k], of_b[k]);
         }
     }
     // Equality is not for want of life.
-    let recalled = a.find("told.recalled");
-    let asked = (0..a.count()).filter(|&record| a.value(record, recalled) == 1);
-    assert!(asked.count() > 500);
+    let is_asked = |r: &&CycleRecord| r.recalled == RecallCode::Followed.code();
+    assert!(a.cycles.iter().filter(is_asked).count() > 500);
 
     for file in [&file_a, &file_b] {
         let told = report(file, &[]);
@@ -220,47 +178,75 @@ fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
     }
 
     for cycle in (APART as u64..CYCLES).step_by(APART) {
-        let told = report(&file_a, &["--cycle", &cycle.to_string()]);
+        let told = report(&file_a, &["--until", &cycle.to_string()]);
         assert_eq!(
-            (&told["last"], &told["keys_restored"]),
+            (&told["last"], &told["snapshots_restored"]),
             (&cycle.into(), &1.into())
         );
     }
 
-    let moving = (9000..).find(|&record| a.value(record, a.find("told.iterations")) > 1);
-    let moving = moving.unwrap();
-    // Where it shows first: an input in what comes of it, the clock's reading in the state after the cycle at the latest.
-    for (field, told) in [
-        ("inputs.now_ns", None),
-        ("inputs.features.message.points", None),
-        ("answer.twist", Some("answer.twist[0]")),
-        ("told.twist", Some("told.twist[0]")),
-        ("told.cost", Some("told.cost")),
-        ("told.iterations", Some("told.iterations")),
-        ("before", Some("before")),
-    ] {
-        let word = a.find(field);
+    let moving = a.cycles[9000..].iter().position(|r| r.iterations > 1);
+    let moving = 9000 + moving.unwrap();
+    let seen = a.cycles[moving].features_seen;
+    type Change = fn(&mut Recording, usize);
+    // Where it shows first: an input in what comes of it, the clock's reading in the next snapshot
+    // at the latest.
+    let cases: [(&str, Change, Option<&str>); 6] = [
+        ("instant", |f, at| f.cycles[at].receive_ns ^= 1, None),
+        (
+            "twist",
+            |f, at| flip(&mut f.cycles[at].twist[0]),
+            Some("twist[0]"),
+        ),
+        ("cost", |f, at| flip(&mut f.cycles[at].cost), Some("cost")),
+        (
+            "iterations",
+            |f, at| f.cycles[at].iterations ^= 1,
+            Some("iterations"),
+        ),
+        ("hold", |f, at| f.cycles[at].hold ^= 1, Some("hold")),
+        (
+            "pixel",
+            |f, at| {
+                let seen = f.cycles[at].features_seen;
+                let mut features = f.features.iter_mut();
+                let message = features.find(|m| m.stamp == seen).unwrap();
+                flip(&mut message.points[0]);
+            },
+            Some("points[0]"),
+        ),
+    ];
+    assert!(seen.sequence > 0);
+    for (name, change, field) in cases {
+        let mut forged = a.clone();
+        change(&mut forged, moving);
         let place = Place::new();
-        let damaged = place.file("damaged.flight", a.forged(moving, word, false));
-        let (code, words) = replayed(&damaged, &[]);
-        assert_eq!(code, 65, "{field}: {words}");
-        assert!(
-            words.contains(&format!("record {moving}: seal = ")),
-            "{words}"
-        );
-        let forged = place.file("forged.flight", a.forged(moving, word, true));
-        let (code, words) = replayed(&forged, &[]);
-        assert_eq!(code, 1, "{field}: {words}");
+        let (code, words) = replayed(&write(&place, &forged), &[]);
+        assert_eq!(code, 1, "{name}: {words}");
         let words: Value = serde_json::from_str(&words).unwrap();
         let difference = &words["difference"];
         let cycle = difference["cycle"].as_u64().unwrap() as usize;
-        assert!(
-            (moving + 1..=moving + 2).contains(&cycle),
-            "{field}: {words}"
-        );
-        if let Some(told) = told {
-            assert_eq!(difference["field"], told, "{field}: {words}");
+        match field {
+            Some(field) => {
+                assert_eq!(difference["field"], field, "{name}: {words}");
+                assert_eq!(cycle, moving + 1, "{name}: {words}");
+            }
+            None => {
+                let shows = moving + 1..=moving + 1 + SNAPSHOTS;
+                assert!(shows.contains(&cycle), "{name}: {words}");
+            }
         }
+    }
+
+    // A byte of the file, anywhere.
+    let bytes = std::fs::read(&file_a).unwrap();
+    for part in 1..8 {
+        let mut damaged = bytes.clone();
+        damaged[part * bytes.len() / 8] ^= 1;
+        let place = Place::new();
+        let (code, words) = replayed(&place.file("damaged.mcap", damaged), &[]);
+        assert_eq!(code, 65, "{words}");
+        assert!(words.contains("damaged.mcap: "), "{words}");
     }
 }
 
@@ -276,12 +262,11 @@ fn a_fault_in_real_time_leaves_a_record_that_replays() {
     let file = eventually("a flight record", || newest(&place));
     let told = report(&file, &[]);
     assert!(told["cycles"].as_u64().unwrap() > 3, "{told}");
-    let flight = Flight::read(&file);
-    assert_eq!(flight.header["cause"], "fault: stale features");
+    let flight = Recording::read(&file).unwrap();
+    assert_eq!(flight.origin("cause"), Some("fault: stale features"));
     // The arming is in it.
-    let count = flight.find("asked.count");
-    let asked = (0..flight.count()).map(|record| flight.value(record, count));
-    assert!(asked.sum::<u64>() >= 1);
+    assert!(flight.cycles.iter().map(|r| r.requests).sum::<u32>() >= 1);
+    assert!(!flight.replies.is_empty());
     daemon.signal(Signal::TERM);
     let ended = daemon.ended();
     assert_eq!(ended.code, Some(0), "{ended:?}");

@@ -1,4 +1,4 @@
-//! `vpcctl doctor`: what is wrong with this machine or set-up, and how to mend it.
+//! `vpcctl doctor`: what is wrong with this machine or set-up, and how to fix it.
 
 mod daemon;
 mod logind;
@@ -19,7 +19,7 @@ pub enum Verdict {
     Ok,
     /// It works, but deserves a look.
     Warn,
-    /// It must be mended.
+    /// It must be fixed.
     Fail,
 }
 
@@ -32,7 +32,7 @@ pub struct Finding {
     pub verdict: Verdict,
     /// What was found.
     pub found: String,
-    /// How to mend it; empty where nothing is wrong.
+    /// How to fix it; empty where nothing is wrong.
     pub remedy: String,
 }
 

@@ -16,7 +16,7 @@ const SCENE: u64 = 100;
 /// Most changes of state in an event.
 const CHANGES: usize = 6;
 
-/// The events of one page. The first one tells all that is known, each later one what is new.
+/// The events of one page. The first one has all that is known, each later one what is new.
 #[derive(Debug)]
 pub struct Feed {
     plane: ImagePlane,

@@ -88,7 +88,7 @@ impl Status {
         hold.filter(|&hold| hold != Hold::None)
     }
 
-    /// State and cause in words, with their tone. A run that is over is told as such, without alarm.
+    /// State and cause in words, with their tone; the end of a run is no alarm.
     pub fn headline(&self) -> (String, Option<String>, Tone) {
         let (view, now_ns) = (&self.view, self.now_ns);
         let (Some(state), Some(silence)) = (self.state(), view.silence_ns(now_ns)) else {

@@ -15,8 +15,8 @@ use crate::view::View;
 /// How much of the past a trail shows, ns.
 const TRAIL_NS: u64 = 5_000_000_000;
 
-/// Columns with borders of an image plane of this many rows with square pixels: a character is twice
-/// as high as wide.
+/// Columns, with borders, that give an image plane of this many rows square pixels. A character is
+/// twice as high as wide.
 pub fn columns(rows: u16, size: [f64; 2]) -> u16 {
     let inner = f64::from(rows.saturating_sub(2));
     (2.0 * inner * size[0] / size[1]).round() as u16 + 2

@@ -80,7 +80,7 @@ pub fn draw(frame: &mut Frame, screen: &Screen) {
     frame.render_widget(Line::styled(HELP, style), keys);
 }
 
-/// One line: who, state, cause, strategy, rate.
+/// One line: process, state, cause, strategy, rate.
 fn headline<'a>(screen: &Screen) -> Line<'a> {
     let status = screen.status;
     let who = match status.process {

@@ -1,9 +1,11 @@
-//! `metrics`, judged by the client library that Prometheus publishes for Python, where it is installed.
+//! `metrics`, judged by the client library that Prometheus publishes for Python.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+
+use testkit::python::Environment;
 
 use crate::stand_in::StandIn;
 use crate::{stderr, stdout, vpcctl};
@@ -113,10 +115,7 @@ impl Drop for Server {
 /// Reads the text from standard input with the parser of PyPI's prometheus-client; prints what it found.
 const PARSER: &str = r#"
 import sys
-try:
-    from prometheus_client.parser import text_string_to_metric_families as parse
-except ImportError:
-    sys.exit(77)
+from prometheus_client.parser import text_string_to_metric_families as parse
 names = {}
 for family in parse(sys.stdin.read()):
     assert family.documentation and family.type != "unknown", family
@@ -133,28 +132,25 @@ fn the_python_client_of_prometheus_reads_what_is_printed() {
     let _daemon = StandIn::sound(directory.path());
     let output = vpcctl(directory.path(), &["metrics", "--once", "--watch", "0.5"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    let python = std::env::var("VPC_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let parser = Command::new(python)
+    let environment = Environment {
+        name: "python-prometheus",
+        requirements: &[],
+        packages: &["prometheus-client"],
+    };
+    let Some(python) = environment.python("the parser of Prometheus") else {
+        return;
+    };
+    let mut parser = Command::new(python)
         .args(["-c", PARSER])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
-        .spawn();
-    let Ok(mut parser) = parser else {
-        testkit::not_run("the parser of Prometheus", "no python3");
-        return;
-    };
-    parser
-        .stdin
-        .take()
-        .unwrap()
-        .write_all(&output.stdout)
+        .spawn()
         .unwrap();
+    let mut input = parser.stdin.take().unwrap();
+    input.write_all(&output.stdout).unwrap();
+    drop(input);
     let parsed = parser.wait_with_output().unwrap();
-    if parsed.status.code() == Some(77) {
-        testkit::not_run("the parser of Prometheus", "pip install prometheus-client");
-        return;
-    }
     assert!(
         parsed.status.success(),
         "{}\n{}",

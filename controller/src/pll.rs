@@ -1,26 +1,29 @@
-//! The clock `phase`: a grid that keeps its nominal period and takes its phase from the camera, so that every cycle
-//! begins a little after its features arrive, however the two clocks drift. Pure; times are arguments.
+//! The clock `phase`: a grid that keeps its nominal period and takes its phase from the camera, so
+//! that every cycle begins a little after its features arrive, however the two clocks drift. Pure;
+//! times are arguments.
 //!
-//! A filter of second order follows the exposures (period and phase), another the delay from exposure to publication
-//! and its spread. The release after the next is then wanted at *expected arrival + margin + spread*; the grid goes
-//! there by no more than [`SLEW`] of a period a cycle. Without frames it runs free.
+//! A filter of second order follows the exposures (period and phase), another the delay from
+//! exposure to publication and its spread. The release after the next is then wanted at *expected
+//! arrival + margin + spread*; the grid goes there by no more than [`SLEW`] of a period a cycle.
+//! Without frames it runs free.
 
 use ipc::{PhaseCode, Stamp};
 
 use crate::gate::FUTURE_NS;
 
-/// Largest departure of an interval from the nominal period, as a share of it: what the law's model of one period
-/// bears without notice.
+/// Largest departure of an interval from the nominal period, as a share of it: what the law's model
+/// of one period bears without notice.
 pub const SLEW: f64 = 0.02;
-/// Largest departure of the camera's period from the nominal one that is followed, as a share of it; below [`SLEW`],
-/// so that something is left to catch up with.
+/// Largest departure of the camera's period from the nominal one that is followed, as a share of
+/// it; below [`SLEW`], so that something is left to catch up with.
 const DRIFT: f64 = 0.015;
-/// Gain of the filter on the phase of the exposures; that on the period is the one of critical damping.
+/// Gain of the filter on the phase of the exposures; that on the period is the one of critical
+/// damping.
 const GAIN: f64 = 0.1;
 /// Gain on delay and spread.
 const DELAY_GAIN: f64 = 1.0 / 16.0;
-/// Spreads (mean absolute deviations) waited for beyond the margin: 99 of 100 frames for a Gaussian one, all for a
-/// uniform one.
+/// Spreads (mean absolute deviations) waited for beyond the margin: 99 of 100 frames for a Gaussian
+/// one, all for a uniform one.
 const SPREADS: f64 = 3.0;
 /// Largest spread, as a share of the period, at which a phase means something.
 const WIDEST: f64 = 0.125;
@@ -39,7 +42,7 @@ const OLDEST_NS: u64 = 1_000_000_000;
 
 /// What the grid has to do with the camera.
 #[derive(Clone, Debug)]
-pub struct Phase {
+pub struct CameraPll {
     period: f64,
     margin: f64,
     beat: Option<Beat>,
@@ -63,8 +66,9 @@ struct Beat {
     last_ns: u64,
 }
 
-impl Phase {
-    /// A free grid with this period that will aim this far after the arrivals, at most half a period; ns.
+impl CameraPll {
+    /// A free grid with this period that will aim this far after the arrivals, at most half a
+    /// period; ns.
     pub fn new(period_ns: u64, margin_ns: u64) -> Self {
         let period = period_ns as f64;
         Self {
@@ -76,8 +80,8 @@ impl Phase {
         }
     }
 
-    /// A frame has come, and is looked at now. One from the future is passed over: no later one would be newer, and
-    /// no silence after it long enough.
+    /// A frame has come, and is looked at now. One from the future is passed over: no later one
+    /// would be newer, and no silence after it long enough.
     pub fn hear(&mut self, stamp: &Stamp, now_ns: u64) {
         if stamp.published_ns > now_ns.saturating_add(FUTURE_NS) {
             return;
@@ -116,8 +120,8 @@ impl Phase {
         (self.period + step) as u64
     }
 
-    /// What the release before the last [`Phase::interval_ns`] was to the camera's phase, and how far after the
-    /// wanted one it was, ns.
+    /// What the release before the last [`CameraPll::interval_ns`] was to the camera's phase, and
+    /// how far after the wanted one it was, ns.
     pub fn standing(&self) -> (PhaseCode, i64) {
         (self.code, self.error as i64)
     }
@@ -177,7 +181,8 @@ impl Beat {
         }
         self.doubt = self.doubt.saturating_sub(1);
         self.heard = self.heard.saturating_add(1);
-        // How wrong the expected arrival was; a single late frame moves neither delay nor spread much.
+        // How wrong the expected arrival was; a single late frame moves neither delay nor spread
+        // much.
         let expected = self.exposed + frames * self.period + self.delay;
         let most = 4.0 * self.spread + 0.02 * nominal;
         let late = (self.time(stamp.published_ns) - expected).clamp(-most, most);
@@ -249,9 +254,10 @@ mod tests {
         }
     }
 
-    /// Runs from `start` on for so many cycles; the loop sees the newest frame that has been published.
+    /// Runs from `start` on for so many cycles; the loop sees the newest frame that has been
+    /// published.
     fn run(
-        phase: &mut Phase,
+        pll: &mut CameraPll,
         camera: &Camera,
         start: u64,
         offset: f64,
@@ -283,12 +289,12 @@ mod tests {
                 Some(stamp) if stamp.sequence > heard => {
                     heard = stamp.sequence;
                     seen.latencies.push((release - stamp.published_ns) as f64);
-                    phase.hear(stamp, release);
+                    pll.hear(stamp, release);
                 }
                 _ => seen.without += 1,
             }
             coming.retain(|stamp| stamp.sequence > heard);
-            let interval = phase.interval_ns(release);
+            let interval = pll.interval_ns(release);
             seen.intervals.push(interval);
             release += interval;
         }
@@ -309,13 +315,13 @@ mod tests {
                     period: PERIOD as f64 * drift,
                     ..Camera::default()
                 };
-                let mut phase = Phase::new(PERIOD, 1_000_000);
-                let (seen, release) = run(&mut phase, &camera, 1 << 40, offset * MS, 150);
+                let mut pll = CameraPll::new(PERIOD, 1_000_000);
+                let (seen, release) = run(&mut pll, &camera, 1 << 40, offset * MS, 150);
                 assert_slow(&seen);
                 // Five seconds later, on the same clocks.
                 let next = release as f64 - (1_u64 << 40) as f64 - offset * MS;
                 let onward = camera.period - next.rem_euclid(camera.period);
-                let (seen, _) = run(&mut phase, &camera, release, onward, 3000);
+                let (seen, _) = run(&mut pll, &camera, release, onward, 3000);
                 assert_slow(&seen);
                 let (least, most) = (seen.share(0.01), seen.share(0.99));
                 assert!(
@@ -323,7 +329,7 @@ mod tests {
                     "drift {drift}, offset {offset}: {least} to {most}"
                 );
                 assert!(seen.without <= 2, "{}", seen.without);
-                assert_eq!(phase.standing().0, PhaseCode::Locked);
+                assert_eq!(pll.standing().0, PhaseCode::Locked);
             }
         }
     }
@@ -337,9 +343,9 @@ mod tests {
         let mut release = 1 << 40;
         let mut latencies = Vec::new();
         // Nobody tells it of the frames.
-        let mut phase = Phase::new(PERIOD, 1_000_000);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
         for frame in 0..1000_u64 {
-            release += phase.interval_ns(release);
+            release += pll.interval_ns(release);
             let exposed = (1_u64 << 40) as f64 + frame as f64 * camera.period;
             latencies.push((release as f64 - exposed).rem_euclid(PERIOD as f64));
         }
@@ -355,8 +361,8 @@ mod tests {
             jitter: 3.0 * MS,
             ..Camera::default()
         };
-        let mut phase = Phase::new(PERIOD, 1_000_000);
-        let (seen, _) = run(&mut phase, &camera, 1 << 40, 0.0, 3000);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
+        let (seen, _) = run(&mut pll, &camera, 1 << 40, 0.0, 3000);
         assert_slow(&seen);
         // Margin, three spreads of 1.5 ms, and up to 3 ms either way.
         assert!(seen.share(0.99) < 10.0 * MS, "{}", seen.share(0.99));
@@ -370,23 +376,23 @@ mod tests {
             drop: 0.4,
             ..Camera::default()
         };
-        let mut phase = Phase::new(PERIOD, 1_000_000);
-        run(&mut phase, &camera, 1 << 40, 12.0 * MS, 200);
-        assert_eq!(phase.standing().0, PhaseCode::Locked);
-        let mut phase = Phase::new(PERIOD, 1_000_000);
-        let (seen, _) = run(&mut phase, &camera, 1 << 40, 12.0 * MS, 3000);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
+        run(&mut pll, &camera, 1 << 40, 12.0 * MS, 200);
+        assert_eq!(pll.standing().0, PhaseCode::Locked);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
+        let (seen, _) = run(&mut pll, &camera, 1 << 40, 12.0 * MS, 3000);
         assert!(seen.share(0.9) < 1.2 * MS, "{}", seen.share(0.9));
     }
 
     #[test]
     fn without_frames_it_runs_free_and_with_them_it_locks_again() {
         let camera = Camera::default();
-        let mut phase = Phase::new(PERIOD, 1_000_000);
-        let (_, mut release) = run(&mut phase, &camera, 1 << 40, 0.0, 200);
-        assert_eq!(phase.standing().0, PhaseCode::Locked);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
+        let (_, mut release) = run(&mut pll, &camera, 1 << 40, 0.0, 200);
+        assert_eq!(pll.standing().0, PhaseCode::Locked);
         let silent: Vec<u64> = (0..30)
             .map(|_| {
-                let interval = phase.interval_ns(release);
+                let interval = pll.interval_ns(release);
                 release += interval;
                 interval
             })
@@ -395,9 +401,9 @@ mod tests {
             silent[11..].iter().all(|interval| *interval == PERIOD),
             "{silent:?}"
         );
-        assert_eq!(phase.standing(), (PhaseCode::Free, 0));
+        assert_eq!(pll.standing(), (PhaseCode::Free, 0));
         // The camera comes back with another phase.
-        let (seen, _) = run(&mut phase, &camera, release, 21.0 * MS, 300);
+        let (seen, _) = run(&mut pll, &camera, release, 21.0 * MS, 300);
         assert_slow(&seen);
         let last = &seen.latencies[200..];
         assert!(
@@ -409,9 +415,9 @@ mod tests {
     #[test]
     fn a_camera_that_changes_its_phase_at_once_is_followed() {
         let camera = Camera::default();
-        let mut phase = Phase::new(PERIOD, 1_000_000);
-        let (_, release) = run(&mut phase, &camera, 1 << 40, 0.0, 200);
-        let (seen, _) = run(&mut phase, &camera, release, 15.0 * MS, 300);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
+        let (_, release) = run(&mut pll, &camera, 1 << 40, 0.0, 200);
+        let (seen, _) = run(&mut pll, &camera, release, 15.0 * MS, 300);
         assert_slow(&seen);
         let last = &seen.latencies[200..];
         assert!(
@@ -424,27 +430,27 @@ mod tests {
     fn a_frame_from_the_future_neither_holds_a_phase_for_ever_nor_keeps_one_from_being_found() {
         let camera = Camera::default();
         for cycles in [0, 200] {
-            let mut phase = Phase::new(PERIOD, 1_000_000);
-            let (_, release) = run(&mut phase, &camera, 1 << 40, 0.0, cycles);
+            let mut pll = CameraPll::new(PERIOD, 1_000_000);
+            let (_, release) = run(&mut pll, &camera, 1 << 40, 0.0, cycles);
             let future = Stamp {
                 sequence: 1,
                 published_ns: u64::MAX,
                 data_ns: u64::MAX,
             };
-            phase.hear(&future, release);
+            pll.hear(&future, release);
             // The camera goes on at another phase, and is followed.
-            let (seen, mut release) = run(&mut phase, &camera, release, 15.0 * MS, 300);
+            let (seen, mut release) = run(&mut pll, &camera, release, 15.0 * MS, 300);
             let last = &seen.latencies[200..];
             assert!(
                 last.iter().all(|latency| (latency - MS).abs() < 0.05 * MS),
                 "{last:?}"
             );
             // And ends.
-            phase.hear(&future, release);
+            pll.hear(&future, release);
             for _ in 0..12 {
-                release += phase.interval_ns(release);
+                release += pll.interval_ns(release);
             }
-            assert_eq!(phase.standing(), (PhaseCode::Free, 0));
+            assert_eq!(pll.standing(), (PhaseCode::Free, 0));
         }
     }
 
@@ -454,8 +460,8 @@ mod tests {
             period: 40.0 * MS,
             ..Camera::default()
         };
-        let mut phase = Phase::new(PERIOD, 1_000_000);
-        let (seen, _) = run(&mut phase, &camera, 1 << 40, 0.0, 3000);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
+        let (seen, _) = run(&mut pll, &camera, 1 << 40, 0.0, 3000);
         let moved = seen
             .intervals
             .iter()
@@ -467,14 +473,14 @@ mod tests {
             period: 2.0 * PERIOD as f64,
             ..camera
         };
-        let (seen, _) = run(&mut phase, &camera, 1 << 41, 0.0, 600);
+        let (seen, _) = run(&mut pll, &camera, 1 << 41, 0.0, 600);
         assert!(seen.share(0.8) < 1.05 * MS, "{}", seen.share(0.8));
     }
 
     #[test]
     fn no_stamp_whatsoever_moves_the_grid_faster_than_its_bound() {
         let mut random = ChaCha8Rng::seed_from_u64(3);
-        let mut phase = Phase::new(PERIOD, 1_000_000);
+        let mut pll = CameraPll::new(PERIOD, 1_000_000);
         let mut release = 1_u64 << 40;
         for _ in 0..100_000 {
             let near = release.wrapping_add(random.random_range(0..2 * PERIOD)) - PERIOD;
@@ -488,8 +494,8 @@ mod tests {
                 published_ns: any(&mut random),
                 data_ns: any(&mut random),
             };
-            phase.hear(&stamp, release);
-            let interval = phase.interval_ns(release);
+            pll.hear(&stamp, release);
+            let interval = pll.interval_ns(release);
             assert!(interval.abs_diff(PERIOD) <= (SLEW * PERIOD as f64) as u64 + 1);
             release += interval;
         }

@@ -1,0 +1,110 @@
+//! Between the codes of the contract and the types of the control law.
+
+use ipc::{CycleRecord, Features, RecallCode, SolverStatus, StrategyCode};
+use vpc::{Measurement, Refusal, Status, Step, Strategy};
+
+use crate::decision::HoldReason;
+
+// A step takes all the points that a message can have: more than the law has room for would panic
+// in the loop.
+const _: () = assert!(ipc::MAX_POINTS <= vpc::MAX_POINTS);
+
+/// Code of a strategy, and the neighbours of k-NN or 0.
+pub fn strategy_code(strategy: Strategy) -> (StrategyCode, u32) {
+    match strategy {
+        Strategy::Previous => (StrategyCode::Previous, 0),
+        Strategy::Knn { k } => (StrategyCode::Knn, k as u32),
+        Strategy::Gpr => (StrategyCode::Gpr, 0),
+        Strategy::Ibvs => (StrategyCode::Ibvs, 0),
+    }
+}
+
+/// The strategy of a code; `None` if the number of neighbours does not belong to it.
+pub fn strategy(code: StrategyCode, neighbours: u32) -> Option<Strategy> {
+    let k = neighbours as usize;
+    match (code, neighbours) {
+        (StrategyCode::Knn, _) => (1..=vpc::settings::MAX_NEIGHBOURS)
+            .contains(&k)
+            .then_some(Strategy::Knn { k }),
+        (StrategyCode::Previous, 0) => Some(Strategy::Previous),
+        (StrategyCode::Gpr, 0) => Some(Strategy::Gpr),
+        (StrategyCode::Ibvs, 0) => Some(Strategy::Ibvs),
+        _ => None,
+    }
+}
+
+/// The measurement in a message, for a command that takes effect at `effective_ns`.
+pub fn measurement(features: &Features, effective_ns: u64) -> Measurement {
+    let exposed_ns = match features.stamp.data_ns {
+        // Unknown: not later than the publication.
+        0 => features.stamp.published_ns,
+        data_ns => data_ns,
+    };
+    let mut measurement = Measurement::from_points(&[]).taken(exposed_ns, effective_ns);
+    measurement.points.extend(features.pairs());
+    measurement
+}
+
+/// The reason to hold for a refusal by the law.
+pub fn hold_reason(refusal: Refusal) -> HoldReason {
+    match refusal {
+        Refusal::Count { .. } => HoldReason::Count,
+        Refusal::NotFinite { .. } => HoldReason::NotFinite,
+        Refusal::OffImage { .. } | Refusal::Lost => HoldReason::OffImage,
+        Refusal::Mixed { .. }
+        | Refusal::Leap { .. }
+        | Refusal::Coincident { .. }
+        | Refusal::Flat { .. } => HoldReason::Mixed,
+        Refusal::Frozen { .. } => HoldReason::Frozen,
+        Refusal::Late { .. } => HoldReason::Stale,
+    }
+}
+
+/// Copies the numbers of a step of the law into the record of its cycle.
+pub fn record_step(step: &Step, record: &mut CycleRecord) {
+    record.status = match step.status {
+        Status::Converged => SolverStatus::Converged,
+        Status::IterationLimit => SolverStatus::IterationLimit,
+        Status::Stalled => SolverStatus::Stalled,
+        Status::Infeasible => SolverStatus::Infeasible,
+        Status::NumericalFailure => SolverStatus::NumericalFailure,
+    }
+    .code();
+    record.recalled = match step {
+        _ if step.detour => RecallCode::Detour,
+        _ if step.recalled => RecallCode::Followed,
+        _ if step.recall_refused => RecallCode::Refused,
+        _ => RecallCode::Unasked,
+    }
+    .code();
+    record.iterations = step.iterations;
+    record.qp_iterations = step.qp_iterations;
+    record.cost = step.cost;
+    record.violation_px = step.violation_px;
+    record.clearance_px = step.clearance_px;
+    record.error_px = step.error_px;
+    if let Some(way_point) = &step.way_point {
+        record.way_point_count = way_point.len() as u32;
+        let pairs = record.way_point.chunks_exact_mut(2);
+        pairs
+            .zip(way_point)
+            .for_each(|(to, from)| to.copy_from_slice(from));
+    }
+}
+
+/// Whether the law ran in the cycle of a record, and if so, whether its solver failed.
+pub fn solver_failed(record: &CycleRecord) -> Option<bool> {
+    match SolverStatus::from_code(record.status) {
+        None | Some(SolverStatus::Idle) => None,
+        Some(status) => Some(status == SolverStatus::NumericalFailure),
+    }
+}
+
+/// Whether the memory was asked in the cycle of a record, and if so, whether its answer was out of
+/// range.
+pub fn recall_refused(record: &CycleRecord) -> Option<bool> {
+    match RecallCode::from_code(record.recalled) {
+        None | Some(RecallCode::Unasked) => None,
+        Some(code) => Some(code == RecallCode::Refused),
+    }
+}

@@ -1,0 +1,54 @@
+//! What a cycle receives.
+
+use ipc::{Features, InputCode, ReceiveError, Received, RobotState, Stamp};
+
+/// What came from one port.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Input<T> {
+    /// A message. Where it stands in the sequence follows from its stamp and the one before.
+    Message(T),
+    /// Nothing.
+    Nothing,
+    /// A message with this head that did not pass its checks.
+    Refused(Stamp),
+    /// The connection failed.
+    Failed,
+}
+
+/// All that a cycle learns before it decides, except the requests of operators.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Inputs {
+    /// The instant for which the cycle decides, CLOCK_MONOTONIC, ns.
+    pub now_ns: u64,
+    /// From the camera.
+    pub features: Input<Features>,
+    /// From the robot.
+    pub robot: Input<RobotState>,
+    /// Releases missed just before this cycle.
+    pub missed: u32,
+    /// Whether the daemon is to stop.
+    pub shutdown: bool,
+}
+
+impl<T: ipc::Message> Input<T> {
+    /// How a cycle's record says it: a code, and the head of the message.
+    pub fn wire(&self) -> (InputCode, Stamp) {
+        match self {
+            Self::Nothing => (InputCode::Nothing, Stamp::default()),
+            Self::Message(message) => (InputCode::Message, *message.stamp()),
+            Self::Refused(stamp) => (InputCode::Refused, *stamp),
+            Self::Failed => (InputCode::Failed, Stamp::default()),
+        }
+    }
+}
+
+impl<T> From<Result<Option<Received<T>>, ReceiveError>> for Input<T> {
+    fn from(received: Result<Option<Received<T>>, ReceiveError>) -> Self {
+        match received {
+            Ok(Some(received)) => Self::Message(received.message),
+            Ok(None) => Self::Nothing,
+            Err(ReceiveError::Invalid { stamp, .. }) => Self::Refused(stamp),
+            Err(ReceiveError::Transport { .. }) => Self::Failed,
+        }
+    }
+}

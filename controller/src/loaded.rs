@@ -1,0 +1,173 @@
+//! The control law with its files: scene, settings and memory of motion, loaded at start-up.
+
+use std::path::Path;
+
+use memory_blob::{MemoryFile, OpenError};
+use scene::{FileError, Scene};
+use vpc::{MotionMemory, Settings, SettingsError, Strategy};
+
+use crate::exit::Exit;
+use crate::scene_files::SceneFiles;
+
+/// Stack for setting up: the controller (some 600 KB) passes through several frames on its way to
+/// the heap.
+const SETUP_STACK: usize = 16 << 20;
+
+/// Why the control law could not be loaded.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum LoadError {
+    #[error(transparent)]
+    Scene(#[from] FileError),
+    /// Scene and settings do not give a task.
+    #[error("{path}: {source}")]
+    Task { path: String, source: SettingsError },
+    #[error("no thread to set up the controller: {0}")]
+    Thread(std::io::Error),
+    #[error(transparent)]
+    Memory(#[from] OpenError),
+    /// The memory has no samples or no regression.
+    #[error(
+        "{path}: no {lacking} in this memory; allowed: a memory with one for the strategy {strategy}"
+    )]
+    Lacking {
+        path: String,
+        lacking: &'static str,
+        strategy: Strategy,
+    },
+}
+
+impl LoadError {
+    /// The exit code that it asks for.
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Scene(FileError::Read { .. }) | Self::Memory(OpenError::Read { .. }) => {
+                Exit::NoInput
+            }
+            Self::Thread(_) => Exit::Software,
+            _ => Exit::Data,
+        }
+    }
+}
+
+/// The loaded controller.
+pub struct LoadedController {
+    /// Large: it stays where it is.
+    pub controller: Box<vpc::Controller>,
+    memory: Option<MemoryFile>,
+    files: SceneFiles,
+}
+
+impl LoadedController {
+    /// Loads scene and memory, and sets up the controller. The memory is verified; one for another
+    /// task is refused.
+    ///
+    /// # Errors
+    /// [`LoadError`] names the file and what is wrong.
+    pub fn open(
+        scene: &Path,
+        memory: Option<&Path>,
+        settings: Settings,
+    ) -> Result<Self, LoadError> {
+        let files = SceneFiles::read(scene)?;
+        Self::of(files, &scene.display().to_string(), memory, settings)
+    }
+
+    /// As [`LoadedController::open`], for a scene that was read before; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`LoadedController::open`].
+    pub fn of(
+        files: SceneFiles,
+        path: &str,
+        memory: Option<&Path>,
+        settings: Settings,
+    ) -> Result<Self, LoadError> {
+        let controller = set_up(&files.scene, settings)
+            .map_err(LoadError::Thread)?
+            .map_err(|source| LoadError::Task {
+                path: path.to_owned(),
+                source,
+            })?;
+        let memory = memory
+            .map(|file| open_memory(file, &files.scene, settings.strategy))
+            .transpose()?;
+        Ok(Self {
+            controller,
+            memory,
+            files,
+        })
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.files.scene
+    }
+
+    /// The scene and its files.
+    pub fn scene_files(&self) -> &SceneFiles {
+        &self.files
+    }
+
+    /// The memory of motion.
+    pub fn memory(&self) -> Option<&MemoryFile> {
+        self.memory.as_ref()
+    }
+
+    /// One step of the law. Never allocates.
+    ///
+    /// # Errors
+    /// [`vpc::Refusal`] where the features cannot be trusted.
+    pub fn step(&mut self, measurement: &vpc::Measurement) -> Result<vpc::Step, vpc::Refusal> {
+        let view = self.memory.as_ref().map(MemoryFile::view);
+        let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
+        self.controller.step(measurement, memory)
+    }
+
+    /// Changes the strategy. Returns `false`, and changes nothing, if the memory lacks what it
+    /// needs.
+    pub fn set_strategy(&mut self, strategy: Strategy) -> bool {
+        let has = match &self.memory {
+            Some(memory) => lacking(memory, strategy).is_none(),
+            None => !strategy.needs_memory(),
+        };
+        has && self.controller.set_strategy(strategy).is_ok()
+    }
+}
+
+/// Sets up the controller in a thread with room for it, whatever stack the caller has.
+fn set_up(
+    scene: &Scene,
+    settings: Settings,
+) -> std::io::Result<Result<Box<vpc::Controller>, SettingsError>> {
+    std::thread::scope(|threads| {
+        std::thread::Builder::new()
+            .stack_size(SETUP_STACK)
+            .spawn_scoped(threads, || {
+                vpc::Controller::new(scene, settings).map(Box::new)
+            })?
+            .join()
+            .map_err(|_| std::io::Error::other("it panicked"))
+    })
+}
+
+fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryFile, LoadError> {
+    let memory = MemoryFile::open(file, Some(scene.fingerprint().bytes()))?;
+    match lacking(&memory, strategy) {
+        Some(lacking) => Err(LoadError::Lacking {
+            path: file.display().to_string(),
+            lacking,
+            strategy,
+        }),
+        None => Ok(memory),
+    }
+}
+
+/// What a memory lacks for a strategy.
+fn lacking(memory: &MemoryFile, strategy: Strategy) -> Option<&'static str> {
+    let view = memory.view();
+    match strategy {
+        Strategy::Gpr if view.gpr().is_none() => Some("regression"),
+        _ => None,
+    }
+}

@@ -1,0 +1,176 @@
+//! The state of the control step as it is published and recorded: `postcard` bytes in a
+//! [`Snapshot`].
+
+use ipc::Snapshot;
+
+use crate::control::State;
+
+/// Changes with the fields of [`State`], so that a state of another build is refused by its number.
+pub const VERSION: u32 = 1;
+
+/// Cycles from one snapshot to the next, unless something is lost between.
+pub const EVERY: u64 = 32;
+
+/// Why a snapshot cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("snapshot before cycle {cycle}: {reason}")]
+pub struct SnapshotError {
+    /// The cycle that follows it.
+    pub cycle: u64,
+    /// What is wrong.
+    pub reason: String,
+}
+
+/// Encodes the state before a cycle. Allocates nothing, but takes microseconds: for an ordinary
+/// thread.
+///
+/// # Errors
+/// Where the state has no room in a message, which a test excludes.
+pub fn encode(cycle: u64, state: &State) -> Result<Snapshot, SnapshotError> {
+    let mut bytes = [0; Snapshot::MAX_LENGTH];
+    let refuse = |reason| SnapshotError { cycle, reason };
+    let used = postcard::to_slice(state, &mut bytes).map_err(|error| refuse(error.to_string()))?;
+    Snapshot::new(cycle, VERSION, used).ok_or_else(|| refuse("too long".to_owned()))
+}
+
+/// Decodes what [`encode`] made.
+///
+/// # Errors
+/// [`SnapshotError`] where it is of another version, or damaged.
+pub fn decode(snapshot: &Snapshot) -> Result<State, SnapshotError> {
+    let refuse = |reason| SnapshotError {
+        cycle: snapshot.cycle,
+        reason,
+    };
+    if snapshot.version != VERSION {
+        return Err(refuse(format!(
+            "version = {}; allowed: {VERSION}, that of this vpcd",
+            snapshot.version
+        )));
+    }
+    match postcard::take_from_bytes(snapshot.bytes()) {
+        Ok((state, [])) => Ok(state),
+        Ok((_, rest)) => Err(refuse(format!("{} bytes too many", rest.len()))),
+        Err(error) => Err(refuse(format!("damaged: {error}"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ipc::{Features, Stamp, TwistState};
+
+    use super::*;
+    use crate::control::Answer;
+    use crate::decision::{Decision, HoldReason};
+    use crate::gate::Gate;
+    use crate::input::Input;
+    use crate::robot::RobotWatch;
+    use crate::supervisor::{Rules, Situation, Supervisor};
+
+    const STAMP: Stamp = Stamp {
+        sequence: u64::MAX,
+        published_ns: u64::MAX,
+        data_ns: u64::MAX,
+    };
+
+    /// A state with the numbers that take most room, and those that are lost most easily.
+    fn extreme() -> State {
+        let decision = Decision {
+            twist: [
+                f64::NAN,
+                -0.0,
+                f64::INFINITY,
+                f64::MIN_POSITIVE / 4.0,
+                f64::MAX,
+                -f64::NAN,
+            ],
+            state: TwistState::Disarmed,
+            hold: Some(HoldReason::Recall),
+        };
+        let rules = Rules {
+            limits: [f64::MAX; 6],
+            brake_ns: u64::MAX,
+            lost_ns: Some(u64::MAX),
+            armed: true,
+        };
+        let mut gate = Gate::new(Some(u64::MAX));
+        let mut message = Features::new(&[[1.0; 2]; 4], 0);
+        message.stamp = STAMP;
+        gate.judge(&Input::Message(message), u64::MAX);
+        gate.approve();
+        let mut supervisor = Supervisor::new(rules);
+        supervisor.supervise(
+            &Situation {
+                decision,
+                good_ns: Some(u64::MAX),
+                solver_failed: Some(true),
+                recall_refused: Some(true),
+                missed: u32::MAX,
+                robot: Some(HoldReason::RobotLost),
+                shutdown: true,
+            },
+            u64::MAX,
+        );
+        let mut robot = RobotWatch::new(Some(u64::MAX));
+        let mut state = ipc::RobotState::free_camera([0.0; 3], [0.0; 3], 0);
+        state.stamp = STAMP;
+        robot.look(&Input::Message(state), u64::MAX);
+        let mut law = vpc::State::new(vpc::Strategy::Knn { k: usize::MAX });
+        law.history.from_ns.fill(u64::MAX);
+        law.history.twists.fill(decision.twist);
+        (law.history.count, law.predicted.count, law.seen.count) = (u32::MAX, u32::MAX, u32::MAX);
+        law.seen_ns = u64::MAX;
+        law.previous.fill(f64::NAN);
+        law.predicted.points.fill([f64::NEG_INFINITY, -0.0]);
+        law.detour.tries = u32::MAX;
+        (law.detour.cycles, law.detour.left, law.detour.following) = (u32::MAX, u32::MAX, u32::MAX);
+        State {
+            gate,
+            robot,
+            law,
+            supervisor,
+            standing: Answer {
+                stamp: STAMP,
+                decision,
+            },
+        }
+    }
+
+    #[test]
+    fn extreme_states_fit_and_come_back_bit_for_bit() {
+        let state = extreme();
+        let snapshot = encode(7, &state).unwrap();
+        // Room for a state twice as large.
+        assert!(
+            2 * snapshot.length as usize <= Snapshot::MAX_LENGTH,
+            "{}",
+            snapshot.length
+        );
+        let back = decode(&snapshot).unwrap();
+        assert!(back.standing.decision.twist[0].is_nan());
+        assert_eq!(encode(7, &back).unwrap().bytes(), snapshot.bytes());
+        let bits = |state: &State| state.standing.decision.twist.map(f64::to_bits);
+        assert_eq!(bits(&back), bits(&state));
+        // What is not NaN compares by value as well.
+        assert_eq!((back.gate, back.robot), (state.gate, state.robot));
+    }
+
+    #[test]
+    fn other_versions_and_damaged_snapshots_are_refused() {
+        let good = encode(7, &extreme()).unwrap();
+        let refused = |change: &dyn Fn(&mut Snapshot)| {
+            let mut snapshot = good;
+            change(&mut snapshot);
+            decode(&snapshot).unwrap_err().to_string()
+        };
+        let message = refused(&|snapshot| snapshot.version = 99);
+        assert!(
+            message.contains("before cycle 7: version = 99; allowed: 1"),
+            "{message}"
+        );
+        let message = refused(&|snapshot| snapshot.length -= 1);
+        assert!(message.contains("damaged"), "{message}");
+        let message = refused(&|snapshot| snapshot.length += 1);
+        assert!(message.contains("1 bytes too many"), "{message}");
+    }
+}

@@ -1,0 +1,260 @@
+//! What the records of a run amount to.
+
+use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RecallCode, TwistState};
+use tracing::{info, warn};
+
+use crate::histogram::Histogram;
+use crate::report::Report;
+
+/// Stages of a cycle of which the times are told.
+const STAGES: [&str; 5] = ["wake", "receive", "step", "send", "busy"];
+
+/// Counts records; tells the log when something changes.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    cycles: u64,
+    held: u64,
+    overruns: u64,
+    lost: u64,
+    armed: u64,
+    recalled: u64,
+    /// Of each of the [`STAGES`].
+    times: [Histogram; 5],
+    minor_faults: u64,
+    major_faults: u64,
+    blocked: u64,
+    allocations: u64,
+    realtime: RealTime,
+    phase: u32,
+    state: u32,
+    hold: u32,
+    error_px: f64,
+}
+
+impl Summary {
+    /// Adds the next record.
+    pub fn add(&mut self, record: &CycleRecord) {
+        self.cycles += 1;
+        self.held += u64::from(record.hold != Hold::None.code());
+        let (receive, step, send) = (record.receive_ns, record.step_ns, record.send_ns);
+        let times = [
+            record.wake_latency_ns,
+            receive,
+            step,
+            send,
+            receive + step + send,
+        ];
+        for (histogram, ns) in self.times.iter_mut().zip(times) {
+            histogram.add(ns);
+        }
+        self.recalled += u64::from(record.recalled == RecallCode::Followed.code());
+        self.realtime = RealTime(record.realtime);
+        self.count_costs(record);
+        self.tell_changes(record);
+        self.phase = record.phase;
+        (self.state, self.hold) = (record.state, record.hold);
+        self.error_px = record.error_px;
+        (self.overruns, self.lost) = (record.overruns, record.lost_records);
+    }
+
+    /// Cycles that steer are to cost nothing but time, once all peers are met.
+    fn count_costs(&mut self, record: &CycleRecord) {
+        if record.hold != Hold::None.code() {
+            return;
+        }
+        self.armed += 1;
+        if self.armed > Report::WARM_UP {
+            self.minor_faults += u64::from(record.minor_faults);
+            self.major_faults += u64::from(record.major_faults);
+            self.blocked += u64::from(record.blocked);
+            self.allocations += u64::from(record.allocations);
+        }
+    }
+
+    fn tell_changes(&self, record: &CycleRecord) {
+        let cycle = record.cycle;
+        if let Some(phase) = PhaseCode::from_code(record.phase)
+            && record.phase != self.phase
+        {
+            let error_us = record.phase_error_ns as f64 / 1e3;
+            info!(cycle, %phase, error_us, "phase of the grid: {phase}");
+        }
+        if record.state != self.state || record.hold != self.hold {
+            match (
+                TwistState::from_code(record.state),
+                Hold::from_code(record.hold),
+            ) {
+                (Some(state), Some(cause)) if cause != Hold::None => {
+                    let features = record.features_sequence;
+                    warn!(cycle, features, %cause, "{state}: {cause}");
+                }
+                (Some(state), _) => {
+                    let error_px = record.error_px;
+                    info!(cycle, %state, error_px, "now {state}");
+                }
+                (None, _) => (),
+            }
+        }
+        if record.overruns > self.overruns {
+            let missed = record.overruns - self.overruns;
+            let (receive_ns, step_ns, send_ns) =
+                (record.receive_ns, record.step_ns, record.send_ns);
+            let wake_ns = record.wake_latency_ns;
+            warn!(
+                cycle,
+                missed, wake_ns, receive_ns, step_ns, send_ns, "overrun: {missed} releases missed"
+            );
+        }
+        if record.lost_records > self.lost {
+            let lost = record.lost_records - self.lost;
+            warn!(
+                cycle,
+                lost, "{lost} records of telemetry lost: the recorder is slower than the loop"
+            );
+        }
+    }
+
+    /// Cycles counted.
+    pub fn cycles(&self) -> u64 {
+        self.cycles
+    }
+
+    /// State and counters in one line, for the service manager.
+    pub fn status(&self) -> String {
+        let state = match (
+            TwistState::from_code(self.state),
+            Hold::from_code(self.hold),
+        ) {
+            _ if self.cycles == 0 => "starting".to_owned(),
+            (Some(state), Some(cause)) if cause != Hold::None => format!("{state}: {cause}"),
+            (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
+            (None, _) => "unknown".to_owned(),
+        };
+        let degraded = match self.realtime.is_degraded() {
+            true => format!("; NOT REAL TIME: {}", lacks(self.realtime)),
+            false => String::new(),
+        };
+        let phase = match PhaseCode::from_code(self.phase) {
+            Some(PhaseCode::Free) | None => String::new(),
+            Some(phase) => format!(", phase {phase}"),
+        };
+        format!(
+            "{state}{phase}{degraded}; {} cycles, {} held, {} overruns, {} records lost",
+            self.cycles, self.held, self.overruns, self.lost
+        )
+    }
+
+    /// The run in numbers, without what only the loop's thread knows.
+    pub fn report(&self) -> Report {
+        let [wake_ns, receive_ns, step_ns, send_ns, busy_ns] =
+            self.times.each_ref().map(Histogram::percentiles);
+        Report {
+            cycles: self.cycles,
+            armed: self.armed,
+            recalled: self.recalled,
+            overruns: self.overruns,
+            lost_records: self.lost,
+            wake_ns,
+            receive_ns,
+            step_ns,
+            send_ns,
+            busy_ns,
+            minor_faults: self.minor_faults,
+            major_faults: self.major_faults,
+            blocked: self.blocked,
+            allocations: self.allocations,
+            realtime: self.realtime.0,
+            ..Report::default()
+        }
+    }
+
+    /// Writes the end of a run to the log.
+    pub fn tell(&self) {
+        for (stage, histogram) in STAGES.iter().zip(&self.times) {
+            let us = |ns: u64| ns as f64 / 1e3;
+            let found = histogram.percentiles();
+            let (p50_us, p99_us) = (us(found.p50), us(found.p99));
+            let (p999_us, max_us) = (us(found.p999), us(found.max));
+            info!(stage, p50_us, p99_us, p999_us, max_us, "time of {stage}");
+        }
+        info!(
+            cycles = self.cycles,
+            held = self.held,
+            overruns = self.overruns,
+            lost_records = self.lost,
+            minor_faults = self.minor_faults,
+            major_faults = self.major_faults,
+            blocked = self.blocked,
+            allocations = self.allocations,
+            "stopped"
+        );
+    }
+}
+
+/// What real time lacks, in words.
+fn lacks(realtime: RealTime) -> String {
+    [
+        (RealTime::NO_FIFO, "no SCHED_FIFO"),
+        (RealTime::NO_CPU, "not on its processor"),
+        (RealTime::NO_LOCK, "memory not locked"),
+    ]
+    .into_iter()
+    .filter(|(bit, _)| realtime.has(*bit))
+    .map(|(_, words)| words)
+    .collect::<Vec<_>>()
+    .join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(cycle: u64) -> CycleRecord {
+        CycleRecord {
+            cycle,
+            ..CycleRecord::default()
+        }
+    }
+
+    #[test]
+    fn the_status_says_what_real_time_lacks_as_long_as_it_lacks_it() {
+        let mut summary = Summary::default();
+        summary.add(&record(1));
+        assert!(!summary.status().contains("REAL TIME"));
+        let bits = RealTime::ASKED
+            .with(RealTime::NO_FIFO)
+            .with(RealTime::NO_LOCK);
+        for cycle in 2..4 {
+            let realtime = bits.0;
+            summary.add(&CycleRecord {
+                realtime,
+                ..record(cycle)
+            });
+            let status = summary.status();
+            let words = "; NOT REAL TIME: no SCHED_FIFO, memory not locked; ";
+            assert!(status.contains(words), "{status}");
+        }
+    }
+
+    #[test]
+    fn costs_count_in_cycles_that_steer_and_not_while_peers_are_met() {
+        let mut summary = Summary::default();
+        for cycle in 1..=2 * Report::WARM_UP {
+            let mut record = record(cycle);
+            record.hold = match cycle % 2 {
+                0 => Hold::None.code(),
+                _ => Hold::NoFeatures.code(),
+            };
+            (record.minor_faults, record.allocations) = (1, 1);
+            summary.add(&record);
+        }
+        assert_eq!(summary.report().minor_faults, 0);
+        let mut last = record(1000);
+        (last.minor_faults, last.blocked, last.allocations) = (3, 2, 1);
+        summary.add(&last);
+        let report = summary.report();
+        let found = (report.minor_faults, report.blocked, report.allocations);
+        assert_eq!(found, (3, 2, 1));
+        assert_eq!(report.armed, Report::WARM_UP + 1);
+    }
+}
