@@ -131,7 +131,7 @@ impl Summary {
             (None, _) => "unknown".to_owned(),
         };
         let degraded = match self.realtime.is_degraded() {
-            true => format!("; NOT REAL TIME: {}", lacks(self.realtime)),
+            true => format!("; NOT REAL TIME: {}", self.realtime.lacks().join(", ")),
             false => String::new(),
         };
         let phase = match PhaseCode::from_code(self.phase) {
@@ -189,20 +189,6 @@ impl Summary {
             "stopped"
         );
     }
-}
-
-/// What real time lacks, in words.
-fn lacks(realtime: RealTime) -> String {
-    [
-        (RealTime::NO_FIFO, "no SCHED_FIFO"),
-        (RealTime::NO_CPU, "not on its processor"),
-        (RealTime::NO_LOCK, "memory not locked"),
-    ]
-    .into_iter()
-    .filter(|(bit, _)| realtime.has(*bit))
-    .map(|(_, words)| words)
-    .collect::<Vec<_>>()
-    .join(", ")
 }
 
 #[cfg(test)]

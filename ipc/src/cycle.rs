@@ -65,13 +65,19 @@ bits! {
         /// It was asked for, but the thread has no SCHED_FIFO.
         NO_FIFO = 2 => "no SCHED_FIFO",
         /// It was asked for, but the thread is not on its processor.
-        NO_CPU = 4 => "no processor",
+        NO_CPU = 4 => "not on its processor",
         /// It was asked for, but memory is not locked.
-        NO_LOCK = 8 => "no locked memory",
+        NO_LOCK = 8 => "memory not locked",
     }
 }
 
 impl RealTime {
+    /// What was asked for and is missing, in words.
+    pub fn lacks(self) -> Vec<&'static str> {
+        let missing = self.names().filter(|name| name.number != Self::ASKED.0);
+        missing.map(|name| name.text).collect()
+    }
+
     /// Whether something that was asked for is missing.
     pub const fn is_degraded(self) -> bool {
         self.0 & !Self::ASKED.0 != 0

@@ -1,6 +1,6 @@
 //! What both kinds of table are told on the command line.
 
-use clap::{Args, FromArgMatches, ValueEnum};
+use clap::{Args, FromArgMatches};
 use hw_sim::eye::Sight;
 use vpc::{Model, Settings};
 
@@ -39,20 +39,19 @@ pub struct Common {
     /// Seed of noise and losses; each start adds its index.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// How the law predicts features.
-    #[arg(long, value_enum, default_value = "pose")]
-    pub model: Prediction,
+    /// How the law predicts features: pose, area-depth, target-depth.
+    #[arg(long, value_parser = model, default_value = "pose")]
+    pub model: Model,
 }
 
-/// The law's models by their words in configuration files.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Prediction {
-    /// The pose of the known pattern.
-    Pose,
-    /// One depth, from the area that the features span.
-    AreaDepth,
-    /// The depths at the goal.
-    TargetDepth,
+/// A model by its word in configuration files.
+fn model(word: &str) -> Result<Model, &'static str> {
+    match word {
+        "pose" => Ok(Model::Pose),
+        "area-depth" => Ok(Model::AreaDepth),
+        "target-depth" => Ok(Model::TargetDepth),
+        _ => Err("allowed: pose, area-depth, target-depth"),
+    }
 }
 
 impl Common {
@@ -61,11 +60,7 @@ impl Common {
         Settings {
             detour: !self.no_detour,
             delay_compensation: !self.no_compensation,
-            model: match self.model {
-                Prediction::Pose => Model::Pose,
-                Prediction::AreaDepth => Model::AreaDepth,
-                Prediction::TargetDepth => Model::TargetDepth,
-            },
+            model: self.model,
             ..spec.settings()
         }
     }

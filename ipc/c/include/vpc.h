@@ -482,8 +482,8 @@ typedef struct {
 } vpc_reply;
 
 
-// Result of every function that can fail: 0 done, above 0 no answer but no error either, below 0 an error.
-// vpc_message() explains it.
+// Result of every function that can fail: 0 done, above 0 no answer but no error either, below 0
+// an error. vpc_message() explains it.
 enum vpc_status
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -501,7 +501,8 @@ enum vpc_status
     VPC_STATUS_ARGUMENT = -1,
     // The domain cannot be joined.
     VPC_STATUS_DOMAIN = -2,
-    // Another camera is at work in this domain, or as many operators or observers as the service allows.
+    // Another camera is at work in this domain, or as many operators or observers as the service
+    // allows.
     VPC_STATUS_TAKEN = -3,
     // A port cannot be opened.
     VPC_STATUS_OPEN = -4,
@@ -555,14 +556,13 @@ typedef struct {
 extern "C" {
 #endif // __cplusplus
 
-// The last error of this thread in words; empty if there was none. Valid until the next call of this library in this
-// thread.
+// The last error of this thread in words; empty if there was none. Valid until the next call of
+// this library in this thread.
 const char *vpc_message(void);
 
-// Joins the domain in `directory`, which is created if it is missing; NULL: /tmp/vpc-UID. The handle and everything
-// opened with it stay in this thread.
-vpc_status vpc_domain_join(const char *directory,
-                           vpc_domain **out);
+// Joins the domain in `directory`, which is created if it is missing; NULL: /tmp/vpc-UID. The
+// handle and everything opened with it stay in this thread.
+vpc_status vpc_domain_join(const char *directory, vpc_domain **out);
 
 // Leaves the domain once the last port opened with it is closed. NULL does nothing.
 vpc_status vpc_domain_leave(vpc_domain *domain);
@@ -579,31 +579,29 @@ vpc_status vpc_camera_close(vpc_camera *camera);
 // Fills in features: `count` points u1 v1 u2 v2 ... in px, 1 to 8, all visible, no times.
 vpc_status vpc_features_of(const double *points, uint32_t count, vpc_features *out);
 
-// Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present time and
-// `stamp.data_ns` 0 becomes `published_ns`; other values are kept (simulated time in lockstep, the exposure of a real
-// camera). `sent` may be NULL.
-vpc_status vpc_camera_publish(vpc_camera *camera,
-                              const vpc_features *features,
-                              vpc_sent *sent);
+// Publishes features under the next sequence number. `stamp.published_ns` 0 becomes the present
+// time and `stamp.data_ns` 0 becomes `published_ns`; other values are kept (simulated time in
+// lockstep, the exposure of a real camera). `sent` may be NULL.
+vpc_status vpc_camera_publish(vpc_camera *camera, const vpc_features *features, vpc_sent *sent);
 
-// Counts from 1 again: the next features begin a new run, for which the controller forgets everything.
+// Counts from 1 again: the next features begin a new run, for which the controller forgets
+// everything.
 vpc_status vpc_camera_restart(vpc_camera *camera);
 
-// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`; VPC_STATUS_TIMEOUT if none
-// comes. A controller that starts meanwhile gets them.
+// Lockstep: waits for the answer to features that were `sent`, at most `patience_ns`;
+// VPC_STATUS_TIMEOUT if none comes. A controller that starts meanwhile gets them.
 vpc_status vpc_camera_wait(vpc_camera *camera,
                            const vpc_sent *sent,
                            uint64_t patience_ns,
                            vpc_twist_command *out);
 
-// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed until its
-// `valid_until_ns`, never longer: stop then.
-vpc_status vpc_camera_twist(vpc_camera *camera,
-                            vpc_twist_command *out);
+// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed
+// until its `valid_until_ns`, never longer: stop then.
+vpc_status vpc_camera_twist(vpc_camera *camera, vpc_twist_command *out);
 
-// Publishes the robot's state; sequence and time of publication are filled in, the rest is as given.
-vpc_status vpc_camera_publish_robot(vpc_camera *camera,
-                                    const vpc_robot_state *state);
+// Publishes the robot's state; sequence and time of publication are filled in, the rest is as
+// given.
+vpc_status vpc_camera_publish_robot(vpc_camera *camera, const vpc_robot_state *state);
 
 // Opens an observer's ports. VPC_STATUS_TAKEN if a service has all the subscribers that it allows.
 vpc_status vpc_observer_open(vpc_domain *domain, vpc_observer **out);
@@ -611,8 +609,8 @@ vpc_status vpc_observer_open(vpc_domain *domain, vpc_observer **out);
 // Closes an observer's ports. NULL does nothing.
 vpc_status vpc_observer_close(vpc_observer *observer);
 
-// What the camera saw; VPC_STATUS_NOTHING if no message is waiting. `take` is a vpc_take. `missed` (may be NULL) gets
-// the number of messages that were lost or dropped since the one before.
+// What the camera saw; VPC_STATUS_NOTHING if no message is waiting. `take` is a vpc_take. `missed`
+// (may be NULL) gets the number of messages that were lost or dropped since the one before.
 vpc_status vpc_observer_features(vpc_observer *observer,
                                  uint32_t take,
                                  vpc_features *out,
@@ -636,16 +634,16 @@ vpc_status vpc_observer_cycle(vpc_observer *observer,
                               vpc_cycle_record *out,
                               uint64_t *missed);
 
-// Opens an operator's ports. VPC_STATUS_TAKEN if as many operators are at work as the service allows: close it when it is no longer needed.
-vpc_status vpc_operator_open(vpc_domain *domain,
-                             vpc_operator **out);
+// Opens an operator's ports. VPC_STATUS_TAKEN if as many operators are at work as the service
+// allows: close it when it is no longer needed.
+vpc_status vpc_operator_open(vpc_domain *domain, vpc_operator **out);
 
 // Closes an operator's ports. NULL does nothing.
 vpc_status vpc_operator_close(vpc_operator *operator_);
 
 // Sends a request and waits for the answer, at most `patience_ns`. `action` is a vpc_action; for
-// VPC_ACTION_STRATEGY, `strategy` is a vpc_strategy and `neighbours` 1 to 64 with knn; otherwise both are 0. `out`
-// (may be NULL) gets the answer, also of VPC_STATUS_REFUSED.
+// VPC_ACTION_STRATEGY, `strategy` is a vpc_strategy and `neighbours` 1 to 64 with knn; otherwise
+// both are 0. `out` (may be NULL) gets the answer, also of VPC_STATUS_REFUSED.
 vpc_status vpc_operator_ask(vpc_operator *operator_,
                             uint32_t action,
                             uint32_t strategy,
@@ -653,9 +651,9 @@ vpc_status vpc_operator_ask(vpc_operator *operator_,
                             uint64_t patience_ns,
                             vpc_reply *out);
 
-// Lets the control law move the camera, from the next good features on; waits for the answer, at most a second.
-vpc_status vpc_arm(vpc_operator *operator_,
-                   vpc_reply *out);
+// Lets the control law move the camera, from the next good features on; waits for the answer, at
+// most a second.
+vpc_status vpc_arm(vpc_operator *operator_, vpc_reply *out);
 
 // Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.
 vpc_status vpc_disarm(vpc_operator *operator_, vpc_reply *out);
@@ -663,7 +661,8 @@ vpc_status vpc_disarm(vpc_operator *operator_, vpc_reply *out);
 // Zero at once, without braking, until the next vpc_arm; waits for the answer, at most a second.
 vpc_status vpc_stop(vpc_operator *operator_, vpc_reply *out);
 
-// The name of a vpc_state for people; "unknown" for other numbers. Always valid, as are those below.
+// The name of a vpc_state for people; "unknown" for other numbers. Always valid, as are those
+// below.
 const char *vpc_state_name(uint32_t code);
 
 // The name of a vpc_hold.

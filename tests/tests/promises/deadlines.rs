@@ -12,7 +12,7 @@
 //!
 //! 5,000 cycles at 250 Hz take 20 s, 300 at the real 30 Hz ten more. At full length, 18,000 of each, eleven minutes:
 //!
-//!     VPC_LONG=1 cargo test -p system-tests --test promises deadlines
+//!     VPC_LONG=1 cargo test --test promises deadlines
 //!
 //! `VPC_WITHOUT=realtime` runs the daemon as an ordinary thread, to see the test fail.
 

@@ -323,11 +323,7 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
 
 /// What is missing of the real time that was asked for; `None` where none was.
 pub fn lacks(realtime: RealTime) -> Option<Vec<&'static str>> {
-    let lacks = realtime
-        .names()
-        .filter(|name| name.number != RealTime::ASKED.0);
-    let lacks = lacks.map(|name| name.text).collect();
-    realtime.has(RealTime::ASKED).then_some(lacks)
+    realtime.has(RealTime::ASKED).then(|| realtime.lacks())
 }
 
 #[cfg(test)]
@@ -381,6 +377,6 @@ mod tests {
         assert_eq!(lacks(RealTime::default()), None);
         assert_eq!(lacks(RealTime::ASKED), Some(vec![]));
         let without = RealTime::ASKED.with(RealTime::NO_LOCK);
-        assert_eq!(lacks(without), Some(vec!["no locked memory"]));
+        assert_eq!(lacks(without), Some(vec!["memory not locked"]));
     }
 }
