@@ -1,5 +1,6 @@
-//! Configuration: a TOML file with flags over it, checked into a [`Config`] whose existence means that it is valid. Every
-//! key is declared in `tables.rs`, from which `CONFIGURATION.md` and `vpcd.schema.json` are made.
+//! Configuration: a TOML file with flags over it, checked into a [`Config`] whose existence means
+//! that it is valid. Every key is declared in `tables.rs`, from which `CONFIGURATION.md` and
+//! `vpcd.schema.json` are made.
 
 use std::path::{Path, PathBuf};
 
@@ -25,15 +26,15 @@ pub use toml_schema::FileError as ConfigError;
 pub struct Config {
     /// Scene file.
     pub scene: PathBuf,
-    /// Memory of motion: opened whenever one is named, so that an operator may change to a strategy that needs it;
-    /// always present where the strategy of the start needs one.
+    /// Memory of motion: opened whenever one is named, so that an operator may change to a strategy
+    /// that needs it; always present where the strategy of the start needs one.
     pub memory: Option<PathBuf>,
     /// Settings of the law, checked.
     pub settings: Settings,
     /// What starts a cycle.
     pub clock: ClockMode,
-    /// Periods for which the last command may stand without new features; the camera brakes so early that it never
-    /// stands longer.
+    /// Periods for which the last command may stand without new features; the camera brakes so
+    /// early that it never stands longer.
     pub stale_periods: f64,
     /// What the supervisor goes by.
     pub safety: Safety,
@@ -111,8 +112,8 @@ impl Config {
         Ok(source(arguments)?.1)
     }
 
-    /// Checks the text of a configuration with flags over it; `path` is for messages, and paths in the text are
-    /// relative to `directory`.
+    /// Checks the text of a configuration with flags over it; `path` is for messages, and paths in
+    /// the text are relative to `directory`.
     ///
     /// # Errors
     /// As [`Config::read`].
@@ -125,7 +126,8 @@ impl Config {
         Ok(laid_over(Document::parse(text, path)?, directory, arguments)?.1)
     }
 
-    /// Returns the whole configuration that file and flags come to, with all defaults, as TOML that is read as the same.
+    /// Returns the whole configuration that file and flags come to, with all defaults, as TOML that
+    /// is read as the same.
     ///
     /// # Errors
     /// As [`Config::read`]: only a valid configuration is printed.

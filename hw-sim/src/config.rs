@@ -1,4 +1,5 @@
-//! Configuration of the process: a file, then flags, then checks. A key and its flag are one declaration.
+//! Configuration of the process: a file, then flags, then checks. A key and its flag are one
+//! declaration.
 
 use std::path::{Path, PathBuf};
 
@@ -17,9 +18,9 @@ use crate::sensor::Flaws;
 
 /// Emulates the camera of a scene, and what carries it, behind shared memory.
 ///
-/// Publishes features, executes the twists that answer them, and judges the run. Prints its verdict as one JSON line.
-/// Exit codes: 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69 another camera is at work or nobody
-/// answers, 78 configuration.
+/// Publishes features, executes the twists that answer them, and judges the run. Prints its verdict
+/// as one JSON line. Exit codes: 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69
+/// another camera is at work or nobody answers, 78 configuration.
 #[derive(Parser, Debug)]
 #[command(name = "hw-sim", version, allow_negative_numbers = true)]
 pub struct Arguments {
@@ -32,7 +33,8 @@ pub struct Arguments {
     /// Run every start from that one on, one after another, each as a new run.
     #[arg(long, conflicts_with = "record")]
     pub all: bool,
-    /// Begin again after the last start, until stopped; between two runs the camera rests at the goal.
+    /// Begin again after the last start, until stopped; between two runs the camera rests at the
+    /// goal.
     #[arg(long = "loop", conflicts_with = "record")]
     pub repeat: bool,
     /// Show a line of progress.
@@ -43,7 +45,8 @@ pub struct Arguments {
     pub unshaped: bool,
 }
 
-/// Paths of scene and starts are relative to the file. Most keys have a flag, which wins over the file: `hw-sim --help`.
+/// Paths of scene and starts are relative to the file. Most keys have a flag, which wins over the
+/// file: `hw-sim --help`.
 #[derive(Args, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "hw-sim", extend("required" = ["scene", "starts"]))]

@@ -105,9 +105,9 @@ pub struct RobotFlags {
     /// The memory is asked once a feature is this close to an occlusion, px.
     #[arg(long, value_name = "PX", default_value_t = 30.0)]
     pub trigger: f64,
-    /// ... and until every feature is this many times further away.
+    /// ... and until every feature is this many times as far away.
     #[arg(long, value_name = "X", default_value_t = 2.0)]
-    pub release: f64,
+    pub hysteresis: f64,
     /// Extra clearance that the law keeps from every border, px; the paper has none.
     #[arg(long, value_name = "PX", default_value_t = 0.0)]
     pub margin: f64,

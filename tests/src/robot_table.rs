@@ -53,7 +53,7 @@ fn law(flags: &RobotFlags, base: Settings) -> Settings {
             tolerance: 1e-6,
         },
         trigger_px: flags.trigger,
-        hysteresis: flags.release,
+        hysteresis: flags.hysteresis,
         margin_px: flags.margin,
         ..base
     }

@@ -13,11 +13,13 @@ use vpc::Strategy;
 #[serde(deny_unknown_fields)]
 #[schemars(title = "vpcd")]
 pub struct Tables {
-    /// The scene file: camera, pattern, goal, limits, occlusions. The control period is that of its `camera.rate_hz`.
+    /// The scene file: camera, pattern, goal, limits, occlusions. The control period is that of its
+    /// `camera.rate_hz`.
     #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
     pub scene: PathBuf,
-    /// The memory of motion, made by `vpc-memory build` for exactly this scene. The strategies knn and gpr need one; it is
-    /// opened whenever it is named, so that an operator can change to them later. Flag: --memory.
+    /// The memory of motion, made by `vpc-memory build` for exactly this scene. The strategies knn
+    /// and gpr need one; it is opened whenever it is named, so that an operator can change to them
+    /// later. Flag: --memory.
     pub memory: Option<PathBuf>,
     #[serde(default)]
     pub law: Law,
@@ -39,9 +41,9 @@ pub struct Tables {
 #[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct Law {
-    /// Where warm start and target come from: the previous cycle (`previous`), the nearest sample of the memory (`knn`) or
-    /// the mean of several (`knn5`), or regression over the memory (`gpr`); `ibvs` is the classic law without prediction.
-    /// Flag: --strategy.
+    /// Where warm start and target come from: the previous cycle (`previous`), the nearest sample
+    /// of the memory (`knn`) or the mean of several (`knn5`), or regression over the memory
+    /// (`gpr`); `ibvs` is the classic law without prediction. Flag: --strategy.
     #[default = "previous"]
     #[schemars(extend("enum" = strategies(), "x-allowed" = "previous, knn, knn2 to knn64, gpr, ibvs"))]
     pub strategy: String,
@@ -79,7 +81,8 @@ pub struct Law {
     #[default = 0.5]
     #[schemars(range(min = 1e-6, max = 100), extend("x-unit" = "per s"))]
     pub lambda: f64,
-    /// Whether a stall beside an occlusion is left by a detour over a sample of the memory (knn, gpr).
+    /// Whether a stall beside an occlusion is left by a detour over a sample of the memory (knn,
+    /// gpr).
     #[default = true]
     pub detour: bool,
     /// Whether features are advanced from their exposure to now by the commands sent since.
@@ -157,8 +160,8 @@ pub struct Safety {
     #[default = 0.15]
     #[schemars(range(min = 0, max = 0.15), extend("x-unit" = "s"))]
     pub brake_s: f64,
-    /// Time without usable features, or without a message of the robot, after which the controller disarms; at least two
-    /// periods more than `cycle.stale_periods`; not in lockstep.
+    /// Time without usable features, or without a message of the robot, after which the controller
+    /// disarms; at least two periods more than `cycle.stale_periods`; not in lockstep.
     #[default = 0.3]
     #[schemars(range(min = 0.1, max = 10), extend("x-unit" = "s"))]
     pub lost_s: f64,
@@ -177,8 +180,8 @@ pub struct Ipc {
 #[derive(Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Realtime {
-    /// SCHED_FIFO priority of the loop, which also locks the memory; without it the loop is an ordinary thread. `vpcd
-    /// --preflight` tells what the machine lacks for it.
+    /// SCHED_FIFO priority of the loop, which also locks the memory; without it the loop is an
+    /// ordinary thread. `vpcd --preflight` tells what the machine lacks for it.
     #[schemars(range(min = 1, max = 99))]
     pub priority: Option<i32>,
     /// Processor that the loop's thread stays on, if on one; needs `realtime.priority`.
@@ -200,7 +203,8 @@ pub struct Log {
     pub format: String,
 }
 
-/// The flight record: the last minutes of the loop, kept in memory and written on a fault or on request.
+/// The flight record: the last minutes of the loop, kept in memory and written on a fault or on
+/// request.
 #[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct Flight {

@@ -56,10 +56,12 @@ pub struct Truth {
     /// The true camera sits this far from where the calibration has it, along the camera's axes.
     #[schemars(inner(range(min = -0.2, max = 0.2)), extend("x-unit" = "m"))]
     pub hand_eye_m: [f64; 3],
-    /// The true camera is turned by this rotation vector from where the calibration has it, about the camera's axes.
+    /// The true camera is turned by this rotation vector from where the calibration has it, about
+    /// the camera's axes.
     #[schemars(inner(range(min = -30, max = 30)), extend("x-unit" = "deg"))]
     pub hand_eye_deg: [f64; 3],
-    /// Pattern and distances are larger by this share: an error of depth alone, the images at the start are the same.
+    /// Pattern and distances are larger by this share: an error of depth alone, the images at the
+    /// start are the same.
     #[schemars(range(min = -0.5, max = 1))]
     pub depth: f64,
 }

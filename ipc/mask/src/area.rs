@@ -1,7 +1,7 @@
 //! From the pixels of a mask to its areas and their fields.
 //!
-//! This needs the heap, which the control law does not have. Law and builder use the fields; the emulator's referee
-//! measures from the pixels by itself, so that a mistake here cannot hide.
+//! This needs the heap, which the control law does not have. Law and builder use the fields; the
+//! emulator's referee measures from the pixels by itself, so that a mistake here cannot hide.
 
 use crate::cover::cover;
 use crate::distance::Shape;
@@ -9,20 +9,21 @@ use crate::patch::Patch;
 use crate::picture::MaskError;
 use crate::{Area, Field, MAX_AREAS, Mask};
 
-/// Both coordinates of the upper left corner of the first pixel, px: its centre is at 0. Here and in the modules beside it
-/// lengths count from that corner, where pixels begin at whole numbers.
+/// Both coordinates of the upper left corner of the first pixel, px: its centre is at 0. In this
+/// module and its siblings coordinates count from that corner, so that pixels begin at whole
+/// numbers.
 const CORNER: f64 = -0.5;
 /// Steps of the grid along the longer side of the image.
 const STEPS: f64 = 400.0;
-/// Least distance between nodes, px: below it nodes only repeat the staircase of the pixels.
+/// Least distance between nodes, px: closer nodes only repeat the staircase of the pixels.
 const FINEST_PX: f64 = 2.0;
-/// Most areas that one connected set is parted into.
+/// Most areas that one connected set is split into.
 const MOST_PIECES: usize = 12;
 /// Nodes beyond the image on each side.
 const BEYOND: usize = 2;
-/// Where the spline is held below the distance: this many steps to both sides of the border.
+/// The spline is held below the distance within this many steps of the border.
 const BAND: f64 = 4.0;
-/// Places along each side of a node's cell at which it is.
+/// Places along each side of a node's cell at which the spline is compared.
 const PLACES: usize = 4;
 
 impl Mask {
@@ -57,7 +58,7 @@ impl Mask {
     }
 }
 
-/// A piece as the law sees it.
+/// Computes the area of a piece: its field and bounding box.
 fn area(piece: &Patch) -> Area {
     let image = piece.image().map(|side| side as f64);
     let step = (image[0].max(image[1]) / STEPS).max(FINEST_PX);
@@ -69,7 +70,8 @@ fn area(piece: &Patch) -> Area {
         .map(|n| shape.distance(at((n % columns) as f64, (n / columns) as f64)))
         .collect();
 
-    // How far the spline of the distances themselves is above the distance, at most, in each node's cell.
+    // How far the spline of the distances themselves is above the distance, at most, in each node's
+    // cell.
     let mut above = vec![0.0f64; exact.len()];
     for j in 1..rows - 1 {
         for i in 1..columns - 1 {
@@ -93,7 +95,8 @@ fn area(piece: &Patch) -> Area {
             }
         }
     }
-    // A node that gives way by the most of all cells that it reaches brings the spline below in each of them.
+    // Each node is lowered by the most that any cell it reaches needs, which brings the spline
+    // below in all of them.
     let values: Vec<f32> = (0..exact.len())
         .map(|n| {
             let (i, j) = (n % columns, n / columns);

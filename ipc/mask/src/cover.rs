@@ -1,27 +1,31 @@
-//! Pieces without sharp corners inwards, which together cover a connected set of pixels.
+//! Pieces without sharp concave corners that together cover a connected set of pixels.
 //!
-//! The law sees one border of a piece at a time, the nearest. In an L, a point that stands in the inner corner would see
-//! one arm and plan through the other; so an L is covered by its two arms, which overlap in the corner, as one would
-//! do with shapes. Round hollows need no pieces: their border turns as the point moves along.
+//! The law sees one border of a piece at a time, the nearest. In an L, a point that stands in the
+//! inner corner would see one arm and plan through the other; so an L is covered by its two arms,
+//! which overlap in the corner. Round hollows need no pieces: their border turns as the point moves
+//! along.
 
 use crate::distance::Shape;
 use crate::patch::Patch;
 
-/// A corner inwards is sharp where a disc of this radius (share of the image's longer side) cannot touch it ...
+/// Radius of the disc that decides whether a concave corner is sharp, share of the image's longer
+/// side.
 const RADIUS: f64 = 0.05;
-/// ... but stays further away than this share of the radius: 0.41 is a right angle, 0.15 one of 120 degrees.
+/// A corner is sharp if the disc stays further away from it than this share of its radius: 0.41 for
+/// a right angle, 0.15 for one of 120 degrees.
 const SHARP: f64 = 0.15;
-/// Cells along the image's longer side: what a cut cannot see does not matter to the law either.
+/// Cells along the image's longer side: cuts are sought at this resolution.
 const CELLS: i64 = 256;
 /// Directions in which a piece may be cut at a sharp corner.
 const DIRECTIONS: usize = 96;
-/// A cut runs along a border where pixels of the border, at most this many radii away ...
+/// A cut is judged by the pixels of the border that are at most this many radii away.
 const RUN: f64 = 4.0;
-/// ... are this close to its line, cells, ...
+/// A pixel of the border lies on a cut if it is this close to its line, cells.
 const FLUSH: f64 = 1.0;
-/// ... and more than in the directions beside, and at least this share as many as for the best.
+/// A cut runs along a border if more pixels lie on it than on neighbouring directions, and at least
+/// this share of the most on any direction.
 const BORDER: f64 = 0.35;
-/// How thick a rest joins its neighbours, cells.
+/// A rest of this thickness or less joins its neighbours, cells.
 const REST: i64 = 1;
 /// Most cuts until a piece has no sharp corner.
 const MAX_CUTS: usize = 12;
@@ -56,7 +60,7 @@ impl Cut {
     }
 }
 
-/// Pieces that cover a connected set, at most `most` of them; the set itself where it needs more.
+/// Covers a connected set by at most `most` pieces; returns the set itself if it needs more.
 pub fn cover(set: &Patch, most: usize) -> Vec<Patch> {
     let [width, height] = set.image();
     let cell = (width.max(height) / CELLS).max(1);
@@ -84,7 +88,8 @@ pub fn cover(set: &Patch, most: usize) -> Vec<Patch> {
     pieces.iter().map(Patch::tight).collect()
 }
 
-/// A large piece about `seed`: the set, cut along its borders at its sharpest corner, again and again.
+/// Returns a large piece around `seed`: the set, cut along its borders at its sharpest corner
+/// repeatedly.
 fn grown(set: &Patch, seed: [i64; 2], radius: f64) -> (Patch, Vec<Cut>) {
     let (mut piece, mut cuts) = (set.clone(), Vec::new());
     for _ in 0..MAX_CUTS {
@@ -142,7 +147,7 @@ fn along(normal: [f64; 2], offset: [f64; 2]) -> f64 {
     normal[0] * offset[0] + normal[1] * offset[1]
 }
 
-/// The free pixels that touch a piece of a set along a side.
+/// Returns the free pixels that touch a piece of a set along a side.
 fn border(set: &Patch, piece: &Patch) -> Vec<[i64; 2]> {
     let [width, height] = set.image();
     let (first, last) = piece.window();
@@ -158,7 +163,7 @@ fn border(set: &Patch, piece: &Patch) -> Vec<[i64; 2]> {
     .collect()
 }
 
-/// The pixel of a piece's border in its sharpest corner inwards, if any is sharp.
+/// Returns the pixel of a piece's border in its sharpest concave corner, if any is sharp.
 fn sharpest(border: &[[i64; 2]], piece: &Patch, radius: f64) -> Option<[i64; 2]> {
     let reach = 2.0 * radius;
     let beyond = reach.ceil() as i64 + 1;
@@ -175,7 +180,8 @@ fn sharpest(border: &[[i64; 2]], piece: &Patch, radius: f64) -> Option<[i64; 2]>
         })
         .collect();
 
-    // How far a pixel is from the nearest disc that stays clear of the piece; at its side, half a pixel less.
+    // How far a pixel is from the nearest disc that stays clear of the piece; at its side, half a
+    // pixel less.
     let gap = |[x, y]: [i64; 2]| {
         let near = |k: usize, x: i64| {
             (x - beyond).max(origin[k])..=(x + beyond).min(origin[k] + count[k] - 1)
@@ -198,7 +204,7 @@ fn sharpest(border: &[[i64; 2]], piece: &Patch, radius: f64) -> Option<[i64; 2]>
         .map(|(_, pixel)| pixel)
 }
 
-/// Gives every pixel of a rest to a piece that it touches.
+/// Adds every pixel of a rest to a piece that it touches.
 fn share(mut rest: Patch, pieces: &mut [Patch]) {
     loop {
         let joins: Vec<([i64; 2], usize)> = rest

@@ -50,8 +50,8 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// A set that is not empty, and of what lies round it as much as decides distances of points at most `beyond` px
-    /// outside the image.
+    /// A set that is not empty, and of what lies round it as much as decides distances of points at
+    /// most `beyond` px outside the image.
     pub fn of(patch: &Patch, beyond: i64) -> Self {
         let image = patch.image();
         let (first, last) = patch.window();
@@ -81,7 +81,8 @@ impl Shape {
             }
             runs
         };
-        // A frame one pixel wide round the window is all that lies outside of it and matters: where there is any.
+        // A frame one pixel wide round the window is all that lies outside of it and matters: where
+        // there is any.
         let (above, below) = (
             top - i64::from(first[1] > 0),
             bottom + i64::from(last[1] < image[1] - 1),

@@ -1,8 +1,8 @@
-//! Occlusions painted as pixels: the image, and the areas and distance fields that the control law works with.
-//! Units: px; u to the right, v down.
+//! Occlusions painted as pixels: the image, and the areas and distance fields that the control law
+//! works with. Units: px; u to the right, v down.
 //!
-//! The `README.md` of this crate explains why masks are split into areas and how exact their fields are. Without the
-//! feature `file` the crate is `no_std` and never allocates.
+//! The `README.md` of this crate explains why masks are split into areas and how exact their fields
+//! are. Without the feature `file` the crate is `no_std` and never allocates.
 #![cfg_attr(not(feature = "file"), no_std)]
 #![forbid(unsafe_code)]
 
@@ -27,8 +27,8 @@ pub const MAX_AREAS: usize = 32;
 
 /// An occlusion painted as an image of the camera's size.
 ///
-/// Pixel (i, j) is the square of side 1 whose centre is (i, j), as in OpenCV and ViSP. Pixels and fields live as long as
-/// the process, so that a type that holds a mask needs no heap.
+/// Pixel (i, j) is the square of side 1 whose centre is (i, j), as in OpenCV and ViSP. Pixels and
+/// fields live as long as the process, so that a type that holds a mask needs no heap.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Mask {
     width: usize,
@@ -63,7 +63,8 @@ impl Mask {
         column < self.width && row < self.height && self.pixels[row * self.width + column] != 0
     }
 
-    /// Returns the forbidden pixels as disjoint rectangles, each a range of columns and a range of rows.
+    /// Returns the forbidden pixels as disjoint rectangles, each a range of columns and a range of
+    /// rows.
     #[cfg(feature = "file")]
     pub fn rectangles(&self) -> Vec<[std::ops::Range<usize>; 2]> {
         let runs = |row: usize| -> Vec<std::ops::Range<usize>> {
@@ -98,8 +99,8 @@ impl fmt::Debug for Mask {
     }
 }
 
-/// One area of a mask: connected forbidden pixels without a sharp concave corner. Areas may overlap, as the arms of an L
-/// do in its corner.
+/// One area of a mask: connected forbidden pixels without a sharp concave corner. Areas may
+/// overlap, as the arms of an L do in its corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Area {
@@ -113,8 +114,8 @@ pub struct Area {
 
 /// Clearances from an area at the nodes of a square grid: coefficients of a quadratic B-spline.
 ///
-/// The spline follows the signed Euclidean distance from the area's border (px, negative inside) and does not exceed it
-/// near the border.
+/// The spline follows the signed Euclidean distance from the area's border (px, negative inside)
+/// and does not exceed it near the border.
 #[derive(Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Field {

@@ -2,7 +2,8 @@
 
 /// A set of pixels of an image, kept for a window of it.
 ///
-/// What the set holds at the image's edge it holds beyond: an area that touches the edge offers no way out there.
+/// What the set holds at the image's edge it holds beyond: an area that touches the edge offers no
+/// way out there.
 #[derive(Clone)]
 pub struct Patch {
     /// Width and height of the image.
@@ -15,8 +16,8 @@ pub struct Patch {
 }
 
 impl Patch {
-    /// The connected sets of the pixels that are not 0, touching at a corner or along a side, in the order of their
-    /// first pixels.
+    /// The connected sets of the pixels that are not 0, touching at a corner or along a side, in
+    /// the order of their first pixels.
     pub fn connected(width: usize, height: usize, pixels: &[u8]) -> Vec<Self> {
         let image = [width as i64, height as i64];
         let mut rest = Self {
@@ -36,7 +37,8 @@ impl Patch {
         found
     }
 
-    /// The pixels of the set that can be reached from `seed` through such pixels, all of them with `keep`.
+    /// The pixels of the set that can be reached from `seed` through such pixels, all of them with
+    /// `keep`.
     pub fn reached(&self, seed: [i64; 2], keep: impl Fn([i64; 2]) -> bool) -> Self {
         let mut found = self.empty();
         let mut open = Vec::new();
@@ -61,7 +63,8 @@ impl Patch {
         found
     }
 
-    /// The squares of `cell` x `cell` pixels that hold any of the set, as the pixels of a smaller image.
+    /// The squares of `cell` x `cell` pixels that hold any of the set, as the pixels of a smaller
+    /// image.
     pub fn in_cells(&self, cell: i64) -> Self {
         let (low, high) = self.window();
         let low = low.map(|x| x / cell);
@@ -120,7 +123,8 @@ impl Patch {
             .map(|index| self.pixel(index))
     }
 
-    /// Whether the set holds a pixel; for one beyond the image, whether it holds the nearest one inside.
+    /// Whether the set holds a pixel; for one beyond the image, whether it holds the nearest one
+    /// inside.
     pub fn holds(&self, [x, y]: [i64; 2]) -> bool {
         self.is_at([x.clamp(0, self.image[0] - 1), y.clamp(0, self.image[1] - 1)])
     }
@@ -156,7 +160,8 @@ impl Patch {
         tight
     }
 
-    /// The pixel furthest from what the set does not hold, and how far: in steps to any of eight neighbours.
+    /// The pixel furthest from what the set does not hold, and how far: in steps to any of eight
+    /// neighbours.
     pub fn deepest(&self) -> Option<([i64; 2], i64)> {
         let [width, height] = self.size;
         let mut depth = vec![0i64; self.set.len()];

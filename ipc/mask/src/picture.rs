@@ -34,7 +34,8 @@ pub enum MaskError {
 }
 
 impl Mask {
-    /// Decodes a PNG image of the camera's size: white is forbidden, black free, the threshold at half.
+    /// Decodes a PNG image of the camera's size: white is forbidden, black free, the threshold at
+    /// half.
     ///
     /// # Errors
     /// [`MaskError`] names what is wrong with the image and what is allowed.

@@ -9,16 +9,17 @@ use toml_schema::{Document, FileError};
 
 use crate::model::*;
 
-/// What controller, builder and emulator must agree on. A memory belongs to the scene it was built for; only `success`,
-/// `starts`, the names of occlusions and the weights of `cost` may change under it. All keys but `occlusion` are required.
+/// What controller, builder and emulator must agree on. A memory belongs to the scene it was built
+/// for; only `success`, `starts`, the names of occlusions and the weights of `cost` may change
+/// under it. All keys but `occlusion` are required.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Scene")]
 struct Tables {
     camera: Camera,
     pattern: Pattern,
-    /// Pose of the object in the camera frame (x right, y down, z forward) at the goal, where every point is in the image
-    /// and outside the occlusions.
+    /// Pose of the object in the camera frame (x right, y down, z forward) at the goal, where every
+    /// point is in the image and outside the occlusions.
     goal: Pose,
     limits: Limits,
     cost: Cost,
@@ -34,8 +35,8 @@ struct Tables {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Pattern {
-    /// Points `[X, Y, 0.0]` in the object frame, m, in the order in which features are stacked; among them four, no three
-    /// of which lie on a line.
+    /// Points `[X, Y, 0.0]` in the object frame, m, in the order in which features are stacked;
+    /// among them four, no three of which lie on a line.
     #[schemars(length(min = MIN_POINTS, max = MAX_POINTS), inner(inner(range(min = -10, max = 10))))]
     #[schemars(extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
@@ -52,7 +53,8 @@ struct Painted {
     #[serde(default)]
     #[schemars(length(max = MAX_PARTS), extend("x-allowed" = "1 to 8 parts, or a mask"))]
     parts: Vec<Part>,
-    /// PNG image of the camera's size, relative to the scene file: white (from half grey on) is forbidden, black free.
+    /// PNG image of the camera's size, relative to the scene file: white (from half grey on) is
+    /// forbidden, black free.
     #[schemars(extend("x-allowed" = "an opaque grey PNG of the image's size, at most 32 white areas"))]
     mask: Option<String>,
 }
@@ -84,7 +86,8 @@ impl Scene {
         Self::parse_with(text, path, &|mask| std::fs::read(beside(path, mask)))
     }
 
-    /// As [`Scene::parse`], with masks from elsewhere: `masks` returns the PNG file of a name in the text.
+    /// As [`Scene::parse`], with masks from elsewhere: `masks` returns the PNG file of a name in
+    /// the text.
     ///
     /// # Errors
     /// As [`Scene::read`].
@@ -190,8 +193,8 @@ impl Checker<'_> {
         Ok(points.into_iter().collect())
     }
 
-    /// A goal whose points lie behind the camera cannot be seen; where they fall on the image is for the mathematics of
-    /// each side.
+    /// A goal whose points lie behind the camera cannot be seen; where they fall on the image is
+    /// for the mathematics of each side.
     fn goal(&self, scene: &Scene) -> Result<(), FileError> {
         let [.., depth] = scene.goal.translation;
         let key = "goal.translation[2]";

@@ -6,9 +6,10 @@ use sha2::{Digest, Sha256};
 
 use crate::{Camera, Scene};
 
-/// SHA-256 of what makes two tasks the same for a memory: camera, pattern, goal, limits and occlusions. The weights
-/// of the cost, the success criteria and the region of starts shape the trajectories but do not forbid their use,
-/// so they are left out, and so are the names of occlusions.
+/// SHA-256 of what makes two tasks the same for a memory: camera, pattern, goal, limits and
+/// occlusions. The weights of the cost, the success criteria and the region of starts shape the
+/// trajectories but do not forbid their use, so they are left out, and so are the names of
+/// occlusions.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Fingerprint([u8; 32]);
 
@@ -33,9 +34,10 @@ impl fmt::Debug for Fingerprint {
 }
 
 impl Scene {
-    /// The fingerprint of the task. Numbers enter as the bits of little-endian f64 in the order of the struct's
-    /// fields, each list preceded by its length as f64, after the line `vpc-task-1\n`. A mask enters as its size and
-    /// one byte a pixel, 1 forbidden and 0 free, and the length n of its occlusion's list of parts as -1 - n.
+    /// The fingerprint of the task. Numbers enter as the bits of little-endian f64 in the order of
+    /// the struct's fields, each list preceded by its length as f64, after the line `vpc-task-1\n`.
+    /// A mask enters as its size and one byte a pixel, 1 forbidden and 0 free, and the length n of
+    /// its occlusion's list of parts as -1 - n.
     pub fn fingerprint(&self) -> Fingerprint {
         let mut hash = Sha256::new();
         hash.update(b"vpc-task-1\n");

@@ -1,11 +1,14 @@
-//! The scene: everything that the controller, the builder of the memory and the emulator must agree on.
+//! The scene: everything that the controller, the builder of the memory and the emulator must agree
+//! on.
 //!
-//! A scene file (TOML) names the camera, the pattern that it looks at, the goal, the limits, the weights of the cost,
-//! what counts as success, the region of random starts, and the occlusions of the image. This crate holds the types and
-//! their checks, and **no mathematics**: controller and emulator each bring their own, so that one mistake cannot hide on
-//! both sides. The `README.md` explains the decisions that may surprise.
+//! A scene file (TOML) names the camera, the pattern that it looks at, the goal, the limits, the
+//! weights of the cost, what counts as success, the region of random starts, and the occlusions of
+//! the image. This crate holds the types and their checks, and **no mathematics**: controller and
+//! emulator each bring their own, so that one mistake cannot hide on both sides. The `README.md`
+//! explains the decisions that may surprise.
 //!
-//! Without the feature `file` the crate is `no_std` and never allocates, so that the control law can use it.
+//! Without the feature `file` the crate is `no_std` and never allocates, so that the control law
+//! can use it.
 //!
 //! ```
 //! # fn main() -> Result<(), scene::FileError> {

@@ -18,13 +18,15 @@ pub const MAX_PARTS: usize = 8;
 /// A name of at most 32 bytes.
 pub type Name = String<32>;
 
-/// A checked scene: made by [`Scene::parse`] or [`Scene::read`] only, so that one that exists is valid.
+/// A checked scene: made by [`Scene::parse`] or [`Scene::read`] only, so that one that exists is
+/// valid.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Scene {
     /// The camera.
     pub camera: Camera,
-    /// Points of the pattern in the object frame, m, in the order in which features are stacked; all on z = 0.
+    /// Points of the pattern in the object frame, m, in the order in which features are stacked;
+    /// all on z = 0.
     pub pattern: Vec<[f64; 3], MAX_POINTS>,
     /// The object in the camera frame at the goal.
     pub goal: Pose,
@@ -40,8 +42,8 @@ pub struct Scene {
     pub occlusions: Vec<Occlusion, MAX_OCCLUSIONS>,
 }
 
-/// A table of the scene file: a struct that is read from TOML and has a JSON Schema with the feature `file`. `#[key(..)]`
-/// is `#[schemars(..)]` then, and nothing without the feature.
+/// A table of the scene file: a struct that is read from TOML and has a JSON Schema with the
+/// feature `file`. `#[key(..)]` is `#[schemars(..)]` then, and nothing without the feature.
 macro_rules! table {
     ($(#[$meta:meta])* pub struct $name:ident {
         $($(#[doc = $text:literal])+ #[key($($schema:tt)*)] pub $field:ident: $type:ty,)+
@@ -57,8 +59,8 @@ macro_rules! table {
 }
 
 table! {
-    /// A pinhole camera without distortion; u to the right, v down, z forward. The centre of the first pixel, in the
-    /// upper left corner of the image, is (0, 0), as in OpenCV and ViSP.
+    /// A pinhole camera without distortion; u to the right, v down, z forward. The centre of the
+    /// first pixel, in the upper left corner of the image, is (0, 0), as in OpenCV and ViSP.
     pub struct Camera {
         /// Width of the image.
         #[key(range(min = 16, max = 16384), extend("multipleOf" = 1, "x-unit" = "px"))]
@@ -114,8 +116,8 @@ table! {
         /// Weight of the squared image error: Q = k_q I.
         #[key(range(min = 1e-12, max = 1e6), extend("x-unit" = "1/px^2"))]
         pub k_q: f64,
-        /// Diagonal of R, the weight of the squared camera velocity (vx vy vz wx wy wz), s^2/m^2 and s^2/rad^2. The law
-        /// lowers it towards the goal.
+        /// Diagonal of R, the weight of the squared camera velocity (vx vy vz wx wy wz), s^2/m^2
+        /// and s^2/rad^2. The law lowers it towards the goal.
         #[key(inner(range(min = 0, max = 1e9)))]
         pub r: [f64; 6],
     }
@@ -142,7 +144,8 @@ table! {
         /// Least translation of the object in the camera frame; z from 0.001 m.
         #[key(inner(range(min = -100, max = 100)), extend("x-unit" = "m"))]
         pub translation_min: [f64; 3],
-        /// Greatest translation of the object in the camera frame; no component is less than in `translation_min`.
+        /// Greatest translation of the object in the camera frame; no component is less than in
+        /// `translation_min`.
         #[key(inner(range(min = -100, max = 100)), extend("x-unit" = "m"))]
         pub translation_max: [f64; 3],
         /// Greatest magnitude of the rotation vector's x and y; this rotation is applied first.

@@ -1,5 +1,5 @@
-//! Files of start poses: CSV with the header `tx,ty,tz,rx,ry,rz`, a pose of the object in the camera frame in each row,
-//! translation (m) and rotation vector (rad).
+//! Files of start poses: CSV with the header `tx,ty,tz,rx,ry,rz`, a pose of the object in the
+//! camera frame in each row, translation (m) and rotation vector (rad).
 
 use std::path::Path;
 

@@ -16,7 +16,8 @@ pub const COMMAND_LINE: &str = "command line";
 /// Why a file was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The file could not be read. The raw name keeps thiserror from making the reason a source: the message has it.
+    /// The file could not be read. The raw name keeps thiserror from making the reason a source:
+    /// the message has it.
     #[error("{path}: cannot read: {source}")]
     #[allow(missing_docs)]
     Read {
@@ -27,7 +28,8 @@ pub enum FileError {
     #[error("{path}: {message}")]
     #[allow(missing_docs)]
     Syntax { path: String, message: String },
-    /// A value that is not allowed, or a key that is missing; of a flag, the path is [`COMMAND_LINE`].
+    /// A value that is not allowed, or a key that is missing; of a flag, the path is
+    /// [`COMMAND_LINE`].
     #[error("{path}: {refusal}")]
     #[allow(missing_docs)]
     Value { path: String, refusal: Refusal },
@@ -135,7 +137,8 @@ impl Document {
         })
     }
 
-    /// Returns the error for a value that no schema refuses, for instance because it depends on another key.
+    /// Returns the error for a value that no schema refuses, for instance because it depends on
+    /// another key.
     pub fn refuse(&self, key: &str, value: impl ToString, allowed: impl Into<String>) -> FileError {
         self.refused(Refusal {
             key: key.to_owned(),

@@ -44,8 +44,8 @@ pub fn check<T: Serialize + JsonSchema>(value: &T) -> Result<(), Refusal> {
     }
 }
 
-/// Checks the values of a table and all below it. `Err(None)` means that it stopped at an unknown key or a wrong type, of
-/// which serde tells more.
+/// Checks the values of a table and all below it. `Err(None)` means that it stopped at an unknown
+/// key or a wrong type, of which serde tells more.
 pub(crate) fn judge(schema: &Json, value: &Value, key: &str) -> Result<(), Option<Refusal>> {
     let refuse = |value: String| {
         Err(Some(Refusal {

@@ -5,14 +5,16 @@ use schemars::transform::{RecursiveTransform, transform_subschemas};
 use schemars::{JsonSchema, Schema};
 use serde_json::Value;
 
-/// Returns the JSON Schema (draft 7, which TOML editors know) of a file that is read into a `T`, without references.
+/// Returns the JSON Schema (draft 7, which TOML editors know) of a file that is read into a `T`,
+/// without references.
 pub fn schema<T: JsonSchema>() -> Value {
     let settings = SchemaSettings::draft07().with(|settings| settings.inline_subschemas = true);
     let settings = settings.with_transform(RecursiveTransform(for_toml));
     settings.into_generator().into_root_schema_for::<T>().into()
 }
 
-/// Returns the text of a `*.schema.json` file: [`schema`], with what is allowed in the descriptions that editors show.
+/// Returns the text of a `*.schema.json` file: [`schema`], with what is allowed in the descriptions
+/// that editors show.
 pub fn schema_file<T: JsonSchema>() -> String {
     fn describe(schema: &mut Schema) {
         let words = allowed(schema.as_value());
@@ -28,7 +30,8 @@ pub fn schema_file<T: JsonSchema>() -> String {
     format!("{:#}\n", schema.as_value())
 }
 
-/// Removes what TOML does not have (null) and what only Rust has (formats of integers), and lets items know their unit.
+/// Removes what TOML does not have (null) and what only Rust has (formats of integers), and lets
+/// items know their unit.
 fn for_toml(schema: &mut Schema) {
     schema.remove("format");
     if let Some(Value::Array(types)) = schema.get_mut("type") {
@@ -68,7 +71,8 @@ pub(crate) fn words(schema: &Value) -> Option<Vec<&str>> {
     Some(found)
 }
 
-/// Returns what is allowed in words, for instance `0 to 20 ms`; nothing where everything of the type is.
+/// Returns what is allowed in words, for instance `0 to 20 ms`; nothing where everything of the
+/// type is.
 pub(crate) fn allowed(schema: &Value) -> String {
     if let Value::String(words) = &schema["x-allowed"] {
         return words.clone();

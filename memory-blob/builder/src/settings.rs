@@ -48,15 +48,17 @@ pub struct BuildSettings {
     #[default = 0.5]
     #[schemars(range(min = 0, max = 1))]
     pub adapt_share: f64,
-    /// Starts tried in parallel against one state of the memory. Part of the result, unlike the threads.
+    /// Starts tried in parallel against one state of the memory. Part of the result, unlike the
+    /// threads.
     #[default = 32]
     #[schemars(range(min = 1, max = 4096))]
     pub batch: usize,
-    /// Where the way point of a sample lies on its trajectory: `{ sight = SHARE }` or `{ samples = N }`. Flag:
-    /// --way-point-samples.
+    /// Where the way point of a sample lies on its trajectory: `{ sight = SHARE }` or `{ samples =
+    /// N }`. Flag: --way-point-samples.
     #[schemars(extend("x-allowed" = "sight: 0.001 to 1; samples: 1 to 10000"))]
     pub way_point: WayPoint,
-    /// Whether a start that every recovery leaves stuck is solved by a planner in pose space. Flag: --no-planner.
+    /// Whether a start that every recovery leaves stuck is solved by a planner in pose space. Flag:
+    /// --no-planner.
     #[default = true]
     pub planner: bool,
     /// Least image motion between two stored samples of a trajectory, share of the image width.
@@ -84,8 +86,8 @@ fn growth() -> serde_json::Value {
 pub enum WayPoint {
     /// So many control periods ahead (n_s), as in the paper.
     Samples(#[schemars(range(min = 1, max = 10000))] usize),
-    /// The last features in sight: within this image motion along the trajectory, share of the image width, and reached
-    /// by every point on a straight line without crossing an occlusion.
+    /// The last features in sight: within this image motion along the trajectory, share of the
+    /// image width, and reached by every point on a straight line without crossing an occlusion.
     #[default]
     Sight(
         #[default = 0.25]
@@ -102,7 +104,8 @@ pub struct RegressionSettings {
     #[default = 800]
     #[schemars(range(min = 2, max = 20000))]
     pub samples: usize,
-    /// Samples are drawn where a feature is closer to an occlusion than this many times the trigger distance.
+    /// Samples are drawn where a feature is closer to an occlusion than this many times the trigger
+    /// distance.
     #[default = 2.0]
     #[schemars(range(min = 1, max = 1e6))]
     pub zone: f64,
@@ -116,7 +119,8 @@ pub struct RegressionSettings {
     pub restarts: usize,
     /// Evaluations of the likelihood on all kept samples that improve on the subset's best.
     pub polish: usize,
-    /// Whether the factor for predictive variances is stored: 8 bytes for each pair of samples. Flag: --variance.
+    /// Whether the factor for predictive variances is stored: 8 bytes for each pair of samples.
+    /// Flag: --variance.
     pub variance: bool,
 }
 
@@ -131,9 +135,9 @@ pub fn schema_file() -> String {
 }
 
 impl BuildSettings {
-    /// The scene in which trajectories are made: with the grown occlusions, each part about its own centre. What keeps
-    /// clear of those keeps clear of the scene's, so that the memory is one for the scene; it bears its fingerprint, and
-    /// these settings in its provenance.
+    /// The scene in which trajectories are made: with the grown occlusions, each part about its own
+    /// centre. What keeps clear of those keeps clear of the scene's, so that the memory is one for
+    /// the scene; it bears its fingerprint, and these settings in its provenance.
     ///
     /// # Errors
     /// [`Refusal`] where a name is not the scene's, or a factor out of its range.
@@ -159,8 +163,8 @@ impl BuildSettings {
                 *half *= factor;
             }
         }
-        // Starts keep their distance from what is there, not from what is drawn: else nothing would be known of those
-        // that are close.
+        // Starts keep their distance from what is there, not from what is drawn: else nothing would
+        // be known of those that are close.
         grown.starts.clearance_px = (grown.starts.clearance_px - most).max(0.0);
         Ok(grown)
     }

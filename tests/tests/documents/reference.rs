@@ -40,7 +40,8 @@ fn subjects() -> [Subject; 4] {
         Subject {
             schema: controller::config::schema(),
             file: "controller/vpcd.schema.json",
-            // A memory, for all strategies; the longest preview, for nc; a priority, for the processor.
+            // A memory, for all strategies; the longest preview, for nc; a priority, for the
+            // processor.
             base: table(format!(
                 "scene = '{scenes}/paper-sim.toml'\nmemory = 'm'\n[law]\nnp = 40\n[realtime]\npriority = 5"
             )),
