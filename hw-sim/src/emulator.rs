@@ -89,6 +89,8 @@ struct Session<'a> {
     /// Features delivered since the last exposure, px.
     measured: Option<Vec<[f64; 2]>>,
     lateness: Lateness,
+    /// Whether a disarmed controller was told of, or is not to be.
+    is_told: bool,
 }
 
 impl<'a> Session<'a> {
@@ -108,6 +110,7 @@ impl<'a> Session<'a> {
             command: None,
             measured: None,
             lateness: Lateness::default(),
+            is_told: false,
         })
     }
 
@@ -170,6 +173,7 @@ impl<'a> Session<'a> {
         self.since_ns = now_ns();
         (self.command, self.measured) = (None, None);
         self.lateness = Lateness::default();
+        self.is_told = rest_ns.is_some() || !self.is_live();
         cell.begin(self.since_ns);
         let end_ns = rest_ns.map(|rest_ns| self.since_ns + rest_ns);
         let is_over = |cell: &mut dyn Cell| match end_ns {
@@ -258,13 +262,19 @@ impl<'a> Session<'a> {
         }
         let sent_ns = command.stamp.published_ns;
         let still = [Some(TwistState::Disarmed), Some(TwistState::Stopped)];
+        let is_armed = !still.contains(&command.state());
+        let is_disarmed = command.state() == Some(TwistState::Disarmed);
+        if is_disarmed && !cell.progress().has_begun() && !self.is_told {
+            self.is_told = true;
+            eprintln!("hw-sim: vpcd is disarmed: the run begins with vpcctl arm");
+        }
         cell.obey(&Order {
             twist: command.twist,
             sent_ns,
             until_ns: sent_ns
                 .saturating_add(self.stale_ns)
                 .min(command.valid_until_ns),
-            is_armed: !still.contains(&command.state()),
+            is_armed,
         });
         self.command = Some(command);
     }
