@@ -126,8 +126,16 @@ impl Document {
     /// # Errors
     /// [`FileError`] names file or flag, key, value and what is allowed.
     pub fn check<T: DeserializeOwned + JsonSchema>(&self) -> Result<T, FileError> {
+        let schema = schema::<T>();
+        // A wrong type or an unknown key in the file is an error even where a flag replaces it.
+        if let Ok(file) = self.text.parse::<Table>()
+            && let Err(None) = judge(&schema, &Value::Table(file), "")
+            && let Err(error) = toml::from_str::<T>(&self.text)
+        {
+            return Err(syntax(&self.path, &error));
+        }
         let table = Value::Table(self.table.clone());
-        if let Err(Some(refusal)) = judge(&schema::<T>(), &table, "") {
+        if let Err(Some(refusal)) = judge(&schema, &table, "") {
             return Err(self.refused(refusal));
         }
         T::deserialize(table).map_err(|error| {
@@ -175,6 +183,8 @@ impl Document {
 fn syntax(path: &str, error: &toml::de::Error) -> FileError {
     FileError::Syntax {
         path: path.to_owned(),
-        message: error.to_string().trim_end().to_owned(),
+        // What serde says of every other wrong type, toml says of an enum in its own words.
+        message: (error.to_string().trim_end())
+            .replace("wanted string or table", "invalid type: expected a string"),
     }
 }

@@ -61,6 +61,11 @@ pub(crate) fn judge(schema: &Json, value: &Value, key: &str) -> Result<(), Optio
     let is_multiple = |x: f64| schema["multipleOf"].as_f64().is_none_or(|of| x % of == 0.0);
     match value {
         Value::Table(table) => return judge_table(schema, table, key),
+        Value::Integer(_) | Value::Float(_) | Value::String(_) | Value::Boolean(_)
+            if !is_of_type(value, schema) =>
+        {
+            return Err(None);
+        }
         Value::Array(list) => {
             if schema["type"] != "array" {
                 return Err(None);
@@ -81,7 +86,6 @@ pub(crate) fn judge(schema: &Json, value: &Value, key: &str) -> Result<(), Optio
         Value::Integer(number) if !within(*number as f64, "minimum", "maximum") => {
             return refuse(number.to_string());
         }
-        Value::Float(_) if schema["type"] != "number" => return Err(None),
         // Not a number is in no range.
         Value::Float(number)
             if number.is_nan()
@@ -93,6 +97,19 @@ pub(crate) fn judge(schema: &Json, value: &Value, key: &str) -> Result<(), Optio
         _ => (),
     }
     Ok(())
+}
+
+/// Returns whether a value that is no table and no list has the type that its schema names, if it
+/// names one.
+fn is_of_type(value: &Value, schema: &Json) -> bool {
+    match schema["type"].as_str() {
+        Some("integer") => value.is_integer(),
+        Some("number") => value.is_integer() || value.is_float(),
+        Some("string") => value.is_str(),
+        Some("boolean") => value.is_bool(),
+        Some(_) => false,
+        None => true,
+    }
 }
 
 fn judge_table(schema: &Json, table: &toml::Table, key: &str) -> Result<(), Option<Refusal>> {
