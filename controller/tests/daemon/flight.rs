@@ -370,8 +370,10 @@ const MEASURED: [&str; 15] = [
 
 /// Fields that say what was received: changed, they show in a later cycle at the latest, or nothing
 /// is found by them.
-const RECEIVED: [&str; 7] = [
+const RECEIVED: [&str; 9] = [
     "stamp",
+    "features_input",
+    "robot_input",
     "receive_ns",
     "features_seen",
     "robot_seen",
