@@ -10,6 +10,8 @@ pub mod command;
 mod difference;
 mod source;
 
+use std::ops::Range;
+
 use ipc::{CycleFlags, CycleRecord, Reply, Request};
 use recording::Recording;
 use serde::Serialize;
@@ -64,37 +66,40 @@ pub fn replay(
     let runs = recording
         .cycles
         .chunk_by(|one, next| next.cycle > one.cycle);
-    let mut before_ns = 0;
-    for run in runs {
+    let mut runs = runs.peekable();
+    let mut begin_ns = 0;
+    while let Some(run) = runs.next() {
+        let next = runs.peek().and_then(|next| next.first());
+        let end_ns = next.map_or(u64::MAX, |next| next.stamp.data_ns);
         let run = match until {
-            Some(until) => source.last_stretch(run, before_ns, until),
+            Some(until) => source.last_stretch(run, begin_ns, until),
             None => run,
         };
-        replay_run(control, &source, run, before_ns, &mut report)?;
-        before_ns = run.last().map_or(before_ns, |last| last.stamp.data_ns);
+        replay_run(control, &source, run, begin_ns..end_ns, &mut report)?;
+        begin_ns = run.last().map_or(begin_ns, |last| last.stamp.data_ns);
     }
     Ok(report)
 }
 
-/// Repeats the cycles of one daemon; `before_ns` is when the last one of the daemon before it woke
-/// up.
+/// Repeats the cycles of one daemon, from when the last one before it woke up until the first one
+/// after it does.
 fn replay_run(
     control: &mut ControlStep,
     source: &Source,
     run: &[CycleRecord],
-    mut before_ns: u64,
+    span_ns: Range<u64>,
     report: &mut Report,
 ) -> Result<(), ReplayError> {
-    let begin_ns = before_ns;
+    let mut before_ns = span_ns.start;
     // The cycle that the state is right for.
     let mut ready = None;
     for (place, record) in run.iter().enumerate() {
         let next_ns = run
             .get(place + 1)
-            .map_or(u64::MAX, |next| next.stamp.data_ns);
+            .map_or(span_ns.end, |next| next.stamp.data_ns);
         let is_ready = ready == Some(record.cycle);
         ready = None;
-        if let Some(snapshot) = source.snapshot(record, begin_ns) {
+        if let Some(snapshot) = source.snapshot(record, span_ns.start) {
             let state = snapshot::decode(snapshot)?;
             if is_ready {
                 report.snapshots_compared += 1;
