@@ -32,9 +32,10 @@ pub enum WriteError {
 
 /// How the messages of a topic are encoded.
 #[derive(Debug)]
-pub(crate) struct Encoding {
+pub struct Encoding {
     /// Name, encoding and data of the schema.
     pub schema: (String, String, Vec<u8>),
+    /// Encoding of the messages.
     pub message: String,
 }
 
@@ -50,16 +51,17 @@ pub(crate) struct Encoding {
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// # let directory = tempfile::tempdir()?;
 /// # let path = directory.path().join("fault.mcap");
-/// # let (features, cycles) = ([ipc::Features::new(&[[1.0; 2]; 4], 0); 2],
-/// [ipc::CycleRecord::default(); 3]); use recording::{CONFIG_FILE, Recording, RecordingFile,
-/// SCENE_FILE};
+/// # let features = [ipc::Features::new(&[[1.0; 2]; 4], 0); 2];
+/// # let cycles = [ipc::CycleRecord::default(); 3];
+/// use recording::{CONFIG_FILE, Recording, RecordingFile, SCENE_FILE};
 ///
-/// let mut file = RecordingFile::create(&path, false)?; file.origin([("cause",
-/// "fault".to_owned())])?; file.attach(CONFIG_FILE, b"[law]\nnp = 4\n")?; file.attach(SCENE_FILE,
-/// scene::PAPER_SIM.as_bytes())?; // then each mask, by its name in the scene
+/// let mut file = RecordingFile::create(&path, false)?;
+/// file.origin([("cause", "fault".to_owned())])?;
+/// file.attach(CONFIG_FILE, b"[law]\nnp = 4\n")?;
+/// file.attach(SCENE_FILE, scene::PAPER_SIM.as_bytes())?; // then each mask, by its name in the scene
 /// features.iter().try_for_each(|message| file.write(message))?;
-/// cycles.iter().try_for_each(|message| file.write(message))?; file.finish()?; // synchronised to
-/// the disk
+/// cycles.iter().try_for_each(|message| file.write(message))?;
+/// file.finish()?; // synchronised to the disk
 ///
 /// let recording = Recording::read(&path)?;
 /// assert_eq!((recording.features.len(), recording.cycles.len()), (2, 3));
@@ -194,8 +196,11 @@ impl RecordingFile {
         self.put(T::TOPIC, encoding, stamp.sequence, wall_ns, json.as_bytes())
     }
 
-    /// Writes an encoded message; the first one of a topic opens its channel.
-    pub(crate) fn put(
+    /// Writes a message that is encoded already, of any topic; the first one opens its channel.
+    ///
+    /// # Errors
+    /// [`WriteError::Write`].
+    pub fn put(
         &mut self,
         topic: &'static str,
         encoding: impl FnOnce() -> Encoding,

@@ -4,7 +4,8 @@ use std::fmt::Display;
 use std::io;
 use std::path::Path;
 
-use recording::{ContextError, PlotError, ReadError, RecordError, WriteError};
+use recorder::{ContextError, PlotError, RecordError};
+use recording::{ReadError, WriteError};
 use scene::FileError;
 
 /// How the command ends. Small numbers are answers; those from 64 on are those of `sysexits.h`, as

@@ -73,7 +73,7 @@ impl ImagePlane {
 
     /// The goal of each feature (u, v), px; empty without a scene.
     pub fn goal(&self) -> Vec<[f64; 2]> {
-        self.scene.as_ref().map(recording::goal).unwrap_or_default()
+        self.scene.as_ref().map(recorder::goal).unwrap_or_default()
     }
 
     /// The parts of all occlusions that are not painted.

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use recording::{Recording, Report};
+use recorder::Report;
+use recording::Recording;
 use scene::Scene;
 
 use crate::exit::Failure;
@@ -48,7 +49,7 @@ pub fn run(arguments: &PlotArguments) -> Result<String, Failure> {
         false => report.to_string(),
     };
     if let Some(directory) = &arguments.output {
-        let files = recording::plot(&recording, scene.as_ref(), directory)?;
+        let files = recorder::plot(&recording, scene.as_ref(), directory)?;
         if !arguments.json {
             text.push('\n');
             for file in files {

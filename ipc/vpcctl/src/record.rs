@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use clap::Args;
-use recording::{Context, Ledger, Options};
+use recorder::{Context, Ledger, Options};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::exit::Failure;
@@ -59,7 +59,7 @@ pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure
         force: arguments.force,
         duration: arguments.duration,
     };
-    let ledger = recording::record(&options, &context, &stop, |notice| {
+    let ledger = recorder::record(&options, &context, &stop, |notice| {
         eprintln!("vpcctl: {notice}");
     })?;
     Ok(summary(&arguments.output, &ledger))

@@ -131,11 +131,11 @@ fn a_run_is_recorded_as_others_count_it() {
     );
     let environment = Environment {
         name: "python-mcap",
-        requirements: &["ipc/recording/tests/python/requirements.txt"],
+        requirements: &["ipc/recorder/tests/python/requirements.txt"],
         packages: &[],
     };
     if let Some(python) = environment.python("a_run_is_recorded_as_others_count_it") {
-        let program = root().join("ipc/recording/tests/python/check.py");
+        let program = root().join("ipc/recorder/tests/python/check.py");
         let mut check = script(&python, &program);
         let found = python::run(check.arg("values").arg(flight.file())).unwrap();
         let found: Vec<_> = found.lines().map(str::to_owned).collect();

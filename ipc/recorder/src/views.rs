@@ -13,9 +13,9 @@ use ipc::{
 use nalgebra::{Isometry3, Point3};
 use scene::{Mask, Scene};
 
-use crate::message::Recorded;
 use crate::recorder::Recorder;
-use crate::writer::WriteError;
+use recording::Recorded;
+use recording::WriteError;
 
 const BLUE: Color = color(0.12, 0.31, 0.85, 1.0);
 const RED: Color = color(0.85, 0.12, 0.12, 1.0);

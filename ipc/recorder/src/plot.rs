@@ -7,9 +7,9 @@ use figures::{Comparison, FigureError, ImagePlane, Latency, Times, Velocity};
 use ipc::{ClockMode, CycleRecord, MAX_POINTS};
 use scene::{FileError, Scene};
 
-use crate::reader::Recording;
 use crate::report::Report;
 use crate::views::goal;
+use recording::Recording;
 
 /// Periods without a record for which the last command is drawn; after that the camera has stopped.
 const STANDING: usize = 3;

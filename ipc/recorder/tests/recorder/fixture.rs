@@ -10,7 +10,8 @@ use ipc::{
 };
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use recording::{Context, Ledger, Notice, Options, Recorded, record};
+use recorder::{Context, Ledger, Notice, Options, record};
+use recording::Recorded;
 use testkit::python::{Environment, run, script};
 use testkit::{Place, eventually};
 
@@ -201,7 +202,7 @@ impl Drop for Stopping<'_> {
 pub fn python(test: &str) -> Option<PathBuf> {
     let environment = Environment {
         name: "python-mcap",
-        requirements: &["ipc/recording/tests/python/requirements.txt"],
+        requirements: &["ipc/recorder/tests/python/requirements.txt"],
         packages: &[],
     };
     environment.python(test)
@@ -209,7 +210,7 @@ pub fn python(test: &str) -> Option<PathBuf> {
 
 /// What `check.py` prints about these files.
 pub fn check(python: &Path, what: &str, files: &[&Path]) -> Vec<String> {
-    let program = testkit::root().join("ipc/recording/tests/python/check.py");
+    let program = testkit::root().join("ipc/recorder/tests/python/check.py");
     let mut command = script(python, &program);
     let output = run(command.arg(what).args(files));
     let text = output.unwrap_or_else(|reason| panic!("check.py {what}: {reason}"));

@@ -4,7 +4,8 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use ipc::{Features, Stamp};
-use recording::{Account, Context, Notice, Options, Recording, record};
+use recorder::{Account, Context, Notice, Options, record};
+use recording::Recording;
 
 use testkit::Place;
 

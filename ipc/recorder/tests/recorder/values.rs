@@ -7,7 +7,8 @@ use std::time::Duration;
 use ipc::{Reply, Stamp};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use recording::{Account, Recording};
+use recorder::Account;
+use recording::Recording;
 use serde_json::Value;
 
 use testkit::Place;
@@ -165,7 +166,8 @@ fn published_and_read(seed: u64) -> bool {
 fn layout_names_what_is_recorded(file: &Path) {
     let summary = mcap::Summary::read(&std::fs::read(file).unwrap());
     let channels = summary.unwrap().unwrap().channels;
-    let layout: Value = serde_json::from_str(include_str!("../../foxglove-layout.json")).unwrap();
+    let layout: Value =
+        serde_json::from_str(include_str!("../../../recording/foxglove-layout.json")).unwrap();
     let mut found = Vec::new();
     texts(&layout, &mut found);
     let paths: Vec<_> = found.iter().filter(|text| text.starts_with('/')).collect();
@@ -242,7 +244,7 @@ fn others_read_the_same(
     ] {
         assert!(found.contains(&line), "{line}");
     }
-    let layout = Path::new(env!("CARGO_MANIFEST_DIR")).join("foxglove-layout.json");
+    let layout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recording/foxglove-layout.json");
     assert_eq!(check(python, "layout", &[&layout]).len(), 8);
     // Every topic and path that the layout names is in the recording; numbers that are not finite
     // are left out.

@@ -18,7 +18,7 @@ use crate::context::Context;
 use crate::ledger::{Ledger, Notice};
 use crate::recorder::Recorder;
 use crate::views::Viewed;
-use crate::writer::WriteError;
+use recording::WriteError;
 
 /// Sleep between two looks at the queues. The shortest holds 64 messages, so 30,000 a second.
 const PAUSE: Duration = Duration::from_millis(2);

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use ipc::{CycleRecord, Order};
-use recording::{Context, Recorder, Recording};
+use recorder::{Context, Recorder};
+use recording::Recording;
 use testkit::Place;
 
 use crate::fixture::{FILE, check, python};
@@ -53,7 +54,7 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
     assert_eq!(scene.fingerprint(), context.scene.unwrap().0.fingerprint());
     assert!(scene.masks().next().unwrap().is_forbidden(140, 700));
     let plots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("masked");
-    let drawn = recording::plot(&recording, None, &plots).unwrap();
+    let drawn = recorder::plot(&recording, None, &plots).unwrap();
     let svg = std::fs::read_to_string(plots.join("run.svg")).unwrap();
     assert!(drawn.contains(&plots.join("run.png")), "{drawn:?}");
     assert!(svg.contains("crispEdges"), "the mask is not in run.svg");

@@ -5,7 +5,7 @@ use std::fmt;
 use ipc::{ClockMode, CycleRecord, TwistState};
 use serde::Serialize;
 
-use crate::reader::Recording;
+use recording::Recording;
 
 /// Widest bar of the text's histograms, characters.
 const BAR: usize = 40;

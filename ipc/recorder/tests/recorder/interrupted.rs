@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use recording::{Options, Recording, record};
+use recorder::{Options, record};
+use recording::Recording;
 use rustix::process::Signal;
 
 use testkit::{Place, Running, eventually};

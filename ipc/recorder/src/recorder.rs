@@ -6,12 +6,11 @@ use std::path::Path;
 use foxglove::messages::{Log, Timestamp, log::Level};
 use foxglove::{Encode, Schema};
 use ipc::{Order, Stamp};
+use recording::{CONFIG_FILE, Encoding, RecordingFile, SCENE_FILE, WriteError};
 
 use crate::context::Context;
 use crate::ledger::{Ledger, Notice};
 use crate::views::{self, Viewed};
-use crate::writer::{Encoding, RecordingFile, WriteError};
-use crate::{CONFIG_FILE, SCENE_FILE};
 
 /// Name of the metadata record with the counts, at the end of the file.
 const LEDGER: &str = "vpc.ledger";

@@ -1,0 +1,22 @@
+//! Records a domain, with topics that Foxglove draws, and shows what was recorded. The files
+//! themselves are the crate `recording`'s, whose `README.md` tells topics and decisions.
+//!
+//! - [`record()`] subscribes to a domain and writes what is published and what Foxglove draws,
+//! - [`plot()`] draws figures of a recording, [`Report`] says how long its cycles took.
+#![forbid(unsafe_code)]
+
+mod context;
+mod ledger;
+mod plot;
+mod record;
+mod recorder;
+mod report;
+mod views;
+
+pub use context::{Context, ContextError, TextFile};
+pub use ledger::{Account, Ledger, Notice};
+pub use plot::{PlotError, plot};
+pub use record::{Options, RecordError, record};
+pub use recorder::Recorder;
+pub use report::{Report, StageTimes};
+pub use views::{Viewed, goal};
