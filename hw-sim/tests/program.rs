@@ -92,28 +92,32 @@ fn what_it_cannot_start_with_is_named_with_its_exit_code() {
         (["--scene", &missing], 66, missing.as_str()),
         (["--starts", &missing], 66, missing.as_str()),
         (["--scene", broken], 78, broken),
-        (["--start", "100"], 78, "start = 100; allowed: 0 to 99"),
+        (["--start", "100"], 78, "--start = 100; allowed: 0 to 99"),
         (
             ["--noise", "-0.5"],
             78,
-            "noise_px = -0.5; allowed: 0 to 100",
+            "--noise = -0.5; allowed: 0 to 100 px",
         ),
-        (["--noise", "nan"], 78, "noise_px = NaN; allowed: 0 to 100"),
-        (["--drop", "1.5"], 78, "drop = 1.5; allowed: 0 to 1"),
+        (
+            ["--noise", "nan"],
+            78,
+            "--noise = NaN; allowed: 0 to 100 px",
+        ),
+        (["--drop", "1.5"], 78, "--drop = 1.5; allowed: 0 to 1"),
         (
             ["--delay", "101"],
             78,
-            "delay_frames = 101; allowed: 0 to 100",
+            "--delay = 101; allowed: 0 to 100 frames",
         ),
         (
             ["--time-limit", "0"],
             78,
-            "time_limit_s = 0; allowed: 0.1 to",
+            "--time-limit = 0; allowed: 0.1 to 86400 s",
         ),
         (
             ["--latency-ms", "901"],
             78,
-            "latency_ms = 901; allowed: 0 to 900",
+            "--latency-ms = 901; allowed: 0 to 900 ms",
         ),
     ] {
         let output = place.run(&words);
