@@ -83,6 +83,12 @@ impl Cell for FreeCell {
 
     fn look(&mut self, now_ns: u64) -> Result<Observation, EyeError> {
         self.carry(now_ns);
+        // A command that would end before the next frame ends now: the state that goes out with
+        // this frame must not tell of a motion that is over before the next.
+        let period_ns = (1e9 * self.scene.sampling_time()) as u64;
+        if self.standing.until_ns() < now_ns + period_ns {
+            self.standing.end(now_ns);
+        }
         self.progress.tick(now_ns);
         let Ok(points) = self.camera.features() else {
             self.progress.finish(End::LostSight);

@@ -44,6 +44,11 @@ impl Standing {
         self.until_ns
     }
 
+    /// Ends the command at an instant, if it held longer.
+    pub fn end(&mut self, now_ns: u64) {
+        self.until_ns = self.until_ns.min(now_ns);
+    }
+
     /// Whether the command no longer holds.
     pub fn is_stale(&self, now_ns: u64) -> bool {
         now_ns >= self.until_ns
