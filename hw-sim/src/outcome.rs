@@ -108,7 +108,8 @@ impl Outcome {
 
 /// To thousandths: more digits say nothing.
 fn rounded(x: f64) -> f64 {
-    (x * 1e3).round() / 1e3
+    // A zero without a sign.
+    (x * 1e3).round() / 1e3 + 0.0
 }
 
 #[cfg(test)]

@@ -189,10 +189,24 @@ fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
     let moving = 9000 + moving.unwrap();
     let seen = a.cycles[moving].features_seen;
     type Change = fn(&mut Recording, usize);
-    // Where it shows first: an input in what comes of it, the clock's reading in the next snapshot
-    // at the latest.
+    // Where it shows first: an input in what comes of it, the clock's reading in the state that the
+    // next snapshot holds. No decision in lockstep depends on it, so the cycle before a snapshot is
+    // the one that leaves a trace.
     let cases: [(&str, Change, Option<&str>); 6] = [
-        ("instant", |f, at| f.cycles[at].receive_ns ^= 1, None),
+        (
+            "instant",
+            |f, at| {
+                let after = f.cycles[at].cycle;
+                let next = f.snapshots.iter().find(|snapshot| snapshot.cycle > after);
+                let before_next = next.unwrap().cycle - 1;
+                let mut cycles = f.cycles.iter_mut();
+                cycles
+                    .find(|record| record.cycle == before_next)
+                    .unwrap()
+                    .receive_ns ^= 1;
+            },
+            None,
+        ),
         (
             "twist",
             |f, at| flip(&mut f.cycles[at].twist[0]),
