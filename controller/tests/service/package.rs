@@ -39,6 +39,7 @@ impl Package {
         };
         let tools = [
             "dpkg",
+            "gzip",
             "dpkg-shlibdeps=dpkg-dev",
             "deb-systemd-helper=init-system-helpers",
             "strip=binutils",
@@ -60,6 +61,12 @@ impl Package {
             .output()
             .unwrap();
         assert!(share.status.success(), "{share:?}");
+        // cargo-deb compresses no file below `release` itself.
+        let entries = fs::read_dir(release.join("share")).unwrap();
+        let pages = entries.map(|entry| entry.unwrap().path());
+        let pages = pages.filter(|path| path.extension().is_some_and(|end| end == "1"));
+        let gzip = Command::new("gzip").arg("-9n").args(pages).status();
+        assert!(gzip.unwrap().success());
         let file = place.path("vpcd.deb");
         let output = Command::new(cargo_deb)
             .args(["--package=controller", "--no-build", "--locked"])

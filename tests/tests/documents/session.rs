@@ -158,7 +158,8 @@ fn the_commands_of_the_readme_run() {
     readme.run("vpc-memory inspect FILE", &[file]);
     readme.run("vpc-memory verify FILE", &[SCENE, file]);
     readme.start("vpcd --config", &[]);
-    readme.start("hw-sim --config", &[]);
+    // It would go on until Ctrl-C.
+    readme.start("hw-sim --config", &[("--all", "--start"), ("--loop", "0")]);
     readme.arm();
     // Its standard output is no terminal here.
     readme.ends("vpcctl watch", &[64], &[]);
