@@ -2,8 +2,8 @@
 //! as a recording that `vpcd replay` repeats bit for bit (`controller/FLIGHT.md`).
 //!
 //! The loop copies what each cycle saw and did, and now and then its whole state, into wait-free
-//! queues ([`queue`]). The ordinary thread keeps them in a [`Ring`] and has them written by a
-//! thread that may wait for disks ([`recorder`], [`file`], [`store`]).
+//! queues ([`mod@queue`]). The ordinary thread keeps them in a [`Ring`] and has them written by a
+//! thread that may wait for disks ([`recorder`], [`mod@file`], [`store`]).
 
 pub mod file;
 pub mod queue;
