@@ -286,8 +286,8 @@ impl Supervisor {
     }
 }
 
-/// How often in a row something failed, after one more cycle that tells whether, or that tells
-/// nothing.
+/// The number of failures in a row after one more cycle. `None`: the cycle does not say whether it
+/// failed, and the number stays.
 fn in_a_row(before: u32, failed: Option<bool>) -> u32 {
     match failed {
         Some(true) => before.saturating_add(1),

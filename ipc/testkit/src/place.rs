@@ -54,7 +54,7 @@ impl Place {
 impl Drop for Place {
     fn drop(&mut self) {
         if self.domain().exists() {
-            // Who is alone in a domain removes what killed processes left.
+            // A process that is alone in a domain removes what killed processes left.
             let _ = Domain::join(&self.domain());
         }
     }

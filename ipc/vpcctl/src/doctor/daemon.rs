@@ -43,7 +43,7 @@ pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
 
 /// Whether the domain of the service exists, where no daemon runs in the one asked for.
 fn elsewhere(directory: &Path, service: &Path) -> Option<Finding> {
-    // Other users cannot see inside: that it exists tells that the service was started.
+    // Other users cannot see inside. If the directory exists, the service was started.
     if directory == service || !service.exists() {
         return None;
     }
