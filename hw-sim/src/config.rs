@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use toml_schema::{Document, FileError};
 
 use crate::eye::Sight;
+use crate::rig::RigSettings;
 use crate::robot::bridge::Shaping;
 use crate::robot::calibration::{HandEye, Truth};
-use crate::robot::rig::RigSettings;
 use crate::sensor::Flaws;
 
 /// Emulates the camera of a scene, and what carries it, behind shared memory.

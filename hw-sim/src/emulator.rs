@@ -18,7 +18,7 @@ use crate::outcome::Outcome;
 use crate::pose::to_scene;
 use crate::priority;
 use crate::recording::{Record, Recorder};
-use crate::robot::rig::Rig;
+use crate::rig::Rig;
 
 /// A camera whose command is older than this, or than three periods of a slow camera, stands still.
 const STALE_NS: u64 = 100_000_000;

@@ -8,7 +8,7 @@ use clap::CommandFactory;
 use hw_sim::config::{Arguments, Clock, Config, exit_code};
 use hw_sim::emulator::{self, Tally};
 use hw_sim::outcome::Outcome;
-use hw_sim::robot::rig::RigError;
+use hw_sim::rig::RigError;
 
 const USAGE: u8 = 64;
 const UNAVAILABLE: u8 = 69;

@@ -5,6 +5,4 @@ pub mod arm;
 pub mod bridge;
 pub mod calibration;
 pub mod inspector;
-pub mod rig;
 pub mod sequence;
-mod state;

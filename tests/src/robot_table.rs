@@ -4,9 +4,9 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context;
+use hw_sim::rig::RigSettings;
 use hw_sim::robot::bridge::Shaping;
 use hw_sim::robot::calibration::Truth;
-use hw_sim::robot::rig::RigSettings;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};

@@ -6,10 +6,6 @@ use ipc::RobotState;
 use panda::Mode;
 use scene::{Pose, Scene};
 
-use super::arm::{Arm, ArmError, ArmSettings};
-use super::inspector::ArmReport;
-use super::sequence::{Sequence, SequenceSettings, Situation, TaskStep};
-use super::state;
 use crate::camera::{Points, project};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{Eye, EyeError, EyeSettings};
@@ -17,6 +13,11 @@ use crate::outcome::Outcome;
 use crate::progress::Progress;
 use crate::recording::ArmRecord;
 use crate::referee::End;
+use crate::robot::arm::{Arm, ArmError, ArmSettings};
+use crate::robot::inspector::ArmReport;
+use crate::robot::sequence::{Sequence, SequenceSettings, Situation, TaskStep};
+
+mod state;
 
 /// Nanoseconds of a step.
 pub const STEP_NS: u64 = 1_000_000;

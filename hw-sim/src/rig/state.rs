@@ -4,8 +4,8 @@
 use ipc::{RobotFaults, RobotMode, RobotState};
 use panda::{Errors, Flag, JOINTS, Mode, State};
 
-use super::sequence::TaskStep;
 use crate::cell::raise;
+use crate::robot::sequence::TaskStep;
 
 /// Adds the robot's own state and the step of the sequence.
 pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: TaskStep) {
@@ -57,7 +57,7 @@ mod tests {
 
     use super::*;
     use crate::cell::{Cell, Order};
-    use crate::robot::rig::{Rig, RigSettings};
+    use crate::rig::{Rig, RigSettings};
 
     #[test]
     fn the_bits_of_errors_are_those_that_the_contract_lists() {
