@@ -5,12 +5,15 @@
 //! - [`plot()`] draws figures of a recording, [`Report`] says how long its cycles took.
 #![forbid(unsafe_code)]
 
+mod annotation;
 mod context;
 mod ledger;
 mod plot;
 mod record;
 mod recorder;
 mod report;
+mod scenery;
+mod view_writer;
 mod views;
 
 pub use context::{Context, ContextError, TextFile};
@@ -19,4 +22,5 @@ pub use plot::{PlotError, plot};
 pub use record::{Options, RecordError, record};
 pub use recorder::Recorder;
 pub use report::{Report, StageTimes};
-pub use views::{Viewed, goal};
+pub use scenery::goal;
+pub use views::Viewed;

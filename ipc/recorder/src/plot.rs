@@ -8,7 +8,7 @@ use ipc::{ClockMode, CycleRecord, MAX_POINTS};
 use scene::{FileError, Scene};
 
 use crate::report::Report;
-use crate::views::goal;
+use crate::scenery::goal;
 use recording::Recording;
 
 /// Periods without a record for which the last command is drawn; after that the camera has stopped.

@@ -1,40 +1,28 @@
-//! What Foxglove draws: messages of its own schemas, beside those of the contract.
+//! What Foxglove draws of each message: views of its own schemas, beside the message itself.
 
-use figures::outline;
 use foxglove::messages::{
-    CameraCalibration, CircleAnnotation, Color, FrameTransform, ImageAnnotations, Point2,
-    PointsAnnotation, Pose, PoseInFrame, Quaternion, RawImage, TextAnnotation, Timestamp, Vector3,
-    log::Level, points_annotation::Type,
+    FrameTransform, ImageAnnotations, Pose, PoseInFrame, Quaternion, Vector3, log::Level,
+    points_annotation::Type,
 };
 use ipc::{
     CycleRecord, Features, Hold, MAX_POINTS, Reply, Request, RobotState, Snapshot, TwistCommand,
     TwistState,
 };
-use nalgebra::{Isometry3, Point3};
-use scene::{Mask, Scene};
+use nalgebra::Isometry3;
+use recording::{Recorded, WriteError};
 
-use crate::recorder::Recorder;
-use recording::Recorded;
-use recording::WriteError;
+use crate::annotation::{BLUE, CLEAR, RED, circle, lines, text};
+use crate::scenery::CAMERA;
+use crate::view_writer::ViewWriter;
 
-const BLUE: Color = color(0.12, 0.31, 0.85, 1.0);
-const RED: Color = color(0.85, 0.12, 0.12, 1.0);
-const GREY: Color = color(0.45, 0.47, 0.5, 1.0);
-const DARK: Color = color(0.1, 0.1, 0.1, 1.0);
-const LIGHT: Color = color(1.0, 1.0, 1.0, 0.8);
-const CLEAR: Color = color(0.0, 0.0, 0.0, 0.0);
-/// Frame of the camera: x right, y down, z forward.
-const CAMERA: &str = "camera";
 /// Frame of the pattern, which stands still.
 const OBJECT: &str = "object";
-/// Corners of the outline of an occlusion's part.
-const CORNERS: usize = 96;
 
 /// A message that Foxglove is to show somehow.
 pub trait Viewed: Recorded {
     /// Writes the views of it.
     #[doc(hidden)]
-    fn view(&self, _to: &mut Recorder) -> Result<(), WriteError> {
+    fn view(&self, _to: &mut ViewWriter) -> Result<(), WriteError> {
         Ok(())
     }
 }
@@ -44,7 +32,7 @@ impl Viewed for TwistCommand {}
 impl Viewed for Snapshot {}
 
 impl Viewed for Features {
-    fn view(&self, to: &mut Recorder) -> Result<(), WriteError> {
+    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
         const TOPIC: &str = "/camera/features";
         if !to.is_due(TOPIC, self.stamp.published_ns) {
             return Ok(());
@@ -64,7 +52,7 @@ impl Viewed for Features {
 }
 
 impl Viewed for RobotState {
-    fn view(&self, to: &mut Recorder) -> Result<(), WriteError> {
+    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
         if !to.is_due("/tf", self.stamp.published_ns) {
             return Ok(());
         }
@@ -88,7 +76,7 @@ impl Viewed for RobotState {
 }
 
 impl Viewed for CycleRecord {
-    fn view(&self, to: &mut Recorder) -> Result<(), WriteError> {
+    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
         const TOPIC: &str = "/camera/way_point";
         let published_ns = self.stamp.published_ns;
         if to.is_due(TOPIC, published_ns) {
@@ -120,7 +108,7 @@ impl Viewed for CycleRecord {
 }
 
 impl Viewed for Request {
-    fn view(&self, to: &mut Recorder) -> Result<(), WriteError> {
+    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
         let action = self.action().map(|action| action.to_string());
         let text = format!(
             "request {:016x}: {}",
@@ -132,7 +120,7 @@ impl Viewed for Request {
 }
 
 impl Viewed for Reply {
-    fn view(&self, to: &mut Recorder) -> Result<(), WriteError> {
+    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
         let outcome = self.outcome().map(|outcome| outcome.to_string());
         let text = format!(
             "reply to {:016x}: {}",
@@ -164,174 +152,6 @@ fn caption(record: &CycleRecord) -> String {
     text
 }
 
-const fn color(r: f64, g: f64, b: f64, a: f64) -> Color {
-    Color { r, g, b, a }
-}
-
-pub(crate) fn time(wall_ns: u64) -> Option<Timestamp> {
-    let sec = u32::try_from(wall_ns / 1_000_000_000).ok()?;
-    Timestamp::new_checked(sec, (wall_ns % 1_000_000_000) as u32)
-}
-
-/// Foxglove counts from the corner of the first pixel, we from its centre.
-fn point([u, v]: [f64; 2]) -> Point2 {
-    Point2 {
-        x: u + 0.5,
-        y: v + 0.5,
-    }
-}
-
-fn circle(
-    at: Option<Timestamp>,
-    center: [f64; 2],
-    diameter: f64,
-    line: Color,
-    fill: Color,
-) -> CircleAnnotation {
-    CircleAnnotation {
-        timestamp: at,
-        position: Some(point(center)),
-        diameter,
-        thickness: 2.0,
-        fill_color: Some(fill),
-        outline_color: Some(line),
-        ..CircleAnnotation::default()
-    }
-}
-
-fn lines(
-    at: Option<Timestamp>,
-    kind: Type,
-    corners: impl Iterator<Item = [f64; 2]>,
-    line: Color,
-) -> PointsAnnotation {
-    PointsAnnotation {
-        timestamp: at,
-        r#type: kind.into(),
-        points: corners.map(point).collect(),
-        outline_color: Some(line),
-        fill_color: Some(CLEAR),
-        thickness: 2.0,
-        ..PointsAnnotation::default()
-    }
-}
-
-fn text(at: Option<Timestamp>, left: [f64; 2], text: String) -> TextAnnotation {
-    TextAnnotation {
-        timestamp: at,
-        position: Some(point(left)),
-        text,
-        font_size: 16.0,
-        text_color: Some(DARK),
-        background_color: Some(LIGHT),
-        ..TextAnnotation::default()
-    }
-}
-
-/// What stands still in the image: the outlines of the occlusions, the image's border, the goal.
-pub(crate) fn scenery(scene: &Scene, wall_ns: u64) -> ImageAnnotations {
-    let at = time(wall_ns);
-    let (right, lower) = (scene.camera.width - 0.5, scene.camera.height - 0.5);
-    let frame = [[-0.5, -0.5], [right, -0.5], [right, lower], [-0.5, lower]];
-    let parts = scene
-        .parts()
-        .map(|part| lines(at, Type::LineLoop, outline(part, CORNERS), GREY));
-    let masks = scene
-        .masks()
-        .map(|mask| lines(at, Type::LineList, borders(mask).into_iter(), GREY));
-    let frame = lines(at, Type::LineLoop, frame.into_iter(), GREY);
-    let goal = goal(scene).into_iter();
-    ImageAnnotations {
-        circles: goal
-            .map(|center| circle(at, center, 14.0, RED, CLEAR))
-            .collect(),
-        points: parts.chain(masks).chain([frame]).collect(),
-        ..ImageAnnotations::default()
-    }
-}
-
-/// The borders of a mask: both ends of each straight run of pixel edges between forbidden and free.
-fn borders(mask: &Mask) -> Vec<[f64; 2]> {
-    let mut ends = Vec::new();
-    let (width, height) = (mask.width(), mask.height());
-    for (is_upright, count, length) in [(false, height, width), (true, width, height)] {
-        let turned = |along: usize, across: usize| match is_upright {
-            false => [along, across],
-            true => [across, along],
-        };
-        let is_forbidden = |along, across| {
-            let [column, row] = turned(along, across);
-            mask.is_forbidden(column, row)
-        };
-        for line in 0..=count {
-            let mut was_edge = false;
-            for i in 0..=length {
-                let is_edge = is_forbidden(i, line) != is_forbidden(i, line.wrapping_sub(1));
-                if is_edge != was_edge {
-                    // A pixel is the square about its whole-numbered centre.
-                    ends.push(turned(i, line).map(|x| x as f64 - 0.5));
-                }
-                was_edge = is_edge;
-            }
-        }
-    }
-    ends
-}
-
-/// The image plane as a picture, occlusions grey on white: Foxglove's Image panel needs an image to
-/// annotate.
-pub(crate) fn image(scene: &Scene, wall_ns: u64) -> RawImage {
-    let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
-    let mut pixels = vec![250_u8; width * height];
-    for part in scene.parts() {
-        let ([u, v], [hu, hv]) = (part.center, part.half);
-        for row in span(v - hv, v + hv, height) {
-            for column in span(u - hu, u + hu, width) {
-                let (du, dv) = ((column as f64 - u) / hu, (row as f64 - v) / hv);
-                if du.abs().powf(part.p) + dv.abs().powf(part.p) < 1.0 {
-                    pixels[row * width + column] = 185;
-                }
-            }
-        }
-    }
-    for [columns, rows] in scene.masks().flat_map(Mask::rectangles) {
-        for row in rows {
-            pixels[row * width..][columns.clone()].fill(185);
-        }
-    }
-    RawImage {
-        timestamp: time(wall_ns),
-        frame_id: CAMERA.to_owned(),
-        width: width as u32,
-        height: height as u32,
-        encoding: "mono8".to_owned(),
-        step: width as u32,
-        data: pixels.into(),
-    }
-}
-
-/// Pixels between two coordinates, inside the image.
-fn span(from: f64, to: f64, size: usize) -> std::ops::Range<usize> {
-    // Casts saturate: what lies left of the image becomes 0.
-    (from.floor() as usize).min(size)..(to.ceil() as usize).min(size)
-}
-
-/// The pinhole camera of the scene.
-pub(crate) fn calibration(scene: &Scene, wall_ns: u64) -> CameraCalibration {
-    let camera = &scene.camera;
-    let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
-    CameraCalibration {
-        timestamp: time(wall_ns),
-        frame_id: CAMERA.to_owned(),
-        width: camera.width as u32,
-        height: camera.height as u32,
-        k: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-        ..CameraCalibration::default()
-    }
-}
-
 /// The camera in the object frame, from the object in the camera frame (m; rotation vector, rad).
 fn camera_in_object(translation: [f64; 3], rotation: [f64; 3]) -> (Vector3, Quaternion) {
     let camera = Isometry3::new(translation.into(), rotation.into()).inverse();
@@ -350,102 +170,11 @@ fn camera_in_object(translation: [f64; 3], rotation: [f64; 3]) -> (Vector3, Quat
     (place, turn)
 }
 
-/// The pattern's points in the image at the goal, px, by the pinhole model.
-pub fn goal(scene: &Scene) -> Vec<[f64; 2]> {
-    let (goal, camera) = (&scene.goal, &scene.camera);
-    let object = Isometry3::new(goal.translation.into(), goal.rotation.into());
-    let points = scene
-        .pattern
-        .iter()
-        .map(|point| object * Point3::from(*point));
-    points
-        .map(|p| {
-            [
-                camera.cx + camera.fx * p.x / p.z,
-                camera.cy + camera.fy * p.y / p.z,
-            ]
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
+
     use super::*;
-
-    /// The paper's simulated scene with a painted mask instead of its occlusions.
-    fn painted(is_white: impl Fn(u32, u32) -> bool) -> Scene {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("mask.png");
-        scene::write_mask(&path, 1024, 1024, is_white).unwrap();
-        let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
-        let text = format!("{head}[[occlusion]]\nname = \"painted\"\nmask = \"mask.png\"\n");
-        let png = std::fs::read(path).unwrap();
-        Scene::parse_with(&text, "painted.toml", &|_| Ok(png.clone())).unwrap()
-    }
-
-    #[test]
-    fn the_picture_is_grey_inside_occlusions_and_light_outside() {
-        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-        let image = image(&scene, 1_500_000_000);
-        assert_eq!(image.timestamp, Some(Timestamp::new(1, 500_000_000)));
-        assert_eq!(image.data.len(), 1024 * 1024);
-        let at = |u: usize, v: usize| image.data[v * 1024 + u];
-        assert_eq!((at(850, 560), at(850, 650)), (185, 250));
-        assert_eq!((at(200, 420), at(0, 0)), (185, 250));
-    }
-
-    #[test]
-    fn a_mask_is_grey_in_the_picture_and_has_its_outline() {
-        let scene = painted(|i, j| (700..900).contains(&i) && (100..200).contains(&j));
-        for (n, grey) in image(&scene, 0).data.into_iter().enumerate() {
-            let inside = (700..900).contains(&(n % 1024)) && (100..200).contains(&(n / 1024));
-            assert_eq!(grey, if inside { 185 } else { 250 });
-        }
-        // Two ends for each of four sides, a corner twice.
-        let outline = &scenery(&scene, 0).points[0];
-        assert_eq!(
-            (outline.r#type, outline.points.len()),
-            (Type::LineList as i32, 8)
-        );
-        for (x, y) in [
-            (700.0, 100.0),
-            (900.0, 100.0),
-            (900.0, 200.0),
-            (700.0, 200.0),
-        ] {
-            let corners = outline.points.iter().filter(|p| **p == Point2 { x, y });
-            assert_eq!(corners.count(), 2, "{outline:?}");
-        }
-    }
-
-    #[test]
-    fn the_borders_of_a_mask_go_round_holes_and_along_the_edge_of_the_image() {
-        let inside =
-            |i: u32, j: u32, from: u32, to: u32| (from..to).contains(&i) && (from..to).contains(&j);
-        let length = |is_white: &dyn Fn(u32, u32) -> bool| -> f64 {
-            let scene = painted(is_white);
-            let ends = borders(scene.masks().next().unwrap());
-            let pairs = ends.chunks_exact(2);
-            pairs
-                .map(|p| (p[0][0] - p[1][0]).hypot(p[0][1] - p[1][1]))
-                .sum()
-        };
-        let ring = length(&|i, j| inside(i, j, 100, 200) && !inside(i, j, 140, 150));
-        assert_eq!(ring, 4.0 * 100.0 + 4.0 * 10.0);
-        assert_eq!(length(&|i, j| inside(i, j, 1000, 1024)), 4.0 * 24.0);
-        assert_eq!(length(&|i, j| inside(i, j, 0, 30)), 4.0 * 30.0);
-        // Pixels that meet at a corner.
-        let two = length(&|i, j| inside(i, j, 100, 140) || inside(i, j, 140, 180));
-        assert_eq!(two, 8.0 * 40.0);
-    }
-
-    #[test]
-    fn an_occlusion_across_the_border_is_drawn_as_far_as_it_is_seen() {
-        assert_eq!(span(-10.5, 3.2, 100), 0..4);
-        assert_eq!(span(98.0, 130.0, 100), 98..100);
-        assert_eq!(span(-9.0, -2.0, 100), 0..0);
-        assert_eq!(span(200.0, 300.0, 100), 100..100);
-    }
 
     #[test]
     fn the_camera_in_the_object_frame_is_the_inverse_pose() {
@@ -461,19 +190,5 @@ mod tests {
         let (_, turn) = camera_in_object([0.0; 3], [0.0, 0.0, std::f64::consts::FRAC_PI_2]);
         let half = std::f64::consts::FRAC_1_SQRT_2;
         assert!((turn.z + half).abs() < 1e-12 && (turn.w - half).abs() < 1e-12);
-    }
-
-    #[test]
-    fn the_goal_of_the_papers_scene_is_a_square_about_the_middle() {
-        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-        let square = [
-            [312.0, 312.0],
-            [712.0, 312.0],
-            [712.0, 712.0],
-            [312.0, 712.0],
-        ];
-        for (found, expected) in goal(&scene).into_iter().zip(square) {
-            assert!((found[0] - expected[0]).hypot(found[1] - expected[1]) < 1e-9);
-        }
     }
 }

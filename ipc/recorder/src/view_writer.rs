@@ -1,0 +1,101 @@
+//! A file of messages with views: what Foxglove draws, and a log.
+
+use std::collections::HashMap;
+
+use foxglove::messages::{Log, Timestamp, log::Level};
+use foxglove::{Encode, Schema};
+use ipc::Stamp;
+use recording::{Encoding, RecordingFile, WriteError};
+
+use crate::annotation::time;
+
+/// Least time between two drawings on one topic, ns: nobody sees more than 60 a second.
+const APART_NS: u64 = 15_000_000;
+
+/// Writes views and an entry of the log where something happens.
+pub struct ViewWriter {
+    /// The file, for the messages themselves.
+    pub(crate) file: RecordingFile,
+    /// State and hold of the last cycle.
+    pub(crate) situation: Option<[u32; 2]>,
+    drawn_ns: HashMap<&'static str, u64>,
+    logged: u64,
+}
+
+impl ViewWriter {
+    /// Views into this file.
+    pub(crate) fn new(file: RecordingFile) -> Self {
+        Self {
+            file,
+            situation: None,
+            drawn_ns: HashMap::new(),
+            logged: 0,
+        }
+    }
+
+    /// Writes an entry of the log.
+    pub(crate) fn log(
+        &mut self,
+        level: Level,
+        name: &str,
+        text: String,
+        monotonic_ns: u64,
+    ) -> Result<(), WriteError> {
+        self.logged += 1;
+        let wall_ns = self.file.clock().wall_of(monotonic_ns);
+        let entry = Log {
+            timestamp: time(wall_ns),
+            level: level.into(),
+            message: text,
+            name: name.to_owned(),
+            ..Log::default()
+        };
+        self.put("/log", self.logged, wall_ns, &entry)
+    }
+
+    /// Returns whether a drawing on this topic may be made now, which then counts as its time.
+    pub(crate) fn is_due(&mut self, topic: &'static str, published_ns: u64) -> bool {
+        let last = self.drawn_ns.get(topic);
+        let due = last.is_none_or(|last| published_ns.abs_diff(*last) >= APART_NS);
+        if due {
+            self.drawn_ns.insert(topic, published_ns);
+        }
+        due
+    }
+
+    /// Writes the view of a message, at its time.
+    pub(crate) fn draw<M: Encode>(
+        &mut self,
+        topic: &'static str,
+        stamp: &Stamp,
+        view: impl FnOnce(Option<Timestamp>) -> M,
+    ) -> Result<(), WriteError> {
+        let wall_ns = self.file.clock().wall_of(stamp.published_ns);
+        self.put(topic, stamp.sequence, wall_ns, &view(time(wall_ns)))
+    }
+
+    /// Writes a view.
+    pub(crate) fn put<M: Encode>(
+        &mut self,
+        topic: &'static str,
+        sequence: u64,
+        wall_ns: u64,
+        message: &M,
+    ) -> Result<(), WriteError> {
+        let encoding = || {
+            let Schema {
+                name,
+                encoding,
+                data,
+            } = M::get_schema().unwrap_or_else(|| Schema::new("", "", &[][..]));
+            Encoding {
+                schema: (name, encoding, data.into_owned()),
+                message: M::get_message_encoding(),
+            }
+        };
+        let mut data = Vec::new();
+        // Fails only where the buffer is full, and a vector grows.
+        let _ = message.encode(&mut data);
+        self.file.put(topic, encoding, sequence, wall_ns, &data)
+    }
+}
