@@ -8,29 +8,24 @@ use crate::decision::HoldReason;
 // A step takes all the points that a message can have: more than the law has room for would panic
 // in the loop.
 const _: () = assert!(ipc::MAX_POINTS <= vpc::MAX_POINTS);
+const _: () = assert!(ipc::MAX_NEIGHBOURS as usize == vpc::strategy::MAX_NEIGHBOURS);
 
 /// Code of a strategy, and the neighbours of k-NN or 0.
 pub fn strategy_code(strategy: Strategy) -> (StrategyCode, u32) {
-    match strategy {
-        Strategy::Previous => (StrategyCode::Previous, 0),
-        Strategy::Knn { k } => (StrategyCode::Knn, k as u32),
-        Strategy::Gpr => (StrategyCode::Gpr, 0),
-        Strategy::Ibvs => (StrategyCode::Ibvs, 0),
-    }
+    let code = match strategy {
+        Strategy::Previous => StrategyCode::Previous,
+        Strategy::Knn { .. } => StrategyCode::Knn,
+        Strategy::Gpr => StrategyCode::Gpr,
+        Strategy::Ibvs => StrategyCode::Ibvs,
+    };
+    (code, strategy.neighbours() as u32)
 }
 
 /// The strategy of a code; `None` if the number of neighbours does not belong to it.
 pub fn strategy(code: StrategyCode, neighbours: u32) -> Option<Strategy> {
-    let k = neighbours as usize;
-    match (code, neighbours) {
-        (StrategyCode::Knn, _) => (1..=vpc::settings::MAX_NEIGHBOURS)
-            .contains(&k)
-            .then_some(Strategy::Knn { k }),
-        (StrategyCode::Previous, 0) => Some(Strategy::Previous),
-        (StrategyCode::Gpr, 0) => Some(Strategy::Gpr),
-        (StrategyCode::Ibvs, 0) => Some(Strategy::Ibvs),
-        _ => None,
-    }
+    let strategies = Strategy::ALL.into_iter();
+    let mut named = strategies.filter(|&strategy| strategy_code(strategy).0 == code);
+    named.next()?.averaging(neighbours as usize)
 }
 
 /// The measurement in a message, for a command that takes effect at `effective_ns`.

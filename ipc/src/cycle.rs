@@ -185,6 +185,26 @@ codes! {
     }
 }
 
+/// Most neighbours that knn averages.
+pub const MAX_NEIGHBOURS: u32 = 64;
+
+impl StrategyCode {
+    /// Reads a name, for knn with the number of neighbours behind it; the number is 1 where knn
+    /// stands alone, and 0 for other strategies.
+    pub fn from_name(text: &str) -> Option<(Self, u32)> {
+        if let Some(digits) = text.strip_prefix("knn").filter(|digits| !digits.is_empty()) {
+            let k = digits
+                .parse()
+                .ok()
+                .filter(|k| (1..=MAX_NEIGHBOURS).contains(k));
+            return k.map(|k| (Self::Knn, k));
+        }
+        let name = Self::TABLE.names.iter().find(|name| name.text == text)?;
+        let strategy = Self::from_code(name.number)?;
+        Some((strategy, u32::from(strategy == Self::Knn)))
+    }
+}
+
 message! {
     /// Telemetry of one cycle. Numbers of the control law are NaN if it did not run.
     CycleRecord: "vpc/CycleRecord/3" {

@@ -71,8 +71,8 @@ mod twist;
 pub use clock::now_ns;
 pub use codes::{Name, Table};
 pub use cycle::{
-    ClockMode, CycleFlags, CycleRecord, Hold, InputCode, PhaseCode, RealTime, RecallCode,
-    SolverStatus, StrategyCode,
+    ClockMode, CycleFlags, CycleRecord, Hold, InputCode, MAX_NEIGHBOURS, PhaseCode, RealTime,
+    RecallCode, SolverStatus, StrategyCode,
 };
 pub use domain::{Domain, default_directory, shared_memory_prefix};
 pub use error::{AskError, JoinError, JoinReason, OpenError, PublishError, ReceiveError};
@@ -94,3 +94,7 @@ pub const MAX_POINTS: usize = 8;
 /// Where the daemon leaves the scene that it runs on, for viewers: a path below the domain's
 /// directory. The masks that the scene names lie beside it.
 pub const SCENE_FILE: &str = "scene/scene.toml";
+
+/// Where the daemon leaves its configuration, every default filled in, for recorders: a path below
+/// the domain's directory.
+pub const CONFIG_FILE: &str = "config/vpcd.toml";

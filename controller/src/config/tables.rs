@@ -6,7 +6,7 @@ use ipc::ClockMode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
-use vpc::Strategy;
+use vpc::strategy::{MAX_NEIGHBOURS, Strategy};
 
 /// Paths are relative to the file. A flag of the command line wins over the file.
 #[derive(Deserialize, Serialize, JsonSchema)]
@@ -45,7 +45,7 @@ pub struct Law {
     /// of the memory (`knn`) or the mean of several (`knn5`), or regression over the memory
     /// (`gpr`); `ibvs` is the classic law without prediction. Flag: --strategy.
     #[default = "previous"]
-    #[schemars(extend("enum" = strategies(), "x-allowed" = "previous, knn, knn2 to knn64, gpr, ibvs"))]
+    #[schemars(extend("enum" = strategies(), "x-allowed" = vpc::strategy::ALLOWED))]
     pub strategy: String,
     /// Steps of the preview. Flag: --np.
     #[default = 3]
@@ -92,10 +92,9 @@ pub struct Law {
 
 /// Every word that is a strategy.
 fn strategies() -> Vec<String> {
-    let averaged = (2..).map(|k| format!("knn{k}"));
-    let averaged = averaged.take_while(|word| word.parse::<Strategy>().is_ok());
-    let named = ["previous", "knn", "gpr", "ibvs"].map(str::to_owned);
-    named.into_iter().chain(averaged).collect()
+    let averaged = (2..=MAX_NEIGHBOURS).map(|k| Strategy::Knn { k });
+    let strategies = Strategy::ALL.into_iter().chain(averaged);
+    strategies.map(|strategy| strategy.to_string()).collect()
 }
 
 /// The words of `law.model`.

@@ -9,9 +9,10 @@ use crate::measurement::{Measurement, Refusal};
 use crate::prediction::{InitialState, Plan, Preview};
 use crate::problem::{Problem, Status};
 use crate::recall::{self, MotionMemory, OutOfRange, Recall};
-use crate::settings::{Settings, SettingsError, Strategy};
+use crate::settings::{Settings, SettingsError};
 use crate::solver::Solver;
 use crate::state::State;
+use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, frozen, gate, ibvs, limit, work};
 

@@ -14,8 +14,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::recall::MotionMemory;
-use crate::settings::Strategy;
 use crate::sight::Sight;
+use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::{MAX_POINTS, Points, features};
 

@@ -77,6 +77,7 @@ pub mod sight;
 pub mod solver;
 mod sqp;
 pub mod state;
+pub mod strategy;
 pub mod task;
 pub mod work;
 
@@ -86,8 +87,9 @@ pub use measurement::{Measurement, Refusal};
 pub use prediction::Model;
 pub use problem::{SolverOptions, Status};
 pub use recall::MotionMemory;
-pub use settings::{Settings, SettingsError, Strategy};
+pub use settings::{Settings, SettingsError};
 pub use state::State;
+pub use strategy::Strategy;
 pub use task::{Task, TaskError};
 
 /// Most points of a pattern.

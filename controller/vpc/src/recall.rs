@@ -1,6 +1,7 @@
 //! Recall: when to ask the memory, and what it says.
 
-use crate::settings::{Settings, Strategy};
+use crate::settings::Settings;
+use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::{DOF, MAX_POINTS, Points, Twist, constraint, limit};
 
@@ -63,13 +64,7 @@ pub trait MotionMemory {
 
 impl MotionMemory for memory_blob::Memory<'_> {
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool {
-        match strategy {
-            Strategy::Knn { k } => self.samples().nearest(input, k, output).is_ok(),
-            Strategy::Gpr => self
-                .gpr()
-                .is_some_and(|gpr| gpr.mean(input, output).is_ok()),
-            Strategy::Previous | Strategy::Ibvs => false,
-        }
+        strategy.infer(self, input, output)
     }
 
     fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool {

@@ -1,75 +1,10 @@
 //! What a user may choose about the law.
 
-use core::fmt;
-
-use serde::{Deserialize, Serialize};
-
 use crate::prediction::Model;
 use crate::problem::SolverOptions;
+use crate::strategy::{MAX_NEIGHBOURS, Strategy};
 use crate::task::TaskError;
 use crate::{MAX_NC, MAX_NP};
-
-/// Where warm start and target come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Strategy {
-    /// Warm start from the previous cycle's solution, target is the goal (the paper's "prev.-it.").
-    Previous,
-    /// Near a constraint, warm start and way point from the mean of the `k` nearest samples of the
-    /// memory.
-    Knn {
-        /// Neighbours averaged, from 1.
-        k: usize,
-    },
-    /// Near a constraint, warm start and way point from Gaussian-process regression.
-    Gpr,
-    /// Classic image-based visual servoing; no prediction, no constraints but the velocity limits.
-    Ibvs,
-}
-
-impl Strategy {
-    /// Whether the strategy asks the memory.
-    pub fn needs_memory(self) -> bool {
-        matches!(self, Self::Knn { .. } | Self::Gpr)
-    }
-}
-
-impl fmt::Display for Strategy {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Previous => f.write_str("previous"),
-            Self::Knn { k: 1 } => f.write_str("knn"),
-            Self::Knn { k } => write!(f, "knn{k}"),
-            Self::Gpr => f.write_str("gpr"),
-            Self::Ibvs => f.write_str("ibvs"),
-        }
-    }
-}
-
-/// The name of no strategy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("allowed: previous, knn, knn2 to knn64, gpr, ibvs")]
-pub struct UnknownStrategy;
-
-impl core::str::FromStr for Strategy {
-    type Err = UnknownStrategy;
-
-    fn from_str(text: &str) -> Result<Self, UnknownStrategy> {
-        match text {
-            "previous" => Ok(Self::Previous),
-            "gpr" => Ok(Self::Gpr),
-            "ibvs" => Ok(Self::Ibvs),
-            "knn" => Ok(Self::Knn { k: 1 }),
-            _ => {
-                let k = text.strip_prefix("knn").and_then(|k| k.parse().ok());
-                let k = k.filter(|k| (1..=MAX_NEIGHBOURS).contains(k));
-                k.map(|k| Self::Knn { k }).ok_or(UnknownStrategy)
-            }
-        }
-    }
-}
-
-/// Most neighbours that k-NN averages.
-pub const MAX_NEIGHBOURS: usize = 64;
 
 /// Settings of the law; [`Settings::check`] accepts what [`crate::Controller`] runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -179,16 +114,6 @@ impl Settings {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn names_of_strategies_go_both_ways() {
-        for name in ["previous", "knn", "knn5", "gpr", "ibvs"] {
-            assert_eq!(name.parse::<Strategy>().unwrap().to_string(), name);
-        }
-        for name in ["", "knn0", "knn65", "knnx", "GPR"] {
-            assert!(name.parse::<Strategy>().is_err(), "{name}");
-        }
-    }
 
     #[test]
     fn settings_out_of_range_are_named() {

@@ -7,7 +7,7 @@ use crate::delay::History;
 use crate::detour::Detour;
 use crate::features::PlainPoints;
 use crate::prediction::Plan;
-use crate::settings::Strategy;
+use crate::strategy::Strategy;
 
 /// All that a [`Controller`](crate::Controller) remembers from one cycle to the next. Put into
 /// another controller of the same task and settings it gives the same commands from there on, bit

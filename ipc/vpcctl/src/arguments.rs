@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
-use ipc::StrategyCode;
+use ipc::{MAX_NEIGHBOURS, StrategyCode};
 
 use crate::plot::PlotArguments;
 use crate::record::RecordArguments;
@@ -187,17 +187,13 @@ fn seconds(text: &str) -> Result<Duration, String> {
 
 /// Reads the name of a strategy as `vpcd --strategy` does, with its neighbours.
 fn strategy(text: &str) -> Result<(StrategyCode, u32), String> {
-    let neighbours = |digits: &str| digits.parse().ok().filter(|k| (1..=64).contains(k));
-    match (text, text.strip_prefix("knn")) {
-        ("previous", _) => Ok((StrategyCode::Previous, 0)),
-        ("gpr", _) => Ok((StrategyCode::Gpr, 0)),
-        ("ibvs", _) => Ok((StrategyCode::Ibvs, 0)),
-        ("knn", _) => Ok((StrategyCode::Knn, 1)),
-        (_, digits) => digits
-            .and_then(neighbours)
-            .map(|k| (StrategyCode::Knn, k))
-            .ok_or_else(|| "allowed: previous, knn, knn2 ... knn64, gpr, ibvs".to_owned()),
-    }
+    StrategyCode::from_name(text).ok_or_else(|| {
+        let names = StrategyCode::TABLE.names.iter().map(|name| name.text);
+        format!(
+            "allowed: {}, knn2 ... knn{MAX_NEIGHBOURS}",
+            names.collect::<Vec<_>>().join(", ")
+        )
+    })
 }
 
 #[cfg(test)]

@@ -48,10 +48,11 @@ fn command(key: &KeyEvent) -> Option<Command> {
         KeyCode::Char('d') => Command::Ask(Action::Disarm),
         KeyCode::Char('s' | ' ') => Command::Ask(Action::Stop),
         KeyCode::Char('f') => Command::Ask(Action::Record),
-        KeyCode::Char('1') => Command::Strategy(StrategyCode::Previous),
-        KeyCode::Char('2') => Command::Strategy(StrategyCode::Knn),
-        KeyCode::Char('3') => Command::Strategy(StrategyCode::Gpr),
-        KeyCode::Char('4') => Command::Strategy(StrategyCode::Ibvs),
+        // The strategies are on the digits from 1, in the order of their codes from 0.
+        KeyCode::Char(key) => {
+            let code = key.to_digit(10)?.checked_sub(1)?;
+            Command::Strategy(StrategyCode::from_code(code)?)
+        }
         _ => return None,
     })
 }

@@ -1,6 +1,6 @@
 //! The screen: pure drawing of what is known at an instant.
 
-use ipc::Hold;
+use ipc::{Hold, StrategyCode};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -24,7 +24,13 @@ const NUMBERS: u16 = 6;
 /// What the percentiles look back on, ns.
 const WINDOW_NS: u64 = 10_000_000_000;
 /// What the keys do.
-const HELP: &str = " q quit  a arm  d disarm  s stop  1 previous  2 knn  3 gpr  4 ibvs  f flight";
+fn help() -> String {
+    let mut line = " q quit  a arm  d disarm  s stop".to_owned();
+    for strategy in StrategyCode::TABLE.names {
+        line += &format!("  {} {}", strategy.number + 1, strategy.text);
+    }
+    line + "  f flight"
+}
 
 /// What is drawn.
 #[derive(Debug)]
@@ -77,7 +83,7 @@ pub fn draw(frame: &mut Frame, screen: &Screen) {
     past_panel(frame, past, screen);
     frame.render_widget(Line::from(format!(" {}", screen.message)), answer);
     let style = screen.palette.style(Color::DarkGray);
-    frame.render_widget(Line::styled(HELP, style), keys);
+    frame.render_widget(Line::styled(help(), style), keys);
 }
 
 /// One line: process, state, cause, strategy, rate.
