@@ -126,13 +126,22 @@ impl Config {
         Ok(laid_over(Document::parse(text, path)?, directory, arguments)?.1)
     }
 
-    /// Returns the whole configuration that file and flags come to, with all defaults, as TOML that
-    /// is read as the same.
+    /// Returns the whole configuration that file and flags come to, with all defaults and absolute
+    /// paths, as TOML that is read as the same in any directory.
     ///
     /// # Errors
     /// As [`Config::read`]: only a valid configuration is printed.
     pub fn print(arguments: &Arguments) -> Result<String, ConfigError> {
-        let (tables, _) = source(arguments)?;
+        let (mut tables, _) = source(arguments)?;
+        let paths = [
+            &mut tables.memory,
+            &mut tables.ipc.domain,
+            &mut tables.flight.directory,
+        ];
+        for path in paths.into_iter().flatten().chain([&mut tables.scene]) {
+            // Only the empty path has no absolute one; it is no file either way.
+            *path = std::path::absolute(&*path).unwrap_or_default();
+        }
         toml::to_string(&tables).map_err(|error| ConfigError::Syntax {
             path: named(arguments),
             message: error.to_string(),

@@ -237,10 +237,10 @@ mod tests {
     use ipc::{Features, RobotState};
     use rand::{Rng, RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+    use scene::SceneFiles;
 
     use super::*;
     use crate::input::Input;
-    use crate::scene_files::SceneFiles;
 
     const MS: u64 = 1_000_000;
     const PERIOD: u64 = 33 * MS;

@@ -17,8 +17,8 @@ use crate::instance::{Instance, InstanceError};
 use crate::loaded::{LoadError, LoadedController};
 use crate::log::Log;
 use crate::preflight::Facts;
+use crate::published::Published;
 use crate::report::{Report, ReportError};
-use crate::scene_files::PublishedScene;
 use crate::service::{Notifier, Progress, Service, ServiceError};
 use crate::shutdown::{Hangup, Stop};
 use crate::summary::Summary;
@@ -190,11 +190,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let domain = Domain::join(&config.domain)?;
     let instance = Instance::claim(domain.directory())?;
     let ports = ControllerPorts::open(&domain)?;
-    let scene = publish_scene(&loaded, domain.directory());
+    let printed = Config::print(arguments)?;
+    let published = publish(&loaded, &printed, domain.directory());
     let (producer, consumer) = flight::queue();
     let progress = Progress::default();
     let stop = signals.stop.clone();
-    let about = About::new(Config::print(arguments)?, &loaded);
+    let about = About::new(printed, &loaded);
     let telemetry = Telemetry {
         consumer,
         dump: signals.dump.clone(),
@@ -224,22 +225,22 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let reported =
         recorded(recorder.join()).and_then(|summary| report(arguments, &summary, machine, &log));
     // The ports are closed: the next one may come.
-    drop(scene);
+    drop(published);
     drop(instance);
     outcome?;
     stopped.map_err(|source| Failure::Send { most: 1, source })?;
     reported
 }
 
-/// Leaves the scene in the domain, where viewers find it. They do without if it cannot be written.
-fn publish_scene(loaded: &LoadedController, domain: &Path) -> Option<PublishedScene> {
-    let path = domain.join(ipc::SCENE_FILE);
-    let published = loaded.scene_files().publish(&path);
-    published
-        .inspect_err(|error| {
-            tracing::warn!(%error, "{}: viewers lack the scene: {error}", path.display());
-        })
-        .ok()
+/// Leaves scene and configuration in the domain, where viewers and recorders find them. They do
+/// without if these cannot be written.
+fn publish(loaded: &LoadedController, config: &str, domain: &Path) -> Option<Published> {
+    let published = Published::write(loaded.scene_files(), config, domain);
+    let warn = |error: &std::io::Error| {
+        let domain = domain.display();
+        tracing::warn!(%error, "{domain}: viewers lack scene and configuration: {error}");
+    };
+    published.inspect_err(warn).ok()
 }
 
 /// What the recorder's thread left when it ended; a panic of it is a failure of the daemon.

@@ -58,10 +58,10 @@ fn is_within(twist: &[f64; 6], limits: &Limits) -> bool {
 #[cfg(test)]
 mod tests {
     use ipc::SolverStatus;
+    use scene::SceneFiles;
     use vpc::{Settings, Strategy};
 
     use super::*;
-    use crate::scene_files::SceneFiles;
 
     fn law() -> LoadedController {
         law_with(Settings::default())

@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use memory_blob::{MemoryFile, OpenError};
-use scene::{FileError, Scene};
+use scene::{FileError, Scene, SceneFiles};
 use vpc::{MotionMemory, Settings, SettingsError, Strategy};
 
 use crate::exit::Exit;
-use crate::scene_files::SceneFiles;
 
 /// Stack for setting up: the controller (some 600 KB) passes through several frames on its way to
 /// the heap.

@@ -4,11 +4,11 @@
 use std::path::Path;
 
 use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, WriteError};
+use scene::SceneFiles;
 use sha2::{Digest, Sha256};
 
 use super::ring::Ring;
 use crate::loaded::LoadedController;
-use crate::scene_files::SceneFiles;
 
 /// Entries about the origin of a flight record, beside those of every recording.
 pub mod origin {
@@ -23,10 +23,8 @@ pub mod origin {
 /// What a flight record says about the daemon: all that a replay needs beside the messages.
 #[derive(Clone, Debug)]
 pub struct About {
-    /// The whole configuration, flags and defaults included; paths in it are relative to
-    /// `directory`.
+    /// The whole configuration, flags and defaults included, with absolute paths.
     config: String,
-    directory: String,
     scene: SceneFiles,
     memory_sha256: Option<String>,
 }
@@ -34,10 +32,8 @@ pub struct About {
 impl About {
     /// About a controller under this configuration; `text` is the whole of it.
     pub fn new(text: String, loaded: &LoadedController) -> Self {
-        let directory = std::env::current_dir().unwrap_or_default();
         Self {
             config: text,
-            directory: directory.display().to_string(),
             scene: loaded.scene_files().clone(),
             memory_sha256: loaded.memory().map(|memory| hex(memory.digest())),
         }
@@ -53,7 +49,6 @@ pub fn write(path: &Path, about: &About, cause: &str, ring: &Ring) -> Result<(),
     file.origin([
         (origin::CAUSE, cause.to_owned()),
         (origin::EXECUTABLE, executable()),
-        (CONFIG_FILE, format!("{}/{CONFIG_FILE}", about.directory)),
     ])?;
     if let Some(sha256) = &about.memory_sha256 {
         file.origin([(origin::MEMORY_SHA256, sha256.clone())])?;

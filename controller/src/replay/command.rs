@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use ipc::{CycleRecord, StrategyCode};
 use recording::{CONFIG_FILE, ReadError, Recorded, Recording, SCENE_FILE};
+use scene::SceneFiles;
 use serde_json::{Value, json};
 
 use super::{Difference, ReplayError, Report, replay};
@@ -16,7 +17,6 @@ use crate::exit::Exit;
 use crate::flight::file::{self, origin};
 use crate::loaded::{LoadError, LoadedController};
 use crate::log;
-use crate::scene_files::SceneFiles;
 use crate::snapshot::SnapshotError;
 
 /// Why a recording cannot be replayed.
@@ -150,8 +150,8 @@ fn control(
     Ok(Pace::new(&config, loaded.scene()).control(loaded))
 }
 
-/// The attached configuration. Flags of the daemon's command line are in that of a flight record
-/// only; what they did is in the cycles.
+/// The attached configuration, with the scene that is attached as well, and with the strategy of
+/// the first cycle: an operator may have changed it.
 fn config(recording: &Recording, arguments: &ReplayArguments) -> Result<Config, CommandError> {
     let first = &recording.cycles[0];
     let flags = Arguments {
@@ -164,10 +164,8 @@ fn config(recording: &Recording, arguments: &ReplayArguments) -> Result<Config, 
         np: (first.np > 0).then_some(i64::from(first.np)),
         ..Arguments::default()
     };
-    let path = recording.origin(CONFIG_FILE).unwrap_or(CONFIG_FILE);
-    let directory = Path::new(path).parent().unwrap_or(Path::new(""));
     let text = recording.config().unwrap_or_default();
-    Ok(Config::parse(text, path, directory, &flags)?)
+    Ok(Config::parse(text, CONFIG_FILE, Path::new(""), &flags)?)
 }
 
 /// The record of the cycle that was asked for.

@@ -28,6 +28,8 @@ pub enum Notice {
     Begun,
     #[error("no scene in this recording, `plot` will need --scene: {reason}")]
     NoScene { reason: String },
+    #[error("no configuration in this recording, it cannot be replayed: {reason}")]
+    NoConfig { reason: String },
     #[error("{topic}: {missed} messages lost")]
     Lost { topic: &'static str, missed: u64 },
     #[error("{topic}: the publisher started again")]

@@ -6,7 +6,6 @@
 #![forbid(unsafe_code)]
 
 mod annotation;
-mod context;
 mod ledger;
 mod plot;
 mod record;
@@ -16,7 +15,6 @@ mod scenery;
 mod view_writer;
 mod views;
 
-pub use context::{Context, ContextError, TextFile};
 pub use ledger::{Account, Ledger, Notice};
 pub use plot::{PlotError, plot};
 pub use record::{Options, RecordError, record};

@@ -31,7 +31,7 @@ pub enum PlotError {
     #[error(transparent)]
     Scene(#[from] FileError),
     #[error(
-        "no scene in the recording; allowed: one recorded with --scene or --config, or --scene here"
+        "no scene in the recording; allowed: one recorded while vpcd was at work, or with --scene, or --scene here"
     )]
     NoScene,
     #[error("no cycles and no features in the recording: was vpcd running?")]

@@ -14,11 +14,11 @@ use ipc::{
     RobotState, Snapshot, Subscriber, TwistCommand,
 };
 
-use crate::context::Context;
 use crate::ledger::{Ledger, Notice};
 use crate::recorder::Recorder;
 use crate::views::Viewed;
 use recording::WriteError;
+use scene::SceneFiles;
 
 /// Sleep between two looks at the queues. The shortest holds 64 messages, so 30,000 a second.
 const PAUSE: Duration = Duration::from_millis(2);
@@ -40,6 +40,8 @@ pub struct Options {
     pub force: bool,
     /// How long; `None`: until stopped.
     pub duration: Option<Duration>,
+    /// The scene to draw and keep; `None`: the one that the daemon leaves in the domain.
+    pub scene: Option<SceneFiles>,
 }
 
 /// Why a recording ended early or did not begin.
@@ -64,14 +66,13 @@ pub enum RecordError {
 /// What the writing thread is to do with a message.
 type Item = Box<dyn FnOnce(&mut Recorder) -> Result<Option<Notice>, WriteError> + Send>;
 
-/// Records until `stop` is set or the duration is over. If `context` has no scene, the one that the
-/// daemon left in the domain is taken at its first cycle. `tell` is called from another thread.
+/// Records until `stop` is set or the duration is over. At the daemon's first cycle it takes what
+/// the daemon left in the domain: configuration, and scene. `tell` is called from another thread.
 ///
 /// # Errors
 /// [`RecordError`]. What was written until then can be read.
 pub fn record(
     options: &Options,
-    context: &Context,
     stop: &AtomicBool,
     tell: impl FnMut(&Notice) + Send,
 ) -> Result<Ledger, RecordError> {
@@ -83,9 +84,7 @@ pub fn record(
     std::thread::scope(|threads| {
         let writer = std::thread::Builder::new()
             .name("writer".to_owned())
-            .spawn_scoped(threads, move || {
-                write(recorder, options, context, &queue, tell)
-            })
+            .spawn_scoped(threads, move || write(recorder, options, &queue, tell))
             .map_err(RecordError::Thread)?;
         let end = options.duration.map(|duration| Instant::now() + duration);
         let received = forward(&mut ports, items, &domain, || {
@@ -192,15 +191,14 @@ fn forward(
 fn write(
     mut recorder: Recorder,
     options: &Options,
-    context: &Context,
     queue: &Receiver<Item>,
     mut tell: impl FnMut(&Notice),
 ) -> Result<Ledger, WriteError> {
     let begun = Instant::now();
     let mut flushed = begun;
-    let (mut is_described, mut is_waiting) = (context.scene.is_some(), false);
-    if is_described {
-        recorder.describe(context)?;
+    let (mut is_complete, mut is_waiting) = (false, false);
+    if let Some(scene) = &options.scene {
+        recorder.describe(scene)?;
     }
     loop {
         match queue.recv_timeout(FLUSH) {
@@ -209,11 +207,9 @@ fn write(
             Err(RecvTimeoutError::Disconnected) => break,
         }
         let has_cycles = recorder.ledger().of(CycleRecord::TOPIC).recorded > 0;
-        if has_cycles && !is_described {
-            is_described = true;
-            let (context, notice) = context.clone().completed(&options.domain);
-            recorder.describe(&context)?;
-            notice.iter().for_each(&mut tell);
+        if has_cycles && !is_complete {
+            is_complete = true;
+            complete(&mut recorder, options, &mut tell)?;
         }
         if has_cycles && is_waiting {
             is_waiting = false;
@@ -228,8 +224,32 @@ fn write(
             flushed = Instant::now();
         }
     }
-    if !is_described {
-        recorder.describe(context)?;
-    }
     recorder.finish()
+}
+
+/// Adds what the daemon left in the domain.
+fn complete(
+    recorder: &mut Recorder,
+    options: &Options,
+    tell: &mut impl FnMut(&Notice),
+) -> Result<(), WriteError> {
+    let config = options.domain.join(ipc::CONFIG_FILE);
+    match std::fs::read_to_string(&config) {
+        Ok(config) => recorder.configure(&config)?,
+        Err(error) => tell(&Notice::NoConfig {
+            reason: format!("{}: {error}", config.display()),
+        }),
+    }
+    if options.scene.is_some() {
+        return Ok(());
+    }
+    match SceneFiles::read(&options.domain.join(ipc::SCENE_FILE)) {
+        Ok(scene) => recorder.describe(&scene),
+        Err(error) => {
+            tell(&Notice::NoScene {
+                reason: error.to_string(),
+            });
+            Ok(())
+        }
+    }
 }

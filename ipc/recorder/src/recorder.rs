@@ -5,8 +5,8 @@ use std::path::Path;
 use foxglove::messages::log::Level;
 use ipc::Order;
 use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, WriteError};
+use scene::SceneFiles;
 
-use crate::context::Context;
 use crate::ledger::{Ledger, Notice};
 use crate::scenery::{calibration, image, scenery};
 use crate::view_writer::ViewWriter;
@@ -40,25 +40,18 @@ impl Recorder {
         &self.ledger
     }
 
-    /// Attaches configuration, scene and masks, and draws the scene; once for a recording.
+    /// Attaches a scene with its masks, and draws it; once for a recording.
     ///
     /// # Errors
     /// [`WriteError`].
-    pub fn describe(&mut self, context: &Context) -> Result<(), WriteError> {
-        let ViewWriter { file, .. } = &mut self.writer;
-        if let Some(config) = &context.config {
-            file.attach(CONFIG_FILE, config.text.as_bytes())?;
-            file.origin([(CONFIG_FILE, config.path.clone())])?;
-        }
-        for (name, png) in &context.masks {
+    pub fn describe(&mut self, files: &SceneFiles) -> Result<(), WriteError> {
+        let (scene, ViewWriter { file, .. }) = (&files.scene, &mut self.writer);
+        for (name, png) in &files.masks {
             file.attach(name, png)?;
         }
-        let Some((scene, text)) = &context.scene else {
-            return file.flush();
-        };
-        file.attach(SCENE_FILE, text.text.as_bytes())?;
+        file.attach(SCENE_FILE, files.text.as_bytes())?;
         file.origin([
-            (SCENE_FILE, text.path.clone()),
+            (SCENE_FILE, files.path.clone()),
             ("task", scene.fingerprint().to_string()),
         ])?;
         let wall_ns = file.clock().wall_ns;
@@ -67,6 +60,15 @@ impl Recorder {
         let camera = calibration(scene, wall_ns);
         writer.put("/camera/calibration", 1, wall_ns, &camera)?;
         writer.put("/camera/scene", 1, wall_ns, &scenery(scene, wall_ns))?;
+        self.flush()
+    }
+
+    /// Attaches the configuration of the daemon; once for a recording.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn configure(&mut self, config: &str) -> Result<(), WriteError> {
+        self.writer.file.attach(CONFIG_FILE, config.as_bytes())?;
         self.flush()
     }
 

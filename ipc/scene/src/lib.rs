@@ -27,6 +27,8 @@ mod model;
 #[cfg(feature = "file")]
 mod file;
 #[cfg(feature = "file")]
+mod files;
+#[cfg(feature = "file")]
 mod starts;
 
 pub use fingerprint::Fingerprint;
@@ -38,6 +40,8 @@ pub use model::{
 
 #[cfg(feature = "file")]
 pub use file::{schema, schema_file};
+#[cfg(feature = "file")]
+pub use files::SceneFiles;
 #[cfg(feature = "file")]
 pub use mask::write_mask;
 #[cfg(feature = "file")]

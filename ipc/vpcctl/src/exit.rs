@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::io;
 use std::path::Path;
 
-use recorder::{ContextError, PlotError, RecordError};
+use recorder::{PlotError, RecordError};
 use recording::{ReadError, WriteError};
 use scene::FileError;
 
@@ -100,10 +100,6 @@ exits! {
     serde_json::Error => |_| Exit::Software,
     FileError => |error| match error {
         FileError::Read { .. } => Exit::NoInput,
-        _ => Exit::Data,
-    },
-    ContextError => |error| match error {
-        ContextError::Read { .. } => Exit::NoInput,
         _ => Exit::Data,
     },
     RecordError => |error| match error {

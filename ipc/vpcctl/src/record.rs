@@ -6,7 +6,8 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use clap::Args;
-use recorder::{Context, Ledger, Options};
+use recorder::{Ledger, Options};
+use scene::SceneFiles;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::exit::Failure;
@@ -21,10 +22,6 @@ pub struct RecordArguments {
     /// Scene file to draw and to keep in the recording, instead of the one that vpcd runs on.
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
-
-    /// Configuration of vpcd to keep in the recording; names the scene where --scene is not given.
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
 
     /// End after this time, 0.05 to 86400 s, instead of by Ctrl-C (SIGINT) or SIGTERM.
     #[arg(long, value_name = "SECONDS", value_parser = duration)]
@@ -48,7 +45,11 @@ fn duration(text: &str) -> Result<Duration, String> {
 /// # Errors
 /// [`Failure`].
 pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure> {
-    let context = Context::read(arguments.scene.as_deref(), arguments.config.as_deref())?;
+    let scene = arguments
+        .scene
+        .as_deref()
+        .map(SceneFiles::read)
+        .transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
@@ -58,8 +59,9 @@ pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure
         output: arguments.output.clone(),
         force: arguments.force,
         duration: arguments.duration,
+        scene,
     };
-    let ledger = recorder::record(&options, &context, &stop, |notice| {
+    let ledger = recorder::record(&options, &stop, |notice| {
         eprintln!("vpcctl: {notice}");
     })?;
     Ok(summary(&arguments.output, &ledger))

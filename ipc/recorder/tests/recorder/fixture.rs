@@ -10,8 +10,9 @@ use ipc::{
 };
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use recorder::{Context, Ledger, Notice, Options, record};
+use recorder::{Ledger, Notice, Options, record};
 use recording::Recorded;
+use scene::SceneFiles;
 use testkit::python::{Environment, run, script};
 use testkit::{Place, eventually};
 
@@ -27,12 +28,12 @@ pub fn options(place: &Place) -> Options {
         output: place.path(FILE),
         force: false,
         duration: None,
+        scene: Some(scene()),
     }
 }
 
-pub fn context() -> Context {
-    let config = testkit::root().join("controller/vpcd.toml");
-    Context::read(Some(&testkit::scene_file()), Some(&config)).unwrap()
+pub fn scene() -> SceneFiles {
+    SceneFiles::read(&testkit::scene_file()).unwrap()
 }
 
 /// Everybody who publishes, in one thread.
@@ -59,6 +60,10 @@ pub struct Published {
 impl Stage {
     pub fn open(directory: &Path) -> Self {
         let domain = Domain::join(directory).unwrap();
+        // As the daemon does.
+        let config = directory.join(ipc::CONFIG_FILE);
+        std::fs::create_dir_all(config.parent().unwrap()).unwrap();
+        std::fs::copy(testkit::root().join("controller/vpcd.toml"), config).unwrap();
         let mut controller = ControllerPorts::open(&domain).unwrap();
         let camera = CameraPorts::open(&domain).unwrap();
         let telemetry = RecorderPort::open(&domain).unwrap();
@@ -172,10 +177,9 @@ pub fn reply(request: &Request) -> Reply {
 pub fn recorded(options: &Options, play: impl FnOnce()) -> (Ledger, Vec<Notice>) {
     let stop = AtomicBool::new(false);
     let mut notices = Vec::new();
-    let context = context();
     let ledger = std::thread::scope(|threads| {
         let recorder = threads.spawn(|| {
-            record(options, &context, &stop, |notice| {
+            record(options, &stop, |notice| {
                 if !matches!(notice, Notice::Waiting { .. } | Notice::Begun) {
                     notices.push(notice.clone());
                 }

@@ -13,7 +13,7 @@ use rustix::process::Signal;
 
 use testkit::{Place, Running, eventually};
 
-use crate::fixture::{FILE, Published, Stage, check, context, python, same};
+use crate::fixture::{FILE, Published, Stage, check, python, same, scene};
 
 /// Starts this executable as a recorder.
 fn recorder(place: &Place) -> Running {
@@ -40,11 +40,11 @@ fn play_a_recorder() {
         output: variable("VPC_TEST_FILE"),
         force: false,
         duration: None,
+        scene: Some(scene()),
     };
     // Ends by a signal, or when the file that it is told by appears.
     let stop = AtomicBool::new(false);
     let enough = options.output.with_extension("enough");
-    let context = context();
     std::thread::scope(|threads| {
         threads.spawn(|| {
             while !enough.exists() {
@@ -52,7 +52,7 @@ fn play_a_recorder() {
             }
             stop.store(true, Ordering::Relaxed);
         });
-        record(&options, &context, &stop, |_| ()).unwrap();
+        record(&options, &stop, |_| ()).unwrap();
     });
 }
 

@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use ipc::{Features, Stamp};
-use recorder::{Account, Context, Notice, Options, record};
+use recorder::{Account, Notice, Options, record};
 use recording::Recording;
 
 use testkit::Place;
@@ -60,11 +60,12 @@ fn a_file_is_not_overwritten_unless_asked() {
     let place = Place::new();
     let options = Options {
         duration: Some(Duration::ZERO),
+        scene: None,
         ..options(&place)
     };
     let stop = AtomicBool::new(false);
     std::fs::write(place.path(FILE), "dear to somebody").unwrap();
-    let refused = record(&options, &Context::default(), &stop, |_| ()).unwrap_err();
+    let refused = record(&options, &stop, |_| ()).unwrap_err();
     let message = format!(
         "{}: exists; allowed: a new file, or --force",
         place.path(FILE).display()
@@ -81,7 +82,7 @@ fn a_file_is_not_overwritten_unless_asked() {
         force: true,
         ..options
     };
-    record(&options, &Context::default(), &stop, |_| ()).unwrap();
+    record(&options, &stop, |_| ()).unwrap();
     let recording = Recording::read(&place.path(FILE)).unwrap();
     assert!(
         recording.cut.is_none()

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use ipc::{CycleRecord, Order};
-use recorder::{Context, Recorder};
+use recorder::Recorder;
 use recording::Recording;
+use scene::SceneFiles;
 use testkit::Place;
 
 use crate::fixture::{FILE, check, python};
@@ -23,13 +24,13 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
     let text = format!("{head}[[occlusion]]\nname = \"ring\"\nmask = \"ring.png\"\n");
     let path = place.path("scene.toml");
     std::fs::write(&path, &text).unwrap();
-    let context = Context::read(Some(&path), None).unwrap();
+    let files = SceneFiles::read(&path).unwrap();
     // What is painted after the start is not what was recorded.
     std::fs::remove_file(&ring).unwrap();
     std::fs::remove_file(&path).unwrap();
 
     let mut file = Recorder::create(&place.path(FILE), false).unwrap();
-    file.describe(&context).unwrap();
+    file.describe(&files).unwrap();
     for i in 0..40 {
         let mut cycle = CycleRecord {
             cycle: i + 1,
@@ -51,7 +52,7 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
     let recording = Recording::read(&place.path(FILE)).unwrap();
     let scene = recording.scene().unwrap().unwrap();
     assert_eq!(recording.scene_toml(), Some(&*text));
-    assert_eq!(scene.fingerprint(), context.scene.unwrap().0.fingerprint());
+    assert_eq!(scene.fingerprint(), files.scene.fingerprint());
     assert!(scene.masks().next().unwrap().is_forbidden(140, 700));
     let plots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("masked");
     let drawn = recorder::plot(&recording, None, &plots).unwrap();

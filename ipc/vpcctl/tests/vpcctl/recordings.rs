@@ -72,7 +72,7 @@ fn fly() -> Flight {
     hw_sim.arg("--starts").arg(starts_file());
     hw_sim.args(["--start", "82", "--time-limit", "3"]);
 
-    let mut record = Running::start(record.arg("--config").arg(&config));
+    let mut record = Running::start(&mut record);
     record.line("waiting for vpcd in domain");
     let vpcd = Running::start(vpcd);
     // 1: it has not arrived yet.
@@ -301,11 +301,6 @@ fn what_cannot_be_recorded_is_told_with_its_exit_code_and_disturbs_nobody() {
             &["record", file, "--scene", "/no/scene.toml"][..],
             66,
             "/no/scene.toml: cannot read",
-        ),
-        (
-            &["record", file, "--config", "/no/vpcd.toml"],
-            66,
-            "/no/vpcd.toml: cannot read",
         ),
         (
             &["record", file, "--scene", wrong],

@@ -1,0 +1,64 @@
+//! A scene together with the files that it was read from, so that recordings and viewers get the
+//! same ones.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::{fs, io};
+
+use toml_schema::FileError;
+
+use crate::Scene;
+
+/// A scene with its files, as they were read: one may be painted over meanwhile.
+#[derive(Clone, Debug)]
+pub struct SceneFiles {
+    /// The scene.
+    pub scene: Scene,
+    /// The path of the scene file.
+    pub path: String,
+    /// The scene file.
+    pub text: String,
+    /// Its masks (PNG), by the names that it gives them.
+    pub masks: BTreeMap<String, Vec<u8>>,
+}
+
+impl SceneFiles {
+    /// Reads a scene file and its masks.
+    ///
+    /// # Errors
+    /// As [`Scene::read`].
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let name = path.display().to_string();
+        let text = fs::read_to_string(path).map_err(|source| FileError::Read {
+            path: name.clone(),
+            source,
+        })?;
+        let directory = path.parent().unwrap_or(Path::new(""));
+        Self::parse(text, &name, &|mask| fs::read(directory.join(mask)))
+    }
+
+    /// Parses the text of a scene file; `path` is for messages, and `mask` returns the PNG file of
+    /// a name in the text.
+    ///
+    /// # Errors
+    /// As [`Scene::read`].
+    pub fn parse(
+        text: String,
+        path: &str,
+        mask: &dyn Fn(&str) -> io::Result<Vec<u8>>,
+    ) -> Result<Self, FileError> {
+        let masks = RefCell::new(BTreeMap::new());
+        let scene = Scene::parse_with(&text, path, &|name| {
+            let png = mask(name)?;
+            masks.borrow_mut().insert(name.to_owned(), png.clone());
+            Ok(png)
+        })?;
+        Ok(Self {
+            scene,
+            path: path.to_owned(),
+            text,
+            masks: masks.into_inner(),
+        })
+    }
+}
