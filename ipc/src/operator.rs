@@ -44,8 +44,6 @@ codes! {
         Neighbours = 5 => "refused: neighbours out of range",
         /// Refused: the controller is shutting down.
         Shutdown = 6 => "refused: shutting down",
-        /// Refused: the controller keeps no flight record.
-        NoRecord = 7 => "refused: no flight record is kept",
         /// Refused: the code of the action or of the strategy is unknown.
         Unknown = 8 => "refused: no such action or strategy",
     }

@@ -5,10 +5,9 @@
 mod python;
 
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader};
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ipc::{
@@ -17,6 +16,7 @@ use ipc::{
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use testkit::{Place, Running, eventually};
 
 /// Kills at random moments of a start-up; each costs a few ms.
 const START_UP_KILLS: u32 = 200;
@@ -33,69 +33,26 @@ fn square(offset: f64) -> Features {
     Features::new(&[[a, a], [b, a], [b, b], [a, b]], ipc::now_ns())
 }
 
-/// A domain's directory. When the test ends, joining and leaving clears away what killed peers left
-/// in /dev/shm.
-struct Directory(tempfile::TempDir);
-
-impl Directory {
-    fn path(&self) -> &Path {
-        self.0.path()
-    }
+/// Starts this executable as a peer that plays `role` in the domain of a place.
+fn peer(role: &str, place: &Place) -> Running {
+    let mut peer = Command::new(std::env::current_exe().unwrap());
+    peer.args([
+        "--exact",
+        "play_a_peer",
+        "--ignored",
+        "--nocapture",
+        "--test-threads=1",
+    ]);
+    peer.env("VPC_TEST_ROLE", role);
+    peer.env("VPC_TEST_DOMAIN", place.domain());
+    Running::start(peer.stdout(Stdio::piped()))
 }
 
-impl Drop for Directory {
-    fn drop(&mut self) {
-        let _ = Domain::join(self.path());
-    }
-}
-
-fn directory() -> Directory {
-    Directory(tempfile::tempdir().unwrap())
-}
-
-/// Starts this executable as a peer that plays `role` in the domain.
-fn peer(role: &str, directory: &Path) -> Child {
-    Command::new(std::env::current_exe().unwrap())
-        .args([
-            "--exact",
-            "play_a_peer",
-            "--ignored",
-            "--nocapture",
-            "--test-threads=1",
-        ])
-        .env("VPC_TEST_ROLE", role)
-        .env("VPC_TEST_DOMAIN", directory)
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap()
-}
-
-/// Waits until the peer says that it works.
-fn working(peer: &mut Child) {
-    let lines = BufReader::new(peer.stdout.take().unwrap()).lines();
-    let mut lines = lines.map_while(Result::ok);
-    assert!(
-        lines.any(|line| line.contains("working")),
-        "the peer ended before it worked"
-    );
-}
-
-/// Kills the peer as `kill -9` does.
-fn kill(mut peer: Child) {
-    peer.kill().unwrap();
-    peer.wait().unwrap();
-}
-
-/// Calls `attempt` until it gives something; panics after ten seconds.
-fn eventually<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    while start.elapsed() < Duration::from_secs(10) {
-        if let Some(value) = attempt() {
-            return value;
-        }
-        std::thread::sleep(Duration::from_millis(1));
-    }
-    panic!("{what}: did not happen");
+/// Starts a peer and waits until it works.
+fn working(role: &str, place: &Place) -> Running {
+    let mut peer = peer(role, place);
+    peer.line("working");
+    peer
 }
 
 #[test]
@@ -130,8 +87,8 @@ fn play_a_peer() {
 
 #[test]
 fn every_message_goes_round() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut recorder = RecorderPort::open(&domain).unwrap();
@@ -197,8 +154,8 @@ fn every_message_goes_round() {
 
 #[test]
 fn the_controller_sees_the_newest_message_and_the_observer_all() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
@@ -222,9 +179,9 @@ fn the_controller_sees_the_newest_message_and_the_observer_all() {
 
 #[test]
 fn a_second_publisher_is_refused_and_may_come_when_the_first_has_left() {
-    let directory = directory();
-    let first = Domain::join(directory.path()).unwrap();
-    let second = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let first = Domain::join(&place.domain()).unwrap();
+    let second = Domain::join(&place.domain()).unwrap();
     let controller = ControllerPorts::open(&first).unwrap();
     let error = ControllerPorts::open(&second).unwrap_err();
     assert!(
@@ -248,11 +205,8 @@ fn a_second_publisher_is_refused_and_may_come_when_the_first_has_left() {
 
 #[test]
 fn domains_do_not_meet() {
-    let (here, there) = (directory(), directory());
-    let (here, there) = (
-        Domain::join(here.path()).unwrap(),
-        Domain::join(there.path()).unwrap(),
-    );
+    let places = [Place::new(), Place::new()];
+    let [here, there] = [0, 1].map(|k| Domain::join(&places[k].domain()).unwrap());
     let mut camera = CameraPorts::open(&here).unwrap();
     let mut controller = ControllerPorts::open(&there).unwrap();
     assert_eq!(camera.features.publish(&square(0.0)).unwrap().receivers, 0);
@@ -261,24 +215,23 @@ fn domains_do_not_meet() {
 
 #[test]
 fn a_late_controller_gets_the_message_that_the_camera_waits_on() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let sent = camera.features.publish(&square(0.0)).unwrap();
     assert_eq!(sent.receivers, 0);
-    let mut echo = peer("echo", directory.path());
-    working(&mut echo);
+    let echo = working("echo", &place);
     let answer = camera
         .wait_for_answer(&sent, Duration::from_secs(10))
         .unwrap();
     assert!(answer.is_some_and(|answer| answer.features_sequence == 1));
-    kill(echo);
+    echo.kill();
 }
 
 #[test]
 fn bad_messages_are_refused_on_reception() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut refusal = |features: &Features| {
@@ -304,12 +257,11 @@ fn bad_messages_are_refused_on_reception() {
 
 #[test]
 fn a_killed_camera_comes_back() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     for round in 0..STEADY_KILLS {
-        let mut camera = peer("camera", directory.path());
-        working(&mut camera);
+        let camera = working("camera", &place);
         let seen = eventually("features", || controller.features.latest().unwrap());
         let expected = if round == 0 {
             Order::First
@@ -321,19 +273,18 @@ fn a_killed_camera_comes_back() {
             seen.order == expected || seen.stamp.sequence > 1,
             "{seen:?}"
         );
-        kill(camera);
+        camera.kill();
         while controller.features.latest().unwrap().is_some() {}
     }
 }
 
 #[test]
 fn a_killed_controller_comes_back() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     for _ in 0..STEADY_KILLS {
-        let mut echo = peer("echo", directory.path());
-        working(&mut echo);
+        let echo = working("echo", &place);
         for _ in 0..20 {
             let sent = camera.features.publish(&square(0.0)).unwrap();
             let answer = camera
@@ -341,45 +292,42 @@ fn a_killed_controller_comes_back() {
                 .unwrap();
             assert!(answer.is_some());
         }
-        kill(echo);
+        echo.kill();
     }
 }
 
 /// Kills peers at random moments of their start-up.
-fn kill_at_start_up(directory: &Path, seed: u64) {
+fn kill_at_start_up(place: &Place, seed: u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     // From the start of the process to well after its first message.
     let start = Instant::now();
-    let mut first = peer("echo", directory);
-    working(&mut first);
+    let first = working("echo", place);
     let duration = start.elapsed();
-    kill(first);
+    first.kill();
     for _ in 0..START_UP_KILLS {
-        let echo = peer("echo", directory);
+        let echo = peer("echo", place);
         std::thread::sleep(duration.mul_f64(random.random_range(0.0..1.2)));
-        kill(echo);
+        echo.kill();
     }
 }
 
 /// A camera comes, and `echo` answers it. Returns the camera.
-fn answered_by(mut echo: Child, directory: &Path) -> CameraPorts {
-    let domain = Domain::join(directory).unwrap();
+fn answered_by(echo: Running, place: &Place) -> CameraPorts {
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let sent = camera.features.publish(&square(0.0)).unwrap();
     let answer = camera.wait_for_answer(&sent, Duration::from_secs(10));
     assert!(answer.unwrap().is_some());
-    echo.kill().unwrap();
-    echo.wait().unwrap();
+    echo.kill();
     camera
 }
 
 #[test]
 fn kills_during_start_up_do_no_harm_to_who_comes_next() {
-    let directory = directory();
-    kill_at_start_up(directory.path(), 1);
-    let mut echo = peer("echo", directory.path());
-    working(&mut echo);
-    answered_by(echo, directory.path());
+    let place = Place::new();
+    kill_at_start_up(&place, 1);
+    let echo = working("echo", &place);
+    answered_by(echo, &place);
 }
 
 /// The nodes that have left anything in a domain.
@@ -395,22 +343,17 @@ fn nodes(directory: &Path) -> BTreeSet<String> {
 
 #[test]
 fn kills_during_start_up_beside_a_peer_do_no_harm_to_who_comes_next() {
-    let rounds = if std::env::var_os("VPC_LONG").is_some() {
-        60
-    } else {
-        1
-    };
-    for seed in 0..rounds {
-        let directory = directory();
-        let domain = Domain::join(directory.path()).unwrap();
+    let rounds = testkit::repeats("kills during start-up beside a peer", 1, 60);
+    for seed in 0..rounds as u64 {
+        let place = Place::new();
+        let domain = Domain::join(&place.domain()).unwrap();
         let mut observer = Observer::open(&domain).unwrap();
-        kill_at_start_up(directory.path(), seed);
-        let mut echo = peer("echo", directory.path());
-        working(&mut echo);
+        kill_at_start_up(&place, seed);
+        let echo = working("echo", &place);
         // The observer and the echo; nothing is left of 201 others.
-        let nodes = nodes(directory.path());
+        let nodes = nodes(&place.domain());
         assert_eq!(nodes.len(), 2, "seed {seed}: {nodes:?}");
-        let _camera = answered_by(echo, directory.path());
+        let _camera = answered_by(echo, &place);
         let seen = eventually("features", || observer.features.oldest().unwrap());
         assert_eq!(seen.stamp.sequence, 1, "seed {seed}");
         eventually("the answer", || observer.twist.oldest().unwrap());
@@ -430,25 +373,23 @@ fn tags(directory: &Path) -> BTreeSet<PathBuf> {
 
 #[test]
 fn a_place_that_a_killed_cleaner_left_taken_is_freed() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
-    let ours = tags(directory.path());
-    let mut echo = peer("echo", directory.path());
-    working(&mut echo);
-    kill(echo);
+    let ours = tags(&place.domain());
+    let echo = working("echo", &place);
+    echo.kill();
     // As far as a cleaner gets that is killed before the places themselves are free.
-    let theirs = tags(directory.path());
+    let theirs = tags(&place.domain());
     assert!(theirs.len() > ours.len() + 4, "{theirs:?}");
     for tag in theirs.difference(&ours) {
         std::fs::remove_file(tag).unwrap();
     }
     // The next one cleans, and is itself the controller.
-    let mut echo = peer("echo", directory.path());
-    working(&mut echo);
-    let _camera = answered_by(echo, directory.path());
+    let echo = working("echo", &place);
+    let _camera = answered_by(echo, &place);
     eventually("the answer", || observer.twist.oldest().unwrap());
-    assert!(tags(directory.path()).is_superset(&ours));
+    assert!(tags(&place.domain()).is_superset(&ours));
 }
 
 /// Start of the names of a domain's files in /dev/shm.
@@ -463,13 +404,13 @@ fn prefix(directory: &Path) -> String {
 
 #[test]
 fn shared_memory_that_was_never_finished_is_removed() {
-    let directory = directory();
-    let here = Domain::join(directory.path()).unwrap();
-    let unborn = Path::new("/dev/shm").join(format!("{}0_0.connection", prefix(directory.path())));
+    let place = Place::new();
+    let here = Domain::join(&place.domain()).unwrap();
+    let unborn = Path::new("/dev/shm").join(format!("{}0_0.connection", prefix(&place.domain())));
     let plant = || drop(std::fs::File::create(&unborn).unwrap());
     // By who joins, although somebody is there.
     plant();
-    let _there = Domain::join(directory.path()).unwrap();
+    let _there = Domain::join(&place.domain()).unwrap();
     assert!(!unborn.exists());
     // By who sweeps, but not while it may be somebody's work in progress.
     plant();
@@ -483,8 +424,9 @@ fn shared_memory_that_was_never_finished_is_removed() {
 
 #[test]
 fn nothing_is_left_when_the_last_one_has_left() {
-    let directory = directory();
-    let prefix = prefix(directory.path());
+    let place = Place::new();
+    let first = Domain::join(&place.domain()).unwrap();
+    let prefix = prefix(&place.domain());
     let left = || {
         let files = std::fs::read_dir("/dev/shm").unwrap();
         let ours = files.filter(|file| {
@@ -493,21 +435,20 @@ fn nothing_is_left_when_the_last_one_has_left() {
         });
         ours.count()
     };
-    let first = Domain::join(directory.path()).unwrap();
     let camera = CameraPorts::open(&first).unwrap();
-    let second = Domain::join(directory.path()).unwrap();
+    let second = Domain::join(&place.domain()).unwrap();
     assert!(left() > 4);
     drop((camera, first));
     assert!(left() > 4);
     drop(second);
     assert_eq!(left(), 0);
-    assert!(!directory.path().join("iox2").exists());
+    assert!(!place.domain().join("iox2").exists());
 }
 
 #[test]
 fn sending_and_receiving_never_allocate() {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut recorder = RecorderPort::open(&domain).unwrap();

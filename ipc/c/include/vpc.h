@@ -215,8 +215,6 @@ enum vpc_outcome {
     VPC_OUTCOME_NEIGHBOURS = 5,
     // Refused: the controller is shutting down.
     VPC_OUTCOME_SHUTDOWN = 6,
-    // Refused: the controller keeps no flight record.
-    VPC_OUTCOME_NO_RECORD = 7,
     // Refused: the code of the action or of the strategy is unknown.
     VPC_OUTCOME_UNKNOWN = 8,
 };

@@ -242,8 +242,6 @@ class Outcome(Code):
     NEIGHBOURS = 5, "refused: neighbours out of range"
     # Refused: the controller is shutting down.
     SHUTDOWN = 6, "refused: shutting down"
-    # Refused: the controller keeps no flight record.
-    NO_RECORD = 7, "refused: no flight record is kept"
     # Refused: the code of the action or of the strategy is unknown.
     UNKNOWN = 8, "refused: no such action or strategy"
 

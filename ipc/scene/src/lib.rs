@@ -39,7 +39,7 @@ pub use model::{
 };
 
 #[cfg(feature = "file")]
-pub use file::{schema, schema_file};
+pub use file::schema;
 #[cfg(feature = "file")]
 pub use files::SceneFiles;
 #[cfg(feature = "file")]

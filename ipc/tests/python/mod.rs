@@ -3,10 +3,9 @@
 //! Needs Python 3.11 and, the first time, the network.
 
 use std::fmt::Write as _;
-use std::io::{BufRead, BufReader, Read};
 use std::mem::offset_of;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use ipc::{
     Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Observer, Outcome,
@@ -14,21 +13,11 @@ use ipc::{
     TwistState,
 };
 
-use super::{directory, eventually};
 use testkit::python::{Environment, run};
+use testkit::{Ended, Place, Running, eventually};
 
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
-
-/// A process that ends with its owner.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 fn sources(within: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(within)
@@ -86,15 +75,15 @@ fn numbers(text: &str, head: &str) -> Vec<f64> {
 }
 
 fn messages_go_both_ways(python: &Path) {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut recorder = RecorderPort::open(&domain).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
     let begun = ipc::now_ns();
     let mut peer = script(python, "tests/python/peer.py");
-    peer.arg("exchange").arg(directory.path());
-    let mut peer = Running(peer.stdout(Stdio::piped()).spawn().unwrap());
+    peer.arg("exchange").arg(place.domain());
+    let peer = Running::start(peer.stdout(Stdio::piped()));
 
     let features = eventually("features from Python", || {
         controller.features.latest().unwrap()
@@ -190,10 +179,10 @@ fn messages_go_both_ways(python: &Path) {
     reply.stamp.data_ns = 99;
     controller.replies.publish(&reply).unwrap();
 
-    let mut text = String::new();
-    let mut output = peer.0.stdout.take().unwrap();
-    output.read_to_string(&mut text).unwrap();
-    assert!(peer.0.wait().unwrap().success(), "{text}");
+    let Ended {
+        code, stdout: text, ..
+    } = peer.ended();
+    assert_eq!(code, Some(0), "{text}");
     let arrived = f64::from(TwistState::Arrived.code());
     assert_eq!(numbers(&text, "twist"), [&[arrived][..], &twist].concat());
     let moving = f64::from(TwistState::Moving.code());
@@ -217,21 +206,21 @@ fn messages_go_both_ways(python: &Path) {
 /// in rad) by one twist, held for a second; returns what it says, and the first point at each step,
 /// px.
 fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64; 2]>) {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut camera = script(python, "python/camera.py");
     camera
         .arg("--scene")
         .arg(sources("scene/scenes/paper-sim.toml"));
-    camera.arg("--domain").arg(directory.path());
+    camera.arg("--domain").arg(place.domain());
     // One more than are needed: with a wrong twist it says so instead of waiting for an answer for
     // ever.
     camera.args(["--steps", &(STEPS + 1).to_string(), "--start"]);
     camera.args(start.map(|x| x.to_string()));
-    let mut camera = Running(camera.stdout(Stdio::piped()).spawn().unwrap());
+    let mut camera = Running::start(camera.stdout(Stdio::piped()));
     let mut seen = Vec::new();
-    while camera.0.try_wait().unwrap().is_none() {
+    while camera.is_running() {
         if let Some(features) = controller.features.latest().unwrap() {
             seen.extend(features.pairs().next());
             let answer = TwistCommand::answer(&features, twist, TwistState::Moving);
@@ -239,10 +228,7 @@ fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64;
         }
         std::thread::sleep(std::time::Duration::from_micros(100));
     }
-    let mut text = String::new();
-    let mut output = camera.0.stdout.take().unwrap();
-    output.read_to_string(&mut text).unwrap();
-    (text, seen)
+    (camera.ended().stdout, seen)
 }
 
 fn the_camera_can_be_driven(python: &Path) {
@@ -277,9 +263,9 @@ fn the_camera_can_be_driven(python: &Path) {
 
 /// What is refused, and in which words; every port is free again after the end of its `with`.
 fn refusals_have_words(python: &Path) {
-    let directory = directory();
+    let place = Place::new();
     let mut peer = script(python, "tests/python/peer.py");
-    let said = run(peer.arg("refusals").arg(directory.path())).unwrap();
+    let said = run(peer.arg("refusals").arg(place.domain())).unwrap();
     let lines: Vec<&str> = said.lines().collect();
     let pairs = "allowed: pairs (u, v) of numbers, shape (N, 2)";
     let expected = [
@@ -294,7 +280,7 @@ fn refusals_have_words(python: &Path) {
         "vpc/twist: buffer = 65; allowed: 1 to 64",
         &format!(
             "domain {}: no controller; start vpcd",
-            directory.path().display()
+            place.domain().display()
         ),
         "vpc/features: this port was closed",
         "domain '/dev/null': [Errno 17] File exists",
@@ -303,18 +289,17 @@ fn refusals_have_words(python: &Path) {
     for (line, expected) in lines.iter().zip(expected) {
         assert!(line.starts_with(expected), "{line}, not {expected}");
     }
-    assert_eq!(Domain::segments(directory.path()).unwrap(), 0);
+    assert_eq!(Domain::segments(&place.domain()).unwrap(), 0);
 }
 
 fn bad_messages_are_refused(python: &Path) {
-    let directory = directory();
-    let domain = Domain::join(directory.path()).unwrap();
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut peer = script(python, "tests/python/peer.py");
-    peer.arg("hears").arg(directory.path());
-    let mut peer = Running(peer.stdout(Stdio::piped()).spawn().unwrap());
-    let mut lines = BufReader::new(peer.0.stdout.take().unwrap()).lines();
-    assert_eq!(lines.next().unwrap().unwrap(), "listening");
+    peer.arg("hears").arg(place.domain());
+    let mut peer = Running::start(peer.stdout(Stdio::piped()));
+    peer.line("listening");
     let mut twist = TwistCommand::zero(TwistState::Moving);
     twist.twist[3] = f64::INFINITY;
     controller.twist.publish(&twist).unwrap();
@@ -323,23 +308,21 @@ fn bad_messages_are_refused(python: &Path) {
     controller.twist.publish(&twist).unwrap();
     twist.state = TwistState::Moving.code();
     controller.twist.publish(&twist).unwrap();
-    let said: Vec<String> = lines.map(Result::unwrap).collect();
+    let Ended { code, stdout, .. } = peer.ended();
     let expected = [
+        "listening",
         "vpc/twist: twist[3] = inf; allowed: finite numbers",
         "vpc/twist: state = 77; allowed: 0 to 5",
         "good 3",
     ];
-    assert_eq!(said, expected);
-    assert!(peer.0.wait().unwrap().success());
+    assert_eq!(stdout.lines().collect::<Vec<_>>(), expected);
+    assert_eq!(code, Some(0));
 }
 
 /// logger.py hears what is published, leaves tables with it, and counts what it missed.
 fn the_logger_fills_tables(python: &Path, format: &str) {
-    let directory = directory();
-    let (domain_at, out) = (
-        directory.path().join("domain"),
-        directory.path().join("log"),
-    );
+    let place = Place::new();
+    let (domain_at, out) = (place.domain(), place.path("log"));
     let domain = Domain::join(&domain_at).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
@@ -351,9 +334,8 @@ fn the_logger_fills_tables(python: &Path, format: &str) {
         .arg("--out")
         .arg(&out);
     logger.args(["--seconds", "60", "--cycles", "20", "--format", format]);
-    let mut logger = Running(logger.stdout(Stdio::piped()).spawn().unwrap());
-    let mut lines = BufReader::new(logger.0.stdout.take().unwrap()).lines();
-    assert_eq!(lines.next().unwrap().unwrap(), "logging");
+    let mut logger = Running::start(logger.stdout(Stdio::piped()));
+    logger.line("logging");
     let mut sent_ns = Vec::new();
     for k in 0..20_u32 {
         if k == 10 {
@@ -371,18 +353,18 @@ fn the_logger_fills_tables(python: &Path, format: &str) {
         };
         recorder.cycles.publish(&cycle).unwrap();
     }
-    let said: Vec<String> = lines.map(Result::unwrap).collect();
-    assert!(logger.0.wait().unwrap().success(), "{said:?}");
-    let cycles = said
-        .iter()
-        .find(|line| line.contains(&format!("cycles.{format}")))
-        .unwrap();
-    assert!(cycles.ends_with("20 messages, 1 missed"), "{said:?}");
+    let Ended { code, stdout, .. } = logger.ended();
+    assert_eq!(code, Some(0), "{stdout}");
+    let cycles = stdout
+        .lines()
+        .find(|line| line.contains(&format!("cycles.{format}")));
+    let counted = cycles.is_some_and(|line| line.ends_with("20 messages, 1 missed"));
+    assert!(counted, "{stdout}");
     // The nearest ranks of 1 to 20 us, between which pandas draws straight lines.
-    let steps = said.iter().find(|line| line.starts_with("step")).unwrap();
-    let steps: Vec<&str> = steps.split_whitespace().collect();
-    assert_eq!(steps, ["step", "10.5", "19.1", "19.8", "20.0"], "{said:?}");
-    assert!(said.iter().any(|l| l.starts_with("features to twist")));
+    let steps = stdout.lines().find(|line| line.starts_with("step"));
+    let steps: Vec<&str> = steps.unwrap().split_whitespace().collect();
+    assert_eq!(steps, ["step", "10.5", "19.1", "19.8", "20.0"], "{stdout}");
+    assert!(stdout.lines().any(|l| l.starts_with("features to twist")));
     // Numbers and kinds as pandas reads them back; a time in ns needs all 64 bits.
     let read = "import pandas, sys; table = getattr(pandas, 'read_' + sys.argv[1])(sys.argv[2]); \
                 print(*table['points_0']); print(table['published_ns'].dtype.kind, *table['published_ns'])";
@@ -401,9 +383,9 @@ fn the_logger_fills_tables(python: &Path, format: &str) {
 
 /// The camera's referee measures as hw-sim's does: the same numbers as in the unit tests there.
 fn the_referee_measures(python: &Path) {
-    let directory = tempfile::tempdir().unwrap();
+    let place = Place::new();
     let mut peer = script(python, "tests/python/peer.py");
-    let said = run(peer.arg("depths").arg(directory.path())).unwrap();
+    let said = run(peer.arg("depths").arg(place.directory())).unwrap();
     let expected = [
         "16.0 75.0 0.0",
         "30.0 50.0 0.0",

@@ -97,7 +97,7 @@ fn the_compiler_of_c_has_the_layouts_of_rust() {
         ("VPC_ROBOT_FAULTS_PATTERN_LOST", RobotFaults::PATTERN_LOST.0),
         ("VPC_REALTIME_NO_LOCK", RealTime::NO_LOCK.0),
         ("VPC_HOLD_STANDSTILL", Hold::Standstill.code()),
-        ("VPC_OUTCOME_NO_RECORD", Outcome::NoRecord.code()),
+        ("VPC_OUTCOME_SHUTDOWN", Outcome::Shutdown.code()),
     ] {
         let _ = writeln!(source, "printf(\"{bits} %d\\n\", (int){bits});");
         let _ = writeln!(expected, "{bits} {expected_bits}");
