@@ -96,7 +96,8 @@ pub struct RobotFlags {
         allow_negative_numbers = true
     )]
     pub focal_error: f64,
-    /// Distance of the true camera from where the calibration has it, in another direction for each start, cm.
+    /// Distance of the true camera from where the calibration has it, in another direction for each
+    /// start, cm.
     #[arg(long, value_name = "CM", default_value_t = 0.0)]
     pub hand_eye_cm: f64,
     /// ... and the angle by which it is turned, about another axis for each start, deg.

@@ -1,5 +1,6 @@
-//! `cargo demo`: emulator and daemon as two processes over shared memory, on a start where the memory-less strategy
-//! gets stuck; then the comparison of the strategies. With `--scene paper-robot` a Panda carries the camera.
+//! `cargo demo`: emulator and daemon as two processes over shared memory, on a start where the
+//! memory-less strategy gets stuck; then the comparison of the strategies. With
+//! `--scene paper-robot` a Panda carries the camera.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -28,8 +29,8 @@ enum Which {
 }
 
 impl Which {
-    /// The name of scene, starts and memory; the configurations of daemon and emulator; a start where `previous` stays in
-    /// front of an occlusion and `gpr` gets round it.
+    /// The name of scene, starts and memory; the configurations of daemon and emulator; a start
+    /// where `previous` stays in front of an occlusion and `gpr` gets round it.
     fn parts(self) -> (&'static str, [&'static str; 2], usize) {
         match self {
             Self::PaperSim => (
@@ -48,8 +49,9 @@ impl Which {
 
 /// Steers the emulated camera round occlusions with vpcd, as two processes over shared memory.
 ///
-/// Builds vpcd and hw-sim, runs the chosen strategy in real time, then compares the strategies on the same start and
-/// draws pictures. Exits with 0 only if the goal was reached without a violation.
+/// Builds vpcd and hw-sim, runs the chosen strategy in real time, then compares the strategies on
+/// the same start and draws pictures. Exits with 0 only if the goal was reached without a
+/// violation.
 #[derive(Parser)]
 #[command(name = "demo", version)]
 struct Cli {
@@ -59,7 +61,8 @@ struct Cli {
     /// Strategy that steers: previous, knn, gpr, ibvs.
     #[arg(long, default_value = "gpr")]
     strategy: Spec,
-    /// Start pose, by its index in the scene's file of starts; by default one that tells the strategies apart.
+    /// Start pose, by its index in the scene's file of starts; by default one that tells the
+    /// strategies apart.
     #[arg(long)]
     start: Option<usize>,
     /// As fast as the controller instead of in real time.
@@ -164,10 +167,12 @@ impl<'a> Demo<'a> {
         );
     }
 
-    /// Runs the two processes; `hw-sim` prints what came of it. Returns whether the goal was reached without a violation.
+    /// Runs the two processes; `hw-sim` prints what came of it. Returns whether the goal was
+    /// reached without a violation.
     fn run(&self, children: &Children, programs: &Path, recording: &Path) -> anyhow::Result<bool> {
         let (cli, [vpcd, hw_sim]) = (self.cli, self.cli.scene.parts().1);
-        // The daemon puts its flight record beside the domain: to it, the end of the camera is a fault.
+        // The daemon puts its flight record beside the domain: to it, the end of the camera is a
+        // fault.
         let here = std::env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
         let _place = children.place(here.clone());
         fs::create_dir_all(&here).with_context(|| here.display().to_string())?;

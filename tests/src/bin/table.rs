@@ -1,4 +1,5 @@
-//! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the paper's Table I.
+//! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
+//! paper's Table I.
 
 use std::fs;
 use std::io::{IsTerminal, Write};
@@ -22,10 +23,11 @@ use system_tests::run::{flawed, time};
 use system_tests::{arguments, robot_table};
 use vpc::{Controller, MotionMemory, Task};
 
-/// Runs every strategy on the same starts against an emulated camera and prints the paper's Table I.
+/// Runs every strategy on the same starts against an emulated camera and prints the paper's Table
+/// I.
 ///
-/// Runs are made one after another on one core, so that the times of cycles are honest. Every run lasts the scene's
-/// time: the cost is the mean over all its cycles.
+/// Runs are made one after another on one core, so that the times of cycles are honest. Every run
+/// lasts the scene's time: the cost is the mean over all its cycles.
 #[derive(Parser)]
 #[command(name = "table", version)]
 struct Cli {
@@ -92,8 +94,8 @@ struct Record<'a, Run> {
     run: &'a Run,
 }
 
-/// The command line, unless it holds a flag that the chosen body ignores: a margin that changes nothing must not pass for
-/// one that does nothing.
+/// The command line, unless it holds a flag that the chosen body ignores: a margin that changes
+/// nothing must not pass for one that does nothing.
 fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
     let matches = Cli::command().try_get_matches_from(arguments)?;
     let cli = Cli::from_arg_matches(&matches)?;
@@ -253,7 +255,8 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
     Ok(())
 }
 
-/// The scene as a law with wrong depths sees it: the same images, from pattern and goal of another size.
+/// The scene as a law with wrong depths sees it: the same images, from pattern and goal of another
+/// size.
 fn with_depth_error(scene: &Scene, error: f64) -> Scene {
     let mut believed = scene.clone();
     let lengths = believed.pattern.iter_mut().flatten();
@@ -270,7 +273,8 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// Has `vpc-memory` build a memory for the scene in a temporary file, which is removed once it is mapped.
+/// Has `vpc-memory` build a memory for the scene in a temporary file, which is removed once it is
+/// mapped.
 fn built(children: &Children, cli: &Cli, scene: &Scene) -> anyhow::Result<MemoryFile> {
     let programs = children.build(&["vpc-memory"])?;
     let directory = std::env::temp_dir().join(format!("vpc-table-{}", std::process::id()));
