@@ -23,11 +23,10 @@ use system_tests::run::{flawed, time};
 use system_tests::{arguments, robot_table};
 use vpc::{Controller, MotionMemory, Task};
 
-/// Runs every strategy on the same starts against an emulated camera and prints the paper's Table
-/// I.
+/// Runs every strategy from the same starts against an emulated camera, as in the paper's Table I.
 ///
-/// Runs are made one after another on one core, so that the times of cycles are honest. Every run
-/// lasts the scene's time: the cost is the mean over all its cycles.
+/// Runs are made one after another on one core, so that they do not disturb each other's times.
+/// Every run lasts the scene's time; its cost is the mean over all cycles.
 #[derive(Parser)]
 #[command(name = "table", version)]
 struct Cli {
@@ -37,7 +36,7 @@ struct Cli {
     /// Start poses (CSV: tx,ty,tz,rx,ry,rz).
     #[arg(long)]
     starts: PathBuf,
-    /// Memory of motion; built first with 900 trajectories where none is given.
+    /// Memory of motion; if none is given, one with 900 trajectories is built first.
     #[arg(long)]
     memory: Option<PathBuf>,
     #[command(flatten)]
@@ -45,10 +44,10 @@ struct Cli {
     /// What carries the camera.
     #[arg(long, value_enum, default_value = "free")]
     robot: Body,
-    /// Writes rows and runs to this file.
+    /// Write rows and runs to this file (JSON).
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Draws pictures into this directory.
+    /// Draw pictures into this directory.
     #[arg(long)]
     plots: Option<PathBuf>,
     #[command(flatten, next_help_heading = "With --robot free")]
@@ -60,7 +59,7 @@ struct Cli {
 /// The camera that flies freely.
 #[derive(Args)]
 struct CameraFlags {
-    /// Times each cycle as the median of this many replays.
+    /// Replays of each run; the time of a cycle is the median over them.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     repeats: u16,
     /// Frames between exposure and delivery.
@@ -71,9 +70,9 @@ struct CameraFlags {
 /// What carries the camera.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Body {
-    /// Nothing, as in the paper's simulation: it moves exactly as told.
+    /// Nothing: the camera moves exactly as commanded, as in the paper's simulation.
     Free,
-    /// A Franka Emika Panda, with frames that come late.
+    /// A Franka Emika Panda; frames are delayed.
     Panda,
 }
 
