@@ -115,7 +115,7 @@ impl Supervisor {
         }
     }
 
-    /// What it goes by.
+    /// Its settings.
     pub fn rules(&self) -> Rules {
         self.rules
     }
@@ -152,7 +152,7 @@ impl Supervisor {
     /// instead.
     pub fn supervise(&mut self, situation: &Situation, now_ns: u64) -> Decision {
         let elapsed_ns = match self.last.replace(now_ns) {
-            // A clock that goes back tells nothing about the time that went by: brake in one step.
+            // After the clock went back, the time that passed is unknown: brake in one step.
             Some(last) if now_ns < last => u64::MAX,
             Some(last) => now_ns - last,
             None => 0,

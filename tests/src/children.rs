@@ -36,7 +36,7 @@ struct State {
     /// Process groups, by their leaders, which have not been waited for.
     running: Vec<Pid>,
     places: usize,
-    /// A signal was heard: nothing is started any more.
+    /// A signal has arrived: no more children are started.
     is_ending: bool,
 }
 
@@ -47,7 +47,7 @@ pub fn attended(
     work: impl FnOnce(&Children) -> anyhow::Result<ExitCode> + Send,
 ) -> ExitCode {
     let heard = Arc::new(AtomicUsize::new(0));
-    // Whoever started this program with `nohup` or in the background wants it to go on.
+    // A program started with `nohup` or in the background is meant to go on.
     for signal in [SIGINT, SIGTERM, SIGHUP]
         .into_iter()
         .filter(|signal| !is_ignored(*signal))
@@ -179,7 +179,7 @@ impl Children {
         }
     }
 
-    /// Ends all children, the last one first, and lets nobody start more of them.
+    /// Ends all children, the last one first, and prevents that more are started.
     fn end(&self) {
         let mut state = self.state();
         state.is_ending = true;

@@ -162,7 +162,7 @@ pub fn flawed(
     run
 }
 
-/// One cycle of the law, which is told where the frame before was missing.
+/// One cycle of the law; a missing frame before it breaks the link.
 fn cycle(
     controller: &mut Controller,
     memory: Option<&dyn MotionMemory>,

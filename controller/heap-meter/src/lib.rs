@@ -18,7 +18,7 @@ pub fn calls() -> u64 {
 }
 
 fn count() {
-    // A thread that is ending has no counter any more, and nobody asks for it.
+    // A thread that is ending has no counter any more, and needs none.
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
 }
 

@@ -167,7 +167,7 @@ impl<'a> Demo<'a> {
         );
     }
 
-    /// Runs the two processes; `hw-sim` prints what came of it. Returns whether the goal was
+    /// Runs the two processes; `hw-sim` prints the result. Returns whether the goal was
     /// reached without a violation.
     fn run(&self, children: &Children, programs: &Path, recording: &Path) -> anyhow::Result<bool> {
         let (cli, [vpcd, hw_sim]) = (self.cli, self.cli.scene.parts().1);
