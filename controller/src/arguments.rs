@@ -19,7 +19,7 @@ use clap::{Args, Parser, Subcommand};
     args_conflicts_with_subcommands = true
 )]
 pub struct Arguments {
-    /// What to do instead of controlling.
+    /// Run this instead of the controller.
     #[command(subcommand)]
     pub command: Option<Command>,
 
@@ -41,27 +41,27 @@ pub struct Arguments {
     #[arg(long, value_name = "NAME")]
     pub strategy: Option<String>,
 
-    /// Steps of the preview, 1 to 40, instead of `law.np`.
+    /// Steps predicted, 1 to 40, instead of `law.np`.
     #[arg(long, value_name = "STEPS")]
     pub np: Option<i64>,
 
-    /// fixed (a grid in time at the scene's rate), phase (the same grid, following the camera's
-    /// frames) or lockstep (one cycle for each features message), instead of `cycle.clock`.
+    /// fixed (cycles at the scene's rate), phase (the same, following the camera's frames) or
+    /// lockstep (one cycle for each features message), instead of `cycle.clock`.
     #[arg(long, value_name = "MODE")]
     pub clock: Option<String>,
 
-    /// Directory of the shared-memory domain, the same for all who are to meet, instead of
-    /// `ipc.domain`. [default: /tmp/vpc-UID]
+    /// Directory of the shared-memory domain, the same for camera, controller, robot and observers,
+    /// instead of `ipc.domain`. [default: /tmp/vpc-UID]
     #[arg(long, value_name = "DIR")]
     pub domain: Option<PathBuf>,
 
-    /// Start armed: the first good features set the camera in motion. Otherwise, and without
-    /// `safety.armed`, it stands until an operator arms it; in lockstep, where no arm moves, it
-    /// starts armed.
+    /// Start armed: the camera moves with the first good features. Without this flag and
+    /// `safety.armed` it stands until an operator arms it. In lockstep, which moves only simulated
+    /// cameras, vpcd always starts armed unless `safety.armed` is false.
     #[arg(long)]
     pub arm: bool,
 
-    /// Stop after N cycles and those that braking takes.
+    /// After N cycles, brake and stop.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,
 
@@ -70,12 +70,12 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
 
-    /// Print what this machine lacks for real time and how to provide it, and exit: 0 if fit, else
-    /// 1. Takes a second; needs neither configuration nor scene.
+    /// Print what this machine lacks for real time and how to provide it, and exit with 0 if
+    /// nothing is missing, else with 1. Needs neither configuration nor scene.
     #[arg(long)]
     pub preflight: bool,
 
-    /// With --preflight: as JSON.
+    /// With --preflight: print JSON.
     #[arg(long, requires = "preflight")]
     pub json: bool,
 
@@ -88,15 +88,15 @@ pub struct Arguments {
     pub print_config: bool,
 }
 
-/// What `vpcd` does beside controlling.
+/// What `vpcd` can do besides controlling.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Command {
     /// Repeat the cycles of a flight record or a recording and compare every bit: exit code 0 if
     /// all are the same, 1 if something differs.
     ///
-    /// Scene and configuration come from the file, the memory of motion from where the
-    /// configuration says. 65: the file is damaged or no recording, or another memory is given than
-    /// the recorded one; 66: a file is missing.
+    /// Scene and configuration come from the file. The memory of motion is read from the path in
+    /// the configuration, or from --memory. Other exit codes: 65 the file is damaged or no
+    /// recording, or the memory is not the recorded one; 66 a file is missing.
     Replay(ReplayArguments),
 }
 
@@ -107,15 +107,16 @@ pub struct ReplayArguments {
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
 
-    /// Memory of motion, which must be the recorded one, instead of where it was.
+    /// Memory of motion, instead of the path in the recorded configuration; it must be the
+    /// recorded memory.
     #[arg(long, value_name = "FILE")]
     pub memory: Option<PathBuf>,
 
-    /// Only up to this cycle, from the last snapshot before it, and print its record.
+    /// Replay only from the last snapshot before cycle N up to N, and print its record.
     #[arg(long, value_name = "N")]
     pub until: Option<u64>,
 
-    /// As JSON.
+    /// Print JSON.
     #[arg(long)]
     pub json: bool,
 }

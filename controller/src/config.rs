@@ -36,7 +36,7 @@ pub struct Config {
     /// Periods for which the last command may stand without new features; the camera brakes so
     /// early that it never stands longer.
     pub stale_periods: f64,
-    /// What the supervisor goes by.
+    /// Settings of the supervisor.
     pub safety: Safety,
     /// Directory of the shared-memory domain.
     pub domain: PathBuf,
@@ -72,7 +72,7 @@ impl FlightConfig {
     }
 }
 
-/// The part of the configuration that the supervisor goes by.
+/// The part of the configuration for the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Safety {
     /// Whether the controller starts armed.

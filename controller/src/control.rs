@@ -145,7 +145,7 @@ impl ControlStep {
             self.gate.mark_gap();
             self.loaded.controller.overruled();
         }
-        // As sent, whoever chose it. The instant is that of the law's plan, so that a replay needs
+        // The twist as sent, also if the law did not choose it. The instant is that of the law's plan, so that a replay needs
         // no other clock.
         let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);
         self.loaded.controller.sent(&decision.twist, effective_ns);
@@ -364,7 +364,7 @@ mod tests {
                 false => moving += 1,
             }
         }
-        // Not for want of work, or of faults.
+        // There was work, and there were faults.
         assert!(moving > 3000 && still > 3000, "{moving} and {still}");
     }
 }

@@ -23,7 +23,7 @@ use crate::usage::Usage;
 const YIELDS: u32 = 100;
 /// Sleep between two polls in lockstep, ns.
 const POLL_NS: u64 = 20_000;
-/// Longest wait in lockstep before the stop flag is looked at, ns.
+/// Longest wait in lockstep before the stop flag is checked, ns.
 const WAIT_NS: u64 = 5_000_000;
 
 /// Most requests of operators taken in a cycle: as many as wait in the queue.
@@ -38,7 +38,7 @@ pub struct Pace {
     pub period_ns: u64,
     /// Periods for which a command may stand without news.
     pub stale_periods: f64,
-    /// What the supervisor goes by.
+    /// Settings of the supervisor.
     pub rules: Rules,
     /// Clock `phase`: how far after the expected arrival of features a cycle begins, ns.
     pub margin_ns: u64,
@@ -156,7 +156,7 @@ impl Cycle {
         self.control.is_at_rest()
     }
 
-    /// Whether nobody takes the records any more: the ordinary thread is gone.
+    /// Whether the ordinary thread, which takes the records, has ended.
     pub fn is_unheard(&self) -> bool {
         self.producer.is_abandoned()
     }

@@ -170,7 +170,7 @@ impl Signals {
 /// Checks everything, then runs the loop in this thread.
 ///
 /// # Errors
-/// [`Failure`] names what is wrong.
+/// [`Failure`], with its cause.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // First of all: a hang-up while the memory is read must not kill.
     let signals = Signals::handle()?;
@@ -281,7 +281,7 @@ fn turn(
     let mut left = cycle.braking_cycles();
     loop {
         let is_over = most.is_some_and(|most| cycle.count() >= most);
-        // Without telemetry, log and watchdog nobody would know what the camera does.
+        // Without telemetry, log and watchdog the camera would move unobserved.
         if is_over || cycle.is_unheard() {
             stop.ask();
         }

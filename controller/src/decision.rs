@@ -61,7 +61,7 @@ macro_rules! hold_reasons {
         }
 
         impl HoldReason {
-            /// The reason that a code stands for; `None` for [`Hold::None`] and for unknown codes.
+            /// The reason of a code; `None` for [`Hold::None`] and for unknown codes.
             pub fn from_code(code: u32) -> Option<Self> {
                 match Hold::from_code(code)? {
                     Hold::None => None,

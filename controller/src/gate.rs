@@ -59,7 +59,7 @@ pub struct Gate {
 
 impl Gate {
     /// A gate that holds when no message came for `stale_ns`; `None` in lockstep, where time does
-    /// not pass and stamps are not looked at.
+    /// not pass and stamps are not checked.
     pub fn new(stale_ns: Option<u64>) -> Self {
         Self {
             stale_ns,
@@ -264,7 +264,7 @@ mod tests {
             cause(gate.judge(&Input::Nothing, 101)),
             Some(HoldReason::Stale)
         );
-        // Good features end it, and the law is told of the gap.
+        // Good features end it, and the law gets `Link::Broken` for the gap.
         assert_eq!(link(gate.judge(&came(2, 200), 201)), Some(Link::Broken));
     }
 

@@ -62,7 +62,7 @@ impl LoadedController {
     /// task is refused.
     ///
     /// # Errors
-    /// [`LoadError`] names the file and what is wrong.
+    /// [`LoadError`] names the file and the cause.
     pub fn open(
         scene: &Path,
         memory: Option<&Path>,

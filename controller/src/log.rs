@@ -19,7 +19,7 @@ use crate::lossy::Lossy;
 pub struct Log(Option<Lossy>);
 
 impl Log {
-    /// Lines lost so far, because nobody took them; what the journal loses it counts itself.
+    /// Lines lost so far because standard error was not read; the journal counts its own losses.
     pub fn lost(&self) -> u64 {
         self.0.as_ref().map_or(0, Lossy::lost)
     }

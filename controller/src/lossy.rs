@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use std::sync::mpsc::Sender;
 
-    /// Passes on what is written; blocks for ever once nobody takes it.
+    /// Passes on what is written; blocks for ever when it is not read.
     struct Pipe(SyncSender<Vec<u8>>);
 
     impl Write for Pipe {

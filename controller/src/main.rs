@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-/// Counts the calls of each thread: telemetry tells those of the loop.
+/// Counts the calls of each thread; the loop's are in the telemetry.
 #[global_allocator]
 static ALLOCATOR: heap_meter::Meter = heap_meter::Meter;
 

@@ -42,7 +42,7 @@ impl Display for State {
 /// One property of the machine.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Check {
-    /// What was looked at.
+    /// What was checked.
     pub name: &'static str,
     /// What it came to.
     pub state: State,
@@ -92,7 +92,7 @@ impl Display for Preflight {
     }
 }
 
-/// Judges the facts for a loop that wants this.
+/// Judges the facts for a loop with these real-time requirements.
 pub fn judge(facts: &Facts, wanted: RealtimeRequest) -> Preflight {
     let checks = vec![
         priority(facts, wanted),

@@ -30,7 +30,7 @@ pub struct Report {
     pub overruns: u64,
     /// Records that the recorder lost: missing from everything below.
     pub lost_records: u64,
-    /// Lines of the log that nobody took.
+    /// Lines of the log that were lost.
     pub lost_lines: u64,
     /// Wake-up after the release, ns; 0 in lockstep.
     pub wake_ns: Percentiles,

@@ -1,4 +1,4 @@
-//! The robot as the controller hears it: at fault, silent, or fine. Pure; the time is an argument.
+//! The robot's state by its messages: at fault, silent, or fine. Pure; the time is an argument.
 
 use ipc::{RobotFaults, RobotMode, RobotState};
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::decision::HoldReason;
 use crate::input::Input;
 
-/// What was heard of the robot so far.
+/// What the robot's messages have said so far.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotWatch {
     lost_ns: Option<u64>,
@@ -109,7 +109,7 @@ mod tests {
         assert_eq!(watch.look(&state(RobotMode::Idle, fine, 3), 4), None);
         let fault = state(RobotMode::Fault, fine, 5);
         assert_eq!(watch.look(&fault, 6), Some(HoldReason::RobotFault));
-        // Standing still for want of commands, or cutting one, is no fault.
+        // Standing still because commands are missing, or cutting one to the limits, is no fault.
         let cut = RobotFaults(RobotFaults::STALE_COMMAND.0 | RobotFaults::COMMAND_LIMITED.0);
         assert_eq!(watch.look(&state(RobotMode::Stale, cut, 7), 8), None);
     }

@@ -26,7 +26,7 @@ const STATUS: Duration = Duration::from_secs(1);
 const FEEDS: u32 = 4;
 /// Periods of the loop that the shortest watchdog interval must hold.
 const LEAST_PERIODS: u32 = 4;
-/// Shortest stillness of the loop that the log tells.
+/// Shortest standstill of the loop that is logged.
 const STILL: Duration = Duration::from_millis(500);
 
 /// Why the service manager cannot be notified.
@@ -162,7 +162,7 @@ impl Socket {
     }
 }
 
-/// What is to be said now.
+/// What to send to systemd now.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Due {
     ready: bool,
@@ -171,7 +171,7 @@ struct Due {
     stopping: bool,
 }
 
-/// What has been said and seen; pure, so that tests move the clock by hand.
+/// What was sent and seen so far; pure, so that tests move the clock by hand.
 #[derive(Debug)]
 struct Schedule {
     /// Time between two watchdog messages.
@@ -237,7 +237,7 @@ impl Schedule {
 pub struct Notifier {
     line: Option<Socket>,
     schedule: Schedule,
-    /// Stillness that is told.
+    /// Standstill that is logged.
     most_still: Duration,
     is_still: bool,
     is_cut: bool,

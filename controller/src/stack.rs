@@ -23,7 +23,7 @@ pub fn prepare() {
     let mut area: Area = [const { MaybeUninit::uninit() }; SIZE];
     let start = area.as_mut_ptr();
     for i in 0..SIZE {
-        // SAFETY: i is within the area. Volatile: nobody reads it, and it must happen all the same.
+        // SAFETY: i is within the area. Volatile, because the write must happen though it is never read.
         unsafe { start.add(i).write_volatile(MaybeUninit::new(PAINT)) };
     }
 }

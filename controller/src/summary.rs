@@ -6,10 +6,10 @@ use tracing::{info, warn};
 use crate::histogram::Histogram;
 use crate::report::Report;
 
-/// Stages of a cycle of which the times are told.
+/// Stages of a cycle whose times are reported.
 const STAGES: [&str; 5] = ["wake", "receive", "step", "send", "busy"];
 
-/// Counts records; tells the log when something changes.
+/// Counts records, and logs changes.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     cycles: u64,

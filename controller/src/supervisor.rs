@@ -5,13 +5,14 @@
 //! twist is zero until an operator arms. Each cycle has at most one cause against the law's twist,
 //! the gravest of all that hold, and each cause has one response:
 //!
-//! | Response | Causes, the gravest first |
-//! |---|---|
-//! | zero at once, disarm | operator's stop, robot fault, clock anomaly, a standstill of the loop |
-//! | brake, disarm | shutdown, operator's disarm, robot silent, overruns, bad twist, solver failure, recall out of range, frozen image, features lost |
-//! | brake, go on with the next good features | features stale, invalid, hidden, miscounted, not finite, off the image, mixed up, out of order; transport; a solver that failed once or twice |
+//! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
+//! - *Brake, disarm*: shutdown, operator's disarm, robot silent, overruns, bad twist, solver
+//!   failure, recall out of range, frozen image, features lost.
+//! - *Brake, go on with the next good features*: features stale, invalid, hidden, miscounted, not
+//!   finite, off the image, mixed up, out of order; transport; a solver that failed once or twice.
 //!
-//! Features are *lost* when none that the law could use came for a while, for whatever reason.
+//! Each list begins with its gravest cause. Features are *lost* if the law could use none for
+//! [`Rules::lost_ns`].
 
 use ipc::{Action, Outcome, TwistState};
 use serde::{Deserialize, Serialize};
@@ -21,11 +22,11 @@ use crate::decision::{Decision, HoldReason};
 /// Cycles in a row with missed releases, with a solver that failed, or with a memory whose answers
 /// were out of range, after which the camera is stopped.
 const IN_A_ROW: u32 = 3;
-/// What a cycle with missed releases counts; one without counts this down by 1. So more than one
-/// overrun in three cycles stops the camera, too, if it lasts.
+/// A cycle with missed releases adds this to the count, one without subtracts 1. So overruns in
+/// more than one of three cycles also stop the camera, if they last.
 const OVERRUN: u32 = 2;
 
-/// What the supervisor goes by.
+/// The settings of the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rules {
     /// Largest magnitude of each component of the twist, m/s and rad/s.
@@ -114,7 +115,7 @@ impl Supervisor {
         }
     }
 
-    /// What it goes by.
+    /// Its settings.
     pub fn rules(&self) -> Rules {
         self.rules
     }
@@ -151,7 +152,7 @@ impl Supervisor {
     /// instead.
     pub fn supervise(&mut self, situation: &Situation, now_ns: u64) -> Decision {
         let elapsed_ns = match self.last.replace(now_ns) {
-            // A clock that goes back tells nothing about the time that went by: brake in one step.
+            // After the clock went back, the time that passed is unknown: brake in one step.
             Some(last) if now_ns < last => u64::MAX,
             Some(last) => now_ns - last,
             None => 0,

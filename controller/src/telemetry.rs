@@ -44,7 +44,7 @@ pub enum RecorderError {
 pub struct Telemetry {
     /// What the loop leaves.
     pub consumer: Consumer,
-    /// Set by whoever wants the flight record.
+    /// Set to request the flight record.
     pub dump: DumpRequest,
     /// The flight record.
     pub flight: Recorder,

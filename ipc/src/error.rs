@@ -34,7 +34,7 @@ pub enum JoinReason {
     /// iceoryx2 does not take the path.
     #[error("not a usable path; allowed: at most 200 bytes, letters, digits and . - _ /")]
     Path,
-    /// Another process has been joining or leaving for so many seconds.
+    /// Another process has been joining or leaving for this many seconds.
     #[error(
         "another process is joining or leaving since {0} s; is one stopped? end it, or use another domain"
     )]

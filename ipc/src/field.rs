@@ -23,11 +23,11 @@ pub struct Field {
     pub offset: usize,
     /// Bytes in it.
     pub size: usize,
-    /// What the numbers stand for, and which are valid.
+    /// The meaning of the numbers, and which are valid.
     pub meaning: Meaning,
 }
 
-/// What the numbers of a field stand for. A message with other numbers is refused on reception.
+/// The meaning of a field's numbers. A message with other numbers is refused on reception.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Meaning {
     /// Any number.

@@ -39,7 +39,8 @@
 //!
 //! let features = controller.features.latest()?.ok_or("nothing received")?;
 //! assert_eq!(features.stamp.sequence, sent.sequence);
-//! let twist = ipc::TwistCommand::answer(&features, [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], ipc::TwistState::Moving)
+//! let twist = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0];
+//! let twist = ipc::TwistCommand::answer(&features, twist, ipc::TwistState::Moving)
 //!     .valid_for_ns(100_000_000);
 //! controller.twist.publish(&twist)?;
 //!

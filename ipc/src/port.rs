@@ -227,7 +227,7 @@ impl<T: Message> Subscriber<T> {
         newest.map(|message| self.accept(message)).transpose()
     }
 
-    /// The oldest message in the buffer: for recorders, which want every message.
+    /// The oldest message in the buffer: for recorders, which need every message.
     ///
     /// # Errors
     /// As [`Subscriber::latest`].

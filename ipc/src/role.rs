@@ -32,7 +32,7 @@ macro_rules! ports {
             /// Opens the ports.
             ///
             /// # Errors
-            /// [`OpenError::Taken`] or [`OpenError::Full`] if others have all places of a service.
+            /// [`OpenError::Taken`] or [`OpenError::Full`] if others have all slots of a service.
             pub fn open(domain: &Domain) -> Result<Self, OpenError> {
                 Ok(Self { $($port: ports!(@open $direction domain $(, $buffer)?)?,)+ })
             }

@@ -1,5 +1,5 @@
 //! Opens a memory and says what is in it: `cargo run -p memory-blob --example check -- FILE`.
-//! Unlike `vpc-memory verify` it needs this package alone, for whoever writes such files from
+//! Unlike `vpc-memory verify` it needs this package alone: for those who write such files from
 //! another language.
 
 use std::process::ExitCode;

@@ -14,7 +14,7 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Takes a file apart; its digests and shapes are not looked at yet.
+    /// Parses the header of a file, without checking digests and shapes.
     pub(crate) fn parse(bytes: &[u8]) -> Result<Self, String> {
         let length = bytes.first_chunk::<8>().map(|b| u64::from_le_bytes(*b));
         let length = length.ok_or_else(|| format!("{} bytes; allowed: at least 8", bytes.len()))?;

@@ -1,4 +1,4 @@
-//! Memory that nobody can change: a sealed memory file, mapped read-only.
+//! Memory that no process can change: a sealed memory file (memfd), mapped read-only.
 
 use std::fs::File;
 use std::io::{self, Write};

@@ -1,7 +1,8 @@
 //! Child processes that end with this program, whichever way it ends.
 //!
-//! SIGINT, SIGTERM and SIGHUP end the children in order and remove the directories that they work in. After SIGKILL or a
-//! crash the kernel sends each child a SIGTERM, on which `vpcd` and `hw-sim` leave their domain as they do otherwise.
+//! SIGINT, SIGTERM and SIGHUP end the children in order and remove the directories that they work
+//! in. After SIGKILL or a crash the kernel sends each child a SIGTERM, on which `vpcd` and `hw-sim`
+//! leave their domain as they do otherwise.
 
 use std::ffi::OsStr;
 use std::io::Read;
@@ -35,18 +36,18 @@ struct State {
     /// Process groups, by their leaders, which have not been waited for.
     running: Vec<Pid>,
     places: usize,
-    /// A signal was heard: nothing is started any more.
+    /// A signal has arrived: no more children are started.
     is_ending: bool,
 }
 
-/// Does a program's work, with children, and prints why it failed. A signal ends the children, then the program, which
-/// dies of that signal.
+/// Does a program's work, with children, and prints why it failed. A signal ends the children, then
+/// the program, which dies of that signal.
 pub fn attended(
     program: &str,
     work: impl FnOnce(&Children) -> anyhow::Result<ExitCode> + Send,
 ) -> ExitCode {
     let heard = Arc::new(AtomicUsize::new(0));
-    // Whoever started this program with `nohup` or in the background wants it to go on.
+    // A program started with `nohup` or in the background is meant to go on.
     for signal in [SIGINT, SIGTERM, SIGHUP]
         .into_iter()
         .filter(|signal| !is_ignored(*signal))
@@ -124,8 +125,8 @@ impl Children {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a command of [`command`]; `name` is for messages. The thread that calls must outlive the child, because the
-    /// kernel takes the thread for the parent.
+    /// Starts a command of [`command`]; `name` is for messages. The thread that calls must outlive
+    /// the child, because the kernel takes the thread for the parent.
     ///
     /// # Errors
     /// It cannot be started, or this program is ending.
@@ -144,14 +145,16 @@ impl Children {
         })
     }
 
-    /// Builds these programs beside the program that runs, with the cargo that runs it; gives their directory.
+    /// Builds these programs beside the program that runs, with the cargo that runs it; gives their
+    /// directory.
     ///
     /// # Errors
     /// Cargo cannot be run, or fails.
     pub fn build(&self, programs: &[&str]) -> anyhow::Result<PathBuf> {
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
         let mut build = command(cargo);
-        // No package is named, so that features are those of `cargo build`, and nothing is built twice.
+        // No package is named, so that features are those of `cargo build`, and nothing is built
+        // twice.
         build.current_dir(root()).arg("build");
         build.args(programs.iter().flat_map(|program| ["--bin", program]));
         if !cfg!(debug_assertions) {
@@ -166,7 +169,8 @@ impl Children {
         Ok(directory.to_owned())
     }
 
-    /// A directory for children to work in, which is removed with everything in it when it is dropped.
+    /// A directory for children to work in, which is removed with everything in it when it is
+    /// dropped.
     pub fn place(&self, path: PathBuf) -> Place<'_> {
         self.state().places += 1;
         Place {
@@ -175,7 +179,7 @@ impl Children {
         }
     }
 
-    /// Ends all children, the last one first, and lets nobody start more of them.
+    /// Ends all children, the last one first, and prevents that more are started.
     fn end(&self) {
         let mut state = self.state();
         state.is_ending = true;

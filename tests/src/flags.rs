@@ -1,4 +1,4 @@
-//! What both kinds of table are told on the command line.
+//! Flags of `cargo table`.
 
 use clap::{Args, FromArgMatches};
 use hw_sim::eye::Sight;
@@ -6,7 +6,7 @@ use vpc::{Model, Settings};
 
 use crate::spec::Spec;
 
-/// The law, and what a camera has wrong with it.
+/// Settings of the law, and errors of the camera.
 #[derive(Args, Clone, Debug)]
 pub struct Common {
     /// Strategies with their preview windows: previous, knn, knn2 to knn64, gpr, ibvs.
@@ -16,10 +16,10 @@ pub struct Common {
         default_value = "previous:3,previous:30,knn:3,gpr:3"
     )]
     pub strategies: Vec<Spec>,
-    /// Stays where it stalls, as the paper's law does: no detour over a sample of the memory.
+    /// Make no detour over a sample of the memory when the law stalls, as in the paper.
     #[arg(long)]
     pub no_detour: bool,
-    /// Takes the features for those of now, however late they are.
+    /// Use late features as they are, without compensating the delay.
     #[arg(long)]
     pub no_compensation: bool,
     /// Pixel noise, standard deviation, px.
@@ -28,7 +28,7 @@ pub struct Common {
     /// Probability that a frame is lost.
     #[arg(long, value_name = "P", default_value_t = 0.0)]
     pub drop: f64,
-    /// The law takes pattern and goal for 1 + E times as large and as far as they are.
+    /// The law believes that pattern and goal are 1 + E times as large and as far as they are.
     #[arg(
         long,
         value_name = "E",
@@ -44,7 +44,7 @@ pub struct Common {
     pub model: Model,
 }
 
-/// A model by its word in configuration files.
+/// A model by its name in configuration files.
 fn model(word: &str) -> Result<Model, &'static str> {
     match word {
         "pose" => Ok(Model::Pose),
@@ -79,16 +79,16 @@ impl Common {
 /// The robot and its law.
 #[derive(Args, Clone, Debug)]
 pub struct RobotFlags {
-    /// From the middle of an exposure to the delivery, ms.
+    /// Time from the middle of an exposure to the delivery of its features, ms.
     #[arg(long, value_name = "MS", default_value_t = 110.0)]
     pub delay_ms: f64,
-    /// Deviation of that to either side, ms.
+    /// Largest deviation of this delay to either side, ms.
     #[arg(long, value_name = "MS", default_value_t = 0.0)]
     pub jitter_ms: f64,
     /// Where the features come from.
     #[arg(long, value_enum, default_value = "ideal")]
     pub camera: Sight,
-    /// True focal lengths are larger by this share.
+    /// Relative error of the focal lengths: the true ones are 1 + E times as large.
     #[arg(
         long,
         value_name = "E",
@@ -96,25 +96,25 @@ pub struct RobotFlags {
         allow_negative_numbers = true
     )]
     pub focal_error: f64,
-    /// Distance of the true camera from where the calibration has it, in another direction for each start, cm.
+    /// Error of the hand-eye calibration: distance, in another direction for each start, cm.
     #[arg(long, value_name = "CM", default_value_t = 0.0)]
     pub hand_eye_cm: f64,
-    /// ... and the angle by which it is turned, about another axis for each start, deg.
+    /// Error of the hand-eye calibration: angle, about another axis for each start, deg.
     #[arg(long, value_name = "DEG", default_value_t = 0.0)]
     pub hand_eye_deg: f64,
-    /// The memory is asked once a feature is this close to an occlusion, px.
+    /// Ask the memory when a feature comes this close to an occlusion, px.
     #[arg(long, value_name = "PX", default_value_t = 30.0)]
     pub trigger: f64,
-    /// ... and until every feature is this many times as far away.
+    /// Ask the memory until every feature is X times the distance of --trigger away.
     #[arg(long, value_name = "X", default_value_t = 2.0)]
     pub hysteresis: f64,
-    /// Extra clearance that the law keeps from every border, px; the paper has none.
+    /// Clearance that the law keeps from every border, px; 0 in the paper.
     #[arg(long, value_name = "PX", default_value_t = 0.0)]
     pub margin: f64,
-    /// Sends the 30 Hz staircase to the robot as it is.
+    /// Send the 30 Hz commands to the robot without shaping them to 1 kHz.
     #[arg(long)]
     pub unshaped: bool,
-    /// Runs only this start.
+    /// Run only this start.
     #[arg(long, value_name = "INDEX")]
     pub only: Option<usize>,
 }

@@ -1,5 +1,5 @@
-//! What the programs `demo` and `table` and the system tests share: closed-loop runs against an exact camera, and
-//! what they add up to.
+//! What the programs `demo` and `table` and the system tests share: closed-loop runs against an
+//! exact camera, and what they add up to.
 
 #![forbid(unsafe_code)]
 
@@ -12,8 +12,9 @@ pub mod row;
 pub mod run;
 pub mod spec;
 
-/// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo demo --help` asks the
-/// program; who writes `cargo demo -- --help`, as everywhere else, gets the same.
+/// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo
+/// demo --help` asks the program; who writes `cargo demo -- --help`, as everywhere else, gets the
+/// same.
 pub fn arguments() -> impl Iterator<Item = std::ffi::OsString> {
     // Neither program takes words without a flag, which a separator would be for.
     std::env::args_os().filter(|argument| argument != "--")

@@ -112,8 +112,8 @@ impl Drawn {
     }
 }
 
-/// Draws, into `directory`: the samples in the memory, and all strategies on one start: `only`, else the first that the
-/// first strategy fails and the last one solves, else the first.
+/// Draws, into `directory`: the samples in the memory, and all strategies on one start: `only`,
+/// else the first that the first strategy fails and the last one solves, else the first.
 ///
 /// # Errors
 /// Where a picture cannot be drawn or written.

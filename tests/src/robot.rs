@@ -1,5 +1,5 @@
-//! One closed-loop run of the law against the emulated robot, in simulated time: no processes, no clocks, and the same
-//! bits in every run. Everything else is what `hw-sim` steps in real time.
+//! One closed-loop run of the law against the emulated robot, in simulated time: no processes, no
+//! clocks, and the same bits in every run. Everything else is what `hw-sim` steps in real time.
 
 use hw_sim::End;
 use hw_sim::cell::{Cell, Exposed, Order};
@@ -85,8 +85,9 @@ pub struct Sample {
     pub arm: ArmRecord,
 }
 
-/// The daemon's part in simulated time: the law steps when a frame is delivered, its command stands for three periods,
-/// a hidden marker means standing still, and 0.3 s without usable features end the run.
+/// The daemon's part in simulated time: the law steps when a frame is delivered, its command stands
+/// for three periods, a hidden marker means standing still, and 0.3 s without usable features end
+/// the run.
 struct Driver<'a> {
     controller: &'a mut Controller,
     memory: Option<&'a dyn MotionMemory>,

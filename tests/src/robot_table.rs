@@ -1,4 +1,5 @@
-//! `cargo table -- --robot panda`: strategies on the same starts against the emulated robot, in simulated time.
+//! `cargo table -- --robot panda`: strategies on the same starts against the emulated robot, in
+//! simulated time.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -89,7 +90,8 @@ fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> Rig
     settings
 }
 
-/// Runs every strategy on every start, on all processors; the order of runs makes no difference to them.
+/// Runs every strategy on every start, on all processors; the order of runs makes no difference to
+/// them.
 ///
 /// # Errors
 /// A start out of reach, a setting out of its range.

@@ -73,12 +73,14 @@ pub fn run(
     flawed(scene, controller, memory, start, Flaws::default())
 }
 
-/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is decided when the
-/// features arrive, when a constraint is violated, or when time is up; a run that arrived goes on regulating, watched, so
-/// that the mean cost of every run is taken over the same time.
+/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is
+/// decided when the features arrive, when a constraint is violated, or when time is up; a run that
+/// arrived goes on regulating, watched, so that the mean cost of every run is taken over the same
+/// time.
 ///
-/// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and what answers it
-/// takes effect when it is delivered. Where no frame comes the last twist stands, after three periods the zero twist.
+/// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and
+/// what answers it takes effect when it is delivered. Where no frame comes the last twist stands,
+/// after three periods the zero twist.
 pub fn flawed(
     scene: &Scene,
     controller: &mut Controller,
@@ -160,7 +162,7 @@ pub fn flawed(
     run
 }
 
-/// One cycle of the law, which is told where the frame before was missing.
+/// One cycle of the law; a missing frame before it breaks the link.
 fn cycle(
     controller: &mut Controller,
     memory: Option<&dyn MotionMemory>,
@@ -173,11 +175,13 @@ fn cycle(
     controller.step(measured, memory)
 }
 
-/// Replays the cycles of a run through the law `repeats` times and notes the median time of each: other work on the
-/// machine disturbs a cycle here and there, not most repeats of the same one. The caches are warm.
+/// Replays the cycles of a run through the law `repeats` times and notes the median time of each:
+/// other work on the machine disturbs a cycle here and there, not most repeats of the same one. The
+/// caches are warm.
 ///
 /// # Errors
-/// [`NotRepeatable`] where a replay commands another twist than the run did, which the law never may.
+/// [`NotRepeatable`] where a replay commands another twist than the run did, which the law never
+/// may.
 pub fn time(
     run: &mut Run,
     controller: &mut Controller,

@@ -11,19 +11,19 @@ thread_local! {
     static CALLS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// Allocations, reallocations and releases by the calling thread so far; zero for ever where [`Meter`] is not the
-/// program's allocator.
+/// Allocations, reallocations and releases by the calling thread so far; zero for ever where
+/// [`Meter`] is not the program's allocator.
 pub fn calls() -> u64 {
     CALLS.try_with(Cell::get).unwrap_or(0)
 }
 
 fn count() {
-    // A thread that is ending has no counter any more, and nobody asks for it.
+    // A thread that is ending has no counter any more, and needs none.
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
 }
 
-// SAFETY: every call goes to the system's allocator unchanged; counting touches a thread-local cell without a
-// destructor, which does not allocate.
+// SAFETY: every call goes to the system's allocator unchanged; counting touches a thread-local cell
+// without a destructor, which does not allocate.
 unsafe impl GlobalAlloc for Meter {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();

@@ -47,11 +47,11 @@ pub struct Law {
     #[default = "previous"]
     #[schemars(extend("enum" = strategies(), "x-allowed" = vpc::strategy::ALLOWED))]
     pub strategy: String,
-    /// Steps of the preview. Flag: --np.
+    /// Steps predicted. Flag: --np.
     #[default = 3]
     #[schemars(range(min = 1, max = vpc::MAX_NP))]
     pub np: usize,
-    /// Free commands in the preview.
+    /// Free commands in the prediction; the last is held to its end.
     #[default = 1]
     #[schemars(range(min = 1, max = vpc::MAX_NC), extend("x-allowed" = "1 to 4, at most np"))]
     pub nc: usize,
@@ -81,8 +81,8 @@ pub struct Law {
     #[default = 0.5]
     #[schemars(range(min = 1e-6, max = 100), extend("x-unit" = "per s"))]
     pub lambda: f64,
-    /// Whether a stall beside an occlusion is left by a detour over a sample of the memory (knn,
-    /// gpr).
+    /// Whether the law leaves a stall beside an occlusion by a detour over a sample of the memory
+    /// (knn, gpr).
     #[default = true]
     pub detour: bool,
     /// Whether features are advanced from their exposure to now by the commands sent since.
@@ -97,13 +97,13 @@ fn strategies() -> Vec<String> {
     strategies.map(|strategy| strategy.to_string()).collect()
 }
 
-/// The words of `law.model`.
+/// The values of `law.model`.
 #[derive(Deserialize, Serialize, JsonSchema)]
 #[serde(remote = "vpc::Model", rename_all = "kebab-case")]
 pub enum Model {
-    /// With the depths that the points have at the goal, as in the paper.
+    /// With the depths of the points at the goal, as in the paper.
     TargetDepth,
-    /// With one depth, from the area of the features.
+    /// With one depth for all points, from the area of the features.
     AreaDepth,
     /// By the pose of the known pattern.
     Pose,
@@ -119,20 +119,20 @@ pub struct Cycle {
     #[default = 1.0]
     #[schemars(range(min = 0, max = 20), extend("x-unit" = "ms"))]
     pub margin_ms: f64,
-    /// Longest time that a command stands without new features.
+    /// Longest time that a command is valid without new features.
     #[default = 3.0]
     #[schemars(range(min = 2, max = 1000), extend("x-unit" = "periods"))]
     pub stale_periods: f64,
 }
 
-/// The words of `cycle.clock`.
+/// The values of `cycle.clock`.
 #[derive(Clone, Copy, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clock {
-    /// A grid in time at the scene's rate.
+    /// The monotonic clock, at the scene's rate.
     #[default]
     Fixed,
-    /// The same grid, following the camera's frames.
+    /// The same, following the camera's frames.
     Phase,
     /// Each features message.
     Lockstep,
@@ -148,19 +148,19 @@ impl From<Clock> for ClockMode {
     }
 }
 
-/// What the supervisor goes by.
+/// When the supervisor arms, brakes and disarms.
 #[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct Safety {
     /// Whether the controller starts armed. Flag: --arm.
-    #[schemars(extend("x-default" = "true in lockstep, where no arm moves, else false"))]
+    #[schemars(extend("x-default" = "true in lockstep, else false"))]
     pub armed: Option<bool>,
-    /// Time in which a twist at the limits is braked to zero; not in lockstep.
+    /// Time in which a twist at the limits is braked to zero; without effect in lockstep.
     #[default = 0.15]
     #[schemars(range(min = 0, max = 0.15), extend("x-unit" = "s"))]
     pub brake_s: f64,
     /// Time without usable features, or without a message of the robot, after which the controller
-    /// disarms; at least two periods more than `cycle.stale_periods`; not in lockstep.
+    /// disarms; at least two periods more than `cycle.stale_periods`; without effect in lockstep.
     #[default = 0.3]
     #[schemars(range(min = 0.1, max = 10), extend("x-unit" = "s"))]
     pub lost_s: f64,
@@ -170,25 +170,26 @@ pub struct Safety {
 #[derive(Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ipc {
-    /// Directory of the domain, the same for all who are to meet. Flag: --domain.
+    /// Directory of the domain, the same for camera, controller, robot and observers. Flag:
+    /// --domain.
     #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
     pub domain: Option<PathBuf>,
 }
 
-/// Real time.
+/// Real-time scheduling.
 #[derive(Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Realtime {
     /// SCHED_FIFO priority of the loop, which also locks the memory; without it the loop is an
-    /// ordinary thread. `vpcd --preflight` tells what the machine lacks for it.
+    /// ordinary thread. `vpcd --preflight` lists what the machine lacks for it.
     #[schemars(range(min = 1, max = 99))]
     pub priority: Option<i32>,
-    /// Processor that the loop's thread stays on, if on one; needs `realtime.priority`.
+    /// Processor to which the loop's thread is pinned; needs `realtime.priority`.
     #[schemars(range(min = 0, max = 1023))]
     pub cpu: Option<usize>,
 }
 
-/// The log: to the journal, or else to standard error.
+/// The log: to the systemd journal if standard error is the journal, else to standard error.
 #[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct Log {
@@ -196,7 +197,7 @@ pub struct Log {
     #[default = "info"]
     #[schemars(extend("enum" = ["off", "error", "warn", "info", "debug", "trace"]))]
     pub level: String,
-    /// Form of lines on standard error.
+    /// Format of lines on standard error.
     #[default = "text"]
     #[schemars(extend("enum" = ["text", "json"]))]
     pub format: String,
@@ -207,14 +208,14 @@ pub struct Log {
 #[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct Flight {
-    /// Where flight records are written; made if it is missing.
+    /// Directory for flight records; created if it is missing.
     #[schemars(extend("x-default" = "the domain's name with `-flight`"))]
     pub directory: Option<PathBuf>,
-    /// Time kept in memory, at the scene's rate; in all at most a quarter of the machine's memory.
+    /// Time kept; must fit in a quarter of the machine's memory at the scene's rate.
     #[default = 5.0]
     #[schemars(range(min = 0.1, max = 60), extend("x-unit" = "min"))]
     pub minutes: f64,
-    /// Files kept, the newest ones.
+    /// Number of newest files to keep.
     #[default = 10]
     #[schemars(range(min = 1, max = 1000), extend("x-unit" = "files"))]
     pub keep: usize,

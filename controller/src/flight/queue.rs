@@ -1,4 +1,4 @@
-//! The way out of the loop: wait-free queues, and a flag for those who want the flight record.
+//! From the loop to the ordinary thread: wait-free queues, and a flag that requests a flight record.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +17,7 @@ const SNAPSHOTS: usize = 2 * CAPACITY / snapshot::EVERY as usize;
 /// Replies: a flood of requests, taken as fast as the loop takes them, for a while.
 const REPLIES: usize = 1024;
 
-/// Set by whoever wants the flight record written: an operator's request, a signal.
+/// Set to request that the flight record is written, by an operator's request or a signal.
 #[derive(Clone, Debug, Default)]
 pub struct DumpRequest(Arc<AtomicBool>);
 

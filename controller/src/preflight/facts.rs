@@ -24,9 +24,9 @@ pub struct Facts {
     pub priority_limit: Option<u64>,
     /// CAP_SYS_NICE.
     pub may_schedule: bool,
-    /// The wanted SCHED_FIFO was given.
+    /// Whether SCHED_FIFO was given.
     pub has_fifo: bool,
-    /// The wanted processor was given, or none was wanted.
+    /// Whether the processor was given, or none was asked for.
     pub has_cpu: bool,
     /// Processors of this process.
     pub processors: usize,

@@ -61,7 +61,7 @@ impl CommandError {
     }
 }
 
-/// Replays and tells; messages about failures go to standard error.
+/// Replays and prints the report; failures go to standard error.
 pub fn run(arguments: &ReplayArguments) -> Exit {
     attempt(arguments).unwrap_or_else(|error| {
         log::complain(&error.to_string());

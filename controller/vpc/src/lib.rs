@@ -12,8 +12,8 @@
 //! # Symbols
 //! | Paper | Here | Meaning, unit |
 //! |---|---|---|
-//! | s, s* | `points`, `goal` | stacked image points u1 v1 u2 v2 ..., px; `Points` keeps them as pairs |
-//! | v, V | `twist`, `plan` | camera velocity (vx vy vz m/s, wx wy wz rad/s) in the camera frame; Nc of them |
+//! | s, s* | `points`, `goal` | stacked image points u1 v1 u2 v2 ..., px; pairs in `Points` |
+//! | v, V | `twist`, `plan` | camera velocity in the camera frame, m/s and rad/s; Nc of them |
 //! | N_p, N_c | `np`, `nc` | steps previewed, free commands |
 //! | T_s | `ts` | sampling time, s |
 //! | L | `interaction` | interaction matrix |

@@ -1,8 +1,8 @@
 //! What a feature must keep clear of: a convex part of an occlusion, or a painted area.
 //!
 //! A part covers a convex area; the paper's "left of it OR right of it" is one inequality for the
-//! scaled offset d from its centre, ||d||_p >= 1. An area of a mask has a signed distance of its own,
-//! in [`crate::field`].
+//! scaled offset d from its centre, ||d||_p >= 1. An area of a mask has a signed distance of its
+//! own, in [`crate::field`].
 //!
 //! Source: paper, Eq. (visibility_const_b).
 

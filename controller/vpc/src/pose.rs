@@ -14,7 +14,7 @@ use crate::motion::rotation;
 
 /// Most Gauss-Newton steps after the homography; it converges quadratically for small residuals.
 const REFINEMENTS: usize = 4;
-/// A step shorter than this (m and rad together) ends the refinement: far below what a pixel tells.
+/// A step shorter than this (m and rad together) ends the refinement: far below a pixel's effect.
 const REFINED: f64 = 1e-10;
 
 /// The pose of the pattern in the camera frame.

@@ -17,7 +17,7 @@
 //! | H, g | [`Quadratic`] | Hessian and gradient of the cost at d = 0 |
 //! | a_i, c_i | [`Rows`] | gradient and value of a clearance at d = 0, px |
 //! | rho | `rho` | penalty weight, the cap of the multipliers of rows |
-//! | J, R | `columns`, `triangle` | H = L L^T, L^{-1} A = Q R with the active normals A, J = L^{-T} Q |
+//! | J, R | `columns`, `triangle` | H = L L^T, active normals A: L^{-1} A = Q R, J = L^{-T} Q |
 //!
 //! Source: D. Goldfarb and A. Idnani, "A numerically stable dual method for solving strictly convex
 //! quadratic programs", Math. Programming 27 (1983); the cap on multipliers is ours.

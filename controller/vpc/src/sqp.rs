@@ -10,7 +10,7 @@
 //! | V | `plan` | the variables: Nc commands, m/s and rad/s |
 //! | d | `step` | a change of V |
 //! | l(V) | [`Outcome::cost`] | the cost |
-//! | c_i(V), margin | `Source` | the clearance of a point from a border, and what must be left of it, px |
+//! | c_i(V), margin | `Source` | clearance of a point from a border; its lower bound, px |
 //! | m(V) = l(V) + rho sum_i max(0, margin - c_i) | [`Outcome::merit`] | the merit |
 //! | rho | [`Progress::rho`] | the penalty weight, 1/px |
 //!

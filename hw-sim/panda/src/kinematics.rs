@@ -175,7 +175,7 @@ pub(crate) fn join(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Twist {
     )
 }
 
-/// The error from `actual` to `wanted`, as the twist (base axes) that mends it in one second.
+/// The error from `actual` to `wanted`, as the twist (base axes) that corrects it in one second.
 pub fn difference(wanted: &Pose, actual: &Pose) -> Twist {
     let linear = wanted.translation.vector - actual.translation.vector;
     let angular = rotation_vector(&(wanted.rotation * actual.rotation.inverse()));

@@ -1,4 +1,4 @@
-//! Joint positions for a wanted pose: where to stand before an experiment.
+//! Joint positions for a given pose, from which an experiment starts.
 //!
 //! Levenberg-Marquardt from a fixed list of postures, so that the answer is the same in every run;
 //! of the solutions the one with the most room wins.

@@ -146,7 +146,7 @@ impl Robot {
         &self.state
     }
 
-    /// Follows the command of this millisecond, or what stands for it.
+    /// Follows the command of this millisecond, or its substitute if it is missing.
     fn follow(&mut self, arrived: &[Command]) {
         let Some((generator, link)) = &mut self.motion else {
             return;
@@ -239,7 +239,7 @@ impl Robot {
         }
     }
 
-    /// Writes the state anew.
+    /// Updates the state.
     fn report(&mut self) {
         let desired = self.chain.posture(&self.desired.q);
         let (pose, twist, acceleration) = match &self.motion {

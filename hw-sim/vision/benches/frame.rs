@@ -1,4 +1,4 @@
-//! Times of a frame: drawn, followed, found anew. `cargo bench -p vision`
+//! Times of a frame: drawing, following, searching the whole frame. `cargo bench -p vision`
 
 use scene::Scene;
 use vision::{Detector, DetectorSettings, Look, Renderer};

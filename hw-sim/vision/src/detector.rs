@@ -1,4 +1,4 @@
-//! The four markers of a frame: found, told apart, followed.
+//! Finds, identifies and follows the four markers.
 
 use scene::{Camera, MAX_POINTS, Pose, Scene};
 

@@ -6,7 +6,7 @@
 //! * [`Transit`]: frames exposed -> frames delivered, late, with jitter, and some never.
 //!
 //! Image coordinates: u to the right, v down, px; the centre of the upper left pixel is (0, 0).
-//! The crate's `README.md` tells how the three fit together, and the decisions that surprise.
+//! The crate's `README.md` explains how the three fit together, and the decisions that surprise.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {

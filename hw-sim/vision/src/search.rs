@@ -4,7 +4,7 @@ use crate::disc::{CONTRAST, Disc, measure};
 use crate::homography::{Point, distance};
 use crate::image::Image;
 
-/// Most discs that are looked at in one frame.
+/// Most discs that are examined in one frame.
 pub(crate) const MAX_DISCS: usize = 12;
 /// Discs found in a frame.
 pub(crate) type Discs = heapless::Vec<Disc, MAX_DISCS>;

@@ -5,7 +5,7 @@ use scene::Occlusion;
 use crate::layer::{Area, soft};
 use crate::look::SpotLook;
 
-/// Box blurs that stand for a Gaussian.
+/// Number of box blurs that approximate a Gaussian.
 const PASSES: usize = 3;
 
 /// A spot with its buffers.

@@ -22,7 +22,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// A fault with its words.
+    /// A failure with its message.
     pub fn new(status: Status, words: impl Into<String>) -> Self {
         Self {
             status,
@@ -142,7 +142,7 @@ pub unsafe fn handle<'a, T>(handle: *mut Handle<T>, name: &str) -> Result<&'a mu
 /// Gives a new handle to the caller.
 ///
 /// # Safety
-/// `place` is NULL or a place for a pointer.
+/// `place` is NULL or points to writable memory for a pointer.
 ///
 /// # Errors
 /// NULL.
@@ -179,7 +179,7 @@ pub unsafe fn close<T>(pointer: *mut Handle<T>, name: &str) -> Result<(), Fault>
 /// Writes a value to the caller's place.
 ///
 /// # Safety
-/// `place` is NULL or a place for a value.
+/// `place` is NULL or points to writable memory for a value.
 ///
 /// # Errors
 /// NULL.

@@ -40,7 +40,7 @@ pub unsafe extern "C" fn vpc_observer_close(observer: *mut Observer) -> Status {
 /// Takes a message from one of the observer's subscribers.
 ///
 /// # Safety
-/// `observer` is NULL or an open handle, `out` and `missed` are NULL or places.
+/// `observer` is NULL or an open handle; `out` and `missed` are NULL or point to writable memory.
 unsafe fn take<T: Message>(
     observer: *mut Observer,
     subscriber: impl FnOnce(&mut ipc::Observer) -> &mut Subscriber<T>,

@@ -53,7 +53,7 @@ fn png(svg: &str) -> Result<Vec<u8>, String> {
     pixels(svg, SCALE)?.encode_png().map_err(|e| e.to_string())
 }
 
-/// A drawing as pixels, so many for one px.
+/// A drawing as pixels, `scale` of them for one px.
 pub(crate) fn pixels(svg: &str, scale: f32) -> Result<Pixmap, String> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(dejavu::sans::regular().to_vec());

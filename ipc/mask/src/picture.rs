@@ -38,7 +38,7 @@ impl Mask {
     /// half.
     ///
     /// # Errors
-    /// [`MaskError`] names what is wrong with the image and what is allowed.
+    /// [`MaskError`] names what was found in the image and what is allowed.
     pub fn decode(bytes: &[u8], width: u32, height: u32) -> Result<Self, MaskError> {
         let mut decoder = Decoder::new(Cursor::new(bytes));
         // Palettes and 1, 2, 4 and 16 bits become 8 bits a channel.

@@ -58,7 +58,8 @@ pub struct Encoding {
 /// let mut file = RecordingFile::create(&path, false)?;
 /// file.origin([("cause", "fault".to_owned())])?;
 /// file.attach(CONFIG_FILE, b"[law]\nnp = 4\n")?;
-/// file.attach(SCENE_FILE, scene::PAPER_SIM.as_bytes())?; // then each mask, by its name in the scene
+/// // Then attach each mask under its name in the scene.
+/// file.attach(SCENE_FILE, scene::PAPER_SIM.as_bytes())?;
 /// features.iter().try_for_each(|message| file.write(message))?;
 /// cycles.iter().try_for_each(|message| file.write(message))?;
 /// file.finish()?; // synchronised to the disk

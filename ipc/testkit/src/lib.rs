@@ -6,9 +6,9 @@
 //! - [`python`]: virtual environments for tests in Python.
 //! - [`not_run`]: what a test does where the machine lacks something.
 //!
-//! Environment variables: `VPC_STRICT=1` turns every "NOT RUN" into a failure, unless its reason contains one of the
-//! comma-separated phrases of `VPC_STRICT_EXCEPT`, and takes programs as they are built; `VPC_LONG=1` runs tests at full
-//! length.
+//! Environment variables: `VPC_STRICT=1` turns every "NOT RUN" into a failure, unless its reason
+//! contains one of the comma-separated phrases of `VPC_STRICT_EXCEPT`, and takes programs as they
+//! are built; `VPC_LONG=1` runs tests at full length.
 
 #![forbid(unsafe_code)]
 
@@ -38,7 +38,8 @@ pub fn tell(line: impl Display) {
 
 /// Reports that a test, or a part of it, does not run on this machine.
 ///
-/// Returns from the test after calling it: a test that did nothing must not look like one that passed.
+/// Returns from the test after calling it: a test that did nothing must not look like one that
+/// passed.
 ///
 /// # Panics
 /// With `VPC_STRICT=1`, unless `VPC_STRICT_EXCEPT` has a phrase of the reason.

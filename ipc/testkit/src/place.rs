@@ -5,8 +5,8 @@ use ipc::Domain;
 
 /// A temporary directory for one test, with room for a domain.
 ///
-/// When it is dropped, it removes what killed processes of the domain left in shared memory. Keep it as the
-/// last field, behind everything that is at work in the domain.
+/// When it is dropped, it removes what killed processes of the domain left in shared memory. Keep
+/// it as the last field, behind everything that is at work in the domain.
 #[derive(Debug)]
 pub struct Place(tempfile::TempDir);
 

@@ -5,10 +5,11 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::{is_set, root};
 
-/// A program of this workspace, `examples/NAME` or `libvpcclient.so`, in the profile of the running test.
+/// A program of this workspace, `examples/NAME` or `libvpcclient.so`, in the profile of the running
+/// test.
 ///
-/// Asks cargo to build it, which has nothing to do after `cargo test`. With `VPC_STRICT=1` cargo is not asked, as CI
-/// has built everything before.
+/// Asks cargo to build it, which has nothing to do after `cargo test`. With `VPC_STRICT=1` cargo is
+/// not asked, as CI has built everything before.
 ///
 /// # Panics
 /// If it does not build or is not there.

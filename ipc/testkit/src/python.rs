@@ -25,8 +25,8 @@ pub fn run(command: &mut Command) -> Result<String, String> {
 pub struct Environment {
     /// The name of its directory.
     pub name: &'static str,
-    /// Requirement files, from the root of the repository. Name those that they include, too: a change of any
-    /// file makes the environment again.
+    /// Requirement files, from the root of the repository. Name those that they include, too: a
+    /// change of any file makes the environment again.
     pub requirements: &'static [&'static str],
     /// More packages, as pip takes them.
     pub packages: &'static [&'static str],
@@ -44,7 +44,8 @@ impl Environment {
         packages: &["setuptools>=71", "pillow"],
     };
 
-    /// The interpreter. `None`, after [`not_run`], where the machine has no Python 3.11 or no network.
+    /// The interpreter. `None`, after [`not_run`], where the machine has no Python 3.11 or no
+    /// network.
     pub fn python(&self, test: &str) -> Option<PathBuf> {
         static MADE: Mutex<BTreeMap<&str, Result<PathBuf, String>>> = Mutex::new(BTreeMap::new());
         let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -102,7 +103,8 @@ impl Environment {
     }
 }
 
-/// A program in Python, ready to run: it finds the client in the tree and writes no byte code there.
+/// A program in Python, ready to run: it finds the client in the tree and writes no byte code
+/// there.
 pub fn script(python: &Path, program: &Path) -> Command {
     let mut command = Command::new(python);
     command

@@ -14,7 +14,7 @@ use crate::record::RecordArguments;
 ///
 /// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be fixed
 /// (doctor); 2 the request was refused; 3 no daemon; 4 the daemon does not answer; 5 disarmed
-/// (status); 64 command line; 65 a file is wrong; 66 a file is missing; 69 shared memory, place or
+/// (status); 64 command line; 65 a file is wrong; 66 a file is missing; 69 shared memory, slot or
 /// address not available; 70 failure of vpcctl.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "vpcctl", version, max_term_width = 100)]
@@ -38,9 +38,9 @@ impl Arguments {
 /// What to do.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Command {
-    /// Print on one screen what the daemon does.
+    /// Print the daemon's state on one screen.
     Status(StatusArguments),
-    /// Show live in the terminal what the daemon does; keys command it.
+    /// Show the daemon's state live in the terminal; keys command it.
     Watch(WatchArguments),
     /// Let the controller move the camera.
     Arm(RequestArguments),
@@ -56,7 +56,7 @@ pub enum Command {
     Doctor(DoctorArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
-    /// Serve a live view for the browser, to this machine.
+    /// Serve a live view to browsers on this machine.
     Serve(ServeArguments),
     /// Print the completions for a shell.
     Completions {
@@ -65,7 +65,7 @@ pub enum Command {
     },
     /// Write man pages and completions into a directory, as a package ships them.
     Man {
-        /// The directory; it is created.
+        /// Directory to write to; it is created if it does not exist.
         #[arg(value_name = "DIR")]
         directory: PathBuf,
     },
@@ -75,7 +75,7 @@ pub enum Command {
     Plot(PlotArguments),
 }
 
-/// `status`.
+/// The command line of `status`.
 #[derive(Clone, Debug, Args)]
 pub struct StatusArguments {
     /// Print JSON; numbers that are not known are null.
@@ -87,7 +87,7 @@ pub struct StatusArguments {
     pub watch: Duration,
 }
 
-/// `watch`.
+/// The command line of `watch`.
 #[derive(Clone, Debug, Args)]
 pub struct WatchArguments {
     /// Scene file to draw: image size, goal, occlusions, limits. [default: the daemon's]
@@ -100,7 +100,7 @@ pub struct WatchArguments {
     pub neighbours: u32,
 }
 
-/// `doctor`.
+/// The command line of `doctor`.
 #[derive(Clone, Debug, Args)]
 pub struct DoctorArguments {
     /// A scene file to check.
@@ -116,18 +116,18 @@ pub struct DoctorArguments {
     pub watch: Duration,
 }
 
-/// `metrics`.
+/// The command line of `metrics`.
 #[derive(Clone, Debug, Args)]
 pub struct MetricsArguments {
     /// Address to serve at, path /metrics; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9469")]
     pub listen: SocketAddr,
 
-    /// Allow an address that other machines can reach; no encryption, no password.
+    /// Allow an address that other machines can reach, without encryption or password.
     #[arg(long)]
     pub expose: bool,
 
-    /// Watch for a while, print, and exit.
+    /// Watch for the time of --watch, print, and exit.
     #[arg(long)]
     pub once: bool,
 
@@ -136,7 +136,7 @@ pub struct MetricsArguments {
     pub watch: Duration,
 }
 
-/// `serve`.
+/// The command line of `serve`.
 #[derive(Clone, Debug, Args)]
 pub struct ServeArguments {
     /// Scene file to draw: image size, goal, occlusions, limits. [default: the daemon's]
@@ -147,7 +147,7 @@ pub struct ServeArguments {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:9470")]
     pub listen: SocketAddr,
 
-    /// Allow an address that other machines can reach, to watch; no encryption, no password.
+    /// Allow an address from which other machines can watch, without encryption or password.
     #[arg(long)]
     pub expose: bool,
 
@@ -156,7 +156,7 @@ pub struct ServeArguments {
     pub control: bool,
 }
 
-/// A request.
+/// The command line of a request.
 #[derive(Clone, Debug, Args)]
 pub struct RequestArguments {
     /// How long to wait for the answer, 0.05 to 3600 s.
@@ -164,7 +164,7 @@ pub struct RequestArguments {
     pub timeout: Duration,
 }
 
-/// `strategy`.
+/// The command line of `strategy`.
 #[derive(Clone, Debug, Args)]
 pub struct StrategyArguments {
     /// previous, knn (or knn2 ... knn64: the mean of that many neighbours), gpr, ibvs.

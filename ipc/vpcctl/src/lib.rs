@@ -1,7 +1,7 @@
 //! `vpcctl`: watch and command the daemon `vpcd` through shared memory.
 //!
-//! A client of the contract (`ipc`); it knows nothing of the daemon's code. Exit codes and decisions
-//! are in `README.md` beside this crate.
+//! A client of the contract (`ipc`); it knows nothing of the daemon's code. Exit codes and
+//! decisions are in `README.md` beside this crate.
 #![forbid(unsafe_code)]
 
 pub mod arguments;

@@ -67,7 +67,7 @@ impl Tone {
     }
 }
 
-/// The text in the colour of the tone, where colours are wanted.
+/// The text in the colour of the tone, if colours are on.
 pub fn paint(text: &str, tone: Tone, colours: bool) -> String {
     let code = match tone {
         Tone::Good => 32,

@@ -141,8 +141,8 @@ async fn add_headers(mut response: Response) -> Response {
     response
 }
 
-/// Refuses requests to a host other than an address or `localhost`. An attacker's DNS name may point
-/// at this machine, and the browser would take the attacker's page for one of ours.
+/// Refuses requests to a host other than an address or `localhost`. An attacker's DNS name may
+/// point at this machine, and the browser would take the attacker's page for one of ours.
 pub fn for_plain_hosts(routes: Router) -> Router {
     routes.layer(from_fn(
         async |request: Request, next: Next| match is_plain(request.headers()) {

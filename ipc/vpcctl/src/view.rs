@@ -208,7 +208,7 @@ pub fn faults(robot: &RobotState) -> Vec<&'static str> {
     robot.faults().names().map(|fault| fault.text).collect()
 }
 
-/// A value of the contract in its words; "unknown" where its code is.
+/// The name of a code of the contract; "unknown" for an unknown code.
 pub fn word(value: Option<impl ToString>) -> String {
     value.map_or_else(|| "unknown".to_owned(), |value| value.to_string())
 }

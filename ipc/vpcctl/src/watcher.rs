@@ -18,7 +18,7 @@ const BATCH: usize = 4096;
 pub struct Watcher {
     /// The domain that is watched.
     pub domain: Domain,
-    /// Services that are left out, since all subscribers' places were taken.
+    /// Services that are left out because all subscribers' slots were taken.
     pub full: Vec<&'static str>,
     cycles: Option<Subscriber<CycleRecord>>,
     robot: Option<Subscriber<RobotState>>,

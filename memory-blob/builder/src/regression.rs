@@ -8,7 +8,7 @@
 //! | D, n, p | rows of `inputs`, their length, length of `outputs` | samples, inputs, outputs |
 //! | X, Y | `inputs`, `outputs` | D x n (scaled by the caller), D x p |
 //! | m | `mean` | constant mean of each output, (0, s*) in the paper |
-//! | l_i | [`Kernel::length_scales`] | length scale of input i; the paper's Phi is diag(1 / l_i^2) |
+//! | l_i | [`Kernel::length_scales`] | length scale of input i; Phi = diag(1 / l_i^2) |
 //! | phi_o^2 | [`Kernel::signal_variance`] | variance of the function, in squared output scales |
 //! | phi_s | [`Kernel::noise_variance`] | variance of the noise, in squared output scales |
 //! | Lambda | [`Fit::lambda`] | (K + phi_s I)^-1 (Y - m), D x p, in units of the outputs |

@@ -1,5 +1,6 @@
-//! `cargo demo`: emulator and daemon as two processes over shared memory, on a start where the memory-less strategy
-//! gets stuck; then the comparison of the strategies. With `--scene paper-robot` a Panda carries the camera.
+//! `cargo demo`: emulator and daemon as two processes over shared memory, on a start where the
+//! memory-less strategy gets stuck; then the comparison of the strategies. With
+//! `--scene paper-robot` a Panda carries the camera.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,18 +19,18 @@ use system_tests::spec::Spec;
 use system_tests::{robot_table, root, run};
 use vpc::{Controller, MotionMemory, Task};
 
-/// What can be shown.
+/// A scene to show.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Which {
     /// The paper's simulation: a camera that flies freely.
     PaperSim,
-    /// The paper's robot experiment: a Panda, a late camera, a task.
+    /// The paper's robot experiment: a Panda with a delayed camera, and a task.
     PaperRobot,
 }
 
 impl Which {
-    /// The name of scene, starts and memory; the configurations of daemon and emulator; a start where `previous` stays in
-    /// front of an occlusion and `gpr` gets round it.
+    /// The name of scene, starts and memory; the configurations of daemon and emulator; a start
+    /// where `previous` stays in front of an occlusion and `gpr` gets round it.
     fn parts(self) -> (&'static str, [&'static str; 2], usize) {
         match self {
             Self::PaperSim => (
@@ -46,29 +47,31 @@ impl Which {
     }
 }
 
-/// Steers the emulated camera round occlusions with vpcd, as two processes over shared memory.
+/// Steers an emulated camera round occlusions with vpcd, as two processes over shared memory.
 ///
-/// Builds vpcd and hw-sim, runs the chosen strategy in real time, then compares the strategies on the same start and
-/// draws pictures. Exits with 0 only if the goal was reached without a violation.
+/// Builds vpcd and hw-sim, runs the chosen strategy in real time, then compares the strategies from
+/// the same start and draws pictures. Exits with 0 only if the camera reached the goal without a
+/// violation.
 #[derive(Parser)]
 #[command(name = "demo", version)]
 struct Cli {
-    /// What to show.
+    /// Scene to show.
     #[arg(long, value_enum, default_value = "paper-sim")]
     scene: Which,
-    /// Strategy that steers: previous, knn, gpr, ibvs.
+    /// Strategy of the controller: previous, knn, gpr, ibvs.
     #[arg(long, default_value = "gpr")]
     strategy: Spec,
-    /// Start pose, by its index in the scene's file of starts; by default one that tells the strategies apart.
+    /// Index of the start pose in the scene's file of starts; by default one from which `previous`
+    /// fails and `gpr` arrives.
     #[arg(long)]
     start: Option<usize>,
-    /// As fast as the controller instead of in real time.
+    /// Run as fast as the controller computes, not in real time.
     #[arg(long)]
     lockstep: bool,
     /// Directory for recording and pictures.
     #[arg(long, default_value = "out/demo")]
     output: PathBuf,
-    /// Shows no line of progress.
+    /// Show no progress while compiling.
     #[arg(long)]
     no_progress: bool,
 }
@@ -164,10 +167,12 @@ impl<'a> Demo<'a> {
         );
     }
 
-    /// Runs the two processes; `hw-sim` prints what came of it. Returns whether the goal was reached without a violation.
+    /// Runs the two processes; `hw-sim` prints the result. Returns whether the goal was
+    /// reached without a violation.
     fn run(&self, children: &Children, programs: &Path, recording: &Path) -> anyhow::Result<bool> {
         let (cli, [vpcd, hw_sim]) = (self.cli, self.cli.scene.parts().1);
-        // The daemon puts its flight record beside the domain: to it, the end of the camera is a fault.
+        // The daemon puts its flight record beside the domain: to it, the end of the camera is a
+        // fault.
         let here = std::env::temp_dir().join(format!("vpc-demo-{}", std::process::id()));
         let _place = children.place(here.clone());
         fs::create_dir_all(&here).with_context(|| here.display().to_string())?;

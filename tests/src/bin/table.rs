@@ -1,4 +1,5 @@
-//! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the paper's Table I.
+//! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
+//! paper's Table I.
 
 use std::fs;
 use std::io::{IsTerminal, Write};
@@ -22,10 +23,10 @@ use system_tests::run::{flawed, time};
 use system_tests::{arguments, robot_table};
 use vpc::{Controller, MotionMemory, Task};
 
-/// Runs every strategy on the same starts against an emulated camera and prints the paper's Table I.
+/// Runs every strategy from the same starts against an emulated camera, as in the paper's Table I.
 ///
-/// Runs are made one after another on one core, so that the times of cycles are honest. Every run lasts the scene's
-/// time: the cost is the mean over all its cycles.
+/// Runs are made one after another on one core, so that they do not disturb each other's times.
+/// Every run lasts the scene's time; its cost is the mean over all cycles.
 #[derive(Parser)]
 #[command(name = "table", version)]
 struct Cli {
@@ -35,7 +36,7 @@ struct Cli {
     /// Start poses (CSV: tx,ty,tz,rx,ry,rz).
     #[arg(long)]
     starts: PathBuf,
-    /// Memory of motion; built first with 900 trajectories where none is given.
+    /// Memory of motion; if none is given, one with 900 trajectories is built first.
     #[arg(long)]
     memory: Option<PathBuf>,
     #[command(flatten)]
@@ -43,10 +44,10 @@ struct Cli {
     /// What carries the camera.
     #[arg(long, value_enum, default_value = "free")]
     robot: Body,
-    /// Writes rows and runs to this file.
+    /// Write rows and runs to this file (JSON).
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Draws pictures into this directory.
+    /// Draw pictures into this directory.
     #[arg(long)]
     plots: Option<PathBuf>,
     #[command(flatten, next_help_heading = "With --robot free")]
@@ -58,7 +59,7 @@ struct Cli {
 /// The camera that flies freely.
 #[derive(Args)]
 struct CameraFlags {
-    /// Times each cycle as the median of this many replays.
+    /// Replays of each run; the time of a cycle is the median over them.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     repeats: u16,
     /// Frames between exposure and delivery.
@@ -69,9 +70,9 @@ struct CameraFlags {
 /// What carries the camera.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Body {
-    /// Nothing, as in the paper's simulation: it moves exactly as told.
+    /// Nothing: the camera moves exactly as commanded, as in the paper's simulation.
     Free,
-    /// A Franka Emika Panda, with frames that come late.
+    /// A Franka Emika Panda; frames are delayed.
     Panda,
 }
 
@@ -92,8 +93,8 @@ struct Record<'a, Run> {
     run: &'a Run,
 }
 
-/// The command line, unless it holds a flag that the chosen body ignores: a margin that changes nothing must not pass for
-/// one that does nothing.
+/// The command line, unless it holds a flag that the chosen body ignores: a margin that changes
+/// nothing must not pass for one that does nothing.
 fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
     let matches = Cli::command().try_get_matches_from(arguments)?;
     let cli = Cli::from_arg_matches(&matches)?;
@@ -253,7 +254,8 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
     Ok(())
 }
 
-/// The scene as a law with wrong depths sees it: the same images, from pattern and goal of another size.
+/// The scene as a law with wrong depths sees it: the same images, from pattern and goal of another
+/// size.
 fn with_depth_error(scene: &Scene, error: f64) -> Scene {
     let mut believed = scene.clone();
     let lengths = believed.pattern.iter_mut().flatten();
@@ -270,7 +272,8 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// Has `vpc-memory` build a memory for the scene in a temporary file, which is removed once it is mapped.
+/// Has `vpc-memory` build a memory for the scene in a temporary file, which is removed once it is
+/// mapped.
 fn built(children: &Children, cli: &Cli, scene: &Scene) -> anyhow::Result<MemoryFile> {
     let programs = children.build(&["vpc-memory"])?;
     let directory = std::env::temp_dir().join(format!("vpc-table-{}", std::process::id()));

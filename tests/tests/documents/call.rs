@@ -1,4 +1,5 @@
-//! A command of a document as a program with arguments, and what can be said of it without running it.
+//! A command of a document as a program with arguments, and what can be said of it without running
+//! it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,7 +22,8 @@ pub struct Call {
 }
 
 impl Call {
-    /// Reads a command. `cargo run`, `cargo demo`, `cargo table`, `target/release/NAME` and `sudo` are seen through.
+    /// Reads a command. `cargo run`, `cargo demo`, `cargo table`, `target/release/NAME` and `sudo`
+    /// are seen through.
     pub fn read(text: &str) -> Self {
         let mut words = words(text);
         words.retain(|word| word != "&");
@@ -218,7 +220,8 @@ fn check_targets(words: &[String]) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether `NAME`, `MODULE` or `MODULE::NAME`, as `cargo test` takes them, fits a test of a package.
+/// Whether `NAME`, `MODULE` or `MODULE::NAME`, as `cargo test` takes them, fits a test of a
+/// package.
 pub fn is_a_test(package: &str, filter: &str) -> Result<(), String> {
     let package = packages().iter().find(|p| p["name"] == package).unwrap();
     let manifest = Path::new(package["manifest_path"].as_str().unwrap());

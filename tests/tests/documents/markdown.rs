@@ -77,7 +77,8 @@ impl Document {
         blocks
     }
 
-    /// The commands of its `sh` blocks. Comments are cut off, lines that end with a backslash are joined.
+    /// The commands of its `sh` blocks. Comments are cut off, lines that end with a backslash are
+    /// joined.
     pub fn commands(&self) -> Vec<Piece> {
         let mut commands = Vec::new();
         for (_, first, lines) in self.blocks("sh") {
@@ -153,7 +154,8 @@ impl Document {
         headings.map(anchor).collect()
     }
 
-    /// Runs of lines outside of blocks, each with the index of its first; rows of tables and items stand alone.
+    /// Runs of lines outside of blocks, each with the index of its first; rows of tables and items
+    /// stand alone.
     fn paragraphs(&self) -> Vec<(usize, String)> {
         let mut found: Vec<(usize, String)> = Vec::new();
         let (mut in_block, mut fresh) = (false, true);

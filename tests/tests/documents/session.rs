@@ -1,4 +1,5 @@
-//! The commands of the READMEs, run in their order in a copy of the repository; long ones with a smaller task.
+//! The commands of the READMEs, run in their order in a copy of the repository; long ones with a
+//! smaller task.
 
 use std::os::unix::fs::symlink;
 use std::path::PathBuf;
@@ -13,7 +14,8 @@ use crate::markdown::{Document, documents};
 const SMALL: &str = "--trajectories 6 --iterations 20 --gpr-samples 40";
 const SCENE: (&str, &str) = ("SCENE.toml", "ipc/scene/scenes/paper-sim.toml");
 
-/// A reader of one document, in a copy of the repository: links, but for the directories that commands write to.
+/// A reader of one document, in a copy of the repository: links, but for the directories that
+/// commands write to.
 struct Session {
     document: Document,
     running: Vec<Running>,
@@ -41,7 +43,8 @@ impl Session {
         }
     }
 
-    /// The document's first command that begins so, seen through cargo: with words replaced or, for an empty one, added.
+    /// The document's first command that begins so, seen through cargo: with words replaced or, for
+    /// an empty one, added.
     fn call(&self, words: &str, changes: &[(&str, &str)]) -> Call {
         let commands = self.document.commands().into_iter();
         let mut calls = commands.map(|command| Call::read(&command.text));

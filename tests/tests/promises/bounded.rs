@@ -1,6 +1,7 @@
-//! Bounded work: a million random, ill-conditioned, infeasible and meaningless problems. Each is answered with a command
-//! that is finite and inside the limits, or refused; iterations and counted work never pass their bounds, and the worst
-//! counted work is at most three times the median, for windows of 3, 10 and 30 steps.
+//! Bounded work: a million random, ill-conditioned, infeasible and meaningless problems. Each is
+//! answered with a command that is finite and inside the limits, or refused; iterations and counted
+//! work never pass their bounds, and the worst counted work is at most three times the median, for
+//! windows of 3, 10 and 30 steps.
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -37,8 +38,8 @@ fn points(task: &Task, scene: &Scene, random: &mut impl Rng) -> [[f64; 2]; 4] {
     }
 }
 
-/// Four points: at random, tiny, huge, or two of them as close as points can be; most sets reach into an occlusion, where no plan is
-/// feasible and the solver looks longest.
+/// Four points: at random, tiny, huge, or two of them as close as points can be; most sets reach
+/// into an occlusion, where no plan is feasible and the solver looks longest.
 fn any_points(scene: &Scene, random: &mut impl Rng) -> [[f64; 2]; 4] {
     let kind = random.random_range(0..4);
     let size = match kind {
@@ -100,8 +101,8 @@ fn check(np: usize, problems: usize) {
             continue;
         };
         assert!(speed(&step.twist) <= 1.0, "{points:?}: {:?}", step.twist);
-        // Two starts, each with its iterations and its share of the budget, which an iteration that has begun may pass
-        // by its expansion and the evaluations of its line search.
+        // Two starts, each with its iterations and its share of the budget, which an iteration that
+        // has begun may pass by its expansion and the evaluations of its line search.
         let iterations = settings.solver.max_iterations;
         assert!(step.iterations <= 2 * iterations);
         let beyond = work::expansion(np) + 13 * work::evaluation(np);

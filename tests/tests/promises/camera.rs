@@ -1,5 +1,5 @@
-//! A camera in the test's own process: sees a scene exactly, executes what comes back, and begins again elsewhere when
-//! it has arrived.
+//! A camera in the test's own process: sees a scene exactly, executes what comes back, and begins
+//! again elsewhere when it has arrived.
 
 use std::path::Path;
 
@@ -55,7 +55,8 @@ impl<'a> Camera<'a> {
             {
                 self.frames += 1;
                 let mut features = Features::new(&points, exposure);
-                // No image is the last one to the last bit, also while this one waits for a command.
+                // No image is the last one to the last bit, also while this one waits for a
+                // command.
                 features.points[0] += 1e-9 * f64::from(self.frames);
                 if std::mem::take(&mut self.is_blind) {
                     features.visible = 0;

@@ -1,6 +1,7 @@
-//! Clients in other languages are full citizens: the camera in Python (`ipc/python/camera.py`), with mathematics and a
-//! referee of its own, drives `vpcd` in lockstep from the paper's starts, and comes to what the built-in table comes
-//! to; the camera in C (`ipc/c/examples/camera.c`) arrives.
+//! Clients in other languages are full citizens: the camera in Python (`ipc/python/camera.py`),
+//! with mathematics and a referee of its own, drives `vpcd` in lockstep from the paper's starts,
+//! and comes to what the built-in table comes to; the camera in C (`ipc/c/examples/camera.c`)
+//! arrives.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -38,7 +39,8 @@ fn daemon(place: &Place, strategy: &str) -> Running {
     Running::start(vpcd)
 }
 
-/// The built-in table's outcomes: the law in this process, against the emulator's camera and referee.
+/// The built-in table's outcomes: the law in this process, against the emulator's camera and
+/// referee.
 fn table(spec: &str, count: usize) -> Vec<Outcome> {
     let scene = Scene::read(&scene_file()).unwrap();
     let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes())).unwrap();
@@ -88,7 +90,8 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
     let Some(python) = Environment::CLIENT.python("the camera in Python") else {
         return;
     };
-    // The last knows no occlusions: what it comes to is the referees' verdict, which differ if one of them is wrong.
+    // The last knows no occlusions: what it comes to is the referees' verdict, which differ if one
+    // of them is wrong.
     for strategy in ["gpr", "previous", "ibvs"] {
         let place = Place::new();
         let daemon = daemon(&place, strategy);
@@ -110,7 +113,8 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
             theirs_good.abs_diff(ours_good) <= ALLOWED,
             "{strategy}: {differing:?}"
         );
-        // Not by luck: run by run, for the same reason and to the period. Last bits may decide a run.
+        // Not by luck: run by run, for the same reason and to the period. Last bits may decide a
+        // run.
         assert!(differing.len() <= ALLOWED, "{strategy}: {differing:?}");
     }
 }

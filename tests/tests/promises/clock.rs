@@ -1,5 +1,6 @@
-//! A wall clock that jumps by hours while everything runs: nothing happens. Gaps of the monotonic clock are in `hang.rs`,
-//! and by a clock moved by hand in the unit tests of `controller/src/supervisor.rs`.
+//! A wall clock that jumps by hours while everything runs: nothing happens. Gaps of the monotonic
+//! clock are in `hang.rs`, and by a clock moved by hand in the unit tests of
+//! `controller/src/supervisor.rs`.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -110,7 +111,8 @@ fn jump(library: &Path) -> anyhow::Result<()> {
     ensure!(records.len() > 100, "{}", records.len());
     let missed = records[records.len() - 1].overruns - records[0].overruns;
     ensure!(missed == 0, "{missed} releases missed");
-    // hw-sim ends when the goal is reached; until then no cycle had a reason not to send the law's twist.
+    // hw-sim ends when the goal is reached; until then no cycle had a reason not to send the law's
+    // twist.
     let causes: Vec<_> = records
         .iter()
         .filter_map(|record| Hold::from_code(record.hold))

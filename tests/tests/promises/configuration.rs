@@ -1,5 +1,5 @@
-//! Bad configuration and a second instance: an exit code of their own, in time, a message that names key, value and what
-//! is allowed; the first instance goes on.
+//! Bad configuration and a second instance: an exit code of their own, in time, a message that
+//! names key, value and what is allowed; the first instance goes on.
 
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -38,7 +38,8 @@ fn keys() -> Vec<Key> {
     keys
 }
 
-/// Runs the daemon on a configuration: exit code, message, and how long the fastest of some tries took.
+/// Runs the daemon on a configuration: exit code, message, and how long the fastest of some tries
+/// took.
 fn judged(place: &Place, text: &str) -> (Option<i32>, String, Duration) {
     let mut fastest = Duration::MAX;
     let mut command = Command::new(program("vpcd"));

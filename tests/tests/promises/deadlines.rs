@@ -1,16 +1,20 @@
-//! No deadline is missed, and the loop wakes up about as promptly as the machine can: thousands of cycles of the daemon under
-//! `stress-ng`, with `cyclictest` beside it at the same priority and period.
+//! No deadline is missed, and the loop wakes up about as promptly as the machine can: thousands of
+//! cycles of the daemon under `stress-ng`, with `cyclictest` beside it at the same priority and
+//! period.
 //!
-//! The loop stays on processor 1. `cyclictest` runs a thread on each of processors 0 and 1 at the same time; two FIFO
-//! threads of one priority never interrupt each other, and each of them takes a few us in a period. The better of
-//! the two p99 is what the loop is compared with. Whatever stops a processor for a while (a host, firmware) stops the
-//! thread of `cyclictest` there, too: where `cyclictest` itself was late by half a period, or in one of a hundred
-//! wake-ups by a tenth, the machine is unfit, and the run neither passes nor fails.
+//! The loop stays on processor 1. `cyclictest` runs a thread on each of processors 0 and 1 at the
+//! same time; two FIFO threads of one priority never interrupt each other, and each of them takes a
+//! few us in a period. The better of the two p99 is what the loop is compared with. Whatever stops
+//! a processor for a while (a host, firmware) stops the thread of `cyclictest` there, too: where
+//! `cyclictest` itself was late by half a period, or in one of a hundred wake-ups by a tenth, the
+//! machine is unfit, and the run neither passes nor fails.
 //!
-//! A virtual machine's host may also strike the one and spare the other: one run says little of a p99. So a run that
-//! does not pass is repeated, up to [`RUNS`] in all, every one of them is told, and a loop that is late is late in each.
+//! A virtual machine's host may also strike the one and spare the other: one run says little of a
+//! p99. So a run that does not pass is repeated, up to [`RUNS`] in all, every one of them is told,
+//! and a loop that is late is late in each.
 //!
-//! 5,000 cycles at 250 Hz take 20 s, 300 at the real 30 Hz ten more. At full length, 18,000 of each, eleven minutes:
+//! 5,000 cycles at 250 Hz take 20 s, 300 at the real 30 Hz ten more. At full length, 18,000 of
+//! each, eleven minutes:
 //!
 //!     VPC_LONG=1 cargo test --test promises deadlines
 //!
@@ -30,7 +34,8 @@ use crate::machine::{is_without, may_have_a_processor};
 
 /// SCHED_FIFO priority of the daemon and of cyclictest.
 const PRIORITY: u32 = 80;
-/// Of the camera, which is an instrument here: its frames are to come whatever else the machine does.
+/// Of the camera, which is an instrument here: its frames are to come whatever else the machine
+/// does.
 const CAMERA_PRIORITY: i32 = 70;
 /// Processor of the daemon; the camera stays on the other.
 const CPU: usize = 1;
@@ -43,14 +48,15 @@ const RUNS: usize = 3;
 /// Cycles before peers are met and steering begins.
 const START_UP: u64 = 200;
 
-/// The wake-ups of one thread of cyclictest after its start-up, late by so many us, in ascending order.
+/// The wake-ups of one thread of cyclictest after its start-up, late by so many us, in ascending
+/// order.
 struct Thread(Vec<u64>);
 
 impl Thread {
     /// Of a thread, from what `cyclictest --verbose` prints: `thread:wake-up:us`, a line each.
     ///
-    /// The first wake-ups are not counted: one thread sleeps for up to 50 ms in its very first one, while cyclictest
-    /// brings the others to the same grid.
+    /// The first wake-ups are not counted: one thread sleeps for up to 50 ms in its very first one,
+    /// while cyclictest brings the others to the same grid.
     fn parse(printed: &str, thread: usize) -> Self {
         let late = |line: &str| {
             let mut numbers = line.split(':').map(|number| number.trim().parse::<u64>());
@@ -138,7 +144,8 @@ fn run(rate_hz: u32, cycles: u64) -> (Report, [Thread; THREADS]) {
     let done = AtomicBool::new(false);
     let codes = std::thread::scope(|threads| {
         let camera = threads.spawn(|| {
-            // Outcomes do not matter: without it the camera is a poorer instrument, and the report shows it.
+            // Outcomes do not matter: without it the camera is a poorer instrument, and the report
+            // shows it.
             let _ = act_in_time();
             let mut camera = Camera::new(&scene, &starts, &place.domain());
             let mut release = now_ns();
@@ -234,7 +241,8 @@ fn judge(rate_hz: u32, cycles: u64) -> Verdict {
     }
 }
 
-/// Runs until one run passes. Of those that the machine was fit for, two at least must fail for a failure.
+/// Runs until one run passes. Of those that the machine was fit for, two at least must fail for a
+/// failure.
 fn check(rate_hz: u32, cycles: u64) {
     let mut failed = 0;
     for _ in 0..RUNS {

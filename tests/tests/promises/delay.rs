@@ -1,4 +1,5 @@
-//! A late camera costs time, not success: with compensation the runs arrive as without delay, those frames later.
+//! A late camera costs time, not success: with compensation the runs arrive as without delay, those
+//! frames later.
 
 use hw_sim::sensor::Flaws;
 use scene::Scene;

@@ -1,6 +1,7 @@
-//! Failures of our own, brought about from outside: a processor that is taken away again and again, a memory whose
-//! advice is out of range, features for which the law has no answer. The camera is braked within its limits, and stands
-//! until somebody arms it again, however well it goes from then on. One late cycle alone disarms nothing.
+//! Failures of our own, brought about from outside: a processor that is taken away again and again,
+//! a memory whose advice is out of range, features for which the law has no answer. The camera is
+//! braked within its limits, and stands until somebody arms it again, however well it goes from
+//! then on. One late cycle alone disarms nothing.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -46,7 +47,8 @@ fn disarmed(witness: &mut Witness, cause: Hold) -> Vec<CycleRecord> {
     let records = witness.records();
     let last = records.last().unwrap();
     assert_eq!(Hold::from_code(last.hold), Some(cause), "{last:?}");
-    // From the first cycle with this cause on there is no other, and no motion but braking within the limits.
+    // From the first cycle with this cause on there is no other, and no motion but braking within
+    // the limits.
     let first = records.iter().position(|r| r.hold == cause.code()).unwrap();
     let goes = [TwistState::Moving.code(), TwistState::Arrived.code()];
     for record in &records[first..] {
@@ -134,7 +136,8 @@ fn a_loop_that_is_late_again_and_again_disarms_and_a_late_cycle_does_not() {
 fn a_memory_whose_advice_is_out_of_range_is_not_followed_and_disarms() {
     let _turn = turn();
     let place = Place::new();
-    // Right in its form, digests and probes, and far from any trajectory: weights a thousand times too large.
+    // Right in its form, digests and probes, and far from any trajectory: weights a thousand times
+    // too large.
     let shipped = root().join("memory-blob/default/paper-sim.vpcmem");
     let mut contents = MemoryFile::open(&shipped, None).unwrap().contents();
     let process = contents.regression.as_mut().unwrap();

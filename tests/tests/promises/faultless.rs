@@ -1,10 +1,12 @@
-//! From wake to send the loop costs nothing but time: no page fault, no call that blocks, no call of the heap, in
-//! thousands of cycles that steer (18,000 with `VPC_LONG=1`), with every strategy and the shipped memory.
+//! From wake to send the loop costs nothing but time: no page fault, no call that blocks, no call
+//! of the heap, in thousands of cycles that steer (18,000 with `VPC_LONG=1`), with every strategy
+//! and the shipped memory.
 //!
-//! The daemon itself counts, by RUSAGE_THREAD and its counting allocator, and writes the sums into its report; both
-//! instruments are seen to count in the unit tests of `controller::usage` and `heap_meter`. Every thousand cycles the
-//! kernel is asked to take the daemon's memory away, as it does by itself when memory is short: what is not locked
-//! must be faulted in again. `VPC_WITHOUT=realtime` runs the daemon without locked memory, to see the test fail.
+//! The daemon itself counts, by RUSAGE_THREAD and its counting allocator, and writes the sums into
+//! its report; both instruments are seen to count in the unit tests of `controller::usage` and
+//! `heap_meter`. Every thousand cycles the kernel is asked to take the daemon's memory away, as it
+//! does by itself when memory is short: what is not locked must be faulted in again.
+//! `VPC_WITHOUT=realtime` runs the daemon without locked memory, to see the test fail.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -62,8 +64,9 @@ fn run(strategy: &str, cycles: u64) -> Report {
     serde_json::from_str(&text).unwrap()
 }
 
-/// A run of which all cycles are told. Lockstep is as fast as it can be, faster than an ordinary thread that a busy machine
-/// keeps from its records for half a second: such a run cannot tell, and is tried again.
+/// A run of which all cycles are told. Lockstep is as fast as it can be, faster than an ordinary
+/// thread that a busy machine keeps from its records for half a second: such a run cannot tell, and
+/// is tried again.
 fn whole(strategy: &str, cycles: u64) -> Report {
     for _ in 1..TRIALS {
         let report = run(strategy, cycles);

@@ -1,4 +1,5 @@
-//! What the promises share: turns, places, processes, a camera that moves, and a witness of what is commanded.
+//! What the promises share: turns, places, processes, a camera that moves, and a witness of what is
+//! commanded.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -19,7 +20,8 @@ use crate::machine::on_time;
 
 /// One sampling period of the paper's scene, ns.
 pub const PERIOD_NS: u64 = 33_333_333;
-/// Lateness of a wake-up that is the machine's fault, not the daemon's, ns. Idle, SCHED_FIFO: 0.2 ms.
+/// Lateness of a wake-up that is the machine's fault, not the daemon's, ns. Idle, SCHED_FIFO: 0.2
+/// ms.
 pub const WAKE_NS: u64 = 3_000_000;
 /// SCHED_FIFO priority of cameras, which are instruments here; below the daemon's 60.
 pub const CAMERA_PRIORITY: i32 = 50;
@@ -43,7 +45,8 @@ impl Place {
         Self(testkit::Place::new())
     }
 
-    /// The daemon in this domain, in real time where that is permitted; `more` is TOML of its configuration.
+    /// The daemon in this domain, in real time where that is permitted; `more` is TOML of its
+    /// configuration.
     pub fn vpcd(&self, more: &str) -> Command {
         let scene = scene_file();
         let scene = scene.display();
@@ -73,7 +76,8 @@ pub fn some_time(periods: u64, random: &mut impl Rng) {
     std::thread::sleep(Duration::from_nanos(ns));
 }
 
-/// Ends threads, which look at the flag, when it is dropped: also when an assertion fails, for whose scope waits.
+/// Ends threads, which look at the flag, when it is dropped: also when an assertion fails, for
+/// whose scope waits.
 pub struct EndOnDrop<'a>(pub &'a AtomicBool);
 
 impl Drop for EndOnDrop<'_> {
@@ -82,8 +86,8 @@ impl Drop for EndOnDrop<'_> {
     }
 }
 
-/// Daemon and camera in a place of their own, in motion, and a witness. Taken apart in this order, they end in the
-/// other: the camera first, the place last.
+/// Daemon and camera in a place of their own, in motion, and a witness. Taken apart in this order,
+/// they end in the other: the camera first, the place last.
 pub struct Stage {
     pub place: Place,
     pub witness: Witness,
@@ -189,8 +193,8 @@ impl Witness {
             .collect()
     }
 
-    /// Waits until the robot, which is `camera`, says after this instant that it stands: when it said so, ns; `None`
-    /// where its run was decided before, so that it went.
+    /// Waits until the robot, which is `camera`, says after this instant that it stands: when it
+    /// said so, ns; `None` where its run was decided before, so that it went.
     pub fn until_it_stands(&mut self, after_ns: u64, camera: &mut Running) -> Option<u64> {
         eventually("a robot that stands", || {
             let went = !camera.is_running();

@@ -1,5 +1,6 @@
-//! A daemon that hangs: the emulated robot stops by itself; a daemon that goes on after a gap in time starts no motion.
-//! That the watchdog is no longer fed, and what systemd does then, is `controller/tests/service/{notify,namespace}.rs`.
+//! A daemon that hangs: the emulated robot stops by itself; a daemon that goes on after a gap in
+//! time starts no motion. That the watchdog is no longer fed, and what systemd does then, is
+//! `controller/tests/service/{notify,namespace}.rs`.
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! Hostile input: messages of random bytes, floods, subscribers that never read, peers that come and go. No panic, no
-//! command outside the limits, no more missed releases than without.
+//! Hostile input: messages of random bytes, floods, subscribers that never read, peers that come
+//! and go. No panic, no command outside the limits, no more missed releases than without.
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -158,7 +158,8 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
     tell(format!(
         "{messages} messages: {answered} answers, {moving} of them moving"
     ));
-    // Not for want of work. One in ten moves or so: the others are answered disarmed, until somebody arms again.
+    // Not for want of work. One in ten moves or so: the others are answered disarmed, until
+    // somebody arms again.
     assert!(
         answered > messages / 2 && moving > messages / 20,
         "{answered} {moving}"

@@ -27,7 +27,8 @@ fn may_be_real_time_now() -> bool {
     })
 }
 
-/// Whether a process may take one of two processors in real time; reports `what` as not run where not.
+/// Whether a process may take one of two processors in real time; reports `what` as not run where
+/// not.
 pub fn may_have_a_processor(what: &str) -> bool {
     let may = processors().len() >= 2 && may_be_real_time();
     if !may {
@@ -39,7 +40,8 @@ pub fn may_have_a_processor(what: &str) -> bool {
     may
 }
 
-/// Gives the calling thread SCHED_FIFO at this priority, or with 0 the ordinary scheduler; whether that was permitted.
+/// Gives the calling thread SCHED_FIFO at this priority, or with 0 the ordinary scheduler; whether
+/// that was permitted.
 pub fn take_priority(priority: i32) -> bool {
     let parameters = libc::sched_param {
         sched_priority: priority,
@@ -68,8 +70,8 @@ pub fn keep(thread: Option<Pid>, processor: usize) {
     sched_setaffinity(thread, &set).unwrap();
 }
 
-/// A command that runs as an instrument: at this SCHED_FIFO priority where that can be had, so that it is on time
-/// whatever else the machine does.
+/// A command that runs as an instrument: at this SCHED_FIFO priority where that can be had, so that
+/// it is on time whatever else the machine does.
 pub fn on_time(command: Command, priority: i32) -> Command {
     if !(may_be_real_time() && are_installed("cameras in real time", &["chrt=util-linux"])) {
         return command;
@@ -91,8 +93,9 @@ pub fn is_without(mechanism: &str) -> bool {
     std::env::var("VPC_WITHOUT").is_ok_and(|without| without == mechanism)
 }
 
-/// Asks the kernel to take away all the memory of a process that it may take, as it does when memory is short: what is
-/// not locked must be faulted in again. Tells how many bytes the kernel looked at.
+/// Asks the kernel to take away all the memory of a process that it may take, as it does when
+/// memory is short: what is not locked must be faulted in again. Tells how many bytes the kernel
+/// looked at.
 pub fn press_out(pid: u32) -> u64 {
     let maps = std::fs::read_to_string(format!("/proc/{pid}/maps")).unwrap();
     let ranges: Vec<libc::iovec> = maps
@@ -110,8 +113,8 @@ pub fn press_out(pid: u32) -> u64 {
     let pid = rustix::process::Pid::from_raw(pid as i32).unwrap();
     let process = rustix::process::pidfd_open(pid, rustix::process::PidfdFlags::empty()).unwrap();
     let ask = |range: &libc::iovec| {
-        // SAFETY: the pointer is to one live range; the addresses are of the other process, whose memory keeps its
-        // contents: a hint to the kernel.
+        // SAFETY: the pointer is to one live range; the addresses are of the other process, whose
+        // memory keeps its contents: a hint to the kernel.
         let bytes = unsafe {
             libc::syscall(
                 libc::SYS_process_madvise,

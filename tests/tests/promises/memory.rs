@@ -1,5 +1,5 @@
-//! A corrupt memory of motion is refused before anything is armed; a file that is changed, cut or removed while the
-//! daemon runs does not reach the loop.
+//! A corrupt memory of motion is refused before anything is armed; a file that is changed, cut or
+//! removed while the daemon runs does not reach the loop.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -55,8 +55,8 @@ fn every_damaged_header_byte_and_body_bit_is_refused() {
         assert!(opened.is_err(), "damage {random} was not seen");
     };
     assert!(MemoryFile::open(&place.file("good.vpcmem", &good), Some(task.bytes())).is_ok());
-    // In process: what the daemon calls. Digests of megabytes take time; a few bytes of the header are sampled where
-    // the full length was not asked for.
+    // In process: what the daemon calls. Digests of megabytes take time; a few bytes of the header
+    // are sampled where the full length was not asked for.
     let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut bytes = good.clone();

@@ -1,11 +1,13 @@
-//! Who watches costs the loop nothing: `vpcctl watch`, `serve` with a page that reads, `metrics` with a collector that
-//! scrapes, and `record`, all at once beside the daemon at 250 Hz. No heap call, page fault or blocked call from wake to
-//! send, and no more releases missed than without them (of which a virtual machine's host causes some; see `chance`).
+//! Who watches costs the loop nothing: `vpcctl watch`, `serve` with a page that reads, `metrics`
+//! with a collector that scrapes, and `record`, all at once beside the daemon at 250 Hz. No heap
+//! call, page fault or blocked call from wake to send, and no more releases missed than without
+//! them (of which a virtual machine's host causes some; see `chance`).
 //!
-//! Views and metrics come while the camera is in motion already: they hear the daemon's ordinary thread only. `record`
-//! hears the loop's own commands, and to meet a listener takes the heap once (`Report::WARM_UP`): it is there first.
-//! `VPC_WITHOUT=warm-up` starts it with the others, to see the instruments count. The counts are the daemon's own, as in
-//! `faultless`; that the onlookers did see something is asserted, too.
+//! Views and metrics come while the camera is in motion already: they hear the daemon's ordinary
+//! thread only. `record` hears the loop's own commands, and to meet a listener takes the heap once
+//! (`Report::WARM_UP`): it is there first. `VPC_WITHOUT=warm-up` starts it with the others, to see
+//! the instruments count. The counts are the daemon's own, as in `faultless`; that the onlookers
+//! did see something is asserted, too.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -251,7 +253,8 @@ fn costs_no_release(cycles: u64) -> bool {
     assert!(drawn > 1000 * seconds, "{told_all}");
     assert!(told > 2 * seconds && scraped > 2 * seconds, "{told_all}");
     assert!(recorded > cycles * 8 / 10, "{told_all}");
-    // Counts of rare events differ by chance: where a host is to blame for some, by twice the root of their number.
+    // Counts of rare events differ by chance: where a host is to blame for some, by twice the root
+    // of their number.
     let chance = 1.0 + 2.0 * (alone.overruns as f64).sqrt();
     watched.overruns as f64 <= alone.overruns as f64 + chance
 }

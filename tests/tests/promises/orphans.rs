@@ -1,5 +1,5 @@
-//! `demo` starts `cargo`, `vpcd` and `hw-sim`, and leaves nothing behind whichever way it ends: no process, and, where it
-//! could hear of its end, no directory and nothing in shared memory.
+//! `demo` starts `cargo`, `vpcd` and `hw-sim`, and leaves nothing behind whichever way it ends: no
+//! process, and, where it could hear of its end, no directory and nothing in shared memory.
 
 use std::fs;
 use std::os::unix::ffi::OsStrExt;
@@ -30,7 +30,8 @@ impl Parent {
     fn start(program: &str, arguments: &[&str], cargo: Option<&Path>) -> Self {
         let place = Place::new();
         let text = place.path("").display().to_string();
-        // As from a terminal: what runs the tests in the background may ignore signals, which children inherit.
+        // As from a terminal: what runs the tests in the background may ignore signals, which
+        // children inherit.
         let mut command = Command::new("env");
         command.args(["--default-signal=INT,TERM,HUP", program]);
         command.args(arguments).current_dir(place.path(""));
@@ -46,7 +47,8 @@ impl Parent {
         }
     }
 
-    /// Processes of this program, with itself: number and name. Those that wait to be reaped have no environment.
+    /// Processes of this program, with itself: number and name. Those that wait to be reaped have
+    /// no environment.
     fn family(&self) -> Vec<(i32, String)> {
         let processes = fs::read_dir("/proc").unwrap().filter_map(Result::ok);
         let marked = processes.filter_map(|entry| {

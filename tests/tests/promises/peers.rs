@@ -1,5 +1,5 @@
-//! Peers that are killed: cameras, observers, operators; the daemon itself. Nobody else falls, who comes back is heard
-//! in half a second, and nothing piles up.
+//! Peers that are killed: cameras, observers, operators; the daemon itself. Nobody else falls, who
+//! comes back is heard in half a second, and nothing piles up.
 
 use std::os::unix::net::UnixDatagram;
 use std::process::{Command, Stdio};
@@ -24,7 +24,8 @@ fn descriptors(id: u32) -> usize {
     std::fs::read_dir(format!("/proc/{id}/fd")).unwrap().count()
 }
 
-/// One camera and one client that come, are heard, and are killed: how long the slower of them was not heard, ns.
+/// One camera and one client that come, are heard, and are killed: how long the slower of them was
+/// not heard, ns.
 fn visit(
     place: &Place,
     witness: &mut Witness,
@@ -131,8 +132,8 @@ fn when_the_daemon_is_killed_the_emulator_stops_and_a_new_one_is_ready_in_a_seco
     ));
 }
 
-/// One kill of the daemon, at a random phase of its cycle, and the next daemon: how long until the robot stood, ns, and
-/// until the next was ready and commanded.
+/// One kill of the daemon, at a random phase of its cycle, and the next daemon: how long until the
+/// robot stood, ns, and until the next was ready and commanded.
 fn fall(round: usize, random: &mut impl Rng) -> anyhow::Result<(u64, Duration)> {
     let Stage {
         place,

@@ -1,5 +1,6 @@
-//! The clock `phase` beside `fixed`, with real processes: a camera whose rate is half a per cent off, so that a grid of
-//! its own drifts through a whole period of it in seven seconds. When the frames stop, the grid runs free again.
+//! The clock `phase` beside `fixed`, with real processes: a camera whose rate is half a per cent
+//! off, so that a grid of its own drifts through a whole period of it in seven seconds. When the
+//! frames stop, the grid runs free again.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -20,8 +21,9 @@ const WATCHED: Duration = Duration::from_secs(8);
 /// A start at which `previous` stays in front of an occlusion for good.
 const START: &str = "82";
 
-/// Latencies from the publication of features to the command that answers them, ms, ascending; and what the grid had to
-/// do with the camera at the end of it. Without the camera it has nothing to do with it.
+/// Latencies from the publication of features to the command that answers them, ms, ascending; and
+/// what the grid had to do with the camera at the end of it. Without the camera it has nothing to
+/// do with it.
 fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
     let place = Place::new();
     let scenes = root().join("ipc/scene/scenes");
@@ -42,7 +44,8 @@ fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
         .args(["--arm", "--clock", clock, "--domain"])
         .arg(place.domain());
     let daemon = Running::start(daemon.stderr(Stdio::null()));
-    // The camera is an instrument here: its frames are to be on time whatever else the machine does.
+    // The camera is an instrument here: its frames are to be on time whatever else the machine
+    // does.
     let mut camera = on_time(Command::new(program("hw-sim")), 70);
     camera.arg("--scene").arg(camera_scene);
     camera

@@ -1,5 +1,6 @@
-//! A memory whose Gaussian process scikit-learn fitted (`memory-blob/python/fit_gpr.py`) steers: `vpcd` reaches the goal
-//! with it from a start from which it does not without a memory. A damaged copy is refused.
+//! A memory whose Gaussian process scikit-learn fitted (`memory-blob/python/fit_gpr.py`) steers:
+//! `vpcd` reaches the goal with it from a start from which it does not without a memory. A damaged
+//! copy is refused.
 
 use std::path::Path;
 use std::process::{Command, Stdio};

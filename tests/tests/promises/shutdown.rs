@@ -1,5 +1,5 @@
-//! SIGTERM while the camera moves, at any phase of the cycle, once or twice: braking within the limits, zero as the last
-//! word, exit code 0 within half a second.
+//! SIGTERM while the camera moves, at any phase of the cycle, once or twice: braking within the
+//! limits, zero as the last word, exit code 0 within half a second.
 
 use std::time::{Duration, Instant};
 
@@ -58,14 +58,16 @@ fn sigterm(round: usize, random: &mut impl Rng) -> anyhow::Result<Duration> {
     Ok(took)
 }
 
-/// Whether these commands are within the limits, lose speed no faster than braking does, and end with zero.
+/// Whether these commands are within the limits, lose speed no faster than braking does, and end
+/// with zero.
 fn ends_gently(commands: &[TwistCommand]) -> anyhow::Result<()> {
     let last = commands.last().expect("a last word");
     let ending = (last.state(), is_still(last));
     assert_eq!(ending, (Some(TwistState::Stopped), true), "{commands:?}");
     for pair in commands.windows(2) {
         assert_within_limits(&pair[0]);
-        // Braking begins with the first command that is not the law's; without it the stop would be one step.
+        // Braking begins with the first command that is not the law's; without it the stop would be
+        // one step.
         let is_slowing = matches!(
             pair[1].state(),
             Some(TwistState::Braking | TwistState::Disarmed | TwistState::Stopped)

@@ -1,6 +1,6 @@
-//! A camera that freezes, with old stamps or new ones, goes silent, pauses, is late, or dies: the daemon brakes within
-//! three periods of the last good features, stands within 300 ms, and stays so, also before good features, until somebody
-//! arms it again.
+//! A camera that freezes, with old stamps or new ones, goes silent, pauses, is late, or dies: the
+//! daemon brakes within three periods of the last good features, stands within 300 ms, and stays
+//! so, also before good features, until somebody arms it again.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,7 +22,8 @@ use crate::stall::fairly;
 const BRAKING_NS: u64 = 3 * PERIOD_NS;
 const ZERO_NS: u64 = 300_000_000;
 
-/// The features of a camera that is far from the goal and does not move, but for its noise: the law always wants to.
+/// The features of a camera that is far from the goal and does not move, but for its noise: the law
+/// always wants to.
 const FAR: [[f64; 2]; 4] = [
     [250.0, 250.0],
     [420.0, 260.0],
@@ -242,7 +243,8 @@ fn a_camera_that_dies_or_hangs_is_met_with_brakes() {
     worst.tell("camera killed or stopped");
 }
 
-/// One camera that ends at a random phase of the cycle, by SIGKILL or SIGSTOP in turn, and one that comes after it.
+/// One camera that ends at a random phase of the cycle, by SIGKILL or SIGSTOP in turn, and one that
+/// comes after it.
 fn end(round: usize, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
     let Stage {
         place,

@@ -1,11 +1,12 @@
 //! Whether the machine itself stood still while a promise was tried.
 //!
-//! The bars of the promises are milliseconds of wall time, and a virtual machine whose host takes its processors away
-//! for 50 ms breaks them without any fault of ours. A thread on each processor, at a priority above all that is tested,
-//! wakes up every millisecond and notes how late it is: nothing but the machine can make it late. A trial that missed a
-//! bar *while the machine stood still* is void: it is said so, and tried again, a few times at most. The bars stay
-//! where they are, a trial that missed one on a machine that went on fails at once, and what `assert!` says of a
-//! trial, that is all but time, nothing excuses.
+//! The bars of the promises are milliseconds of wall time, and a virtual machine whose host takes
+//! its processors away for 50 ms breaks them without any fault of ours. A thread on each processor,
+//! at a priority above all that is tested, wakes up every millisecond and notes how late it is:
+//! nothing but the machine can make it late. A trial that missed a bar *while the machine stood
+//! still* is void: it is said so, and tried again, a few times at most. The bars stay where they
+//! are, a trial that missed one on a machine that went on fails at once, and what `assert!` says of
+//! a trial, that is all but time, nothing excuses.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,7 +40,8 @@ impl Watch {
             let end = Arc::clone(&end);
             std::thread::spawn(move || {
                 keep(None, processor);
-                // Without the right to real time nobody has it: this thread is then as ordinary as the daemon.
+                // Without the right to real time nobody has it: this thread is then as ordinary as
+                // the daemon.
                 take_priority(PRIORITY);
                 let (mut release, mut latest) = (now_ns(), 0);
                 while !end.load(Ordering::Relaxed) {
@@ -64,8 +66,8 @@ impl Watch {
     }
 }
 
-/// Tries something until it keeps its bars, or misses them on a machine that did not stand still. A trial gives an
-/// error (`ensure!`) where it missed a bar of time, and panics at any other fault.
+/// Tries something until it keeps its bars, or misses them on a machine that did not stand still. A
+/// trial gives an error (`ensure!`) where it missed a bar of time, and panics at any other fault.
 pub fn fairly<T>(what: &str, mut trial: impl FnMut() -> anyhow::Result<T>) -> T {
     for count in 1..=TRIALS {
         let watch = Watch::start();

@@ -1,5 +1,5 @@
-//! kill -9 of daemon, emulator and client at random moments of their start-up: the next start always works, and nothing
-//! is left in shared memory.
+//! kill -9 of daemon, emulator and client at random moments of their start-up: the next start
+//! always works, and nothing is left in shared memory.
 
 use std::process::Stdio;
 use std::time::Duration;
@@ -53,7 +53,8 @@ fn kills_during_start_up_do_no_harm_to_the_next_start() {
             (left == 0).then_some(left)
         });
         assert_eq!(left, 0);
-        // Of the domain's own files the two of the guard stay, and the daemon's for its process number.
+        // Of the domain's own files the two of the guard stay, and the daemon's for its process
+        // number.
         let files: Vec<_> = std::fs::read_dir(place.domain())
             .unwrap()
             .map(|entry| entry.unwrap().file_name().into_string().unwrap())

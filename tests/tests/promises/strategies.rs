@@ -1,4 +1,5 @@
-//! The memory is worth having: with the default memory more starts arrive than without one, and nothing is hit.
+//! The memory is worth having: with the default memory more starts arrive than without one, and
+//! nothing is hit.
 
 use memory_blob::MemoryFile;
 use scene::Scene;
@@ -9,7 +10,8 @@ use vpc::{Controller, MotionMemory};
 
 use crate::fixture::{memory_file, turn};
 
-/// Every fourth of the hundred starts, and those at which the memory-less strategy is known to stay behind.
+/// Every fourth of the hundred starts, and those at which the memory-less strategy is known to stay
+/// behind.
 const STARTS: [usize; 30] = [
     0, 4, 8, 12, 16, 20, 24, 28, 32, 40, 44, 48, 56, 64, 68, 76, 80, 84, 88, 92, 96, 25, 36, 52,
     60, 72, 74, 82, 83, 98,

@@ -38,7 +38,7 @@ const HEAD: &str = "\
  * Times are CLOCK_MONOTONIC in ns, image points px, twists m/s and rad/s in the camera frame.
  */";
 
-/// `TwistState` as C has it: codes without the word that tells them from other types in Rust.
+/// The name of a type in C: that of Rust without `Code`, which only distinguishes types there.
 fn name(rust: &str) -> String {
     let short = match rust {
         "TwistState" => "State",

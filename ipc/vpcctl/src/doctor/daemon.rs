@@ -122,7 +122,7 @@ fn health(status: &Status) -> Vec<Finding> {
     findings
 }
 
-/// What the newest cycle tells.
+/// What the newest cycle shows.
 fn cycles(last: &CycleRecord) -> Vec<Finding> {
     let words = format!("{} overruns in {} cycles", last.overruns, last.cycle);
     let deadline = match last.overruns {

@@ -32,7 +32,8 @@ fn logind(us: u32, root: &Path) -> Finding {
     Finding::warn(what, words, remedy)
 }
 
-/// RemoveIPC of logind's configuration, yes by default. The last line wins, drop-ins after the file.
+/// RemoveIPC of logind's configuration, yes by default. The last line wins, drop-ins after the
+/// file.
 fn removes(root: &Path) -> bool {
     let mut files = vec![root.join("etc/systemd/logind.conf")];
     for place in ["usr/lib", "run", "etc"] {

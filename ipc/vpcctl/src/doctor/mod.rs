@@ -23,10 +23,10 @@ pub enum Verdict {
     Fail,
 }
 
-/// One thing that was looked at.
+/// The result of one check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// What was looked at, in one or two words.
+    /// What was checked, in one or two words.
     pub what: &'static str,
     /// How it is.
     pub verdict: Verdict,

@@ -70,7 +70,7 @@ pub fn watch_until(
     }
 }
 
-/// The daemon's answer; `None` where none came, or all operators' places are taken.
+/// The daemon's answer; `None` if none came, or all operators' slots are taken.
 fn ask(domain: &Domain, patience: Duration) -> Result<Option<Reply>, Failure> {
     match OperatorPorts::open(domain) {
         Ok(mut operator) => Ok(operator.ask(&request::plain(Action::Status), patience)?),

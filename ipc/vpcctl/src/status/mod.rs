@@ -38,7 +38,7 @@ pub struct Status {
     pub answered: Option<bool>,
     /// Its answer, older than the newest cycle.
     pub reply: Option<Reply>,
-    /// Services that could not be watched, since all places were taken.
+    /// Services that could not be watched because all slots were taken.
     pub full: Vec<&'static str>,
     /// What was watched.
     pub view: View,

@@ -24,7 +24,8 @@ fn vpcctl(domain: &Path, words: &[&str]) -> Output {
         .unwrap()
 }
 
-/// Writes a scene with a painted mask, a ring about (300, 700) px, instead of the paper's occlusions.
+/// Writes a scene with a painted mask, a ring about (300, 700) px, instead of the paper's
+/// occlusions.
 fn painted_scene(directory: &Path) -> PathBuf {
     let is_white = |u: u32, v: u32| {
         let square = u.abs_diff(300).pow(2) + v.abs_diff(700).pow(2);

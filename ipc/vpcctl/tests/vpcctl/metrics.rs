@@ -112,7 +112,8 @@ impl Drop for Server {
     }
 }
 
-/// Reads the text from standard input with the parser of PyPI's prometheus-client; prints what it found.
+/// Reads the text from standard input with the parser of PyPI's prometheus-client; prints what it
+/// found.
 const PARSER: &str = r#"
 import sys
 from prometheus_client.parser import text_string_to_metric_families as parse

@@ -56,7 +56,8 @@ fn only_the_page_with_the_token_commands_and_only_with_control() {
     assert_eq!(token.len(), 32, "{}", server.line);
     let (host, origin) = (server.address.clone(), format!("http://{}", server.address));
     let answers = [
-        // A page of somebody else in the same browser; a name that was made to point here; a local user without token.
+        // A page of somebody else in the same browser; a name that was made to point here; a local
+        // user without token.
         (
             post(&server, &host, "http://evil.example", &token),
             "not from this page",

@@ -1,4 +1,5 @@
-//! A stand-in for the daemon: answers requests and publishes records of cycles, in a thread of its own.
+//! A stand-in for the daemon: answers requests and publishes records of cycles, in a thread of its
+//! own.
 
 use std::fs::File;
 use std::path::Path;
