@@ -5,6 +5,21 @@
 //! A cycle receives, judges order and age, runs the law, lets the supervisor decide what may go
 //! out, and sends: [`input`] -> [`gate`] -> [`law`] -> [`supervisor`] -> [`cycle`]. The three in
 //! the middle make [`control`], a pure function of inputs and state that [`mod@replay`] repeats.
+//!
+//! # The workspace
+//! This is the first page of the documentation of all crates (`cargo doc --workspace --no-deps`, then
+//! `target/doc/controller/index.html`).
+//!
+//! | crate | what it is |
+//! |---|---|
+//! | [`vpc`] | the control law: `no_std`, no heap, no unsafe code |
+//! | [`memory_blob`], [`memory_builder`](../memory_builder/index.html) | the memory of motion: its file and queries; `vpc-memory`, which builds it |
+//! | [`ipc`] | the shared-memory contract: messages, domain, ports |
+//! | [`scene`], [`mask`](../mask/index.html), [`toml_schema`] | the scene file; painted occlusions; configuration files with a JSON Schema |
+//! | [`recording`], [`recorder`](../recorder/index.html) | recordings (MCAP); recording a domain for Foxglove |
+//! | [`vpcctl`](../vpcctl/index.html), [`figures`](../figures/index.html) | status, live views, requests; pictures |
+//! | [`hw_sim`](../hw_sim/index.html), [`panda`](../panda/index.html), [`vision`](../vision/index.html) | the emulator and its referee; the robot at 1 kHz; rendered images and their detector |
+//! | [`system_tests`](../system_tests/index.html), [`testkit`](../testkit/index.html) | `demo`, `table` and the promises; what tests share |
 #![deny(unsafe_code)]
 
 pub mod arguments;
