@@ -11,7 +11,7 @@ use ipc::{
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use recorder::{Context, Ledger, Notice, Options, record};
-use recording::Recorded;
+use recording::{Recorded, Recording};
 use testkit::python::{Environment, run, script};
 use testkit::{Place, eventually};
 
@@ -45,17 +45,6 @@ pub struct Stage {
     pub listeners: usize,
 }
 
-/// All that was published.
-#[derive(Default)]
-pub struct Published {
-    pub features: Vec<Features>,
-    pub twist: Vec<TwistCommand>,
-    pub robot: Vec<RobotState>,
-    pub cycles: Vec<CycleRecord>,
-    pub requests: Vec<Request>,
-    pub replies: Vec<Reply>,
-}
-
 impl Stage {
     pub fn open(directory: &Path) -> Self {
         let domain = Domain::join(directory).unwrap();
@@ -84,7 +73,7 @@ impl Stage {
     }
 
     /// Publishes a message of each topic, with numbers of all sizes.
-    pub fn publish(&mut self, i: usize, random: &mut ChaCha8Rng, published: &mut Published) {
+    pub fn publish(&mut self, i: usize, random: &mut ChaCha8Rng, published: &mut Recording) {
         let mut any = || {
             let size: f64 = random.random_range(-9.0..9.0);
             random.random_range(-1.0..1.0) * 10f64.powf(size)

@@ -13,7 +13,7 @@ use rustix::process::Signal;
 
 use testkit::{Place, Running, eventually};
 
-use crate::fixture::{FILE, Published, Stage, check, context, python, same};
+use crate::fixture::{FILE, Stage, check, context, python, same};
 
 /// Starts this executable as a recorder.
 fn recorder(place: &Place) -> Running {
@@ -65,7 +65,7 @@ fn until_flushed(
     place: &Place,
     stage: &mut Stage,
     random: &mut ChaCha8Rng,
-    published: &mut Published,
+    published: &mut Recording,
 ) {
     let mut sizes = Vec::new();
     eventually("two flushes", || {
@@ -81,7 +81,7 @@ fn a_killed_recorder_leaves_a_file_that_can_be_read() {
     let place = Place::new();
     let mut stage = Stage::open(&place.domain());
     let mut random = ChaCha8Rng::seed_from_u64(6);
-    let mut published = Published::default();
+    let mut published = Recording::default();
     let recorder = recorder(&place);
     stage.wait_for_recorder();
     let begun = size(&place);
@@ -121,7 +121,7 @@ fn a_recorder_that_hangs_delays_nobody_and_counts_what_it_missed() {
     let place = Place::new();
     let mut stage = Stage::open(&place.domain());
     let mut random = ChaCha8Rng::seed_from_u64(7);
-    let mut published = Published::default();
+    let mut published = Recording::default();
     let recorder = recorder(&place);
     stage.wait_for_recorder();
     until_flushed(&place, &mut stage, &mut random, &mut published);

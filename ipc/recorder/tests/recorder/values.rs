@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use testkit::Place;
 
-use crate::fixture::{FILE, MESSAGES, Published, Stage, check, options, python, recorded, same};
+use crate::fixture::{FILE, MESSAGES, Stage, check, options, python, recorded, same};
 
 /// Bits of numbers, as `check.py` prints them.
 fn bits(numbers: &[f64]) -> String {
@@ -28,7 +28,7 @@ fn bits(numbers: &[f64]) -> String {
 }
 
 /// The lines that `check.py values` is to print about messages, by topic.
-fn lines(published: &Published) -> Vec<String> {
+fn lines(published: &Recording) -> Vec<String> {
     let mut lines = Vec::new();
     let mut line = |topic: &str, stamp: &Stamp, whole: &[u64], real: &[&[f64]]| {
         let Stamp {
@@ -112,7 +112,7 @@ fn published_and_read(seed: u64) -> bool {
     let place = Place::new();
     let mut stage = Stage::open(&place.domain());
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut published = Published::default();
+    let mut published = Recording::default();
     let mut before = Vec::new();
     let (ledger, notices) = recorded(&options(&place), || {
         stage.wait_for_recorder();
@@ -201,7 +201,7 @@ fn texts(json: &Value, to: &mut Vec<String>) {
 fn others_read_the_same(
     python: &Path,
     file: &Path,
-    published: &Published,
+    published: &Recording,
     before: &[Reply],
     recording: &Recording,
 ) {
