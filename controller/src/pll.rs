@@ -307,6 +307,15 @@ mod tests {
         assert!(farthest <= Some(most), "{farthest:?}");
     }
 
+    /// From the 200th cycle on, features come one margin before the cycle.
+    fn assert_settled(seen: &Seen) {
+        let last = &seen.latencies[200..];
+        assert!(
+            last.iter().all(|latency| (latency - MS).abs() < 0.05 * MS),
+            "{last:?}"
+        );
+    }
+
     #[test]
     fn latency_is_the_margin_however_the_cameras_clock_drifts() {
         for drift in [1.0, 1.0 + 2e-4, 1.0 - 2e-4, 30.0 / 29.97, 0.995, 1.005] {
@@ -405,11 +414,7 @@ mod tests {
         // The camera comes back with another phase.
         let (seen, _) = run(&mut pll, &camera, release, 21.0 * MS, 300);
         assert_slow(&seen);
-        let last = &seen.latencies[200..];
-        assert!(
-            last.iter().all(|latency| (latency - MS).abs() < 0.05 * MS),
-            "{last:?}"
-        );
+        assert_settled(&seen);
     }
 
     #[test]
@@ -419,11 +424,7 @@ mod tests {
         let (_, release) = run(&mut pll, &camera, 1 << 40, 0.0, 200);
         let (seen, _) = run(&mut pll, &camera, release, 15.0 * MS, 300);
         assert_slow(&seen);
-        let last = &seen.latencies[200..];
-        assert!(
-            last.iter().all(|latency| (latency - MS).abs() < 0.05 * MS),
-            "{last:?}"
-        );
+        assert_settled(&seen);
     }
 
     #[test]
@@ -440,11 +441,7 @@ mod tests {
             pll.hear(&future, release);
             // The camera goes on at another phase, and is followed.
             let (seen, mut release) = run(&mut pll, &camera, release, 15.0 * MS, 300);
-            let last = &seen.latencies[200..];
-            assert!(
-                last.iter().all(|latency| (latency - MS).abs() < 0.05 * MS),
-                "{last:?}"
-            );
+            assert_settled(&seen);
             // And ends.
             pll.hear(&future, release);
             for _ in 0..12 {
