@@ -4,7 +4,7 @@ use core::fmt;
 
 use sha2::{Digest, Sha256};
 
-use crate::{Camera, Scene};
+use crate::{Occlusion, Part, Scene};
 
 /// SHA-256 of what makes two tasks the same for a memory: camera, pattern, goal, limits and
 /// occlusions. The weights of the cost, the success criteria and the region of starts shape the
@@ -41,51 +41,26 @@ impl Scene {
     pub fn fingerprint(&self) -> Fingerprint {
         let mut hash = Sha256::new();
         hash.update(b"vpc-task-1\n");
-        let mut put = |numbers: &[f64]| numbers.iter().for_each(|x| hash.update(x.to_le_bytes()));
-        let Camera {
-            width,
-            height,
-            fx,
-            fy,
-            cx,
-            cy,
-            rate_hz,
-        } = self.camera;
-        put(&[
-            width,
-            height,
-            fx,
-            fy,
-            cx,
-            cy,
-            rate_hz,
-            self.pattern.len() as f64,
-        ]);
-        self.pattern.iter().for_each(|point| put(point));
-        put(&self.goal.translation);
-        put(&self.goal.rotation);
-        put(&[
-            self.limits.linear,
-            self.limits.angular,
-            self.occlusions.len() as f64,
-        ]);
-        for occlusion in &self.occlusions {
-            let mut put =
-                |numbers: &[f64]| numbers.iter().for_each(|x| hash.update(x.to_le_bytes()));
-            let count = occlusion.parts.len() as f64;
+        let put = |hash: &mut Sha256, numbers: &[f64]| {
+            numbers.iter().for_each(|x| hash.update(x.to_le_bytes()));
+        };
+        put(&mut hash, &self.camera.numbers());
+        put(&mut hash, &[self.pattern.len() as f64]);
+        put(&mut hash, self.pattern.as_flattened());
+        put(&mut hash, &self.goal.translation);
+        put(&mut hash, &self.goal.rotation);
+        put(&mut hash, &[self.limits.linear, self.limits.angular]);
+        put(&mut hash, &[self.occlusions.len() as f64]);
+        for Occlusion { parts, mask, .. } in &self.occlusions {
+            let count = parts.len() as f64;
             // A negative count announces a mask, so that no list of numbers reads like one.
-            put(&[if occlusion.mask.is_some() {
-                -1.0 - count
-            } else {
-                count
-            }]);
-            for part in &occlusion.parts {
-                put(&part.center);
-                put(&part.half);
-                put(&[part.p]);
+            let announced = if mask.is_some() { -1.0 - count } else { count };
+            put(&mut hash, &[announced]);
+            for Part { center, half, p } in parts {
+                put(&mut hash, &[center[0], center[1], half[0], half[1], *p]);
             }
-            if let Some(mask) = &occlusion.mask {
-                put(&[mask.width() as f64, mask.height() as f64]);
+            if let Some(mask) = mask {
+                put(&mut hash, &[mask.width() as f64, mask.height() as f64]);
                 hash.update(mask.pixels());
             }
         }

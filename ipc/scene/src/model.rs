@@ -189,6 +189,22 @@ table! {
     }
 }
 
+impl Camera {
+    /// All its numbers, in the order of the fields.
+    pub const fn numbers(&self) -> [f64; 7] {
+        let [width, height] = [self.width, self.height];
+        [
+            width,
+            height,
+            self.fx,
+            self.fy,
+            self.cx,
+            self.cy,
+            self.rate_hz,
+        ]
+    }
+}
+
 impl Scene {
     /// Every part of every occlusion, in the order of the file.
     pub fn parts(&self) -> impl Iterator<Item = &Part> {

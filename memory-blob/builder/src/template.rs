@@ -55,15 +55,7 @@ impl Template {
 
     /// The text of the scene file.
     pub fn text(&self) -> String {
-        let Camera {
-            width,
-            height,
-            fx,
-            fy,
-            cx,
-            cy,
-            rate_hz,
-        } = self.camera;
+        let [width, height, fx, fy, cx, cy, rate_hz] = self.camera.numbers();
         let [x, y, z] = self.goal;
         let side = [
             BESIDE * z * 0.5 * width / fx,
