@@ -88,11 +88,6 @@ pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Tables>()
 }
 
-/// Returns the text of `vpcd.schema.json`.
-pub fn schema_file() -> String {
-    toml_schema::schema_file::<Tables>()
-}
-
 impl From<&ConfigError> for Exit {
     fn from(error: &ConfigError) -> Self {
         match error {

@@ -197,11 +197,6 @@ pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Keys>()
 }
 
-/// Returns the text of `hw-sim.schema.json`.
-pub fn schema_file() -> String {
-    toml_schema::schema_file::<Keys>()
-}
-
 /// Returns the sysexits code of an error: 66 if a file cannot be read, else 78.
 pub fn exit_code(error: &FileError) -> u8 {
     if matches!(error, FileError::Read { .. }) {

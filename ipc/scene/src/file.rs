@@ -64,11 +64,6 @@ pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Tables>()
 }
 
-/// Returns the text of `scene.schema.json`.
-pub fn schema_file() -> String {
-    toml_schema::schema_file::<Tables>()
-}
-
 impl Scene {
     /// Reads and checks a scene file.
     ///

@@ -37,7 +37,7 @@ pub use model::{
 };
 
 #[cfg(feature = "file")]
-pub use file::{schema, schema_file};
+pub use file::schema;
 #[cfg(feature = "file")]
 pub use mask::write_mask;
 #[cfg(feature = "file")]

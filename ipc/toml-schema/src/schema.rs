@@ -13,9 +13,9 @@ pub fn schema<T: JsonSchema>() -> Value {
     settings.into_generator().into_root_schema_for::<T>().into()
 }
 
-/// Returns the text of a `*.schema.json` file: [`schema`], with what is allowed in the descriptions
-/// that editors show.
-pub fn schema_file<T: JsonSchema>() -> String {
+/// Returns the text of a `*.schema.json` file: a [`schema`], with what is allowed in the
+/// descriptions that editors show.
+pub fn schema_file(schema: Value) -> String {
     fn describe(schema: &mut Schema) {
         let words = allowed(schema.as_value());
         if let Some(Value::String(text)) = schema.get_mut("description")
@@ -25,7 +25,7 @@ pub fn schema_file<T: JsonSchema>() -> String {
         }
         transform_subschemas(&mut describe, schema);
     }
-    let mut schema = Schema::try_from(schema::<T>()).unwrap_or_default();
+    let mut schema = Schema::try_from(schema).unwrap_or_default();
     describe(&mut schema);
     format!("{:#}\n", schema.as_value())
 }

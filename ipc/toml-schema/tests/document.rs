@@ -194,7 +194,7 @@ fn the_page_has_a_row_for_each_key_under_its_table() {
     ] {
         assert!(page.contains(row), "{page}\nlacks {row}");
     }
-    let file = schema_file::<File>();
+    let file = schema_file(schema::<File>());
     assert!(
         file.contains("Width of the image, in all. Allowed: 16 to 2e4 px."),
         "{file}"

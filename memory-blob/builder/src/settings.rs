@@ -129,11 +129,6 @@ pub fn schema() -> serde_json::Value {
     toml_schema::schema::<BuildSettings>()
 }
 
-/// Returns the text of `memory.schema.json`.
-pub fn schema_file() -> String {
-    toml_schema::schema_file::<BuildSettings>()
-}
-
 impl BuildSettings {
     /// The scene in which trajectories are made: with the grown occlusions, each part about its own
     /// centre. What keeps clear of those keeps clear of the scene's, so that the memory is one for

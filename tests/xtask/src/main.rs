@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use clap::Parser;
+use toml_schema::schema_file;
 
 /// A file that is made from the code.
 struct Artefact {
@@ -40,19 +41,19 @@ const ARTEFACTS: &[Artefact] = &[
     },
     Artefact {
         path: "controller/vpcd.schema.json",
-        make: |_| Ok(controller::config::schema_file()),
+        make: |_| Ok(schema_file(controller::config::schema())),
     },
     Artefact {
         path: "ipc/scene/scene.schema.json",
-        make: |_| Ok(scene::schema_file()),
+        make: |_| Ok(schema_file(scene::schema())),
     },
     Artefact {
         path: "hw-sim/hw-sim.schema.json",
-        make: |_| Ok(hw_sim::config::schema_file()),
+        make: |_| Ok(schema_file(hw_sim::config::schema())),
     },
     Artefact {
         path: "memory-blob/builder/memory.schema.json",
-        make: |_| Ok(memory_builder::settings::schema_file()),
+        make: |_| Ok(schema_file(memory_builder::settings::schema())),
     },
 ];
 
