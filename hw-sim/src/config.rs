@@ -375,7 +375,7 @@ mod tests {
         let believed = rig.arm.hand_eye.mount();
         let mount = rig.arm.truth.mount(&believed).flange_from_camera;
         assert!((mount.translation.vector - nalgebra::Vector3::new(0.09, 0.0, 0.0)).norm() < 1e-12);
-        assert!(load("").unwrap().rig.arm.truth.is_exact());
+        assert_eq!(load("").unwrap().rig.arm.truth, Truth::default());
     }
 
     #[test]
