@@ -12,19 +12,11 @@ const STAGES: [&str; 5] = ["wake", "receive", "step", "send", "busy"];
 /// Counts records, and logs changes.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
-    cycles: u64,
+    /// The counts so far; without times.
+    counts: Report,
     held: u64,
-    overruns: u64,
-    lost: u64,
-    armed: u64,
-    recalled: u64,
     /// Of each of the [`STAGES`].
     times: [Histogram; 5],
-    minor_faults: u64,
-    major_faults: u64,
-    blocked: u64,
-    allocations: u64,
-    realtime: RealTime,
     phase: u32,
     state: u32,
     hold: u32,
@@ -34,7 +26,7 @@ pub struct Summary {
 impl Summary {
     /// Adds the next record.
     pub fn add(&mut self, record: &CycleRecord) {
-        self.cycles += 1;
+        self.counts.cycles += 1;
         self.held += u64::from(record.hold != Hold::None.code());
         let (receive, step, send) = (record.receive_ns, record.step_ns, record.send_ns);
         let times = [
@@ -47,14 +39,14 @@ impl Summary {
         for (histogram, ns) in self.times.iter_mut().zip(times) {
             histogram.add(ns);
         }
-        self.recalled += u64::from(record.recalled == RecallCode::Followed.code());
-        self.realtime = RealTime(record.realtime);
+        self.counts.recalled += u64::from(record.recalled == RecallCode::Followed.code());
+        self.counts.realtime = record.realtime;
         self.count_costs(record);
         self.tell_changes(record);
         self.phase = record.phase;
         (self.state, self.hold) = (record.state, record.hold);
         self.error_px = record.error_px;
-        (self.overruns, self.lost) = (record.overruns, record.lost_records);
+        (self.counts.overruns, self.counts.lost_records) = (record.overruns, record.lost_records);
     }
 
     /// Cycles that steer are to cost nothing but time, once all peers are met.
@@ -62,12 +54,13 @@ impl Summary {
         if record.hold != Hold::None.code() {
             return;
         }
-        self.armed += 1;
-        if self.armed > Report::WARM_UP {
-            self.minor_faults += u64::from(record.minor_faults);
-            self.major_faults += u64::from(record.major_faults);
-            self.blocked += u64::from(record.blocked);
-            self.allocations += u64::from(record.allocations);
+        let counts = &mut self.counts;
+        counts.armed += 1;
+        if counts.armed > Report::WARM_UP {
+            counts.minor_faults += u64::from(record.minor_faults);
+            counts.major_faults += u64::from(record.major_faults);
+            counts.blocked += u64::from(record.blocked);
+            counts.allocations += u64::from(record.allocations);
         }
     }
 
@@ -95,8 +88,9 @@ impl Summary {
                 (None, _) => (),
             }
         }
-        if record.overruns > self.overruns {
-            let missed = record.overruns - self.overruns;
+        let counts = &self.counts;
+        if record.overruns > counts.overruns {
+            let missed = record.overruns - counts.overruns;
             let (receive_ns, step_ns, send_ns) =
                 (record.receive_ns, record.step_ns, record.send_ns);
             let wake_ns = record.wake_latency_ns;
@@ -105,8 +99,8 @@ impl Summary {
                 missed, wake_ns, receive_ns, step_ns, send_ns, "overrun: {missed} releases missed"
             );
         }
-        if record.lost_records > self.lost {
-            let lost = record.lost_records - self.lost;
+        if record.lost_records > counts.lost_records {
+            let lost = record.lost_records - counts.lost_records;
             warn!(
                 cycle,
                 lost, "{lost} records of telemetry lost: the recorder is slower than the loop"
@@ -116,7 +110,7 @@ impl Summary {
 
     /// Cycles counted.
     pub fn cycles(&self) -> u64 {
-        self.cycles
+        self.counts.cycles
     }
 
     /// State and counters in one line, for the service manager.
@@ -125,13 +119,14 @@ impl Summary {
             TwistState::from_code(self.state),
             Hold::from_code(self.hold),
         ) {
-            _ if self.cycles == 0 => "starting".to_owned(),
+            _ if self.counts.cycles == 0 => "starting".to_owned(),
             (Some(state), Some(cause)) if cause != Hold::None => format!("{state}: {cause}"),
             (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
             (None, _) => "unknown".to_owned(),
         };
-        let degraded = match self.realtime.is_degraded() {
-            true => format!("; NOT REAL TIME: {}", self.realtime.lacks().join(", ")),
+        let realtime = RealTime(self.counts.realtime);
+        let degraded = match realtime.is_degraded() {
+            true => format!("; NOT REAL TIME: {}", realtime.lacks().join(", ")),
             false => String::new(),
         };
         let phase = match PhaseCode::from_code(self.phase) {
@@ -140,7 +135,7 @@ impl Summary {
         };
         format!(
             "{state}{phase}{degraded}; {} cycles, {} held, {} overruns, {} records lost",
-            self.cycles, self.held, self.overruns, self.lost
+            self.counts.cycles, self.held, self.counts.overruns, self.counts.lost_records
         )
     }
 
@@ -149,22 +144,12 @@ impl Summary {
         let [wake_ns, receive_ns, step_ns, send_ns, busy_ns] =
             self.times.each_ref().map(Histogram::percentiles);
         Report {
-            cycles: self.cycles,
-            armed: self.armed,
-            recalled: self.recalled,
-            overruns: self.overruns,
-            lost_records: self.lost,
             wake_ns,
             receive_ns,
             step_ns,
             send_ns,
             busy_ns,
-            minor_faults: self.minor_faults,
-            major_faults: self.major_faults,
-            blocked: self.blocked,
-            allocations: self.allocations,
-            realtime: self.realtime.0,
-            ..Report::default()
+            ..self.counts.clone()
         }
     }
 
@@ -177,15 +162,16 @@ impl Summary {
             let (p999_us, max_us) = (us(found.p999), us(found.max));
             info!(stage, p50_us, p99_us, p999_us, max_us, "time of {stage}");
         }
+        let counts = &self.counts;
         info!(
-            cycles = self.cycles,
+            cycles = counts.cycles,
             held = self.held,
-            overruns = self.overruns,
-            lost_records = self.lost,
-            minor_faults = self.minor_faults,
-            major_faults = self.major_faults,
-            blocked = self.blocked,
-            allocations = self.allocations,
+            overruns = counts.overruns,
+            lost_records = counts.lost_records,
+            minor_faults = counts.minor_faults,
+            major_faults = counts.major_faults,
+            blocked = counts.blocked,
+            allocations = counts.allocations,
             "stopped"
         );
     }

@@ -182,13 +182,11 @@ pub struct Config {
     pub record: Option<PathBuf>,
     /// Flaws of the camera.
     pub flaws: Flaws,
-    /// Seconds until the run ends.
-    pub time_limit_s: f64,
     /// Whether to show progress.
     pub progress: bool,
     /// What carries the camera.
     pub robot: Body,
-    /// The robot's cell, where a robot does.
+    /// The robot's cell, where a robot does; its time limit is that of every carrier.
     pub rig: RigSettings,
 }
 
@@ -293,7 +291,6 @@ impl Config {
             domain: keys.domain.unwrap_or_else(ipc::default_directory),
             record: keys.record,
             flaws,
-            time_limit_s: rig.time_limit_s,
             progress: arguments.progress,
             robot: keys.robot,
             rig,
@@ -346,7 +343,10 @@ mod tests {
     #[test]
     fn the_defaults_are_the_scenes() {
         let config = load("").unwrap();
-        assert_eq!((config.clock, config.time_limit_s), (Clock::Fixed, 15.0));
+        assert_eq!(
+            (config.clock, config.rig.time_limit_s),
+            (Clock::Fixed, 15.0)
+        );
         assert_eq!(
             config.flaws,
             Flaws {
@@ -375,7 +375,7 @@ mod tests {
         let believed = rig.arm.hand_eye.mount();
         let mount = rig.arm.truth.mount(&believed).flange_from_camera;
         assert!((mount.translation.vector - nalgebra::Vector3::new(0.09, 0.0, 0.0)).norm() < 1e-12);
-        assert!(load("").unwrap().rig.arm.truth.is_exact());
+        assert_eq!(load("").unwrap().rig.arm.truth, Truth::default());
     }
 
     #[test]

@@ -130,7 +130,7 @@ impl<'a> Session<'a> {
             Body::Free => {
                 let limit_s = match is_resting {
                     true => f64::INFINITY,
-                    false => self.config.time_limit_s,
+                    false => self.config.rig.time_limit_s,
                 };
                 Box::new(FreeCell::new(scene, start, *flaws, limit_s))
             }

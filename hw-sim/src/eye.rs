@@ -99,7 +99,7 @@ impl Eye {
     /// not drawn in time comes later; otherwise the caller waits for it.
     ///
     /// # Errors
-    /// [`EyeError`] names the value that is out of range.
+    /// [`EyeError`] where there is no thread for the picture.
     pub fn new(
         real: &Scene,
         believed: &Scene,
@@ -115,7 +115,7 @@ impl Eye {
             noise: Normal::new(0.0, settings.noise_px).ok(),
             random: ChaCha8Rng::seed_from_u64(settings.seed),
             readout_ns: settings.readout_ns,
-            transit: Transit::new(settings.latency)?,
+            transit: Transit::new(settings.latency),
             renderer: is_rendered.then(renderer).transpose()?,
             is_live,
             frames: 0,

@@ -4,22 +4,16 @@ use std::sync::mpsc::{self, TryRecvError};
 use std::thread;
 
 use scene::{Pose, Scene};
-use vision::{Detector, DetectorError, DetectorSettings, ImageError, LatencyError, Look, Renderer};
+use vision::{Detector, DetectorSettings, Look, Renderer, SizeError};
 
 use crate::camera::Points;
 
 /// Why a camera cannot be, or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum EyeError {
-    /// Latency, jitter or losses.
-    #[error(transparent)]
-    Latency(#[from] LatencyError),
-    /// The picture.
-    #[error(transparent)]
-    Image(#[from] ImageError),
     /// The detector.
     #[error(transparent)]
-    Detector(#[from] DetectorError),
+    Detector(#[from] SizeError),
     /// No thread for the picture.
     #[error("no thread for the camera's picture: {0}")]
     Thread(std::io::Error),
@@ -54,8 +48,8 @@ impl FrameRenderer {
             seed,
             ..Look::default()
         };
-        let mut renderer = Renderer::new(real, &look)?;
-        let mut detector = Detector::new(believed, &DetectorSettings::default())?;
+        let mut renderer = Renderer::new(real, &look);
+        let mut detector = Detector::new(believed, &DetectorSettings::default());
         detector.expect(start);
         let (exposures, to_do) = mpsc::channel::<Exposure>();
         let (done, seen) = mpsc::channel();

@@ -25,44 +25,34 @@ impl Report {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let c = &self.contents;
-        let mut line = |name: &str, value: &dyn fmt::Display| writeln!(f, "{name:16} {value}");
+        let (inputs, outputs) = (c.scale.len(), c.y[0].len());
         let trajectories = c.trajectory.iter().collect::<BTreeSet<_>>().len();
-        line("size", &format_args!("{} bytes", self.size))?;
-        line("task", &crate::format::hex(&c.task))?;
-        line(
-            "samples",
-            &format_args!("{} of {trajectories} trajectories", c.x.len()),
+        writeln!(f, "size             {} bytes", self.size)?;
+        writeln!(f, "task             {}", crate::format::hex(&c.task))?;
+        let samples = c.x.len();
+        writeln!(
+            f,
+            "samples          {samples} of {trajectories} trajectories"
         )?;
-        let inputs = format_args!(
-            "{} (points, area, angle), divided by {:.4?}",
-            c.scale.len(),
+        writeln!(
+            f,
+            "inputs           {inputs} (points, area, angle), divided by {:.4?}",
             c.scale
-        );
-        line("inputs", &inputs)?;
-        line(
-            "outputs",
-            &format_args!("{} (twist, way point)", c.y[0].len()),
         )?;
+        writeln!(f, "outputs          {outputs} (twist, way point)")?;
         match &c.regression {
             Some(r) => {
-                let variance = if r.cholesky.is_some() {
-                    "stored"
-                } else {
-                    "not stored"
-                };
-                line(
-                    "regression",
-                    &format_args!("{} samples, RBF kernel", r.x.len()),
-                )?;
-                line("length scales", &format_args!("{:.4?}", r.length_scale))?;
-                line("signal variance", &format_args!("{:.6}", r.signal_variance))?;
-                line("noise variance", &format_args!("{:.6}", r.noise_variance))?;
-                line("output scales", &format_args!("{:.4?}", r.output_scale))?;
-                line("variance factor", &variance)?;
+                let factor = r.cholesky.as_ref().map_or("not stored", |_| "stored");
+                writeln!(f, "regression       {} samples, RBF kernel", r.x.len())?;
+                writeln!(f, "length scales    {:.4?}", r.length_scale)?;
+                writeln!(f, "signal variance  {:.6}", r.signal_variance)?;
+                writeln!(f, "noise variance   {:.6}", r.noise_variance)?;
+                writeln!(f, "output scales    {:.4?}", r.output_scale)?;
+                writeln!(f, "variance factor  {factor}")?;
             }
-            None => line("regression", &"none")?,
+            None => writeln!(f, "regression       none")?,
         }
         let mut provenance = c.provenance.iter();
-        provenance.try_for_each(|(key, value)| line("provenance", &format_args!("{key} = {value}")))
+        provenance.try_for_each(|(key, value)| writeln!(f, "provenance       {key} = {value}"))
     }
 }

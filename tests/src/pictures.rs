@@ -47,19 +47,9 @@ impl Draw for Run {
     fn drawn(&self, name: &str, task: &Task) -> Drawn {
         let outcome = if self.success { "arrived" } else { "failed" };
         let seconds = self.steps as f64 * task.ts;
+        let title = format!("{name}: {outcome} after {seconds:.1} s");
         let history = self.history.iter();
-        Drawn {
-            title: format!("{name}: {outcome} after {seconds:.1} s"),
-            path: history
-                .clone()
-                .map(|moment| moment.features.clone())
-                .collect(),
-            way_points: history
-                .clone()
-                .map(|moment| moment.way_point.clone())
-                .collect(),
-            twists: history.map(|moment| moment.twist).collect(),
-        }
+        Drawn::of(title, history.map(|m| (&m.features, &m.way_point, m.twist)))
     }
 }
 
@@ -77,36 +67,37 @@ impl Draw for RobotRun {
                 format!("{why} after {:.1} s", self.time_s)
             }
         };
+        let title = format!("{name}: {outcome}");
         let history = approach(&self.history).iter();
-        Drawn {
-            title: format!("{name}: {outcome}"),
-            path: history
-                .clone()
-                .map(|sample| sample.features.clone())
-                .collect(),
-            way_points: history
-                .clone()
-                .map(|sample| sample.way_point.clone())
-                .collect(),
-            twists: history.map(|sample| sample.twist).collect(),
-        }
+        Drawn::of(title, history.map(|s| (&s.features, &s.way_point, s.twist)))
     }
 }
 
 impl Drawn {
+    /// Of features, way point and twist, period by period.
+    fn of<'a>(
+        title: String,
+        history: impl Iterator<Item = (&'a Points, &'a Option<Points>, [f64; 6])>,
+    ) -> Self {
+        let history =
+            history.map(|(points, way_point, twist)| (points.clone(), (way_point.clone(), twist)));
+        let (path, (way_points, twists)) = history.unzip();
+        Self {
+            title,
+            path,
+            way_points,
+            twists,
+        }
+    }
+
     /// The image plane after so many periods.
     fn plane<'a>(&self, scene: &'a Scene, task: &Task, periods: usize) -> ImagePlane<'a> {
+        let way_points = self.way_points.iter().take(periods);
         ImagePlane {
             scene,
             path: self.path.iter().take(periods).cloned().collect(),
             goal: task.goal.to_vec(),
-            way_points: self
-                .way_points
-                .iter()
-                .take(periods)
-                .flatten()
-                .cloned()
-                .collect(),
+            way_points: way_points.flatten().cloned().collect(),
             title: self.title.clone(),
         }
     }
@@ -127,11 +118,8 @@ pub fn of_table<R: Draw>(
 ) -> anyhow::Result<Vec<PathBuf>> {
     let mut written = Vec::new();
     if let Some(memory) = memory {
-        written.extend(
-            samples(scene, task, memory)
-                .canvas()
-                .write(&directory.join("memory"))?,
-        );
+        let canvas = samples(scene, task, memory).canvas();
+        written.extend(canvas.write(&directory.join("memory"))?);
     }
     if let (Some((_, first)), Some((_, last))) = (all.first(), all.last()) {
         let telling = |i: &usize| !first[*i].is_success() && last[*i].is_success();
@@ -140,11 +128,8 @@ pub fn of_table<R: Draw>(
             .iter()
             .filter_map(|(spec, runs)| Some((*spec, runs.get(index)?)));
         let name = format!("start-{}", only.unwrap_or(index));
-        written.extend(
-            comparison(scene, task, runs)
-                .canvas()
-                .write(&directory.join(name))?,
-        );
+        let canvas = comparison(scene, task, runs).canvas();
+        written.extend(canvas.write(&directory.join(name))?);
     }
     Ok(written)
 }

@@ -7,7 +7,6 @@ use hw_sim::eye::Shot;
 use hw_sim::recording::ArmRecord;
 use hw_sim::rig::{Rig, RigError, RigSettings};
 use hw_sim::robot::inspector::ArmReport;
-use hw_sim::robot::sequence::TaskStep;
 use scene::{Pose, Scene};
 use serde::Serialize;
 use vpc::{Controller, Measurement, MotionMemory};
@@ -221,11 +220,7 @@ pub fn run(
 
 /// The samples until the robot let the object go.
 pub fn approach(history: &[Sample]) -> &[Sample] {
-    let end = history.iter().position(|sample| {
-        !matches!(
-            sample.arm.phase,
-            TaskStep::Waiting | TaskStep::Approach | TaskStep::Settling
-        )
-    });
+    let mut phases = history.iter().map(|sample| sample.arm.phase);
+    let end = phases.position(|phase| !phase.obeys_controller());
     &history[..end.unwrap_or(history.len())]
 }

@@ -1,9 +1,6 @@
 //! `cargo table -- --robot panda`: strategies on the same starts against the emulated robot, in
 //! simulated time.
 
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use anyhow::Context;
 use hw_sim::rig::RigSettings;
 use hw_sim::robot::bridge::Shaping;
@@ -11,6 +8,7 @@ use hw_sim::robot::calibration::Truth;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};
+use rayon::prelude::*;
 use scene::{Pose, Scene};
 use serde::Serialize;
 use vpc::{Controller, MotionMemory, Settings, SolverOptions};
@@ -105,48 +103,25 @@ pub fn table(
 ) -> anyhow::Result<Vec<(Spec, Vec<RobotRun>)>> {
     flags.check(starts.len())?;
     let chosen = flags.only.map_or(0..starts.len(), |only| only..only + 1);
+    // The law's workspace is large.
+    let threads = rayon::ThreadPoolBuilder::new().stack_size(16 << 20);
+    let threads = threads.build()?;
     let mut all = Vec::new();
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
-        let runs = side_by_side(&chosen.clone().collect::<Vec<_>>(), |start| {
+        let work = |start: usize| {
             let mut controller = Box::new(Controller::new(scene, settings)?);
             let cell = cell(scene, flags, common, start);
             let memory = memory.map(|memory| memory as &dyn MotionMemory);
             let run = run(scene, &cell, &mut controller, memory, &starts[start]);
             tick();
             run.with_context(|| format!("start {start}"))
-        })?;
-        all.push((spec, runs));
+        };
+        let runs: anyhow::Result<Vec<RobotRun>> =
+            threads.install(|| chosen.clone().into_par_iter().map(work).collect());
+        all.push((spec, runs?));
     }
     Ok(all)
-}
-
-/// Applies `work` to every item, on all processors; results in the order of the items.
-fn side_by_side<T: Send>(
-    items: &[usize],
-    work: impl Fn(usize) -> anyhow::Result<T> + Sync,
-) -> anyhow::Result<Vec<T>> {
-    let next = AtomicUsize::new(0);
-    let done = Mutex::new(Vec::new());
-    let take = || {
-        while let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let result = work(*item);
-            if let Ok(mut done) = done.lock() {
-                done.push((*item, result));
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
-            // The law's workspace is large.
-            let thread = std::thread::Builder::new().stack_size(16 << 20);
-            thread.spawn_scoped(scope, take)?;
-        }
-        anyhow::Ok(())
-    })?;
-    let mut done = done.into_inner().unwrap_or_default();
-    done.sort_by_key(|(item, _)| *item);
-    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// The row of a strategy's runs.

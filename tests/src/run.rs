@@ -108,15 +108,20 @@ pub fn flawed(
     };
     let (mut cost, mut cycles) = (0.0, 0.0_f64);
     for k in 0..periods {
-        let Ok(features) = camera.features() else {
-            return failed(run, Reason::LostSight, k, cost, cycles);
-        };
-        match referee.judge(&features) {
-            Some(End::Violation(_)) => return failed(run, Reason::Violation, k, cost, cycles),
-            Some(End::Arrived) if !run.success => {
-                (run.success, run.reason, run.steps) = (true, None, k);
+        let seen = camera.features().map_err(|_| Reason::LostSight);
+        let seen = seen.and_then(|features| match referee.judge(&features) {
+            Some(End::Violation(_)) => Err(Reason::Violation),
+            end => Ok((features, end.is_some())),
+        });
+        let (features, has_arrived) = match seen {
+            Ok(seen) => seen,
+            Err(reason) => {
+                (run.success, run.reason, run.steps) = (false, Some(reason), k);
+                break;
             }
-            _ => {}
+        };
+        if has_arrived && !run.success {
+            (run.success, run.reason, run.steps) = (true, None, k);
         }
         let now_ns = (k as f64 * ts * 1e9).round() as u64;
         let frame = sensor.expose(&features, now_ns);
@@ -221,11 +226,4 @@ pub fn time(
 pub struct NotRepeatable {
     /// The first cycle that differs.
     pub cycle: usize,
-}
-
-fn failed(mut run: Run, reason: Reason, steps: usize, cost: f64, cycles: f64) -> Run {
-    (run.success, run.reason) = (false, Some(reason));
-    run.steps = steps;
-    run.cost = cost / cycles.max(1.0);
-    run
 }

@@ -6,7 +6,28 @@ use crate::errors::{Errors, Flag};
 use crate::ik::VelocityIk;
 use crate::interface::{Motion, MotionKind};
 use crate::kinematics::{Chain, Joints, Pose, Twist, split};
-use crate::limits::{Exceeded, PERIOD, Setpoint, cartesian};
+use crate::limits::{PERIOD, Setpoint, cartesian};
+
+/// What a Cartesian command itself exceeds: velocity, acceleration, jerk.
+const COMMANDED: [Flag; 3] = [
+    Flag::CartesianMotionGeneratorVelocityLimitsViolation,
+    Flag::CartesianMotionGeneratorVelocityDiscontinuity,
+    Flag::CartesianMotionGeneratorAccelerationDiscontinuity,
+];
+/// What the joints exceed under it: velocity, acceleration, jerk, position.
+const OF_CARTESIAN: [Flag; 4] = [
+    Flag::CartesianMotionGeneratorJointVelocityLimitsViolation,
+    Flag::CartesianMotionGeneratorJointVelocityDiscontinuity,
+    Flag::CartesianMotionGeneratorJointAccelerationDiscontinuity,
+    Flag::CartesianMotionGeneratorJointPositionLimitsViolation,
+];
+/// What a joint command exceeds: velocity, acceleration, jerk, position.
+const OF_JOINT: [Flag; 4] = [
+    Flag::JointMotionGeneratorVelocityLimitsViolation,
+    Flag::JointMotionGeneratorVelocityDiscontinuity,
+    Flag::JointMotionGeneratorAccelerationDiscontinuity,
+    Flag::JointMotionGeneratorPositionLimitsViolation,
+];
 
 /// The pose after a body moved at `twist` (its origin, base axes) for `dt` seconds, the linear and
 /// the angular velocity constant along base axes.
@@ -121,7 +142,9 @@ impl CartesianGenerator {
         self.orientation = UnitQuaternion::new(angular * PERIOD) * self.orientation;
         self.orientation.renormalize_fast();
         (self.twist, self.acceleration) = (*twist, acceleration);
-        (desired, cartesian_errors(commanded, joints))
+        let commanded = COMMANDED.into_iter().zip(commanded.each());
+        let joints = OF_CARTESIAN.into_iter().zip(joints.each());
+        (desired, Errors::raised(commanded.chain(joints)))
     }
 }
 
@@ -135,55 +158,8 @@ pub struct JointGenerator {
 impl JointGenerator {
     fn advance(&mut self, dq: &Joints, from: &Setpoint) -> (Setpoint, Errors) {
         let desired = from.after(dq);
-        let exceeded = from.exceeded(&desired);
+        let exceeded = from.exceeded(&desired).each();
         (self.velocity, self.acceleration) = (*dq, desired.ddq);
-        (desired, joint_errors(exceeded))
+        (desired, Errors::raised(OF_JOINT.into_iter().zip(exceeded)))
     }
-}
-
-fn cartesian_errors(commanded: Exceeded, joints: Exceeded) -> Errors {
-    use Flag::*;
-    Errors::raised([
-        (
-            CartesianMotionGeneratorVelocityLimitsViolation,
-            commanded.velocity,
-        ),
-        (
-            CartesianMotionGeneratorVelocityDiscontinuity,
-            commanded.acceleration,
-        ),
-        (
-            CartesianMotionGeneratorAccelerationDiscontinuity,
-            commanded.jerk,
-        ),
-        (
-            CartesianMotionGeneratorJointPositionLimitsViolation,
-            joints.position,
-        ),
-        (
-            CartesianMotionGeneratorJointVelocityLimitsViolation,
-            joints.velocity,
-        ),
-        (
-            CartesianMotionGeneratorJointVelocityDiscontinuity,
-            joints.acceleration,
-        ),
-        (
-            CartesianMotionGeneratorJointAccelerationDiscontinuity,
-            joints.jerk,
-        ),
-    ])
-}
-
-fn joint_errors(joints: Exceeded) -> Errors {
-    use Flag::*;
-    Errors::raised([
-        (JointMotionGeneratorPositionLimitsViolation, joints.position),
-        (JointMotionGeneratorVelocityLimitsViolation, joints.velocity),
-        (
-            JointMotionGeneratorVelocityDiscontinuity,
-            joints.acceleration,
-        ),
-        (JointMotionGeneratorAccelerationDiscontinuity, joints.jerk),
-    ])
 }

@@ -55,9 +55,6 @@ pub const JOINT: [JointBounds; JOINTS] = [
     joint(-2.8973, 2.8973, 2.61, 20.0, 10000.0),
 ];
 
-/// Position of joint 4 at which the elbow flips, rad.
-pub const ELBOW_FLIP: f64 = -0.467_002_423_653_011;
-
 const fn bounds(velocity: f64, acceleration: f64, jerk: f64) -> Bounds {
     Bounds {
         velocity,
@@ -87,6 +84,13 @@ pub struct Exceeded {
     pub acceleration: bool,
     /// Jerk.
     pub jerk: bool,
+}
+
+impl Exceeded {
+    /// Velocity, acceleration, jerk, position.
+    pub const fn each(self) -> [bool; 4] {
+        [self.velocity, self.acceleration, self.jerk, self.position]
+    }
 }
 
 /// Checks a Cartesian velocity and its derivatives.

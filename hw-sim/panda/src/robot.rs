@@ -5,7 +5,7 @@ use crate::errors::{Errors, Flag};
 use crate::generator::Generator;
 use crate::interface::{Command, Interface, MotionKind, Reception};
 use crate::kinematics::{Chain, JOINTS, Joints, Twist, split};
-use crate::limits::{ELBOW_FLIP, JOINT, ROTATION, Setpoint, TRANSLATION, outside};
+use crate::limits::{JOINT, ROTATION, Setpoint, TRANSLATION, outside};
 use crate::mode::{Mode, RequestError};
 use crate::servo::Servo;
 use crate::settings::{RobotError, RobotSettings, check};
@@ -242,9 +242,9 @@ impl Robot {
     /// Updates the state.
     fn report(&mut self) {
         let desired = self.chain.posture(&self.desired.q);
-        let (pose, twist, acceleration) = match &self.motion {
-            Some((Generator::Cartesian(g), _)) => (g.pose(), *g.twist(), *g.acceleration()),
-            _ => (desired.pose, Twist::zeros(), Twist::zeros()),
+        let (twist, acceleration) = match &self.motion {
+            Some((Generator::Cartesian(g), _)) => (*g.twist(), *g.acceleration()),
+            _ => (Twist::zeros(), Twist::zeros()),
         };
         let state = &mut self.state;
         state.id = self.time;
@@ -254,11 +254,8 @@ impl Robot {
         state.ddq_d = self.desired.ddq;
         state.o_t_ee = self.chain.pose(&self.servo.q);
         state.o_t_ee_d = desired.pose;
-        state.o_t_ee_c = pose;
         state.o_dp_ee_d = desired.jacobian * self.desired.dq;
         (state.o_dp_ee_c, state.o_ddp_ee_c) = (twist, acceleration);
-        state.elbow = elbow(&self.servo.q);
-        state.elbow_d = elbow(&self.desired.q);
         state.robot_mode = self.mode;
         state.current_errors = self.errors;
         state.last_motion_errors = self.last_motion_errors;
@@ -267,9 +264,4 @@ impl Robot {
             .as_ref()
             .map_or(0.0, |(_, link)| link.success_rate());
     }
-}
-
-fn elbow(q: &Joints) -> [f64; 2] {
-    let side = i8::from(q[3] > ELBOW_FLIP) - i8::from(q[3] < ELBOW_FLIP);
-    [q[2], f64::from(side)]
 }

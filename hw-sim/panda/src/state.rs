@@ -26,9 +26,6 @@ pub struct State {
     pub o_t_ee: Pose,
     /// End effector of the desired joints in the base.
     pub o_t_ee_d: Pose,
-    /// Integral of the commands, in the base; that of the desired joints where no Cartesian motion
-    /// runs.
-    pub o_t_ee_c: Pose,
     /// F_T_EE, the end effector in the flange.
     pub f_t_ee: Pose,
     /// Velocity of the end effector's origin along base axes, of the desired joints.
@@ -37,11 +34,6 @@ pub struct State {
     pub o_dp_ee_c: Twist,
     /// Its difference quotient, m/s^2 and rad/s^2.
     pub o_ddp_ee_c: Twist,
-    /// Measured elbow: position of joint 3 in rad, and the side (+1, 0, -1) of joint 4 from the
-    /// flip.
-    pub elbow: [f64; 2],
-    /// Desired elbow.
-    pub elbow_d: [f64; 2],
     /// Mode.
     pub robot_mode: Mode,
     /// Errors that stand.

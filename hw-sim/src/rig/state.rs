@@ -2,7 +2,7 @@
 //! `CONTRACT.md` lists.
 
 use ipc::{RobotFaults, RobotMode, RobotState};
-use panda::{Errors, Flag, JOINTS, Mode, State};
+use panda::{JOINTS, Mode, State};
 
 use crate::cell::raise;
 use crate::robot::sequence::TaskStep;
@@ -13,8 +13,8 @@ pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: TaskStep) {
     (state.q, state.dq) = (told.q.into(), told.dq.into());
     state.room = [
         f64::from(told.robot_mode as u32 + 1),
-        f64::from(bits(told.current_errors)),
-        f64::from(bits(told.last_motion_errors)),
+        f64::from(told.current_errors.bits()),
+        f64::from(told.last_motion_errors.bits()),
         told.control_command_success_rate,
         f64::from(phase as u32 + 1),
         f64::from(gripper(phase)),
@@ -36,12 +36,6 @@ pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: TaskStep) {
     raise(state, RobotFaults::JOINT_LIMIT, is_outside);
 }
 
-/// A bit for each flag, in the order of [`Flag::ALL`], which the contract lists.
-fn bits(errors: Errors) -> u32 {
-    let set = |(bit, &flag): (usize, &Flag)| u32::from(errors.contains(flag)) << bit;
-    Flag::ALL.iter().enumerate().map(set).sum()
-}
-
 /// 1 holding, 2 opening, 3 open.
 fn gripper(phase: TaskStep) -> u32 {
     match phase {
@@ -53,6 +47,7 @@ fn gripper(phase: TaskStep) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use panda::{Errors, Flag};
     use scene::Scene;
 
     use super::*;
@@ -68,7 +63,7 @@ mod tests {
             ("communication_constraints_violation", 15),
         ] {
             let flag = Flag::ALL.iter().find(|flag| flag.name() == name).unwrap();
-            assert_eq!(bits(Errors::from(*flag)), 1 << bit);
+            assert_eq!(Errors::from(*flag).bits(), 1 << bit);
             assert!(contract.contains(&format!("{bit} {name}")));
         }
         assert_eq!(Flag::ALL.len(), 16);

@@ -12,8 +12,8 @@ use crate::standing::Standing;
 pub struct Bridge {
     mount: Mount,
     limits: Limits,
-    shaper: Shaper,
-    is_shaping: bool,
+    /// `None` where the staircase goes out as it is.
+    shaper: Option<Shaper>,
     standing: Standing,
 }
 
@@ -23,15 +23,14 @@ impl Bridge {
     /// # Errors
     /// A bound of the shaper that is not a positive number.
     pub fn new(mount: Mount, limits: Limits, shaping: Shaping) -> Result<Self, ShaperError> {
-        let (settings, is_shaping) = match shaping {
-            Shaping::On(settings) => (settings, true),
-            Shaping::Off => (ShaperSettings::default(), false),
+        let shaper = match shaping {
+            Shaping::On(settings) => Some(Shaper::new(settings)?),
+            Shaping::Off => None,
         };
         Ok(Self {
             mount,
             limits,
-            shaper: Shaper::new(settings)?,
-            is_shaping,
+            shaper,
             standing: Standing::default(),
         })
     }
@@ -62,17 +61,17 @@ impl Bridge {
     pub fn answer(&mut self, state: &State, now_ns: u64) -> Command {
         let camera = Twist::from_column_slice(&self.standing.twist());
         let base = self.mount.to_base(&state.o_t_ee.rotation, &camera);
-        self.shaper.aim(&base, self.standing.until_ns());
-        let shaped = if self.is_shaping {
-            self.shaper.step(&Echo::from(state), now_ns)
-        } else if self.standing.is_stale(now_ns) {
-            Twist::zeros()
-        } else {
-            base
+        let twist = match &mut self.shaper {
+            Some(shaper) => {
+                shaper.aim(&base, self.standing.until_ns());
+                shaper.step(&Echo::from(state), now_ns)
+            }
+            None if self.standing.is_stale(now_ns) => Twist::zeros(),
+            None => base,
         };
         Command {
             id: state.id,
-            motion: Motion::Cartesian(shaped),
+            motion: Motion::Cartesian(twist),
             finished: false,
         }
     }

@@ -67,11 +67,6 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Whether the configuration is right.
-    pub fn is_exact(&self) -> bool {
-        *self == Self::default()
-    }
-
     /// Where the camera really sits.
     pub fn mount(&self, believed: &Mount) -> Mount {
         let error = Pose::from_parts(

@@ -9,9 +9,8 @@ fn main() {
 
 fn robot() -> (Scene, Renderer, Detector) {
     let scene = Scene::parse(scene::PAPER_ROBOT, "paper-robot.toml").expect("the scene is valid");
-    let renderer = Renderer::new(&scene, &Look::default()).expect("the look is valid");
-    let detector =
-        Detector::new(&scene, &DetectorSettings::default()).expect("the settings are valid");
+    let renderer = Renderer::new(&scene, &Look::default());
+    let detector = Detector::new(&scene, &DetectorSettings::default());
     (scene, renderer, detector)
 }
 

@@ -25,8 +25,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let pose = pose(numbers, &scene)?;
 
     let look = Look::default();
-    let mut renderer = Renderer::new(&scene, &look)?;
-    let mut detector = Detector::new(&scene, &DetectorSettings::default())?;
+    let mut renderer = Renderer::new(&scene, &look);
+    let mut detector = Detector::new(&scene, &DetectorSettings::default());
     detector.expect(&pose);
     detector.detect(renderer.render(&pose))?;
 

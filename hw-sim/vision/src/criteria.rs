@@ -1,4 +1,4 @@
-//! Settings of the detector.
+//! What the detector looks for, and in which images.
 
 /// How markers look: bright discs on the plane of the pattern.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,68 +18,12 @@ impl Default for DetectorSettings {
     }
 }
 
-/// Why a detector cannot be made, or an image not be searched.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum DetectorError {
-    /// A setting is out of its range.
-    #[error("detector: {key} = {value}; allowed: {allowed}")]
-    Value {
-        /// The field.
-        key: &'static str,
-        /// What was found.
-        value: String,
-        /// What is allowed.
-        allowed: &'static str,
-    },
-    /// The image has another size than the scene's camera.
-    #[error("image of {} x {} px; allowed: {} x {}, the scene's", found[0], found[1], expected[0], expected[1])]
-    Size {
-        /// Width and height of the image, px.
-        found: [usize; 2],
-        /// Width and height in the scene, px.
-        expected: [usize; 2],
-    },
-}
-
-impl DetectorSettings {
-    /// Checks every number.
-    pub(crate) fn check(&self) -> Result<(), DetectorError> {
-        let refuse = |key, value, allowed| {
-            Err(DetectorError::Value {
-                key,
-                value,
-                allowed,
-            })
-        };
-        let (radius, [least, most]) = (self.marker_radius_m, self.radius_px);
-        if !(1e-6..=1.0).contains(&radius) {
-            return refuse(
-                "marker_radius_m",
-                radius.to_string(),
-                "above 0, at most 1 m",
-            );
-        }
-        if !(least >= 3.0 && most <= 200.0 && least < most) {
-            let value = format!("{:?}", self.radius_px);
-            let allowed = "two numbers, 3 to 200 px, the first below the second";
-            return refuse("radius_px", value, allowed);
-        }
-        Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_setting_out_of_range_is_named() {
-        let settings = DetectorSettings {
-            marker_radius_m: 0.0,
-            ..DetectorSettings::default()
-        };
-        let message = settings.check().unwrap_err().to_string();
-        let expected = "detector: marker_radius_m = 0; allowed: above 0, at most 1 m";
-        assert_eq!(message, expected);
-    }
+/// The image has another size than the scene's camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("image of {} x {} px; allowed: {} x {}, the scene's", found[0], found[1], expected[0], expected[1])]
+pub struct SizeError {
+    /// Width and height of the image, px.
+    pub found: [usize; 2],
+    /// Width and height in the scene, px.
+    pub expected: [usize; 2],
 }

@@ -4,7 +4,7 @@ use scene::{Camera, MAX_POINTS, Pose, Scene};
 
 use crate::assignment::assign;
 use crate::chart::{Chart, Pairs};
-use crate::criteria::{DetectorError, DetectorSettings};
+use crate::criteria::{DetectorSettings, SizeError};
 use crate::disc::Disc;
 use crate::homography::{Homography, Point};
 use crate::image::Image;
@@ -52,11 +52,7 @@ pub struct Detector {
 impl Detector {
     /// A detector of the pattern of a scene. Until [`Detector::expect`] says otherwise it takes the
     /// pattern to be turned as at the scene's goal, give or take 80 deg.
-    ///
-    /// # Errors
-    /// [`DetectorError::Value`] where a setting is out of its range.
-    pub fn new(scene: &Scene, settings: &DetectorSettings) -> Result<Self, DetectorError> {
-        settings.check()?;
+    pub fn new(scene: &Scene, settings: &DetectorSettings) -> Self {
         let camera = scene.camera;
         let center = Sighting {
             visible: false,
@@ -73,7 +69,7 @@ impl Detector {
             levels: [0.0; 2],
         };
         detector.expect(&scene.goal);
-        Ok(detector)
+        detector
     }
 
     /// Forgets all markers; the next frame is searched as a whole, for a pattern turned about as at
@@ -90,12 +86,12 @@ impl Detector {
     /// Finds the markers in the next frame.
     ///
     /// # Errors
-    /// [`DetectorError::Size`] where the image is not of the scene's size.
-    pub fn detect(&mut self, image: &Image) -> Result<&Sightings, DetectorError> {
+    /// [`SizeError`] where the image is not of the scene's size.
+    pub fn detect(&mut self, image: &Image) -> Result<&Sightings, SizeError> {
         let expected = [self.camera.width as usize, self.camera.height as usize];
         let found = [image.width(), image.height()];
         if found != expected {
-            return Err(DetectorError::Size { found, expected });
+            return Err(SizeError { found, expected });
         }
         if !(self.tracking && self.track(image)) {
             self.acquire(image);
@@ -266,8 +262,8 @@ mod tests {
 
     fn robot() -> (Scene, Renderer, Detector) {
         let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
-        let renderer = Renderer::new(&scene, &Look::default()).unwrap();
-        let detector = Detector::new(&scene, &DetectorSettings::default()).unwrap();
+        let renderer = Renderer::new(&scene, &Look::default());
+        let detector = Detector::new(&scene, &DetectorSettings::default());
         (scene, renderer, detector)
     }
 
@@ -321,7 +317,7 @@ mod tests {
             marker_radius_m: 0.009,
             ..Look::default()
         };
-        let mut renderer = Renderer::new(&scene, &look).unwrap();
+        let mut renderer = Renderer::new(&scene, &look);
         detector.detect(renderer.render(&scene.goal)).unwrap();
         assert_eq!(detector.visible(), 0);
     }
@@ -330,7 +326,7 @@ mod tests {
     fn an_image_of_another_size_is_refused() {
         let (_, _, mut detector) = robot();
         let message = detector
-            .detect(&Image::new(320, 240).unwrap())
+            .detect(&Image::new(320, 240))
             .unwrap_err()
             .to_string();
         assert_eq!(

@@ -326,7 +326,7 @@ mod tests {
         turn: f64,
         shade: impl Fn(f64, f64) -> f64,
     ) -> Image {
-        let mut image = Image::new(64, 64).unwrap();
+        let mut image = Image::new(64, 64);
         for (i, pixel) in image.pixels_mut().iter_mut().enumerate() {
             let mut sum = 0.0;
             for k in 0..256 {

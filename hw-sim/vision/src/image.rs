@@ -1,15 +1,5 @@
 //! Grey images.
 
-/// A side is out of range.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("image of {width} x {height} px; allowed: 16 to 16384 px a side")]
-pub struct ImageError {
-    /// Width, px.
-    pub width: usize,
-    /// Height, px.
-    pub height: usize,
-}
-
 /// An 8-bit grey image, row by row from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
@@ -19,20 +9,13 @@ pub struct Image {
 }
 
 impl Image {
-    /// A black image.
-    ///
-    /// # Errors
-    /// [`ImageError`] where a side is out of range.
-    pub fn new(width: usize, height: usize) -> Result<Self, ImageError> {
-        let sides = 16..=16384;
-        if !sides.contains(&width) || !sides.contains(&height) {
-            return Err(ImageError { width, height });
-        }
-        Ok(Self {
+    /// A black image of at least one pixel.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self {
             width,
             height,
             pixels: vec![0; width * height],
-        })
+        }
     }
 
     /// Width, px.
@@ -83,20 +66,11 @@ mod tests {
 
     #[test]
     fn between_pixels_the_level_is_bilinear_and_outside_there_is_none() {
-        let mut image = Image::new(16, 16).unwrap();
+        let mut image = Image::new(16, 16);
         image.pixels_mut()[3 * 16 + 5] = 200;
         assert_eq!(image.level(5.0, 3.0), Some(200.0));
         assert_eq!(image.level(5.25, 2.5), Some(75.0));
         assert_eq!(image.level(-0.1, 3.0), None);
         assert_eq!(image.level(15.0, 3.0), None);
-    }
-
-    #[test]
-    fn a_side_out_of_range_is_refused() {
-        let message = Image::new(8, 100).unwrap_err().to_string();
-        assert_eq!(
-            message,
-            "image of 8 x 100 px; allowed: 16 to 16384 px a side"
-        );
     }
 }

@@ -13,8 +13,8 @@
 //! use vision::{Detector, DetectorSettings, Look, Renderer};
 //!
 //! let scene = scene::Scene::parse(scene::PAPER_ROBOT, "paper-robot.toml")?;
-//! let mut renderer = Renderer::new(&scene, &Look::default())?;
-//! let mut detector = Detector::new(&scene, &DetectorSettings::default())?;
+//! let mut renderer = Renderer::new(&scene, &Look::default());
+//! let mut detector = Detector::new(&scene, &DetectorSettings::default());
 //! let image = renderer.render(&scene.goal);
 //! let sightings = detector.detect(image)?;
 //! assert!(sightings.iter().all(|marker| marker.visible));
@@ -33,6 +33,7 @@ mod image;
 mod latency;
 mod layer;
 mod look;
+mod object;
 mod optics;
 mod painted;
 mod plane;
@@ -43,10 +44,10 @@ mod spot;
 mod texture;
 mod truth;
 
-pub use criteria::{DetectorError, DetectorSettings};
+pub use criteria::{DetectorSettings, SizeError};
 pub use detector::{Detector, Sighting, Sightings};
-pub use image::{Image, ImageError};
-pub use latency::{Delivered, Latency, LatencyError, Transit};
+pub use image::Image;
+pub use latency::{Delivered, Latency, Transit};
 pub use look::{Look, SpotLook};
 pub use renderer::Renderer;
 pub use truth::{Truth, truth};

@@ -6,9 +6,9 @@ use rand_chacha::ChaCha8Rng;
 use scene::{Camera, Pose, Scene};
 
 use crate::homography::Homography;
-use crate::image::{Image, ImageError};
-use crate::layer::{Area, coverage, relief};
+use crate::image::Image;
 use crate::look::{Kind, Look};
+use crate::object::Object;
 use crate::optics::Optics;
 use crate::plane::Plane;
 use crate::sensor::Sensor;
@@ -18,11 +18,7 @@ use crate::texture::Texture;
 /// An occlusion, ready to be drawn.
 #[derive(Clone, Debug)]
 enum Layer {
-    Opaque {
-        area: Area,
-        coverage: Vec<f32>,
-        light: Vec<f32>,
-    },
+    Object(Object),
     Spot(Spot),
 }
 
@@ -43,12 +39,8 @@ impl Renderer {
     /// A renderer of a scene. An occlusion whose name has the word "spot" is dirt on the lens,
     /// which blurs and dims what lies behind; every other one is an object before the camera, which
     /// hides it.
-    ///
-    /// # Errors
-    /// [`ImageError`] where the size of the scene's image is out of range.
-    pub fn new(scene: &Scene, look: &Look) -> Result<Self, ImageError> {
+    pub fn new(scene: &Scene, look: &Look) -> Self {
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
-        let image = Image::new(width, height)?;
         let mut random = ChaCha8Rng::seed_from_u64(look.seed);
         let texture = Texture::new(&mut random);
         let layers = scene
@@ -57,25 +49,12 @@ impl Renderer {
             .map(|occlusion| match Kind::by_name(occlusion) {
                 Kind::Spot => Layer::Spot(Spot::new(occlusion, look.spot, width, height)),
                 Kind::Opaque => {
-                    let area = Area::around(occlusion, 1.0, width, height);
-                    let mut light = relief(occlusion, area);
-                    for (i, x) in light.iter_mut().enumerate() {
-                        let (u, v) = (area.column + i % area.width, area.row + i / area.width);
-                        // Brushed along u.
-                        let grain = texture.texel(u / 5, v * 5);
-                        let level = look.object_level as f32 * (0.55 + 0.6 * *x);
-                        *x = level + 0.5 * look.texture as f32 * grain;
-                    }
-                    Layer::Opaque {
-                        area,
-                        coverage: coverage(occlusion, area),
-                        light,
-                    }
+                    Layer::Object(Object::new(occlusion, look, &texture, width, height))
                 }
             })
             .map(|layer| (layer, true))
             .collect();
-        Ok(Self {
+        Self {
             camera: scene.camera,
             texture,
             plane: Plane::new(scene, look),
@@ -83,8 +62,8 @@ impl Renderer {
             optics: Optics::new(&scene.camera, look.vignette),
             sensor: Sensor::new(look.noise, random),
             levels: vec![0.0; width * height],
-            image,
-        })
+            image: Image::new(width, height),
+        }
     }
 
     /// Shows or takes away an occlusion, by its index in the scene: the object that the gripper
@@ -111,22 +90,8 @@ impl Renderer {
             self.plane.draw(line, row, &map, &self.texture);
         }
         for (layer, shown) in &self.layers {
-            if let (
-                Layer::Opaque {
-                    area,
-                    coverage,
-                    light,
-                },
-                true,
-            ) = (layer, shown)
-            {
-                for (row, range) in area.rows(width) {
-                    let inside = row * area.width..(row + 1) * area.width;
-                    let layer = light[inside.clone()].iter().zip(&coverage[inside]);
-                    for (level, (light, coverage)) in self.levels[range].iter_mut().zip(layer) {
-                        *level += coverage * (light - *level);
-                    }
-                }
+            if let (Layer::Object(object), true) = (layer, shown) {
+                object.cover(&mut self.levels, width);
             }
         }
         self.optics.spread(&mut self.levels);
@@ -169,7 +134,7 @@ mod tests {
                 seed,
                 ..Look::default()
             };
-            let mut renderer = Renderer::new(&robot(), &look).unwrap();
+            let mut renderer = Renderer::new(&robot(), &look);
             let first = renderer.render(&robot().goal).clone();
             (first, renderer.render(&robot().goal).clone())
         };
@@ -186,13 +151,9 @@ mod tests {
             ..plain()
         };
         let quiet = Renderer::new(&robot(), &plain())
-            .unwrap()
             .render(&robot().goal)
             .clone();
-        let noisy = Renderer::new(&robot(), &look)
-            .unwrap()
-            .render(&robot().goal)
-            .clone();
+        let noisy = Renderer::new(&robot(), &look).render(&robot().goal).clone();
         let square: f64 = quiet
             .pixels()
             .iter()
@@ -207,7 +168,7 @@ mod tests {
     fn the_object_hides_markers_until_it_is_taken_away() {
         let mut pose = robot().goal;
         pose.translation[1] += 0.07;
-        let mut renderer = Renderer::new(&robot(), &plain()).unwrap();
+        let mut renderer = Renderer::new(&robot(), &plain());
         let [u, v] = crate::truth(&robot(), &pose, 0.006, |_| true)[3].pixel;
         let level = |image: &Image| f64::from(image.at(u as usize, v as usize));
         assert!(level(renderer.render(&pose)) < 60.0);
@@ -219,7 +180,7 @@ mod tests {
     fn a_rolling_shutter_shears_what_moves_across() {
         let mut later = robot().goal;
         later.translation[0] += 0.35 * 48.0 / 615.0;
-        let mut renderer = Renderer::new(&robot(), &plain()).unwrap();
+        let mut renderer = Renderer::new(&robot(), &plain());
         let image = renderer.render_rolling(&robot().goal, &later);
         // Rows near v = 143 are drawn 48 * 143 / 479 px farther right than at the start.
         let row = image.pixels()[143 * 640..144 * 640].iter().enumerate();
@@ -234,7 +195,7 @@ mod tests {
 
     #[test]
     fn a_plane_behind_the_camera_is_no_trouble() {
-        let mut renderer = Renderer::new(&robot(), &plain()).unwrap();
+        let mut renderer = Renderer::new(&robot(), &plain());
         for z in [-0.3, 0.0, 1e-12] {
             let mut pose = robot().goal;
             pose.translation[2] = z;
@@ -255,7 +216,7 @@ mod tests {
         let square =
             |i: u32, j: u32| (left..left + 41).contains(&i) && (top..top + 41).contains(&j);
         let draw = |scene: &Scene| {
-            let mut renderer = Renderer::new(scene, &plain()).unwrap();
+            let mut renderer = Renderer::new(scene, &plain());
             renderer.render(&goal).clone()
         };
         let before = draw(&free);
@@ -276,7 +237,7 @@ mod tests {
             ] {
                 assert_eq!(image.at(i, j), before.at(i, j), "{name}: ({i}, {j})");
             }
-            let mut detector = crate::Detector::new(&scene, &Default::default()).unwrap();
+            let mut detector = crate::Detector::new(&scene, &Default::default());
             detector.detect(&image).unwrap();
             assert_eq!(detector.visible(), 0b1110, "{name}");
         }
@@ -286,7 +247,7 @@ mod tests {
 
     #[test]
     fn a_marker_is_drawn_where_its_projection_says_with_pixels_about_whole_numbers() {
-        let mut renderer = Renderer::new(&robot(), &plain()).unwrap();
+        let mut renderer = Renderer::new(&robot(), &plain());
         let image = renderer.render(&robot().goal).clone();
         let [u, v] = crate::truth(&robot(), &robot().goal, 0.006, |_| true)[0].pixel;
         let (mut sum, mut sums) = (0.0, [0.0; 2]);

@@ -130,7 +130,7 @@ mod tests {
 
     fn goal() -> Image {
         let scene = scene::Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
-        let mut renderer = Renderer::new(&scene, &Look::default()).unwrap();
+        let mut renderer = Renderer::new(&scene, &Look::default());
         renderer.render(&scene.goal).clone()
     }
 

@@ -45,28 +45,13 @@ impl Spot {
         for (row, range) in area.rows(width) {
             self.blurred[row * area.width..][..area.width].copy_from_slice(&levels[range]);
         }
+        let (radius, line) = (self.radius, &mut self.line);
+        let mut blur = |start: usize, stride: usize, count: usize| {
+            box_blur(&mut self.blurred, start, stride, count, radius, line);
+        };
         for _ in 0..PASSES {
-            for row in 0..area.height {
-                let start = row * area.width;
-                box_blur(
-                    &mut self.blurred,
-                    start,
-                    1,
-                    area.width,
-                    self.radius,
-                    &mut self.line,
-                );
-            }
-            for column in 0..area.width {
-                box_blur(
-                    &mut self.blurred,
-                    column,
-                    area.width,
-                    area.height,
-                    self.radius,
-                    &mut self.line,
-                );
-            }
+            (0..area.height).for_each(|row| blur(row * area.width, 1, area.width));
+            (0..area.width).for_each(|column| blur(column, area.width, area.height));
         }
         let (transmission, veil) = (self.look.transmission as f32, self.look.veil as f32);
         for (row, range) in area.rows(width) {

@@ -34,14 +34,13 @@ static ALLOCATOR: Counting = Counting;
 #[test]
 fn a_frame_allocates_nothing() {
     let scene = Scene::parse(scene::PAPER_ROBOT, "paper-robot.toml").unwrap();
-    let mut renderer = Renderer::new(&scene, &Look::default()).unwrap();
-    let mut detector = Detector::new(&scene, &DetectorSettings::default()).unwrap();
+    let mut renderer = Renderer::new(&scene, &Look::default());
+    let mut detector = Detector::new(&scene, &DetectorSettings::default());
     let mut transit: Transit<Sightings> = Transit::new(Latency {
         jitter_ns: 20_000_000,
         drop: 0.1,
         ..Latency::default()
-    })
-    .unwrap();
+    });
     // Down behind the object and out of the image, so that every path is taken: followed, hidden,
     // lost, found again.
     let mut frame = |k: u64| {

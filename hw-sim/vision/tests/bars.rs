@@ -12,7 +12,7 @@ fn robot() -> Scene {
 }
 
 fn detector(scene: &Scene) -> Detector {
-    Detector::new(scene, &DetectorSettings::default()).unwrap()
+    Detector::new(scene, &DetectorSettings::default())
 }
 
 fn random(seed: u64) -> ChaCha8Rng {
@@ -101,7 +101,7 @@ impl Tally {
 #[test]
 fn occluded_markers_are_never_visible_and_the_others_are_where_they_are() {
     let scene = robot();
-    let mut renderer = Renderer::new(&scene, &Look::default()).unwrap();
+    let mut renderer = Renderer::new(&scene, &Look::default());
     let mut detector = detector(&scene);
     let mut random = random(1);
     let mut tally = Tally::default();
@@ -155,7 +155,7 @@ impl Walk {
 #[test]
 fn identity_is_never_swapped() {
     let scene = robot();
-    let mut renderer = Renderer::new(&scene, &Look::default()).unwrap();
+    let mut renderer = Renderer::new(&scene, &Look::default());
     let mut detector = detector(&scene);
     let mut random = random(2);
     let mut tally = Tally::default();
@@ -199,8 +199,8 @@ fn centres_are_right_even_where_centroids_are_not() {
         marker_radius_m: 0.014,
         radius_px: [4.0, 40.0],
     };
-    let mut renderer = Renderer::new(&scene, &look).unwrap();
-    let mut detector = Detector::new(&scene, &settings).unwrap();
+    let mut renderer = Renderer::new(&scene, &look);
+    let mut detector = Detector::new(&scene, &settings);
     let mut random = random(3);
     let (mut square, mut count) = (0.0, 0);
     for _ in 0..200 {
@@ -231,7 +231,7 @@ fn centres_are_right_even_where_centroids_are_not() {
 fn every_start_of_the_scene_is_seen_whole() {
     let scene = robot();
     let starts = scene::parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
-    let mut renderer = Renderer::new(&scene, &Look::default()).unwrap();
+    let mut renderer = Renderer::new(&scene, &Look::default());
     let mut detector = detector(&scene);
     for (k, start) in starts.iter().enumerate() {
         detector.expect(start);
@@ -246,7 +246,7 @@ fn a_dark_or_a_noisy_frame_has_no_markers() {
     let scene = robot();
     let mut detector = detector(&scene);
     let mut random = random(4);
-    let dark = Image::new(640, 480).unwrap();
+    let dark = Image::new(640, 480);
     let mut noisy = dark.clone();
     noisy.pixels_mut().fill_with(|| random.random());
     for image in [dark, noisy] {

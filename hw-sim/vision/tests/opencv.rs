@@ -67,7 +67,7 @@ fn opencv_sees_rendered_markers_where_they_are_and_not_where_they_are_hidden() {
     };
     let place = Place::new();
     let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
-    let mut renderer = Renderer::new(&scene, &Look::default()).unwrap();
+    let mut renderer = Renderer::new(&scene, &Look::default());
     for frame in 0..FRAMES {
         let image = renderer.render(&pose(&scene, frame));
         write(&place.path(&format!("{frame:03}.png")), image);
@@ -109,7 +109,7 @@ fn a_square_that_is_rolled_too_far_is_said_to_be_ambiguous_with_the_remedy() {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     let place = Place::new();
     let file = place.file("scene.toml", scene::PAPER_SIM);
-    let mut renderer = Renderer::new(&scene, &Look::default()).unwrap();
+    let mut renderer = Renderer::new(&scene, &Look::default());
     (0..scene.occlusions.len()).for_each(|occlusion| renderer.show(occlusion, false));
     let mut pose = scene.goal;
     pose.rotation[2] = 20f64.to_radians();

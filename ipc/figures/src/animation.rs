@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 
-use crate::output::{pixels, save};
+use crate::output::{pixels, save, with};
 use crate::{Canvas, FigureError};
 
 /// Drawings of one size that follow each other, again and again.
@@ -22,9 +22,7 @@ impl Animation {
     /// # Errors
     /// [`FigureError`] names the file.
     pub fn write(&self, path: &Path) -> Result<PathBuf, FigureError> {
-        let mut name = path.as_os_str().to_owned();
-        name.push(".gif");
-        let path = PathBuf::from(name);
+        let path = with(path, ".gif");
         let bytes = self.gif().map_err(|reason| FigureError::Draw {
             path: path.display().to_string(),
             reason,
@@ -38,8 +36,8 @@ impl Animation {
         let (width, height) = (width.ceil() as u16, height.ceil() as u16);
         let mut bytes = Vec::new();
         let mut gif = Encoder::new(&mut bytes, width, height, &[]).map_err(|e| e.to_string())?;
-        gif.set_repeat(Repeat::Infinite)
-            .map_err(|e| e.to_string())?;
+        let endless = gif.set_repeat(Repeat::Infinite);
+        endless.map_err(|e| e.to_string())?;
         let mut before = Vec::new();
         for (index, canvas) in self.frames.iter().enumerate() {
             let now = pixels(&canvas.svg(), 1.0)?;

@@ -32,12 +32,7 @@ impl Canvas {
     /// # Errors
     /// [`FigureError`] names the file.
     pub fn write(&self, path: &Path) -> Result<[PathBuf; 2], FigureError> {
-        let with = |extension: &str| {
-            let mut name = path.as_os_str().to_owned();
-            name.push(extension);
-            PathBuf::from(name)
-        };
-        let files = [with(".svg"), with(".png")];
+        let files = [with(path, ".svg"), with(path, ".png")];
         let svg = self.svg();
         save(&files[0], svg.as_bytes())?;
         let png = png(&svg).map_err(|reason| FigureError::Draw {
@@ -47,6 +42,13 @@ impl Canvas {
         save(&files[1], &png)?;
         Ok(files)
     }
+}
+
+/// The path with an ending more: a point in its name is no ending.
+pub(crate) fn with(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
 }
 
 fn png(svg: &str) -> Result<Vec<u8>, String> {

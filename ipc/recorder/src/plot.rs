@@ -63,11 +63,8 @@ pub fn plot(
             1 => "run".to_owned(),
             _ => format!("run-{}", i + 1),
         };
-        files.extend(
-            figure(scene, run, &name)
-                .canvas()
-                .write(&directory.join(name))?,
-        );
+        let canvas = figure(scene, run, &name).canvas();
+        files.extend(canvas.write(&directory.join(name))?);
     }
     if runs.is_empty() {
         // No cycles: what the camera saw.
@@ -82,11 +79,8 @@ pub fn plot(
         files.extend(plane.canvas().write(&directory.join("features"))?);
     }
     let report = Report::of(recording);
-    files.extend(
-        latency(&report)
-            .canvas()
-            .write(&directory.join("latency"))?,
-    );
+    let canvas = latency(&report).canvas();
+    files.extend(canvas.write(&directory.join("latency"))?);
     for (name, text) in [
         ("latency.txt", report.to_string()),
         ("latency.json", report.to_json()),

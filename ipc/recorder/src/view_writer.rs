@@ -83,13 +83,9 @@ impl ViewWriter {
         message: &M,
     ) -> Result<(), WriteError> {
         let encoding = || {
-            let Schema {
-                name,
-                encoding,
-                data,
-            } = M::get_schema().unwrap_or_else(|| Schema::new("", "", &[][..]));
+            let schema = M::get_schema().unwrap_or_else(|| Schema::new("", "", &[][..]));
             Encoding {
-                schema: (name, encoding, data.into_owned()),
+                schema: (schema.name, schema.encoding, schema.data.into_owned()),
                 message: M::get_message_encoding(),
             }
         };

@@ -120,12 +120,8 @@ impl Checker<'_> {
             ("cx", camera.cx, camera.width),
             ("cy", camera.cy, camera.height),
         ] {
-            self.hold(
-                value <= most,
-                &format!("camera.{key}"),
-                value,
-                "inside the image",
-            )?;
+            let key = format!("camera.{key}");
+            self.hold(value <= most, &key, value, "inside the image")?;
         }
         self.starts(&tables.starts)?;
         let scene = Scene {
@@ -178,13 +174,9 @@ impl Checker<'_> {
                 .into_iter()
                 .any(is_line)
         };
+        let (holds, found) = (fours.into_iter().any(is_general), format!("{points:?}"));
         let allowed = "four points among them, no three of which lie on a line";
-        self.hold(
-            fours.into_iter().any(is_general),
-            "pattern.points",
-            format!("{points:?}"),
-            allowed,
-        )?;
+        self.hold(holds, "pattern.points", found, allowed)?;
         Ok(points.into_iter().collect())
     }
 
@@ -208,18 +200,10 @@ impl Checker<'_> {
     fn starts(&self, starts: &StartRegion) -> Result<(), FileError> {
         let (min, max) = (starts.translation_min, starts.translation_max);
         let ordered = min.iter().zip(&max).all(|(min, max)| min <= max);
-        self.hold(
-            ordered,
-            "starts.translation_max",
-            format!("{max:?}"),
-            "at least starts.translation_min",
-        )?;
-        self.hold(
-            min[2] >= 1e-3,
-            "starts.translation_min[2]",
-            min[2],
-            "0.001 to 100 m",
-        )
+        let (key, allowed) = ("starts.translation_max", "at least starts.translation_min");
+        self.hold(ordered, key, format!("{max:?}"), allowed)?;
+        let key = "starts.translation_min[2]";
+        self.hold(min[2] >= 1e-3, key, min[2], "0.001 to 100 m")
     }
 
     fn occlusions(
@@ -237,12 +221,8 @@ impl Checker<'_> {
                     .refuse(&key("name"), &table.name, "at most 32 bytes")
             })?;
             let is_empty = table.parts.is_empty() && table.mask.is_none();
-            self.hold(
-                !is_empty,
-                &key("parts"),
-                "a list of 0",
-                "1 to 8 parts, or a mask",
-            )?;
+            let (found, allowed) = ("a list of 0", "1 to 8 parts, or a mask");
+            self.hold(!is_empty, &key("parts"), found, allowed)?;
             let mask = table
                 .mask
                 .map(|mask| self.mask(&key("mask"), &mask, camera));

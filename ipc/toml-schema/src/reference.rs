@@ -1,22 +1,46 @@
 //! The page of reference.
 
+use std::collections::HashMap;
 use std::fmt::Write;
 
 use serde_json::Value;
 
 use crate::schema::allowed;
 
-/// Returns every key of a schema as tables of Markdown, one for each table of the file.
-pub fn reference(schema: &Value) -> String {
+/// Returns every key of a schema as tables of Markdown, one for each table of the file. Keys come
+/// in the order of `example`, a file that shows them, be it as comments; what it does not show comes
+/// last, by name.
+pub fn reference(schema: &Value, example: &str) -> String {
     let meaning = schema["description"].as_str().unwrap_or_default();
     let mut text = format!("\n{meaning}\n");
-    section(&mut text, schema, "");
+    section(&mut text, schema, "", &places(example));
     text
 }
 
-fn section(text: &mut String, schema: &Value, table: &str) {
+/// The number of the line in which a file first shows each of its keys and tables, by their paths.
+fn places(example: &str) -> HashMap<String, usize> {
+    let (mut places, mut table) = (HashMap::new(), String::new());
+    for (number, line) in example.lines().enumerate() {
+        let line = line.trim_start_matches(['#', ' ']);
+        if let Some((name, _)) = line.split_once(']').filter(|_| line.starts_with('[')) {
+            let name = name.trim_start_matches('[');
+            places.entry(name.to_owned()).or_insert(number);
+            table = format!("{name}.");
+        } else if let Some((key, _)) = line.split_once('=') {
+            let path = format!("{table}{}", key.trim_end());
+            places.entry(path).or_insert(number);
+        }
+    }
+    places
+}
+
+fn section(text: &mut String, schema: &Value, table: &str, places: &HashMap<String, usize>) {
     let properties = schema["properties"].as_object();
-    let properties: Vec<_> = properties.into_iter().flatten().collect();
+    let mut properties: Vec<_> = properties.into_iter().flatten().collect();
+    properties.sort_by_key(|(name, _)| {
+        let place = places.get(&format!("{table}{name}"));
+        place.copied().unwrap_or(usize::MAX)
+    });
     let is_table = |of: &Value| of["properties"].is_object();
     let mut rows = properties
         .iter()
@@ -46,7 +70,7 @@ fn section(text: &mut String, schema: &Value, table: &str) {
         if is_table(inner) {
             let meaning = inner["description"].as_str().unwrap_or_default();
             let _ = write!(text, "\n### {head}\n\n{meaning}\n");
-            section(text, inner, &format!("{table}."));
+            section(text, inner, &format!("{table}."), places);
         }
     }
 }

@@ -183,8 +183,19 @@ fn a_struct_is_checked_as_its_file_would_be() {
 }
 
 #[test]
+fn the_page_has_the_keys_in_the_order_of_a_file_that_shows_them() {
+    let place = |page: &str, row: &str| page.find(row).unwrap_or_else(|| panic!("{page}: {row}"));
+    let schema = schema::<File>();
+    let by_name = reference(&schema, "");
+    assert!(place(&by_name, "| `clock`") < place(&by_name, "| `width`"));
+    let example = "# A picture.\n[camera]\nwidth = 640\n# clock = 'free'\n";
+    let shown = reference(&schema, example);
+    assert!(place(&shown, "| `width`") < place(&shown, "| `clock`"));
+}
+
+#[test]
 fn the_page_has_a_row_for_each_key_under_its_table() {
-    let page = reference(&schema::<File>());
+    let page = reference(&schema::<File>(), "");
     for row in [
         "| `picture` | string | required | a file | A file. |",
         "### `[camera]`\n\nThe camera.\n",

@@ -32,12 +32,9 @@ pub fn draw(scene: &Scene, rng: &mut ChaCha8Rng) -> Pose {
     let region = &scene.starts;
     let translation =
         std::array::from_fn(|k| uniform(rng, region.translation_min[k], region.translation_max[k]));
-    let tilt = Vector3::new(
-        uniform(rng, -region.tilt_max, region.tilt_max),
-        uniform(rng, -region.tilt_max, region.tilt_max),
-        0.0,
-    );
-    let roll = Vector3::new(0.0, 0.0, uniform(rng, -region.roll_max, region.roll_max));
+    let mut within = |most: f64| uniform(rng, -most, most);
+    let tilt = Vector3::new(within(region.tilt_max), within(region.tilt_max), 0.0);
+    let roll = Vector3::new(0.0, 0.0, within(region.roll_max));
     let rotation = Rotation3::new(roll) * Rotation3::new(tilt);
     Pose {
         translation,
@@ -94,19 +91,14 @@ pub fn valid(
 
 /// A pose as the point of R^6 that mixtures are fitted to.
 pub fn coordinates(pose: &Pose) -> [f64; 6] {
-    std::array::from_fn(|k| {
-        if k < 3 {
-            pose.translation[k]
-        } else {
-            pose.rotation[k - 3]
-        }
-    })
+    let ([x, y, z], [rx, ry, rz]) = (pose.translation, pose.rotation);
+    [x, y, z, rx, ry, rz]
 }
 
-fn pose_of(x: [f64; 6]) -> Pose {
+fn pose_of([x, y, z, rx, ry, rz]: [f64; 6]) -> Pose {
     Pose {
-        translation: [x[0], x[1], x[2]],
-        rotation: [x[3], x[4], x[5]],
+        translation: [x, y, z],
+        rotation: [rx, ry, rz],
     }
 }
 

@@ -10,6 +10,7 @@ use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use hw_sim::robot::calibration::Truth;
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
@@ -148,7 +149,12 @@ fn free(
 ) -> anyhow::Result<()> {
     let Common { noise, drop, .. } = cli.common;
     let CameraFlags { delay, repeats } = cli.camera;
-    let believed = with_depth_error(scene, cli.common.depth_error);
+    // The same images, from pattern and goal of another size.
+    let wrong = Truth {
+        depth: cli.common.depth_error,
+        ..Truth::default()
+    };
+    let believed = wrong.scene(scene);
     let view = memory.map(MemoryFile::view);
     let view = view.as_ref().map(|view| view as &dyn MotionMemory);
     let bar = bar(cli.common.strategies.len() * starts.len());
@@ -252,17 +258,6 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
         }
     }
     Ok(())
-}
-
-/// The scene as a law with wrong depths sees it: the same images, from pattern and goal of another
-/// size.
-fn with_depth_error(scene: &Scene, error: f64) -> Scene {
-    let mut believed = scene.clone();
-    let lengths = believed.pattern.iter_mut().flatten();
-    for length in lengths.chain(&mut believed.goal.translation) {
-        *length *= 1.0 + error;
-    }
-    believed
 }
 
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {

@@ -1,6 +1,9 @@
 //! `controller/CONFIGURATION.md`, the reference of every configuration file.
 
-use serde_json::Value;
+use anyhow::Context;
+use memory_builder::settings::BuildSettings;
+
+use crate::root;
 
 const HEAD: &str = "# Configuration
 
@@ -12,36 +15,42 @@ Each kind has a JSON Schema. A file names it in its first line, for instance `#:
 language server (taplo, Even Better TOML, tombi) complete and check keys from it.
 ";
 
-/// Returns the page.
-pub fn make() -> String {
-    let section = |title: &str, command: &str, schema: &Value| {
-        format!(
-            "\n## {title}\n\n{command}\n{}",
-            toml_schema::reference(schema)
-        )
+/// Returns the page: each kind of file with what it is for, its schema, and a file that has its keys
+/// in the order in which they are read best.
+pub fn make() -> anyhow::Result<String> {
+    let shipped = |path: &str| {
+        std::fs::read_to_string(root().join(path)).with_context(|| format!("{path}: cannot read"))
     };
-    [
-        HEAD.to_owned(),
-        section(
+    let sections = [
+        (
             "vpcd",
             "`vpcd --config FILE`; [`vpcd.toml`](vpcd.toml) shows the defaults.",
-            &controller::config::schema(),
+            controller::config::schema(),
+            shipped("controller/vpcd.toml")?,
         ),
-        section(
+        (
             "The scene",
             "[`paper-sim.toml`](../ipc/scene/scenes/paper-sim.toml) is one.",
-            &scene::schema(),
+            scene::schema(),
+            shipped("ipc/scene/scenes/paper-sim.toml")?,
         ),
-        section(
+        (
             "hw-sim",
             "`hw-sim --config FILE`; [`hw-sim.toml`](../hw-sim/hw-sim.toml) shows the defaults.",
-            &hw_sim::config::schema(),
+            hw_sim::config::schema(),
+            shipped("hw-sim/hw-sim.toml")?,
         ),
-        section(
+        (
             "vpc-memory build",
             "`vpc-memory build SCENE --output FILE --settings FILE`",
-            &memory_builder::settings::schema(),
+            memory_builder::settings::schema(),
+            toml::to_string(&BuildSettings::default())?,
         ),
-    ]
-    .concat()
+    ];
+    let mut page = HEAD.to_owned();
+    for (title, command, schema, example) in &sections {
+        let keys = toml_schema::reference(schema, example);
+        page += &format!("\n## {title}\n\n{command}\n{keys}");
+    }
+    Ok(page)
 }

@@ -37,7 +37,7 @@ const ARTEFACTS: &[Artefact] = &[
     },
     Artefact {
         path: "controller/CONFIGURATION.md",
-        make: |_| Ok(configuration::make()),
+        make: |_| configuration::make(),
     },
     Artefact {
         path: "controller/vpcd.schema.json",

@@ -88,59 +88,23 @@ impl New {
     }
 
     fn template(&self) -> anyhow::Result<Template> {
-        let [width, height] = ask(
-            "--image",
-            "Image size, px (WIDTHxHEIGHT)",
-            &self.image,
-            None,
-            exactly('x'),
-        )?;
-        let focal = "Focal lengths, px (FX or FX,FY)";
-        let focal = ask(
-            "--focal",
-            focal,
-            &self.focal,
-            None,
-            one_of(&[1, 2], "FX or FX,FY"),
-        )?;
+        let [width, height] = IMAGE.ask(&self.image, None, exactly('x'))?;
+        let either = one_of(&[1, 2], "FX or FX,FY");
+        let focal = FOCAL.ask(&self.focal, None, either)?;
         let middle = format!("{},{}", 0.5 * width, 0.5 * height);
-        let centre = "Principal point, px (CX,CY)";
-        let [cx, cy] = ask(
-            "--centre",
-            centre,
-            &self.centre,
-            Some(&middle),
-            exactly(','),
-        )?;
-        let [rate_hz] = ask(
-            "--rate",
-            "Frame rate, Hz",
-            &self.rate,
-            Some("30"),
-            exactly(','),
-        )?;
-        let pattern = "Pattern, m (SIDE of a square, WIDTHxHEIGHT, or points X,Y;X,Y;...)";
-        let pattern = ask("--pattern", pattern, &self.pattern, None, points)?;
-        let goal = "Goal, m and rad (Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ)";
+        let [cx, cy] = CENTRE.ask(&self.centre, Some(&middle), exactly(','))?;
+        let [rate_hz] = RATE.ask(&self.rate, Some("30"), exactly(','))?;
+        let pattern = PATTERN.ask(&self.pattern, None, points)?;
         let poses = one_of(&[1, 3, 6], "Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ");
-        let (goal, goal_rotation) = match ask("--goal", goal, &self.goal, None, poses)?[..] {
+        let (goal, goal_rotation) = match GOAL.ask(&self.goal, None, poses)?[..] {
             [x, y, z, rx, ry, rz] => ([x, y, z], [rx, ry, rz]),
             [x, y, z] => ([x, y, z], [0.0; 3]),
             ref depth => ([0.0, 0.0, depth[0]], [0.0; 3]),
         };
-        let limits = "Limits, m/s and rad/s (LINEAR,ANGULAR)";
-        let [linear, angular] = ask(
-            "--limits",
-            limits,
-            &self.limits,
-            Some("0.5,1"),
-            exactly(','),
-        )?;
+        let [linear, angular] = LIMITS.ask(&self.limits, Some("0.5,1"), exactly(','))?;
         let reach = format!("{:.3},{:.3}", 0.75 * goal[2], 2.0 * goal[2]);
-        let depth = "Depths of starts, m (NEAR,FAR)";
-        let depth = ask("--depth", depth, &self.depth, Some(&reach), exactly(','))?;
-        let turn = "Tilt and roll of starts, rad (TILT,ROLL)";
-        let [tilt, roll] = ask("--turn", turn, &self.turn, Some("0.5,1.5"), exactly(','))?;
+        let depth = DEPTH.ask(&self.depth, Some(&reach), exactly(','))?;
+        let [tilt, roll] = TURN.ask(&self.turn, Some("0.5,1.5"), exactly(','))?;
         let shapes = |flag: &str, texts: &[String]| -> anyhow::Result<Vec<[f64; 4]>> {
             texts.iter().map(|text| exactly(',')(flag, text)).collect()
         };
@@ -174,58 +138,70 @@ impl New {
     fn mask_path(&self) -> anyhow::Result<Option<String>> {
         let mut mask = self.mask.clone();
         if mask.is_none() && self.ellipse.is_empty() && self.boxes.is_empty() {
-            let question = "Mask of the occlusions (PNG; empty for none)";
-            mask = ask(
-                "--mask",
-                question,
-                &None,
-                Some(""),
-                |flag, answer| match Path::new(answer) {
-                    _ if answer.is_empty() => Ok(None),
-                    path if path.exists() => Ok(Some(path.to_owned())),
-                    _ => bail!("{flag} = {answer}; allowed: a file that is there"),
-                },
-            )?;
+            mask = MASK.ask(&None, Some(""), |flag, answer| match Path::new(answer) {
+                _ if answer.is_empty() => Ok(None),
+                path if path.exists() => Ok(Some(path.to_owned())),
+                _ => bail!("{flag} = {answer}; allowed: a file that is there"),
+            })?;
         }
         mask.map(|mask| beside(&self.scene, &mask)).transpose()
     }
 }
 
-/// What a flag's value means; else, on a terminal, the answer to a question, which is asked again
-/// until it means something; else the default. `read` takes the flag and the text.
-fn ask<T>(
-    flag: &str,
-    question: &str,
-    given: &Option<String>,
-    default: Option<&str>,
-    read: impl Fn(&str, &str) -> anyhow::Result<T>,
-) -> anyhow::Result<T> {
-    if let Some(given) = given {
-        return read(flag, given);
-    }
-    let stdin = std::io::stdin();
-    while stdin.is_terminal() {
-        let shown = default.filter(|default| !default.is_empty());
-        let hint = shown.map_or(String::new(), |default| format!(" [{default}]"));
-        let mut out = std::io::stderr().lock();
-        write!(out, "{question}{hint}: ").and_then(|()| out.flush())?;
-        let mut line = String::new();
-        if stdin.lock().read_line(&mut line).context("no answer")? == 0 {
-            bail!("no answer to: {question}");
+/// What can be told by a flag, and what to ask where it is not.
+struct Question(&'static str, &'static str);
+
+const IMAGE: Question = Question("--image", "Image size, px (WIDTHxHEIGHT)");
+const FOCAL: Question = Question("--focal", "Focal lengths, px (FX or FX,FY)");
+const CENTRE: Question = Question("--centre", "Principal point, px (CX,CY)");
+const RATE: Question = Question("--rate", "Frame rate, Hz");
+const PATTERN: Question = Question(
+    "--pattern",
+    "Pattern, m (SIDE of a square, WIDTHxHEIGHT, or points X,Y;X,Y;...)",
+);
+const GOAL: Question = Question("--goal", "Goal, m and rad (Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ)");
+const LIMITS: Question = Question("--limits", "Limits, m/s and rad/s (LINEAR,ANGULAR)");
+const DEPTH: Question = Question("--depth", "Depths of starts, m (NEAR,FAR)");
+const TURN: Question = Question("--turn", "Tilt and roll of starts, rad (TILT,ROLL)");
+const MASK: Question = Question("--mask", "Mask of the occlusions (PNG; empty for none)");
+
+impl Question {
+    /// What the flag's value means; else, on a terminal, the answer, which is asked for again until
+    /// it means something; else the default. `read` takes the flag and the text.
+    fn ask<T>(
+        &self,
+        given: &Option<String>,
+        default: Option<&str>,
+        read: impl Fn(&str, &str) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let Self(flag, question) = self;
+        if let Some(given) = given {
+            return read(flag, given);
         }
-        let answer = match (line.trim(), default) {
-            ("", None) => continue,
-            ("", Some(default)) => default,
-            (answer, _) => answer,
-        };
-        match read(flag, answer) {
-            Ok(value) => return Ok(value),
-            Err(error) => writeln!(out, "{error}")?,
+        let stdin = std::io::stdin();
+        while stdin.is_terminal() {
+            let shown = default.filter(|default| !default.is_empty());
+            let hint = shown.map_or(String::new(), |default| format!(" [{default}]"));
+            let mut out = std::io::stderr().lock();
+            write!(out, "{question}{hint}: ").and_then(|()| out.flush())?;
+            let mut line = String::new();
+            if stdin.lock().read_line(&mut line).context("no answer")? == 0 {
+                bail!("no answer to: {question}");
+            }
+            let answer = match (line.trim(), default) {
+                ("", None) => continue,
+                ("", Some(default)) => default,
+                (answer, _) => answer,
+            };
+            match read(flag, answer) {
+                Ok(value) => return Ok(value),
+                Err(error) => writeln!(out, "{error}")?,
+            }
         }
-    }
-    match default {
-        Some(default) => read(flag, default),
-        None => bail!("{flag} is missing; {question}"),
+        match default {
+            Some(default) => read(flag, default),
+            None => bail!("{flag} is missing; {question}"),
+        }
     }
 }
 

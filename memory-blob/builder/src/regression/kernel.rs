@@ -24,19 +24,4 @@ impl Kernel {
             noise_variance: variance(1, 1.0),
         }
     }
-
-    /// The inverse of [`Self::from_logarithms`].
-    pub fn logarithms(&self) -> Vec<f64> {
-        let lengths = self.length_scales.iter().map(|l| l.ln());
-        lengths
-            .chain([0.5 * self.signal_variance.ln(), self.noise_variance.ln()])
-            .collect()
-    }
-
-    /// k(a, b) without noise.
-    pub fn value(&self, a: &[f64], b: &[f64]) -> f64 {
-        let terms = a.iter().zip(b).zip(&self.length_scales);
-        let square: f64 = terms.map(|((a, b), l)| ((a - b) / l).powi(2)).sum();
-        self.signal_variance * (-0.5 * square).exp()
-    }
 }
