@@ -145,8 +145,8 @@ impl ControlStep {
             self.gate.mark_gap();
             self.loaded.controller.overruled();
         }
-        // The twist as sent, also if the law did not choose it. The instant is that of the law's plan, so that a replay needs
-        // no other clock.
+        // The twist as sent, also if the law did not choose it. The instant is that of the law's
+        // plan, so that a replay needs no other clock.
         let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);
         self.loaded.controller.sent(&decision.twist, effective_ns);
         record.features_sequence = proposed.stamp.sequence;

@@ -1,4 +1,4 @@
-//! Exit codes, after `sysexits.h`, so that a service manager can tell what to mend.
+//! Exit codes, after `sysexits.h`, so that a service manager can tell what failed.
 
 /// How the daemon ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,8 @@
-//! The gate: which features may reach the law, and what to do without. Pure; the time is an
+//! The gate: which features may reach the law, and what to do without them. Pure; the time is an
 //! argument.
 //!
-//! It knows messages: their order, their age, whether all points were visible. The law then checks
-//! the numbers against the scene.
+//! It checks messages: their order, their age, and whether all points were visible. The law then
+//! checks the numbers against the scene.
 
 use ipc::{Features, Order, Stamp};
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
-//! One daemon a domain: a locked file that names the process which serves it.
+//! One daemon per domain: a locked file names its process.
 //!
-//! The contract of shared memory lets one publisher of twists into a domain, and so keeps a second
-//! daemon out as well; but it cannot say who the first one is.
+//! The contract allows one publisher of twists in a domain and so refuses a second daemon too, but
+//! it cannot name the first one.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};

@@ -1,4 +1,4 @@
-//! What to command: one step of the law, and a last look at its twist.
+//! What to command: one step of the law, and a last check of its twist.
 
 use ipc::{CycleRecord, Features, TwistState};
 use scene::Limits;

@@ -1,5 +1,5 @@
-//! The log goes to the journal where standard error is connected to it, and to standard error
-//! elsewhere; the loop itself never logs.
+//! The log goes to the journal if standard error is connected to it, and else to standard error.
+//! The loop itself never logs.
 
 use std::io::{IsTerminal, Write};
 

@@ -1,5 +1,5 @@
-//! Where log lines go when nobody takes them: nowhere, and counted. A pipe that nobody reads or a
-//! full disk must hold up neither the recorder nor the end of the daemon.
+//! A writer of log lines that drops and counts what it cannot write. An unread pipe or a full disk
+//! must delay neither the ordinary thread nor the end of the daemon.
 
 use std::io::{self, Write};
 use std::sync::Arc;

@@ -2,10 +2,10 @@
 //! that every cycle begins a little after its features arrive, however the two clocks drift. Pure;
 //! times are arguments.
 //!
-//! A filter of second order follows the exposures (period and phase), another the delay from
-//! exposure to publication and its spread. The release after the next is then wanted at *expected
-//! arrival + margin + spread*; the grid goes there by no more than [`SLEW`] of a period a cycle.
-//! Without frames it runs free.
+//! A second-order filter follows the exposures (period and phase), another the delay from exposure
+//! to publication and its spread. The release after the next should come at *expected arrival +
+//! margin + spread*; the grid moves there by at most [`SLEW`] of a period per cycle. Without frames
+//! it runs free.
 
 use ipc::{PhaseCode, Stamp};
 

@@ -1,6 +1,6 @@
-//! What a machine lacks for real time, and how to give it: `vpcd --preflight`.
+//! What a machine lacks for real time, and how to provide it: `vpcd --preflight`.
 //!
-//! Facts are read from the kernel and measured first, judged by a pure function then.
+//! First, facts are read from the kernel and measured; then a pure function judges them.
 
 mod facts;
 

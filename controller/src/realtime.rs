@@ -1,6 +1,5 @@
-//! Real-time scheduling of the loop's thread, where it is asked for and permitted: SCHED_FIFO, a
-//! processor of its own, a stack that is already there, locked memory; each read back after it was
-//! asked for.
+//! Real-time scheduling of the loop's thread, if it is asked for and permitted: SCHED_FIFO, a
+//! processor of its own, a prefaulted stack, locked memory. Each is read back after it was set.
 
 use std::io;
 

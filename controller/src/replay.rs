@@ -1,10 +1,11 @@
-//! The replay: the control step again on what a recording holds, and the first bit that differs.
+//! The replay: repeats the control step on the inputs in a recording, and finds the first bit that
+//! differs.
 //!
 //! A cycle's decision is a function of what it received, of the instant for which it decided, and
-//! of the state that the cycles before left ([`crate::control`]). All of it is in a recording: each
-//! record names the messages that its cycle saw by their stamps, each reply the cycle that took its
-//! request, and every second or so there is a snapshot of the state. So a replay begins at any
-//! snapshot. Where something is missing it goes on at the next one.
+//! of the state that earlier cycles left ([`crate::control`]). All of it is in a recording: each
+//! record has the stamps of the messages that its cycle received, each reply has the cycle that
+//! took its request, and every second or so there is a snapshot of the state. So a replay can begin
+//! at any snapshot. If something is missing, it continues at the next one.
 
 pub mod command;
 mod difference;

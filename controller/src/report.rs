@@ -1,4 +1,4 @@
-//! What a run came to, as a JSON file: `vpcd --report`.
+//! The result of a run as a JSON file: `vpcd --report`.
 
 use std::path::{Path, PathBuf};
 

@@ -1,9 +1,8 @@
 //! Notifications to the service manager: readiness, status and watchdog, after `sd_notify(3)`.
 //!
-//! The ordinary thread sends them; the loop only counts its turns in [`Progress`]. A watchdog
-//! message goes out on no other occasion than a look of the ordinary thread that finds the loop
-//! moved since the look before. So it stops at once when either of the two hangs, and the loop pays
-//! one atomic addition for it.
+//! The ordinary thread sends them; the loop only counts its cycles in [`Progress`]. The ordinary
+//! thread sends a watchdog message only if the loop has moved since it last looked. So the messages
+//! stop at once when either thread hangs, and the loop pays one atomic addition for them.
 
 use std::ffi::OsString;
 use std::fmt::Display;

@@ -1,5 +1,5 @@
-//! The stack of the loop's thread: touched before the loop begins, so that no cycle meets a page
-//! for the first time, and measured when it has ended.
+//! The stack of the loop's thread: touched before the loop begins, so that no cycle faults a page,
+//! and measured when the loop has ended.
 
 use std::mem::MaybeUninit;
 
@@ -23,7 +23,8 @@ pub fn prepare() {
     let mut area: Area = [const { MaybeUninit::uninit() }; SIZE];
     let start = area.as_mut_ptr();
     for i in 0..SIZE {
-        // SAFETY: i is within the area. Volatile, because the write must happen though it is never read.
+        // SAFETY: i is within the area. Volatile, because the write must happen though it is never
+        // read.
         unsafe { start.add(i).write_volatile(MaybeUninit::new(PAINT)) };
     }
 }

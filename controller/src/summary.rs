@@ -1,4 +1,4 @@
-//! What the records of a run amount to.
+//! Sums over the records of a run.
 
 use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RecallCode, TwistState};
 use tracing::{info, warn};

@@ -1,5 +1,4 @@
-//! What a stretch of the loop's thread cost beside time: page faults, calls that blocked, calls of
-//! the heap.
+//! What a section of the loop's thread cost besides time: page faults, blocking calls, heap calls.
 
 use ipc::CycleRecord;
 

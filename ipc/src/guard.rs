@@ -7,7 +7,7 @@
 //! - `startup` is locked exclusively by a process that joins, leaves or opens a port, for as long
 //!   as that takes: one at a time.
 //! - `lock` is locked in shared mode by every participant for as long as it lives. A process that
-//!   gets it exclusively while holding `startup` is alone, and wipes what dead processes left
+//!   gets it exclusively while holding `startup` is alone, and removes what dead processes left
 //!   before it creates anything.
 //!
 //! So services are only ever created by a process that is alone in the domain; if it is killed

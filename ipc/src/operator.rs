@@ -1,4 +1,4 @@
-//! What operators ask of the controller, and what it answers.
+//! Requests of operators, and the controller's replies.
 
 use iceoryx2::prelude::ZeroCopySend;
 

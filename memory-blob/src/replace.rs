@@ -1,4 +1,4 @@
-//! The replacing of a file as a whole.
+//! Replaces a file atomically.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Write};

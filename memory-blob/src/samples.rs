@@ -2,8 +2,8 @@
 //!
 //! Samples are stored in the order of a k-d tree, 32 to a block, each block with its bounding box,
 //! and 16 blocks to a group with one of its own. A search visits groups and blocks by their lower
-//! bounds and skips what cannot hold a nearer sample, so the answer is that of comparing with every
-//! sample, at a small part of the work.
+//! bounds and skips what cannot hold a nearer sample. So the answer is that of an exhaustive
+//! search, at a small part of the work.
 
 use crate::view::Scaling;
 use crate::{MAX_INPUTS, MAX_NEIGHBOURS, QueryError};

@@ -1,4 +1,5 @@
-//! From the loop to the ordinary thread: wait-free queues, and a flag that requests a flight record.
+//! From the loop to the ordinary thread: wait-free queues, and a flag that requests a flight
+//! record.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

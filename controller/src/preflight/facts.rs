@@ -1,4 +1,4 @@
-//! What the kernel says about this machine, and what a second of waking up says.
+//! Facts about this machine: from the kernel, and from a second of measured wake-ups.
 
 use std::fs;
 use std::path::Path;

@@ -1,10 +1,10 @@
 //! Delay compensation: from the features of an exposure to those of the instant at which the new
 //! command takes effect, along the commands that were sent meanwhile.
 //!
-//! A camera delivers s(t_e) at t_e + d. Between, it was carried by commands that this side knows,
-//! because it sent them: v_i from t_i to t_{i+1}. So the features of now follow from those of the
-//! exposure by the model, piece by piece: with [`Model::Pose`] by the product of the rigid motions,
-//! exp(-(t_{i+1} - t_i) v_i) X, which is exact; with the others by integrating s' = L(s, Z) v_i.
+//! A camera delivers s(t_e) at t_e + d. In between, the commands that the controller sent moved it:
+//! v_i from t_i to t_{i+1}. So the model gives the present features from those of the exposure,
+//! piece by piece: with [`Model::Pose`] by the product of the rigid motions, exp(-(t_{i+1} - t_i)
+//! v_i) X, which is exact; with the others by integrating s' = L(s, Z) v_i.
 //!
 //! Source: paper, Eq. (model), with the sampling time replaced by the length of each piece.
 

@@ -1,9 +1,8 @@
 //! The clearance from an area of a mask: a quadratic B-spline over the nodes of its field.
 //!
-//! Three nodes a side weigh in at each point, so that the clearance and its gradient are
-//! continuous, linear functions come back exactly, and a query costs nine numbers. The scene's
-//! coefficients hold the spline below the signed Euclidean distance near the border, so that no
-//! margin is needed on top.
+//! Three by three nodes contribute at each point, so that the clearance and its gradient are
+//! continuous and linear functions are reproduced exactly. The scene's coefficients keep the spline
+//! below the signed Euclidean distance near the border, so that no further margin is needed.
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: the weights keep the three nodes of a side inside the grid"

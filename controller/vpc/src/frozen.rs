@@ -1,4 +1,4 @@
-//! The frozen-image check: a driver may hand out its last image for ever, with fresh stamps.
+//! The frozen-image check: a driver may deliver its last image for ever, with fresh stamps.
 
 use crate::Points;
 use crate::measurement::Refusal;

@@ -1,5 +1,5 @@
-//! The last word before a command leaves: finite, inside the velocity box, and not worse than
-//! standing still.
+//! The last check of a command: finite, inside the velocity limits, and not worse than standing
+//! still.
 
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution};

@@ -1,4 +1,4 @@
-//! Prediction of the features over the preview window, with exact first derivatives.
+//! Prediction of the features over a window, with exact first derivatives.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|

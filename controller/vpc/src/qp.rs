@@ -5,9 +5,9 @@
 //!
 //! The exact (L1) penalty caps the multiplier of a row at rho. The dual method starts at the
 //! unconstrained minimum and adds violated constraints one by one; when a row's multiplier reaches
-//! its cap the row *yields*: it stays violated, its pull rho a_i joins the linear term, and from
-//! then on it counts as violated when it is satisfied. Bounds never yield, so the answer is inside
-//! them whatever the rows ask for, and the program always has a solution.
+//! its cap the row *yields*: it stays violated, its gradient rho a_i joins the linear term, and
+//! from then on it counts as violated when it is satisfied. Bounds never yield, so the answer is
+//! always inside them, and the program always has a solution.
 //!
 //! The number of variables is part of the type: every inner loop has a fixed length.
 //!

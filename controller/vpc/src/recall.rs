@@ -1,4 +1,4 @@
-//! Recall: when to ask the memory, and what it says.
+//! Recall: when to ask the memory, and how to use its answer.
 
 use crate::settings::{Settings, Strategy};
 use crate::task::Task;

@@ -1,4 +1,4 @@
-//! The robot's state in every millisecond: the fields of the real one, as far as they are modelled.
+//! The robot's state in every millisecond: the modelled fields of the real one.
 
 use crate::errors::Errors;
 use crate::kinematics::{Joints, Pose, Twist};

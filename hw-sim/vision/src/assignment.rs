@@ -1,8 +1,8 @@
 //! Which disc is which marker, from the arrangement of the pattern alone.
 //!
-//! Discs look alike. An assignment is possible where it turns the pattern by less than `turn_max`
+//! Discs look alike. An assignment is possible if it turns the pattern by less than `turn_max`
 //! against the reference, does not mirror it, and does not squeeze it more than a tilted view
-//! could. It is taken only where it is the only one.
+//! could. It is used only if it is the only possible one.
 
 use scene::MAX_POINTS;
 

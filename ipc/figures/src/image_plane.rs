@@ -1,4 +1,4 @@
-//! The image plane: paths of the features among the occlusions.
+//! The image plane: paths of the features past the occlusions.
 
 use scene::Scene;
 

@@ -1,4 +1,4 @@
-//! A configuration file with the flags of the command line over it.
+//! A configuration file, overridden by the flags of the command line.
 
 use std::collections::BTreeMap;
 use std::path::Path;

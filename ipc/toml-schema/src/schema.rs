@@ -1,4 +1,4 @@
-//! The JSON Schema of a file, and what it says in words.
+//! The JSON Schema of a file, and its rules in words.
 
 use schemars::generate::SchemaSettings;
 use schemars::transform::{RecursiveTransform, transform_subschemas};

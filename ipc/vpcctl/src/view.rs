@@ -1,4 +1,4 @@
-//! What is known of a daemon from watching it: pure bookkeeping, message by message.
+//! The daemon's state as its messages show it; pure.
 
 use std::collections::{BTreeMap, VecDeque};
 

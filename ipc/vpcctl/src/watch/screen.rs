@@ -1,4 +1,4 @@
-//! The screen: pure drawing of what is known at an instant.
+//! The screen: draws a view at an instant; pure.
 
 use ipc::Hold;
 use ratatui::Frame;
