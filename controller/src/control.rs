@@ -31,7 +31,7 @@ pub struct State {
     pub robot: RobotWatch,
     pub law: vpc::State,
     pub supervisor: Supervisor,
-    /// The last command of the law, for cycles without news.
+    /// The last command of the law, for cycles without new features.
     pub standing: Answer,
 }
 
@@ -79,7 +79,7 @@ impl ControlStep {
         }
     }
 
-    /// Goes on from a state of this control step, or of another one with the same scene, memory and
+    /// Continues from a state of this control step, or of another one with the same scene, memory and
     /// settings.
     pub fn restore(&mut self, state: &State) {
         self.gate = state.gate;

@@ -34,9 +34,9 @@ const REQUESTS: usize = 16;
 pub struct Pace {
     /// What starts a cycle.
     pub clock: ClockMode,
-    /// The period of the fixed clock, ns; lockstep does not look at it.
+    /// The period of the fixed clock, ns; unused in lockstep.
     pub period_ns: u64,
-    /// Periods for which a command may stand without news.
+    /// Periods for which a command is valid without new features.
     pub stale_periods: f64,
     /// Settings of the supervisor.
     pub rules: Rules,
@@ -270,8 +270,8 @@ impl Cycle {
         }
     }
 
-    /// Hands the requests of operators to the control step. Those without a head are passed over
-    /// here; the recorder, which reads along, logs them.
+    /// Passes the requests of operators to the control step. Those without a head are skipped here;
+    /// the ordinary thread, which also receives them, logs them.
     fn take_requests(&mut self) {
         for _ in 0..REQUESTS {
             match self.ports.requests.oldest() {

@@ -6,7 +6,7 @@
 pub enum Exit {
     /// Stopped by a signal or after the cycles asked for.
     Ok = 0,
-    /// The answer is no: the machine is unfit for real time, or a replay differs.
+    /// The machine is unfit for real time, or a replay differs.
     No = 1,
     /// The command line is wrong.
     Usage = 64,

@@ -16,7 +16,7 @@ pub const FILE: &str = "vpcd.pid";
 pub enum InstanceError {
     /// Another daemon has it.
     #[error(
-        "domain {directory}: another vpcd is at work, process {holder}; end it (it may be stopped), or use another domain"
+        "domain {directory}: another vpcd is at work, process {holder}; end it (also if it is stopped), or use another domain"
     )]
     Taken {
         /// The domain's directory.

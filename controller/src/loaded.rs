@@ -22,7 +22,7 @@ pub enum LoadError {
     /// Scene and settings do not give a task.
     #[error("{path}: {source}")]
     Task { path: String, source: SettingsError },
-    #[error("no thread to set up the controller: {0}")]
+    #[error("cannot start the thread that sets up the controller: {0}")]
     Thread(std::io::Error),
     #[error(transparent)]
     Memory(#[from] OpenError),

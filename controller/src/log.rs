@@ -62,7 +62,7 @@ pub fn start(config: &Config) -> std::io::Result<Log> {
 }
 
 /// Writes a failure to standard error, before or after the log; in the journal with the priority of
-/// an error. Who does not read it does not hold up the end.
+/// an error. An unread pipe does not delay the end of the process.
 pub fn complain(message: &str) {
     let priority = if is_journal() { "<3>" } else { "" };
     let lines: String = format!("vpcd: {message}")

@@ -23,7 +23,7 @@ use source::Source;
 
 pub use difference::Difference;
 
-/// What a replay without a difference came to.
+/// The result of a replay without a difference.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Report {
     /// Cycles that gave the same bits.
@@ -34,14 +34,14 @@ pub struct Report {
     pub last: u64,
     /// Snapshots that the state was compared with on the way.
     pub snapshots_compared: u64,
-    /// Snapshots from which the replay began, or began again after something that is missing.
+    /// Snapshots from which the replay began, or began again after a missing message.
     pub snapshots_restored: u64,
-    /// Cycles of which nothing can be said: before the first snapshot, or between something missing
-    /// and the next.
+    /// Cycles that could not be replayed: those before the first snapshot, and from a missing message
+    /// to the next snapshot.
     pub skipped: u64,
 }
 
-/// Why a replay did not come to its end.
+/// Why a replay ended early.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ReplayError {

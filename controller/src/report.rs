@@ -28,13 +28,13 @@ pub struct Report {
     pub recalled: u64,
     /// Releases missed.
     pub overruns: u64,
-    /// Records that the recorder lost: missing from everything below.
+    /// Records that were lost: everything below lacks them.
     pub lost_records: u64,
     /// Lines of the log that were lost.
     pub lost_lines: u64,
     /// Wake-up after the release, ns; 0 in lockstep.
     pub wake_ns: Percentiles,
-    /// Receiving and judging, ns.
+    /// Time taken by receiving, ns.
     pub receive_ns: Percentiles,
     /// The law, ns.
     pub step_ns: Percentiles,

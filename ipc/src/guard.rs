@@ -174,7 +174,7 @@ mod tests {
         let _stopped = Startup::take(directory.path(), PATIENCE).unwrap();
         let error = Startup::take(directory.path(), Duration::from_millis(3)).unwrap_err();
         let message = error.to_string();
-        assert!(message.contains("is joining or leaving"), "{message}");
+        assert!(message.contains("joining or leaving"), "{message}");
     }
 
     #[test]
