@@ -79,8 +79,8 @@ impl ControlStep {
         }
     }
 
-    /// Continues from a state of this control step, or of another one with the same scene, memory and
-    /// settings.
+    /// Continues from a state of this control step, or of another one with the same scene, memory
+    /// and settings.
     pub fn restore(&mut self, state: &State) {
         self.gate = state.gate;
         self.robot = state.robot;

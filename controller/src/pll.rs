@@ -80,8 +80,8 @@ impl CameraPll {
         }
     }
 
-    /// Takes a frame that has come. One from the future is ignored: no later one would be newer, and
-    /// no silence after it long enough.
+    /// Takes a frame that has come. One from the future is ignored: no later one would be newer,
+    /// and no silence after it long enough.
     pub fn hear(&mut self, stamp: &Stamp, now_ns: u64) {
         if stamp.published_ns > now_ns.saturating_add(FUTURE_NS) {
             return;

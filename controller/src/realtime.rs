@@ -25,9 +25,9 @@ pub struct RealtimeRequest {
 }
 
 /// Gives the calling thread what it asks for, as far as that is permitted, and reads back what it
-/// got. If something is missing the daemon runs degraded: this function logs it once, and status and
-/// telemetry show the returned bits all the time. Late cycles are counted, and stale commands stop
-/// the camera.
+/// got. If something is missing the daemon runs degraded: this function logs it once, and status
+/// and telemetry show the returned bits all the time. Late cycles are counted, and stale commands
+/// stop the camera.
 pub fn enter(wanted: RealtimeRequest) -> RealTime {
     let mut bits = RealTime::ASKED;
     let mut lacks = Vec::new();

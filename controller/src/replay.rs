@@ -36,8 +36,8 @@ pub struct Report {
     pub snapshots_compared: u64,
     /// Snapshots from which the replay began, or began again after a missing message.
     pub snapshots_restored: u64,
-    /// Cycles that could not be replayed: those before the first snapshot, and from a missing message
-    /// to the next snapshot.
+    /// Cycles that could not be replayed: those before the first snapshot, and from a missing
+    /// message to the next snapshot.
     pub skipped: u64,
 }
 

@@ -43,17 +43,17 @@ pub enum ServiceError {
     Socket(#[from] io::Error),
 }
 
-/// Turns that the loop has made. The loop adds, the ordinary thread reads.
+/// Cycles that the loop has made. The loop adds, the ordinary thread reads.
 #[derive(Clone, Debug, Default)]
 pub struct Progress(Arc<AtomicU64>);
 
 impl Progress {
-    /// One more turn. Neither allocates nor waits.
+    /// Counts one more cycle. Neither allocates nor waits.
     pub fn advance(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Turns so far. Relaxed: nothing else is handed over with the count.
+    /// Cycles so far. Relaxed: no other data is published with the count.
     pub fn count(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
@@ -67,8 +67,8 @@ pub struct Service {
 }
 
 impl Service {
-    /// Reads `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. Where there is no service
-    /// manager, nobody is told anything.
+    /// Reads `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. Without a service manager,
+    /// notifications do nothing.
     ///
     /// # Errors
     /// [`ServiceError`] names a malformed variable, or a watchdog interval that a loop with this
@@ -110,7 +110,7 @@ impl Service {
         Ok(Self { line, watchdog })
     }
 
-    /// Leaves a failure behind as the status that `systemctl status` shows of a daemon that ended.
+    /// Sends a failure as the status that `systemctl status` shows after the daemon ended.
     pub fn leave(&self, failure: &str) {
         if let Some(line) = &self.line {
             // The exit code and standard error tell it as well.
@@ -212,7 +212,7 @@ impl Schedule {
         }
     }
 
-    /// What is due has reached the manager.
+    /// Notes that what was due has reached the manager.
     fn done(&mut self, now: Instant, due: Due) {
         self.is_ready |= due.ready;
         self.is_stopping |= due.stopping;
@@ -291,7 +291,7 @@ impl Notifier {
         self.tell_stillness();
     }
 
-    /// The last word, when the loop has ended for whatever reason.
+    /// The last status, after the loop has ended for whatever reason.
     pub fn end(&mut self, status: impl FnOnce() -> String) {
         self.schedule.told = None;
         self.say_due(status, true);

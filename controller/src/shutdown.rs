@@ -12,8 +12,9 @@ use signal_hook::flag;
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// A stop flag that SIGTERM and SIGINT set. Further ones change nothing: an impatient operator
-    /// must not cut a controlled stop short. What does not end by them ends by SIGQUIT or SIGKILL.
+    /// A stop flag that SIGTERM and SIGINT set. Repeating them changes nothing: an impatient
+    /// operator must not cut a controlled stop short. SIGQUIT and SIGKILL end a daemon that does
+    /// not stop.
     ///
     /// # Errors
     /// Where the operating system refuses the handlers.
@@ -30,7 +31,7 @@ impl Stop {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether to stop. Relaxed: nothing else is handed over with the flag.
+    /// Whether to stop. Relaxed: no other data is published with the flag.
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }

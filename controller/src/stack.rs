@@ -6,7 +6,7 @@ use std::mem::MaybeUninit;
 /// Bytes touched below the caller: eight times what a cycle with a memory was seen to use (48 KiB
 /// without full optimization; `stack_used_bytes` of `vpcd --report`).
 pub const SIZE: usize = 384 << 10;
-/// A page: what is measured in.
+/// A page, the unit of the measurement.
 const PAGE: usize = 4096;
 /// What untouched stack is painted with.
 const PAINT: u8 = 0xA5;

@@ -34,12 +34,12 @@ pub enum RecorderError {
     Thread(#[from] std::io::Error),
     #[error("the recorder's thread ended before it was ready")]
     Gone,
-    /// Nobody logs, feeds the watchdog, or keeps flight records any more.
+    /// Without it there is no log, no watchdog message and no flight record.
     #[error("the recorder's thread ended before the loop")]
     Died,
 }
 
-/// The ordinary thread's things. Shared-memory ports stay in their thread, so it joins the domain
+/// What the ordinary thread owns. Shared-memory ports stay in their thread, so it joins the domain
 /// for itself.
 pub struct Telemetry {
     /// What the loop leaves.

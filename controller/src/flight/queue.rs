@@ -33,8 +33,8 @@ impl DumpRequest {
         Ok(request)
     }
 
-    /// Asks for it. Wait-free. Release: what was recorded before is seen by whoever takes the
-    /// request.
+    /// Requests it. Wait-free. Release: the thread that takes the request sees what was recorded
+    /// before.
     pub fn make(&self) {
         self.0.store(true, Ordering::Release);
     }

@@ -92,8 +92,8 @@ impl Controller {
         self.state.history.forget();
     }
 
-    /// Records that `twist` was really sent at `at_ns`, whoever chose it: zero, repeated and
-    /// braking ones too.
+    /// Records that `twist` was really sent at `at_ns`, also a zero, repeated or braking one that
+    /// the law did not choose.
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
     }
@@ -263,8 +263,8 @@ impl Controller {
             .inspect_err(|_| self.lose_sight())
     }
 
-    /// Where these features were expected: predicted for this exposure from the one before, with
-    /// the commands that were in force between.
+    /// Where these features were expected: predicted for this exposure from the previous one, with
+    /// the commands that were in force in between.
     fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<Points> {
         if age_ns == 0 && !self.state.history.is_live() {
             return self.state.predicted.get();
@@ -298,7 +298,7 @@ impl Controller {
         }
     }
 
-    /// What the memory says, where features are near an occlusion.
+    /// The memory's answer, if features are near an occlusion.
     fn recall(
         &mut self,
         points: &Points,

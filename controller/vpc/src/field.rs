@@ -37,7 +37,7 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// What the three nodes about a coordinate weigh.
+/// The weights of the three nodes about a coordinate.
 struct Weights {
     value: [f64; 3],
     /// Derivatives of the weights, 1/px.

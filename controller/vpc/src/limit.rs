@@ -12,7 +12,7 @@ const HALVINGS: usize = 6;
 pub const SLACK: f64 = 0.25;
 
 /// The first command of a solution, slowed down until its first step violates no constraint more
-/// than standing still does, and clamped to the limits. A command that cannot be made so is zero.
+/// than standing still does, and clamped to the limits; zero if no halving achieves this.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
     let allowed = problem.worst_violation(&problem.initial.points) + SLACK;
     let mut plan = solution.plan;
