@@ -181,7 +181,7 @@ impl Cycle {
         record.receive_ns = inputs.now_ns.saturating_sub(woken_ns);
         record.step_ns = decided_ns.saturating_sub(inputs.now_ns);
         record.send_ns = now_ns().saturating_sub(decided_ns);
-        self.woken.tell(&mut record);
+        self.woken.record_usage(&mut record);
         self.reply();
         self.finish(&inputs, &answer, &mut record);
         sent.map(|()| Some(record))

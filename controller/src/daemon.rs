@@ -253,7 +253,7 @@ fn report(
     machine: Report,
     log: &Log,
 ) -> Result<(), Failure> {
-    summary.tell();
+    summary.log_end();
     let Some(path) = &arguments.report else {
         return Ok(());
     };

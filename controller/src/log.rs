@@ -76,7 +76,7 @@ pub fn complain(message: &str) {
         tv_nsec: 100_000_000,
     };
     if poll(&mut writable, Some(&patience)).is_ok_and(|ready| ready > 0) {
-        // There is nobody else to tell that nobody listens.
+        // A failure to write to standard error has no other place to go.
         let _ = error.write_all(lines.as_bytes());
     }
 }

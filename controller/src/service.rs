@@ -113,7 +113,7 @@ impl Service {
     /// Sends a failure as the status that `systemctl status` shows after the daemon ended.
     pub fn leave(&self, failure: &str) {
         if let Some(line) = &self.line {
-            // The exit code and standard error tell it as well.
+            // The exit code and standard error say it as well.
             let _ = line.say(&format!("STATUS={}", one_line(failure)));
         }
     }
@@ -225,7 +225,7 @@ impl Schedule {
     }
 
     /// How long the loop has been standing still, if for longer than is normal.
-    fn stillness(&self, now: Instant, most: Duration) -> Option<Duration> {
+    fn standstill(&self, now: Instant, most: Duration) -> Option<Duration> {
         let still = now.saturating_duration_since(self.moved);
         (still >= most).then_some(still)
     }
@@ -237,7 +237,7 @@ pub struct Notifier {
     line: Option<Socket>,
     schedule: Schedule,
     /// Standstill that is logged.
-    most_still: Duration,
+    longest_standstill: Duration,
     is_still: bool,
     is_cut: bool,
     progress: Progress,
@@ -270,7 +270,7 @@ impl Notifier {
         Self {
             line: service.line,
             schedule: Schedule::new(service.watchdog, Instant::now()),
-            most_still: STILL.max(LEAST_PERIODS * period),
+            longest_standstill: STILL.max(LEAST_PERIODS * period),
             is_still: false,
             is_cut: false,
             progress,
@@ -288,7 +288,7 @@ impl Notifier {
             );
         }
         self.say_due(status, self.stop.is_asked());
-        self.tell_stillness();
+        self.log_standstill();
     }
 
     /// The last status, after the loop has ended for whatever reason.
@@ -314,7 +314,7 @@ impl Notifier {
             }
         }
         if due.status {
-            let still = match self.schedule.stillness(now, self.most_still) {
+            let still = match self.schedule.standstill(now, self.longest_standstill) {
                 Some(still) => format!("LOOP STANDS STILL for {:.1} s; ", still.as_secs_f64()),
                 None => String::new(),
             };
@@ -338,8 +338,8 @@ impl Notifier {
         }
     }
 
-    fn tell_stillness(&mut self) {
-        let still = self.schedule.stillness(Instant::now(), self.most_still);
+    fn log_standstill(&mut self) {
+        let still = self.schedule.standstill(Instant::now(), self.longest_standstill);
         if still.is_some() != self.is_still {
             self.is_still = still.is_some();
             let cycle = self.schedule.count;
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_manager_there_is_nobody_to_tell() {
+    fn without_a_manager_notifications_do_nothing() {
         let service = parse(&[("WATCHDOG_USEC", "1000000")]).unwrap();
         assert!(service.line.is_none() && service.watchdog.is_none());
     }
@@ -473,7 +473,7 @@ mod tests {
         let widest = fed.windows(2).map(|pair| pair[1] - pair[0]).max();
         assert!(fed.len() == 4 && widest <= Some(interval / 2), "{fed:?}");
         assert_eq!(
-            schedule.stillness(now, STILL).map(|still| still.as_secs()),
+            schedule.standstill(now, STILL).map(|still| still.as_secs()),
             Some(8)
         );
     }

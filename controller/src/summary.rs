@@ -50,7 +50,7 @@ impl Summary {
         self.recalled += u64::from(record.recalled == RecallCode::Followed.code());
         self.realtime = RealTime(record.realtime);
         self.count_costs(record);
-        self.tell_changes(record);
+        self.log_changes(record);
         self.phase = record.phase;
         (self.state, self.hold) = (record.state, record.hold);
         self.error_px = record.error_px;
@@ -71,7 +71,7 @@ impl Summary {
         }
     }
 
-    fn tell_changes(&self, record: &CycleRecord) {
+    fn log_changes(&self, record: &CycleRecord) {
         let cycle = record.cycle;
         if let Some(phase) = PhaseCode::from_code(record.phase)
             && record.phase != self.phase
@@ -169,7 +169,7 @@ impl Summary {
     }
 
     /// Writes the end of a run to the log.
-    pub fn tell(&self) {
+    pub fn log_end(&self) {
         for (stage, histogram) in STAGES.iter().zip(&self.times) {
             let us = |ns: u64| ns as f64 / 1e3;
             let found = histogram.percentiles();
