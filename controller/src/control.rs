@@ -19,7 +19,7 @@ use crate::supervisor::{Rules, Situation, Supervisor};
 pub struct Answer {
     /// Head of the features message that it answers; all zero if there is none.
     pub stamp: Stamp,
-    /// The command.
+    /// Twist, state and reason of the hold.
     pub decision: Decision,
 }
 
@@ -89,7 +89,7 @@ impl ControlStep {
         self.standing = state.standing;
     }
 
-    /// The loaded controller.
+    /// The law with its scene and memory.
     pub fn loaded(&self) -> &LoadedController {
         &self.loaded
     }

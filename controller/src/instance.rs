@@ -27,7 +27,7 @@ pub enum InstanceError {
     /// The file cannot be used.
     #[error("{path}: cannot claim the domain: {source}")]
     File {
-        /// The file.
+        /// Path of the file, as given.
         path: String,
         /// The operating system's reason.
         source: io::Error,

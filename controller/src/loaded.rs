@@ -50,7 +50,7 @@ impl LoadError {
     }
 }
 
-/// The loaded controller.
+/// The law with its scene and memory of motion.
 pub struct LoadedController {
     /// Large: it stays where it is.
     pub controller: Box<vpc::Controller>,
@@ -117,7 +117,7 @@ impl LoadedController {
     /// One step of the law. Never allocates.
     ///
     /// # Errors
-    /// [`vpc::Refusal`] where the features cannot be trusted.
+    /// [`vpc::Refusal`] if the features cannot be trusted.
     pub fn step(&mut self, measurement: &vpc::Measurement) -> Result<vpc::Step, vpc::Refusal> {
         let view = self.memory.as_ref().map(MemoryFile::view);
         let memory = view.as_ref().map(|view| view as &dyn MotionMemory);

@@ -36,7 +36,7 @@ impl Drop for Log {
 /// Starts logging as configured.
 ///
 /// # Errors
-/// Where the writer's thread cannot be started.
+/// If the writer's thread cannot be started.
 pub fn start(config: &Config) -> std::io::Result<Log> {
     // The level was checked; a filter is never read from the environment.
     let filter = EnvFilter::new(&config.log_level);
@@ -81,7 +81,7 @@ pub fn complain(message: &str) {
     }
 }
 
-/// The journal with its fields, which carry our name: `VPCD_CYCLE=`. None where it cannot be
+/// The journal with its fields, which carry our name: `VPCD_CYCLE=`. None if it cannot be
 /// reached.
 fn journal() -> Option<tracing_journald::Layer> {
     let layer = is_journal()

@@ -33,7 +33,7 @@ impl Lossy {
     /// A writer in front of `slow`.
     ///
     /// # Errors
-    /// Where the thread cannot be started.
+    /// If the thread cannot be started.
     pub fn new(slow: impl Write + Send + 'static) -> io::Result<Self> {
         let (lines, queue) = sync_channel(QUEUE);
         let counts = Arc::new(Counts::default());

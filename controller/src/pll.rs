@@ -126,7 +126,7 @@ impl CameraPll {
         (self.code, self.error as i64)
     }
 
-    /// From this release to a wanted one, and the camera's period; `None` where nothing is known.
+    /// From this release to a wanted one, and the camera's period; `None` if nothing is known.
     fn wanted(&mut self, release_ns: u64) -> Option<(f64, f64)> {
         let beat = self.beat.as_ref()?;
         let silence = release_ns.saturating_sub(beat.last_ns) as f64;

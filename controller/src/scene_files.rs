@@ -15,7 +15,7 @@ use scene::{FileError, Scene};
 #[allow(missing_docs)]
 pub struct SceneFiles {
     pub scene: Scene,
-    /// The scene file.
+    /// The text of the scene file (TOML).
     pub text: String,
     /// Its masks (PNG), by the names that it gives them.
     pub masks: BTreeMap<String, Vec<u8>>,

@@ -17,7 +17,7 @@ impl Stop {
     /// not stop.
     ///
     /// # Errors
-    /// Where the operating system refuses the handlers.
+    /// If the operating system refuses the handlers.
     pub fn by_signals() -> io::Result<Self> {
         let stop = Self::default();
         for signal in [SIGTERM, SIGINT] {
@@ -45,7 +45,7 @@ impl Hangup {
     /// A flag that SIGHUP sets.
     ///
     /// # Errors
-    /// Where the operating system refuses the handler.
+    /// If the operating system refuses the handler.
     pub fn by_signal() -> io::Result<Self> {
         let hangup = Self::default();
         flag::register(SIGHUP, Arc::clone(&hangup.0))?;

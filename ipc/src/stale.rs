@@ -39,7 +39,7 @@ struct Nodes {
 }
 
 impl Nodes {
-    /// `None` where iceoryx2 cannot tell.
+    /// `None` if iceoryx2 cannot tell.
     fn list(config: &Config) -> Option<Self> {
         let (mut alive, mut dead) = (BTreeSet::new(), Vec::new());
         let listed = Node::<Service>::list(config, |state| {

@@ -110,7 +110,7 @@ impl<'a> Samples<'a> {
     /// Writes the raw input of a sample.
     ///
     /// # Errors
-    /// [`QueryError`] where the length is wrong.
+    /// [`QueryError`] if the length is wrong.
     pub fn input(&self, index: usize, input: &mut [f64]) -> Result<(), QueryError> {
         let (n, found) = (self.inputs(), input.len());
         if found != n {
@@ -134,7 +134,7 @@ impl<'a> Samples<'a> {
     /// Source: paper, Eq. (knn).
     ///
     /// # Errors
-    /// [`QueryError`] where a length, `k` or an entry of the input is wrong.
+    /// [`QueryError`] if a length, `k` or an entry of the input is wrong.
     pub fn nearest(
         &self,
         input: &[f64],

@@ -26,7 +26,7 @@ impl DumpRequest {
     /// A request that SIGUSR1 makes as well.
     ///
     /// # Errors
-    /// Where the operating system refuses the handler.
+    /// If the operating system refuses the handler.
     pub fn by_signal() -> std::io::Result<Self> {
         let request = Self::default();
         signal_hook::flag::register(signal_hook::consts::SIGUSR1, Arc::clone(&request.0))?;

@@ -63,7 +63,7 @@ impl Controller {
     /// A controller for a scene.
     ///
     /// # Errors
-    /// [`SettingsError`] where a setting is out of range or the goal of the scene cannot be seen.
+    /// [`SettingsError`] if a setting is out of range or the goal of the scene cannot be seen.
     pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SettingsError> {
         settings.check()?;
         Ok(Self {
@@ -131,7 +131,7 @@ impl Controller {
     /// Changes the strategy from the next cycle on; what earlier cycles left stays.
     ///
     /// # Errors
-    /// [`SettingsError`] where the neighbours of k-NN are out of range; nothing changes then.
+    /// [`SettingsError`] if the neighbours of k-NN are out of range; nothing changes then.
     pub fn set_strategy(&mut self, strategy: Strategy) -> Result<(), SettingsError> {
         let settings = Settings {
             strategy,
@@ -171,7 +171,7 @@ impl Controller {
     /// One cycle: measured features in, camera twist out. Never allocates; its work is bounded.
     ///
     /// # Errors
-    /// [`Refusal`] where the features cannot be trusted: send the zero twist.
+    /// [`Refusal`] if the features cannot be trusted: send the zero twist.
     pub fn step(
         &mut self,
         measurement: &Measurement,

@@ -130,7 +130,7 @@ impl History {
     /// bounded.
     ///
     /// # Errors
-    /// [`Unpredictable`] where the commands are not known, or lead where no camera sees.
+    /// [`Unpredictable`] if the commands are not known, or lead where no camera sees.
     pub fn advance(
         &self,
         task: &Task,

@@ -27,7 +27,7 @@ impl PlainPoints {
         points: [[0.0; 2]; MAX_POINTS],
     };
 
-    /// The points; `None` where there are none.
+    /// The points; `None` if there are none.
     pub fn get(&self) -> Option<Points> {
         let points = self.points.iter().copied();
         (self.count > 0).then(|| points.take(self.count as usize).collect())

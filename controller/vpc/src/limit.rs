@@ -27,12 +27,12 @@ pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) 
     [0.0; DOF]
 }
 
-/// The first command of a plan, clamped; zero where a component is not finite.
+/// The first command of a plan, clamped; zero if a component is not finite.
 pub fn twist(plan: &Plan, limits: &Twist) -> Twist {
     clamp(plan.first_chunk().unwrap_or(&[0.0; DOF]), limits)
 }
 
-/// A twist inside the limits, component by component; zero where a component is not finite.
+/// A twist inside the limits, component by component; zero if a component is not finite.
 pub fn clamp(twist: &Twist, limits: &Twist) -> Twist {
     if !twist.iter().all(|x| x.is_finite()) {
         return [0.0; DOF];

@@ -43,7 +43,7 @@ impl Default for ShaperSettings {
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error("shaper: {key} is {value}, allowed is a number above 0")]
 pub struct ShaperError {
-    /// The setting.
+    /// Name of the setting in [`ShaperSettings`].
     pub key: &'static str,
     /// Its value.
     pub value: f64,

@@ -33,7 +33,7 @@ pub struct State {
     pub f_t_ee: Pose,
     /// Velocity of the end effector's origin along base axes, of the desired joints.
     pub o_dp_ee_d: Twist,
-    /// The last commanded velocity, or its extrapolation; zero where no Cartesian motion runs.
+    /// The last commanded velocity, or its extrapolation; zero if no Cartesian motion runs.
     pub o_dp_ee_c: Twist,
     /// Its difference quotient, m/s^2 and rad/s^2.
     pub o_ddp_ee_c: Twist,
@@ -48,6 +48,6 @@ pub struct State {
     pub current_errors: Errors,
     /// Errors that ended the last motion.
     pub last_motion_errors: Errors,
-    /// Share of the last 100 commands that came in time, 0 to 1; 0 where no motion runs.
+    /// Share of the last 100 commands that came in time, 0 to 1; 0 if no motion runs.
     pub control_command_success_rate: f64,
 }

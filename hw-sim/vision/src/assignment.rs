@@ -19,7 +19,7 @@ const NEAR: f64 = 0.2;
 /// The disc of each marker, if any.
 pub(crate) type Assignment = [Option<usize>; MAX_POINTS];
 
-/// The turn of an affine view, rad, and the ratio of its singular values; none where it mirrors.
+/// The turn of an affine view, rad, and the ratio of its singular values; none if it mirrors.
 pub(crate) fn view(map: &Homography) -> Option<(f64, f64)> {
     let [a, b, c, d] = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|at| map.0[at]);
     let determinant = a * d - b * c;

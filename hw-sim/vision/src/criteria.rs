@@ -24,7 +24,7 @@ pub enum DetectorError {
     /// A setting is out of its range.
     #[error("detector: {key} = {value}; allowed: {allowed}")]
     Value {
-        /// The field.
+        /// Name of the field in the settings.
         key: &'static str,
         /// What was found.
         value: String,

@@ -54,7 +54,7 @@ impl Detector {
     /// pattern to be turned as at the scene's goal, give or take 80 deg.
     ///
     /// # Errors
-    /// [`DetectorError::Value`] where a setting is out of its range.
+    /// [`DetectorError::Value`] if a setting is out of its range.
     pub fn new(scene: &Scene, settings: &DetectorSettings) -> Result<Self, DetectorError> {
         settings.check()?;
         let camera = scene.camera;
@@ -90,7 +90,7 @@ impl Detector {
     /// Finds the markers in the next frame.
     ///
     /// # Errors
-    /// [`DetectorError::Size`] where the image is not of the scene's size.
+    /// [`DetectorError::Size`] if the image is not of the scene's size.
     pub fn detect(&mut self, image: &Image) -> Result<&Sightings, DetectorError> {
         let expected = [self.camera.width as usize, self.camera.height as usize];
         let found = [image.width(), image.height()];
@@ -116,7 +116,7 @@ impl Detector {
         bits.map(|(i, marker)| u32::from(marker.visible) << i).sum()
     }
 
-    /// Follows the markers into this frame; false where they are lost.
+    /// Follows the markers into this frame; false if they are lost.
     fn track(&mut self, image: &Image) -> bool {
         // First the markers that were seen in the last frame, from where they are going to be.
         let before = self.sightings.clone();
@@ -216,7 +216,7 @@ impl Detector {
         self.levels = disc.levels;
     }
 
-    /// Brings the chart into line with the markers that are visible; false where they do not look
+    /// Brings the chart into line with the markers that are visible; false if they do not look
     /// like the pattern.
     fn fit(&mut self) -> bool {
         let pairs = self.pairs();

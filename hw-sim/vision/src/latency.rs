@@ -77,7 +77,7 @@ impl<T> Transit<T> {
     /// Nothing under way yet. Memory for 64 frames is taken here.
     ///
     /// # Errors
-    /// [`LatencyError`] where a value is out of range.
+    /// [`LatencyError`] if a value is out of range.
     pub fn new(latency: Latency) -> Result<Self, LatencyError> {
         let Latency {
             latency_ns,

@@ -45,7 +45,7 @@ impl Renderer {
     /// hides it.
     ///
     /// # Errors
-    /// [`ImageError`] where the size of the scene's image is out of range.
+    /// [`ImageError`] if the size of the scene's image is out of range.
     pub fn new(scene: &Scene, look: &Look) -> Result<Self, ImageError> {
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
         let image = Image::new(width, height)?;

@@ -52,7 +52,7 @@ pub fn not_run(what: &str, why: impl Display) {
     tell(line);
 }
 
-/// Returns whether this process is root; calls [`not_run`] where not.
+/// Returns whether this process is root; calls [`not_run`] if not.
 pub fn is_root(what: &str) -> bool {
     let is_root = rustix::process::geteuid().is_root();
     if !is_root {

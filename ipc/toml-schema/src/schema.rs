@@ -71,7 +71,7 @@ pub(crate) fn words(schema: &Value) -> Option<Vec<&str>> {
     Some(found)
 }
 
-/// Returns what is allowed in words, for instance `0 to 20 ms`; nothing where everything of the
+/// Returns what is allowed in words, for instance `0 to 20 ms`; nothing if everything of the
 /// type is.
 pub(crate) fn allowed(schema: &Value) -> String {
     if let Value::String(words) = &schema["x-allowed"] {

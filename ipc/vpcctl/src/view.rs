@@ -177,7 +177,7 @@ impl View {
     }
 
     /// Why the law's twist is not sent: the words of the contract, but of a camera that was there
-    /// and is no more, since when. `None` where the twist is sent.
+    /// and is no more, since when. `None` if the twist is sent.
     pub fn cause_words(&self, now_ns: u64) -> Option<String> {
         let hold = self.latest()?.hold()?;
         match (hold, self.camera_silence_ns(now_ns)) {

@@ -194,7 +194,7 @@ impl Witness {
     }
 
     /// Waits until the robot, which is `camera`, says after this instant that it stands: when it
-    /// said so, ns; `None` where its run was decided before, so that it went.
+    /// said so, ns; `None` if its run was decided before, so that it went.
     pub fn until_it_stands(&mut self, after_ns: u64, camera: &mut Running) -> Option<u64> {
         eventually("a robot that stands", || {
             let went = !camera.is_running();
