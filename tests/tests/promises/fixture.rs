@@ -1,5 +1,5 @@
-//! What the promises share: turns, places, processes, a camera that moves, and a witness of what is
-//! commanded.
+//! What the promises share: a lock so that they run one at a time, domains, processes, a camera
+//! that moves, and an observer of the commands.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
