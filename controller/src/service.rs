@@ -339,7 +339,9 @@ impl Notifier {
     }
 
     fn log_standstill(&mut self) {
-        let still = self.schedule.standstill(Instant::now(), self.longest_standstill);
+        let still = self
+            .schedule
+            .standstill(Instant::now(), self.longest_standstill);
         if still.is_some() != self.is_still {
             self.is_still = still.is_some();
             let cycle = self.schedule.count;

@@ -185,7 +185,7 @@ impl Status {
         });
         text += &format!("robot     {}\n", robot.as_deref().unwrap_or("says nothing"));
         for service in &self.full {
-            text += &format!("not seen  {service}: all subscribers' places are taken\n");
+            text += &format!("not seen  {service}: all subscribers' slots are taken\n");
         }
         text
     }
