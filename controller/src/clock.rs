@@ -40,8 +40,8 @@ impl Grid {
         self.advance_by(self.period_ns, now_ns)
     }
 
-    /// The same where the grid moves: the next release comes so long after the present one, ns, and
-    /// the others a period each after that.
+    /// The same for a grid that moves: the next release comes `interval_ns` after the present one,
+    /// the others each a period after that.
     pub fn advance_by(&mut self, interval_ns: u64, now_ns: u64) -> u64 {
         self.next_ns += interval_ns;
         let missed = match now_ns.checked_sub(self.next_ns) {

@@ -1,5 +1,5 @@
-//! Configuration: a TOML file with flags over it, checked into a [`Config`] whose existence means
-//! that it is valid. Every key is declared in `tables.rs`, from which `CONFIGURATION.md` and
+//! Configuration: a TOML file, overridden by flags and checked into a [`Config`] whose existence
+//! means that it is valid. Every key is declared in `tables.rs`, from which `CONFIGURATION.md` and
 //! `vpcd.schema.json` are made.
 
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Between the codes of the contract and the types of the control law.
+//! Conversions between the codes of the contract and the types of the control law.
 
 use ipc::{CycleRecord, Features, RecallCode, SolverStatus, StrategyCode};
 use vpc::{Measurement, Refusal, Status, Step, Strategy};

@@ -19,7 +19,7 @@ use crate::supervisor::{Rules, Situation, Supervisor};
 pub struct Answer {
     /// Head of the features message that it answers; all zero if there is none.
     pub stamp: Stamp,
-    /// The command.
+    /// Twist, state and reason of the hold.
     pub decision: Decision,
 }
 
@@ -31,7 +31,7 @@ pub struct State {
     pub robot: RobotWatch,
     pub law: vpc::State,
     pub supervisor: Supervisor,
-    /// The last command of the law, for cycles without news.
+    /// The last command of the law, for cycles without new features.
     pub standing: Answer,
 }
 
@@ -79,8 +79,8 @@ impl ControlStep {
         }
     }
 
-    /// Goes on from a state of this control step, or of another one with the same scene, memory and
-    /// settings.
+    /// Continues from a state of this control step, or of another one with the same scene, memory
+    /// and settings.
     pub fn restore(&mut self, state: &State) {
         self.gate = state.gate;
         self.robot = state.robot;
@@ -89,7 +89,7 @@ impl ControlStep {
         self.standing = state.standing;
     }
 
-    /// The loaded controller.
+    /// The law with its scene and memory.
     pub fn loaded(&self) -> &LoadedController {
         &self.loaded
     }
@@ -145,8 +145,8 @@ impl ControlStep {
             self.gate.mark_gap();
             self.loaded.controller.overruled();
         }
-        // The twist as sent, also if the law did not choose it. The instant is that of the law's plan, so that a replay needs
-        // no other clock.
+        // The twist as sent, also if the law did not choose it. The instant is that of the law's
+        // plan, so that a replay needs no other clock.
         let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);
         self.loaded.controller.sent(&decision.twist, effective_ns);
         record.features_sequence = proposed.stamp.sequence;

@@ -34,9 +34,9 @@ const REQUESTS: usize = 16;
 pub struct Pace {
     /// What starts a cycle.
     pub clock: ClockMode,
-    /// The period of the fixed clock, ns; lockstep does not look at it.
+    /// The period of the fixed clock, ns; unused in lockstep.
     pub period_ns: u64,
-    /// Periods for which a command may stand without news.
+    /// Periods for which a command is valid without new features.
     pub stale_periods: f64,
     /// Settings of the supervisor.
     pub rules: Rules,
@@ -181,7 +181,7 @@ impl Cycle {
         record.receive_ns = inputs.now_ns.saturating_sub(woken_ns);
         record.step_ns = decided_ns.saturating_sub(inputs.now_ns);
         record.send_ns = now_ns().saturating_sub(decided_ns);
-        self.woken.tell(&mut record);
+        self.woken.record_usage(&mut record);
         self.reply();
         self.finish(&inputs, &answer, &mut record);
         sent.map(|()| Some(record))
@@ -270,8 +270,8 @@ impl Cycle {
         }
     }
 
-    /// Hands the requests of operators to the control step. Those without a head are passed over
-    /// here; the recorder, which reads along, logs them.
+    /// Passes the requests of operators to the control step. Those without a head are skipped here;
+    /// the ordinary thread, which also receives them, logs them.
     fn take_requests(&mut self) {
         for _ in 0..REQUESTS {
             match self.ports.requests.oldest() {

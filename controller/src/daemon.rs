@@ -25,13 +25,12 @@ use crate::summary::Summary;
 use crate::telemetry::{RecorderError, Telemetry};
 use crate::{log, preflight, realtime, replay, stack};
 
-/// Failures to send in a row after which the daemon gives up: a broken segment does not mend
-/// itself.
+/// Failures to send in a row after which the daemon ends: a broken segment stays broken.
 const MOST_FAILURES: u32 = 30;
 /// Priority that the preflight asks about if no configuration names one.
 const PRIORITY: i32 = 80;
 
-/// Why the daemon ended other than by being asked to.
+/// Why the daemon failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum Failure {
@@ -248,14 +247,14 @@ fn recorded(ended: std::thread::Result<Summary>) -> Result<Summary, Failure> {
     ended.map_err(|_| RecorderError::Died.into())
 }
 
-/// Reports how the run was: to the log, and to the file of `--report`.
+/// Writes the report of the run to the log and to the file of `--report`.
 fn report(
     arguments: &Arguments,
     summary: &Summary,
     machine: Report,
     log: &Log,
 ) -> Result<(), Failure> {
-    summary.tell();
+    summary.log_end();
     let Some(path) = &arguments.report else {
         return Ok(());
     };

@@ -1,4 +1,4 @@
-//! Exit codes, after `sysexits.h`, so that a service manager can tell what to mend.
+//! Exit codes, after `sysexits.h`, so that a service manager can tell what failed.
 
 /// How the daemon ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -6,7 +6,7 @@
 pub enum Exit {
     /// Stopped by a signal or after the cycles asked for.
     Ok = 0,
-    /// The answer is no: the machine is unfit for real time, or a replay differs.
+    /// The machine is unfit for real time, or a replay differs.
     No = 1,
     /// The command line is wrong.
     Usage = 64,

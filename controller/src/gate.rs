@@ -1,8 +1,8 @@
-//! The gate: which features may reach the law, and what to do without. Pure; the time is an
+//! The gate: which features may reach the law, and what to do without them. Pure; the time is an
 //! argument.
 //!
-//! It knows messages: their order, their age, whether all points were visible. The law then checks
-//! the numbers against the scene.
+//! It checks messages: their order, their age, and whether all points were visible. The law then
+//! checks the numbers against the scene.
 
 use ipc::{Features, Order, Stamp};
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ pub enum Verdict {
     Step {
         /// The features.
         features: Features,
-        /// What they are to the ones before.
+        /// Their relation to the previous ones.
         link: Link,
     },
     /// Nothing new, and the last command is still good: send it again.
@@ -26,15 +26,15 @@ pub enum Verdict {
     Hold(HoldReason, Stamp),
 }
 
-/// What features are to those of the law's previous step.
+/// The relation of features to those of the law's previous step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Link {
     /// One period later, with the law's command in force.
     Next,
-    /// Frames are missing between, or the command was not in force all the time: the prediction
-    /// means nothing.
+    /// Frames are missing in between, or the command was not in force all the time: the prediction
+    /// is void.
     Broken,
-    /// A new run: nothing of before means anything.
+    /// A new run: all earlier state is void.
     New,
 }
 
@@ -50,7 +50,7 @@ pub struct Gate {
     /// Head of the last message that came in order.
     believed: Stamp,
     good_ns: Option<u64>,
-    /// Why the last message was of no use; `None` if it was.
+    /// Why the last message was refused; `None` if it was not.
     held: Option<HoldReason>,
     gap: bool,
     /// Whether the last message that came in order was the first of a camera that started again.
@@ -72,7 +72,7 @@ impl Gate {
         }
     }
 
-    /// Whether time is real: it is not in lockstep.
+    /// Whether time is real; in lockstep it is simulated.
     pub fn is_live(&self) -> bool {
         self.stale_ns.is_some()
     }
@@ -149,8 +149,7 @@ impl Gate {
         }
     }
 
-    /// What is wrong with the times of a new message, compared with now and with the message
-    /// before.
+    /// Why the times of a new message are refused, compared with now and with the previous message.
     fn wrong_time(&mut self, stamp: &Stamp, order: Order, now_ns: u64) -> Option<HoldReason> {
         let Stamp {
             published_ns,

@@ -49,7 +49,7 @@ impl Histogram {
         self.max_ns
     }
 
-    /// The usual shares, ns.
+    /// The percentiles of a report, ns.
     pub fn percentiles(&self) -> Percentiles {
         Percentiles {
             p50: self.quantile(0.5),

@@ -31,7 +31,7 @@ pub struct Inputs {
 }
 
 impl<T: ipc::Message> Input<T> {
-    /// How a cycle's record says it: a code, and the head of the message.
+    /// The code and the head of the message for a cycle's record.
     pub fn wire(&self) -> (InputCode, Stamp) {
         match self {
             Self::Nothing => (InputCode::Nothing, Stamp::default()),

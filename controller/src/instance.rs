@@ -1,7 +1,7 @@
-//! One daemon a domain: a locked file that names the process which serves it.
+//! One daemon per domain: a locked file names its process.
 //!
-//! The contract of shared memory lets one publisher of twists into a domain, and so keeps a second
-//! daemon out as well; but it cannot say who the first one is.
+//! The contract allows one publisher of twists in a domain and so refuses a second daemon too, but
+//! it cannot name the first one.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
@@ -16,7 +16,7 @@ pub const FILE: &str = "vpcd.pid";
 pub enum InstanceError {
     /// Another daemon has it.
     #[error(
-        "domain {directory}: another vpcd is at work, process {holder}; end it (it may be stopped), or use another domain"
+        "domain {directory}: another vpcd is at work, process {holder}; end it (also if it is stopped), or use another domain"
     )]
     Taken {
         /// The domain's directory.
@@ -27,7 +27,7 @@ pub enum InstanceError {
     /// The file cannot be used.
     #[error("{path}: cannot claim the domain: {source}")]
     File {
-        /// The file.
+        /// Path of the file, as given.
         path: String,
         /// The operating system's reason.
         source: io::Error,

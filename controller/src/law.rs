@@ -1,4 +1,4 @@
-//! What to command: one step of the law, and a last look at its twist.
+//! What to command: one step of the law, and a last check of its twist.
 
 use ipc::{CycleRecord, Features, TwistState};
 use scene::Limits;
@@ -47,7 +47,7 @@ pub fn decide(
     }
 }
 
-/// The last look at a command before it goes out, independent of the law. A NaN is not within the
+/// The last check of a command before it is sent, independent of the law. A NaN is not within the
 /// limits.
 fn is_within(twist: &[f64; 6], limits: &Limits) -> bool {
     let within = |v: &f64, limit: f64| v.abs() <= limit * (1.0 + ROUNDING);

@@ -2,8 +2,8 @@
 //! the crate `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions:
 //! `README.md`).
 //!
-//! A cycle receives, judges order and age, runs the law, lets the supervisor decide what may go
-//! out, and sends: [`input`] -> [`gate`] -> [`law`] -> [`supervisor`] -> [`cycle`]. The three in
+//! A cycle receives, checks order and age, runs the law, asks the supervisor what may go out, and
+//! sends: [`input`] -> [`gate`] -> [`law`] -> [`supervisor`] -> [`cycle`]. The three in
 //! the middle make [`control`], a pure function of inputs and state that [`mod@replay`] repeats.
 //!
 //! # The workspace

@@ -21,7 +21,7 @@ pub enum LoadError {
     /// Scene and settings do not give a task.
     #[error("{path}: {source}")]
     Task { path: String, source: SettingsError },
-    #[error("no thread to set up the controller: {0}")]
+    #[error("cannot start the thread that sets up the controller: {0}")]
     Thread(std::io::Error),
     #[error(transparent)]
     Memory(#[from] OpenError),
@@ -49,7 +49,7 @@ impl LoadError {
     }
 }
 
-/// The loaded controller.
+/// The law with its scene and memory of motion.
 pub struct LoadedController {
     /// Large: it stays where it is.
     pub controller: Box<vpc::Controller>,
@@ -116,7 +116,7 @@ impl LoadedController {
     /// One step of the law. Never allocates.
     ///
     /// # Errors
-    /// [`vpc::Refusal`] where the features cannot be trusted.
+    /// [`vpc::Refusal`] if the features cannot be trusted.
     pub fn step(&mut self, measurement: &vpc::Measurement) -> Result<vpc::Step, vpc::Refusal> {
         let view = self.memory.as_ref().map(MemoryFile::view);
         let memory = view.as_ref().map(|view| view as &dyn MotionMemory);

@@ -1,5 +1,5 @@
-//! The log goes to the journal where standard error is connected to it, and to standard error
-//! elsewhere; the loop itself never logs.
+//! The log goes to the journal if standard error is connected to it, and else to standard error.
+//! The loop itself never logs.
 
 use std::io::{IsTerminal, Write};
 
@@ -36,7 +36,7 @@ impl Drop for Log {
 /// Starts logging as configured.
 ///
 /// # Errors
-/// Where the writer's thread cannot be started.
+/// If the writer's thread cannot be started.
 pub fn start(config: &Config) -> std::io::Result<Log> {
     // The level was checked; a filter is never read from the environment.
     let filter = EnvFilter::new(&config.log_level);
@@ -62,7 +62,7 @@ pub fn start(config: &Config) -> std::io::Result<Log> {
 }
 
 /// Writes a failure to standard error, before or after the log; in the journal with the priority of
-/// an error. Who does not read it does not hold up the end.
+/// an error. An unread pipe does not delay the end of the process.
 pub fn complain(message: &str) {
     let priority = if is_journal() { "<3>" } else { "" };
     let lines: String = format!("vpcd: {message}")
@@ -76,12 +76,12 @@ pub fn complain(message: &str) {
         tv_nsec: 100_000_000,
     };
     if poll(&mut writable, Some(&patience)).is_ok_and(|ready| ready > 0) {
-        // There is nobody else to tell that nobody listens.
+        // A failure to write to standard error has no other place to go.
         let _ = error.write_all(lines.as_bytes());
     }
 }
 
-/// The journal with its fields, which carry our name: `VPCD_CYCLE=`. None where it cannot be
+/// The journal with its fields, which carry our name: `VPCD_CYCLE=`. None if it cannot be
 /// reached.
 fn journal() -> Option<tracing_journald::Layer> {
     let layer = is_journal()

@@ -1,5 +1,5 @@
-//! Where log lines go when nobody takes them: nowhere, and counted. A pipe that nobody reads or a
-//! full disk must hold up neither the recorder nor the end of the daemon.
+//! A writer of log lines that drops and counts what it cannot write. An unread pipe or a full disk
+//! must delay neither the ordinary thread nor the end of the daemon.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -33,7 +33,7 @@ impl Lossy {
     /// A writer in front of `slow`.
     ///
     /// # Errors
-    /// Where the thread cannot be started.
+    /// If the thread cannot be started.
     pub fn new(slow: impl Write + Send + 'static) -> io::Result<Self> {
         let (lines, queue) = sync_channel(QUEUE);
         let counts = Arc::new(Counts::default());

@@ -2,17 +2,17 @@
 //! that every cycle begins a little after its features arrive, however the two clocks drift. Pure;
 //! times are arguments.
 //!
-//! A filter of second order follows the exposures (period and phase), another the delay from
-//! exposure to publication and its spread. The release after the next is then wanted at *expected
-//! arrival + margin + spread*; the grid goes there by no more than [`SLEW`] of a period a cycle.
-//! Without frames it runs free.
+//! A second-order filter follows the exposures (period and phase), another the delay from exposure
+//! to publication and its spread. The release after the next should come at *expected arrival +
+//! margin + spread*; the grid moves there by at most [`SLEW`] of a period per cycle. Without frames
+//! it runs free.
 
 use ipc::{PhaseCode, Stamp};
 
 use crate::gate::FUTURE_NS;
 
-/// Largest departure of an interval from the nominal period, as a share of it: what the law's model
-/// of one period bears without notice.
+/// Largest departure of an interval from the nominal period, as a share of it: small enough for the
+/// law's model of one period.
 pub const SLEW: f64 = 0.02;
 /// Largest departure of the camera's period from the nominal one that is followed, as a share of
 /// it; below [`SLEW`], so that something is left to catch up with.
@@ -25,7 +25,7 @@ const DELAY_GAIN: f64 = 1.0 / 16.0;
 /// Spreads (mean absolute deviations) waited for beyond the margin: 99 of 100 frames for a Gaussian
 /// one, all for a uniform one.
 const SPREADS: f64 = 3.0;
-/// Largest spread, as a share of the period, at which a phase means something.
+/// Largest spread, as a share of the period, at which the phase is used.
 const WIDEST: f64 = 0.125;
 /// Doubt in the filter with which it begins again: five frames in a row that it did not expect.
 const DOUBT: u32 = 20;
@@ -40,14 +40,14 @@ const LOCKED: (f64, f64) = (0.02, 0.1);
 /// Oldest exposure that a publication may have, ns: beyond, the stamp is no exposure.
 const OLDEST_NS: u64 = 1_000_000_000;
 
-/// What the grid has to do with the camera.
+/// The grid's relation to the camera's frames.
 #[derive(Clone, Debug)]
 pub struct CameraPll {
     period: f64,
     margin: f64,
     beat: Option<Beat>,
     code: PhaseCode,
-    /// This release after the wanted one, ns.
+    /// This release minus the intended one, ns.
     error: f64,
 }
 
@@ -80,8 +80,8 @@ impl CameraPll {
         }
     }
 
-    /// A frame has come, and is looked at now. One from the future is passed over: no later one
-    /// would be newer, and no silence after it long enough.
+    /// Takes a frame that has come. One from the future is ignored: no later one would be newer,
+    /// and no silence after it long enough.
     pub fn hear(&mut self, stamp: &Stamp, now_ns: u64) {
         if stamp.published_ns > now_ns.saturating_add(FUTURE_NS) {
             return;
@@ -126,7 +126,7 @@ impl CameraPll {
         (self.code, self.error as i64)
     }
 
-    /// From this release to a wanted one, and the camera's period; `None` where nothing is known.
+    /// From this release to a wanted one, and the camera's period; `None` if nothing is known.
     fn wanted(&mut self, release_ns: u64) -> Option<(f64, f64)> {
         let beat = self.beat.as_ref()?;
         let silence = release_ns.saturating_sub(beat.last_ns) as f64;

@@ -1,6 +1,6 @@
-//! What a machine lacks for real time, and how to give it: `vpcd --preflight`.
+//! What a machine lacks for real time, and how to provide it: `vpcd --preflight`.
 //!
-//! Facts are read from the kernel and measured first, judged by a pure function then.
+//! First, facts are read from the kernel and measured; then a pure function judges them.
 
 mod facts;
 
@@ -17,13 +17,13 @@ const WAKE_P99_NS: u64 = 300_000;
 /// Least room for shared memory: what a domain takes, several times.
 const SHM_BYTES: u64 = 64 << 20;
 
-/// What a check came to.
+/// The result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
-    /// As it should be.
+    /// Nothing is missing.
     Ok,
-    /// Worth a thought; a loop at 30 Hz does without.
+    /// Advisable, but a loop at 30 Hz works without it.
     Note,
     /// Missing.
     Lack,
@@ -44,13 +44,13 @@ impl Display for State {
 pub struct Check {
     /// What was checked.
     pub name: &'static str,
-    /// What it came to.
+    /// The result.
     pub state: State,
     /// What was found.
     pub found: String,
     /// What is needed.
     pub needed: String,
-    /// How to give it: a command, or a setting of the unit; empty where nothing is missing.
+    /// How to provide it: a command, or a setting of the unit; empty if nothing is missing.
     pub remedy: String,
 }
 
@@ -115,7 +115,7 @@ pub fn judge(facts: &Facts, wanted: RealtimeRequest) -> Preflight {
     }
 }
 
-/// A check; the remedy is dropped where all is well.
+/// A check; the remedy is dropped if nothing is missing.
 fn check(
     name: &'static str,
     (is_well, otherwise): (bool, State),

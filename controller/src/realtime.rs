@@ -1,6 +1,5 @@
-//! Real-time scheduling of the loop's thread, where it is asked for and permitted: SCHED_FIFO, a
-//! processor of its own, a stack that is already there, locked memory; each read back after it was
-//! asked for.
+//! Real-time scheduling of the loop's thread, if it is asked for and permitted: SCHED_FIFO, a
+//! processor of its own, a prefaulted stack, locked memory. Each is read back after it was set.
 
 use std::io;
 
@@ -13,7 +12,7 @@ use crate::stack;
 
 /// Number of the capability to lock any amount of memory, `capabilities(7)`.
 pub(crate) const CAP_IPC_LOCK: u32 = 14;
-/// Number of the capability to schedule as one likes, `capabilities(7)`.
+/// Number of CAP_SYS_NICE, which permits SCHED_FIFO, `capabilities(7)`.
 pub(crate) const CAP_SYS_NICE: u32 = 23;
 
 /// What the loop's thread asks for.
@@ -26,9 +25,9 @@ pub struct RealtimeRequest {
 }
 
 /// Gives the calling thread what it asks for, as far as that is permitted, and reads back what it
-/// got. Where something is missing the daemon runs all the same and says so: once in the log here,
-/// and all the time in status and telemetry by the bits returned. Late cycles are counted, and
-/// stale commands stop the camera.
+/// got. If something is missing the daemon runs degraded: this function logs it once, and status
+/// and telemetry show the returned bits all the time. Late cycles are counted, and stale commands
+/// stop the camera.
 pub fn enter(wanted: RealtimeRequest) -> RealTime {
     let mut bits = RealTime::ASKED;
     let mut lacks = Vec::new();

@@ -1,10 +1,11 @@
-//! The replay: the control step again on what a recording holds, and the first bit that differs.
+//! The replay: repeats the control step on the inputs in a recording, and finds the first bit that
+//! differs.
 //!
 //! A cycle's decision is a function of what it received, of the instant for which it decided, and
-//! of the state that the cycles before left ([`crate::control`]). All of it is in a recording: each
-//! record names the messages that its cycle saw by their stamps, each reply the cycle that took its
-//! request, and every second or so there is a snapshot of the state. So a replay begins at any
-//! snapshot. Where something is missing it goes on at the next one.
+//! of the state that earlier cycles left ([`crate::control`]). All of it is in a recording: each
+//! record has the stamps of the messages that its cycle received, each reply has the cycle that
+//! took its request, and every second or so there is a snapshot of the state. So a replay can begin
+//! at any snapshot. If something is missing, it continues at the next one.
 
 pub mod command;
 mod difference;
@@ -22,7 +23,7 @@ use source::Source;
 
 pub use difference::Difference;
 
-/// What a replay without a difference came to.
+/// The result of a replay without a difference.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Report {
     /// Cycles that gave the same bits.
@@ -33,14 +34,14 @@ pub struct Report {
     pub last: u64,
     /// Snapshots that the state was compared with on the way.
     pub snapshots_compared: u64,
-    /// Snapshots from which the replay began, or began again after something that is missing.
+    /// Snapshots from which the replay began, or began again after a missing message.
     pub snapshots_restored: u64,
-    /// Cycles of which nothing can be said: before the first snapshot, or between something missing
-    /// and the next.
+    /// Cycles that could not be replayed: those before the first snapshot, and from a missing
+    /// message to the next snapshot.
     pub skipped: u64,
 }
 
-/// Why a replay did not come to its end.
+/// Why a replay ended early.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ReplayError {

@@ -1,4 +1,4 @@
-//! What a run came to, as a JSON file: `vpcd --report`.
+//! The result of a run as a JSON file: `vpcd --report`.
 
 use std::path::{Path, PathBuf};
 
@@ -28,13 +28,13 @@ pub struct Report {
     pub recalled: u64,
     /// Releases missed.
     pub overruns: u64,
-    /// Records that the recorder lost: missing from everything below.
+    /// Records that were lost: everything below lacks them.
     pub lost_records: u64,
     /// Lines of the log that were lost.
     pub lost_lines: u64,
     /// Wake-up after the release, ns; 0 in lockstep.
     pub wake_ns: Percentiles,
-    /// Receiving and judging, ns.
+    /// Time taken by receiving, ns.
     pub receive_ns: Percentiles,
     /// The law, ns.
     pub step_ns: Percentiles,
@@ -52,7 +52,7 @@ pub struct Report {
     pub allocations: u64,
     /// `RealTime` bits: 1 asked, and lacks 2 SCHED_FIFO, 4 its processor, 8 locked memory.
     pub realtime: u32,
-    /// Stack that the loop used, bytes, in whole pages; 0 where real time was not asked for.
+    /// Stack that the loop used, bytes, in whole pages; 0 if real time was not asked for.
     pub stack_used_bytes: usize,
     /// Locked memory at the end, KiB.
     pub locked_kib: u64,
@@ -80,7 +80,7 @@ impl Report {
 #[derive(Debug, thiserror::Error)]
 #[error("--report {}: cannot write: {source}", path.display())]
 pub struct ReportError {
-    /// The file.
+    /// Path of the file, as given.
     pub path: PathBuf,
     /// The operating system's reason.
     pub source: std::io::Error,

@@ -16,8 +16,8 @@ pub struct RobotWatch {
 }
 
 impl RobotWatch {
-    /// A watch that misses a robot after `lost_ns` of silence; `None` in lockstep, where time does
-    /// not pass.
+    /// A watch for which a robot is lost after `lost_ns` of silence; `None` in lockstep, where time
+    /// does not pass.
     pub fn new(lost_ns: Option<u64>) -> Self {
         Self {
             lost_ns,

@@ -1,9 +1,8 @@
 //! Notifications to the service manager: readiness, status and watchdog, after `sd_notify(3)`.
 //!
-//! The ordinary thread sends them; the loop only counts its turns in [`Progress`]. A watchdog
-//! message goes out on no other occasion than a look of the ordinary thread that finds the loop
-//! moved since the look before. So it stops at once when either of the two hangs, and the loop pays
-//! one atomic addition for it.
+//! The ordinary thread sends them; the loop only counts its cycles in [`Progress`]. The ordinary
+//! thread sends a watchdog message only if the loop has moved since it last looked. So the messages
+//! stop at once when either thread hangs, and the loop pays one atomic addition for them.
 
 use std::ffi::OsString;
 use std::fmt::Display;
@@ -44,17 +43,17 @@ pub enum ServiceError {
     Socket(#[from] io::Error),
 }
 
-/// Turns that the loop has made. The loop adds, the ordinary thread reads.
+/// Cycles that the loop has made. The loop adds, the ordinary thread reads.
 #[derive(Clone, Debug, Default)]
 pub struct Progress(Arc<AtomicU64>);
 
 impl Progress {
-    /// One more turn. Neither allocates nor waits.
+    /// Counts one more cycle. Neither allocates nor waits.
     pub fn advance(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Turns so far. Relaxed: nothing else is handed over with the count.
+    /// Cycles so far. Relaxed: no other data is published with the count.
     pub fn count(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
@@ -68,8 +67,8 @@ pub struct Service {
 }
 
 impl Service {
-    /// Reads `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. Where there is no service
-    /// manager, nobody is told anything.
+    /// Reads `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. Without a service manager,
+    /// notifications do nothing.
     ///
     /// # Errors
     /// [`ServiceError`] names a malformed variable, or a watchdog interval that a loop with this
@@ -111,10 +110,10 @@ impl Service {
         Ok(Self { line, watchdog })
     }
 
-    /// Leaves a failure behind as the status that `systemctl status` shows of a daemon that ended.
+    /// Sends a failure as the status that `systemctl status` shows after the daemon ended.
     pub fn leave(&self, failure: &str) {
         if let Some(line) = &self.line {
-            // The exit code and standard error tell it as well.
+            // The exit code and standard error say it as well.
             let _ = line.say(&format!("STATUS={}", one_line(failure)));
         }
     }
@@ -213,7 +212,7 @@ impl Schedule {
         }
     }
 
-    /// What is due has reached the manager.
+    /// Notes that what was due has reached the manager.
     fn done(&mut self, now: Instant, due: Due) {
         self.is_ready |= due.ready;
         self.is_stopping |= due.stopping;
@@ -226,7 +225,7 @@ impl Schedule {
     }
 
     /// How long the loop has been standing still, if for longer than is normal.
-    fn stillness(&self, now: Instant, most: Duration) -> Option<Duration> {
+    fn standstill(&self, now: Instant, most: Duration) -> Option<Duration> {
         let still = now.saturating_duration_since(self.moved);
         (still >= most).then_some(still)
     }
@@ -238,7 +237,7 @@ pub struct Notifier {
     line: Option<Socket>,
     schedule: Schedule,
     /// Standstill that is logged.
-    most_still: Duration,
+    longest_standstill: Duration,
     is_still: bool,
     is_cut: bool,
     progress: Progress,
@@ -271,7 +270,7 @@ impl Notifier {
         Self {
             line: service.line,
             schedule: Schedule::new(service.watchdog, Instant::now()),
-            most_still: STILL.max(LEAST_PERIODS * period),
+            longest_standstill: STILL.max(LEAST_PERIODS * period),
             is_still: false,
             is_cut: false,
             progress,
@@ -289,10 +288,10 @@ impl Notifier {
             );
         }
         self.say_due(status, self.stop.is_asked());
-        self.tell_stillness();
+        self.log_standstill();
     }
 
-    /// The last word, when the loop has ended for whatever reason.
+    /// The last status, after the loop has ended for whatever reason.
     pub fn end(&mut self, status: impl FnOnce() -> String) {
         self.schedule.told = None;
         self.say_due(status, true);
@@ -315,7 +314,7 @@ impl Notifier {
             }
         }
         if due.status {
-            let still = match self.schedule.stillness(now, self.most_still) {
+            let still = match self.schedule.standstill(now, self.longest_standstill) {
                 Some(still) => format!("LOOP STANDS STILL for {:.1} s; ", still.as_secs_f64()),
                 None => String::new(),
             };
@@ -339,8 +338,10 @@ impl Notifier {
         }
     }
 
-    fn tell_stillness(&mut self) {
-        let still = self.schedule.stillness(Instant::now(), self.most_still);
+    fn log_standstill(&mut self) {
+        let still = self
+            .schedule
+            .standstill(Instant::now(), self.longest_standstill);
         if still.is_some() != self.is_still {
             self.is_still = still.is_some();
             let cycle = self.schedule.count;
@@ -370,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_manager_there_is_nobody_to_tell() {
+    fn without_a_manager_notifications_do_nothing() {
         let service = parse(&[("WATCHDOG_USEC", "1000000")]).unwrap();
         assert!(service.line.is_none() && service.watchdog.is_none());
     }
@@ -474,7 +475,7 @@ mod tests {
         let widest = fed.windows(2).map(|pair| pair[1] - pair[0]).max();
         assert!(fed.len() == 4 && widest <= Some(interval / 2), "{fed:?}");
         assert_eq!(
-            schedule.stillness(now, STILL).map(|still| still.as_secs()),
+            schedule.standstill(now, STILL).map(|still| still.as_secs()),
             Some(8)
         );
     }

@@ -12,11 +12,12 @@ use signal_hook::flag;
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// A stop flag that SIGTERM and SIGINT set. Further ones change nothing: an impatient operator
-    /// must not cut a controlled stop short. What does not end by them ends by SIGQUIT or SIGKILL.
+    /// A stop flag that SIGTERM and SIGINT set. Repeating them changes nothing: an impatient
+    /// operator must not cut a controlled stop short. SIGQUIT and SIGKILL end a daemon that does
+    /// not stop.
     ///
     /// # Errors
-    /// Where the operating system refuses the handlers.
+    /// If the operating system refuses the handlers.
     pub fn by_signals() -> io::Result<Self> {
         let stop = Self::default();
         for signal in [SIGTERM, SIGINT] {
@@ -30,7 +31,7 @@ impl Stop {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether to stop. Relaxed: nothing else is handed over with the flag.
+    /// Whether to stop. Relaxed: no other data is published with the flag.
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
@@ -44,7 +45,7 @@ impl Hangup {
     /// A flag that SIGHUP sets.
     ///
     /// # Errors
-    /// Where the operating system refuses the handler.
+    /// If the operating system refuses the handler.
     pub fn by_signal() -> io::Result<Self> {
         let hangup = Self::default();
         flag::register(SIGHUP, Arc::clone(&hangup.0))?;

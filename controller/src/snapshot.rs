@@ -25,7 +25,7 @@ pub struct SnapshotError {
 /// thread.
 ///
 /// # Errors
-/// Where the state has no room in a message, which a test excludes.
+/// If the state has no room in a message, which a test excludes.
 pub fn encode(cycle: u64, state: &State) -> Result<Snapshot, SnapshotError> {
     let mut bytes = [0; Snapshot::MAX_LENGTH];
     let refuse = |reason| SnapshotError { cycle, reason };
@@ -36,7 +36,7 @@ pub fn encode(cycle: u64, state: &State) -> Result<Snapshot, SnapshotError> {
 /// Decodes what [`encode`] made.
 ///
 /// # Errors
-/// [`SnapshotError`] where it is of another version, or damaged.
+/// [`SnapshotError`] if it is of another version, or damaged.
 pub fn decode(snapshot: &Snapshot) -> Result<State, SnapshotError> {
     let refuse = |reason| SnapshotError {
         cycle: snapshot.cycle,

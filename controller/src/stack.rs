@@ -1,12 +1,12 @@
-//! The stack of the loop's thread: touched before the loop begins, so that no cycle meets a page
-//! for the first time, and measured when it has ended.
+//! The stack of the loop's thread: touched before the loop begins, so that no cycle faults a page,
+//! and measured when the loop has ended.
 
 use std::mem::MaybeUninit;
 
 /// Bytes touched below the caller: eight times what a cycle with a memory was seen to use (48 KiB
 /// without full optimization; `stack_used_bytes` of `vpcd --report`).
 pub const SIZE: usize = 384 << 10;
-/// A page: what is measured in.
+/// A page, the unit of the measurement.
 const PAGE: usize = 4096;
 /// What untouched stack is painted with.
 const PAINT: u8 = 0xA5;
@@ -23,7 +23,8 @@ pub fn prepare() {
     let mut area: Area = [const { MaybeUninit::uninit() }; SIZE];
     let start = area.as_mut_ptr();
     for i in 0..SIZE {
-        // SAFETY: i is within the area. Volatile, because the write must happen though it is never read.
+        // SAFETY: i is within the area. Volatile, because the write must happen though it is never
+        // read.
         unsafe { start.add(i).write_volatile(MaybeUninit::new(PAINT)) };
     }
 }

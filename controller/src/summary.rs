@@ -1,4 +1,4 @@
-//! What the records of a run amount to.
+//! Sums over the records of a run.
 
 use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RecallCode, TwistState};
 use tracing::{info, warn};
@@ -42,7 +42,7 @@ impl Summary {
         self.counts.recalled += u64::from(record.recalled == RecallCode::Followed.code());
         self.counts.realtime = record.realtime;
         self.count_costs(record);
-        self.tell_changes(record);
+        self.log_changes(record);
         self.phase = record.phase;
         (self.state, self.hold) = (record.state, record.hold);
         self.error_px = record.error_px;
@@ -64,7 +64,7 @@ impl Summary {
         }
     }
 
-    fn tell_changes(&self, record: &CycleRecord) {
+    fn log_changes(&self, record: &CycleRecord) {
         let cycle = record.cycle;
         if let Some(phase) = PhaseCode::from_code(record.phase)
             && record.phase != self.phase
@@ -154,7 +154,7 @@ impl Summary {
     }
 
     /// Writes the end of a run to the log.
-    pub fn tell(&self) {
+    pub fn log_end(&self) {
         for (stage, histogram) in STAGES.iter().zip(&self.times) {
             let us = |ns: u64| ns as f64 / 1e3;
             let found = histogram.percentiles();

@@ -41,7 +41,7 @@ pub struct Rules {
     pub armed: bool,
 }
 
-/// What a cycle knows, but for the time.
+/// What the supervisor decides from in a cycle, apart from the time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Situation {
     /// What the law, or the gate before it, decided.
@@ -49,9 +49,9 @@ pub struct Situation {
     /// When the last features that the law could use were published, CLOCK_MONOTONIC, ns; `None`
     /// before the first.
     pub good_ns: Option<u64>,
-    /// Whether the law ran in this cycle, and if, whether its solver failed.
+    /// Whether the law ran in this cycle, and if so, whether its solver failed.
     pub solver_failed: Option<bool>,
-    /// Whether the memory was asked in this cycle, and if, whether its answer was out of range.
+    /// Whether the memory was asked in this cycle, and if so, whether its answer was out of range.
     pub recall_refused: Option<bool>,
     /// Releases missed just before this cycle.
     pub missed: u32,
@@ -78,14 +78,14 @@ pub struct Supervisor {
     /// The last cycle: when it was, and what it sent.
     last: Option<u64>,
     sent: Decision,
-    /// What the last cycle knew.
+    /// The situation of the last cycle.
     situation: Option<Situation>,
     overruns: u32,
     failures: u32,
     refusals: u32,
 }
 
-/// How a cause is met.
+/// The response to a cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Response {
     /// Zero at once, and disarm.
@@ -136,8 +136,8 @@ impl Supervisor {
         }
     }
 
-    /// What an operator asks for: arm, disarm, stop. It goes by what the last cycle knew, and
-    /// counts from the next cycle on. Other actions are none of the supervisor's business.
+    /// Takes an operator's request: arm, disarm, stop. It is judged by the situation of the last
+    /// cycle, and counts from the next cycle on. Other actions do not concern the supervisor.
     pub fn request(&mut self, action: Action) -> Outcome {
         match action {
             Action::Arm => return self.arm(),
@@ -207,7 +207,8 @@ impl Supervisor {
         Outcome::Done
     }
 
-    /// Towards disarmed. Who is on the way there, or is there, keeps the first cause.
+    /// Disarms, or brakes to disarm. If it already is disarmed or on the way, the first cause
+    /// stays.
     fn disarm(&mut self, cause: HoldReason) {
         if self.mode == Mode::Armed {
             self.mode = Mode::Disarming(cause);
@@ -223,7 +224,7 @@ impl Supervisor {
         self.refusals = in_a_row(self.refusals, situation.recall_refused);
     }
 
-    /// How a cause is met now: a solver that failed may find its way again, but not for long.
+    /// The present response to a cause: a failed solver is given a few cycles to recover.
     fn response(&self, cause: HoldReason) -> Response {
         match cause {
             HoldReason::Solver if self.failures < IN_A_ROW => Response::Wait,
@@ -297,7 +298,7 @@ fn in_a_row(before: u32, failed: Option<bool>) -> u32 {
     }
 }
 
-/// How a cause is met that lasts.
+/// The response to a cause that lasts.
 fn response(cause: HoldReason) -> Response {
     match cause {
         HoldReason::RobotFault | HoldReason::Clock | HoldReason::Standstill => Response::Stop,

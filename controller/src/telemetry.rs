@@ -34,12 +34,12 @@ pub enum RecorderError {
     Thread(#[from] std::io::Error),
     #[error("the recorder's thread ended before it was ready")]
     Gone,
-    /// Nobody logs, feeds the watchdog, or keeps flight records any more.
+    /// Without it there is no log, no watchdog message and no flight record.
     #[error("the recorder's thread ended before the loop")]
     Died,
 }
 
-/// The ordinary thread's things. Shared-memory ports stay in their thread, so it joins the domain
+/// What the ordinary thread owns. Shared-memory ports stay in their thread, so it joins the domain
 /// for itself.
 pub struct Telemetry {
     /// What the loop leaves.
@@ -102,7 +102,7 @@ impl Telemetry {
                 self.notifier.end(|| summary.status());
                 return summary;
             }
-            tell_refused_requests(&mut port);
+            log_refused_requests(&mut port);
             self.notifier.tend(|| summary.status());
             std::thread::sleep(PAUSE);
         }
@@ -139,7 +139,7 @@ impl Telemetry {
             }
         }
         while let Ok(reply) = self.consumer.replies.pop() {
-            tell_reply(&reply);
+            log_reply(&reply);
             self.flight.push_reply(reply);
         }
     }
@@ -147,7 +147,7 @@ impl Telemetry {
 
 /// Logs requests that the loop cannot answer, or whose codes nobody knows. The loop itself does not
 /// log.
-fn tell_refused_requests(port: &mut RecorderPort) {
+fn log_refused_requests(port: &mut RecorderPort) {
     // As many as a queue holds: a flood must not keep this thread from its records.
     for _ in 0..Request::QOS.buffer {
         match port.requests.oldest() {
@@ -169,7 +169,7 @@ fn tell_refused_requests(port: &mut RecorderPort) {
 }
 
 /// Logs what an operator asked for, and was answered.
-fn tell_reply(reply: &Reply) {
+fn log_reply(reply: &Reply) {
     let id = reply.id;
     if let (Some(action), Some(outcome)) = (Action::from_code(reply.action), reply.outcome()) {
         match outcome {

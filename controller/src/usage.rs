@@ -1,5 +1,4 @@
-//! What a stretch of the loop's thread cost beside time: page faults, calls that blocked, calls of
-//! the heap.
+//! What a section of the loop's thread cost besides time: page faults, blocking calls, heap calls.
 
 use ipc::CycleRecord;
 
@@ -32,7 +31,7 @@ impl Usage {
     }
 
     /// Writes what came since `self` into a record.
-    pub fn tell(&self, record: &mut CycleRecord) {
+    pub fn record_usage(&self, record: &mut CycleRecord) {
         let now = Self::now();
         let since =
             |now: u64, then: u64| u32::try_from(now.saturating_sub(then)).unwrap_or(u32::MAX);
@@ -52,7 +51,7 @@ mod tests {
         let mut record = CycleRecord::default();
         let before = Usage::now();
         work();
-        before.tell(&mut record);
+        before.record_usage(&mut record);
         record
     }
 

@@ -113,7 +113,7 @@ def parse():
     parser.add_argument("--scene", required=True, help="scene file (TOML)")
     parser.add_argument("--domain", help=f"directory of the domain [{vpc_client.default_directory()}]")
     parser.add_argument("--steps", type=int, help="most control periods of a run [the scene's time]")
-    parser.add_argument("--json", help="writes what became of each run to this file")
+    parser.add_argument("--json", help="file for the result of each run")
     starts = parser.add_mutually_exclusive_group()
     starts.add_argument(
         "--start",
@@ -124,9 +124,9 @@ def parse():
     )
     starts.add_argument("--starts", help="start poses (CSV: tx,ty,tz,rx,ry,rz)")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--index", type=int, default=0, help="which of --starts, from 0 [%(default)s]")
-    which.add_argument("--first", type=int, help="the first so many of --starts")
-    which.add_argument("--all", action="store_true", help="all of --starts")
+    which.add_argument("--index", type=int, default=0, help="index of the start, from 0 [%(default)s]")
+    which.add_argument("--first", type=int, help="run only this many starts, from the first on")
+    which.add_argument("--all", action="store_true", help="run all starts")
     return parser, parser.parse_args()
 
 

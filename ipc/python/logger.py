@@ -96,8 +96,8 @@ def latencies(tables):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--domain", help=f"directory of the domain [{vpc_client.default_directory()}]")
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long [%(default)s]")
-    parser.add_argument("--cycles", type=float, default=float("inf"), help="end after so many cycles")
+    parser.add_argument("--seconds", type=float, default=10.0, help="end after this time [%(default)s]")
+    parser.add_argument("--cycles", type=float, default=float("inf"), help="end after this many cycles")
     parser.add_argument("--out", default="log", help="directory of the tables [%(default)s]")
     parser.add_argument("--format", choices=("csv", "parquet"), default="csv", help="[%(default)s]")
     arguments = parser.parse_args()

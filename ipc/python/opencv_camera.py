@@ -8,14 +8,14 @@
 Markers are round blobs, bright on dark or, with --dark, dark on bright, one for each point of the scene's pattern. To
 try it without a camera, give --video FILE or --image-file FILE; --print shows what is published, --dry publishes nothing.
 
-Who moves the camera takes the twists from `vpc/twist` (CONTRACT.md); this program only sees.
+This program only publishes features. The program that moves the camera receives `vpc/twist` (CONTRACT.md).
 
 Time. A message carries the middle of the exposure on CLOCK_MONOTONIC. V4L2 drivers stamp frames on that clock and OpenCV
-hands the stamp on; where there is none, the time at which the frame was read stands for it. Either is later than the
+passes the stamp on; without a stamp, the program takes the time at which it read the frame. Either is later than the
 exposure: measure by how much (film a clock; 100 to 130 ms is common without driver stamps) and give it as --latency-ms.
 
-Roll. Markers look alike, so a pattern that looks the same after a turn (a square: after a quarter) is taken up only where
-one arrangement is possible; the program says at the start how far that is. See --turn-max.
+Roll. Markers look alike, so a pattern that looks the same after a turn (a square: a quarter turn) is found only if a single
+arrangement is possible; the program says at the start within which roll. See --turn-max.
 
 Lens. The controller knows a pinhole. With --calibration FILE (TOML: fx, fy, cx, cy in px and distortion, a list as
 cv2.calibrateCamera returns it) points are mapped to the pinhole of the scene.
@@ -312,10 +312,10 @@ def parse():
     parser.add_argument("--domain", help="directory of the domain [/tmp/vpc-<uid>]")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--device", type=int, default=0, help="index of the camera, /dev/videoN [%(default)s]")
-    source.add_argument("--video", help="video file instead of a camera, once through")
-    source.add_argument("--image-file", help="picture instead of a camera, again and again")
+    source.add_argument("--video", help="video file instead of a camera, played once")
+    source.add_argument("--image-file", help="picture instead of a camera, published again and again")
     parser.add_argument("--dark", action="store_true", help="dark markers on a bright ground")
-    parser.add_argument("--threshold", type=int, help="grey level that separates markers [by the surroundings]")
+    parser.add_argument("--threshold", type=int, help="grey level that separates markers [adaptive]")
     parser.add_argument(
         "--area", type=float, nargs=2, default=(40.0, 3000.0), metavar="PX2", help="least and greatest area %(default)s"
     )
@@ -326,7 +326,7 @@ def parse():
     parser.add_argument("--latency-ms", type=float, default=0.0, help="from exposure to stamp, ms [%(default)s]")
     parser.add_argument("--exposure-ms", type=float, default=0.0, help="length of the exposure, ms [unknown]")
     parser.add_argument("--calibration", help="lens (TOML): fx, fy, cx, cy, distortion")
-    parser.add_argument("--frames", type=int, help="end after so many frames")
+    parser.add_argument("--frames", type=int, help="end after this many frames")
     parser.add_argument("--print", action="store_true", help="print what is published, a line a frame")
     parser.add_argument("--dry", action="store_true", help="publish nothing: needs neither domain nor iceoryx2")
     return parser.parse_args()

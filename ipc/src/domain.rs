@@ -117,7 +117,7 @@ impl Domain {
 }
 
 impl Shared {
-    /// Opens a port of the service that carries `T`. If all places are taken, removes what killed
+    /// Opens a port of the service that carries `T`. If all slots are taken, removes what killed
     /// participants left and tries again.
     pub(crate) fn open<T: Message, P>(
         &self,

@@ -36,11 +36,11 @@ pub enum JoinReason {
     Path,
     /// Another process has been joining or leaving for this many seconds.
     #[error(
-        "another process is joining or leaving since {0} s; is one stopped? end it, or use another domain"
+        "another process has been joining or leaving for {0} s; end it if it is stopped, or use another domain"
     )]
     Busy(u64),
     /// iceoryx2 refused the node.
-    #[error("no node: {0}")]
+    #[error("iceoryx2 refused the node: {0}")]
     Node(#[from] NodeCreationFailure),
     /// A service exists with other types or another quality of service.
     #[error(
@@ -75,7 +75,7 @@ pub enum OpenError {
     #[error("{service}: {most} subscribers are at work; allowed: {most}")]
     Full { service: &'static str, most: usize },
     /// iceoryx2 refused the port.
-    #[error("{service}: no port: {reason}")]
+    #[error("{service}: iceoryx2 refused the port: {reason}")]
     Port {
         service: &'static str,
         reason: String,

@@ -7,7 +7,7 @@
 //! - `startup` is locked exclusively by a process that joins, leaves or opens a port, for as long
 //!   as that takes: one at a time.
 //! - `lock` is locked in shared mode by every participant for as long as it lives. A process that
-//!   gets it exclusively while holding `startup` is alone, and wipes what dead processes left
+//!   gets it exclusively while holding `startup` is alone, and removes what dead processes left
 //!   before it creates anything.
 //!
 //! So services are only ever created by a process that is alone in the domain; if it is killed
@@ -174,7 +174,7 @@ mod tests {
         let _stopped = Startup::take(directory.path(), PATIENCE).unwrap();
         let error = Startup::take(directory.path(), Duration::from_millis(3)).unwrap_err();
         let message = error.to_string();
-        assert!(message.contains("is joining or leaving"), "{message}");
+        assert!(message.contains("joining or leaving"), "{message}");
     }
 
     #[test]

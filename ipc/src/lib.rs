@@ -1,4 +1,4 @@
-//! The shared-memory contract between camera, robot, controller and everything that watches them.
+//! The shared-memory contract between camera, robot, controller and observers.
 //!
 //! Each service carries one plain `repr(C)` message over iceoryx2 publish/subscribe:
 //!
@@ -14,7 +14,7 @@
 //!
 //! Layouts, quality of service and the lockstep protocol: `CONTRACT.md` beside this crate. Tour and
 //! decisions: `README.md`. The fields of a message are listed once, in its file; [`Wire::FIELDS`]
-//! tells them at run time, and the C header, the Python module, the tables of `CONTRACT.md` and the
+//! has them at run time, and the C header, the Python module, the tables of `CONTRACT.md` and the
 //! schemas of recordings are made from it.
 //!
 //! A process joins a [`Domain`], a directory that separates experiments on one machine, and opens

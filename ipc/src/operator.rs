@@ -1,4 +1,4 @@
-//! What operators ask of the controller, and what it answers.
+//! Requests of operators, and the controller's replies.
 
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -27,7 +27,7 @@ codes! {
 }
 
 codes! {
-    /// What became of a request.
+    /// The outcome of a request.
     Outcome {
         /// Done, or it was already so.
         Done = 0 => "done",
@@ -118,7 +118,7 @@ message! {
         cycle: u64,
         /// That of the request; zero if it is unknown.
         action: u32 [code(Action)],
-        /// What became of the request.
+        /// Outcome of the request.
         outcome: u32 [code(Outcome)],
         /// State after the request.
         state: u32 [code(TwistState)],
@@ -133,7 +133,7 @@ message! {
 }
 
 impl Reply {
-    /// What became of the request; `None` if the code is unknown, which reception refuses.
+    /// The outcome of the request; `None` if the code is unknown, which reception refuses.
     pub fn outcome(&self) -> Option<Outcome> {
         Outcome::from_code(self.outcome)
     }

@@ -1,5 +1,5 @@
 //! Typed ports: sequence numbers, time stamps, checks. They do not touch the heap once a connection
-//! stands.
+//! is made.
 
 use std::ops::Deref;
 

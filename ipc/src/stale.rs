@@ -1,5 +1,5 @@
-//! What killed processes leave behind and iceoryx2 0.9.3 cannot clean up: stale nodes, and taken
-//! places in services.
+//! Removes what killed processes leave behind and iceoryx2 0.9.3 cannot clean up: stale nodes, and
+//! taken slots of services.
 //!
 //! Its own cleaning gives up for good in three cases, each of them a kill at the wrong moment:
 //!
@@ -7,14 +7,14 @@
 //!   The cleaner keeps such a tag, so it fails to remove the directory around it, but has already
 //!   deleted the node's details. Without them later cleaners look for the node in the default
 //!   domain and find nothing.
-//! - A cleaner died between removing a port's tag and the port's place in the service: later ones
-//!   skip a port without a tag, and the place stays taken.
+//! - A cleaner died between removing a port's tag and the port's slot in the service: later ones
+//!   skip a port without a tag, and the slot stays taken.
 //! - A cleaner died between removing two of the three files of a node's monitor: later ones cannot
 //!   tell whether the node is alive.
 //!
-//! One rule replaces them. Only the holder of the startup lock creates or removes nodes, so **what
-//! belongs to a node that is not alive belongs to nobody**: it is removed from each service, after
-//! restoring the tags that this needs, and its files are deleted.
+//! One rule covers these cases. Only the holder of the startup lock creates or removes nodes, so
+//! **every node that is not alive can be removed**: from each service, after restoring the tags
+//! that this needs, and then its files.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -39,7 +39,7 @@ struct Nodes {
 }
 
 impl Nodes {
-    /// `None` where iceoryx2 cannot tell.
+    /// `None` if iceoryx2 cannot tell.
     fn list(config: &Config) -> Option<Self> {
         let (mut alive, mut dead) = (BTreeSet::new(), Vec::new());
         let listed = Node::<Service>::list(config, |state| {

@@ -5,8 +5,8 @@
     venv/bin/python fit_gpr.py IN.vpcmem OUT.vpcmem
 
 Reads and writes with stock safetensors, following ../FORMAT.md; what `vpc-memory verify OUT` accepts, `vpcd` runs. The
-samples stay as they are, byte for byte; tensors `gpr.*`, probes and digests are new. The probes are answered here, by
-scikit-learn and a naive search, so a reader that accepts the file agrees with both.
+samples stay as they are, byte for byte; tensors `gpr.*`, probes and digests are new. This script computes the answers of the
+probes with scikit-learn and an exhaustive search, so a reader that accepts the file agrees with both.
 """
 
 import argparse

@@ -71,7 +71,7 @@ pub enum WriteError {
     /// The file could not be written.
     #[error("{path}: cannot write the memory: {source}")]
     Write {
-        /// The file.
+        /// Path of the file, as given.
         path: String,
         /// The operating system's reason.
         r#source: std::io::Error,
@@ -84,7 +84,7 @@ impl Contents {
     /// new one. The same contents give the same bytes.
     ///
     /// # Errors
-    /// [`WriteError`] where the contents contradict themselves or the file cannot be written.
+    /// [`WriteError`] if the contents contradict themselves or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
         self.check()?;
         replace(path, &Draft::of(self).bytes()).map_err(|source| WriteError::Write {

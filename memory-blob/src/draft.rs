@@ -1,4 +1,4 @@
-//! A file on its way out: tensors, metadata, digests, and the container's bytes.
+//! A file to be written: tensors, metadata, digests, and the container's bytes.
 
 use std::collections::BTreeMap;
 

@@ -20,7 +20,7 @@ pub enum OpenError {
     /// The file could not be read, or no sealed memory was to be had.
     #[error("{path}: cannot read the memory: {source}")]
     Read {
-        /// The file.
+        /// Path of the file, as given.
         path: String,
         /// The operating system's reason.
         r#source: std::io::Error,
@@ -28,7 +28,7 @@ pub enum OpenError {
     /// The file is damaged, or not a memory.
     #[error("{path}: not an intact memory: {what}")]
     Corrupt {
-        /// The file.
+        /// Path of the file, as given.
         path: String,
         /// Which part, what was found, and what is allowed.
         what: String,
@@ -39,7 +39,7 @@ pub enum OpenError {
         format::SCHEMA
     )]
     Schema {
-        /// The file.
+        /// Path of the file, as given.
         path: String,
         /// Its schema.
         found: String,
@@ -50,7 +50,7 @@ pub enum OpenError {
          pattern, goal, limits, occlusions); build a memory for this scene with `vpc-memory build`"
     )]
     Task {
-        /// The file.
+        /// Path of the file, as given.
         path: String,
         /// Fingerprint in the file.
         found: String,
@@ -183,7 +183,7 @@ impl MemoryFile {
         self.ranges.keys().map(String::as_str)
     }
 
-    /// The numbers of a tensor; none where the file has no such tensor.
+    /// The numbers of a tensor; none if the file has no such tensor.
     pub(crate) fn tensor(&self, name: &str) -> &[f64] {
         self.ranges
             .get(name)

@@ -29,7 +29,7 @@ pub struct Gpr<'a> {
     pub(crate) mean: &'a [f64],
     /// One for each output, in its units.
     pub(crate) output_scale: &'a [f64],
-    /// Packed lower rows of the Cholesky factor of K + phi_s I; empty where the file has none.
+    /// Packed lower rows of the Cholesky factor of K + phi_s I; empty if the file has none.
     pub(crate) cholesky: &'a [f64],
 }
 
@@ -57,7 +57,7 @@ impl<'a> Gpr<'a> {
     /// Writes the mean at a raw input.
     ///
     /// # Errors
-    /// [`QueryError`] where a length or an entry of the input is wrong.
+    /// [`QueryError`] if a length or an entry of the input is wrong.
     pub fn mean(&self, input: &[f64], output: &mut [f64]) -> Result<(), QueryError> {
         if output.len() != self.outputs {
             return Err(QueryError::OutputLength {
@@ -84,7 +84,7 @@ impl<'a> Gpr<'a> {
     /// x)|^2 and differ by their squared scales. `scratch` holds [`Gpr::len`] numbers.
     ///
     /// # Errors
-    /// [`QueryError`] where a length or an entry is wrong, or the file holds no factor.
+    /// [`QueryError`] if a length or an entry is wrong, or the file holds no factor.
     pub fn variance(
         &self,
         input: &[f64],

@@ -1,4 +1,4 @@
-//! The header of a file: what the container says before any number is read.
+//! The header of a file: the container's metadata, names, shapes and digests.
 
 use std::collections::BTreeMap;
 use std::ops::Range;

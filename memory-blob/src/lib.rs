@@ -4,7 +4,7 @@
 //! [`Samples`] (k-nearest neighbours) and [`Gpr`] (Gaussian-process regression). With the feature
 //! `file` (default) come [`Contents`] (what a writer fills in) and [`MemoryFile`] (what a reader
 //! opens, verified, sealed and mapped). The format is described in `FORMAT.md`; decisions, promises
-//! and times stand in the crate's `README.md`.
+//! and times are in the crate's `README.md`.
 #![cfg_attr(not(feature = "file"), no_std)]
 #![cfg_attr(not(feature = "file"), forbid(unsafe_code))]
 #![deny(unsafe_code)]

@@ -1,4 +1,4 @@
-//! What every number of a file must keep, beyond its digest.
+//! Checks of a file's numbers beyond their digests.
 
 use crate::MemoryFile;
 use crate::samples::{BLOCK, BLOCKS_PER_GROUP};

@@ -1,5 +1,5 @@
-//! Probes: a few inputs and what the queries answer to them, stored by the writer and asked again
-//! by the reader. They catch a wrong layout or scaling that no checksum can see.
+//! Probes: a few inputs with their answers, stored by the writer and compared by the reader. They
+//! catch a wrong layout or scaling that no checksum can see.
 
 use crate::draft::Draft;
 use crate::format::{PROBE_TOLERANCE, PROBES};

@@ -1,4 +1,4 @@
-//! The replacing of a file as a whole.
+//! Replaces a file atomically.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Write};
@@ -7,7 +7,7 @@ use std::path::Path;
 
 use tempfile::Builder;
 
-/// Puts `bytes` in the place of the file at `path`, whose directory is made where it is missing. At
+/// Puts `bytes` in the place of the file at `path`, whose directory is made if it is missing. At
 /// every moment, also after a power cut, the path holds the old file or the new one, whole: the new
 /// one is written beside it and synchronised before it is renamed, and the directory, which holds
 /// the name, is synchronised after. Of several that write the same path at once the last one

@@ -1,4 +1,4 @@
-//! What is in a memory, in words.
+//! A report of what is in a memory.
 
 use std::collections::BTreeSet;
 use std::fmt;

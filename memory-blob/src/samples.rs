@@ -2,8 +2,8 @@
 //!
 //! Samples are stored in the order of a k-d tree, 32 to a block, each block with its bounding box,
 //! and 16 blocks to a group with one of its own. A search visits groups and blocks by their lower
-//! bounds and skips what cannot hold a nearer sample, so the answer is that of comparing with every
-//! sample, at a small part of the work.
+//! bounds and skips what cannot hold a nearer sample. So the answer is that of an exhaustive
+//! search, at a small part of the work.
 
 use crate::view::Scaling;
 use crate::{MAX_INPUTS, MAX_NEIGHBOURS, QueryError};
@@ -110,7 +110,7 @@ impl<'a> Samples<'a> {
     /// Writes the raw input of a sample.
     ///
     /// # Errors
-    /// [`QueryError`] where the length is wrong.
+    /// [`QueryError`] if the length is wrong.
     pub fn input(&self, index: usize, input: &mut [f64]) -> Result<(), QueryError> {
         let (n, found) = (self.inputs(), input.len());
         if found != n {
@@ -134,7 +134,7 @@ impl<'a> Samples<'a> {
     /// Source: paper, Eq. (knn).
     ///
     /// # Errors
-    /// [`QueryError`] where a length, `k` or an entry of the input is wrong.
+    /// [`QueryError`] if a length, `k` or an entry of the input is wrong.
     pub fn nearest(
         &self,
         input: &[f64],

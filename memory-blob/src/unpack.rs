@@ -1,4 +1,4 @@
-//! From a file back to what its maker knew.
+//! From a file back to its [`Contents`].
 
 use crate::exp::LANES;
 use crate::{Contents, Gpr, MemoryFile, Regression};

@@ -2,7 +2,7 @@
 
 use crate::{Gpr, MAX_INPUTS, QueryError, Samples};
 
-/// What a control cycle may ask: samples by k-NN, and regression where the file has it.
+/// What a control cycle may query: samples by k-NN, and regression if the file has it.
 #[derive(Clone, Copy, Debug)]
 pub struct Memory<'a> {
     pub(crate) samples: Samples<'a>,
@@ -34,7 +34,7 @@ impl Scaling<'_> {
     /// Scales a raw input; entries past the input's length are zero.
     ///
     /// # Errors
-    /// [`QueryError`] where the length is wrong or an entry is not finite.
+    /// [`QueryError`] if the length is wrong or an entry is not finite.
     pub fn apply(&self, input: &[f64]) -> Result<[f64; MAX_INPUTS], QueryError> {
         let expected = self.scale.len();
         if input.len() != expected || expected > MAX_INPUTS {

@@ -1,4 +1,4 @@
-//! Child processes that end with this program, whichever way it ends.
+//! Child processes that end with this program, however it ends.
 //!
 //! SIGINT, SIGTERM and SIGHUP end the children in order and remove the directories that they work
 //! in. After SIGKILL or a crash the kernel sends each child a SIGTERM, on which `vpcd` and `hw-sim`

@@ -1,5 +1,5 @@
 //! What the programs `demo` and `table` and the system tests share: closed-loop runs against an
-//! exact camera, and what they add up to.
+//! exact camera, and their statistics.
 
 #![forbid(unsafe_code)]
 

@@ -16,9 +16,9 @@ use crate::spec::Spec;
 
 /// Trajectories shown of a memory; more hide each other.
 const SHOWN_TRAJECTORIES: usize = 250;
-/// Most frames of a film; a long run is shown faster than it was.
+/// Most frames of an animation; a long run is shown faster than it was.
 const FRAMES: usize = 50;
-/// Time from one frame of a film to the next, and for which the last one stands, s.
+/// Time from one frame of an animation to the next, and time that the last one stays, s.
 const FRAME_S: (f64, f64) = (0.07, 2.0);
 
 /// What is drawn of a run: features, way points and twists, period by period.
@@ -107,7 +107,7 @@ impl Drawn {
 /// else the first that the first strategy fails and the last one solves, else the first.
 ///
 /// # Errors
-/// Where a picture cannot be drawn or written.
+/// If a picture cannot be drawn or written.
 pub fn of_table<R: Draw>(
     directory: &Path,
     scene: &Scene,
@@ -190,7 +190,7 @@ pub fn animation<R: Draw>(scene: &Scene, task: &Task, runs: &[&(Spec, R)]) -> An
     }
 }
 
-/// The joints of a recorded arm with the steps of its task; none where no arm carried the camera.
+/// The joints of a recorded arm with the steps of its task; none if no arm carried the camera.
 pub fn joints(records: &[Record], title: &str) -> Option<Joints> {
     let begun = records.iter().filter(|record| record.time_s > 0.0);
     let samples: Vec<_> = begun

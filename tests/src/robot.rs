@@ -16,7 +16,7 @@ const PERIODS: f64 = 3.0;
 /// Time without usable features after which the daemon disarms, ns.
 const LOST_NS: u64 = 300_000_000;
 
-/// What came of a run.
+/// The result of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotRun {
     /// Whether the object was released at the goal and the robot retreated, without any violation.

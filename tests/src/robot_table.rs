@@ -36,7 +36,7 @@ pub struct RobotRow {
     pub limit_violations: u64,
     /// Milliseconds with a discontinuity, all runs.
     pub discontinuities: u64,
-    /// Mean time to arrival of the successful runs, s; none where there are none.
+    /// Mean time to arrival of the successful runs, s; none if there are none.
     pub arrived_s: Option<f64>,
     /// Mean running cost over Np.
     pub cost: f64,

@@ -1,4 +1,4 @@
-//! A row of the table: what all runs of one strategy add up to.
+//! A row of the table: statistics over all runs of one strategy.
 
 use serde::Serialize;
 

@@ -51,7 +51,7 @@ const STALE_PERIODS: usize = 3;
 pub struct Moment {
     /// True features, px.
     pub features: Vec<[f64; 2]>,
-    /// What the camera delivered; `None` where no frame came.
+    /// What the camera delivered; `None` if no frame came.
     pub measured: Option<Measurement>,
     /// Whether the frame before was missing.
     pub gap: bool,
@@ -185,7 +185,7 @@ fn cycle(
 /// caches are warm.
 ///
 /// # Errors
-/// [`NotRepeatable`] where a replay commands another twist than the run did, which the law never
+/// [`NotRepeatable`] if a replay commands another twist than the run did, which the law never
 /// may.
 pub fn time(
     run: &mut Run,

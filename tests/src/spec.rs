@@ -1,4 +1,4 @@
-//! What to run: a strategy and its preview window.
+//! What to run: a strategy and its prediction window.
 
 use std::fmt;
 use std::str::FromStr;

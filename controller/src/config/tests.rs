@@ -1,4 +1,4 @@
-//! What is read, and what is refused with which words.
+//! What is read, and what is refused with which message.
 
 use vpc::Strategy;
 

@@ -1,4 +1,5 @@
-//! From the loop to the ordinary thread: wait-free queues, and a flag that requests a flight record.
+//! From the loop to the ordinary thread: wait-free queues, and a flag that requests a flight
+//! record.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,15 +26,15 @@ impl DumpRequest {
     /// A request that SIGUSR1 makes as well.
     ///
     /// # Errors
-    /// Where the operating system refuses the handler.
+    /// If the operating system refuses the handler.
     pub fn by_signal() -> std::io::Result<Self> {
         let request = Self::default();
         signal_hook::flag::register(signal_hook::consts::SIGUSR1, Arc::clone(&request.0))?;
         Ok(request)
     }
 
-    /// Asks for it. Wait-free. Release: what was recorded before is seen by whoever takes the
-    /// request.
+    /// Requests it. Wait-free. Release: the thread that takes the request sees what was recorded
+    /// before.
     pub fn make(&self) {
         self.0.store(true, Ordering::Release);
     }

@@ -15,9 +15,8 @@ use super::store::Store;
 use crate::config::{Config, ConfigError, FlightConfig};
 use crate::decision::HoldReason;
 
-/// Faults within this time of the last written one are in the log only: features that come and go
-/// must not fill a disk. But for one that disarms: after that nothing comes and goes, and the next
-/// file may never be.
+/// A fault within this time of the last written one is only logged: features that come and go must
+/// not fill a disk. A fault that disarms is always written, because it may be the last one.
 const BETWEEN_FAULTS: Duration = Duration::from_secs(60);
 
 /// Longest wait for a file when the daemon ends.
@@ -61,7 +60,8 @@ pub struct Recorder {
     at_exit: bool,
     was_moving: bool,
     was_armed: bool,
-    /// What is due: a request; a camera that was moving and was held; one that was disarmed.
+    /// The file that is due: for a request; for a moving camera that was held; for one that was
+    /// disarmed.
     requested: bool,
     fault: Option<HoldReason>,
     disarmed: Option<HoldReason>,
@@ -158,8 +158,8 @@ impl Recorder {
         self.ring.push_snapshot(snapshot);
     }
 
-    /// Has written what is due: on request, or on a fault since the last call. While a file is
-    /// being written the next one waits.
+    /// Has the file written that is due: on request, or on a fault since the last call. While a
+    /// file is being written the next one waits.
     pub fn tend(&mut self, requested: bool, now: Instant) {
         self.requested |= requested;
         if self.is_writing() {
@@ -195,8 +195,8 @@ impl Recorder {
         self.writer.as_ref().is_some_and(|w| !w.is_finished())
     }
 
-    /// Waits for the writer, but for no disk that hangs: what it leaves then is removed with the
-    /// next file. Returns whether it is done.
+    /// Waits for the writer, but not for a disk that hangs; a part of a file is then removed with
+    /// the next file. Returns whether the writer is done.
     fn wait(&mut self) -> bool {
         let end = Instant::now() + PATIENCE;
         while self.is_writing() && Instant::now() < end {
@@ -209,8 +209,8 @@ impl Recorder {
         !is_writing
     }
 
-    /// Hands a copy to a thread of its own: a disk that hangs holds up neither telemetry nor the
-    /// watchdog.
+    /// Passes a copy to a thread of its own, so that a disk that hangs delays neither telemetry nor
+    /// the watchdog.
     fn write(&mut self, cause: Cause) {
         let Some((store, about)) = &self.store else {
             return;
@@ -253,7 +253,7 @@ fn is_armed(record: &CycleRecord) -> bool {
     !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped))
 }
 
-/// The reason, if the camera is held for another one than that somebody wanted it.
+/// The reason of the hold, unless an operator or a shutdown asked for it.
 fn unwanted(record: &CycleRecord) -> Option<HoldReason> {
     use HoldReason::{NotArmed, Operator, Shutdown};
     let reason = HoldReason::from_code(record.hold)?;

@@ -81,12 +81,12 @@ impl Ring {
         self.cycles.iter()
     }
 
-    /// The replies.
+    /// The replies, the oldest first.
     pub fn replies(&self) -> impl Iterator<Item = &Reply> {
         self.replies.iter()
     }
 
-    /// The snapshots.
+    /// The snapshots, the oldest first.
     pub fn snapshots(&self) -> impl Iterator<Item = &Snapshot> {
         self.snapshots.iter()
     }

@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 use recording::WriteError;
 
-/// How names begin.
+/// Prefix of file names.
 const PREFIX: &str = "vpcd-";
-/// How names of whole files end.
+/// Suffix of whole files.
 const SUFFIX: &str = ".mcap";
-/// How names of files end while they are written.
+/// Suffix of files that are being written.
 const BESIDE: &str = ".mcap.tmp";
 
 /// Why a flight record was not written.
@@ -23,7 +23,7 @@ pub enum StoreError {
         directory: String,
         source: io::Error,
     },
-    /// Somebody else's directory: they could take the files away or put others in.
+    /// The directory belongs to another user, who could remove or replace the files.
     #[error("{directory}: belongs to user {found}; allowed: {own}, who runs vpcd")]
     Owner {
         directory: String,

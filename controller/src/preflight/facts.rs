@@ -1,4 +1,4 @@
-//! What the kernel says about this machine, and what a second of waking up says.
+//! Facts about this machine: from the kernel, and from a second of measured wake-ups.
 
 use std::fs;
 use std::path::Path;
@@ -44,11 +44,11 @@ pub struct Facts {
     pub is_rt_kernel: bool,
     /// `uname -v`.
     pub kernel: String,
-    /// The mode of PREEMPT_DYNAMIC, in words that can follow it; empty where it cannot be read.
+    /// The mode of PREEMPT_DYNAMIC, in words that can follow it; empty if it cannot be read.
     pub preemption: String,
     /// The kernel's clock source.
     pub clock_source: String,
-    /// The different frequency governors; empty where there are none.
+    /// The different frequency governors; empty if there are none.
     pub governors: Vec<String>,
     /// `/dev/cpu_dma_latency` can be opened for writing.
     pub may_hold_idle: bool,
@@ -110,7 +110,7 @@ impl Facts {
     }
 }
 
-/// The text of a small file; empty where there is none.
+/// The text of a small file; empty if there is none.
 fn line(path: impl AsRef<Path>) -> String {
     fs::read_to_string(path).map_or(String::new(), |text| text.trim().to_owned())
 }

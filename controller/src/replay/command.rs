@@ -83,9 +83,9 @@ fn attempt(arguments: &ReplayArguments) -> Result<Exit, CommandError> {
         .map(|until| find(&recording, &path, until, &outcome))
         .transpose()?;
     if arguments.json {
-        tell_json(&recording, &outcome, asked_for);
+        print_json(&recording, &outcome, asked_for);
     } else {
-        tell(&recording, &outcome, asked_for);
+        print(&recording, &outcome, asked_for);
     }
     Ok(match outcome {
         Ok(_) => Exit::Ok,
@@ -199,12 +199,12 @@ fn is_other_build(recording: &Recording) -> bool {
     recorded.is_some_and(|recorded| recorded != file::executable())
 }
 
-fn tell_json(
+fn print_json(
     recording: &Recording,
     outcome: &Result<Report, Box<Difference>>,
     asked_for: Option<&CycleRecord>,
 ) {
-    let mut told = json!({
+    let mut document = json!({
         "same": outcome.is_ok(),
         "cause": recording.origin(origin::CAUSE),
         "cut": recording.cut,
@@ -213,16 +213,16 @@ fn tell_json(
         "other_build": is_other_build(recording),
     });
     match outcome {
-        Ok(report) => told["report"] = json!(report),
-        Err(difference) => told["difference"] = json!(difference),
+        Ok(report) => document["report"] = json!(report),
+        Err(difference) => document["difference"] = json!(difference),
     }
     if let Some(record) = asked_for {
-        told["recorded"] = serde_json::from_str(&record.to_json()).unwrap_or(Value::Null);
+        document["recorded"] = serde_json::from_str(&record.to_json()).unwrap_or(Value::Null);
     }
-    println!("{told:#}");
+    println!("{document:#}");
 }
 
-fn tell(
+fn print(
     recording: &Recording,
     outcome: &Result<Report, Box<Difference>>,
     asked_for: Option<&CycleRecord>,

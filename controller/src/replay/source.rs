@@ -39,7 +39,7 @@ impl<'a> Source<'a> {
         source
     }
 
-    /// The snapshot before this cycle. Daemons that started again count anew: it was taken after
+    /// The snapshot before this cycle. A restarted daemon counts from 1 again: it was taken after
     /// `begin_ns`, and before the cycle.
     pub fn snapshot(&self, record: &CycleRecord, begin_ns: u64) -> Option<&'a Snapshot> {
         let same = self.snapshots.get(&record.cycle)?.iter();

@@ -25,7 +25,7 @@ const WARM_UP: u64 = 100;
 #[global_allocator]
 static ALLOCATOR: heap_meter::Meter = heap_meter::Meter;
 
-/// What a run of the loop came to.
+/// The result of a run of the loop.
 #[derive(Debug, Default)]
 struct Tally {
     allocations: u64,

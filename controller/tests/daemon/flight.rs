@@ -1,4 +1,4 @@
-//! The flight record: two runs are one, a replay is the run, and no decision changes unseen.
+//! The flight record: two runs and a replay are equal, and every changed decision is found.
 
 use controller::arguments::Arguments;
 use controller::config::Config;

@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::fixture::{Place, ended, not_run, scene_file, vpcd, vpcd_in};
 
 /// A command without the right to real time: as we are where we have none, else without the
-/// capabilities. None where they cannot be dropped.
+/// capabilities. None if they cannot be dropped.
 fn without_rights(command: &Command) -> Option<Command> {
     if !rustix::process::geteuid().is_root() {
         let mut same = Command::new(command.get_program());

@@ -87,7 +87,7 @@ pub struct Machine {
 
 impl Machine {
     /// Boots with these files; None, said plainly, where that cannot be.
-    pub fn boot(what: &str, lay: impl FnOnce(&Stage)) -> Option<Self> {
+    pub fn boot(what: &str, install: impl FnOnce(&Stage)) -> Option<Self> {
         if !is_root(what) {
             return None;
         }
@@ -109,7 +109,7 @@ impl Machine {
         };
         let place = Place::new();
         let stage = Stage::new(place.path("stage"));
-        lay(&stage);
+        install(&stage);
         // The shell enters the cgroup before the namespace is made, so that it becomes its root.
         let script = r#"echo $$ > "$2/cgroup.procs" && exec timeout --signal=KILL 300 \
             unshare --fork --kill-child --pid --mount --uts --ipc --cgroup sh "$3" "$1" "$2""#;

@@ -11,7 +11,7 @@ use crate::fixture::{Frozen, eventually, not_run, root, spin, thread};
 use crate::machine::{Machine, Stage, may_raise_limits, status};
 
 /// The files of the package where it would install them.
-fn lay(stage: &Stage) {
+fn install(stage: &Stage) {
     let files = root().join("controller/systemd");
     let vpcd = Path::new(env!("CARGO_BIN_EXE_vpcd"));
     stage.put(vpcd, "usr/bin/vpcd");
@@ -43,7 +43,7 @@ fn lay(stage: &Stage) {
 
 #[test]
 fn a_real_systemd_starts_restarts_and_stops_it() {
-    let Some(machine) = Machine::boot("a real systemd", lay) else {
+    let Some(machine) = Machine::boot("a real systemd", install) else {
         return;
     };
     // As the package's scripts do.

@@ -212,7 +212,7 @@ enum Hang {
     Stopped,
 }
 
-/// How long after the hang began the last feed was heard; zero where none was.
+/// How long after the hang began the last feed was heard; zero if none was.
 fn last_feed(hang: Hang, phase: u32) -> Duration {
     let place = Place::new();
     let manager = Manager::new(&place);

@@ -28,7 +28,7 @@ struct Package {
 }
 
 impl Package {
-    /// Builds it; `None` where that cannot be.
+    /// Builds it; `None` if that cannot be.
     fn build(what: &str) -> Option<Self> {
         let Some(cargo_deb) = cargo_deb() else {
             not_run(

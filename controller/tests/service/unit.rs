@@ -31,7 +31,7 @@ fn placed(place: &Place, name: &str, text: &str) -> PathBuf {
     place.file(name, text.replace(line, &start))
 }
 
-/// Runs systemd-analyze; `None` where there is none.
+/// Runs systemd-analyze; `None` if there is none.
 fn analyze(arguments: &[&str], unit: &Path) -> Option<(bool, String)> {
     if !are_installed("units", &["systemd-analyze=systemd"]) {
         return None;

@@ -137,7 +137,7 @@ fn placed(scene: &Scene, pose: &Pose) -> Vec<Vector3<f64>> {
     scene.pattern.iter().map(place).collect()
 }
 
-/// What an exact camera sees; `None` where a point is behind it.
+/// What an exact camera sees; `None` if a point is behind it.
 fn pixels(scene: &Scene, points: &[Vector3<f64>]) -> Option<Vec<[f64; 2]>> {
     let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into());
     points.iter().map(see).collect()

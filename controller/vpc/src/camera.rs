@@ -12,7 +12,7 @@ pub fn pixel(camera: &Camera, [x, y]: [f64; 2]) -> [f64; 2] {
     [camera.fx * x + camera.cx, camera.fy * y + camera.cy]
 }
 
-/// The pixel of a point in the camera frame (m), or `None` where it is not in front of the camera.
+/// The pixel of a point in the camera frame (m), or `None` if it is not in front of the camera.
 pub fn project(camera: &Camera, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
     (z > 1e-6).then(|| pixel(camera, [x / z, y / z]))
 }

@@ -64,7 +64,7 @@ impl Controller {
     /// A controller for a scene.
     ///
     /// # Errors
-    /// [`SettingsError`] where a setting is out of range or the goal of the scene cannot be seen.
+    /// [`SettingsError`] if a setting is out of range or the goal of the scene cannot be seen.
     pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SettingsError> {
         settings.check()?;
         Ok(Self {
@@ -93,8 +93,8 @@ impl Controller {
         self.state.history.forget();
     }
 
-    /// Records that `twist` was really sent at `at_ns`, whoever chose it: zero, repeated and
-    /// braking ones too.
+    /// Records that `twist` was really sent at `at_ns`, also a zero, repeated or braking one that
+    /// the law did not choose.
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
     }
@@ -132,7 +132,7 @@ impl Controller {
     /// Changes the strategy from the next cycle on; what earlier cycles left stays.
     ///
     /// # Errors
-    /// [`SettingsError`] where the neighbours of k-NN are out of range; nothing changes then.
+    /// [`SettingsError`] if the neighbours of k-NN are out of range; nothing changes then.
     pub fn set_strategy(&mut self, strategy: Strategy) -> Result<(), SettingsError> {
         let settings = Settings {
             strategy,
@@ -172,7 +172,7 @@ impl Controller {
     /// One cycle: measured features in, camera twist out. Never allocates; its work is bounded.
     ///
     /// # Errors
-    /// [`Refusal`] where the features cannot be trusted: send the zero twist.
+    /// [`Refusal`] if the features cannot be trusted: send the zero twist.
     pub fn step(
         &mut self,
         measurement: &Measurement,
@@ -264,8 +264,8 @@ impl Controller {
             .inspect_err(|_| self.lose_sight())
     }
 
-    /// Where these features were expected: predicted for this exposure from the one before, with
-    /// the commands that were in force between.
+    /// Where these features were expected: predicted for this exposure from the previous one, with
+    /// the commands that were in force in between.
     fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<Points> {
         if age_ns == 0 && !self.state.history.is_live() {
             return self.state.predicted.get();
@@ -299,7 +299,7 @@ impl Controller {
         }
     }
 
-    /// What the memory says, where features are near an occlusion.
+    /// The memory's answer, if features are near an occlusion.
     fn recall(
         &mut self,
         points: &Points,

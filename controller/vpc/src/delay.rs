@@ -1,10 +1,10 @@
 //! Delay compensation: from the features of an exposure to those of the instant at which the new
 //! command takes effect, along the commands that were sent meanwhile.
 //!
-//! A camera delivers s(t_e) at t_e + d. Between, it was carried by commands that this side knows,
-//! because it sent them: v_i from t_i to t_{i+1}. So the features of now follow from those of the
-//! exposure by the model, piece by piece: with [`Model::Pose`] by the product of the rigid motions,
-//! exp(-(t_{i+1} - t_i) v_i) X, which is exact; with the others by integrating s' = L(s, Z) v_i.
+//! A camera delivers s(t_e) at t_e + d. In between, the commands that the controller sent moved it:
+//! v_i from t_i to t_{i+1}. So the model gives the present features from those of the exposure,
+//! piece by piece: with [`Model::Pose`] by the product of the rigid motions, exp(-(t_{i+1} - t_i)
+//! v_i) X, which is exact; with the others by integrating s' = L(s, Z) v_i.
 //!
 //! Source: paper, Eq. (model), with the sampling time replaced by the length of each piece.
 
@@ -20,9 +20,9 @@ pub const CAPACITY: usize = 32;
 /// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is
 /// forgotten first. Plain data: a copy goes on as the original does.
 ///
-/// It never guesses. Where an interval begins before what it knows, [`History::advance`] says
-/// [`Unpredictable::Unknown`] and the law refuses the features; zero twists that are sent meanwhile
-/// are remembered too, so that the interval is known again after one delay.
+/// It never guesses. If an interval begins before the oldest known command, [`History::advance`]
+/// returns [`Unpredictable::Unknown`] and the law refuses the features. Zero twists that are sent
+/// meanwhile are remembered too, so that the interval is known again after one delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
     /// Commands remembered, 0 to 32.
@@ -97,8 +97,8 @@ impl History {
         *self = Self::live(self.validity_ns);
     }
 
-    /// Remembers that `twist` was sent at `at_ns`, in the place of one sent at the same instant. A
-    /// clock that runs backwards makes all before worthless.
+    /// Remembers that `twist` was sent at `at_ns`; replaces one sent at the same instant. If the
+    /// clock ran backwards, all earlier commands are forgotten.
     pub fn push(&mut self, twist: &Twist, at_ns: u64) {
         let last = self.entries().last().map(|(from_ns, _)| from_ns);
         if last.is_some_and(|last| last > at_ns) {
@@ -130,7 +130,7 @@ impl History {
     /// bounded.
     ///
     /// # Errors
-    /// [`Unpredictable`] where the commands are not known, or lead where no camera sees.
+    /// [`Unpredictable`] if the commands are not known, or lead where no camera sees.
     pub fn advance(
         &self,
         task: &Task,

@@ -27,7 +27,7 @@ impl PlainPoints {
         points: [[0.0; 2]; MAX_POINTS],
     };
 
-    /// The points; `None` where there are none.
+    /// The points; `None` if there are none.
     pub fn get(&self) -> Option<Points> {
         let points = self.points.iter().copied();
         (self.count > 0).then(|| points.take(self.count as usize).collect())
@@ -76,7 +76,7 @@ pub fn angle(points: &[[f64; 2]]) -> f64 {
     }
 }
 
-/// `angle` moved by whole turns into (goal - pi, goal + pi], so that its cut lies opposite the
+/// `angle` moved by whole turns into (goal - pi, goal + pi], so that it wraps opposite the
 /// goal's orientation, where turning left and turning right are really different.
 pub fn unwrap_near(angle: f64, goal: f64) -> f64 {
     let mut unwrapped = angle;

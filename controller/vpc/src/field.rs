@@ -1,9 +1,8 @@
 //! The clearance from an area of a mask: a quadratic B-spline over the nodes of its field.
 //!
-//! Three nodes a side weigh in at each point, so that the clearance and its gradient are
-//! continuous, linear functions come back exactly, and a query costs nine numbers. The scene's
-//! coefficients hold the spline below the signed Euclidean distance near the border, so that no
-//! margin is needed on top.
+//! Three by three nodes contribute at each point, so that the clearance and its gradient are
+//! continuous and linear functions are reproduced exactly. The scene's coefficients keep the spline
+//! below the signed Euclidean distance near the border, so that no further margin is needed.
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: the weights keep the three nodes of a side inside the grid"
@@ -38,7 +37,7 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// What the three nodes about a coordinate weigh.
+/// The weights of the three nodes about a coordinate.
 struct Weights {
     value: [f64; 3],
     /// Derivatives of the weights, 1/px.

@@ -1,4 +1,4 @@
-//! The frozen-image check: a driver may hand out its last image for ever, with fresh stamps.
+//! The frozen-image check: a driver may deliver its last image for ever, with fresh stamps.
 
 use crate::Points;
 use crate::measurement::Refusal;
@@ -13,7 +13,7 @@ const FROZEN_PX: f64 = 3.0;
 /// changed, summed over the frames, px.
 ///
 /// # Errors
-/// [`Refusal::Frozen`] where more motion was commanded than a live image can hide.
+/// [`Refusal::Frozen`] if more motion was commanded than a live image can hide.
 pub fn check(
     still_px: &mut f64,
     points: &Points,

@@ -1,7 +1,7 @@
-//! The gate: features that cannot be those of the pattern go no further.
+//! The gate: refuses features that cannot be those of the pattern.
 //!
 //! A detector may confuse points or take another spot for one. Such features are finite, inside the
-//! image and new, and a law that believed them would steer somewhere else.
+//! image and new, but the law would steer in a wrong direction.
 
 use heapless::Vec;
 

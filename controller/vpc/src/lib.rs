@@ -1,13 +1,13 @@
 //! The control law of `vpcd`: visual predictive control with a memory of motion.
 //!
-//! `no_std`, no heap, no unsafe: a cycle that allocates is a compile error here. A cycle runs
-//! through the modules in this order, and so does a reader:
+//! `no_std`, no heap, no unsafe: a cycle that allocates does not compile. A cycle runs through the
+//! modules in this order:
 //!
 //! *measured features* -> [`gate`] (refuse what cannot be trusted) -> [`delay`] (from their
 //! exposure to now) -> [`recall`] (warm start and way point from the memory, when features come
 //! near a constraint), [`detour`] (out of a stall) -> [`solver`] (bounded sequential quadratic
 //! programming over the [`prediction`]) -> [`limit`] (never more than allowed) -> *camera twist*.
-//! [`Controller::step`] is that sentence.
+//! [`Controller::step`] follows it.
 //!
 //! # Symbols
 //! | Paper | Here | Meaning, unit |

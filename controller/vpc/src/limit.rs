@@ -1,5 +1,5 @@
-//! The last word before a command leaves: finite, inside the velocity box, and not worse than
-//! standing still.
+//! The last check of a command: finite, inside the velocity limits, and not worse than standing
+//! still.
 
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution};
@@ -12,7 +12,7 @@ const HALVINGS: usize = 6;
 pub const SLACK: f64 = 0.25;
 
 /// The first command of a solution, slowed down until its first step violates no constraint more
-/// than standing still does, and clamped to the limits. A command that cannot be made so is zero.
+/// than standing still does, and clamped to the limits; zero if no halving achieves this.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
     let allowed = problem.worst_violation(&problem.initial.points) + SLACK;
     let mut plan = solution.plan;
@@ -27,12 +27,12 @@ pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) 
     [0.0; DOF]
 }
 
-/// The first command of a plan, clamped; zero where a component is not finite.
+/// The first command of a plan, clamped; zero if a component is not finite.
 pub fn twist(plan: &Plan, limits: &Twist) -> Twist {
     clamp(plan.first_chunk().unwrap_or(&[0.0; DOF]), limits)
 }
 
-/// A twist inside the limits, component by component; zero where a component is not finite.
+/// A twist inside the limits, component by component; zero if a component is not finite.
 pub fn clamp(twist: &Twist, limits: &Twist) -> Twist {
     if !twist.iter().all(|x| x.is_finite()) {
         return [0.0; DOF];

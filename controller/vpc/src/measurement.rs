@@ -49,34 +49,34 @@ pub enum Refusal {
     #[error("features: point {point} = ({:.1}, {:.1}) px; allowed: inside the image", .pixel[0], .pixel[1])]
     OffImage { point: usize, pixel: [f64; 2] },
     #[error(
-        "features: points {} and {} lie in each other's places; allowed: the order of the pattern",
+        "features: points {} and {} are swapped; allowed: the order of the pattern",
         .points[0], .points[1]
     )]
     Mixed { points: [usize; 2] },
     #[error(
-        "features: point {point} lies {by_px:.0} px from where the motion of the others leads; allowed: a few times theirs"
+        "features: point {point} is {by_px:.0} px from where the motion of the others would put it; allowed: a few times their motion"
     )]
     Leap { point: usize, by_px: f64 },
-    #[error("features: points {} and {} lie in one place; allowed: a view of the pattern", .points[0], .points[1])]
+    #[error("features: points {} and {} coincide; allowed: a view of the pattern", .points[0], .points[1])]
     Coincident { points: [usize; 2] },
     #[error(
         "features: all points lie on a line, within {height_px:.2} px; allowed: a view of the pattern"
     )]
     Flat { height_px: f64 },
     #[error(
-        "features: unchanged to the last bit where {expected_px:.1} px of motion were commanded; allowed: an image that moves"
+        "features: no bit changed while {expected_px:.1} px of motion were commanded; allowed: an image that moves"
     )]
     Frozen { expected_px: f64 },
     /// The command takes effect `age_ns` after the exposure, and the commands are known for the
     /// last `known_ns` only: where the features are by then is unknown.
     #[error(
-        "features: exposed {:.1} ms ago; allowed: {:.1} ms, since when the commands are known",
+        "features: exposed {:.1} ms ago; allowed: {:.1} ms, for which the commands are known",
         ms(.age_ns), ms(.known_ns)
     )]
     Late { age_ns: u64, known_ns: u64 },
     /// By the commands sent since the exposure, the pattern is behind the camera now.
     #[error(
-        "features: the pattern is out of sight by the commands since the exposure; allowed: in front of the camera"
+        "features: the commands since the exposure put the pattern behind the camera; allowed: in front of it"
     )]
     Lost,
 }

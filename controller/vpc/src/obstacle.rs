@@ -1,4 +1,4 @@
-//! What a feature must keep clear of: a convex part of an occlusion, or a painted area.
+//! An obstacle for a feature: a convex part of an occlusion, or a painted area.
 //!
 //! A part covers a convex area; the paper's "left of it OR right of it" is one inequality for the
 //! scaled offset d from its centre, ||d||_p >= 1. An area of a mask has a signed distance of its

@@ -36,7 +36,7 @@ impl Estimate {
 }
 
 /// Estimates the pose from normalised image points (x, y) of the `pattern` (planar, z = 0, m).
-/// `None` where the points do not fix a pose in front of the camera.
+/// `None` if the points do not fix a pose in front of the camera.
 pub fn estimate(pattern: &[[f64; 3]], image: &[[f64; 2]]) -> Option<Estimate> {
     let mut pose = from_homography(pattern, image)?;
     for _ in 0..REFINEMENTS {

@@ -1,4 +1,4 @@
-//! Prediction of the features over the preview window, with exact first derivatives.
+//! Prediction of the features over a window, with exact first derivatives.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
@@ -98,9 +98,9 @@ impl InitialState {
         }
     }
 
-    /// The initial after the camera has moved at `twist` for `seconds`. What the model does not
-    /// explain of the features stays with them. `None` where a point would be behind the camera or
-    /// run away.
+    /// The initial state after the camera has moved at `twist` for `seconds`. What the model does
+    /// not explain of the features stays with them. `None` if a point would be behind the camera or
+    /// far outside any image.
     pub fn moved(&self, task: &Task, model: Model, twist: &Twist, seconds: f64) -> Option<Self> {
         match &self.geometry {
             Geometry::Positions(before) => {
@@ -240,8 +240,8 @@ impl<const N: usize> Preview<N> {
         })
     }
 
-    /// Predicts the features under `plan`. `false` where a point would come behind the camera,
-    /// which no command of the arm may do: the caller treats the plan as impossible.
+    /// Predicts the features under `plan`. Returns `false` if a point would come behind the camera:
+    /// the caller treats the plan as impossible.
     #[must_use]
     pub fn linearize(&mut self, task: &Task, initial: &InitialState, plan: &[f64; N]) -> bool {
         self.predict::<true>(task, initial, plan)

@@ -5,9 +5,9 @@
 //!
 //! The exact (L1) penalty caps the multiplier of a row at rho. The dual method starts at the
 //! unconstrained minimum and adds violated constraints one by one; when a row's multiplier reaches
-//! its cap the row *yields*: it stays violated, its pull rho a_i joins the linear term, and from
-//! then on it counts as violated when it is satisfied. Bounds never yield, so the answer is inside
-//! them whatever the rows ask for, and the program always has a solution.
+//! its cap the row *yields*: it stays violated, its gradient rho a_i joins the linear term, and
+//! from then on it counts as violated when it is satisfied. Bounds never yield, so the answer is
+//! always inside them, and the program always has a solution.
 //!
 //! The number of variables is part of the type: every inner loop has a fixed length.
 //!
@@ -91,7 +91,7 @@ impl<const N: usize> Rows<N> {
         self.len = 0;
     }
 
-    /// Adds the row of a gradient and the clearance at d = 0 (px); `false` where the store is full.
+    /// Adds the row of a gradient and the clearance at d = 0 (px); `false` if the store is full.
     pub fn push(&mut self, gradient: [f64; N], clearance: f64) -> bool {
         if self.len == MAX_ROWS {
             return false;
@@ -389,7 +389,7 @@ impl<const N: usize> ActiveSet<N> {
         entering.multiplier += step;
     }
 
-    /// J = L^{-T} from the Cholesky factor of the Hessian; `false` where it is not positive
+    /// J = L^{-T} from the Cholesky factor of the Hessian; `false` if it is not positive
     /// definite.
     fn factorise(&mut self, hessian: &[[f64; N]; N]) -> bool {
         let mut factor = [[0.0; N]; N];
@@ -533,7 +533,7 @@ impl<const N: usize> ActiveSet<N> {
         }
     }
 
-    /// Makes a constraint active; `false` where its normal depends on the active ones.
+    /// Makes a constraint active; `false` if its normal depends on the active ones.
     fn add(&mut self, entering: &Entering<N>, projection: &[f64; N]) -> bool {
         let count = self.count;
         if count >= N {

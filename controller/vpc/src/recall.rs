@@ -1,4 +1,4 @@
-//! Recall: when to ask the memory, and what it says.
+//! Recall: when to ask the memory, and how to use its answer.
 
 use crate::settings::Settings;
 use crate::strategy::Strategy;
@@ -41,11 +41,11 @@ pub fn clearance(task: &Task, points: &[[f64; 2]]) -> f64 {
 ///
 /// The daemon asks a memory-mapped file, the builder the memory that it is growing.
 pub trait MotionMemory {
-    /// Writes the inferred output; `false` where the memory has no answer for this strategy and
+    /// Writes the inferred output; `false` if the memory has no answer for this strategy and
     /// input.
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
 
-    /// Writes the input of the `rank`-th nearest sample, from 1; `false` where there is none.
+    /// Writes the input of the `rank`-th nearest sample, from 1; `false` if there is none.
     fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
         false
     }
@@ -56,7 +56,7 @@ pub trait MotionMemory {
     }
 
     /// Writes the input of a sample, from 0 to [`MotionMemory::count`], in an order of the memory's
-    /// own; `false` where there is none.
+    /// own; `false` if there is none.
     fn sample(&self, _index: usize, _input: &mut [f64]) -> bool {
         false
     }
@@ -91,7 +91,7 @@ pub struct OutOfRange;
 /// Asks the memory.
 ///
 /// # Errors
-/// [`OutOfRange`] where it has no answer, or one beyond what [`Recall::from_output`] allows.
+/// [`OutOfRange`] if it has no answer, or one beyond what [`Recall::from_output`] allows.
 pub fn query(
     task: &Task,
     strategy: Strategy,
@@ -111,7 +111,7 @@ impl Recall {
     /// image.
     ///
     /// # Errors
-    /// [`OutOfRange`] where a number is not finite, the twist beyond twice the limits, or a point
+    /// [`OutOfRange`] if a number is not finite, the twist beyond twice the limits, or a point
     /// of the way point further outside the image than a quarter of it: no plan of the memory is
     /// like that.
     pub fn from_output(task: &Task, output: &[f64]) -> Result<Self, OutOfRange> {

@@ -1,4 +1,4 @@
-//! What a user may choose about the law.
+//! Settings of the law.
 
 use crate::prediction::Model;
 use crate::problem::SolverOptions;

@@ -57,7 +57,7 @@ impl Solver {
         self
     }
 
-    /// Cost of a plan; `None` where the plan brings a point behind the camera.
+    /// Cost of a plan; `None` if the plan brings a point behind the camera.
     pub fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
         window!(self, evaluate(problem, plan))
     }

@@ -141,7 +141,7 @@ impl<const N: usize> Sqp<N> {
         self.budget = budget;
     }
 
-    /// Cost of a plan; `None` where the plan brings a point behind the camera.
+    /// Cost of a plan; `None` if the plan brings a point behind the camera.
     pub(crate) fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
         let plan = head(plan);
         let possible = self.preview.evaluate(problem.task, problem.initial, &plan);
@@ -358,7 +358,7 @@ impl<const N: usize> Sqp<N> {
         }
     }
 
-    /// Previews a plan with its derivatives and sums up cost and violations; `None` where it is
+    /// Previews a plan with its derivatives and sums up cost and violations; `None` if it is
     /// impossible.
     fn outcome(&mut self, problem: &Problem<'_>, plan: [f64; N]) -> Option<Iterate<N>> {
         self.progress.work += work::evaluation(self.preview.np());

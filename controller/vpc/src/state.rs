@@ -27,7 +27,7 @@ pub struct State {
     pub predicted: PlainPoints,
     /// The last measurement that was believed.
     pub seen: PlainPoints,
-    /// Its exposure, ns; 0 where there was none.
+    /// Its exposure, ns; 0 if there was none.
     pub seen_ns: u64,
     /// Whether the last command was in force since then without a gap.
     pub is_linked: bool,

@@ -64,7 +64,7 @@ impl Task {
     /// The task of a scene.
     ///
     /// # Errors
-    /// [`TaskError`] where the goal cannot be seen or there are too many parts.
+    /// [`TaskError`] if the goal cannot be seen or there are too many parts.
     pub fn new(scene: &Scene) -> Result<Self, TaskError> {
         let count = scene.parts().count();
         if count > MAX_ALL_PARTS {
@@ -116,7 +116,7 @@ impl Task {
         self.parts.iter().map(Obstacle::Part).chain(areas)
     }
 
-    /// The features of the pattern at a pose of the object in the camera frame, px; `None` where a
+    /// The features of the pattern at a pose of the object in the camera frame, px; `None` if a
     /// point is behind the camera.
     pub fn features_at(&self, pose: &Pose) -> Option<Points> {
         let points = placed(&self.pattern, pose);

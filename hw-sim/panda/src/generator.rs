@@ -116,7 +116,7 @@ impl CartesianGenerator {
         &self.twist
     }
 
-    /// Its difference quotient.
+    /// The difference quotient of the commanded velocity, m/s^2 and rad/s^2.
     pub fn acceleration(&self) -> &Twist {
         &self.acceleration
     }

@@ -52,7 +52,7 @@ impl Motion {
 pub struct Command {
     /// Number of the state that it answers.
     pub id: u64,
-    /// The velocity.
+    /// The commanded velocity, m/s and rad/s or rad/s for each joint.
     pub motion: Motion,
     /// The last command of this motion; the robot brakes if it still moves.
     pub finished: bool,

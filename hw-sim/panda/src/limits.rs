@@ -112,7 +112,7 @@ fn beyond(x: &Vector3<f64>, bound: f64) -> bool {
     x.norm() > bound * ROUNDING
 }
 
-/// The first joint outside its range, by number from 0; `None` where all are inside.
+/// The first joint outside its range, by number from 0; `None` if all are inside.
 pub fn outside(q: &Joints) -> Option<usize> {
     (0..JOINTS).find(|&k| !(JOINT[k].lower..=JOINT[k].upper).contains(&q[k]))
 }

@@ -1,7 +1,7 @@
 //! Joint positions for a given pose, from which an experiment starts.
 //!
-//! Levenberg-Marquardt from a fixed list of postures, so that the answer is the same in every run;
-//! of the solutions the one with the most room wins.
+//! Levenberg-Marquardt from a fixed list of postures, so that the answer is the same in every run.
+//! Of the solutions, the one furthest from the joints' limits is taken.
 
 use std::f64::consts::FRAC_PI_2;
 

@@ -1,7 +1,7 @@
-//! Measured joints: they follow the desired ones, and lag.
+//! Measured joints: they follow the desired ones with a lag.
 //!
 //! Each joint is a second-order system behind a velocity feed-forward. The numbers are assumptions
-//! of the size that an impedance-controlled arm shows, not measurements of one.
+//! of a plausible size for an impedance-controlled arm, not measurements.
 
 use crate::kinematics::Joints;
 use crate::limits::{PERIOD, Setpoint};

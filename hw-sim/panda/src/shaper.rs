@@ -1,9 +1,9 @@
 //! From commands at 30 Hz to commands at 1 kHz that the robot accepts.
 //!
-//! Part of the bridge beside the robot, not of the law and not of the robot. Each axis follows the
-//! last target along the fastest ramp under bounds on acceleration and jerk. The ramp starts anew
-//! in every millisecond from what the robot says it was last commanded, so that a command which the
-//! robot lost, and extrapolated, leaves no step behind.
+//! A part of the bridge between law and robot. Each axis follows the last target along the fastest
+//! ramp under bounds on acceleration and jerk. In every millisecond the ramp starts from what the
+//! robot reports as its last command, so that a command which the robot lost and extrapolated
+//! leaves no step.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -43,7 +43,7 @@ impl Default for ShaperSettings {
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error("shaper: {key} is {value}, allowed is a number above 0")]
 pub struct ShaperError {
-    /// The setting.
+    /// Name of the setting in [`ShaperSettings`].
     pub key: &'static str,
     /// Its value.
     pub value: f64,

@@ -1,4 +1,4 @@
-//! The robot's state in every millisecond: the fields of the real one, as far as they are modelled.
+//! The robot's state in every millisecond: the modelled fields of the real one.
 
 use crate::errors::Errors;
 use crate::kinematics::{Joints, Pose, Twist};
@@ -30,7 +30,7 @@ pub struct State {
     pub f_t_ee: Pose,
     /// Velocity of the end effector's origin along base axes, of the desired joints.
     pub o_dp_ee_d: Twist,
-    /// The last commanded velocity, or its extrapolation; zero where no Cartesian motion runs.
+    /// The last commanded velocity, or its extrapolation; zero if no Cartesian motion runs.
     pub o_dp_ee_c: Twist,
     /// Its difference quotient, m/s^2 and rad/s^2.
     pub o_ddp_ee_c: Twist,
@@ -40,6 +40,6 @@ pub struct State {
     pub current_errors: Errors,
     /// Errors that ended the last motion.
     pub last_motion_errors: Errors,
-    /// Share of the last 100 commands that came in time, 0 to 1; 0 where no motion runs.
+    /// Share of the last 100 commands that came in time, 0 to 1; 0 if no motion runs.
     pub control_command_success_rate: f64,
 }

@@ -1,8 +1,8 @@
 //! Which disc is which marker, from the arrangement of the pattern alone.
 //!
-//! Discs look alike. An assignment is possible where it turns the pattern by less than `turn_max`
+//! Discs look alike. An assignment is possible if it turns the pattern by less than `turn_max`
 //! against the reference, does not mirror it, and does not squeeze it more than a tilted view
-//! could. It is taken only where it is the only one.
+//! could. It is used only if it is the only possible one.
 
 use scene::MAX_POINTS;
 
@@ -19,7 +19,7 @@ const NEAR: f64 = 0.2;
 /// The disc of each marker, if any.
 pub(crate) type Assignment = [Option<usize>; MAX_POINTS];
 
-/// The turn of an affine view, rad, and the ratio of its singular values; none where it mirrors.
+/// The turn of an affine view, rad, and the ratio of its singular values; none if it mirrors.
 pub(crate) fn view(map: &Homography) -> Option<(f64, f64)> {
     let [a, b, c, d] = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|at| map.0[at]);
     let determinant = a * d - b * c;

@@ -90,7 +90,7 @@ impl Chart {
         self.fits_under(&self.map, marker, radius)
     }
 
-    /// The map through pairs that were found anew; none where the radii of the discs (px; none
+    /// The map through pairs that were found anew; none if the radii of the discs (px; none
     /// where a marker was not found) do not fit it.
     pub fn anew(
         &self,
@@ -104,7 +104,7 @@ impl Chart {
             .then_some(map)
     }
 
-    /// Brings the map into line with the markers that are visible; false where they do not look
+    /// Brings the map into line with the markers that are visible; false if they do not look
     /// like the pattern.
     pub fn follow(&mut self, pairs: &Pairs) -> bool {
         if pairs.len() >= 3 {

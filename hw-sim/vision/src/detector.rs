@@ -112,7 +112,7 @@ impl Detector {
         bits.map(|(i, marker)| u32::from(marker.visible) << i).sum()
     }
 
-    /// Follows the markers into this frame; false where they are lost.
+    /// Follows the markers into this frame; false if they are lost.
     fn track(&mut self, image: &Image) -> bool {
         // First the markers that were seen in the last frame, from where they are going to be.
         let before = self.sightings.clone();
@@ -212,7 +212,7 @@ impl Detector {
         self.levels = disc.levels;
     }
 
-    /// Brings the chart into line with the markers that are visible; false where they do not look
+    /// Brings the chart into line with the markers that are visible; false if they do not look
     /// like the pattern.
     fn fit(&mut self) -> bool {
         let pairs = self.pairs();

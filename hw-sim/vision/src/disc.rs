@@ -117,7 +117,7 @@ fn median(image: &Image, center: Point, shape: &Shape, share: f64, beyond: f64) 
 }
 
 /// Measures the disc around a seed pixel that `threshold` separates from the background.
-/// None where there is no disc, or not all of one.
+/// None if there is no disc, or not all of one.
 pub(crate) fn measure(
     image: &Image,
     seed: Point,
@@ -194,7 +194,7 @@ fn rough(image: &Image, seed: Point, threshold: f64, radius_px: [f64; 2]) -> Opt
     plausible.then_some((center, mean))
 }
 
-/// The radius on each ray where the level falls to the half; none where it does not, or not
+/// The radius on each ray where the level falls to the half; none if it does not, or not
 /// sharply.
 fn rim(
     image: &Image,

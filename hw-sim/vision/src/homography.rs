@@ -47,7 +47,7 @@ impl Homography {
         Some([row(0, u), row(1, v)])
     }
 
-    /// How a disc is seen, by the dual of its conic; none where it is not wholly in front of the
+    /// How a disc is seen, by the dual of its conic; none if it is not wholly in front of the
     /// camera.
     pub fn disc(&self, center: Point, radius: f64) -> Option<Ellipse> {
         let c = self.homogeneous(center);
@@ -67,14 +67,14 @@ impl Homography {
         Self(self.0 + (other.0 - self.0) * share)
     }
 
-    /// The map back; none where the plane is seen edge-on.
+    /// The map back; none if the plane is seen edge-on.
     pub fn inverse(&self) -> Option<Self> {
         let is_regular = self.0.determinant().abs() > 1e-12;
         self.0.try_inverse().filter(|_| is_regular).map(Self)
     }
 
     /// The map through pairs (point of the pattern, image point): from four pairs on a homography,
-    /// exact or least squares; none where the points do not fix it. `unit` is the size of the
+    /// exact or least squares; none if the points do not fix it. `unit` is the size of the
     /// pattern, m.
     pub fn through(pairs: &[(Point, Point)], unit: f64) -> Option<Self> {
         if pairs.len() < 4 {
@@ -101,7 +101,7 @@ impl Homography {
         Some(Self(image * normalized * plane))
     }
 
-    /// The affine map through three pairs or more; none where they lie on a line.
+    /// The affine map through three pairs or more; none if they lie on a line.
     pub fn affine(pairs: &[(Point, Point)]) -> Option<Self> {
         if pairs.len() < 3 {
             return None;
@@ -176,7 +176,7 @@ fn centers(pairs: &[(Point, Point)]) -> (Point, Point) {
     )
 }
 
-/// The unknowns that best solve equations (row, right side); none where the rows do not fix them.
+/// The unknowns that best solve equations (row, right side); none if the rows do not fix them.
 fn least_squares<const N: usize>(
     equations: impl Iterator<Item = (SVector<f64, N>, f64)>,
 ) -> Option<SVector<f64, N>> {

@@ -44,7 +44,7 @@ impl Image {
         self.pixels[v.min(self.height - 1) * self.width + u.min(self.width - 1)]
     }
 
-    /// The level between four pixels, 0 to 255, bilinear; `None` where one of them is outside.
+    /// The level between four pixels, 0 to 255, bilinear; `None` if one of them is outside.
     pub fn level(&self, u: f64, v: f64) -> Option<f64> {
         let inside =
             u >= 0.0 && v >= 0.0 && u < (self.width - 1) as f64 && v < (self.height - 1) as f64;

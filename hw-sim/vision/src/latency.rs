@@ -1,4 +1,4 @@
-//! From exposure to delivery: frames arrive late, with jitter, in order, and some never. The time
+//! From exposure to delivery: frames arrive late, with jitter and in order; some are lost. The time
 //! is an argument.
 
 use std::collections::VecDeque;

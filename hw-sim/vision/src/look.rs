@@ -1,4 +1,4 @@
-//! How the picture looks: levels, sizes, flaws; and which occlusion is which.
+//! How the picture looks: grey levels, sizes, noise; and the kind of each occlusion.
 
 use scene::Occlusion;
 

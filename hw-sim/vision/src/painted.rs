@@ -7,7 +7,7 @@ use scene::Mask;
 pub(crate) struct Painted {
     width: usize,
     height: usize,
-    /// From each pixel's centre to the edge of what is white, px; 0 where it is black. What lies
+    /// From each pixel's centre to the edge of what is white, px; 0 if it is black. What lies
     /// outside the image is no edge.
     depth: Vec<f32>,
     deepest: f64,

@@ -60,7 +60,7 @@ fn add(discs: &mut Discs, image: &Image, seed: Point, threshold: f64, radius_px:
 }
 
 /// The disc nearest to a prediction and at most `gate` px away; `levels` are those of discs seen
-/// lately, `radius` is about theirs. None where there is no disc, or a second one within the gate:
+/// lately, `radius` is about theirs. None if there is no disc, or a second one within the gate:
 /// it is not clear then which.
 pub(crate) fn near(
     image: &Image,

@@ -1,4 +1,4 @@
-//! The boundary to C: errors become numbers and words, panics stop here, handles stay in their
+//! The boundary to C: errors become numbers and messages, panics stop here, handles stay in their
 //! thread.
 
 use std::cell::RefCell;

@@ -1,4 +1,4 @@
-//! Codes in words.
+//! Names of codes.
 
 use std::ffi::c_char;
 

@@ -8,7 +8,7 @@ use crate::{Canvas, FigureError};
 /// Drawings of one size that follow each other, again and again.
 #[derive(Clone, Debug)]
 pub struct Animation {
-    /// The drawings.
+    /// The drawings in their order, all of one size.
     pub frames: Vec<Canvas>,
     /// Time from one to the next, s.
     pub period_s: f64,

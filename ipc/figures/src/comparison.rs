@@ -12,7 +12,7 @@ pub struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    /// The drawing.
+    /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let columns = self.columns.iter().map(|(plane, velocity)| {
             let (plane, velocity) = (plane.canvas(), velocity.canvas());

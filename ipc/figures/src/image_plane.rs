@@ -1,4 +1,4 @@
-//! The image plane: paths of the features among the occlusions.
+//! The image plane: paths of the features past the occlusions.
 
 use scene::Scene;
 
@@ -32,7 +32,7 @@ pub struct ImagePlane<'a> {
 }
 
 impl ImagePlane<'_> {
-    /// The drawing.
+    /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let mut frame = Frame::new(self.scene, &self.title);
         for point in self

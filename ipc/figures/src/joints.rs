@@ -30,7 +30,7 @@ pub struct Joints {
 }
 
 impl Joints {
-    /// The drawing.
+    /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let height = TOP + 7.0 * (PANEL + GAP) - GAP + BOTTOM;
         let mut canvas = Canvas::new(WIDTH, height);

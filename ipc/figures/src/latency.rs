@@ -32,7 +32,7 @@ pub struct Latency {
 }
 
 impl Latency {
-    /// The drawing.
+    /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let count = self.panels.len().max(1) as f64;
         let height = MARGIN[1] + count * (PANEL + GAP) - GAP + MARGIN[3];

@@ -21,7 +21,7 @@ pub struct Samples<'a> {
 }
 
 impl Samples<'_> {
-    /// The drawing.
+    /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let mut frame = Frame::new(self.scene, &self.title);
         for trajectory in &self.trajectories {

@@ -25,7 +25,7 @@ pub struct Velocity {
 }
 
 impl Velocity {
-    /// The drawing.
+    /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let mut canvas = Canvas::new(WIDTH, MARGIN[1] + 2.0 * PANEL + GAP + MARGIN[3]);
         canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &self.title);

@@ -1,7 +1,7 @@
 //! From the pixels of a mask to its areas and their fields.
 //!
 //! This needs the heap, which the control law does not have. Law and builder use the fields; the
-//! emulator's referee measures from the pixels by itself, so that a mistake here cannot hide.
+//! emulator's referee measures from the pixels by itself, so that a mistake here shows.
 
 use crate::cover::cover;
 use crate::distance::Shape;

@@ -1,9 +1,8 @@
 //! Pieces without sharp concave corners that together cover a connected set of pixels.
 //!
-//! The law sees one border of a piece at a time, the nearest. In an L, a point that stands in the
-//! inner corner would see one arm and plan through the other; so an L is covered by its two arms,
-//! which overlap in the corner. Round hollows need no pieces: their border turns as the point moves
-//! along.
+//! The law plans with the nearest border of a piece only. In the inner corner of an L that is one
+//! arm, so the plan would lead through the other. So an L is covered by its two arms, which overlap
+//! in the corner. Round hollows need no pieces: their border turns as the point moves along.
 
 use crate::distance::Shape;
 use crate::patch::Patch;

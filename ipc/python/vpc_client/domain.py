@@ -113,7 +113,7 @@ class Domain:
         return CameraPorts(twist, self._or_close("vpc/features", twist))
 
     def operator(self) -> OperatorPorts:
-        """Opens the ports of an operator. Close them soon: there are few places."""
+        """Opens the ports of an operator. Close them soon: there are few slots."""
         replies = self.subscribe("vpc/replies")
         return OperatorPorts(replies, self._or_close("vpc/requests", replies), self)
 

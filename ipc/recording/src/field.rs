@@ -19,7 +19,7 @@ pub(crate) const NON_FINITE: &str = "non_finite";
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field} = {found}; allowed: {allowed}")]
 pub struct FieldError {
-    /// The field.
+    /// Name of the field, with the index in an array.
     pub field: String,
     /// What was found.
     pub found: String,

@@ -4,7 +4,7 @@
 //! - [`program`], [`Running`], [`ended`]: programs of this workspace as processes.
 //! - [`eventually`]: waits for a condition.
 //! - [`python`]: virtual environments for tests in Python.
-//! - [`not_run`]: what a test does where the machine lacks something.
+//! - [`not_run`]: what a test calls if the machine lacks something.
 //!
 //! Environment variables: `VPC_STRICT=1` turns every "NOT RUN" into a failure, unless its reason
 //! contains one of the comma-separated phrases of `VPC_STRICT_EXCEPT`, and takes programs as they
@@ -52,7 +52,7 @@ pub fn not_run(what: &str, why: impl Display) {
     tell(line);
 }
 
-/// Returns whether this process is root; calls [`not_run`] where not.
+/// Returns whether this process is root; calls [`not_run`] if not.
 pub fn is_root(what: &str) -> bool {
     let is_root = rustix::process::geteuid().is_root();
     if !is_root {

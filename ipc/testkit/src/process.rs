@@ -12,7 +12,7 @@ use crate::{PATIENCE, eventually, within};
 /// How a process ended, and what it printed to the outputs that were piped.
 #[derive(Clone, Debug)]
 pub struct Ended {
-    /// The exit code; `None` where a signal ended it.
+    /// The exit code; `None` if a signal ended it.
     pub code: Option<i32>,
     /// Standard output.
     pub stdout: String,

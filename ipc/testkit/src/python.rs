@@ -1,4 +1,4 @@
-//! Virtual environments with what tests in Python need, made the first time.
+//! Virtual environments for tests in Python, made at the first use.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

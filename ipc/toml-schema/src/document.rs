@@ -1,4 +1,4 @@
-//! A configuration file with the flags of the command line over it.
+//! A configuration file, overridden by the flags of the command line.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -75,7 +75,7 @@ impl Document {
     /// Reads a file; without one, the document is empty and named [`COMMAND_LINE`].
     ///
     /// # Errors
-    /// [`FileError`] where it cannot be read or is not TOML.
+    /// [`FileError`] if it cannot be read or is not TOML.
     pub fn read(path: Option<&Path>) -> Result<Self, FileError> {
         let Some(path) = path else {
             return Self::parse("", COMMAND_LINE);
@@ -86,7 +86,7 @@ impl Document {
     /// Parses the text of a file; `path` is for messages.
     ///
     /// # Errors
-    /// [`FileError::Syntax`] where it is not TOML.
+    /// [`FileError::Syntax`] if it is not TOML.
     pub fn parse(text: &str, path: &str) -> Result<Self, FileError> {
         let table = text.parse().map_err(|error| syntax(path, &error))?;
         Ok(Self {

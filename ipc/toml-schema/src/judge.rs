@@ -1,4 +1,4 @@
-//! Whether a value is what its schema allows.
+//! Whether a schema allows a value.
 
 use std::fmt;
 

@@ -3,7 +3,7 @@
 //! A key of a file is declared once, as the field of a struct: its doc comment is the description,
 //! its serde default the default, and `#[schemars(..)]` gives range or length. From the derived
 //! [`schema`] come the checks at run time ([`Document::check`]), the file that editors complete
-//! from ([`schema_file`]) and the page of reference ([`reference()`]). These keywords of our own
+//! from ([`schema_file`]) and the reference page ([`reference()`]). These keywords of our own
 //! are understood: `x-unit`, the unit of a number; `x-allowed`, what is allowed in words, where
 //! range and type do not tell it all; `x-default`, the default in words, where it depends on
 //! something.

@@ -1,4 +1,4 @@
-//! The page of reference.
+//! The reference page of all keys.
 
 use std::collections::HashMap;
 use std::fmt::Write;

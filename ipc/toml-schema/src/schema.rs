@@ -1,4 +1,4 @@
-//! The JSON Schema of a file, and what it says in words.
+//! The JSON Schema of a file, and its rules in words.
 
 use schemars::generate::SchemaSettings;
 use schemars::transform::{RecursiveTransform, transform_subschemas};
@@ -71,7 +71,7 @@ pub(crate) fn words(schema: &Value) -> Option<Vec<&str>> {
     Some(found)
 }
 
-/// Returns what is allowed in words, for instance `0 to 20 ms`; nothing where everything of the
+/// Returns what is allowed in words, for instance `0 to 20 ms`; nothing if everything of the
 /// type is.
 pub(crate) fn allowed(schema: &Value) -> String {
     if let Value::String(words) = &schema["x-allowed"] {

@@ -1,4 +1,4 @@
-//! The image plane: size, goal, occlusions and limits, from the scene or from what was seen.
+//! The image plane: size, goal, occlusions and limits, from the scene or from the messages.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;

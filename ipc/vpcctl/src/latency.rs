@@ -61,7 +61,7 @@ pub struct Percentiles {
 }
 
 impl Percentiles {
-    /// Of these durations, ns; zeros where there are none.
+    /// Of these durations, ns; zeros if there are none.
     pub fn of(durations: impl Iterator<Item = u64>) -> Self {
         let mut sorted: Vec<u64> = durations.collect();
         sorted.sort_unstable();

@@ -1,6 +1,6 @@
 //! `vpcctl`: watch and command the daemon `vpcd` through shared memory.
 //!
-//! A client of the contract (`ipc`); it knows nothing of the daemon's code. Exit codes and
+//! A client of the contract (`ipc`); it does not depend on the daemon's code. Exit codes and
 //! decisions are in `README.md` beside this crate.
 #![forbid(unsafe_code)]
 

@@ -1,4 +1,4 @@
-//! Writing to standard output: colours on a terminal, no error where the reader left.
+//! Writing to standard output: colours on a terminal, no error if the reader has closed it.
 
 use std::io::{self, ErrorKind, IsTerminal, Write};
 

@@ -70,7 +70,7 @@ fn holder(locks: &str, inode: u64, written: Option<u32>) -> Option<u32> {
         .or_else(|| holders().next())
 }
 
-/// Reads a line of `/proc/locks`; `None` where it is not an exclusive `flock` on this inode.
+/// Reads a line of `/proc/locks`; `None` if it is not an exclusive `flock` on this inode.
 fn parse(line: &str, inode: u64) -> Option<u32> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let &[_, "FLOCK", _, "WRITE", process, place, ..] = words.as_slice() else {

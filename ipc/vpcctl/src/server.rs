@@ -170,7 +170,7 @@ pub fn is_same_origin(headers: &HeaderMap) -> bool {
     origin.is_some() && origin == field(headers, header::HOST)
 }
 
-/// The value of a header; `None` where it is missing, comes twice, or is not text.
+/// The value of a header; `None` if it is missing, comes twice, or is not text.
 pub fn field(headers: &HeaderMap, name: impl header::AsHeaderName) -> Option<&str> {
     let mut values = headers.get_all(name).iter();
     match (values.next(), values.next()) {

@@ -1,4 +1,4 @@
-//! What is known of a daemon from watching it: pure bookkeeping, message by message.
+//! The daemon's state as its messages show it; pure.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -177,7 +177,7 @@ impl View {
     }
 
     /// Why the law's twist is not sent: the words of the contract, but of a camera that was there
-    /// and is no more, since when. `None` where the twist is sent.
+    /// and is no more, since when. `None` if the twist is sent.
     pub fn cause_words(&self, now_ns: u64) -> Option<String> {
         let hold = self.latest()?.hold()?;
         match (hold, self.camera_silence_ns(now_ns)) {

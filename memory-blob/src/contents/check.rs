@@ -1,4 +1,4 @@
-//! Contents that contradict themselves are not written.
+//! Checks that contents are consistent before they are written.
 
 use super::{Contents, Regression, WriteError};
 use crate::{MAX_INPUTS, MAX_OUTPUTS};

@@ -1,5 +1,5 @@
-//! The documents keep their word: links lead somewhere, what commands name exists, the commands of
-//! the READMEs run, and the reference of the configuration is the code's.
+//! The documents are true: links lead somewhere, what commands name exists, the commands of the
+//! READMEs run, and the configuration reference matches the code.
 
 mod call;
 mod markdown;

@@ -13,7 +13,7 @@ use vpc::{Controller, Measurement, Settings, Task};
 use crate::fixture::{repeats, speed, tell};
 
 const SIZE: f64 = 1024.0;
-/// Most of the worst counted work, in medians.
+/// Bound of the worst counted work, in medians.
 const MOST: u32 = 3;
 
 /// Points that the gate lets pass: see [`any_points`].
@@ -72,7 +72,7 @@ fn any_points(scene: &Scene, random: &mut impl Rng) -> [[f64; 2]; 4] {
     points
 }
 
-/// What no camera should send.
+/// Features that no camera should send.
 fn meaningless(random: &mut impl Rng) -> [[f64; 2]; 4] {
     let numbers = [f64::NAN, f64::INFINITY, f64::MAX, -1e300, 1e9, 0.0];
     std::array::from_fn(|_| std::array::from_fn(|_| numbers[random.random_range(0..numbers.len())]))

@@ -1,7 +1,7 @@
-//! Clients in other languages are full citizens: the camera in Python (`ipc/python/camera.py`),
-//! with mathematics and a referee of its own, drives `vpcd` in lockstep from the paper's starts,
-//! and comes to what the built-in table comes to; the camera in C (`ipc/c/examples/camera.c`)
-//! arrives.
+//! Clients in other languages work as well as Rust's: the camera in Python
+//! (`ipc/python/camera.py`), with mathematics and a referee of its own, runs with `vpcd` in
+//! lockstep from the paper's starts and gets the results of `cargo table`; the camera in C
+//! (`ipc/c/examples/camera.c`) arrives.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -25,7 +25,7 @@ const STARTS: usize = 100;
 /// The promise: 2 % of them.
 const ALLOWED: usize = 2;
 
-/// What a run came to: success, reason, periods.
+/// The result of a run: success, reason, periods.
 type Outcome = (bool, Option<String>, u64);
 
 /// `vpcd` in lockstep, with this strategy.

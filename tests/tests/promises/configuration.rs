@@ -10,7 +10,7 @@ use crate::fixture::{Place, Stage, ended, program, root, scene_file, tell, turn}
 use crate::stall::fairly;
 
 const BAR: Duration = Duration::from_millis(200);
-/// Tries, of which the fastest counts: these machines are busy, and the bar is on the program.
+/// Attempts, of which the fastest counts: the limit is for the program, not for a busy machine.
 const TRIES: usize = 4;
 
 /// A key of the daemon's configuration.

@@ -4,17 +4,17 @@
 //!
 //! The loop stays on processor 1. `cyclictest` runs a thread on each of processors 0 and 1 at the
 //! same time; two FIFO threads of one priority never interrupt each other, and each of them takes a
-//! few us in a period. The better of the two p99 is what the loop is compared with. Whatever stops
-//! a processor for a while (a host, firmware) stops the thread of `cyclictest` there, too: where
+//! few us in a period. The loop is compared with the better of the two p99. Whatever stops a
+//! processor for a while (a host, firmware) also stops the thread of `cyclictest` there. If
 //! `cyclictest` itself was late by half a period, or in one of a hundred wake-ups by a tenth, the
 //! machine is unfit, and the run neither passes nor fails.
 //!
-//! A virtual machine's host may also strike the one and spare the other: one run says little of a
-//! p99. So a run that does not pass is repeated, up to [`RUNS`] in all, every one of them is told,
-//! and a loop that is late is late in each.
+//! A virtual machine's host may also delay one of them and not the other, so a single run says
+//! little about a p99. A run that does not pass is therefore repeated, up to [`RUNS`] in all; each
+//! run is printed. A loop that is really late is late in each.
 //!
-//! 5,000 cycles at 250 Hz take 20 s, 300 at the real 30 Hz ten more. At full length, 18,000 of
-//! each, eleven minutes:
+//! 5,000 cycles at 250 Hz take 20 s, 300 at the real 30 Hz ten more. At full length there are
+//! 18,000 of each, which take eleven minutes:
 //!
 //!     VPC_LONG=1 cargo test --test promises deadlines
 //!
@@ -34,22 +34,20 @@ use crate::machine::{is_without, may_have_a_processor};
 
 /// SCHED_FIFO priority of the daemon and of cyclictest.
 const PRIORITY: u32 = 80;
-/// Of the camera, which is an instrument here: its frames are to come whatever else the machine
-/// does.
+/// SCHED_FIFO priority of the camera, whose frames must be on time whatever else the machine does.
 const CAMERA_PRIORITY: i32 = 70;
 /// Processor of the daemon; the camera stays on the other.
 const CPU: usize = 1;
 /// Threads of cyclictest, on processors 0 and 1.
 const THREADS: usize = 2;
-/// The bar: so many times the p99 of cyclictest, and so much more, us.
+/// The limit: this factor times the p99 of cyclictest, plus this time, us.
 const BAR: (f64, f64) = (2.0, 20.0);
 /// Runs at most, until one passes.
 const RUNS: usize = 3;
 /// Cycles before peers are met and steering begins.
 const START_UP: u64 = 200;
 
-/// The wake-ups of one thread of cyclictest after its start-up, late by so many us, in ascending
-/// order.
+/// Latencies of the wake-ups of one thread of cyclictest after its start-up, us, ascending.
 struct Thread(Vec<u64>);
 
 impl Thread {
@@ -80,7 +78,7 @@ impl Thread {
     }
 }
 
-/// Runs the daemon for so many cycles at this rate, with all that disturbs and measures beside it.
+/// Runs the daemon for `cycles` at this rate, beside everything that disturbs and measures it.
 fn run(rate_hz: u32, cycles: u64) -> (Report, [Thread; THREADS]) {
     let place = Place::new();
     let scenes = root().join("ipc/scene/scenes");
@@ -189,16 +187,16 @@ pub fn act_in_time() -> std::io::Result<()> {
     Ok(())
 }
 
-/// What a run shows.
+/// The result of a run.
 #[derive(Clone, Copy, PartialEq)]
 enum Verdict {
     Passed,
     Failed,
-    /// The machine cannot tell.
+    /// The machine is unfit.
     Unfit,
 }
 
-/// Judges a run, and tells of it.
+/// Judges a run and prints the result.
 fn judge(rate_hz: u32, cycles: u64) -> Verdict {
     let (report, threads) = run(rate_hz, cycles);
     let period_us = 1e6 / f64::from(rate_hz);

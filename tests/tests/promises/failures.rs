@@ -1,7 +1,7 @@
-//! Failures of our own, brought about from outside: a processor that is taken away again and again,
-//! a memory whose advice is out of range, features for which the law has no answer. The camera is
-//! braked within its limits, and stands until somebody arms it again, however well it goes from
-//! then on. One late cycle alone disarms nothing.
+//! Failures of the daemon, caused from outside: its processor is taken away again and again, the
+//! memory answers out of range, the law has no answer for the features. The camera is braked within
+//! its limits and stands until somebody arms it again, even if all is well from then on. A single
+//! late cycle does not disarm.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -22,7 +22,7 @@ use crate::fixture::{
 };
 use crate::machine::{keep, may_be_real_time, on_time, processors, take_priority};
 
-/// Above the daemon's 60.
+/// SCHED_FIFO priority above the daemon's 60.
 const HOG_PRIORITY: i32 = 70;
 /// Time in which a twist at the limits is braked to zero, ns.
 const BRAKE_NS: f64 = 0.15e9;

@@ -3,9 +3,9 @@
 //! and the shipped memory.
 //!
 //! The daemon itself counts, by RUSAGE_THREAD and its counting allocator, and writes the sums into
-//! its report; both instruments are seen to count in the unit tests of `controller::usage` and
-//! `heap_meter`. Every thousand cycles the kernel is asked to take the daemon's memory away, as it
-//! does by itself when memory is short: what is not locked must be faulted in again.
+//! its report; the unit tests of `controller::usage` and `heap_meter` check that both count. Every
+//! thousand cycles the test asks the kernel to take the daemon's memory away, as the kernel does by
+//! itself when memory is short: what is not locked must be faulted in again.
 //! `VPC_WITHOUT=realtime` runs the daemon without locked memory, to see the test fail.
 
 use std::process::{Command, Stdio};

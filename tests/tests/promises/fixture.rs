@@ -1,5 +1,5 @@
-//! What the promises share: turns, places, processes, a camera that moves, and a witness of what is
-//! commanded.
+//! What the promises share: a lock so that they run one at a time, domains, processes, a camera
+//! that moves, and an observer of the commands.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -194,7 +194,7 @@ impl Witness {
     }
 
     /// Waits until the robot, which is `camera`, says after this instant that it stands: when it
-    /// said so, ns; `None` where its run was decided before, so that it went.
+    /// said so, ns; `None` if its run was decided before, so that it went.
     pub fn until_it_stands(&mut self, after_ns: u64, camera: &mut Running) -> Option<u64> {
         eventually("a robot that stands", || {
             let went = !camera.is_running();

@@ -1,6 +1,6 @@
-//! A daemon that hangs: the emulated robot stops by itself; a daemon that goes on after a gap in
-//! time starts no motion. That the watchdog is no longer fed, and what systemd does then, is
-//! `controller/tests/service/{notify,namespace}.rs`.
+//! When the daemon hangs, the emulated robot stops by itself; when it goes on after a gap in time,
+//! it starts no motion. `controller/tests/service/{notify,namespace}.rs` test that the watchdog is
+//! no longer fed, and what systemd does then.
 
 use std::time::Duration;
 

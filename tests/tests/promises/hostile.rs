@@ -18,7 +18,7 @@ use crate::fixture::{
 };
 use crate::stall::fairly;
 
-/// A number that is likely to hurt.
+/// A number that is likely to cause a failure.
 fn nasty(random: &mut impl Rng) -> f64 {
     match random.random_range(0..9) {
         0 => f64::NAN,

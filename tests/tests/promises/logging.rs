@@ -1,5 +1,5 @@
-//! A log that nobody takes: a full disk, a pipe that nobody reads. The loop misses nothing, what is
-//! lost is counted, and the end comes in time.
+//! A log that cannot be written: a full disk, an unread pipe. The loop misses no release, lost
+//! lines are counted, and the daemon ends in time.
 
 use std::path::Path;
 use std::process::Stdio;

@@ -2,9 +2,9 @@
 //! faults injected into them. One executable, because each that links iceoryx2 takes a minute to
 //! build.
 //!
-//! The tests take turns (`fixture::turn`): they tell times, and two of them at once would measure
-//! each other. What a machine that stands still spoils is tried again (`stall::fairly`).
-//! `VPC_LONG=1` runs them at full length; without it they are as long as CI can bear, and say so.
+//! The tests run one at a time (`fixture::turn`), because they measure times and would disturb each
+//! other. A trial is repeated if the machine stood still (`stall::fairly`). `VPC_LONG=1` runs the
+//! tests at full length; without it they are short enough for CI, and print that.
 
 mod bounded;
 mod camera;

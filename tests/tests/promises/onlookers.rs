@@ -1,13 +1,13 @@
-//! Who watches costs the loop nothing: `vpcctl watch`, `serve` with a page that reads, `metrics`
-//! with a collector that scrapes, and `record`, all at once beside the daemon at 250 Hz. No heap
-//! call, page fault or blocked call from wake to send, and no more releases missed than without
-//! them (of which a virtual machine's host causes some; see `chance`).
+//! Observers cost the loop nothing: `vpcctl watch`, `serve` with a page that reads, `metrics` with
+//! a collector that scrapes, and `record`, all at once beside the daemon at 250 Hz. The loop makes
+//! no heap call, page fault or blocking call from wake to send, and misses no more releases than
+//! without them (a virtual machine's host causes some misses; see `chance`).
 //!
-//! Views and metrics come while the camera is in motion already: they hear the daemon's ordinary
-//! thread only. `record` hears the loop's own commands, and to meet a listener takes the heap once
-//! (`Report::WARM_UP`): it is there first. `VPC_WITHOUT=warm-up` starts it with the others, to see
-//! the instruments count. The counts are the daemon's own, as in `faultless`; that the onlookers
-//! did see something is asserted, too.
+//! Views and metrics start while the camera is in motion: they receive from the daemon's ordinary
+//! thread only. `record` receives the loop's own commands, and a new subscriber costs the loop some
+//! heap calls once (`Report::WARM_UP`), so it starts first. `VPC_WITHOUT=warm-up` starts it with
+//! the others, to see the counters count. The counts are the daemon's own, as in `faultless`. The
+//! test also asserts that the observers received something.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -142,7 +142,7 @@ fn fast_scene(place: &Place) -> PathBuf {
     place.file("scene.toml", &fast)
 }
 
-/// Runs the daemon for so many cycles, with or without onlookers.
+/// Runs the daemon for `cycles`, with or without onlookers.
 fn run(cycles: u64, is_watched: bool) -> (Report, Seen) {
     let place = Place::new();
     let scene_file = fast_scene(&place);

@@ -1,5 +1,5 @@
-//! `demo` starts `cargo`, `vpcd` and `hw-sim`, and leaves nothing behind whichever way it ends: no
-//! process, and, where it could hear of its end, no directory and nothing in shared memory.
+//! `demo` starts `cargo`, `vpcd` and `hw-sim`, and leaves nothing behind however it ends: no
+//! process, and, unless it was killed, no directory and nothing in shared memory.
 
 use std::fs;
 use std::os::unix::ffi::OsStrExt;

@@ -1,5 +1,5 @@
-//! A robot of one's own: the bridge of `hw-sim/examples/own_robot.rs`, which is there to be copied,
-//! takes the emulated robot to the goal of the real `vpcd`, on the fixed clock.
+//! A user's own robot: the bridge of `hw-sim/examples/own_robot.rs`, which users copy, takes the
+//! emulated robot to the goal with the real `vpcd`, on the fixed clock.
 
 use std::process::{Command, Stdio};
 

@@ -1,5 +1,5 @@
-//! Peers that are killed: cameras, observers, operators; the daemon itself. Nobody else falls, who
-//! comes back is heard in half a second, and nothing piles up.
+//! Peers that are killed: cameras, observers, operators, and the daemon itself. The others go on, a
+//! peer that comes back is heard within half a second, and no leftovers accumulate.
 
 use std::os::unix::net::UnixDatagram;
 use std::process::{Command, Stdio};

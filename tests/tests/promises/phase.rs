@@ -1,6 +1,6 @@
-//! The clock `phase` beside `fixed`, with real processes: a camera whose rate is half a per cent
-//! off, so that a grid of its own drifts through a whole period of it in seven seconds. When the
-//! frames stop, the grid runs free again.
+//! The clocks `phase` and `fixed` with real processes and a camera whose rate is half a per cent
+//! off, so that the fixed clock drifts through a whole period in seven seconds. When the frames
+//! stop, the clock `phase` runs free again.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -22,8 +22,7 @@ const WATCHED: Duration = Duration::from_secs(8);
 const START: &str = "82";
 
 /// Latencies from the publication of features to the command that answers them, ms, ascending; and
-/// what the grid had to do with the camera at the end of it. Without the camera it has nothing to
-/// do with it.
+/// the grid's relation to the camera at the end. Without a camera the grid must be free.
 fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
     let place = Place::new();
     let scenes = root().join("ipc/scene/scenes");

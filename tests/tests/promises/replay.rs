@@ -1,7 +1,6 @@
-//! Replay: ten minutes of flight with real processes, twice; both records say the same, a replay
-//! says the same again, and one bit more or less in any of it is told. Any cycle is replayed from
-//! the snapshot before it, too: what the controller remembers beside its snapshots would show
-//! there.
+//! Replay: ten minutes with real processes, twice. Both records and a replay are the same, and a
+//! change of one bit is found. Single cycles are also replayed from the snapshot before them, which
+//! would show any state that snapshots lack.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -23,8 +22,8 @@ const APART: usize = 1999;
 /// Cycles from one snapshot to the next.
 const SNAPSHOTS: usize = 32;
 
-/// What two runs need not have in common: clocks and what hangs on them, the machine, and the
-/// robot's messages, which nobody waits for.
+/// Fields in which two runs may differ: times and what follows from them, properties of the
+/// machine, and the robot's messages, which are not synchronised.
 const OWN: [&str; 12] = [
     "stamp",
     "overruns",

@@ -1,5 +1,5 @@
 //! SIGTERM while the camera moves, at any phase of the cycle, once or twice: braking within the
-//! limits, zero as the last word, exit code 0 within half a second.
+//! limits, zero as the last command, exit code 0 within half a second.
 
 use std::time::{Duration, Instant};
 

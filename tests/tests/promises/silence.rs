@@ -120,7 +120,7 @@ fn noisy(random: &mut impl Rng) -> Features {
     Features::new(&points, now_ns())
 }
 
-/// A camera that works until it is told to fail, then fails, and after `over` works again.
+/// A camera that works until the flag makes it fail, and works again after `over`.
 fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &AtomicBool) -> u64 {
     let domain = Domain::join(place).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();

@@ -1,12 +1,12 @@
-//! Whether the machine itself stood still while a promise was tried.
+//! Whether the machine itself stood still while a promise was tested.
 //!
-//! The bars of the promises are milliseconds of wall time, and a virtual machine whose host takes
-//! its processors away for 50 ms breaks them without any fault of ours. A thread on each processor,
-//! at a priority above all that is tested, wakes up every millisecond and notes how late it is:
-//! nothing but the machine can make it late. A trial that missed a bar *while the machine stood
-//! still* is void: it is said so, and tried again, a few times at most. The bars stay where they
-//! are, a trial that missed one on a machine that went on fails at once, and what `assert!` says of
-//! a trial, that is all but time, nothing excuses.
+//! The limits of the promises are milliseconds of wall time. A virtual machine whose host takes its
+//! processors away for 50 ms breaks them through no fault of the programs. A thread on each
+//! processor, at a priority above everything under test, wakes up every millisecond and notes how
+//! late it is: only the machine can make it late. A trial that missed a limit *while the machine
+//! stood still* is void: the test prints that and tries again, a few times at most. A trial that
+//! missed a limit while the machine ran fails at once, and so does every failed `assert!`, which
+//! checks everything but time.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,7 +18,7 @@ use ipc::now_ns;
 use crate::fixture::{WAKE_NS, not_run, tell};
 use crate::machine::{keep, processors, take_priority};
 
-/// Above whatever is tested.
+/// SCHED_FIFO priority above everything under test.
 const PRIORITY: i32 = 95;
 /// Between two looks at the clock, ns.
 const TICK_NS: u64 = 1_000_000;

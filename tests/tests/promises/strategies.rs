@@ -1,5 +1,5 @@
-//! The memory is worth having: with the default memory more starts arrive than without one, and
-//! nothing is hit.
+//! The memory helps: with the default memory more starts arrive than without one, and no constraint
+//! is violated.
 
 use memory_blob::MemoryFile;
 use scene::Scene;

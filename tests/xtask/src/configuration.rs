@@ -7,7 +7,7 @@ use crate::root;
 
 const HEAD: &str = "# Configuration
 
-Every key of the project's four kinds of files, made from the code by `cargo xtask codegen`. Ranges include their ends. A file
+Every key of the four kinds of configuration files, generated from the code by `cargo xtask codegen`. Ranges include their ends. A file
 with an unknown key is refused; an error names file or flag, key, value and what is allowed. `vpcd --print-config` prints what
 `vpcd` would run with.
 
@@ -30,7 +30,7 @@ pub fn make() -> anyhow::Result<String> {
         ),
         (
             "The scene",
-            "[`paper-sim.toml`](../ipc/scene/scenes/paper-sim.toml) is one.",
+            "A scene file, for instance [`paper-sim.toml`](../ipc/scene/scenes/paper-sim.toml).",
             scene::schema(),
             shipped("ipc/scene/scenes/paper-sim.toml")?,
         ),

@@ -24,7 +24,9 @@ pub fn of_field(field: &Field, named: impl Fn(&Table) -> String) -> String {
     let mut text = one_line(field.doc);
     match field.meaning {
         Meaning::Range(least, most) => text += &format!(" {least} to {most}."),
-        Meaning::Code(table) | Meaning::AnyCode(table) => text += &format!(" A {}.", named(table)),
+        Meaning::Code(table) | Meaning::AnyCode(table) => {
+            text += &format!(" Code: {}.", named(table))
+        }
         Meaning::Bits(table) => text += &format!(" Sum of {} bits.", named(table)),
         Meaning::Any | Meaning::Finite | Meaning::FinitePairs => (),
     }

@@ -50,7 +50,7 @@ pub struct Start {
     pub name: String,
     /// The start.
     pub v: Twist,
-    /// Cost of the answer; `None` where it is not feasible.
+    /// Cost of the answer; `None` if it is not feasible.
     pub cost: Option<f64>,
 }
 

@@ -103,8 +103,8 @@ fn health(status: &Status) -> Vec<Finding> {
         warn("requests", words, "is it overloaded? see its log");
     }
     for service in &status.full {
-        let words = format!("{service}: all subscribers' places are taken");
-        warn("places", words, "end observers that are not needed");
+        let words = format!("{service}: all subscribers' slots are taken");
+        warn("slots", words, "end observers that are not needed");
     }
     if let Some(robot) = status.view.robot_at(status.now_ns)
         && robot.faults().0 != 0

@@ -32,7 +32,7 @@ pub struct Finding {
     pub verdict: Verdict,
     /// What was found.
     pub found: String,
-    /// How to fix it; empty where nothing is wrong.
+    /// How to fix it; empty if nothing is wrong.
     pub remedy: String,
 }
 

@@ -39,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 struct Server {
     status: Mutex<Status>,
     plane: ImagePlane,
-    /// `None` where the page may not command.
+    /// `None` if the page may not command.
     token: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Watching, and asking where watching does not tell.
+//! Watches the daemon, and asks it if there is nothing to watch.
 
 use std::path::Path;
 use std::time::{Duration, Instant};

@@ -32,9 +32,9 @@ const SILENT_NS: u64 = 500_000_000;
 pub struct Status {
     /// The domain's directory.
     pub directory: PathBuf,
-    /// Process of the daemon; `None` where it is not `vpcd` that serves the domain.
+    /// Process of the daemon; `None` if it is not `vpcd` that serves the domain.
     pub process: Option<u32>,
-    /// Whether the daemon answered; `None` where its cycles made asking unnecessary.
+    /// Whether the daemon answered; `None` if its cycles made asking unnecessary.
     pub answered: Option<bool>,
     /// Its answer, older than the newest cycle.
     pub reply: Option<Reply>,
@@ -185,7 +185,7 @@ impl Status {
         });
         text += &format!("robot     {}\n", robot.as_deref().unwrap_or("says nothing"));
         for service in &self.full {
-            text += &format!("not seen  {service}: all subscribers' places are taken\n");
+            text += &format!("not seen  {service}: all subscribers' slots are taken\n");
         }
         text
     }
@@ -321,7 +321,7 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
     })
 }
 
-/// What is missing of the real time that was asked for; `None` where none was.
+/// What is missing of the real time that was asked for; `None` if none was.
 pub fn lacks(realtime: RealTime) -> Option<Vec<&'static str>> {
     realtime.has(RealTime::ASKED).then(|| realtime.lacks())
 }

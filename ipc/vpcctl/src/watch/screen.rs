@@ -1,4 +1,4 @@
-//! The screen: pure drawing of what is known at an instant.
+//! The screen: draws a view at an instant; pure.
 
 use ipc::{Hold, StrategyCode};
 use ratatui::Frame;
@@ -231,7 +231,7 @@ fn past_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
     let mut lines = Vec::new();
     if !status.full.is_empty() {
         let services = status.full.join(", ");
-        let text = format!("not seen, all places taken: {services}");
+        let text = format!("not seen, all slots taken: {services}");
         lines.push(Line::styled(text, palette.tone(Tone::Bad)));
     }
     lines.extend(status.view.changes().rev().map(|change| {

@@ -23,7 +23,7 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Opens the page; `None` where there is no Chromium.
+    /// Opens the page; `None` if there is no Chromium.
     pub fn open(directory: &Path, url: &str) -> Option<Self> {
         let [to, from] = ["to", "from"].map(|name| directory.join(name));
         for fifo in [&to, &from] {
@@ -57,7 +57,7 @@ impl Browser {
         Some(browser)
     }
 
-    /// Calls a method; `None` where the browser is gone.
+    /// Calls a method; `None` if the browser is gone.
     fn call(&mut self, method: &str, parameters: Value) -> Option<Value> {
         self.number += 1;
         let mut message = json!({ "id": self.number, "method": method, "params": parameters });

@@ -66,7 +66,7 @@ fn stop_needs_no_observers_place() {
     assert_eq!(status.status.code(), Some(5), "{}", stderr(&status));
     let text = stdout(&status);
     assert!(
-        text.contains("vpc/cycles: all subscribers' places are taken"),
+        text.contains("vpc/cycles: all subscribers' slots are taken"),
         "{text}"
     );
     let output = vpcctl(directory.path(), &["stop"]);

@@ -19,7 +19,7 @@ struct Terminal {
 }
 
 impl Terminal {
-    /// Starts the view; returns when it has drawn. `None` where `script` is not installed.
+    /// Starts the view; returns when it has drawn. `None` if `script` is not installed.
     fn start(domain: &Path) -> Option<Self> {
         let note = domain.join("watch.pid");
         let program = env!("CARGO_BIN_EXE_vpcctl");
