@@ -198,7 +198,7 @@ enum vpc_action {
     VPC_ACTION_RECORD = 5,
 };
 
-// What became of a request.
+// The outcome of a request.
 enum vpc_outcome {
     // Done, or it was already so.
     VPC_OUTCOME_DONE = 0,
@@ -293,7 +293,7 @@ typedef struct {
     // The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop. 2^64-1
     // in lockstep, where time does not pass between frames. Unit: ns.
     uint64_t valid_until_ns;
-    // State of the controller. A vpc_state.
+    // State of the controller. Code: vpc_state.
     uint32_t state;
     // Zero.
     uint32_t reserved;
@@ -308,7 +308,7 @@ typedef struct {
     vpc_stamp stamp;
     // Sequence number of the features exposed at this instant; 0 if there are none.
     uint64_t features_sequence;
-    // What it does with commands. A vpc_robot_mode.
+    // What it does with commands. Code: vpc_robot_mode.
     uint32_t mode;
     // What is wrong. Sum of vpc_robot_faults bits.
     uint32_t faults;
@@ -338,9 +338,9 @@ typedef struct {
     vpc_stamp stamp;
     // Number of the cycle, from 1.
     uint64_t cycle;
-    // What starts a cycle. A vpc_clock_mode.
+    // What starts a cycle. Code: vpc_clock_mode.
     uint32_t clock;
-    // How the solver ended. A vpc_solver.
+    // How the solver ended. Code: vpc_solver.
     uint32_t status;
     // Wake-up after the release; 0 in lockstep. Unit: ns.
     uint64_t wake_latency_ns;
@@ -363,9 +363,9 @@ typedef struct {
     uint32_t count;
     // Points in way_point; 0 if the goal is tracked. 0 to 8.
     uint32_t way_point_count;
-    // What the memory of motion answered. A vpc_recall.
+    // What the memory of motion answered. Code: vpc_recall.
     uint32_t recalled;
-    // Strategy of the control law. A vpc_strategy.
+    // Strategy of the control law. Code: vpc_strategy.
     uint32_t strategy;
     // Neighbours averaged by knn; 0 for other strategies.
     uint32_t neighbours;
@@ -375,9 +375,9 @@ typedef struct {
     uint32_t iterations;
     // Active-set changes in its quadratic programs.
     uint32_t qp_iterations;
-    // Why the twist of the control law was not sent. A vpc_hold.
+    // Why the twist of the control law was not sent. Code: vpc_hold.
     uint32_t hold;
-    // State of the controller. A vpc_state.
+    // State of the controller. Code: vpc_state.
     uint32_t state;
     // Features used, u1 v1 u2 v2 .... Unit: px.
     double points[16];
@@ -395,7 +395,7 @@ typedef struct {
     double error_px;
     // Whether the loop's thread has its real-time properties. Sum of vpc_realtime bits.
     uint32_t realtime;
-    // Whether the grid of releases follows the camera's frames. A vpc_phase.
+    // Whether the grid of releases follows the camera's frames. Code: vpc_phase.
     uint32_t phase;
     // This release minus the one that the camera's phase asks for; 0 while the grid is free. Unit:
     // ns.
@@ -408,9 +408,9 @@ typedef struct {
     uint32_t blocked;
     // Calls of the heap by the loop's thread in that time, if the allocator counts them.
     uint32_t allocations;
-    // What came from the camera. A vpc_input.
+    // What came from the camera. Code: vpc_input.
     uint32_t features_input;
-    // What came from the robot. A vpc_input.
+    // What came from the robot. Code: vpc_input.
     uint32_t robot_input;
     // Head of the features message that came, also of a refused one; zero if none came.
     vpc_stamp features_seen;
@@ -447,9 +447,9 @@ typedef struct {
     vpc_stamp stamp;
     // Chosen by the operator at random; the reply has the same.
     uint64_t id;
-    // What is asked for. An unknown code is answered with outcome 8. A vpc_action.
+    // What is asked for. An unknown code is answered with outcome 8. Code: vpc_action.
     uint32_t action;
-    // For action strategy: which one, also answered if unknown; else zero. A vpc_strategy.
+    // For action strategy: which one, also answered if unknown; else zero. Code: vpc_strategy.
     uint32_t strategy;
     // For strategy knn: neighbours averaged, 1 to 64; else zero.
     uint32_t neighbours;
@@ -465,15 +465,15 @@ typedef struct {
     uint64_t id;
     // The cycle from which the request counts.
     uint64_t cycle;
-    // That of the request; zero if it is unknown. A vpc_action.
+    // That of the request; zero if it is unknown. Code: vpc_action.
     uint32_t action;
-    // What became of the request. A vpc_outcome.
+    // Outcome of the request. Code: vpc_outcome.
     uint32_t outcome;
-    // State after the request. A vpc_state.
+    // State after the request. Code: vpc_state.
     uint32_t state;
-    // Cause of that state. A vpc_hold.
+    // Cause of that state. Code: vpc_hold.
     uint32_t hold;
-    // Strategy after the request. A vpc_strategy.
+    // Strategy after the request. Code: vpc_strategy.
     uint32_t strategy;
     // Its neighbours (knn), else zero.
     uint32_t neighbours;

@@ -9,6 +9,7 @@ from typing import Any
 
 from .kinds import Code, Message, Service
 
+
 MAX_POINTS = 8
 
 
@@ -191,7 +192,7 @@ class Action(Code):
 
 
 class Outcome(Code):
-    """What became of a request."""
+    """The outcome of a request."""
 
     # Done, or it was already so.
     DONE = 0, "done"
@@ -305,7 +306,7 @@ class TwistCommand(Message):
         # The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop.
         # 2^64-1 in lockstep, where time does not pass between frames. Unit: ns.
         ("valid_until_ns", ctypes.c_uint64),
-        # State of the controller. A `TwistState`.
+        # State of the controller. Code: `TwistState`.
         ("state", ctypes.c_uint32),
         # Zero.
         ("reserved", ctypes.c_uint32),
@@ -327,7 +328,7 @@ class RobotState(Message):
         ("stamp", Stamp),
         # Sequence number of the features exposed at this instant; 0 if there are none.
         ("features_sequence", ctypes.c_uint64),
-        # What it does with commands. A `RobotMode`.
+        # What it does with commands. Code: `RobotMode`.
         ("mode", ctypes.c_uint32),
         # What is wrong. Sum of `RobotFaults` bits.
         ("faults", ctypes.c_uint32),
@@ -364,9 +365,9 @@ class CycleRecord(Message):
         ("stamp", Stamp),
         # Number of the cycle, from 1.
         ("cycle", ctypes.c_uint64),
-        # What starts a cycle. A `ClockMode`.
+        # What starts a cycle. Code: `ClockMode`.
         ("clock", ctypes.c_uint32),
-        # How the solver ended. A `SolverStatus`.
+        # How the solver ended. Code: `SolverStatus`.
         ("status", ctypes.c_uint32),
         # Wake-up after the release; 0 in lockstep. Unit: ns.
         ("wake_latency_ns", ctypes.c_uint64),
@@ -390,9 +391,9 @@ class CycleRecord(Message):
         ("count", ctypes.c_uint32),
         # Points in `way_point`; 0 if the goal is tracked. 0 to 8.
         ("way_point_count", ctypes.c_uint32),
-        # What the memory of motion answered. A `RecallCode`.
+        # What the memory of motion answered. Code: `RecallCode`.
         ("recalled", ctypes.c_uint32),
-        # Strategy of the control law. A `StrategyCode`.
+        # Strategy of the control law. Code: `StrategyCode`.
         ("strategy", ctypes.c_uint32),
         # Neighbours averaged by knn; 0 for other strategies.
         ("neighbours", ctypes.c_uint32),
@@ -402,9 +403,9 @@ class CycleRecord(Message):
         ("iterations", ctypes.c_uint32),
         # Active-set changes in its quadratic programs.
         ("qp_iterations", ctypes.c_uint32),
-        # Why the twist of the control law was not sent. A `Hold`.
+        # Why the twist of the control law was not sent. Code: `Hold`.
         ("hold", ctypes.c_uint32),
-        # State of the controller. A `TwistState`.
+        # State of the controller. Code: `TwistState`.
         ("state", ctypes.c_uint32),
         # Features used, u1 v1 u2 v2 .... Unit: px.
         ("points", ctypes.c_double * 16),
@@ -422,7 +423,7 @@ class CycleRecord(Message):
         ("error_px", ctypes.c_double),
         # Whether the loop's thread has its real-time properties. Sum of `RealTime` bits.
         ("realtime", ctypes.c_uint32),
-        # Whether the grid of releases follows the camera's frames. A `PhaseCode`.
+        # Whether the grid of releases follows the camera's frames. Code: `PhaseCode`.
         ("phase", ctypes.c_uint32),
         # This release minus the one that the camera's phase asks for; 0 while the grid is free.
         # Unit: ns.
@@ -435,9 +436,9 @@ class CycleRecord(Message):
         ("blocked", ctypes.c_uint32),
         # Calls of the heap by the loop's thread in that time, if the allocator counts them.
         ("allocations", ctypes.c_uint32),
-        # What came from the camera. A `InputCode`.
+        # What came from the camera. Code: `InputCode`.
         ("features_input", ctypes.c_uint32),
-        # What came from the robot. A `InputCode`.
+        # What came from the robot. Code: `InputCode`.
         ("robot_input", ctypes.c_uint32),
         # Head of the features message that came, also of a refused one; zero if none came.
         ("features_seen", Stamp),
@@ -488,9 +489,10 @@ class Request(Message):
         ("stamp", Stamp),
         # Chosen by the operator at random; the reply has the same.
         ("id", ctypes.c_uint64),
-        # What is asked for. An unknown code is answered with outcome 8. A `Action`.
+        # What is asked for. An unknown code is answered with outcome 8. Code: `Action`.
         ("action", ctypes.c_uint32),
-        # For action `strategy`: which one, also answered if unknown; else zero. A `StrategyCode`.
+        # For action `strategy`: which one, also answered if unknown; else zero. Code:
+        # `StrategyCode`.
         ("strategy", ctypes.c_uint32),
         # For strategy knn: neighbours averaged, 1 to 64; else zero.
         ("neighbours", ctypes.c_uint32),
@@ -513,15 +515,15 @@ class Reply(Message):
         ("id", ctypes.c_uint64),
         # The cycle from which the request counts.
         ("cycle", ctypes.c_uint64),
-        # That of the request; zero if it is unknown. A `Action`.
+        # That of the request; zero if it is unknown. Code: `Action`.
         ("action", ctypes.c_uint32),
-        # What became of the request. A `Outcome`.
+        # Outcome of the request. Code: `Outcome`.
         ("outcome", ctypes.c_uint32),
-        # State after the request. A `TwistState`.
+        # State after the request. Code: `TwistState`.
         ("state", ctypes.c_uint32),
-        # Cause of that state. A `Hold`.
+        # Cause of that state. Code: `Hold`.
         ("hold", ctypes.c_uint32),
-        # Strategy after the request. A `StrategyCode`.
+        # Strategy after the request. Code: `StrategyCode`.
         ("strategy", ctypes.c_uint32),
         # Its neighbours (knn), else zero.
         ("neighbours", ctypes.c_uint32),
