@@ -125,7 +125,7 @@ fn report(file: &Path, more: &[&str]) -> Value {
 fn write(place: &Place, flight: &Recording) -> PathBuf {
     let path = place.path("forged.mcap");
     let mut file = RecordingFile::create(&path, true).unwrap();
-    for key in ["cause", "executable", "memory_sha256", "vpcd.toml"] {
+    for key in ["cause", "executable", "memory_sha256"] {
         let entry = flight.origin(key).unwrap().to_owned();
         file.origin([(key, entry)]).unwrap();
     }
