@@ -2,6 +2,7 @@
 //! record` writes.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, WriteError};
 use scene::SceneFiles;
@@ -40,11 +41,18 @@ impl About {
     }
 }
 
-/// Writes a flight record over the file at `path`, through to the disk.
+/// Writes a flight record over the file at `path`, through to the disk; counts the cycles that are
+/// written in `progress`.
 ///
 /// # Errors
 /// [`WriteError`].
-pub fn write(path: &Path, about: &About, cause: &str, ring: &Ring) -> Result<(), WriteError> {
+pub fn write(
+    path: &Path,
+    about: &About,
+    cause: &str,
+    ring: &Ring,
+    progress: &AtomicU64,
+) -> Result<(), WriteError> {
     let mut file = RecordingFile::create(path, true)?;
     file.origin([
         (origin::CAUSE, cause.to_owned()),
@@ -58,13 +66,17 @@ pub fn write(path: &Path, about: &About, cause: &str, ring: &Ring) -> Result<(),
         file.attach(name, png)?;
     }
     file.attach(SCENE_FILE, about.scene.text.as_bytes())?;
-    messages(&mut file, ring)?;
+    messages(&mut file, ring, progress)?;
     file.finish()
 }
 
 /// Everything in the order in which it happened, from the oldest snapshot on; a message that
 /// several cycles received once.
-fn messages(file: &mut RecordingFile, ring: &Ring) -> Result<(), WriteError> {
+fn messages(
+    file: &mut RecordingFile,
+    ring: &Ring,
+    progress: &AtomicU64,
+) -> Result<(), WriteError> {
     let first = ring.snapshots().next().map_or(0, |snapshot| snapshot.cycle);
     let mut snapshots = ring.snapshots().peekable();
     let mut replies = ring.replies().peekable();
@@ -88,6 +100,7 @@ fn messages(file: &mut RecordingFile, ring: &Ring) -> Result<(), WriteError> {
             file.write(message)?;
         }
         file.write(&cycle.record)?;
+        progress.fetch_add(1, Ordering::Relaxed);
     }
     Ok(())
 }

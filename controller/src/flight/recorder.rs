@@ -2,6 +2,8 @@
 //! thread that may wait for the disk.
 
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -19,8 +21,10 @@ use crate::decision::HoldReason;
 /// not fill a disk. A fault that disarms is always written, because it may be the last one.
 const BETWEEN_FAULTS: Duration = Duration::from_secs(60);
 
-/// Longest wait for a file when the daemon ends.
+/// Longest wait for a file when the daemon ends, while nothing more is written, and in all: less
+/// than `TimeoutStopSec` of the unit.
 const PATIENCE: Duration = Duration::from_secs(2);
+const LONGEST: Duration = Duration::from_secs(8);
 
 /// Why a record is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,6 +73,8 @@ pub struct Recorder {
     is_told: bool,
     written: Option<Instant>,
     writer: Option<JoinHandle<()>>,
+    /// Cycles that writers have written.
+    progress: Arc<AtomicU64>,
 }
 
 impl Recorder {
@@ -126,6 +132,7 @@ impl Recorder {
             is_told: false,
             written: None,
             writer: None,
+            progress: Arc::default(),
         }
     }
 
@@ -198,13 +205,18 @@ impl Recorder {
     /// Waits for the writer, but not for a disk that hangs; a part of a file is then removed with
     /// the next file. Returns whether the writer is done.
     fn wait(&mut self) -> bool {
-        let end = Instant::now() + PATIENCE;
-        while self.is_writing() && Instant::now() < end {
+        let begun = Instant::now();
+        let (mut written, mut last) = (self.progress.load(Ordering::Relaxed), begun);
+        while self.is_writing() && last.elapsed() < PATIENCE && begun.elapsed() < LONGEST {
             std::thread::sleep(Duration::from_millis(2));
+            let now = self.progress.load(Ordering::Relaxed);
+            if now != written {
+                (written, last) = (now, Instant::now());
+            }
         }
         let is_writing = self.is_writing();
         if is_writing {
-            warn!("flight record given up: the disk takes longer than {PATIENCE:?}");
+            warn!("flight record given up after {:?}: the disk is too slow", begun.elapsed());
         }
         !is_writing
     }
@@ -216,7 +228,8 @@ impl Recorder {
             return;
         };
         let (store, about, ring) = (store.clone(), about.clone(), self.ring.clone());
-        let work = move || write(&store, &about, cause, &ring);
+        let progress = Arc::clone(&self.progress);
+        let work = move || write(&store, &about, cause, &ring, &progress);
         match std::thread::Builder::new()
             .name("flight".to_owned())
             .spawn(work)
@@ -227,11 +240,11 @@ impl Recorder {
     }
 }
 
-fn write(store: &Store, about: &About, cause: Cause, ring: &Ring) {
+fn write(store: &Store, about: &About, cause: Cause, ring: &Ring, progress: &AtomicU64) {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     let unix_ms = since.map_or(0, |since| since.as_millis() as u64);
     let (cycles, text) = (ring.len(), cause.text());
-    let fill = |path: &Path| file::write(path, about, &text, ring);
+    let fill = |path: &Path| file::write(path, about, &text, ring, progress);
     match store.write(unix_ms, cause.word(), fill) {
         Ok(path) => info!(
             cycles,

@@ -1,5 +1,7 @@
 //! The flight record: two runs and a replay are equal, and every changed decision is found.
 
+use std::sync::atomic::AtomicU64;
+
 use controller::arguments::Arguments;
 use controller::config::Config;
 use controller::control::ControlStep;
@@ -313,7 +315,7 @@ fn run_a_is_run_b_is_the_replay_of_a_byte_by_byte() {
         ..Arguments::default()
     });
     let about = About::new(text.unwrap(), bench.control().loaded());
-    file::write(&path, &about, "request", &ring).unwrap();
+    file::write(&path, &about, "request", &ring, &AtomicU64::new(0)).unwrap();
     let read = Recording::read(&path).unwrap();
     assert!(read.cut.is_none() && bits(&read) == bits(&a));
     assert_eq!(read.scene_toml(), Some(scene::PAPER_SIM));
@@ -576,7 +578,7 @@ fn a_damaged_file_is_seen_to_be() {
     let ring = bench.fly(200, 200, None);
     let about = About::new("[law]\n".to_owned(), bench.control().loaded());
     let path = bench.place.file("f.mcap", "");
-    file::write(&path, &about, "request", &ring).unwrap();
+    file::write(&path, &about, "request", &ring, &AtomicU64::new(0)).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     let is_seen = |bytes: &[u8]| {
         let path = bench.place.file("damaged.mcap", bytes);

@@ -122,7 +122,7 @@ fn report(file: &Path) -> Value {
 /// Writes a flight record again.
 fn write(flight: &Recording, path: &Path) {
     let mut file = RecordingFile::create(path, true).unwrap();
-    let origin = ["cause", "executable", "memory_sha256", "vpcd.toml"];
+    let origin = ["cause", "executable", "memory_sha256"];
     for key in origin {
         let entry = flight.origin(key).unwrap().to_owned();
         file.origin([(key, entry)]).unwrap();

@@ -3,6 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
+use testkit::repeats;
 use vision::{Detector, DetectorSettings, Image, Look, Renderer, Truth, truth};
 
 const RADIUS: f64 = 0.006;
@@ -96,8 +97,7 @@ impl Tally {
     }
 }
 
-/// In each of 10,000 random frames, found anew, more than a quarter of which have an occluded
-/// marker.
+/// Random frames, each found anew, more than a quarter of which have an occluded marker.
 #[test]
 fn occluded_markers_are_never_visible_and_the_others_are_where_they_are() {
     let scene = robot();
@@ -105,14 +105,15 @@ fn occluded_markers_are_never_visible_and_the_others_are_where_they_are() {
     let mut detector = detector(&scene);
     let mut random = random(1);
     let mut tally = Tally::default();
-    for _ in 0..10_000 {
+    let frames = repeats("random frames", 1_000, 10_000);
+    for _ in 0..frames {
         let pose = any_pose(&scene, &mut random, 1.6);
         detector.expect(&pose);
         detector.detect(renderer.render(&pose)).unwrap();
         tally.add(&all(&scene, &pose), &detector);
     }
     println!("{} px RMS, {tally:?}", tally.rms());
-    assert!(tally.occluded > 2_500, "{tally:?}");
+    assert!(tally.occluded > frames / 4, "{tally:?}");
     assert_eq!(tally.false_alarms, 0, "{tally:?}");
     assert!(tally.rms() < 0.05, "{tally:?}");
     assert!(
@@ -150,7 +151,7 @@ impl Walk {
     }
 }
 
-/// 10,000 frames in sequences of 1,000, with losses of frames: behind object, spot and border, and
+/// Frames in sequences of 1,000, with losses of frames: behind object, spot and border, and
 /// back again.
 #[test]
 fn identity_is_never_swapped() {
@@ -160,7 +161,8 @@ fn identity_is_never_swapped() {
     let mut random = random(2);
     let mut tally = Tally::default();
     let mut returns = 0;
-    for _ in 0..10 {
+    let sequences = repeats("sequences of 1,000 frames", 1, 10);
+    for _ in 0..sequences {
         let walk = Walk::new(&mut random);
         detector.expect(&walk.pose(0));
         let mut before = 0;
@@ -177,7 +179,7 @@ fn identity_is_never_swapped() {
         }
     }
     println!("{} px RMS, {returns} returns, {tally:?}", tally.rms());
-    assert!(returns > 200, "{returns}");
+    assert!(returns as usize > 20 * sequences, "{returns}");
     assert!(
         tally.worst_clear < 0.25 && tally.worst_partial < 0.5,
         "{tally:?}"

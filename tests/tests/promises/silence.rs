@@ -193,7 +193,7 @@ fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
         Fault::Late,
     ] {
         let mut worst = Worst::default();
-        for round in 0..repeats(&format!("{fault:?}"), 2, 20) {
+        for round in 0..repeats(&format!("{fault:?}"), 1, 20) {
             worst.add(fairly(&format!("{fault:?} {round}"), || {
                 fail(fault, &mut random)
             }));
