@@ -72,11 +72,7 @@ pub fn write(
 
 /// Everything in the order in which it happened, from the oldest snapshot on; a message that
 /// several cycles received once.
-fn messages(
-    file: &mut RecordingFile,
-    ring: &Ring,
-    progress: &AtomicU64,
-) -> Result<(), WriteError> {
+fn messages(file: &mut RecordingFile, ring: &Ring, progress: &AtomicU64) -> Result<(), WriteError> {
     let first = ring.snapshots().next().map_or(0, |snapshot| snapshot.cycle);
     let mut snapshots = ring.snapshots().peekable();
     let mut replies = ring.replies().peekable();

@@ -216,7 +216,10 @@ impl Recorder {
         }
         let is_writing = self.is_writing();
         if is_writing {
-            warn!("flight record given up after {:?}: the disk is too slow", begun.elapsed());
+            warn!(
+                "flight record given up after {:?}: the disk is too slow",
+                begun.elapsed()
+            );
         }
         !is_writing
     }
