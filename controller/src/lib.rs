@@ -7,8 +7,8 @@
 //! the middle make [`control`], a pure function of inputs and state that [`mod@replay`] repeats.
 //!
 //! # The workspace
-//! This is the first page of the documentation of all crates (`cargo doc --workspace --no-deps`, then
-//! `target/doc/controller/index.html`).
+//! This is the first page of the documentation of all crates: `cargo doc --workspace --no-deps`,
+//! then `target/doc/controller/index.html`.
 //!
 //! | crate | what it is |
 //! |---|---|

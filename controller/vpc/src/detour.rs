@@ -2,12 +2,12 @@
 //!
 //! Beside an occlusion the law can come to rest far from the goal: the way point lies across a
 //! border, and no plan over the window leads around. All samples of a memory belong to trajectories
-//! that reached the goal. After a second without progress the law therefore tracks, for a while, the
-//! *features* of a sample, and then follows its trajectory. The first attempts take near samples, each
-//! further away than the one before. Some can be reached round a corner, but many lie on the other
-//! side of the border that stalls the law, so every second later attempt takes the nearest sample in
-//! sight. The search for it looks at a share of the memory in each cycle. A detour that makes no
-//! progress is given up.
+//! that reached the goal. After a second without progress the law therefore tracks, for a while,
+//! the *features* of a sample, and then follows its trajectory. The first attempts take near
+//! samples, each further away than the one before. Some can be reached round a corner, but many lie
+//! on the other side of the border that stalls the law, so every second later attempt takes the
+//! nearest sample in sight. The search for it looks at a share of the memory in each cycle. A
+//! detour that makes no progress is given up.
 //!
 //! Not in the paper.
 
@@ -23,8 +23,8 @@ use crate::{MAX_POINTS, Points, features};
 const PATIENCE: u32 = 30;
 /// Decrease of the largest error that is progress, px.
 const PROGRESS_PX: f64 = 3.0;
-/// Errors below this multiple of the scene's threshold of convergence are regulation around the goal,
-/// not a stall.
+/// Errors below this multiple of the scene's threshold of convergence are regulation around the
+/// goal, not a stall.
 const FAR: f64 = 10.0;
 /// Most cycles of a detour.
 const LENGTH: u32 = 40;
@@ -37,8 +37,8 @@ const RANKED: u32 = 4;
 const SHARE: usize = 256;
 /// Passes of the search through the memory, each through other samples.
 const PASSES: usize = 4;
-/// Each of `RINGS` attempts in sight picks a sample that is at least this much further away than the
-/// one before, px; then the distance begins at zero again.
+/// Each of `RINGS` attempts in sight picks a sample that is at least this much further away than
+/// the one before, px; then the distance begins at zero again.
 const RING_PX: f64 = 30.0;
 const RINGS: u32 = 4;
 /// Cycles after a detour in which its trajectory is followed.
@@ -148,9 +148,9 @@ impl Detour {
     }
 
     /// Picks a sample by its rank, if that is this attempt's turn. Otherwise looks through this
-    /// cycle's share of the memory for the nearest sample in sight: first at one in [`PASSES`] samples.
-    /// The detour begins after the first pass that found one, and after the last. Returns whether the
-    /// search is over.
+    /// cycle's share of the memory for the nearest sample in sight: first at one in [`PASSES`]
+    /// samples. The detour begins after the first pass that found one, and after the last. Returns
+    /// whether the search is over.
     fn search(&mut self, task: &Task, points: &Points, memory: &dyn MotionMemory) -> bool {
         let mut found = [0.0; features::MAX_INPUTS];
         let input = task.recall_input(points);
