@@ -13,7 +13,7 @@
 //! little about a p99. A run that does not pass is therefore repeated, up to [`RUNS`] in all; each
 //! run is printed. A loop that is really late is late in each.
 //!
-//! 5,000 cycles at 250 Hz take 20 s, 300 at the real 30 Hz ten more. At full length there are
+//! 2,500 cycles at 250 Hz take 10 s, 300 at the real 30 Hz ten more. At full length there are
 //! 18,000 of each, which take eleven minutes:
 //!
 //!     VPC_LONG=1 cargo test --test promises deadlines
@@ -222,9 +222,11 @@ fn judge(rate_hz: u32, cycles: u64) -> Verdict {
     ));
     // The machine has no part in these.
     assert_eq!(costs, 0, "faults, blocked and heap calls");
+    // Deadlines missed in a row disarm the daemon, which then has no work to do.
+    let had_work = report.armed >= cycles * 9 / 10;
     assert!(
-        report.armed >= cycles * 9 / 10,
-        "{} of {cycles} cycles with work to do",
+        had_work || report.overruns > 0,
+        "{} of {cycles} cycles with work to do, and no deadline missed",
         report.armed
     );
     if latest as f64 >= 0.5 * period_us || worst >= 0.1 * period_us {
@@ -233,7 +235,7 @@ fn judge(rate_hz: u32, cycles: u64) -> Verdict {
         );
         return Verdict::Unfit;
     }
-    match report.overruns == 0 && wake <= bar {
+    match had_work && report.overruns == 0 && wake <= bar {
         true => Verdict::Passed,
         false => Verdict::Failed,
     }
