@@ -33,6 +33,9 @@ const RATE: u32 = 250;
 const BEFORE: u64 = 500;
 /// Pairs of runs at most, until one passes: a host may strike the one and spare the other.
 const RUNS: usize = 3;
+/// A machine on which more than this share of the releases is missed without onlookers is unfit: it
+/// cannot tell what they cost.
+const UNFIT: f64 = 0.005;
 
 /// `vpcctl` in this domain.
 fn vpcctl(domain: &Path) -> Command {
@@ -212,8 +215,9 @@ fn run(cycles: u64, is_watched: bool) -> (Report, Seen) {
     (serde_json::from_str(&text).unwrap(), seen)
 }
 
-/// Whether onlookers cost no release in this pair of runs; that they cost nothing else is asserted.
-fn costs_no_release(cycles: u64) -> bool {
+/// Whether onlookers cost no release in this pair of runs, `None` where the machine is unfit; that
+/// they cost nothing else is asserted.
+fn costs_no_release(cycles: u64) -> Option<bool> {
     let (alone, _) = run(cycles, false);
     let (watched, seen) = run(cycles, true);
     let Seen {
@@ -244,9 +248,18 @@ fn costs_no_release(cycles: u64) -> bool {
     );
     tell(&told_all);
     for report in [&alone, &watched] {
-        assert!(report.armed >= cycles * 9 / 10, "{report:?}");
         let costs = report.minor_faults + report.major_faults + report.blocked;
         assert_eq!((costs, report.allocations), (0, 0), "{report:#?}");
+        // Deadlines missed in a row disarm the daemon.
+        let had_work = report.armed >= cycles * 9 / 10;
+        assert!(had_work || report.overruns > 0, "{report:?}");
+    }
+    if alone.overruns as f64 > UNFIT * alone.cycles as f64 {
+        tell("UNFIT, neither passed nor failed: without onlookers, too, releases were missed");
+        return None;
+    }
+    if watched.armed < cycles * 9 / 10 {
+        return Some(false);
     }
     let seconds = cycles / u64::from(RATE);
     // They were there, each at its pace: a view draws and tells several times a second.
@@ -256,7 +269,7 @@ fn costs_no_release(cycles: u64) -> bool {
     // Counts of rare events differ by chance: where a host is to blame for some, by twice the root
     // of their number.
     let chance = 1.0 + 2.0 * (alone.overruns as f64).sqrt();
-    watched.overruns as f64 <= alone.overruns as f64 + chance
+    Some(watched.overruns as f64 <= alone.overruns as f64 + chance)
 }
 
 #[test]
@@ -268,8 +281,17 @@ fn watching_serving_metrics_and_recording_cost_the_loop_nothing() {
         return;
     }
     let cycles = repeats("onlookers, cycles at 250 Hz", 2500, 18_000) as u64;
+    let mut failed = 0;
+    for _ in 0..RUNS {
+        match costs_no_release(cycles) {
+            Some(true) => return,
+            Some(false) => failed += 1,
+            None => (),
+        }
+    }
     assert!(
-        (0..RUNS).any(|_| costs_no_release(cycles)),
-        "more releases missed with onlookers than without in each of {RUNS} runs"
+        failed < 2,
+        "more releases missed with onlookers than without in {failed} of {RUNS} pairs of runs, none passed"
     );
+    tell("UNFIT, neither passed nor failed: no pair of all of them can tell");
 }
