@@ -239,13 +239,14 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
         solver: vpc::SolverOptions {
             max_iterations: law.iterations,
             tolerance: law.tolerance,
+            intersample: law.intersample,
         },
         model: law.model,
+        foresight_periods: law.foresight_periods,
         trigger_px: law.trigger_px,
         hysteresis: law.hysteresis,
         margin_px: law.margin_px,
         lambda: law.lambda,
-        detour: law.detour,
         delay_compensation: law.delay_compensation,
     };
     // The law has the last word on its settings.

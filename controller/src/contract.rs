@@ -1,6 +1,8 @@
 //! Conversions between the codes of the contract and the types of the control law.
 
-use ipc::{CycleRecord, Features, RecallCode, SolverStatus, StrategyCode};
+use ipc::{CycleRecord, Features, ForesightCode, RecallCode, SolverStatus, StrategyCode};
+use vpc::foresight::{Foresight, Outcome, PLACES};
+use vpc::guide::Kind;
 use vpc::{Measurement, Refusal, Status, Step, Strategy};
 
 use crate::decision::HoldReason;
@@ -8,6 +10,7 @@ use crate::decision::HoldReason;
 // A step takes all the points that a message can have: more than the law has room for would panic
 // in the loop.
 const _: () = assert!(ipc::MAX_POINTS <= vpc::MAX_POINTS);
+const _: () = assert!(ipc::PATH_PLACES == PLACES && ipc::MAX_POINTS == vpc::MAX_POINTS);
 const _: () = assert!(ipc::MAX_NEIGHBOURS as usize == vpc::strategy::MAX_NEIGHBOURS);
 
 /// Code of a strategy, and the neighbours of k-NN or 0.
@@ -17,6 +20,7 @@ pub fn strategy_code(strategy: Strategy) -> (StrategyCode, u32) {
         Strategy::Knn { .. } => StrategyCode::Knn,
         Strategy::Gpr => StrategyCode::Gpr,
         Strategy::Ibvs => StrategyCode::Ibvs,
+        Strategy::Foresight => StrategyCode::Foresight,
     };
     (code, strategy.neighbours() as u32)
 }
@@ -55,6 +59,31 @@ pub fn hold_reason(refusal: Refusal) -> HoldReason {
     }
 }
 
+/// Copies what is foreseen into the record of the cycle that follows it.
+pub fn record_foresight(foresight: &Foresight, period_s: f64, record: &mut CycleRecord) {
+    record.foresight = match foresight.guide.kind {
+        Kind::Goal => ForesightCode::Goal,
+        Kind::Sample => ForesightCode::Sample,
+        Kind::Aside => ForesightCode::Aside,
+        Kind::Neighbour => ForesightCode::Neighbour,
+        Kind::Regression => ForesightCode::Regression,
+    }
+    .code();
+    record.candidates = foresight.tried;
+    record.simulated = foresight.periods;
+    record.switches = foresight.switches;
+    record.arrival_s = match foresight.outcome {
+        Outcome::Arrives { periods, .. } => f64::from(periods) * period_s,
+        Outcome::Nears { .. } | Outcome::Unknown => f64::NAN,
+    };
+    let path = &foresight.path;
+    record.path_every_s = f64::from(path.every) * period_s;
+    record.path_count = path.count;
+    record.path_points = path.points;
+    let places = path.places.iter().flatten().flatten();
+    (record.path.iter_mut().zip(places)).for_each(|(to, &from)| *to = f64::from(from));
+}
+
 /// Copies the numbers of a step of the law into the record of its cycle.
 pub fn record_step(step: &Step, record: &mut CycleRecord) {
     record.status = match step.status {
@@ -66,7 +95,6 @@ pub fn record_step(step: &Step, record: &mut CycleRecord) {
     }
     .code();
     record.recalled = match step {
-        _ if step.detour => RecallCode::Detour,
         _ if step.recalled => RecallCode::Followed,
         _ if step.recall_refused => RecallCode::Refused,
         _ => RecallCode::Unasked,

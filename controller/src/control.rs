@@ -143,7 +143,6 @@ impl ControlStep {
         if decision.twist != proposed.decision.twist {
             // The law's next prediction would be of a motion that does not happen.
             self.gate.mark_gap();
-            self.loaded.controller.overruled();
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's
         // plan, so that a replay needs no other clock.
@@ -157,6 +156,12 @@ impl ControlStep {
             stamp: proposed.stamp,
             decision,
         }
+    }
+
+    /// Thinks ahead in the slack of a cycle, after its command was sent. Never allocates; its work
+    /// is bounded.
+    pub fn think(&mut self) {
+        self.loaded.think();
     }
 
     /// When a command that is decided at `now_ns` takes effect: at once; or in lockstep, where the
@@ -209,6 +214,10 @@ impl ControlStep {
         let (strategy, neighbours) = self.strategy();
         record.np = self.loaded.controller.settings().np as u32;
         (record.strategy, record.neighbours) = (strategy.code(), neighbours);
+        if strategy == StrategyCode::Foresight {
+            let controller = &self.loaded.controller;
+            contract::record_foresight(controller.foreseen(), controller.task().ts, record);
+        }
         let (code, seen) = inputs.features.wire();
         (record.features_input, record.features_seen) = (code.code(), seen);
         let (code, seen) = inputs.robot.wire();

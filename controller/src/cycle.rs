@@ -183,6 +183,7 @@ impl Cycle {
         record.send_ns = now_ns().saturating_sub(decided_ns);
         self.woken.record_usage(&mut record);
         self.reply();
+        self.control.think();
         self.finish(&inputs, &answer, &mut record);
         sent.map(|()| Some(record))
     }

@@ -16,7 +16,7 @@ use crate::flight::{self, About, DumpRequest, Recorder};
 use crate::instance::{Instance, InstanceError};
 use crate::loaded::{LoadError, LoadedController};
 use crate::log::Log;
-use crate::preflight::Facts;
+use crate::preflight::{Cost, Facts};
 use crate::published::Published;
 use crate::report::{Report, ReportError};
 use crate::service::{Notifier, Progress, Service, ServiceError};
@@ -135,12 +135,26 @@ fn preflight(arguments: &Arguments) -> Exit {
         cpu: None,
     };
     let config = arguments.config.as_ref().map(|_| Config::read(arguments));
-    let wanted = match config {
-        Some(Ok(config)) => config.realtime.unwrap_or(usual),
-        Some(Err(error)) => return failed(&error, Exit::from(&error)),
-        None => usual,
+    let config = match config.transpose() {
+        Ok(config) => config,
+        Err(error) => return failed(&error, Exit::from(&error)),
     };
-    let found = preflight::judge(&Facts::gather(wanted), wanted);
+    let wanted = config.as_ref().and_then(|config| config.realtime);
+    let wanted = wanted.unwrap_or(usual);
+    let mut facts = Facts::gather(wanted);
+    if let Some(config) = config.filter(|c| c.settings.strategy == vpc::Strategy::Foresight) {
+        let loaded =
+            LoadedController::open(&config.scene, config.memory.as_deref(), config.settings);
+        match loaded {
+            Ok(loaded) => {
+                let view = loaded.memory().map(memory_blob::MemoryFile::view);
+                let memory = view.as_ref().map(|view| view as &dyn vpc::MotionMemory);
+                facts.foresight = Cost::measure(loaded.scene(), config.settings, memory);
+            }
+            Err(error) => return failed(&error, error.exit()),
+        }
+    }
+    let found = preflight::judge(&facts, wanted);
     if arguments.json {
         println!("{}", serde_json::json!(found));
     } else {

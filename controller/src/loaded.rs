@@ -123,6 +123,13 @@ impl LoadedController {
         self.controller.step(measurement, memory)
     }
 
+    /// Thinks ahead, after the command was sent. Never allocates.
+    pub fn think(&mut self) {
+        let view = self.memory.as_ref().map(MemoryFile::view);
+        let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
+        self.controller.think(memory);
+    }
+
     /// Changes the strategy. Returns `false`, and changes nothing, if the memory lacks what it
     /// needs.
     pub fn set_strategy(&mut self, strategy: Strategy) -> bool {

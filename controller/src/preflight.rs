@@ -3,6 +3,7 @@
 //! First, facts are read from the kernel and measured; then a pure function judges them.
 
 mod facts;
+mod foresight;
 
 use std::fmt::{self, Display, Formatter};
 
@@ -11,6 +12,7 @@ use serde::Serialize;
 use crate::realtime::RealtimeRequest;
 use crate::report::Percentiles;
 pub use facts::Facts;
+pub use foresight::Cost;
 
 /// Longest wake-up latency that 99 of 100 may have, ns: a hundredth of a period at 30 Hz.
 const WAKE_P99_NS: u64 = 300_000;
@@ -94,7 +96,7 @@ impl Display for Preflight {
 
 /// Judges the facts for a loop with these real-time requirements.
 pub fn judge(facts: &Facts, wanted: RealtimeRequest) -> Preflight {
-    let checks = vec![
+    let checks = [
         priority(facts, wanted),
         processor(facts, wanted),
         memory(facts),
@@ -107,7 +109,10 @@ pub fn judge(facts: &Facts, wanted: RealtimeRequest) -> Preflight {
         isolation(facts, wanted),
         room(facts),
         wake(facts),
-    ];
+    ]
+    .into_iter()
+    .chain(facts.foresight.map(foresight_cost))
+    .collect::<Vec<_>>();
     Preflight {
         fit: checks.iter().all(|check| check.state != State::Lack),
         checks,
@@ -308,6 +313,27 @@ fn room(facts: &Facts) -> Check {
     )
 }
 
+fn foresight_cost(cost: Cost) -> Check {
+    let all_ns = u64::from(cost.periods) * cost.period_ns;
+    let most = cost.control_ns / 2;
+    let fitting = most.checked_div(cost.period_ns).unwrap_or(0);
+    check(
+        "foresight",
+        (all_ns <= most, State::Note),
+        format!(
+            "{} simulated periods of {:.1} us each: {:.1} ms",
+            cost.periods,
+            cost.period_ns as f64 / 1e3,
+            all_ns as f64 / 1e6
+        ),
+        format!(
+            "at most half of the control period: {:.1} ms",
+            most as f64 / 1e6
+        ),
+        format!("law.foresight_periods = {fitting}"),
+    )
+}
+
 fn wake(facts: &Facts) -> Check {
     let us = |ns: u64| ns / 1000;
     let Percentiles {
@@ -372,6 +398,11 @@ mod tests {
             has_smt: false,
             isolated: "1,4-7".to_owned(),
             shm_bytes: 1 << 30,
+            foresight: Some(Cost {
+                period_ns: 10_000,
+                periods: 150,
+                control_ns: 33_333_333,
+            }),
             wake_ns: Percentiles {
                 p50: 5_000,
                 p99: 20_000,
@@ -391,6 +422,20 @@ mod tests {
                 "{check:?}"
             );
         }
+    }
+
+    #[test]
+    fn foresight_that_takes_more_than_half_of_a_period_is_noted_with_what_would_fit() {
+        let mut facts = good();
+        facts.foresight = facts.foresight.map(|cost| Cost {
+            period_ns: 200_000,
+            ..cost
+        });
+        let found = judge(&facts, WISH);
+        assert!(found.fit);
+        let check = found.checks.last().unwrap();
+        assert_eq!((check.name, check.state), ("foresight", State::Note));
+        assert_eq!(check.remedy, "law.foresight_periods = 83");
     }
 
     #[test]

@@ -129,6 +129,7 @@ fn replay_run(
         if record.flags & CycleFlags::SENT.0 == 0 {
             control.unsent();
         }
+        control.think();
         difference::compare_messages(record.cycle, "", record, &replayed)?;
         ready = Some(record.cycle + 1);
         report.cycles += 1;

@@ -122,8 +122,6 @@ mod tests {
         law.seen_ns = u64::MAX;
         law.previous.fill(f64::NAN);
         law.predicted.points.fill([f64::NEG_INFINITY, -0.0]);
-        law.detour.tries = u32::MAX;
-        (law.detour.cycles, law.detour.left, law.detour.following) = (u32::MAX, u32::MAX, u32::MAX);
         State {
             gate,
             robot,

@@ -9,6 +9,9 @@ use crate::report::Report;
 /// Stages of a cycle whose times are reported.
 const STAGES: [&str; 5] = ["wake", "receive", "step", "send", "busy"];
 
+/// Cycles in motion without a known way after which that is logged.
+const LOST_CYCLES: u32 = 30;
+
 /// Counts records, and logs changes.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
@@ -21,6 +24,8 @@ pub struct Summary {
     state: u32,
     hold: u32,
     error_px: f64,
+    /// Cycles in motion without a known way, until the last one.
+    lost: u32,
 }
 
 impl Summary {
@@ -43,6 +48,7 @@ impl Summary {
         self.counts.realtime = record.realtime;
         self.count_costs(record);
         self.log_changes(record);
+        self.log_foresight(record);
         self.phase = record.phase;
         (self.state, self.hold) = (record.state, record.hold);
         self.error_px = record.error_px;
@@ -106,6 +112,27 @@ impl Summary {
                 lost, "{lost} records of telemetry lost: the recorder is slower than the loop"
             );
         }
+    }
+
+    fn log_foresight(&mut self, record: &CycleRecord) {
+        let cycle = record.cycle;
+        if record.state == TwistState::Moving.code() && record.knows_no_way() {
+            self.lost = self.lost.saturating_add(1);
+            if self.lost == LOST_CYCLES {
+                let error_px = record.error_px;
+                warn!(
+                    cycle,
+                    error_px,
+                    "foresight: no way known for {LOST_CYCLES} cycles; what comes nearest is followed"
+                );
+            }
+            return;
+        }
+        if self.lost >= LOST_CYCLES {
+            let arrival_s = record.arrival_s;
+            info!(cycle, arrival_s, "foresight: a way is known");
+        }
+        self.lost = 0;
     }
 
     /// Cycles counted.

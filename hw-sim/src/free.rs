@@ -8,7 +8,7 @@ use crate::camera::{FreeCamera, Points};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{EyeError, Shot};
 use crate::progress::Progress;
-use crate::referee::End;
+use crate::referee::{End, INSTANTS};
 use crate::sensor::{Flaws, Sensor};
 use crate::standing::Standing;
 
@@ -43,11 +43,22 @@ impl FreeCell {
         }
     }
 
-    /// Moves the camera to an instant by the command, for as long as that holds.
+    /// Moves the camera to an instant by the command, for as long as that holds, before the eyes of
+    /// the referee.
     fn carry(&mut self, to_ns: u64) {
         let end_ns = to_ns.min(self.standing.until_ns());
         let seconds = end_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
-        self.camera.advance(&self.standing.twist(), seconds);
+        let instants = seconds * self.scene.camera.rate_hz * f64::from(INSTANTS);
+        let instants = instants.ceil().min(1e4);
+        for _ in 0..instants as u32 {
+            self.camera
+                .advance(&self.standing.twist(), seconds / instants);
+            if self.time_limit_s.is_finite()
+                && let Ok(points) = self.camera.features()
+            {
+                self.progress.judge_between(&points);
+            }
+        }
         self.now_ns = to_ns.max(self.now_ns);
     }
 

@@ -25,8 +25,11 @@ pub struct Outcome {
     pub limited: u64,
     /// Largest component of s - s* at the end, px.
     pub error_px: f64,
-    /// Least signed distance of any point from an occlusion or the border, px; negative inside.
+    /// Least signed distance of any point of a frame from an occlusion or the border, px; negative
+    /// inside.
     pub least_clearance_px: f64,
+    /// The same between the frames.
+    pub least_between_px: f64,
     /// The depth from which on being inside is a violation, px: `success.violation_px` of the
     /// scene.
     pub violation_px: f64,
@@ -66,6 +69,7 @@ impl Outcome {
             limited: progress.limited,
             error_px: rounded(progress.error_px),
             least_clearance_px: rounded(progress.referee.least_clearance()),
+            least_between_px: rounded(progress.referee.least_between()),
             violation_px,
             violation,
             step: None,

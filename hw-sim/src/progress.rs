@@ -70,6 +70,13 @@ impl Progress {
         end
     }
 
+    /// Has the referee judge the true features between two frames: a violation ends the run.
+    pub fn judge_between(&mut self, points: &Points) {
+        if let Some(end) = self.referee.judge_between(points) {
+            self.finish(end);
+        }
+    }
+
     /// Ends the run, unless it has ended before.
     pub fn finish(&mut self, end: End) {
         self.end.get_or_insert(end);

@@ -45,12 +45,16 @@ impl fmt::Display for Violation {
     }
 }
 
+/// Instants of a period at which the referee looks, that of the frame among them.
+pub const INSTANTS: u32 = 12;
+
 /// Judges true features, moment by moment.
 #[derive(Clone, Debug)]
 pub struct Referee {
     scene: Scene,
     goal: Points,
     least_clearance: f64,
+    least_between: f64,
 }
 
 impl Referee {
@@ -61,6 +65,7 @@ impl Referee {
             // A checked scene sees its goal.
             goal: project(scene, &from_scene(&scene.goal)).unwrap_or_default(),
             least_clearance: f64::INFINITY,
+            least_between: f64::INFINITY,
         }
     }
 
@@ -69,10 +74,15 @@ impl Referee {
         &self.goal
     }
 
-    /// Least signed distance of any judged point from an occlusion or the image border, px;
+    /// Least signed distance of any point of a frame from an occlusion or the image border, px;
     /// negative inside.
     pub fn least_clearance(&self) -> f64 {
         self.least_clearance
+    }
+
+    /// The same at the instants between frames.
+    pub fn least_between(&self) -> f64 {
+        self.least_between
     }
 
     /// Largest component of s - s*, px.
@@ -81,30 +91,46 @@ impl Referee {
         pairs.map(|(s, goal)| (s - goal).abs()).fold(0.0, f64::max)
     }
 
-    /// Judges the true features: [`End::Violation`], [`End::Arrived`], or neither. Violations come
-    /// first.
+    /// Judges the true features of a frame: [`End::Violation`], [`End::Arrived`], or neither.
+    /// Violations come first.
     pub fn judge(&mut self, points: &[[f64; 2]]) -> Option<End> {
+        let (least, violation) = self.deepest(points, self.least_clearance);
+        self.least_clearance = least;
+        let arrived = || self.error(points) <= self.scene.success.convergence_px;
+        violation.or_else(|| arrived().then_some(End::Arrived))
+    }
+
+    /// Judges the true features at an instant between frames: [`End::Violation`] or nothing.
+    pub fn judge_between(&mut self, points: &[[f64; 2]]) -> Option<End> {
+        let (least, violation) = self.deepest(points, self.least_between);
+        self.least_between = least;
+        violation
+    }
+
+    /// The least clearance of some points and of `least`, and the first point that is too deep.
+    fn deepest(&self, points: &[[f64; 2]], mut least: f64) -> (f64, Option<End>) {
         for (point, &pixel) in points.iter().enumerate() {
             let (clearance, occlusion) = if pixel.iter().all(|x| x.is_finite()) {
-                self.clearance(pixel)
+                self.clearance(pixel, least)
             } else {
                 (f64::NEG_INFINITY, None)
             };
-            self.least_clearance = self.least_clearance.min(clearance);
+            least = least.min(clearance);
             if clearance < -self.scene.success.violation_px {
-                return Some(End::Violation(Violation {
+                let violation = Violation {
                     point,
                     depth_px: -clearance,
                     occlusion,
-                }));
+                };
+                return (least, Some(End::Violation(violation)));
             }
         }
-        (self.error(points) <= self.scene.success.convergence_px).then_some(End::Arrived)
+        (least, None)
     }
 
     /// The signed distance of a pixel from the border or from the occlusion nearest to it, where
-    /// that is nearer than any point before.
-    fn clearance(&self, [u, v]: [f64; 2]) -> (f64, Option<Name>) {
+    /// that is below `least`.
+    fn clearance(&self, [u, v]: [f64; 2], least: f64) -> (f64, Option<Name>) {
         let camera = &self.scene.camera;
         // Euclidean outside a corner, straight elsewhere.
         let inside = u.min(v).min(camera.width - u).min(camera.height - v);
@@ -117,7 +143,7 @@ impl Referee {
         // What is no nearer than anything seen so far decides nothing.
         let mut nearest = (border, None);
         for occlusion in &self.scene.occlusions {
-            let bound = nearest.0.min(self.least_clearance);
+            let bound = nearest.0.min(least);
             let distance = occlusion::distance_below(occlusion, [u, v], bound);
             if distance < bound {
                 nearest = (distance, Some(occlusion.name.clone()));

@@ -12,7 +12,7 @@ use crate::eye::{Eye, EyeError, EyeSettings};
 use crate::outcome::Outcome;
 use crate::progress::Progress;
 use crate::recording::ArmRecord;
-use crate::referee::End;
+use crate::referee::{End, INSTANTS};
 use crate::robot::arm::{Arm, ArmError, ArmSettings};
 use crate::robot::inspector::ArmReport;
 use crate::robot::sequence::{Sequence, SequenceSettings, Situation, TaskStep};
@@ -207,6 +207,13 @@ impl Cell for Rig {
         self.arm.step(now_ns);
         self.steps += 1;
         self.progress.tick(self.now_ns());
+        let between = (1000.0 / (self.scene.camera.rate_hz * f64::from(INSTANTS))) as u64;
+        if self.steps.is_multiple_of(between.max(1)) && self.phase().obeys_controller() {
+            match project(&self.real, &self.arm.object()) {
+                Ok(points) => self.progress.judge_between(&points),
+                Err(_) => self.progress.finish(End::LostSight),
+            }
+        }
         // What a run that arrived in time may take longer for the rest of the sequence.
         let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0);
         if self.arm.state().robot_mode == Mode::Reflex {

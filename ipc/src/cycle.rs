@@ -166,8 +166,6 @@ codes! {
         Followed = 1 => "followed",
         /// Its answer was out of range and was not used.
         Refused = 2 => "out of range",
-        /// The control law was stalled: the way point leads back to a stored trajectory.
-        Detour = 3 => "detour",
     }
 }
 
@@ -182,8 +180,31 @@ codes! {
         Gpr = 2 => "gpr",
         /// Classic image-based visual servoing.
         Ibvs = 3 => "ibvs",
+        /// Whole futures are simulated, and the best one is followed.
+        Foresight = 4 => "foresight",
     }
 }
+
+codes! {
+    /// What foresight follows.
+    ForesightCode {
+        /// The strategy is another one.
+        Off = 0 => "off",
+        /// The goal.
+        Goal = 1 => "goal",
+        /// A sample of the memory, then the goal.
+        Sample = 2 => "sample",
+        /// A step aside, then the goal, perhaps over a sample.
+        Aside = 3 => "step aside",
+        /// The way point of the nearest sample, then the goal.
+        Neighbour = 4 => "k-NN way point",
+        /// The way point that the Gaussian process infers, then the goal.
+        Regression = 5 => "GPR way point",
+    }
+}
+
+/// Most places of a foreseen path.
+pub const PATH_PLACES: usize = 8;
 
 /// Most neighbours that knn averages.
 pub const MAX_NEIGHBOURS: u32 = 64;
@@ -207,7 +228,7 @@ impl StrategyCode {
 
 message! {
     /// Telemetry of one cycle. Numbers of the control law are NaN if it did not run.
-    CycleRecord: "vpc/CycleRecord/3" {
+    CycleRecord: "vpc/CycleRecord/4" {
         /// Head; `data_ns` is when the cycle woke up.
         stamp: Stamp,
         /// Number of the cycle, from 1.
@@ -267,6 +288,24 @@ message! {
         clearance_px: f64 ["px"] = f64::NAN,
         /// Largest component of s - s*.
         error_px: f64 ["px"] = f64::NAN,
+        /// What foresight follows.
+        foresight: u32 [code(ForesightCode)],
+        /// Candidates that foresight compared with it since the previous command.
+        candidates: u32,
+        /// Periods that foresight simulated for that.
+        simulated: u32,
+        /// How often foresight has changed what it follows.
+        switches: u32,
+        /// Foreseen time to arrival; NaN where no way is known, and without foresight.
+        arrival_s: f64 ["s"] = f64::NAN,
+        /// Time from one place of `path` to the next.
+        path_every_s: f64 ["s"],
+        /// Places in `path`; 0 without foresight.
+        path_count: u32 [range(0, PATH_PLACES)],
+        /// Points at each place of `path`.
+        path_points: u32 [range(0, MAX_POINTS)],
+        /// The foreseen features, place by place: u1 v1 u2 v2 ....
+        path: [f64; 2 * MAX_POINTS * PATH_PLACES] ["px"],
         /// Whether the loop's thread has its real-time properties.
         realtime: u32 [bits(RealTime)],
         /// Whether the grid of releases follows the camera's frames.
@@ -312,6 +351,21 @@ impl CycleRecord {
     /// The features used (u, v), px.
     pub fn pairs(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
         pairs(&self.points, self.count)
+    }
+
+    /// Whether foresight knows no way to the goal.
+    pub fn knows_no_way(&self) -> bool {
+        self.foresight != ForesightCode::Off.code() && self.arrival_s.is_nan()
+    }
+
+    /// The foreseen way of each point (u, v), px, place by place.
+    pub fn foreseen(&self) -> impl Iterator<Item = impl Iterator<Item = [f64; 2]>> {
+        let places = (self.path_count as usize).min(PATH_PLACES);
+        (0..(self.path_points as usize).min(MAX_POINTS)).map(move |point| {
+            let at =
+                move |place: usize| [0, 1].map(|c| self.path[2 * (place * MAX_POINTS + point) + c]);
+            (0..places).map(at)
+        })
     }
 
     /// The way point (u, v), px; empty if the goal is tracked.

@@ -72,8 +72,8 @@ mod twist;
 pub use clock::now_ns;
 pub use codes::{Name, Table};
 pub use cycle::{
-    ClockMode, CycleFlags, CycleRecord, Hold, InputCode, MAX_NEIGHBOURS, PhaseCode, RealTime,
-    RecallCode, SolverStatus, StrategyCode,
+    ClockMode, CycleFlags, CycleRecord, ForesightCode, Hold, InputCode, MAX_NEIGHBOURS,
+    PATH_PLACES, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
 };
 pub use domain::{Domain, default_directory, shared_memory_prefix};
 pub use error::{AskError, JoinError, JoinReason, OpenError, PublishError, ReceiveError};

@@ -16,9 +16,6 @@ pub struct Common {
         default_value = "previous:3,previous:30,knn:3,gpr:3"
     )]
     pub strategies: Vec<Spec>,
-    /// Make no detour over a sample of the memory when the law stalls, as in the paper.
-    #[arg(long)]
-    pub no_detour: bool,
     /// Use late features as they are, without compensating the delay.
     #[arg(long)]
     pub no_compensation: bool,
@@ -42,6 +39,12 @@ pub struct Common {
     /// How the law predicts features: pose, area-depth, target-depth.
     #[arg(long, value_parser = model, default_value = "pose")]
     pub model: Model,
+    /// Constraints hold at the sampling instants only, as in the paper.
+    #[arg(long)]
+    pub at_samples_only: bool,
+    /// Most periods that foresight simulates in a cycle.
+    #[arg(long, value_name = "N", default_value_t = Settings::default().foresight_periods)]
+    pub foresight_periods: u32,
 }
 
 /// A model by its name in configuration files.
@@ -57,11 +60,16 @@ fn model(word: &str) -> Result<Model, &'static str> {
 impl Common {
     /// The law's settings for one of the strategies.
     pub fn settings(&self, spec: Spec) -> Settings {
+        let settings = spec.settings();
         Settings {
-            detour: !self.no_detour,
             delay_compensation: !self.no_compensation,
             model: self.model,
-            ..spec.settings()
+            foresight_periods: self.foresight_periods,
+            solver: vpc::SolverOptions {
+                intersample: !self.at_samples_only,
+                ..settings.solver
+            },
+            ..settings
         }
     }
 

@@ -98,6 +98,7 @@ impl Drawn {
             path: self.path.iter().take(periods).cloned().collect(),
             goal: task.goal.to_vec(),
             way_points: way_points.flatten().cloned().collect(),
+            foreseen: Vec::new(),
             title: self.title.clone(),
         }
     }

@@ -130,6 +130,7 @@ impl Driver<'_> {
     fn send(&mut self, twist: [f64; 6], now_ns: u64) {
         self.twist = twist;
         self.controller.sent(&twist, now_ns);
+        self.controller.think(self.memory);
     }
 }
 

@@ -50,6 +50,7 @@ fn law(flags: &RobotFlags, base: Settings) -> Settings {
         solver: SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
+            ..base.solver
         },
         trigger_px: flags.trigger,
         hysteresis: flags.hysteresis,

@@ -14,10 +14,19 @@ pub struct Row {
     pub np: usize,
     /// Share of successful runs, 0 to 1.
     pub success_rate: f64,
+    /// Its 95 % interval (Wilson).
+    pub success_interval: [f64; 2],
     /// Mean running cost over Np of all runs.
     pub mean_cost: f64,
     /// Time of a cycle of the law.
     pub cycle_us: CycleTime,
+    /// Time of foresight after it; zeros without.
+    pub slack_us: CycleTime,
+    /// Mean time of a simulated period, us; 0 without.
+    pub simulated_us: f64,
+    /// The deepest that a point was inside an occlusion or outside the image at any of twelve
+    /// instants a period, px.
+    pub deepest_px: f64,
     /// Runs with a violated constraint (or a point lost).
     pub violations: usize,
     /// Runs that did not arrive in time.
@@ -71,6 +80,16 @@ impl Row {
             .iter()
             .flat_map(|run| run.cycles_us.iter().copied())
             .collect();
+        let slack = runs.iter().flat_map(|run| run.slack_us.iter().copied());
+        let slack: Vec<f64> = slack.collect();
+        let simulated: u64 = runs.iter().map(|run| run.simulated).sum();
+        let simulated_us = match simulated {
+            0 => 0.0,
+            count => slack.iter().sum::<f64>() / count as f64,
+        };
+        let least = runs
+            .iter()
+            .map(|run| run.least_clearance_px.min(run.least_between_px));
         let per_cycle = |total: u64| total as f64 / cycles.len().max(1) as f64;
         let successes = runs.iter().filter(|run| run.success).count();
         let because = |reasons: &[Reason]| {
@@ -87,6 +106,7 @@ impl Row {
             strategy: spec.strategy.to_string(),
             np: spec.np,
             success_rate: successes as f64 / count,
+            success_interval: wilson(successes, runs.len()),
             mean_cost: runs.iter().map(|run| run.cost).sum::<f64>() / count,
             violations: because(&[Reason::Violation, Reason::LostSight]),
             not_converged: because(&[Reason::NotConverged]),
@@ -94,35 +114,67 @@ impl Row {
             solver_not_converged: per_cycle(runs.iter().map(|run| run.not_converged).sum()),
             steps: steps as f64 / successes.max(1) as f64,
             cycle_us: CycleTime::of(cycles),
+            slack_us: CycleTime::of(slack),
+            simulated_us,
+            deepest_px: -least.fold(0.0, f64::min),
         }
     }
+}
+
+/// The 95 % interval of a rate (Wilson).
+fn wilson(successes: usize, count: usize) -> [f64; 2] {
+    const Z: f64 = 1.96;
+    let n = count.max(1) as f64;
+    let rate = successes as f64 / n;
+    let middle = rate + Z * Z / (2.0 * n);
+    let half = Z * (rate * (1.0 - rate) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let scale = 1.0 + Z * Z / n;
+    [(middle - half) / scale, (middle + half) / scale]
 }
 
 /// The rows as a Markdown table.
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
-        "| strategy | Np | success (%) | mean cycle (us) | mean cost l/Np | p50 (us) | p99 (us) | max (us) | \
-         violations | not converged | iterations | solver not conv. (%) | cycles to arrival |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
+        "| strategy | Np | success (%) | 95 % interval | mean cost l/Np | cycles to arrival | violations | not converged | \
+         deepest (px) | mean cycle (us) | p50 (us) | p99 (us) | slack p50 (us) | slack p99 (us) | simulated period (us) |\n\
+         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );
     for row in rows {
-        let t = &row.cycle_us;
+        let (t, slack) = (&row.cycle_us, &row.slack_us);
         text += &format!(
-            "| {} | {} | {:.1} | {:.1} | {:.2} | {:.1} | {:.1} | {:.1} | {} | {} | {:.2} | {:.2} | {:.0} |\n",
+            "| {} | {} | {:.1} | {:.1} to {:.1} | {:.2} | {:.0} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {:.0} | {:.1} |\n",
             row.strategy,
             row.np,
             100.0 * row.success_rate,
-            t.mean,
+            100.0 * row.success_interval[0],
+            100.0 * row.success_interval[1],
             row.mean_cost,
-            t.p50,
-            t.p99,
-            t.max,
+            row.steps,
             row.violations,
             row.not_converged,
-            row.iterations,
-            100.0 * row.solver_not_converged,
-            row.steps,
+            row.deepest_px,
+            t.mean,
+            t.p50,
+            t.p99,
+            slack.p50,
+            slack.p99,
+            row.simulated_us,
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_interval_is_wilsons() {
+        // E. Wilson, 1927; computed by statsmodels' proportion_confint(99, 100, method="wilson").
+        let [low, high] = wilson(99, 100);
+        assert!(
+            (low - 0.94551).abs() < 1e-4 && (high - 0.99823).abs() < 1e-4,
+            "{low} {high}"
+        );
+    }
 }

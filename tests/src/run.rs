@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use hw_sim::referee::INSTANTS;
 use hw_sim::sensor::{Flaws, Sensor};
 use hw_sim::{End, FreeCamera, Referee};
 use scene::{Pose, Scene};
@@ -19,9 +20,19 @@ pub struct Run {
     pub steps: usize,
     /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
     pub cost: f64,
+    /// Least clearance of a point from a border in a frame, px; negative inside.
+    pub least_clearance_px: f64,
+    /// The same at the instants between frames.
+    pub least_between_px: f64,
     /// Time of each cycle of the law until the run was decided, us: filled by [`time`].
     #[serde(skip)]
     pub cycles_us: Vec<f64>,
+    /// Time that foresight took after each of those cycles, us: filled by [`time`].
+    #[serde(skip)]
+    pub slack_us: Vec<f64>,
+    /// Periods that it simulated: filled by [`time`].
+    #[serde(skip)]
+    pub simulated: u64,
     /// Iterations of the solver in those cycles.
     pub iterations: u64,
     /// Cycles whose solver ended without convergence.
@@ -101,13 +112,17 @@ pub fn flawed(
         reason: Some(Reason::NotConverged),
         steps: periods,
         cost: 0.0,
+        least_clearance_px: f64::INFINITY,
+        least_between_px: f64::INFINITY,
         cycles_us: Vec::new(),
+        slack_us: Vec::new(),
+        simulated: 0,
         iterations: 0,
         not_converged: 0,
         history: Vec::new(),
     };
     let (mut cost, mut cycles) = (0.0, 0.0_f64);
-    for k in 0..periods {
+    'run: for k in 0..periods {
         let seen = camera.features().map_err(|_| Reason::LostSight);
         let seen = seen.and_then(|features| match referee.judge(&features) {
             Some(End::Violation(_)) => Err(Reason::Violation),
@@ -139,6 +154,7 @@ pub fn flawed(
             None => standing,
         };
         controller.sent(&twist, now_ns);
+        controller.think(memory);
         (standing, silence) = (twist, if step.is_some() { 0 } else { silence + 1 });
         cycles += 1.0;
         let step = step.and_then(Result::ok);
@@ -161,8 +177,19 @@ pub fn flawed(
                 run.not_converged += u64::from(!step.status.is_success());
             }
         }
-        camera.advance(&twist, ts);
+        for _ in 1..INSTANTS {
+            camera.advance(&twist, ts / f64::from(INSTANTS));
+            let seen = camera.features().ok();
+            if seen.is_none_or(|features| referee.judge_between(&features).is_some()) {
+                // The next frame would tell.
+                (run.success, run.reason, run.steps) = (false, Some(Reason::Violation), k + 1);
+                break 'run;
+            }
+        }
+        camera.advance(&twist, ts / f64::from(INSTANTS));
     }
+    run.least_clearance_px = referee.least_clearance();
+    run.least_between_px = referee.least_between();
     run.cost = cost / cycles.max(1.0);
     run
 }
@@ -194,28 +221,40 @@ pub fn time(
     repeats: usize,
 ) -> Result<(), NotRepeatable> {
     let mut times = vec![Vec::with_capacity(repeats); run.history.len()];
+    let mut slack = times.clone();
+    run.simulated = 0;
     for _ in 0..repeats {
         controller.reset();
-        for (cycle, (moment, times)) in run.history.iter().zip(&mut times).enumerate() {
+        for (cycle, moment) in run.history.iter().enumerate() {
             if let Some(measured) = &moment.measured {
                 let begin = Instant::now();
                 let step = self::cycle(controller, memory, measured, moment.gap);
-                times.push(begin.elapsed().as_secs_f64() * 1e6);
+                times[cycle].push(micros(begin));
                 if step.map_or([0.0; 6], |step| step.twist) != moment.twist {
                     return Err(NotRepeatable { cycle });
                 }
             }
             controller.sent(&moment.twist, moment.now_ns);
+            let begin = Instant::now();
+            controller.think(memory);
+            slack[cycle].push(micros(begin));
+            run.simulated += u64::from(controller.foreseen().periods);
         }
     }
-    run.cycles_us = times
-        .into_iter()
-        .filter_map(|mut times| {
-            times.sort_by(f64::total_cmp);
-            times.get(times.len() / 2).copied()
-        })
-        .collect();
+    run.simulated /= repeats.max(1) as u64;
+    run.cycles_us = times.into_iter().filter_map(median).collect();
+    run.slack_us = slack.into_iter().filter_map(median).collect();
     Ok(())
+}
+
+/// Time since then, us.
+fn micros(begin: Instant) -> f64 {
+    begin.elapsed().as_secs_f64() * 1e6
+}
+
+fn median(mut times: Vec<f64>) -> Option<f64> {
+    times.sort_by(f64::total_cmp);
+    times.get(times.len() / 2).copied()
 }
 
 /// A replay that differs from its run.

@@ -18,8 +18,8 @@ pub struct Tables {
     #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
     pub scene: PathBuf,
     /// The memory of motion, made by `vpc-memory build` for exactly this scene. The strategies knn
-    /// and gpr need one; it is opened whenever it is named, so that an operator can change to them
-    /// later. Flag: --memory.
+    /// and gpr need one; foresight finds far more ways with one. It is opened whenever it is named,
+    /// so that an operator can change the strategy later. Flag: --memory.
     pub memory: Option<PathBuf>,
     #[serde(default)]
     pub law: Law,
@@ -41,10 +41,12 @@ pub struct Tables {
 #[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct Law {
-    /// Where warm start and target come from: the previous cycle (`previous`), the nearest sample
-    /// of the memory (`knn`) or the mean of several (`knn5`), or regression over the memory
-    /// (`gpr`); `ibvs` is the classic law without prediction. Flag: --strategy.
-    #[default = "previous"]
+    /// How the goal is reached: by whole futures over the memory, simulated between two frames, the
+    /// best of which is followed (`foresight`); or as in the paper, where warm start and target come
+    /// from the previous cycle (`previous`), the nearest sample of the memory (`knn`) or the mean of
+    /// several (`knn5`), or regression over the memory (`gpr`). `ibvs` is the classic law without
+    /// prediction. Flag: --strategy.
+    #[default = "foresight"]
     #[schemars(extend("enum" = strategies(), "x-allowed" = vpc::strategy::ALLOWED))]
     pub strategy: String,
     /// Steps predicted. Flag: --np.
@@ -63,9 +65,18 @@ pub struct Law {
     #[default = 1e-3]
     #[schemars(range(min = 1e-15, max = 1))]
     pub tolerance: f64,
+    /// Whether constraints hold between the sampling instants of the next period, too, and not only
+    /// at the instants, as in the paper.
+    #[default = true]
+    pub intersample: bool,
     /// How features are predicted.
     #[serde(with = "Model")]
     pub model: vpc::Model,
+    /// Most periods that foresight simulates between two frames; never more than 5 for each
+    /// millisecond of the control period. One takes some 10 us.
+    #[default = 150]
+    #[schemars(range(min = 1, max = 1e5))]
+    pub foresight_periods: u32,
     /// The memory is asked when a feature comes this close to an occlusion.
     #[default = 20.0]
     #[schemars(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
@@ -81,10 +92,6 @@ pub struct Law {
     #[default = 0.5]
     #[schemars(range(min = 1e-6, max = 100), extend("x-unit" = "per s"))]
     pub lambda: f64,
-    /// Whether the law leaves a stall beside an occlusion by a detour over a sample of the memory
-    /// (knn, gpr).
-    #[default = true]
-    pub detour: bool,
     /// Whether features are advanced from their exposure to now by the commands sent since.
     #[default = true]
     pub delay_compensation: bool,

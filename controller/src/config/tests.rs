@@ -19,7 +19,12 @@ fn refused(text: &str) -> String {
 fn an_empty_file_with_a_scene_is_the_default() {
     let config = parse("scene = 's.toml'", &Arguments::default()).unwrap();
     assert_eq!(config.scene, Path::new("/etc/s.toml"));
-    assert_eq!(config.settings, Settings::default());
+    // The law by itself is the paper's.
+    let expected = Settings {
+        strategy: vpc::Strategy::Foresight,
+        ..Settings::default()
+    };
+    assert_eq!(config.settings, expected);
     assert_eq!(
         (config.clock, config.stale_periods),
         (ClockMode::Fixed, 3.0)

@@ -9,6 +9,7 @@ use rustix::process::{Resource, getrlimit};
 
 use crate::clock::sleep_until;
 use crate::histogram::Histogram;
+use crate::preflight::foresight::Cost;
 use crate::realtime::{self, CAP_IPC_LOCK, CAP_SYS_NICE, RealtimeRequest, has_capability};
 use crate::report::Percentiles;
 
@@ -60,6 +61,8 @@ pub struct Facts {
     pub shm_bytes: u64,
     /// Latencies of `WAKE_UPS` wake-ups, ns; all zero where they could not be measured.
     pub wake_ns: Percentiles,
+    /// What foresight costs; `None` where the strategy is another one.
+    pub foresight: Option<Cost>,
 }
 
 impl Facts {
@@ -106,6 +109,7 @@ impl Facts {
             isolated: line("/sys/devices/system/cpu/isolated"),
             shm_bytes: rustix::fs::statvfs("/dev/shm").map_or(0, |shm| shm.f_bavail * shm.f_frsize),
             wake_ns,
+            foresight: None,
         }
     }
 }

@@ -139,6 +139,7 @@ impl Flight {
         } else {
             record.flags |= CycleFlags::SENT.0;
         }
+        self.control.think();
         self.producer.cycle(&record, &inputs, &self.control);
     }
 
@@ -212,6 +213,7 @@ impl World {
             (StrategyCode::Knn, 5),
             (StrategyCode::Gpr, 0),
             (StrategyCode::Ibvs, 0),
+            (StrategyCode::Foresight, 0),
             // Refused.
             (StrategyCode::Knn, 0),
         ];

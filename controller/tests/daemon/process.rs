@@ -262,7 +262,7 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
         eventually("motion", || is_moving(ask(status).1).then_some(()));
         let gpr = ask(|id| Request::strategy(id, StrategyCode::Gpr, 0));
         assert_eq!(gpr.0, Outcome::NoMemory);
-        assert_eq!(gpr.2.strategy, StrategyCode::Previous.code());
+        assert_eq!(gpr.2.strategy, StrategyCode::Foresight.code());
         let knn = ask(|id| Request::strategy(id, StrategyCode::Knn, 65));
         assert_eq!(knn.0, Outcome::Neighbours);
         let ibvs = ask(|id| Request::strategy(id, StrategyCode::Ibvs, 0));

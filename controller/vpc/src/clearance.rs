@@ -10,3 +10,15 @@ pub struct Clearance {
     /// the gradient of the distance from an area, which is shorter where no border is the nearest.
     pub normal: [f64; 2],
 }
+
+impl Clearance {
+    /// How the clearance changes with variables by which the pixel (u, v) changes.
+    pub fn along<const N: usize>(&self, [u, v]: &[[f64; N]; 2]) -> [f64; N] {
+        let [a, b] = self.normal;
+        let mut gradient = *u;
+        for (gradient, v) in gradient.iter_mut().zip(v) {
+            *gradient = a * *gradient + b * v;
+        }
+        gradient
+    }
+}

@@ -9,33 +9,87 @@
 use scene::Camera;
 
 use crate::clearance::Clearance;
+use crate::obstacle::Obstacle;
 use crate::task::Task;
 
-/// Clearances of a pixel from the four sides of the image: left, top, right, bottom.
-pub fn border(camera: &Camera, [u, v]: [f64; 2]) -> [Clearance; 4] {
-    let side = |distance, normal| Clearance { distance, normal };
+/// What a feature must not cross.
+#[derive(Clone, Copy, Debug)]
+pub enum Border<'a> {
+    /// A side of the image.
+    Image {
+        /// The coordinate that it bounds: 0 for u, 1 for v.
+        axis: usize,
+        /// The coordinate on it, px.
+        at: f64,
+        /// 1 where the image is at greater coordinates, else -1.
+        sign: f64,
+    },
+    /// An occlusion's.
+    Obstacle(Obstacle<'a>),
+}
+
+impl Border<'_> {
+    /// The clearance of a pixel.
+    pub fn clearance(self, pixel: [f64; 2]) -> Clearance {
+        match self {
+            Self::Image { axis, at, sign } => Clearance {
+                distance: sign * (if axis == 0 { pixel[0] } else { pixel[1] } - at),
+                normal: if axis == 0 { [sign, 0.0] } else { [0.0, sign] },
+            },
+            Self::Obstacle(obstacle) => obstacle.clearance(pixel),
+        }
+    }
+}
+
+/// The sides of the image: left, top, right, bottom.
+pub fn sides(camera: &Camera) -> [Border<'static>; 4] {
+    let side = |axis, at, sign| Border::Image { axis, at, sign };
     [
-        side(u, [1.0, 0.0]),
-        side(v, [0.0, 1.0]),
-        side(camera.width - u, [-1.0, 0.0]),
-        side(camera.height - v, [0.0, -1.0]),
+        side(0, 0.0, 1.0),
+        side(1, 0.0, 1.0),
+        side(0, camera.width, -1.0),
+        side(1, camera.height, -1.0),
     ]
+}
+
+/// The border of this index: the sides of the image come first, then the obstacles of the task.
+pub(crate) fn border(task: &Task, index: usize) -> Option<Border<'_>> {
+    match sides(&task.camera).get(index) {
+        Some(&side) => Some(side),
+        None => task.obstacle(index - 4).map(Border::Obstacle),
+    }
+}
+
+/// The borders that a pixel between the corners of a box may be less than `margin` px away from,
+/// with their indices. Those it is surely further from are left out.
+pub(crate) fn borders_near(
+    task: &Task,
+    [low, high]: [[f64; 2]; 2],
+    margin: f64,
+) -> impl Iterator<Item = (usize, Border<'_>)> {
+    let [width, height] = [task.camera.width, task.camera.height];
+    let is_near = [
+        low[0] < margin,
+        low[1] < margin,
+        high[0] > width - margin,
+        high[1] > height - margin,
+    ];
+    let sides = sides(&task.camera).into_iter().enumerate().zip(is_near);
+    let sides = sides.filter_map(|(side, is_near)| is_near.then_some(side));
+    let obstacles = task.obstacles_near(low, high, margin);
+    sides.chain(obstacles.map(|(index, obstacle)| (4 + index, Border::Obstacle(obstacle))))
 }
 
 /// The sum of all violations of a pixel, px, where every border is moved inwards by `margin` px.
 pub fn violation(task: &Task, pixel: [f64; 2], margin: f64) -> f64 {
-    let sides = border(&task.camera, pixel);
-    let sides: f64 = sides
-        .iter()
-        .map(|side| (margin - side.distance).max(0.0))
-        .sum();
-    let obstacles = task
-        .obstacles()
-        .filter(|obstacle| obstacle.outside_box(pixel) < margin);
-    sides
-        + obstacles
-            .map(|obstacle| (margin - obstacle.clearance(pixel).distance).max(0.0))
-            .sum::<f64>()
+    let [u, v] = pixel;
+    let beyond = |clearance: f64| (margin - clearance).max(0.0);
+    let (right, bottom) = (task.camera.width - u, task.camera.height - v);
+    let mut sum = beyond(u) + beyond(v) + beyond(right) + beyond(bottom);
+    for (_, obstacle) in task.obstacles_near(pixel, pixel, margin) {
+        sum += beyond(obstacle.clearance(pixel).distance);
+    }
+    sum
 }
 
 /// The least clearance of a pixel from any occlusion, px; infinite without occlusions.
@@ -51,8 +105,8 @@ pub fn least_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
 
 /// The least clearance of a pixel from the image border, px.
 pub fn border_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
-    border(&task.camera, pixel)
+    sides(&task.camera)
         .iter()
-        .map(|side| side.distance)
+        .map(|side| side.clearance(pixel).distance)
         .fold(f64::INFINITY, f64::min)
 }

@@ -2,12 +2,13 @@
 
 use scene::Scene;
 
-use crate::cost;
+use crate::command::{Law, repeated};
 use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
+use crate::foresight::{Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
 use crate::prediction::{InitialState, Plan, Preview};
-use crate::problem::{Problem, Status};
+use crate::problem::Status;
 use crate::recall::{self, MotionMemory, OutOfRange, Recall};
 use crate::settings::{Settings, SettingsError};
 use crate::solver::Solver;
@@ -27,7 +28,21 @@ pub struct Controller {
     solver: Solver,
     one_step: Preview<DOF>,
     state: State,
+    /// Where the preview of this cycle began, until the law has thought ahead.
+    root: Option<InitialState>,
+    /// The command that was sent last.
+    standing: Twist,
+    /// l(v) / Np of the last step.
+    spent: f64,
+    /// Most periods simulated in a cycle.
+    budget: u32,
+    /// Most periods of a future.
+    horizon: u32,
 }
+
+/// Periods that foresight may simulate for each second of the sampling time, which leaves most of
+/// it to others: a simulated period takes some 10 us.
+const PERIODS_A_SECOND: f64 = 5e3;
 
 /// What one cycle decided.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,8 +53,6 @@ pub struct Step {
     pub status: Status,
     /// Whether the memory was asked, and its answer followed.
     pub recalled: bool,
-    /// Whether the way point is that of a detour out of a stall.
-    pub detour: bool,
     /// Whether it was asked, and its answer was out of range: this cycle went without.
     pub recall_refused: bool,
     /// The way point tracked instead of the goal, px.
@@ -76,6 +89,13 @@ impl Controller {
             one_step: Preview::new(1),
             state: State::new(settings.strategy),
             settings,
+            root: None,
+            standing: [0.0; DOF],
+            spent: 0.0,
+            budget: settings
+                .foresight_periods
+                .min(libm::ceil(PERIODS_A_SECOND * scene.sampling_time()) as u32),
+            horizon: (0.5 * scene.success.time_s * scene.camera.rate_hz).max(1.0) as u32,
         })
     }
 
@@ -97,12 +117,45 @@ impl Controller {
     /// the law did not choose.
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
+        self.standing = *twist;
     }
 
-    /// Records that another command was sent than that of the last step: missing progress is then
-    /// no stall.
-    pub fn overruled(&mut self) {
-        self.state.detour.hold();
+    /// Thinks ahead, in the time that a cycle leaves over after its command was sent.
+    pub fn think(&mut self, memory: Option<&dyn MotionMemory>) {
+        let Some(root) = self.root.take() else { return };
+        if self.settings.strategy != Strategy::Foresight {
+            return;
+        }
+        let (model, ts) = (self.settings.model, self.task.ts);
+        let Some(next) = root.moved(&self.task, model, &self.standing, ts) else {
+            return;
+        };
+        let mut thinker = Thinker {
+            law: Law {
+                task: &self.task,
+                settings: &self.settings,
+            },
+            solver: &mut self.solver,
+            memory,
+            initial: &next,
+            previous: &self.state.previous,
+            spent: self.spent,
+            recalled: None,
+            converged_px: self.converged_px,
+            horizon: self.horizon,
+            budget: self.budget,
+        };
+        thinker.think(&mut self.state.foresight);
+    }
+
+    /// What is followed, and what is expected of it.
+    pub fn foreseen(&self) -> &Foresight {
+        &self.state.foresight
+    }
+
+    /// Most periods that foresight simulates in a cycle.
+    pub fn foreseen_periods(&self) -> u32 {
+        self.budget
     }
 
     /// Camera, pattern, goal, limits, occlusions.
@@ -178,9 +231,9 @@ impl Controller {
         measurement: &Measurement,
         memory: Option<&dyn MotionMemory>,
     ) -> Result<Step, Refusal> {
+        self.root = None;
         let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
             self.skip_mismatch();
-            self.overruled();
             self.state.previous = [0.0; MAX_VARIABLES];
         })?;
         let points = &initial.points;
@@ -189,7 +242,6 @@ impl Controller {
             twist: [0.0; DOF],
             status: Status::Converged,
             recalled: false,
-            detour: false,
             recall_refused: false,
             way_point: None,
             iterations: 0,
@@ -200,18 +252,42 @@ impl Controller {
             clearance_px,
             error_px: features::largest_error(points, &self.task.goal),
         };
-        if self.settings.strategy == Strategy::Ibvs {
-            self.servo(&initial, &mut step);
-        } else {
-            let recall = self.recall(points, clearance_px, memory);
-            step.recall_refused = matches!(recall, Some(Err(_)));
-            let detour = self.take_detour(points, memory);
-            step.detour = detour.is_some();
-            let recall = detour.or(recall.and_then(Result::ok));
-            self.plan(&initial, recall, mismatch.as_ref(), &mut step);
+        match self.settings.strategy {
+            Strategy::Ibvs => self.servo(&initial, &mut step),
+            Strategy::Foresight => {
+                let guide = &mut self.state.foresight.guide;
+                let tracked = guide.advance(points, self.converged_px);
+                let warm = self.state.previous;
+                let recalled = self.state.foresight.recalled.take();
+                step.recalled = recalled.is_some();
+                self.plan(
+                    &initial,
+                    &warm,
+                    recalled,
+                    tracked,
+                    mismatch.as_ref(),
+                    &mut step,
+                );
+            }
+            Strategy::Previous | Strategy::Knn { .. } | Strategy::Gpr => {
+                let recall = self.recall(points, clearance_px, memory);
+                step.recall_refused = matches!(recall, Some(Err(_)));
+                let recall = recall.and_then(Result::ok);
+                step.recalled = recall.is_some();
+                let warm = recall.as_ref().map(|recall| repeated(&recall.twist));
+                let warm = warm.unwrap_or(self.state.previous);
+                let tracked = recall.map(|recall| recall.way_point);
+                self.plan(&initial, &warm, None, tracked, mismatch.as_ref(), &mut step);
+            }
         }
         self.predict(&initial, &step.twist);
-        step.cost = self.running_cost(&initial, &step.twist);
+        let law = Law {
+            task: &self.task,
+            settings: &self.settings,
+        };
+        step.cost = law.running_cost(&mut self.solver, &initial, &step.twist);
+        self.root = Some(initial);
+        self.spent = step.cost / self.settings.np as f64;
         Ok(step)
     }
 
@@ -309,62 +385,46 @@ impl Controller {
         let near = recall::is_near(self.state.near, clearance_px, &self.settings);
         self.state.near = near;
         let memory = memory.filter(|_| near && self.settings.strategy.needs_memory())?;
-        let strategy = self.state.detour.guide(self.settings.strategy);
-        Some(recall::query(&self.task, strategy, memory, points))
+        Some(recall::query(
+            &self.task,
+            self.settings.strategy,
+            memory,
+            points,
+        ))
     }
 
-    /// A sample to go to, where the law is stalled.
-    fn take_detour(
-        &mut self,
-        points: &Points,
-        memory: Option<&dyn MotionMemory>,
-    ) -> Option<Recall> {
-        let needs_memory = self.settings.strategy.needs_memory();
-        let memory = memory.filter(|_| self.settings.detour && needs_memory)?;
-        let target = self
-            .state
-            .detour
-            .look(&self.task, points, self.converged_px, memory);
-        target.map(|way_point| Recall {
-            twist: [0.0; DOF],
-            way_point,
-        })
-    }
-
-    /// Solves the optimal-control problem towards way point or goal, and limits its first command.
+    /// Solves the optimal-control problem towards what is tracked, else the goal, and limits its
+    /// first command.
     fn plan(
         &mut self,
         initial: &InitialState,
-        recall: Option<Recall>,
+        warm: &Plan,
+        recalled: Option<Twist>,
+        tracked: Option<Points>,
         mismatch: Option<&Points>,
         step: &mut Step,
     ) {
-        let points = &initial.points;
-        let (warm, tracked) = match &recall {
-            Some(recall) => (repeated(&recall.twist), &recall.way_point),
-            None => (self.state.previous, &self.task.goal),
-        };
-        let target = corrected(tracked, mismatch);
-        let problem = Problem {
+        let aim = tracked.as_ref().unwrap_or(&self.task.goal);
+        let target = corrected(aim, mismatch);
+        let law = Law {
             task: &self.task,
-            initial,
-            target: &target,
-            r_share: cost::r_share(&self.task, points, tracked),
-            margin: self.settings.margin_px,
+            settings: &self.settings,
         };
-        // From where the features are, standing still is feasible unless a constraint is already
-        // violated: a second start that leads out of every trap of the first.
-        let solution = self
-            .solver
-            .solve_from(&problem, &[warm, [0.0; MAX_VARIABLES]]);
-        step.twist = limit::command(&mut self.solver, &problem, &solution);
+        let (twist, solution) = law.command(
+            &mut self.solver,
+            initial,
+            aim,
+            &target,
+            warm,
+            recalled.as_ref(),
+        );
+        step.twist = twist;
         step.status = solution.status;
         step.iterations = solution.iterations;
         step.qp_iterations = solution.qp_iterations;
         step.work = solution.work;
         step.violation_px = solution.violation_px;
-        step.recalled = recall.is_some() && !step.detour;
-        step.way_point = recall.map(|recall| recall.way_point);
+        step.way_point = tracked;
         self.state.previous = solution.plan;
     }
 
@@ -376,32 +436,6 @@ impl Controller {
             false => PlainPoints::NONE,
         };
     }
-
-    /// l(v) of the command that is sent, held over the window, always against the goal with the
-    /// fixed schedule of R.
-    fn running_cost(&mut self, initial: &InitialState, twist: &Twist) -> f64 {
-        let goal = &self.task.goal;
-        let problem = Problem {
-            task: &self.task,
-            initial,
-            target: goal,
-            r_share: cost::r_share(&self.task, &initial.points, goal),
-            margin: 0.0,
-        };
-        self.solver
-            .evaluate(&problem, &repeated(twist))
-            .unwrap_or(0.0)
-    }
-}
-
-/// The plan that repeats one twist.
-///
-/// Source: paper, Eq. (warm_start).
-fn repeated(twist: &Twist) -> Plan {
-    let mut plan = [0.0; MAX_VARIABLES];
-    plan.chunks_exact_mut(DOF)
-        .for_each(|command| command.copy_from_slice(twist));
-    plan
 }
 
 /// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.

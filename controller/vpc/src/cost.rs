@@ -84,7 +84,7 @@ impl<const N: usize> Expansion<N> {
                     for a in 0..N {
                         gradient[a] += pull * slope[a];
                         let weighted = two_q * slope[a];
-                        for b in 0..N {
+                        for b in 0..=a {
                             hessian[a][b] += weighted * slope[b];
                         }
                     }
@@ -96,6 +96,11 @@ impl<const N: usize> Expansion<N> {
             for (k, r) in task.cost.r.iter().enumerate() {
                 gradient[offset + k] += 2.0 * r_share * r * plan[offset + k];
                 hessian[offset + k][offset + k] += 2.0 * r_share * r;
+            }
+        }
+        for a in 0..N {
+            for b in 0..a {
+                hessian[b][a] = hessian[a][b];
             }
         }
         // A floor far below every real curvature keeps the Hessian positive definite where R has

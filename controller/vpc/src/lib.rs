@@ -5,7 +5,7 @@
 //!
 //! *measured features* -> [`gate`] (refuse what cannot be trusted) -> [`delay`] (from their
 //! exposure to now) -> [`recall`] (warm start and way point from the memory, when features come
-//! near a constraint), [`detour`] (out of a stall) -> [`solver`] (bounded sequential quadratic
+//! near a constraint), [`foresight`] (what is tracked) -> [`solver`] (bounded sequential quadratic
 //! programming over the [`prediction`]) -> [`limit`] (never more than allowed) -> *camera twist*.
 //! [`Controller::step`] follows it.
 //!
@@ -52,17 +52,20 @@
 
 pub mod camera;
 pub mod clearance;
+mod command;
 pub mod constraint;
 pub mod controller;
 pub mod cost;
 pub mod delay;
-pub mod detour;
 pub mod features;
 pub mod field;
+pub mod foresight;
 mod frozen;
 pub mod gate;
+pub mod guide;
 mod ibvs;
 mod interaction;
+pub(crate) mod intersample;
 pub mod limit;
 pub mod measurement;
 pub mod motion;
@@ -73,7 +76,6 @@ pub mod problem;
 mod qp;
 pub mod recall;
 pub mod settings;
-pub mod sight;
 pub mod solver;
 mod sqp;
 pub mod state;

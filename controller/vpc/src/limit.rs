@@ -8,21 +8,20 @@ use crate::{DOF, Twist};
 
 /// Halvings towards standing still before the command is zero.
 const HALVINGS: usize = 6;
-/// A first step may deepen a violation by this much, px: below the accuracy of the model.
+/// A first period may bring a point this deep, px: below the accuracy of the model.
 pub const SLACK: f64 = 0.25;
 
-/// The first command of a solution, slowed down until its first step violates no constraint more
-/// than standing still does, and clamped to the limits; zero if no halving achieves this.
+/// The first command of a solution, slowed down until its period is clear ([`Solver::is_clear`]),
+/// and clamped to the limits; zero if no halving achieves this.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
-    let allowed = problem.worst_violation(&problem.initial.points) + SLACK;
     let mut plan = solution.plan;
-    let mut violation = solution.next_violation_px;
+    let mut is_clear = solution.violation_px <= SLACK;
     for _ in 0..HALVINGS {
-        if violation <= allowed {
+        if is_clear || solver.is_clear(problem, &plan, SLACK) {
             return twist(&plan, &problem.task.limits);
         }
         plan = plan.map(|x| 0.5 * x);
-        violation = solver.next_violation(problem, &plan);
+        is_clear = false;
     }
     [0.0; DOF]
 }

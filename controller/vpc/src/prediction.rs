@@ -127,6 +127,69 @@ impl InitialState {
         }
     }
 
+    /// Where the preview has the wanted points after a share of the first period under `twist`, px,
+    /// which at its end are at `ends`. `false` if one comes behind the camera.
+    #[must_use]
+    pub(crate) fn passes(
+        &self,
+        task: &Task,
+        twist: &Twist,
+        share: f64,
+        ends: &[[f64; 2]],
+        wanted: &[bool],
+        out: &mut [[f64; 2]],
+    ) -> bool {
+        let motion = match &self.geometry {
+            Geometry::Positions(_) => Motion::of_camera(twist, share * task.ts),
+            Geometry::Depths(_) => Motion::REST,
+        };
+        let points = out.iter_mut().zip(wanted).enumerate();
+        for (i, (out, _)) in points.filter(|(_, (_, wanted))| **wanted) {
+            *out = match (&self.geometry, self.points.get(i), ends.get(i)) {
+                (Geometry::Positions(points), ..) if let Some(x) = points.get(i) => {
+                    let x = motion.apply(x);
+                    if x.z <= 1e-6 {
+                        return false;
+                    }
+                    camera::pixel(&task.camera, [x.x / x.z, x.y / x.z])
+                }
+                (_, Some(a), Some(b)) => core::array::from_fn(|c| a[c] + share * (b[c] - a[c])),
+                _ => continue,
+            };
+        }
+        true
+    }
+
+    /// Derivatives of u and v of a point after a share of the first period by `twist`.
+    pub(crate) fn passing_gradient(
+        &self,
+        task: &Task,
+        twist: &Twist,
+        share: f64,
+        point: usize,
+    ) -> [Twist; 2] {
+        let seconds = share * task.ts;
+        let focal = [task.camera.fx, task.camera.fy];
+        match &self.geometry {
+            Geometry::Positions(points) => {
+                let x = Motion::of_camera(twist, seconds).apply(&points[point]);
+                let [a, b, c] = Sensitivity::of_camera(twist, seconds).at(&x);
+                let slope = |focal: f64, along: &Twist, at: f64| {
+                    core::array::from_fn(|k| focal / x.z * (along[k] - at / x.z * c[k]))
+                };
+                [slope(focal[0], &a, x.x), slope(focal[1], &b, x.y)]
+            }
+            Geometry::Depths(depths) => {
+                let at = camera::normalise(&task.camera, self.points[point]);
+                let [u, v] = interaction::of_point(at, depths[point]);
+                [
+                    u.map(|g| focal[0] * seconds * g),
+                    v.map(|g| focal[1] * seconds * g),
+                ]
+            }
+        }
+    }
+
     /// One step of a depth model by the midpoint rule.
     fn integrated(&self, task: &Task, model: Model, v: &Twist, h: f64) -> Option<Self> {
         let slide = |from: &Points, at: &Self, h: f64| -> Option<Points> {

@@ -4,7 +4,7 @@
 
 use crate::prediction::{InitialState, Plan};
 use crate::task::Task;
-use crate::{MAX_VARIABLES, Points, constraint};
+use crate::{MAX_VARIABLES, Points, Twist};
 
 /// When the solver stops.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,6 +13,8 @@ pub struct SolverOptions {
     pub max_iterations: u32,
     /// Optimality: stop when the predicted decrease of the merit is below this share of the merit.
     pub tolerance: f64,
+    /// Whether constraints hold between the sampling instants of the first period, too.
+    pub intersample: bool,
 }
 
 /// The problem of one cycle.
@@ -28,14 +30,6 @@ pub struct Problem<'a> {
     pub r_share: f64,
     /// Extra clearance kept from every border, px.
     pub margin: f64,
-}
-
-impl Problem<'_> {
-    /// The greatest violation among some points, px: of the initial ones, that of standing still.
-    pub fn worst_violation(&self, points: &[[f64; 2]]) -> f64 {
-        let violation = |&pixel: &[f64; 2]| constraint::violation(self.task, pixel, self.margin);
-        points.iter().map(violation).fold(0.0, f64::max)
-    }
 }
 
 /// How a solution ended.
@@ -84,11 +78,14 @@ pub struct Solution {
     pub merit: f64,
     /// Greatest predicted violation over the window, px.
     pub violation_px: f64,
-    /// Greatest predicted violation at the first step, px.
-    pub next_violation_px: f64,
 }
 
 impl Solution {
+    /// Whether this is the first command of the plan.
+    pub(crate) fn sends(&self, twist: &Twist) -> bool {
+        self.plan.first_chunk() == Some(twist)
+    }
+
     /// The solution of a problem that has none: the zero twist.
     pub(crate) const NONE: Self = Self {
         plan: [0.0; MAX_VARIABLES],
@@ -99,6 +96,5 @@ impl Solution {
         cost: f64::INFINITY,
         merit: f64::INFINITY,
         violation_px: f64::INFINITY,
-        next_violation_px: f64::INFINITY,
     };
 }

@@ -29,7 +29,7 @@
 use libm::sqrt;
 
 /// Most elastic rows.
-pub const MAX_ROWS: usize = 1536;
+pub const MAX_ROWS: usize = 1024;
 /// Most violated rows that are kept in sight between two looks at all rows: with a long window
 /// there are hundreds, and only a few decide.
 const MAX_SUSPECTS: usize = 24;

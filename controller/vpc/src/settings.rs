@@ -28,8 +28,9 @@ pub struct Settings {
     pub margin_px: f64,
     /// Gain of the classic law, 1/s.
     pub lambda: f64,
-    /// Whether a stall beside an occlusion is left by a detour over a sample of the memory.
-    pub detour: bool,
+    /// Most periods that foresight simulates in a cycle; never more than 5 for each millisecond of
+    /// the sampling time.
+    pub foresight_periods: u32,
     /// Whether features are advanced from their exposure to the instant at which the command takes
     /// effect.
     pub delay_compensation: bool,
@@ -45,13 +46,14 @@ impl Default for Settings {
             solver: SolverOptions {
                 max_iterations: 10,
                 tolerance: 1e-3,
+                intersample: true,
             },
             model: Model::Pose,
             trigger_px: 20.0,
             hysteresis: 2.0,
             margin_px: 0.0,
             lambda: 0.5,
-            detour: true,
+            foresight_periods: 150,
             delay_compensation: true,
         }
     }
@@ -95,6 +97,13 @@ impl Settings {
             ("hysteresis", self.hysteresis, 1.0, 100.0, "1 to 100"),
             ("margin_px", self.margin_px, 0.0, 1e3, "0 to 1e3 px"),
             ("lambda", self.lambda, 1e-6, 100.0, "1e-6 to 100 per s"),
+            (
+                "foresight_periods",
+                f64::from(self.foresight_periods),
+                1.0,
+                1e5,
+                "1 to 1e5",
+            ),
             ("k", k, 1.0, most_k, "1 to 64"),
         ];
         for (name, value, low, high, allowed) in ranges {

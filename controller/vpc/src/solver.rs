@@ -62,10 +62,11 @@ impl Solver {
         window!(self, evaluate(problem, plan))
     }
 
-    /// The greatest violation at the first step of a plan, px; infinite where the plan is
-    /// impossible.
-    pub fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
-        window!(self, next_violation(problem, plan))
+    /// Whether the first period of a plan brings no point deeper into an obstacle, or further out
+    /// of the image, than it is already, or than `slack`, px; or else leads out of what is violated
+    /// already: the sum of all violations falls, and none is above the greatest of now.
+    pub fn is_clear(&mut self, problem: &Problem<'_>, plan: &Plan, slack: f64) -> bool {
+        window!(self, is_clear(problem, plan, slack))
     }
 
     /// Solves the problem from the warm start `warm`.

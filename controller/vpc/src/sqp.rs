@@ -20,14 +20,14 @@
     reason = "indices run over the N variables, the DOF components or the 2 coordinates of arrays of that length"
 )]
 
-use crate::clearance::Clearance;
 use crate::constraint;
 use crate::cost::{self, Expansion};
-use crate::prediction::{Plan, Preview, Previewed};
+use crate::intersample::{Intersample, NEAR_PX};
+use crate::prediction::{Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
 use crate::qp::{ActiveSet, Answer, MAX_ROWS, QpStatus, Quadratic, Rows};
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, work};
+use crate::{DOF, MAX_VARIABLES, Twist, work};
 
 /// Halvings of a step before the line search gives up.
 const MAX_HALVINGS: usize = 8;
@@ -53,8 +53,6 @@ struct Outcome {
     total: f64,
     /// Greatest violation, px.
     worst: f64,
-    /// Greatest violation at the first step, px.
-    next: f64,
 }
 
 impl Outcome {
@@ -70,27 +68,28 @@ struct Iterate<const N: usize> {
     outcome: Outcome,
 }
 
-/// The clearance that a row linearises: of which point in which step, from side 0 to 3 as in
-/// [`constraint::border`], then from the obstacles of the task.
+/// The clearance that a row linearises: of which point in which step, from which of the
+/// [borders](constraint::border).
 #[derive(Clone, Copy, Debug)]
 struct Source {
+    /// 0 is the first; [`INSIDE`] the deepest place inside the first.
     step: u8,
     point: u8,
-    side: u8,
+    border: u8,
 }
 
 impl Source {
-    fn clearance(self, task: &Task, pixel: [f64; 2]) -> Option<Clearance> {
-        let side = usize::from(self.side);
-        match constraint::border(&task.camera, pixel).get(side) {
-            Some(&border) => Some(border),
-            None => task
-                .obstacles()
-                .nth(side - 4)
-                .map(|obstacle| obstacle.clearance(pixel)),
+    fn new(step: usize, point: usize, border: usize) -> Self {
+        Self {
+            step: step as u8,
+            point: point as u8,
+            border: border as u8,
         }
     }
 }
+
+/// The "step" of a row for a place inside the first period.
+const INSIDE: usize = 255;
 
 /// How far the present solution has come.
 #[derive(Clone, Copy, Debug, Default)]
@@ -110,6 +109,8 @@ struct Progress {
 pub(crate) struct Sqp<const N: usize> {
     /// The preview of the plan that was evaluated last.
     preview: Preview<N>,
+    /// The way of the features in its first period.
+    inside: Intersample,
     rows: Rows<N>,
     sources: [Source; MAX_ROWS],
     program: ActiveSet<N>,
@@ -124,10 +125,11 @@ impl<const N: usize> Sqp<N> {
         let nowhere = Source {
             step: 0,
             point: 0,
-            side: 0,
+            border: 0,
         };
         Self {
             preview: Preview::new(np),
+            inside: Intersample::NONE,
             rows: Rows::new(),
             sources: [nowhere; MAX_ROWS],
             program: ActiveSet::new(),
@@ -148,17 +150,35 @@ impl<const N: usize> Sqp<N> {
         possible.then(|| self.cost(problem, &plan))
     }
 
-    /// The greatest violation at the first step of a plan, px; infinite where the plan is
-    /// impossible.
-    pub(crate) fn next_violation(&mut self, problem: &Problem<'_>, plan: &Plan) -> f64 {
-        let possible = self
-            .preview
-            .evaluate(problem.task, problem.initial, &head(plan));
-        if possible {
-            problem.worst_violation(self.preview.step(0))
-        } else {
-            f64::INFINITY
+    /// Whether the first period of a plan brings no point deeper into an obstacle, or further out
+    /// of the image, than it is already, or than `slack`, px; or else leads out of what is violated
+    /// already: the sum of all violations falls, and none is above the greatest of now.
+    pub(crate) fn is_clear(&mut self, problem: &Problem<'_>, plan: &Plan, slack: f64) -> bool {
+        let (task, initial, plan) = (problem.task, problem.initial, head(plan));
+        if !self.preview.evaluate(task, initial, &plan) || !self.trace(problem, &plan) {
+            return false;
         }
+        let depth = |&pixel: &[f64; 2]| constraint::violation(task, pixel, problem.margin);
+        let begins = initial.explained(task);
+        let (mut is_clear, mut sums, mut worst) = (true, [0.0; 2], [0.0_f64; 2]);
+        for (i, (begin, end)) in begins.iter().zip(self.preview.step(0)).enumerate() {
+            let inside = self.inside.violation(task, i, problem.margin);
+            let (before, after) = (depth(begin), depth(end).max(inside));
+            is_clear &= after <= before.max(slack);
+            sums = [sums[0] + before, sums[1] + after];
+            worst = [worst[0].max(before), worst[1].max(after)];
+        }
+        is_clear || (sums[1] < sums[0] && worst[1] <= worst[0])
+    }
+
+    /// Follows the features through the first period of the plan that was previewed last.
+    fn trace(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> bool {
+        if !self.options.intersample {
+            return true;
+        }
+        let (task, initial) = (problem.task, problem.initial);
+        self.inside
+            .trace(task, initial, &first_command(plan), self.preview.step(0))
     }
 
     /// Solves the problem from the warm start `warm`, with some quarters of the budget of work.
@@ -177,7 +197,7 @@ impl<const N: usize> Sqp<N> {
         };
         while self.may_go_on() {
             let (cost, quadratic) = self.expand(problem, &here.plan);
-            self.collect_rows(problem, &quadratic);
+            self.collect_rows(problem, &here.plan, &quadratic);
             let Answer { step, status, .. } = self.solve_program_raising_rho(&quadratic);
             if status == QpStatus::NumericalFailure {
                 return self.solution(problem, &here, Status::NumericalFailure);
@@ -194,6 +214,7 @@ impl<const N: usize> Sqp<N> {
                 .or_else(|| self.line_search(problem, &here, &step, decrease));
             match next {
                 Some(next) => here = next,
+                None if !self.may_go_on() => break,
                 None => return self.solution(problem, &here, Status::Stalled),
             }
         }
@@ -229,41 +250,44 @@ impl<const N: usize> Sqp<N> {
     }
 
     /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
-    /// be used up. Rows past the store's end belong to the last steps of the window, which the next
-    /// cycles see again.
-    fn collect_rows(&mut self, problem: &Problem<'_>, bounds: &Quadratic<N>) {
+    /// be used up. Those inside the first period come first; rows past the store's end belong to
+    /// the last steps of the window, which the next cycles see again.
+    fn collect_rows(&mut self, problem: &Problem<'_>, plan: &[f64; N], bounds: &Quadratic<N>) {
         self.rows.clear();
         let (task, margin) = (problem.task, problem.margin);
-        let steps = self.preview.steps().enumerate();
-        let points = steps.flat_map(|(j, step)| step.enumerate().map(move |(i, p)| (j, i, p)));
-        for (j, i, point) in points {
-            let [low, high] = reach(&point, bounds);
-            let mut add = |side: usize, clearance: Clearance| {
-                if let Some(source) = self.sources.get_mut(self.rows.len()) {
-                    *source = Source {
-                        step: j as u8,
-                        point: i as u8,
-                        side: side as u8,
-                    };
-                    let ([a, b], [u, v]) = (clearance.normal, point.gradient);
-                    let gradient = core::array::from_fn(|k| a * u[k] + b * v[k]);
-                    self.rows.push(gradient, clearance.distance - margin);
-                }
-            };
-            let [left, top, right, bottom] = constraint::border(&task.camera, point.pixel);
-            let size = [task.camera.width, task.camera.height];
-            for (c, near, far) in [(0, left, right), (1, top, bottom)] {
-                if low[c] < margin {
-                    add(c, near);
-                }
-                if high[c] > size[c] - margin {
-                    add(c + 2, far);
-                }
+        let command = first_command(plan);
+        for i in self.inside.near() {
+            for (index, border) in self.inside.borders(task, i, margin + NEAR_PX) {
+                let Some((share, clearance)) = self.inside.deepest(i, border) else {
+                    continue;
+                };
+                let slope = problem.initial.passing_gradient(task, &command, share, i);
+                let first = clearance.along(&slope);
+                let gradient = core::array::from_fn(|k| first.get(k).copied().unwrap_or(0.0));
+                let source = Source::new(INSIDE, i, index);
+                add_row(
+                    &mut self.rows,
+                    &mut self.sources,
+                    source,
+                    gradient,
+                    clearance.distance - margin,
+                );
             }
-            for (index, obstacle) in task.obstacles().enumerate() {
-                let [from, to] = obstacle.bounding_box();
-                if (0..2).all(|c| high[c] > from[c] - margin && low[c] < to[c] + margin) {
-                    add(4 + index, obstacle.clearance(point.pixel));
+        }
+        for (j, step) in self.preview.steps().enumerate() {
+            for (i, point) in step.enumerate() {
+                let reach = reach(point.pixel, point.gradient, bounds);
+                for (index, border) in constraint::borders_near(task, reach, margin) {
+                    let clearance = border.clearance(point.pixel);
+                    let gradient = clearance.along(point.gradient);
+                    let source = Source::new(j, i, index);
+                    add_row(
+                        &mut self.rows,
+                        &mut self.sources,
+                        source,
+                        gradient,
+                        clearance.distance - margin,
+                    );
                 }
             }
         }
@@ -324,7 +348,8 @@ impl<const N: usize> Sqp<N> {
         None
     }
 
-    /// The longest of some halvings of the step by which the merit falls enough.
+    /// The longest of some halvings of the step by which the merit falls enough. It may pass the
+    /// budget by half.
     fn line_search(
         &mut self,
         problem: &Problem<'_>,
@@ -334,6 +359,9 @@ impl<const N: usize> Sqp<N> {
     ) -> Option<Iterate<N>> {
         let mut share = 1.0;
         (0..MAX_HALVINGS).find_map(|_| {
+            if self.progress.work >= (self.progress.budget / 2).saturating_mul(3) {
+                return None;
+            }
             share *= 0.5;
             let there = self.outcome(problem, moved(&here.plan, step, share))?;
             self.is_descent(here, &there, share * decrease)
@@ -346,14 +374,24 @@ impl<const N: usize> Sqp<N> {
         there <= here - SUFFICIENT_DECREASE * decrease
     }
 
-    /// Gives every row the clearance of the previewed plan, which is `step` away from where the row
-    /// was made.
-    fn correct_rows(&mut self, problem: &Problem<'_>, step: &[f64; N]) {
-        for (i, source) in self.sources.iter().enumerate().take(self.rows.len()) {
-            let points = self.preview.step(source.step.into());
-            let pixel = points.get(usize::from(source.point));
-            if let Some(found) = pixel.and_then(|&pixel| source.clearance(problem.task, pixel)) {
-                self.rows.correct(i, found.distance - problem.margin, step);
+    /// Gives every row the clearance of the previewed plan, which is `step_taken` away from where
+    /// the row was made.
+    fn correct_rows(&mut self, problem: &Problem<'_>, step_taken: &[f64; N]) {
+        let (task, margin) = (problem.task, problem.margin);
+        for (row, source) in self.sources.iter().enumerate().take(self.rows.len()) {
+            let (step, point) = (usize::from(source.step), usize::from(source.point));
+            let Some(border) = constraint::border(task, source.border.into()) else {
+                continue;
+            };
+            let found = if step == INSIDE {
+                let deepest = self.inside.deepest(point, border);
+                deepest.map(|(_, clearance)| clearance)
+            } else {
+                let pixel = self.preview.step(step).get(point);
+                pixel.map(|&pixel| border.clearance(pixel))
+            };
+            if let Some(found) = found {
+                self.rows.correct(row, found.distance - margin, step_taken);
             }
         }
     }
@@ -365,21 +403,26 @@ impl<const N: usize> Sqp<N> {
         if !self.preview.linearize(problem.task, problem.initial, &plan) {
             return None;
         }
+        if !self.trace(problem, &plan) {
+            return None;
+        }
+        self.progress.work += self.inside.work();
         let cost = self.cost(problem, &plan);
         let mut outcome = Outcome {
             cost,
             total: 0.0,
             worst: 0.0,
-            next: 0.0,
         };
+        let (task, margin) = (problem.task, problem.margin);
+        let mut count = |violation: f64| {
+            outcome.total += violation;
+            outcome.worst = outcome.worst.max(violation);
+        };
+        let inside = self.inside.near();
+        inside.for_each(|i| count(self.inside.violation(task, i, margin)));
         for j in 0..self.preview.np() {
             for &pixel in self.preview.step(j) {
-                let violation = constraint::violation(problem.task, pixel, problem.margin);
-                outcome.total += violation;
-                outcome.worst = outcome.worst.max(violation);
-            }
-            if j == 0 {
-                outcome.next = outcome.worst;
+                count(constraint::violation(task, pixel, margin));
             }
         }
         let is_finite = outcome.merit(1.0).is_finite();
@@ -417,7 +460,6 @@ impl<const N: usize> Sqp<N> {
             cost: at.outcome.cost,
             merit: at.outcome.merit(self.progress.rho),
             violation_px: at.outcome.worst,
-            next_violation_px: at.outcome.next,
         }
     }
 }
@@ -444,13 +486,37 @@ fn clamped<const N: usize>(plan: &[f64; N], task: &Task) -> [f64; N] {
     })
 }
 
+/// The first command of a plan.
+fn first_command<const N: usize>(plan: &[f64; N]) -> Twist {
+    const { assert!(N >= DOF) };
+    core::array::from_fn(|k| plan[k])
+}
+
+/// Adds a row, unless the store is full.
+fn add_row<const N: usize>(
+    rows: &mut Rows<N>,
+    sources: &mut [Source],
+    source: Source,
+    gradient: [f64; N],
+    clearance: f64,
+) {
+    if let Some(place) = sources.get_mut(rows.len()) {
+        *place = source;
+        rows.push(gradient, clearance);
+    }
+}
+
 /// The box that a linearised point cannot leave by a step inside its bounds: least and greatest
 /// (u, v), px.
-fn reach<const N: usize>(point: &Previewed<'_, N>, bounds: &Quadratic<N>) -> [[f64; 2]; 2] {
-    let (mut low, mut high) = (point.pixel, point.pixel);
+fn reach<const N: usize>(
+    pixel: [f64; 2],
+    gradient: &[[f64; N]; 2],
+    bounds: &Quadratic<N>,
+) -> [[f64; 2]; 2] {
+    let (mut low, mut high) = (pixel, pixel);
     for c in 0..2 {
         for k in 0..N {
-            let slope = point.gradient[c][k];
+            let slope = gradient[c][k];
             let (a, b) = (slope * bounds.lower[k], slope * bounds.upper[k]);
             low[c] += a.min(b);
             high[c] += a.max(b);

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::MAX_VARIABLES;
 use crate::delay::History;
-use crate::detour::Detour;
 use crate::features::PlainPoints;
+use crate::foresight::Foresight;
 use crate::prediction::Plan;
 use crate::strategy::Strategy;
 
@@ -18,8 +18,8 @@ pub struct State {
     pub strategy: Strategy,
     /// Whether features are near an occlusion, with hysteresis.
     pub near: bool,
-    /// The detour under way, and the progress.
-    pub detour: Detour,
+    /// What is followed.
+    pub foresight: Foresight,
     /// The last plan, vx vy vz wx wy wz of each free command, m/s and rad/s, camera frame; the rest
     /// is zero.
     pub previous: Plan,
@@ -43,7 +43,7 @@ impl State {
         Self {
             strategy,
             near: false,
-            detour: Detour::NONE,
+            foresight: Foresight::NONE,
             previous: [0.0; MAX_VARIABLES],
             predicted: PlainPoints::NONE,
             seen: PlainPoints::NONE,
@@ -72,6 +72,12 @@ mod tests {
 
     #[test]
     fn a_restored_controller_goes_on_with_the_same_bits() {
+        // Two controllers on their way to the heap take more than a test's stack.
+        let test = std::thread::Builder::new().stack_size(64 << 20);
+        test.spawn(compare_restored).unwrap().join().unwrap();
+    }
+
+    fn compare_restored() {
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         for (nc, age_ns) in [(1, 0), (3, 0), (1, 4 * PERIOD)] {
             let settings = Settings {

@@ -8,7 +8,7 @@ use memory_blob::Memory;
 use serde::{Deserialize, Serialize};
 
 /// The words of every strategy, for messages.
-pub const ALLOWED: &str = "previous, knn, knn2 to knn64, gpr, ibvs";
+pub const ALLOWED: &str = "previous, knn, knn2 to knn64, gpr, ibvs, foresight";
 
 /// Where warm start and target come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,11 +25,19 @@ pub enum Strategy {
     Gpr,
     /// Classic image-based visual servoing; no prediction, no constraints but the velocity limits.
     Ibvs,
+    /// Whole futures are simulated, and the best one is followed.
+    Foresight,
 }
 
 impl Strategy {
     /// Every strategy, k-NN with one neighbour.
-    pub const ALL: [Self; 4] = [Self::Previous, Self::Knn { k: 1 }, Self::Gpr, Self::Ibvs];
+    pub const ALL: [Self; 5] = [
+        Self::Previous,
+        Self::Knn { k: 1 },
+        Self::Gpr,
+        Self::Ibvs,
+        Self::Foresight,
+    ];
 
     /// Its word, without a number of neighbours.
     pub fn word(self) -> &'static str {
@@ -38,6 +46,7 @@ impl Strategy {
             Self::Knn { .. } => "knn",
             Self::Gpr => "gpr",
             Self::Ibvs => "ibvs",
+            Self::Foresight => "foresight",
         }
     }
 
@@ -45,7 +54,7 @@ impl Strategy {
     pub fn neighbours(self) -> usize {
         match self {
             Self::Knn { k } => k,
-            Self::Previous | Self::Gpr | Self::Ibvs => 0,
+            Self::Previous | Self::Gpr | Self::Ibvs | Self::Foresight => 0,
         }
     }
 
@@ -59,9 +68,14 @@ impl Strategy {
         }
     }
 
-    /// Whether the strategy asks the memory.
+    /// Whether the strategy cannot do without a memory.
     pub fn needs_memory(self) -> bool {
         matches!(self, Self::Knn { .. } | Self::Gpr)
+    }
+
+    /// Whether the strategy asks a memory where there is one.
+    pub fn uses_memory(self) -> bool {
+        self.needs_memory() || self == Self::Foresight
     }
 
     /// Asks a memory: writes y = (v, way point) for x = (s, area, angle); `false` where it has no
@@ -70,7 +84,7 @@ impl Strategy {
         match self {
             Self::Knn { k } => memory.samples().nearest(input, k, output).is_ok(),
             Self::Gpr => (memory.gpr()).is_some_and(|gpr| gpr.mean(input, output).is_ok()),
-            Self::Previous | Self::Ibvs => false,
+            Self::Previous | Self::Ibvs | Self::Foresight => false,
         }
     }
 }

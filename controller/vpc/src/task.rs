@@ -35,6 +35,8 @@ pub struct Task {
     pub areas: heapless::Vec<Area, MAX_AREAS>,
     /// Sampling time, s.
     pub ts: f64,
+    /// The bounding box of each obstacle, px.
+    boxes: heapless::Vec<[[f64; 2]; 2], { MAX_ALL_PARTS + MAX_AREAS }>,
 }
 
 /// Why a scene gives no task. Points are counted from 0, in the order of the pattern.
@@ -94,6 +96,9 @@ impl Task {
                 return Err(TaskError::GoalMasked { point, pixel });
             }
         }
+        let obstacles = parts.iter().map(Obstacle::Part);
+        let obstacles = obstacles.chain(areas.iter().map(Obstacle::Area));
+        let boxes = obstacles.map(Obstacle::bounding_box).collect();
         let Limits { linear, angular } = scene.limits;
         Ok(Self {
             camera: scene.camera,
@@ -107,6 +112,7 @@ impl Task {
             parts,
             areas,
             ts: scene.sampling_time(),
+            boxes,
         })
     }
 
@@ -114,6 +120,36 @@ impl Task {
     pub fn obstacles(&self) -> impl Iterator<Item = Obstacle<'_>> {
         let areas = self.areas.iter().map(Obstacle::Area);
         self.parts.iter().map(Obstacle::Part).chain(areas)
+    }
+
+    /// The obstacle of this index among [`Task::obstacles`].
+    pub fn obstacle(&self, index: usize) -> Option<Obstacle<'_>> {
+        match self.parts.get(index) {
+            Some(part) => Some(Obstacle::Part(part)),
+            None => self.areas.get(index - self.parts.len()).map(Obstacle::Area),
+        }
+    }
+
+    /// The obstacles whose bounding box comes within `margin` px of the box from `low` to `high`,
+    /// with their indices.
+    pub(crate) fn obstacles_near(
+        &self,
+        low: [f64; 2],
+        high: [f64; 2],
+        margin: f64,
+    ) -> impl Iterator<Item = (usize, Obstacle<'_>)> {
+        let is_near = move |[from, to]: &[[f64; 2]; 2]| {
+            high[0] > from[0] - margin
+                && low[0] < to[0] + margin
+                && high[1] > from[1] - margin
+                && low[1] < to[1] + margin
+        };
+        let near = self
+            .boxes
+            .iter()
+            .enumerate()
+            .filter(move |(_, box_)| is_near(box_));
+        near.filter_map(|(index, _)| Some((index, self.obstacle(index)?)))
     }
 
     /// The features of the pattern at a pose of the object in the camera frame, px; `None` if a

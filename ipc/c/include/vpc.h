@@ -92,8 +92,6 @@ enum vpc_recall {
     VPC_RECALL_FOLLOWED = 1,
     // Its answer was out of range and was not used.
     VPC_RECALL_REFUSED = 2,
-    // The control law was stalled: the way point leads back to a stored trajectory.
-    VPC_RECALL_DETOUR = 3,
 };
 
 // Strategy of the control law.
@@ -106,6 +104,8 @@ enum vpc_strategy {
     VPC_STRATEGY_GPR = 2,
     // Classic image-based visual servoing.
     VPC_STRATEGY_IBVS = 3,
+    // Whole futures are simulated, and the best one is followed.
+    VPC_STRATEGY_FORESIGHT = 4,
 };
 
 // Why the twist of the control law was not sent.
@@ -158,6 +158,22 @@ enum vpc_hold {
     VPC_HOLD_FROZEN = 22,
     // The answers of the memory of motion were out of range several cycles in a row.
     VPC_HOLD_RECALL = 23,
+};
+
+// What foresight follows.
+enum vpc_foresight_code {
+    // The strategy is another one.
+    VPC_FORESIGHT_CODE_OFF = 0,
+    // The goal.
+    VPC_FORESIGHT_CODE_GOAL = 1,
+    // A sample of the memory, then the goal.
+    VPC_FORESIGHT_CODE_SAMPLE = 2,
+    // A step aside, then the goal, perhaps over a sample.
+    VPC_FORESIGHT_CODE_ASIDE = 3,
+    // The way point of the nearest sample, then the goal.
+    VPC_FORESIGHT_CODE_NEIGHBOUR = 4,
+    // The way point that the Gaussian process infers, then the goal.
+    VPC_FORESIGHT_CODE_REGRESSION = 5,
 };
 
 // Whether the grid of releases follows the camera's frames.
@@ -393,6 +409,24 @@ typedef struct {
     double clearance_px;
     // Largest component of s - s*. Unit: px.
     double error_px;
+    // What foresight follows. Code: vpc_foresight_code.
+    uint32_t foresight;
+    // Candidates that foresight compared with it since the previous command.
+    uint32_t candidates;
+    // Periods that foresight simulated for that.
+    uint32_t simulated;
+    // How often foresight has changed what it follows.
+    uint32_t switches;
+    // Foreseen time to arrival; NaN where no way is known, and without foresight. Unit: s.
+    double arrival_s;
+    // Time from one place of path to the next. Unit: s.
+    double path_every_s;
+    // Places in path; 0 without foresight. 0 to 8.
+    uint32_t path_count;
+    // Points at each place of path. 0 to 8.
+    uint32_t path_points;
+    // The foreseen features, place by place: u1 v1 u2 v2 .... Unit: px.
+    double path[128];
     // Whether the loop's thread has its real-time properties. Sum of vpc_realtime bits.
     uint32_t realtime;
     // Whether the grid of releases follows the camera's frames. Code: vpc_phase.
@@ -714,7 +748,7 @@ static_assert(offsetof(vpc_robot_state, reserved) == 140, "vpc_robot_state.reser
 static_assert(offsetof(vpc_robot_state, q) == 144, "vpc_robot_state.q");
 static_assert(offsetof(vpc_robot_state, dq) == 200, "vpc_robot_state.dq");
 static_assert(offsetof(vpc_robot_state, room) == 256, "vpc_robot_state.room");
-static_assert(sizeof(vpc_cycle_record) == 584, "vpc_cycle_record");
+static_assert(sizeof(vpc_cycle_record) == 1648, "vpc_cycle_record");
 static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
 static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
 static_assert(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
@@ -744,21 +778,30 @@ static_assert(offsetof(vpc_cycle_record, cost) == 448, "vpc_cycle_record.cost");
 static_assert(offsetof(vpc_cycle_record, violation_px) == 456, "vpc_cycle_record.violation_px");
 static_assert(offsetof(vpc_cycle_record, clearance_px) == 464, "vpc_cycle_record.clearance_px");
 static_assert(offsetof(vpc_cycle_record, error_px) == 472, "vpc_cycle_record.error_px");
-static_assert(offsetof(vpc_cycle_record, realtime) == 480, "vpc_cycle_record.realtime");
-static_assert(offsetof(vpc_cycle_record, phase) == 484, "vpc_cycle_record.phase");
-static_assert(offsetof(vpc_cycle_record, phase_error_ns) == 488, "vpc_cycle_record.phase_error_ns");
-static_assert(offsetof(vpc_cycle_record, minor_faults) == 496, "vpc_cycle_record.minor_faults");
-static_assert(offsetof(vpc_cycle_record, major_faults) == 500, "vpc_cycle_record.major_faults");
-static_assert(offsetof(vpc_cycle_record, blocked) == 504, "vpc_cycle_record.blocked");
-static_assert(offsetof(vpc_cycle_record, allocations) == 508, "vpc_cycle_record.allocations");
-static_assert(offsetof(vpc_cycle_record, features_input) == 512, "vpc_cycle_record.features_input");
-static_assert(offsetof(vpc_cycle_record, robot_input) == 516, "vpc_cycle_record.robot_input");
-static_assert(offsetof(vpc_cycle_record, features_seen) == 520, "vpc_cycle_record.features_seen");
-static_assert(offsetof(vpc_cycle_record, robot_seen) == 544, "vpc_cycle_record.robot_seen");
-static_assert(offsetof(vpc_cycle_record, requests) == 568, "vpc_cycle_record.requests");
-static_assert(offsetof(vpc_cycle_record, missed) == 572, "vpc_cycle_record.missed");
-static_assert(offsetof(vpc_cycle_record, flags) == 576, "vpc_cycle_record.flags");
-static_assert(offsetof(vpc_cycle_record, reserved) == 580, "vpc_cycle_record.reserved");
+static_assert(offsetof(vpc_cycle_record, foresight) == 480, "vpc_cycle_record.foresight");
+static_assert(offsetof(vpc_cycle_record, candidates) == 484, "vpc_cycle_record.candidates");
+static_assert(offsetof(vpc_cycle_record, simulated) == 488, "vpc_cycle_record.simulated");
+static_assert(offsetof(vpc_cycle_record, switches) == 492, "vpc_cycle_record.switches");
+static_assert(offsetof(vpc_cycle_record, arrival_s) == 496, "vpc_cycle_record.arrival_s");
+static_assert(offsetof(vpc_cycle_record, path_every_s) == 504, "vpc_cycle_record.path_every_s");
+static_assert(offsetof(vpc_cycle_record, path_count) == 512, "vpc_cycle_record.path_count");
+static_assert(offsetof(vpc_cycle_record, path_points) == 516, "vpc_cycle_record.path_points");
+static_assert(offsetof(vpc_cycle_record, path) == 520, "vpc_cycle_record.path");
+static_assert(offsetof(vpc_cycle_record, realtime) == 1544, "vpc_cycle_record.realtime");
+static_assert(offsetof(vpc_cycle_record, phase) == 1548, "vpc_cycle_record.phase");
+static_assert(offsetof(vpc_cycle_record, phase_error_ns) == 1552, "vpc_cycle_record.phase_error_ns");
+static_assert(offsetof(vpc_cycle_record, minor_faults) == 1560, "vpc_cycle_record.minor_faults");
+static_assert(offsetof(vpc_cycle_record, major_faults) == 1564, "vpc_cycle_record.major_faults");
+static_assert(offsetof(vpc_cycle_record, blocked) == 1568, "vpc_cycle_record.blocked");
+static_assert(offsetof(vpc_cycle_record, allocations) == 1572, "vpc_cycle_record.allocations");
+static_assert(offsetof(vpc_cycle_record, features_input) == 1576, "vpc_cycle_record.features_input");
+static_assert(offsetof(vpc_cycle_record, robot_input) == 1580, "vpc_cycle_record.robot_input");
+static_assert(offsetof(vpc_cycle_record, features_seen) == 1584, "vpc_cycle_record.features_seen");
+static_assert(offsetof(vpc_cycle_record, robot_seen) == 1608, "vpc_cycle_record.robot_seen");
+static_assert(offsetof(vpc_cycle_record, requests) == 1632, "vpc_cycle_record.requests");
+static_assert(offsetof(vpc_cycle_record, missed) == 1636, "vpc_cycle_record.missed");
+static_assert(offsetof(vpc_cycle_record, flags) == 1640, "vpc_cycle_record.flags");
+static_assert(offsetof(vpc_cycle_record, reserved) == 1644, "vpc_cycle_record.reserved");
 static_assert(sizeof(vpc_snapshot) == 8232, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");

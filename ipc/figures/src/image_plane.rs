@@ -12,6 +12,8 @@ const APART: f64 = 7.0;
 const FEATURE: &str = "fill=\"#1f4fd8\"";
 /// Style of paths.
 const PATH: &str = "stroke=\"#1f4fd8\" stroke-width=\"0.8\" opacity=\"0.5\"";
+/// Style of foreseen ways.
+const FORESEEN: &str = "stroke=\"#d98a00\" stroke-width=\"1.2\" stroke-dasharray=\"5 4\"";
 /// Style of way points.
 const WAY_POINT: &str = "stroke=\"#d81f1f\" stroke-width=\"1.3\" opacity=\"0.75\"";
 
@@ -27,6 +29,8 @@ pub struct ImagePlane<'a> {
     pub goal: Points,
     /// Way points tracked, px.
     pub way_points: Vec<Points>,
+    /// The way of each point that was foreseen at the start, px.
+    pub foreseen: Vec<Points>,
     /// Title.
     pub title: String,
 }
@@ -46,6 +50,9 @@ impl ImagePlane<'_> {
             let path = self.path.iter().filter_map(|points| points.get(i).copied());
             frame.polyline(path.clone(), PATH);
             path.for_each(|point| frame.circle(point, 1.5, FEATURE));
+        }
+        for way in &self.foreseen {
+            frame.polyline(way.iter().copied(), FORESEEN);
         }
         for point in self.path.iter().take(1).flatten() {
             frame.circle(*point, 4.5, FEATURE);
@@ -75,6 +82,10 @@ impl ImagePlane<'_> {
         if !self.way_points.is_empty() {
             canvas.cross(at(274.0), 2.6, WAY_POINT);
             names.push((282.0, "way points"));
+        }
+        if !self.foreseen.is_empty() {
+            canvas.polyline([at(352.0), at(366.0)].into_iter(), FORESEEN);
+            names.push((370.0, "foreseen at the start"));
         }
         for (x, name) in names {
             canvas.text(MARGIN[0] + x, y, 10.0, "start", name);
@@ -111,6 +122,7 @@ mod tests {
             path: Vec::new(),
             goal: Vec::new(),
             way_points: (0..100).map(|k| vec![[f64::from(k), 50.0]]).collect(),
+            foreseen: Vec::new(),
             title: String::new(),
         };
         let places: Vec<f64> = plane
@@ -131,6 +143,7 @@ mod tests {
                 path: Vec::new(),
                 goal: Vec::new(),
                 way_points,
+                foreseen: Vec::new(),
                 title: String::new(),
             };
             plane.canvas()

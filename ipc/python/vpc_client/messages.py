@@ -80,8 +80,6 @@ class RecallCode(Code):
     FOLLOWED = 1, "followed"
     # Its answer was out of range and was not used.
     REFUSED = 2, "out of range"
-    # The control law was stalled: the way point leads back to a stored trajectory.
-    DETOUR = 3, "detour"
 
 
 class StrategyCode(Code):
@@ -95,6 +93,8 @@ class StrategyCode(Code):
     GPR = 2, "gpr"
     # Classic image-based visual servoing.
     IBVS = 3, "ibvs"
+    # Whole futures are simulated, and the best one is followed.
+    FORESIGHT = 4, "foresight"
 
 
 class Hold(Code):
@@ -148,6 +148,23 @@ class Hold(Code):
     FROZEN = 22, "frozen image"
     # The answers of the memory of motion were out of range several cycles in a row.
     RECALL = 23, "recall out of range"
+
+
+class ForesightCode(Code):
+    """What foresight follows."""
+
+    # The strategy is another one.
+    OFF = 0, "off"
+    # The goal.
+    GOAL = 1, "goal"
+    # A sample of the memory, then the goal.
+    SAMPLE = 2, "sample"
+    # A step aside, then the goal, perhaps over a sample.
+    ASIDE = 3, "step aside"
+    # The way point of the nearest sample, then the goal.
+    NEIGHBOUR = 4, "k-NN way point"
+    # The way point that the Gaussian process infers, then the goal.
+    REGRESSION = 5, "GPR way point"
 
 
 class PhaseCode(Code):
@@ -421,6 +438,24 @@ class CycleRecord(Message):
         ("clearance_px", ctypes.c_double),
         # Largest component of s - s*. Unit: px.
         ("error_px", ctypes.c_double),
+        # What foresight follows. Code: `ForesightCode`.
+        ("foresight", ctypes.c_uint32),
+        # Candidates that foresight compared with it since the previous command.
+        ("candidates", ctypes.c_uint32),
+        # Periods that foresight simulated for that.
+        ("simulated", ctypes.c_uint32),
+        # How often foresight has changed what it follows.
+        ("switches", ctypes.c_uint32),
+        # Foreseen time to arrival; NaN where no way is known, and without foresight. Unit: s.
+        ("arrival_s", ctypes.c_double),
+        # Time from one place of `path` to the next. Unit: s.
+        ("path_every_s", ctypes.c_double),
+        # Places in `path`; 0 without foresight. 0 to 8.
+        ("path_count", ctypes.c_uint32),
+        # Points at each place of `path`. 0 to 8.
+        ("path_points", ctypes.c_uint32),
+        # The foreseen features, place by place: u1 v1 u2 v2 .... Unit: px.
+        ("path", ctypes.c_double * 128),
         # Whether the loop's thread has its real-time properties. Sum of `RealTime` bits.
         ("realtime", ctypes.c_uint32),
         # Whether the grid of releases follows the camera's frames. Code: `PhaseCode`.
@@ -456,7 +491,7 @@ class CycleRecord(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/3"
+        return "vpc/CycleRecord/4"
 
 
 class Snapshot(Message):
@@ -566,6 +601,9 @@ CHECKS: dict[type, dict[str, Any]] = {
         "hold": Hold,
         "state": TwistState,
         "twist": "",
+        "foresight": ForesightCode,
+        "path_count": (0, 8),
+        "path_points": (0, 8),
         "phase": PhaseCode,
         "features_input": InputCode,
         "robot_input": InputCode,

@@ -74,6 +74,7 @@ pub fn plot(
             path: path.collect(),
             goal: goal(scene),
             way_points: Vec::new(),
+            foreseen: Vec::new(),
             title: "features (no cycles)".to_owned(),
         };
         files.extend(plane.canvas().write(&directory.join("features"))?);
@@ -122,6 +123,7 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
         pairs.map(|p| [p[0], p[1]]).collect()
     };
     let way_points = run.iter().filter(|cycle| cycle.way_point_count > 0);
+    let first_known = run.iter().find(|cycle| cycle.arrival_s.is_finite());
     let twists = twists(run, period_s);
     let error = run.last().map(|cycle| cycle.error_px);
     let error = error.filter(|error| error.is_finite());
@@ -137,6 +139,8 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
         way_points: way_points
             .map(|c| pairs(&c.way_point, c.way_point_count))
             .collect(),
+        foreseen: first_known
+            .map_or_else(Vec::new, |c| c.foreseen().map(Iterator::collect).collect()),
         title: format!(
             "{name}{strategy}: {:.1} s{error}",
             twists.len() as f64 * period_s

@@ -11,7 +11,7 @@ use ipc::{
 use nalgebra::Isometry3;
 use recording::{Recorded, WriteError};
 
-use crate::annotation::{BLUE, CLEAR, RED, circle, lines, text};
+use crate::annotation::{BLUE, CLEAR, GREY, RED, circle, lines, text};
 use crate::scenery::CAMERA;
 use crate::view_writer::ViewWriter;
 
@@ -87,8 +87,11 @@ impl Viewed for CycleRecord {
                     [[-7.0, -7.0], [7.0, 7.0], [-7.0, 7.0], [7.0, -7.0]]
                         .map(|[u, v]| [p[0] + u, p[1] + v])
                 });
+                let ways = self
+                    .foreseen()
+                    .map(|way| lines(at, Type::LineStrip, way, GREY));
                 ImageAnnotations {
-                    points: vec![lines(at, Type::LineList, ends, RED)],
+                    points: ways.chain([lines(at, Type::LineList, ends, RED)]).collect(),
                     texts: vec![text(at, [8.0, 24.0], caption(self))],
                     ..ImageAnnotations::default()
                 }
@@ -148,6 +151,11 @@ fn caption(record: &CycleRecord) -> String {
     }
     if record.way_point_count > 0 {
         text += ", way point";
+    }
+    if record.arrival_s.is_finite() {
+        text += &format!(", arrives in {:.1} s", record.arrival_s);
+    } else if record.knows_no_way() {
+        text += ", no way known";
     }
     text
 }

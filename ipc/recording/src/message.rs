@@ -131,6 +131,7 @@ mod tests {
             violation_px: -0.0,
             clearance_px: f64::NEG_INFINITY,
             error_px: f64::MIN_POSITIVE / 4.0,
+            arrival_s: 0.1,
             ..CycleRecord::default()
         };
         record.points = std::array::from_fn(|i| (i as f64).exp() * 1e-7);

@@ -15,6 +15,7 @@ pub mod paint;
 pub mod planner;
 pub mod regression;
 pub mod settings;
+mod sight;
 pub mod solution;
 pub mod start;
 pub mod store;

@@ -169,6 +169,7 @@ impl BuildSettings {
         SolverOptions {
             max_iterations: self.iterations,
             tolerance: self.tolerance,
+            intersample: true,
         }
     }
 

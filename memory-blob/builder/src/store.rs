@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use vpc::features::MAX_INPUTS;
-use vpc::{MotionMemory, Points, Strategy, Task, Twist, sight};
+use vpc::{MotionMemory, Points, Strategy, Task, Twist};
 
 use crate::settings::{BuildSettings, WayPoint};
+use crate::sight;
 use crate::start::image_motion;
 
 /// Distance between the places at which a straight line is checked, px.

@@ -30,18 +30,21 @@ enum Which {
 
 impl Which {
     /// The name of scene, starts and memory; the configurations of daemon and emulator; a start
-    /// where `previous` stays in front of an occlusion and `gpr` gets round it.
-    fn parts(self) -> (&'static str, [&'static str; 2], usize) {
+    /// where `previous` stays in front of an occlusion and the strategy, which comes last, gets
+    /// round it.
+    fn parts(self) -> (&'static str, [&'static str; 2], usize, &'static str) {
         match self {
             Self::PaperSim => (
                 "paper-sim",
                 ["controller/vpcd.toml", "hw-sim/hw-sim.toml"],
                 82,
+                "foresight:3",
             ),
             Self::PaperRobot => (
                 "paper-robot",
                 ["controller/vpcd-robot.toml", "hw-sim/hw-sim-robot.toml"],
                 5,
+                "gpr:3",
             ),
         }
     }
@@ -58,11 +61,12 @@ struct Cli {
     /// Scene to show.
     #[arg(long, value_enum, default_value = "paper-sim")]
     scene: Which,
-    /// Strategy of the controller: previous, knn, gpr, ibvs.
-    #[arg(long, default_value = "gpr")]
-    strategy: Spec,
+    /// Strategy of the controller: foresight, previous, knn, gpr, ibvs; by default foresight, for
+    /// the robot gpr.
+    #[arg(long)]
+    strategy: Option<Spec>,
     /// Index of the start pose in the scene's file of starts; by default one from which `previous`
-    /// fails and `gpr` arrives.
+    /// fails and the others arrive.
     #[arg(long)]
     start: Option<usize>,
     /// Run as fast as the controller computes, not in real time.
@@ -79,6 +83,7 @@ struct Cli {
 /// One demonstration.
 struct Demo<'a> {
     cli: &'a Cli,
+    strategy: Spec,
     scene_path: PathBuf,
     starts_path: PathBuf,
     memory_path: PathBuf,
@@ -98,7 +103,11 @@ fn main() -> ExitCode {
 
 impl<'a> Demo<'a> {
     fn new(cli: &'a Cli) -> anyhow::Result<Self> {
-        let (name, _, telling_start) = cli.scene.parts();
+        let (name, _, telling_start, strategy) = cli.scene.parts();
+        let strategy = match cli.strategy {
+            Some(strategy) => strategy,
+            None => strategy.parse().map_err(anyhow::Error::msg)?,
+        };
         let scenes = root().canonicalize()?.join("ipc/scene/scenes");
         let scene_path = scenes.join(format!("{name}.toml"));
         let starts_path = scenes.join(format!("{name}-starts.csv"));
@@ -111,6 +120,7 @@ impl<'a> Demo<'a> {
         fs::create_dir_all(&cli.output).with_context(|| cli.output.display().to_string())?;
         Ok(Self {
             cli,
+            strategy,
             memory_path: root().join(format!("memory-blob/default/{name}.vpcmem")),
             task: Task::new(&scene)?,
             scene_path,
@@ -123,7 +133,7 @@ impl<'a> Demo<'a> {
 
     /// Shows everything; whether the goal was reached.
     fn show(&self, children: &Children) -> anyhow::Result<bool> {
-        let strategy = self.cli.strategy;
+        let strategy = self.strategy;
         eprintln!("Building vpcd and hw-sim.");
         let programs = children.build(&["vpcd", "hw-sim"])?;
         println!(
@@ -183,11 +193,11 @@ impl<'a> Demo<'a> {
         daemon.arg("--scene").arg(&self.scene_path);
         daemon
             .arg("--strategy")
-            .arg(cli.strategy.strategy.to_string());
-        daemon.arg("--np").arg(cli.strategy.np.to_string());
+            .arg(self.strategy.strategy.to_string());
+        daemon.arg("--np").arg(self.strategy.np.to_string());
         daemon.args(["--clock", clock]).arg("--domain").arg(&domain);
         daemon.stderr(fs::File::create(cli.output.join("vpcd.log"))?);
-        if cli.strategy.strategy.needs_memory() {
+        if self.strategy.strategy.uses_memory() {
             daemon.arg("--memory").arg(&self.memory_path);
         }
         let mut emulator = children::command(programs.join("hw-sim"));
@@ -216,7 +226,7 @@ impl<'a> Demo<'a> {
         let memory = self.memory()?;
         let view = memory.view();
         let mut runs = Vec::new();
-        for text in ["previous:3", "knn:3", "gpr:3"] {
+        for text in ["previous:3", "gpr:3", "foresight:3"] {
             let spec: Spec = text.parse().map_err(anyhow::Error::msg)?;
             let mut controller = Box::new(Controller::new(&self.scene, spec.settings())?);
             let view = Some(&view as &dyn MotionMemory);
@@ -291,7 +301,8 @@ impl<'a> Demo<'a> {
                 .collect(),
             goal: head.goal,
             way_points: Vec::new(),
-            title: format!("vpcd {} and hw-sim over shared memory", self.cli.strategy),
+            foreseen: Vec::new(),
+            title: format!("vpcd {} and hw-sim over shared memory", self.strategy),
         };
         let velocity = figures::Velocity {
             period_s: self.scene.sampling_time(),

@@ -105,7 +105,7 @@ fn check(np: usize, problems: usize) {
         // has begun may pass by its expansion and the evaluations of its line search.
         let iterations = settings.solver.max_iterations;
         assert!(step.iterations <= 2 * iterations);
-        let beyond = work::expansion(np) + 13 * work::evaluation(np);
+        let beyond = work::expansion(np) + 13 * work::most_evaluation(np);
         let bound = work::budget(np, iterations) + 2 * beyond;
         assert!(step.work <= bound, "{points:?}: {} > {bound}", step.work);
         worked.push(step.work);

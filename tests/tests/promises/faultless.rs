@@ -89,7 +89,7 @@ fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
     }
     // They steer, after those in which the peers are met.
     let cycles = repeats("faultless, cycles of each strategy", 4_000, 18_000) as u64;
-    for strategy in ["previous", "knn", "gpr", "ibvs"] {
+    for strategy in ["previous", "knn", "gpr", "foresight", "ibvs"] {
         let report = whole(strategy, cycles);
         tell(format!(
             "faultless: {strategy}: {} cycles, {} with the memory, {} + {} faults, {} blocked, {} heap calls, busy p99 {} us",
@@ -107,7 +107,7 @@ fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
             report.armed >= cycles && report.lost_records == 0,
             "{found}"
         );
-        let has_memory = ["knn", "gpr"].contains(&strategy);
+        let has_memory = ["knn", "gpr", "foresight"].contains(&strategy);
         assert_eq!(report.recalled > cycles / 50, has_memory, "{found}");
         let faults = (report.minor_faults, report.major_faults);
         assert_eq!(

@@ -16,6 +16,7 @@ mod delay;
 mod failures;
 mod faultless;
 mod fixture;
+mod foresight;
 mod hang;
 mod hostile;
 mod logging;

@@ -118,6 +118,7 @@ impl Case {
         let options = SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
+            intersample: false,
         };
         Box::new(Solver::new(self.np, 1, options))
     }

@@ -52,6 +52,7 @@ impl Feed {
                 "clearance_px": record.clearance_px,
                 "points": record.pairs().collect::<Vec<_>>(),
                 "way_point": record.way_point_pairs().collect::<Vec<_>>(),
+                "foreseen": record.foreseen().map(Iterator::collect).collect::<Vec<Vec<_>>>(),
             })
         });
         let mut event = json!({

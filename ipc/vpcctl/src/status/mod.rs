@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use ipc::{ClockMode, CycleRecord, Hold, PhaseCode, RealTime, ReceiveError, Reply};
+use ipc::{ClockMode, CycleRecord, ForesightCode, Hold, PhaseCode, RealTime, ReceiveError, Reply};
 use ipc::{SolverStatus, TwistState};
 use serde_json::{Value, json};
 
@@ -232,6 +232,18 @@ times     {:>9}{:>10}{:>10}\n",
             text += &format!("  {name:<8}{p50:>9}{p99:>10}{max:>10}\n");
         }
         let warning = |text: String| paint(&text, Tone::Warning, colours);
+        if let Some(foresight) = ForesightCode::from_code(last.foresight)
+            && foresight != ForesightCode::Off
+        {
+            let arrival = match last.arrival_s.is_finite() {
+                true => format!("arrives in {:.1} s", last.arrival_s),
+                false => warning("no way known".to_owned()),
+            };
+            let (tried, periods) = (last.candidates, last.simulated);
+            text += &format!(
+                "foresight {arrival}, by {foresight}; {tried} others tried in {periods} simulated periods\n"
+            );
+        }
         let counts = [last.overruns, last.lost_records, view.missed];
         let [overruns, lost, missed] = counts.map(|count| match count {
             0 => count.to_string(),
@@ -315,6 +327,8 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
         "count": last.count,
         "features_age_ns": (last.features_sequence > 0).then_some(last.features_age_ns),
         "way_point": last.way_point_count > 0,
+        "foresight": word(ForesightCode::from_code(last.foresight)),
+        "arrival_s": last.arrival_s.is_finite().then_some(last.arrival_s),
         "error_px": last.error_px,
         "clearance_px": last.clearance_px,
         "twist": last.twist,

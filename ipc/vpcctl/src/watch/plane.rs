@@ -1,12 +1,13 @@
 //! The image plane in Braille: occlusions, trails, way point, goal, features.
 
+use ipc::CycleRecord;
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::Block;
-use ratatui::widgets::canvas::{Canvas, Context, Painter, Points, Shape};
+use ratatui::widgets::canvas::{Canvas, Context, Line as CanvasLine, Painter, Points, Shape};
 
 use super::palette::Palette;
 use crate::image_plane::ImagePlane;
@@ -88,6 +89,16 @@ fn paint(context: &mut Context, plane: &ImagePlane, view: &View, height: f64, pa
         .map(|[u, v]| (u, height - v))
         .collect();
     context.draw(&Points::new(&trail, palette.color(Color::Blue)));
+    context.layer();
+    for way in view.seen.iter().flat_map(CycleRecord::foreseen) {
+        let way: Vec<_> = way.collect();
+        for pair in way.windows(2) {
+            if let &[[u, v], [to_u, to_v]] = pair {
+                let color = palette.color(Color::Yellow);
+                context.draw(&CanvasLine::new(u, height - v, to_u, height - to_v, color));
+            }
+        }
+    }
     context.layer();
     let mut print = |[u, v]: [f64; 2], text: String, color: Color| {
         let style: Style = palette.style(color).bold();

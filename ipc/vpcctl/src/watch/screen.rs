@@ -23,13 +23,12 @@ const TWISTS: u16 = 7;
 const NUMBERS: u16 = 6;
 /// What the percentiles look back on, ns.
 const WINDOW_NS: u64 = 10_000_000_000;
-/// What the keys do.
+/// What the keys do, within 80 columns.
 fn help() -> String {
-    let mut line = " q quit  a arm  d disarm  s stop".to_owned();
-    for strategy in StrategyCode::TABLE.names {
-        line += &format!("  {} {}", strategy.number + 1, strategy.text);
-    }
-    line + "  f flight"
+    let names = StrategyCode::TABLE.names.iter();
+    let strategies = names.map(|name| format!(" {} {}", name.number + 1, name.text));
+    let strategies: String = strategies.collect();
+    format!("q quit a arm d disarm s stop f flight {strategies}")
 }
 
 /// What is drawn.

@@ -1,51 +1,7 @@
 //! Whether features can go straight to others: no point's way there cuts an occlusion.
 
-use crate::obstacle::Obstacle;
-use crate::task::Task;
-use crate::{Points, constraint};
-
-/// A straight way may cut this deep into an occlusion, px: the solver slides round such a corner.
-const SLIDE_PX: f64 = 3.0;
-/// Distance between the places at which a way is looked at, px.
-const EVERY_PX: f64 = 6.0;
-
-/// What some features can see.
-pub struct Sight<'a> {
-    task: &'a Task,
-    points: &'a Points,
-    /// The point nearest to an occlusion, the one whose way is most likely blocked.
-    nearest: usize,
-}
-
-impl<'a> Sight<'a> {
-    /// The sight of features inside the image.
-    pub fn from(task: &'a Task, points: &'a Points) -> Self {
-        let clearances = points
-            .iter()
-            .map(|&pixel| constraint::least_clearance(task, pixel));
-        let nearest = clearances
-            .enumerate()
-            .min_by(|a, b| a.1.total_cmp(&b.1))
-            .map_or(0, |(index, _)| index);
-        Self {
-            task,
-            points,
-            nearest,
-        }
-    }
-
-    /// Whether every point has a straight way in the image to its place among others, inside the
-    /// image as well: its border is in no such way.
-    pub fn is_free(&self, there: &[[f64; 2]]) -> bool {
-        let count = self.points.len();
-        (self.nearest..count).chain(0..self.nearest).all(|index| {
-            match (self.points.get(index), there.get(index)) {
-                (Some(&from), Some(&to)) => Way { from, to }.is_free(self.task, SLIDE_PX, EVERY_PX),
-                _ => false,
-            }
-        })
-    }
-}
+use vpc::Task;
+use vpc::obstacle::Obstacle;
 
 /// Whether every point has a straight way in the image to its place among others that cuts no
 /// occlusion deeper than `slide_px`, looked at every `every_px`.
@@ -80,7 +36,7 @@ impl Way {
         };
         let [du, dv] = self.along();
         let length = (du.abs() + dv.abs()) * (end - begin);
-        let count = libm::ceil(length / every_px).max(1.0) as u32;
+        let count = (length / every_px).ceil().max(1.0) as u32;
         (0..=count).all(|i| {
             let t = begin + (end - begin) * f64::from(i) / f64::from(count);
             let pixel = [self.from[0] + t * du, self.from[1] + t * dv];
@@ -89,10 +45,6 @@ impl Way {
     }
 
     /// Where the way enters and leaves a box, each a share of it; `None` where it passes by.
-    #[expect(
-        clippy::indexing_slicing,
-        reason = "k is 0 or 1, of arrays of two coordinates"
-    )]
     fn inside(&self, low: [f64; 2], high: [f64; 2]) -> Option<(f64, f64)> {
         let (from, to) = (self.from, self.to);
         // Most boxes lie on one side of the way.
@@ -119,9 +71,13 @@ impl Way {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vpc::constraint;
+
+    const SLIDE_PX: f64 = 3.0;
+    const EVERY_PX: f64 = 6.0;
 
     fn is_free(task: &Task, from: &[[f64; 2]], to: &[[f64; 2]]) -> bool {
-        Sight::from(task, &from.iter().copied().collect()).is_free(to)
+        super::is_free(task, from, to, SLIDE_PX, EVERY_PX)
     }
 
     fn task() -> Task {

@@ -1,0 +1,97 @@
+//! The guide: what is tracked on the way to the goal.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Points;
+use crate::features::{self, PlainPoints};
+
+/// Most sub-goals of a guide.
+pub const MOST: usize = 2;
+/// Most periods for which a sub-goal is tracked.
+const LENGTH: u32 = 25;
+/// Periods without progress after which a sub-goal is given up.
+const BLOCKED: u32 = 3;
+/// Decrease of the distance to the sub-goal that is progress, px.
+const PROGRESS_PX: f64 = 3.0;
+
+/// Where a sub-goal comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Kind {
+    /// There is none: the goal itself is tracked.
+    Goal,
+    /// The features of a stored sample, or of two.
+    Sample,
+    /// The present features, moved a little.
+    Aside,
+    /// The way point of the nearest sample.
+    Neighbour,
+    /// The way point that the Gaussian process infers.
+    Regression,
+}
+
+/// Sub-goals, one after the other, each until it is reached or given up; then the goal. Plain data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Guide {
+    /// Where the sub-goals come from.
+    pub kind: Kind,
+    /// The sub-goals, the last first.
+    pub targets: [PlainPoints; MOST],
+    /// Sub-goals ahead, the one that is tracked among them.
+    pub ahead: u32,
+    /// Periods left in which it may be tracked.
+    pub left: u32,
+    /// Least distance to it so far (largest component), px.
+    pub least_px: f64,
+    /// Periods without progress.
+    pub idle: u32,
+}
+
+impl Guide {
+    /// Straight to the goal.
+    pub const GOAL: Self = Self {
+        kind: Kind::Goal,
+        targets: [PlainPoints::NONE; MOST],
+        ahead: 0,
+        left: 0,
+        least_px: f64::INFINITY,
+        idle: 0,
+    };
+
+    /// The guide that goes over a sub-goal first, then on as `self`, which has room for one more.
+    pub fn after(mut self, kind: Kind, target: &[[f64; 2]]) -> Self {
+        if let Some(place) = self.targets.get_mut(self.ahead as usize) {
+            *place = target.into();
+            self.ahead += 1;
+        }
+        Self {
+            kind,
+            left: LENGTH,
+            least_px: f64::INFINITY,
+            idle: 0,
+            ..self
+        }
+    }
+
+    /// One period: what is tracked in it; `None` for the goal.
+    pub fn advance(&mut self, points: &[[f64; 2]], reached_px: f64) -> Option<Points> {
+        loop {
+            let ahead = self.ahead.checked_sub(1)?;
+            let target = self.targets.get(ahead as usize)?.get()?;
+            let away_px = features::largest_error(points, &target);
+            if away_px < self.least_px - PROGRESS_PX {
+                (self.least_px, self.idle) = (away_px, 0);
+            } else {
+                self.idle += 1;
+            }
+            if away_px >= reached_px && self.idle <= BLOCKED && self.left > 0 {
+                self.left -= 1;
+                return Some(target);
+            }
+            (self.ahead, self.left) = (ahead, LENGTH);
+            (self.least_px, self.idle) = (f64::INFINITY, 0);
+            if ahead == 0 {
+                *self = Self::GOAL;
+            }
+        }
+    }
+}

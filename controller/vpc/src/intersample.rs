@@ -1,0 +1,128 @@
+//! Constraints between the samples: the way of the features inside the first period of the window.
+//!
+//! Features move up to 100 px in a period, further than many an occlusion is wide. Only the first
+//! command is carried out, so only its period is looked at more closely: the steps behind it are
+//! when they come first.
+//!
+//! The period is cut into equal stretches, so many that no feature which passes near a border moves
+//! more than [`SPACING_PX`] in one, at most [`MOST_STRETCHES`]. Between two of these places a
+//! feature that rounds a right-angled corner is at most 3 px inside.
+
+use crate::clearance::Clearance;
+use crate::constraint::{self, Border};
+use crate::prediction::InitialState;
+use crate::task::Task;
+use crate::{MAX_POINTS, Twist, work};
+
+/// Image motion between two places that are looked at, px.
+pub const SPACING_PX: f64 = 8.0;
+/// Most stretches of a period.
+pub const MOST_STRETCHES: usize = 12;
+/// A way that comes nearer to a border than this is looked at, px.
+pub(crate) const NEAR_PX: f64 = 20.0;
+/// A feature's way in a period leaves the box about its ends by at most this share of its length.
+const BEND: f64 = 0.1;
+
+/// Places inside the first period.
+#[derive(Clone, Debug)]
+pub(crate) struct Intersample {
+    /// Stretches of the period; their ends but the last are the places.
+    stretches: usize,
+    /// The points whose way comes near a border.
+    is_near: [bool; MAX_POINTS],
+    /// A box about the way of each point: least and greatest (u, v), px.
+    boxes: [[[f64; 2]; 2]; MAX_POINTS],
+    /// The features at each place, px; those of points that come near no border mean nothing.
+    places: [[[f64; 2]; MAX_POINTS]; MOST_STRETCHES - 1],
+}
+
+impl Intersample {
+    pub(crate) const NONE: Self = Self {
+        stretches: 1,
+        is_near: [false; MAX_POINTS],
+        boxes: [[[0.0; 2]; 2]; MAX_POINTS],
+        places: [[[0.0; 2]; MAX_POINTS]; MOST_STRETCHES - 1],
+    };
+
+    /// Follows the features under `twist` to where they are at the period's end. `false` if a point
+    /// comes behind the camera.
+    #[must_use]
+    pub(crate) fn trace(
+        &mut self,
+        task: &Task,
+        initial: &InitialState,
+        twist: &Twist,
+        ends: &[[f64; 2]],
+    ) -> bool {
+        let mut longest = 0.0_f64;
+        let ways = initial.points.iter().zip(ends);
+        let points = self.is_near.iter_mut().zip(&mut self.boxes);
+        for ((is_near, box_), (&[u, v], &[to_u, to_v])) in points.zip(ways) {
+            let way = libm::hypot(to_u - u, to_v - v);
+            let bend = BEND * way;
+            *box_ = [
+                [u.min(to_u) - bend, v.min(to_v) - bend],
+                [u.max(to_u) + bend, v.max(to_v) + bend],
+            ];
+            *is_near = way > SPACING_PX
+                && constraint::borders_near(task, *box_, NEAR_PX)
+                    .next()
+                    .is_some();
+            if *is_near {
+                longest = longest.max(way);
+            }
+        }
+        self.stretches = (libm::ceil(longest / SPACING_PX) as usize).clamp(1, MOST_STRETCHES);
+        let count = self.stretches as f64;
+        let places = self.places.iter_mut().take(self.stretches - 1);
+        places.enumerate().all(|(k, place)| {
+            let share = (k + 1) as f64 / count;
+            initial.passes(task, twist, share, ends, &self.is_near, place)
+        })
+    }
+
+    /// Counted [work](crate::work) of the last trace.
+    pub(crate) fn work(&self) -> u32 {
+        work::PLACE * (self.stretches as u32 - 1)
+    }
+
+    /// The points whose way comes near a border, where there are places.
+    pub(crate) fn near(&self) -> impl Iterator<Item = usize> {
+        let has_places = self.stretches > 1;
+        let points = self.is_near.iter().enumerate();
+        points.filter_map(move |(point, &is_near)| (is_near && has_places).then_some(point))
+    }
+
+    /// The violation of a point on its way, px: the sum over the borders of the greatest.
+    pub(crate) fn violation(&self, task: &Task, point: usize, margin: f64) -> f64 {
+        let near = self.borders(task, point, margin);
+        let depth = |(_, border)| {
+            let deepest = self.deepest(point, border);
+            deepest.map_or(0.0, |(_, clearance)| margin - clearance.distance)
+        };
+        near.map(|border| depth(border).max(0.0)).sum()
+    }
+
+    /// The borders that the way of a point comes within `margin` px of, with their indices.
+    pub(crate) fn borders<'a>(
+        &self,
+        task: &'a Task,
+        point: usize,
+        margin: f64,
+    ) -> impl Iterator<Item = (usize, Border<'a>)> {
+        let box_ = self.boxes.get(point).copied().unwrap_or_default();
+        constraint::borders_near(task, box_, margin)
+    }
+
+    /// The place at which a point comes nearest to a border, as a share of the period, with its
+    /// clearance.
+    pub(crate) fn deepest(&self, point: usize, border: Border<'_>) -> Option<(f64, Clearance)> {
+        let places = self.places.iter().take(self.stretches - 1).enumerate();
+        let at = |(k, place): (usize, &[[f64; 2]; MAX_POINTS])| {
+            let share = (k + 1) as f64 / self.stretches as f64;
+            Some((share, border.clearance(*place.get(point)?)))
+        };
+        let places = places.filter_map(at);
+        places.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
+    }
+}
