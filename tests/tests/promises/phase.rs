@@ -40,7 +40,8 @@ fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
     daemon.arg("--config").arg(config);
     daemon.arg("--scene").arg(scenes.join("paper-sim.toml"));
     daemon
-        .args(["--arm", "--clock", clock, "--domain"])
+        .args(["--arm", "--strategy", "previous", "--clock", clock])
+        .arg("--domain")
         .arg(place.domain());
     let daemon = Running::start(daemon.stderr(Stdio::null()));
     // The camera is an instrument here: its frames are to be on time whatever else the machine
