@@ -222,9 +222,8 @@ fn fail(fault: Fault, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
         std::thread::sleep(Duration::from_nanos(16 * PERIOD_NS));
         commands.extend(witness.commands());
         ensure!(commands.len() > 6, "{commands:?}");
-        eventually("arming", || {
-            (witness.ask(Action::Arm) == Outcome::Done).then_some(())
-        });
+        let outcome = witness.ask(Action::Arm);
+        ensure!(outcome == Outcome::Done, "arming: {outcome:?}");
         witness.set_in_motion();
         end.store(true, Ordering::Relaxed);
         Ok((commands, camera.join().unwrap()))
