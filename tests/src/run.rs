@@ -179,10 +179,13 @@ pub fn flawed(
         }
         for _ in 1..INSTANTS {
             camera.advance(&twist, ts / f64::from(INSTANTS));
-            let seen = camera.features().ok();
-            if seen.is_none_or(|features| referee.judge_between(&features).is_some()) {
+            let reason = match camera.features() {
+                Ok(features) => referee.judge_between(&features).map(|_| Reason::Violation),
+                Err(_) => Some(Reason::LostSight),
+            };
+            if reason.is_some() {
                 // The next frame would tell.
-                (run.success, run.reason, run.steps) = (false, Some(Reason::Violation), k + 1);
+                (run.success, run.reason, run.steps) = (false, reason, k + 1);
                 break 'run;
             }
         }
