@@ -8,9 +8,9 @@ use vpc::{Measurement, Refusal, Status, Step, Strategy};
 use crate::decision::HoldReason;
 
 // A step takes all the points that a message can have: more than the law has room for would panic
-// in the loop.
-const _: () = assert!(ipc::MAX_POINTS <= vpc::MAX_POINTS);
-const _: () = assert!(ipc::PATH_PLACES == PLACES && ipc::MAX_POINTS == vpc::MAX_POINTS);
+// in the loop. And a path has its places and points side by side in both.
+const _: () = assert!(ipc::MAX_POINTS == vpc::MAX_POINTS);
+const _: () = assert!(ipc::PATH_PLACES == PLACES);
 const _: () = assert!(ipc::MAX_NEIGHBOURS as usize == vpc::strategy::MAX_NEIGHBOURS);
 
 /// Code of a strategy, and the neighbours of k-NN or 0.

@@ -73,7 +73,7 @@ pub struct Law {
     #[serde(with = "Model")]
     pub model: vpc::Model,
     /// Most periods that foresight simulates between two frames; never more than 5 for each
-    /// millisecond of the control period. One takes some 10 us.
+    /// millisecond of the control period. One takes 10 to 20 us.
     #[default = 150]
     #[schemars(range(min = 1, max = 1e5))]
     pub foresight_periods: u32,

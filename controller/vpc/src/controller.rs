@@ -41,7 +41,7 @@ pub struct Controller {
 }
 
 /// Periods that foresight may simulate for each second of the sampling time, which leaves most of
-/// it to others: a simulated period takes some 10 us.
+/// it to others: a simulated period takes 10 to 20 us.
 const PERIODS_A_SECOND: f64 = 5e3;
 
 /// What one cycle decided.
@@ -122,6 +122,8 @@ impl Controller {
 
     /// Thinks ahead, in the time that a cycle leaves over after its command was sent.
     pub fn think(&mut self, memory: Option<&dyn MotionMemory>) {
+        // What a cycle without features or another strategy leaves is no work of its own.
+        (self.state.foresight.tried, self.state.foresight.periods) = (0, 0);
         let Some(root) = self.root.take() else { return };
         if self.settings.strategy != Strategy::Foresight {
             return;

@@ -206,6 +206,8 @@ impl Thinker<'_> {
     pub(crate) fn think(&mut self, foresight: &mut Foresight) {
         let points = &self.initial.points;
         let begun = self.budget;
+        let is_far =
+            features::largest_error(points, &self.law.task.goal) >= FAR * self.converged_px;
         foresight.tried = 0;
         let answers = self.ask();
         foresight.recalled = answers
@@ -214,11 +216,11 @@ impl Thinker<'_> {
             .last()
             .map(|(_, answer)| answer.twist);
         self.recalled = foresight.recalled;
-        if features::largest_error(points, &self.law.task.goal) < FAR * self.converged_px {
+        if !is_far {
             foresight.guide = Guide::GOAL;
         }
         let mut best = self.incumbent(foresight);
-        if features::largest_error(points, &self.law.task.goal) >= FAR * self.converged_px {
+        if is_far {
             self.improve(&answers, &mut best, foresight);
         }
         if best.guide != foresight.guide {

@@ -20,6 +20,7 @@
     reason = "indices run over the N variables, the DOF components or the 2 coordinates of arrays of that length"
 )]
 
+use crate::clearance::Clearance;
 use crate::constraint;
 use crate::cost::{self, Expansion};
 use crate::intersample::{Intersample, NEAR_PX};
@@ -255,39 +256,37 @@ impl<const N: usize> Sqp<N> {
     fn collect_rows(&mut self, problem: &Problem<'_>, plan: &[f64; N], bounds: &Quadratic<N>) {
         self.rows.clear();
         let (task, margin) = (problem.task, problem.margin);
+        let Self {
+            rows,
+            sources,
+            preview,
+            inside,
+            ..
+        } = self;
+        let mut add = |step, point, border, clearance: Clearance, gradient| {
+            if let Some(place) = sources.get_mut(rows.len()) {
+                *place = Source::new(step, point, border);
+                rows.push(gradient, clearance.distance - margin);
+            }
+        };
         let command = first_command(plan);
-        for i in self.inside.near() {
-            for (index, border) in self.inside.borders(task, i, margin + NEAR_PX) {
-                let Some((share, clearance)) = self.inside.deepest(i, border) else {
+        for i in inside.near() {
+            for (index, border) in inside.borders(task, i, margin + NEAR_PX) {
+                let Some((share, clearance)) = inside.deepest(i, border) else {
                     continue;
                 };
                 let slope = problem.initial.passing_gradient(task, &command, share, i);
                 let first = clearance.along(&slope);
                 let gradient = core::array::from_fn(|k| first.get(k).copied().unwrap_or(0.0));
-                let source = Source::new(INSIDE, i, index);
-                add_row(
-                    &mut self.rows,
-                    &mut self.sources,
-                    source,
-                    gradient,
-                    clearance.distance - margin,
-                );
+                add(INSIDE, i, index, clearance, gradient);
             }
         }
-        for (j, step) in self.preview.steps().enumerate() {
+        for (j, step) in preview.steps().enumerate() {
             for (i, point) in step.enumerate() {
                 let reach = reach(point.pixel, point.gradient, bounds);
                 for (index, border) in constraint::borders_near(task, reach, margin) {
                     let clearance = border.clearance(point.pixel);
-                    let gradient = clearance.along(point.gradient);
-                    let source = Source::new(j, i, index);
-                    add_row(
-                        &mut self.rows,
-                        &mut self.sources,
-                        source,
-                        gradient,
-                        clearance.distance - margin,
-                    );
+                    add(j, i, index, clearance, clearance.along(point.gradient));
                 }
             }
         }
@@ -490,20 +489,6 @@ fn clamped<const N: usize>(plan: &[f64; N], task: &Task) -> [f64; N] {
 fn first_command<const N: usize>(plan: &[f64; N]) -> Twist {
     const { assert!(N >= DOF) };
     core::array::from_fn(|k| plan[k])
-}
-
-/// Adds a row, unless the store is full.
-fn add_row<const N: usize>(
-    rows: &mut Rows<N>,
-    sources: &mut [Source],
-    source: Source,
-    gradient: [f64; N],
-    clearance: f64,
-) {
-    if let Some(place) = sources.get_mut(rows.len()) {
-        *place = source;
-        rows.push(gradient, clearance);
-    }
 }
 
 /// The box that a linearised point cannot leave by a step inside its bounds: least and greatest
