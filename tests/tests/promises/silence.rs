@@ -206,7 +206,7 @@ fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
 fn fail(fault: Fault, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
     let place = Place::new();
     let mut witness = Witness::new(&place);
-    let _daemon = Running::start(place.vpcd(""));
+    let _daemon = Running::start(place.vpcd("[law]\nstrategy = 'previous'"));
     let (fail, over, end) = Default::default();
     let (commands, last_good_ns) = std::thread::scope(|threads| {
         let _end = EndOnDrop(&end);
