@@ -16,14 +16,12 @@ use vpc::{Controller, MotionMemory};
 use testkit::python::{self, Environment};
 
 use crate::fixture::{
-    Place, Running, are_installed, ended, memory_file, program, root, scene_file, starts_file,
-    tell, turn,
+    Place, Running, are_installed, ended, memory_file, program, repeats, root, scene_file,
+    starts_file, tell, turn,
 };
 
-/// The paper's starts.
-const STARTS: usize = 100;
-/// The promise: 2 % of them.
-const ALLOWED: usize = 2;
+/// The promise: one in so many starts at most.
+const ALLOWED_IN: usize = 50;
 
 /// The result of a run: success, reason, periods.
 type Outcome = (bool, Option<String>, u64);
@@ -61,12 +59,12 @@ fn table(spec: &str, count: usize) -> Vec<Outcome> {
 }
 
 /// The outcomes of the camera in Python against the real daemon.
-fn stand_in(python: &Path, place: &Place) -> Vec<Outcome> {
+fn stand_in(python: &Path, place: &Place, starts: usize) -> Vec<Outcome> {
     let json = place.path("runs.json");
     let mut camera = python::script(python, &root().join("ipc/python/camera.py"));
     camera.arg("--scene").arg(scene_file());
     camera.arg("--starts").arg(starts_file());
-    camera.arg("--all");
+    camera.arg("--first").arg(starts.to_string());
     camera.arg("--domain").arg(place.domain());
     camera.arg("--json").arg(&json);
     python::run(&mut camera).unwrap();
@@ -90,15 +88,17 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
     let Some(python) = Environment::CLIENT.python("the camera in Python") else {
         return;
     };
+    let starts = repeats("starts of the camera in Python", 25, 100);
+    let allowed = starts.div_ceil(ALLOWED_IN);
     // The last knows no occlusions: what it comes to is the referees' verdict, which differ if one
     // of them is wrong.
     for strategy in ["gpr", "previous", "ibvs"] {
         let place = Place::new();
         let daemon = daemon(&place, strategy);
-        let theirs = stand_in(&python, &place);
+        let theirs = stand_in(&python, &place, starts);
         daemon.kill();
-        let ours = table(strategy, STARTS);
-        assert_eq!(theirs.len(), STARTS);
+        let ours = table(strategy, starts);
+        assert_eq!(theirs.len(), starts);
         let good = |outcomes: &[Outcome]| outcomes.iter().filter(|(good, ..)| *good).count();
         let differing: Vec<String> = std::iter::zip(&theirs, &ours)
             .enumerate()
@@ -107,15 +107,15 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
             .collect();
         let (theirs_good, ours_good) = (good(&theirs), good(&ours));
         tell(format!(
-            "{strategy}: camera in Python {theirs_good} of {STARTS}, table {ours_good}; other outcomes: {differing:?}"
+            "{strategy}: camera in Python {theirs_good} of {starts}, table {ours_good}; other outcomes: {differing:?}"
         ));
         assert!(
-            theirs_good.abs_diff(ours_good) <= ALLOWED,
+            theirs_good.abs_diff(ours_good) <= allowed,
             "{strategy}: {differing:?}"
         );
         // Not by luck: run by run, for the same reason and to the period. Last bits may decide a
         // run.
-        assert!(differing.len() <= ALLOWED, "{strategy}: {differing:?}");
+        assert!(differing.len() <= allowed, "{strategy}: {differing:?}");
     }
 }
 

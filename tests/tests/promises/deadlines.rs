@@ -271,10 +271,10 @@ fn no_deadline_is_missed_under_load() {
     if !are_installed("deadlines", &programs) || !may_have_a_processor("deadlines") {
         return;
     }
-    let cycles = repeats("deadlines, cycles at 250 Hz", 2_500, 18_000);
+    let cycles = repeats("deadlines, cycles at 250 Hz", 1_500, 18_000);
     check(250, cycles as u64);
     check(
         30,
-        repeats("deadlines, cycles at 30 Hz", 300, 18_000) as u64,
+        repeats("deadlines, cycles at 30 Hz", 200, 18_000) as u64,
     );
 }

@@ -74,7 +74,7 @@ fn row(text: &str, starts: &[Pose], change: fn(&mut Settings)) -> (Row, Vec<Run>
 #[test]
 fn foresight_arrives_where_the_papers_strategies_stay_behind() {
     let _turn = turn();
-    let starts = starts(&scene(), repeats("foresight, starts", 60, 1000));
+    let starts = starts(&scene(), repeats("foresight, starts", 40, 1000));
     let (foresight, runs) = row("foresight:3", &starts, |_| ());
     let (gpr, _) = row("gpr:3", &starts, |_| ());
     let failed = runs.iter().filter(|run| !run.success).count();
@@ -87,7 +87,7 @@ fn foresight_arrives_where_the_papers_strategies_stay_behind() {
 #[test]
 fn no_run_is_deep_at_any_instant_and_without_the_mechanism_some_are() {
     let _turn = turn();
-    let starts = starts(&scene(), repeats("between the frames, starts", 40, 300));
+    let starts = starts(&scene(), repeats("between the frames, starts", 24, 300));
     for text in ["previous:3", "knn:3", "gpr:3", "foresight:3"] {
         let (row, _) = row(text, &starts, |_| ());
         assert!(row.deepest_px <= DEEPEST_PX, "{text}: {}", row.deepest_px);
@@ -108,7 +108,7 @@ fn in_the_exact_model_a_run_costs_no_more_than_was_foreseen() {
     let spec: Spec = "foresight:3".parse().unwrap();
     let mut law = Box::new(Controller::new(&scene, spec.settings()).unwrap());
     let (ts, np) = (scene.sampling_time(), spec.np as f64);
-    let starts = starts(&scene, repeats("promises of foresight, starts", 40, 300));
+    let starts = starts(&scene, repeats("promises of foresight, starts", 24, 300));
     let (mut steepest, mut promises) = (0.0_f64, 0);
     for (index, start) in starts.iter().enumerate() {
         law.reset();

@@ -258,7 +258,7 @@ fn misses(is_attacked: bool, seconds: u64) -> (u64, u64) {
 #[test]
 fn floods_hoarders_and_churn_cost_no_release() {
     let _turn = turn();
-    let seconds = repeats("seconds of flood", 6, 60) as u64;
+    let seconds = repeats("seconds of flood", 3, 60) as u64;
     fairly("floods", || {
         let (cycles, baseline) = misses(false, seconds);
         let (cycles_attacked, attacked) = misses(true, seconds);

@@ -24,7 +24,7 @@ fn sigterm_brakes_and_ends_with_zero_in_time() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut worst = Duration::ZERO;
-    for round in 0..repeats("SIGTERM in motion", 10, 100) {
+    for round in 0..repeats("SIGTERM in motion", 6, 100) {
         let took = fairly(&format!("SIGTERM {round}"), || sigterm(round, &mut random));
         worst = worst.max(took);
     }
