@@ -246,6 +246,9 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
         trigger_px: law.trigger_px,
         hysteresis: law.hysteresis,
         margin_px: law.margin_px,
+        change_share: law.change_share,
+        filter_gain: law.filter_gain,
+        filter_px: law.filter_px,
         lambda: law.lambda,
         delay_compensation: law.delay_compensation,
     };

@@ -9,7 +9,8 @@ use crate::spec::Spec;
 /// Settings of the law, and errors of the camera.
 #[derive(Args, Clone, Debug)]
 pub struct Common {
-    /// Strategies with their preview windows: previous, knn, knn2 to knn64, gpr, ibvs.
+    /// Strategies with their preview windows: previous, knn, knn2 to knn64, gpr,
+    /// foresight, ibvs.
     #[arg(
         long,
         value_delimiter = ',',
@@ -42,6 +43,15 @@ pub struct Common {
     /// Constraints hold at the sampling instants only, as in the paper.
     #[arg(long)]
     pub at_samples_only: bool,
+    /// Weight of the change of the command, as a share of R; 0 in the paper.
+    #[arg(long, value_name = "X", default_value_t = Settings::default().change_share)]
+    pub change_share: f64,
+    /// Gain of the filter of the features; 1: none, as in the paper.
+    #[arg(long, value_name = "X", default_value_t = Settings::default().filter_gain)]
+    pub filter_gain: f64,
+    /// Greatest distance of a filtered feature from the measured one, px.
+    #[arg(long, value_name = "PX", default_value_t = Settings::default().filter_px)]
+    pub filter_px: f64,
     /// Most periods that foresight simulates in a cycle.
     #[arg(long, value_name = "N", default_value_t = Settings::default().foresight_periods)]
     pub foresight_periods: u32,
@@ -65,6 +75,9 @@ impl Common {
             delay_compensation: !self.no_compensation,
             model: self.model,
             foresight_periods: self.foresight_periods,
+            change_share: self.change_share,
+            filter_gain: self.filter_gain,
+            filter_px: self.filter_px,
             solver: vpc::SolverOptions {
                 intersample: !self.at_samples_only,
                 ..settings.solver

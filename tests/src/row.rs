@@ -31,6 +31,9 @@ pub struct Row {
     pub violations: usize,
     /// Runs that did not arrive in time.
     pub not_converged: usize,
+    /// Mean change of the command from one period to the next after arrival, as a share of the
+    /// limit; 0 if no run arrived.
+    pub change: f64,
     /// Mean iterations of the solver a cycle.
     pub iterations: f64,
     /// Share of cycles in which the solver did not converge, 0 to 1.
@@ -110,6 +113,7 @@ impl Row {
             mean_cost: runs.iter().map(|run| run.cost).sum::<f64>() / count,
             violations: because(&[Reason::Violation, Reason::LostSight]),
             not_converged: because(&[Reason::NotConverged]),
+            change: mean(runs.iter().filter_map(|run| run.change)),
             iterations: per_cycle(runs.iter().map(|run| run.iterations).sum()),
             solver_not_converged: per_cycle(runs.iter().map(|run| run.not_converged).sum()),
             steps: steps as f64 / successes.max(1) as f64,
@@ -119,6 +123,12 @@ impl Row {
             deepest_px: -least.fold(0.0, f64::min),
         }
     }
+}
+
+/// The mean; 0 of none.
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0_f64), |(sum, count), x| (sum + x, count + 1.0));
+    sum / count.max(1.0)
 }
 
 /// The 95 % interval of a rate (Wilson).
@@ -136,13 +146,13 @@ fn wilson(successes: usize, count: usize) -> [f64; 2] {
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
         "| strategy | Np | success (%) | 95 % interval | mean cost l/Np | cycles to arrival | violations | not converged | \
-         deepest (px) | mean cycle (us) | p50 (us) | p99 (us) | slack p50 (us) | slack p99 (us) | simulated period (us) |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
+         deepest (px) | change at the goal (%) | mean cycle (us) | p50 (us) | p99 (us) | slack p50 (us) | slack p99 (us) | simulated period (us) |\n\
+         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );
     for row in rows {
         let (t, slack) = (&row.cycle_us, &row.slack_us);
         text += &format!(
-            "| {} | {} | {:.1} | {:.1} to {:.1} | {:.2} | {:.0} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {:.0} | {:.1} |\n",
+            "| {} | {} | {:.1} | {:.1} to {:.1} | {:.2} | {:.0} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {:.0} | {:.1} |\n",
             row.strategy,
             row.np,
             100.0 * row.success_rate,
@@ -153,6 +163,7 @@ pub fn markdown(rows: &[Row]) -> String {
             row.violations,
             row.not_converged,
             row.deepest_px,
+            100.0 * row.change,
             t.mean,
             t.p50,
             t.p99,

@@ -20,6 +20,9 @@ pub struct Run {
     pub steps: usize,
     /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
     pub cost: f64,
+    /// Mean over the periods after arrival of the change of the command from one to the next, as a
+    /// share of the limit (largest component); `None` if there were none.
+    pub change: Option<f64>,
     /// Least clearance of a point from a border in a frame, px; negative inside.
     pub least_clearance_px: f64,
     /// The same at the instants between frames.
@@ -112,6 +115,7 @@ pub fn flawed(
         reason: Some(Reason::NotConverged),
         steps: periods,
         cost: 0.0,
+        change: None,
         least_clearance_px: f64::INFINITY,
         least_between_px: f64::INFINITY,
         cycles_us: Vec::new(),
@@ -122,6 +126,8 @@ pub fn flawed(
         history: Vec::new(),
     };
     let (mut cost, mut cycles) = (0.0, 0.0_f64);
+    let limits = controller.task().limits;
+    let mut changes = Vec::new();
     'run: for k in 0..periods {
         let seen = camera.features().map_err(|_| Reason::LostSight);
         let seen = seen.and_then(|features| match referee.judge(&features) {
@@ -155,6 +161,11 @@ pub fn flawed(
         };
         controller.sent(&twist, now_ns);
         controller.think(memory);
+        if run.success {
+            let shares = twist.iter().zip(&standing).zip(&limits);
+            let shares = shares.map(|((now, before), limit)| (now - before).abs() / limit);
+            changes.push(shares.fold(0.0, f64::max));
+        }
         (standing, silence) = (twist, if step.is_some() { 0 } else { silence + 1 });
         cycles += 1.0;
         let step = step.and_then(Result::ok);
@@ -194,6 +205,7 @@ pub fn flawed(
     run.least_clearance_px = referee.least_clearance();
     run.least_between_px = referee.least_between();
     run.cost = cost / cycles.max(1.0);
+    run.change = (!changes.is_empty()).then(|| changes.iter().sum::<f64>() / changes.len() as f64);
     run
 }
 

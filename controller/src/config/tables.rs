@@ -88,6 +88,20 @@ pub struct Law {
     /// Clearance kept from every border.
     #[schemars(range(min = 0, max = 1e3), extend("x-unit" = "px"))]
     pub margin_px: f64,
+    /// Weight of the change of the command from one period to the next, as a share of R; 0 in the
+    /// paper.
+    #[default = 0.03]
+    #[schemars(range(min = 0, max = 10))]
+    pub change_share: f64,
+    /// Share of the difference to the measured features by which the predicted ones are corrected.
+    /// 1: no filter, as in the paper.
+    #[default = 0.2]
+    #[schemars(range(min = 0.01, max = 1))]
+    pub filter_gain: f64,
+    /// Greatest distance of a filtered feature from the measured one: some three times the noise.
+    #[default = 1.0]
+    #[schemars(range(min = 0, max = 100), extend("x-unit" = "px"))]
+    pub filter_px: f64,
     /// Gain of ibvs.
     #[default = 0.5]
     #[schemars(range(min = 1e-6, max = 100), extend("x-unit" = "per s"))]

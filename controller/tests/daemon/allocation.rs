@@ -23,7 +23,7 @@ const CYCLES: u64 = 10_000;
 const WARM_UP: u64 = 100;
 
 /// Periods that foresight simulates in a cycle: fewer than usual, so that most of the time is not its.
-const PERIODS: u32 = 30;
+const PERIODS: u32 = 15;
 
 #[global_allocator]
 static ALLOCATOR: heap_meter::Meter = heap_meter::Meter;

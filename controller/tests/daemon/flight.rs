@@ -26,7 +26,7 @@ use crate::fixture::{Place, scene_file, square, write_memory};
 const CYCLES: u64 = 18_000;
 /// Periods that foresight simulates in a cycle: fewer than usual, as nothing here depends on what it
 /// finds.
-const PERIODS: u32 = 30;
+const PERIODS: u32 = 10;
 const PERIOD_NS: u64 = 33_333_333;
 const BEGIN_NS: u64 = 1_000_000_000;
 /// In this cycle much is asked for.

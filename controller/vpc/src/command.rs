@@ -9,6 +9,19 @@ use crate::solver::Solver;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist};
 
+/// Where a command is decided from.
+#[derive(Clone, Copy)]
+pub(crate) struct From<'a> {
+    /// The features, and what the model knows of their depth.
+    pub initial: &'a InitialState,
+    /// The command in force.
+    pub standing: &'a Twist,
+    /// The plan that the solver starts from.
+    pub warm: &'a Plan,
+    /// The twist that it starts from where that plan leads into a violation.
+    pub recalled: Option<&'a Twist>,
+}
+
 /// Predictive control towards a given target.
 #[derive(Clone, Copy)]
 pub(crate) struct Law<'a> {
@@ -17,27 +30,28 @@ pub(crate) struct Law<'a> {
 }
 
 impl Law<'_> {
-    /// Solves the optimal-control problem from a warm start, and limits its first command. `aim` is
-    /// the goal or a way point; `target` the same, corrected by the mismatch. Where the warm start
-    /// leads into a violation, it begins again from `recalled`, and then from standing still: that
-    /// is feasible unless a constraint is already violated.
+    /// Solves the optimal-control problem, and limits its first command. `aim` is the goal or a way
+    /// point; `target` the same, corrected by the mismatch. Where the warm start leads into a
+    /// violation, it begins again from what was recalled, and then from standing still: that is
+    /// feasible unless a constraint is already violated.
     pub fn command(
         &self,
         solver: &mut Solver,
-        initial: &InitialState,
+        from: &From<'_>,
         aim: &Points,
         target: &Points,
-        warm: &Plan,
-        recalled: Option<&Twist>,
     ) -> (Twist, Solution) {
+        let From { initial, warm, .. } = *from;
         let problem = Problem {
             task: self.task,
             initial,
             target,
             r_share: cost::r_share(self.task, &initial.points, aim),
+            change_share: self.settings.change_share,
+            standing: *from.standing,
             margin: self.settings.margin_px,
         };
-        let solution = match recalled {
+        let solution = match from.recalled {
             Some(twist) => {
                 solver.solve_from(&problem, &[*warm, repeated(twist), [0.0; MAX_VARIABLES]])
             }
@@ -55,6 +69,8 @@ impl Law<'_> {
             initial,
             target: goal,
             r_share: cost::r_share(self.task, &initial.points, goal),
+            change_share: 0.0,
+            standing: [0.0; DOF],
             margin: 0.0,
         };
         solver.evaluate(&problem, &repeated(twist)).unwrap_or(0.0)

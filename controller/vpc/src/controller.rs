@@ -2,7 +2,7 @@
 
 use scene::Scene;
 
-use crate::command::{Law, repeated};
+use crate::command::{From, Law, repeated};
 use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
 use crate::foresight::{Foresight, Thinker};
@@ -30,8 +30,6 @@ pub struct Controller {
     state: State,
     /// Where the preview of this cycle began, until the law has thought ahead.
     root: Option<InitialState>,
-    /// The command that was sent last.
-    standing: Twist,
     /// l(v) / Np of the last step.
     spent: f64,
     /// Most periods simulated in a cycle.
@@ -90,7 +88,6 @@ impl Controller {
             state: State::new(settings.strategy),
             settings,
             root: None,
-            standing: [0.0; DOF],
             spent: 0.0,
             budget: settings
                 .foresight_periods
@@ -117,7 +114,7 @@ impl Controller {
     /// the law did not choose.
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
-        self.standing = *twist;
+        self.state.standing = *twist;
     }
 
     /// Thinks ahead, in the time that a cycle leaves over after its command was sent.
@@ -129,7 +126,7 @@ impl Controller {
             return;
         }
         let (model, ts) = (self.settings.model, self.task.ts);
-        let Some(next) = root.moved(&self.task, model, &self.standing, ts) else {
+        let Some(next) = root.moved(&self.task, model, &self.state.standing, ts) else {
             return;
         };
         let mut thinker = Thinker {
@@ -140,6 +137,7 @@ impl Controller {
             solver: &mut self.solver,
             memory,
             initial: &next,
+            standing: &self.state.standing,
             previous: &self.state.previous,
             spent: self.spent,
             recalled: None,
@@ -201,18 +199,28 @@ impl Controller {
     /// Forgets everything of earlier cycles, for a new run. The commands of a live robot stay
     /// known: it executed them.
     pub fn reset(&mut self) {
-        let mut history = self.state.history;
+        let State {
+            mut history,
+            standing,
+            ..
+        } = self.state;
         history.restart();
+        let new = State::new(self.settings.strategy);
+        let standing = match history.is_live() {
+            true => standing,
+            false => new.standing,
+        };
         self.state = State {
             history,
-            ..State::new(self.settings.strategy)
+            standing,
+            ..new
         };
     }
 
     /// Records that points were out of sight since the last step: they may have other names when
     /// they come back.
     pub fn lose_sight(&mut self) {
-        self.state.seen = PlainPoints::NONE;
+        (self.state.seen, self.state.filtered) = (PlainPoints::NONE, PlainPoints::NONE);
         self.state.seen_ns = 0;
         self.state.still_px = 0.0;
     }
@@ -293,21 +301,29 @@ impl Controller {
         Ok(step)
     }
 
-    /// Where the preview starts: the features that pass all checks, advanced to the command's
-    /// effect; and the mismatch eps.
+    /// Where the preview starts: the features that pass all checks, filtered, and advanced to the
+    /// command's effect; and without a filter the mismatch eps.
     fn receive(
         &mut self,
         measurement: &Measurement,
     ) -> Result<(InitialState, Option<Points>), Refusal> {
         let points = gate::pass(&self.task, measurement, self.off_image_px)?;
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
-        let measured = InitialState::new(&self.task, self.settings.model, points);
         let expected = self.expected_at_exposure(exposed_ns, age_ns);
         if let (true, Some(expected)) = (self.state.history.is_live(), &expected) {
             self.check_motion(points, expected, exposed_ns)?;
         }
-        let mismatch = expected.filter(|_| self.state.is_linked);
-        let mismatch = mismatch.map(|expected| difference(points, &expected));
+        let (filtered, mismatch) = match expected {
+            Some(expected) if self.settings.filter_gain < 1.0 => {
+                (self.filtered(points, &expected), None)
+            }
+            expected => {
+                let mismatch = expected.filter(|_| self.state.is_linked);
+                let mismatch = mismatch.map(|expected| difference(points, &expected));
+                (points.clone(), mismatch)
+            }
+        };
+        let measured = InitialState::new(&self.task, self.settings.model, &filtered);
         let initial = if age_ns == 0 || !self.settings.delay_compensation {
             measured
         } else {
@@ -318,9 +334,27 @@ impl Controller {
             })?
         };
         self.state.seen = points.as_slice().into();
+        self.state.filtered = filtered.as_slice().into();
         self.state.seen_ns = exposed_ns;
         self.state.is_linked = true;
         Ok((initial, mismatch))
+    }
+
+    /// The features to steer by: the expected ones, corrected by a share of what the measured ones
+    /// differ. None is further from the measured one than the settings say, so that a push, or an
+    /// arm that lags behind, is believed at once.
+    fn filtered(&self, points: &Points, expected: &Points) -> Points {
+        let Settings {
+            filter_gain,
+            filter_px,
+            ..
+        } = self.settings;
+        let most_px = features::largest_distance(expected, points);
+        let kept = (1.0 - filter_gain).min(filter_px / most_px.max(f64::MIN_POSITIVE));
+        let pairs = points.iter().zip(expected);
+        pairs
+            .map(|(s, e)| [s[0] + kept * (e[0] - s[0]), s[1] + kept * (e[1] - s[1])])
+            .collect()
     }
 
     /// Refuses features that moved as no camera under these commands moves them.
@@ -330,7 +364,8 @@ impl Controller {
         expected: &Points,
         exposed_ns: u64,
     ) -> Result<(), Refusal> {
-        let Some(seen) = self.state.seen.get() else {
+        let (Some(seen), Some(filtered)) = (self.state.seen.get(), self.state.filtered.get())
+        else {
             return Ok(());
         };
         gate::check_names(points, expected)?;
@@ -338,21 +373,22 @@ impl Controller {
         if since_s < gate::LEAP_PERIODS * self.task.ts {
             gate::check_leaps(&self.task, points, expected)?;
         }
-        frozen::check(&mut self.state.still_px, points, &seen, expected)
+        let moved_px = features::largest_distance(expected, &filtered);
+        frozen::check(&mut self.state.still_px, points, &seen, moved_px)
             .inspect_err(|_| self.lose_sight())
     }
 
-    /// Where these features were expected: predicted for this exposure from the previous one, with
-    /// the commands that were in force in between.
+    /// Where these features were expected: predicted for this exposure from those of the previous
+    /// one, filtered, with the commands that were in force in between.
     fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<Points> {
         if age_ns == 0 && !self.state.history.is_live() {
             return self.state.predicted.get();
         }
-        let (seen, seen_ns) = (self.state.seen.get()?, self.state.seen_ns);
+        let (filtered, seen_ns) = (self.state.filtered.get()?, self.state.seen_ns);
         if seen_ns >= exposed_ns {
             return None;
         }
-        let before = InitialState::new(&self.task, self.settings.model, &seen);
+        let before = InitialState::new(&self.task, self.settings.model, &filtered);
         let expected = self.advance(&before, seen_ns, exposed_ns).ok()?;
         Some(expected.explained(&self.task))
     }
@@ -412,14 +448,13 @@ impl Controller {
             task: &self.task,
             settings: &self.settings,
         };
-        let (twist, solution) = law.command(
-            &mut self.solver,
+        let from = From {
             initial,
-            aim,
-            &target,
+            standing: &self.state.standing,
             warm,
-            recalled.as_ref(),
-        );
+            recalled: recalled.as_ref(),
+        };
+        let (twist, solution) = law.command(&mut self.solver, &from, aim, &target);
         step.twist = twist;
         step.status = solution.status;
         step.iterations = solution.iterations;

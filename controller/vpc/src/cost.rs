@@ -2,22 +2,27 @@
 //!
 //! l(V) = k_Q sum_{j=1..Np} |s_d - s_j|^2 + r sum_{j=1..Np-1} v_j^T R v_j
 //!
+//! c(V) = q sum_{b=1..Nc} (v_b - v_{b-1})^T R (v_b - v_{b-1})
+//!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
 //! | s_d | `target` | what is tracked: goal or way point, less the mismatch, px |
 //! | k_Q, R | `task.cost` | weight of the image error, 1/px^2, and of the velocity |
 //! | r | [`r_share`] | share of R that applies |
+//! | v_0 | `standing` | the command in force |
+//! | q | `change_share` | share of R that weighs changes of the command |
 //!
-//! Source: paper, Eq. (cost).
+//! Source: paper, Eq. (cost), for l(V). c(V) is not the paper's: r vanishes at the goal, and
+//! without c(V) the commands follow the noise there.
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: indices run over the N variables, and an offset leaves DOF of them"
 )]
 
-use crate::Points;
-use crate::features;
 use crate::prediction::Preview;
+use crate::problem::Problem;
 use crate::task::Task;
+use crate::{DOF, features};
 
 /// R has its full value at this mean distance from what is tracked, as a share of the image width,
 /// and decreases with the square of the distance below it: then neither term takes over on the way
@@ -42,17 +47,11 @@ pub fn r_share(task: &Task, points: &[[f64; 2]], target: &[[f64; 2]]) -> f64 {
     (relative * relative).min(1.0)
 }
 
-/// The cost of a preview: sum over the steps of k_q |target - s_j|^2, and over all but the last of
-/// v_j^T R v_j.
-pub fn value<const N: usize>(
-    task: &Task,
-    preview: &Preview<N>,
-    plan: &[f64; N],
-    target: &Points,
-    r_share: f64,
-) -> f64 {
+/// l(V) of a previewed plan.
+pub fn value<const N: usize>(problem: &Problem<'_>, preview: &Preview<N>, plan: &[f64; N]) -> f64 {
+    let Problem { task, target, .. } = problem;
     let error: f64 = (0..preview.np())
-        .flat_map(|j| preview.step(j).iter().zip(target))
+        .flat_map(|j| preview.step(j).iter().zip(*target))
         .map(|(s, t)| (s[0] - t[0]) * (s[0] - t[0]) + (s[1] - t[1]) * (s[1] - t[1]))
         .sum();
     let effort: f64 = (0..preview.np() - 1)
@@ -62,18 +61,35 @@ pub fn value<const N: usize>(
             weighted.sum::<f64>()
         })
         .sum();
-    task.cost.k_q * error + r_share * effort
+    task.cost.k_q * error + problem.r_share * effort
+}
+
+/// c(V) of a plan.
+pub fn change<const N: usize>(problem: &Problem<'_>, plan: &[f64; N]) -> f64 {
+    let squares = (0..N).map(|k| {
+        let step = plan[k] - before(problem, plan, k);
+        problem.task.cost.r[k % DOF] * step * step
+    });
+    problem.change_share * squares.sum::<f64>()
+}
+
+/// The variable from which the `k`-th is a change.
+fn before<const N: usize>(problem: &Problem<'_>, plan: &[f64; N], k: usize) -> f64 {
+    match k.checked_sub(DOF) {
+        Some(before) => plan[before],
+        None => problem.standing[k],
+    }
 }
 
 impl<const N: usize> Expansion<N> {
-    /// The expansion of the cost about a previewed plan.
-    pub fn about(
-        task: &Task,
-        preview: &Preview<N>,
-        plan: &[f64; N],
-        target: &Points,
-        r_share: f64,
-    ) -> Self {
+    /// The expansion of l(V) + c(V) about a previewed plan.
+    pub fn about(problem: &Problem<'_>, preview: &Preview<N>, plan: &[f64; N]) -> Self {
+        let Problem {
+            task,
+            target,
+            r_share,
+            ..
+        } = *problem;
         let two_q = 2.0 * task.cost.k_q;
         let (mut gradient, mut hessian) = ([0.0; N], [[0.0; N]; N]);
         for step in preview.steps() {
@@ -98,6 +114,17 @@ impl<const N: usize> Expansion<N> {
                 hessian[offset + k][offset + k] += 2.0 * r_share * r;
             }
         }
+        for k in 0..N {
+            let weight = 2.0 * problem.change_share * task.cost.r[k % DOF];
+            let pull = weight * (plan[k] - before(problem, plan, k));
+            gradient[k] += pull;
+            hessian[k][k] += weight;
+            if let Some(before) = k.checked_sub(DOF) {
+                gradient[before] -= pull;
+                hessian[before][before] += weight;
+                hessian[k][before] -= weight;
+            }
+        }
         for a in 0..N {
             for b in 0..a {
                 hessian[b][a] = hessian[a][b];
@@ -110,7 +137,7 @@ impl<const N: usize> Expansion<N> {
             hessian[a][a] += 1e-9 * trace / N as f64 + f64::MIN_POSITIVE;
         }
         Self {
-            value: value(task, preview, plan, target, r_share),
+            value: value(problem, preview, plan) + change(problem, plan),
             gradient,
             hessian,
         }
@@ -120,6 +147,7 @@ impl<const N: usize> Expansion<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Points;
     use crate::prediction::{InitialState, Model};
 
     #[test]
@@ -133,9 +161,18 @@ mod tests {
         let initial = InitialState::new(&task, Model::Pose, &points);
         let mut preview = Box::new(Preview::<12>::new(7));
         let plan: [f64; 12] = core::array::from_fn(|k| 0.2 * libm::cos(k as f64));
+        let problem = Problem {
+            task: &task,
+            initial: &initial,
+            target: &task.goal,
+            r_share: 0.7,
+            change_share: 0.2,
+            standing: [0.1, -0.2, 0.3, 0.1, 0.0, -0.4],
+            margin: 0.0,
+        };
         let mut at = |plan: &[f64; 12]| {
             assert!(preview.linearize(&task, &initial, plan));
-            Expansion::about(&task, &preview, plan, &task.goal, 0.7)
+            Expansion::about(&problem, &preview, plan)
         };
         let exact = at(&plan);
         for k in 0..12 {

@@ -123,6 +123,14 @@ pub fn largest_error(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
         .fold(0.0, f64::max)
 }
 
+/// Largest distance of a point from its partner, px.
+pub fn largest_distance(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
+    let pairs = a.iter().zip(b);
+    pairs
+        .map(|(p, q)| libm::hypot(p[0] - q[0], p[1] - q[1]))
+        .fold(0.0, f64::max)
+}
+
 fn square(x: f64) -> f64 {
     x * x
 }

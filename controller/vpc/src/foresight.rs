@@ -19,7 +19,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::command::Law;
+use crate::command::{From, Law};
 use crate::features::{self, MAX_INPUTS};
 use crate::guide::{Guide, Kind};
 use crate::prediction::{InitialState, Plan};
@@ -186,8 +186,10 @@ pub(crate) struct Thinker<'a> {
     pub law: Law<'a>,
     pub solver: &'a mut Solver,
     pub memory: Option<&'a dyn MotionMemory>,
-    /// Where futures begin: the features in the next period, and the plan that warms its solver.
+    /// Where futures begin: the features in the next period, the command in force until then, and
+    /// the plan that warms its solver.
     pub initial: &'a InitialState,
+    pub standing: &'a Twist,
     pub previous: &'a Plan,
     /// l(v) / Np of the period that leads there.
     pub spent: f64,
@@ -380,6 +382,7 @@ impl Thinker<'_> {
         };
         let mut guide = guide;
         let (mut initial, mut previous) = (self.initial.clone(), *self.previous);
+        let mut standing = *self.standing;
         let (mut cost, mut nearest, mut idle) = (0.0, f64::INFINITY, 0);
         for period in 0..self.horizon {
             future.path.note(period, &initial.points);
@@ -405,8 +408,13 @@ impl Thinker<'_> {
             let tracked = guide.advance(&initial.points, self.converged_px);
             let aim = tracked.as_ref().unwrap_or(&task.goal);
             let recalled = self.recalled.as_ref().filter(|_| period == 0);
-            let (twist, solution) =
-                (self.law).command(self.solver, &initial, aim, aim, &previous, recalled);
+            let from = From {
+                initial: &initial,
+                standing: &standing,
+                warm: &previous,
+                recalled,
+            };
+            let (twist, solution) = self.law.command(self.solver, &from, aim, aim);
             cost += match guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost / np,
@@ -415,7 +423,7 @@ impl Thinker<'_> {
             if cost > most {
                 return future;
             }
-            previous = solution.plan;
+            (previous, standing) = (solution.plan, twist);
             match initial.moved(task, settings.model, &twist, task.ts) {
                 Some(next) => initial = next,
                 None => return future,

@@ -28,6 +28,10 @@ pub struct Problem<'a> {
     pub target: &'a Points,
     /// Share of R that applies, 0 to 1.
     pub r_share: f64,
+    /// Share of R that weighs the change of the command.
+    pub change_share: f64,
+    /// The command in force, from which the first one of the plan is a change.
+    pub standing: Twist,
     /// Extra clearance kept from every border, px.
     pub margin: f64,
 }
@@ -72,9 +76,9 @@ pub struct Solution {
     pub qp_iterations: u32,
     /// Counted [work](crate::work).
     pub work: u32,
-    /// Cost of the plan.
+    /// l(V) of the plan, without the weight on changes.
     pub cost: f64,
-    /// Cost plus weighted violation.
+    /// All costs plus weighted violation.
     pub merit: f64,
     /// Greatest predicted violation over the window, px.
     pub violation_px: f64,

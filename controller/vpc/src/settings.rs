@@ -26,6 +26,14 @@ pub struct Settings {
     pub hysteresis: f64,
     /// Extra clearance kept from every border, px.
     pub margin_px: f64,
+    /// Weight of the change of the command from one period to the next, as a share of R.
+    pub change_share: f64,
+    /// Gain of the filter: share of the difference to the measured features by which the predicted
+    /// ones are corrected; 1: no filter, and the target is corrected by the mismatch instead, as in
+    /// the paper.
+    pub filter_gain: f64,
+    /// Greatest distance of a filtered feature from the measured one, px.
+    pub filter_px: f64,
     /// Gain of the classic law, 1/s.
     pub lambda: f64,
     /// Most periods that foresight simulates in a cycle; never more than 5 for each millisecond of
@@ -52,6 +60,9 @@ impl Default for Settings {
             trigger_px: 20.0,
             hysteresis: 2.0,
             margin_px: 0.0,
+            change_share: 0.03,
+            filter_gain: 0.2,
+            filter_px: 1.0,
             lambda: 0.5,
             foresight_periods: 150,
             delay_compensation: true,
@@ -96,6 +107,9 @@ impl Settings {
             ("trigger_px", self.trigger_px, 0.0, 1e4, "0 to 1e4 px"),
             ("hysteresis", self.hysteresis, 1.0, 100.0, "1 to 100"),
             ("margin_px", self.margin_px, 0.0, 1e3, "0 to 1e3 px"),
+            ("change_share", self.change_share, 0.0, 10.0, "0 to 10"),
+            ("filter_gain", self.filter_gain, 0.01, 1.0, "0.01 to 1"),
+            ("filter_px", self.filter_px, 0.0, 100.0, "0 to 100 px"),
             ("lambda", self.lambda, 1e-6, 100.0, "1e-6 to 100 per s"),
             (
                 "foresight_periods",

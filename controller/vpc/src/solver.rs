@@ -7,14 +7,13 @@ use crate::prediction::Plan;
 use crate::problem::{Problem, Solution, SolverOptions};
 use crate::sqp::Sqp;
 
-/// Shares of the budget of work, in quarters: the whole, and what the first of several starts may
-/// use up.
-const WHOLE: u32 = 4;
-const FIRST: u32 = 3;
-
 /// The solver with its workspace: up to half a megabyte, made once and kept in place.
 #[derive(Clone)]
-pub struct Solver(Window);
+pub struct Solver {
+    window: Window,
+    /// Most work of a solution from all starts.
+    budget: u32,
+}
 
 /// The workspace for each number of free commands.
 #[derive(Clone)]
@@ -29,7 +28,7 @@ enum Window {
 /// Calls a method of the workspace, whatever its number of variables.
 macro_rules! window {
     ($solver:expr, $method:ident($($argument:expr),*)) => {
-        match &mut $solver.0 {
+        match &mut $solver.window {
             Window::One(sqp) => sqp.$method($($argument),*),
             Window::Two(sqp) => sqp.$method($($argument),*),
             Window::Three(sqp) => sqp.$method($($argument),*),
@@ -42,18 +41,20 @@ impl Solver {
     /// A solver for a window of `np` steps (1 to [`crate::MAX_NP`]) and `nc` free commands (1 to
     /// [`crate::MAX_NC`]), without a bound on its work.
     pub fn new(np: usize, nc: usize, options: SolverOptions) -> Self {
-        Self(match nc {
+        let window = match nc {
             0 | 1 => Window::One(Sqp::new(np, options)),
             2 => Window::Two(Sqp::new(np, options)),
             3 => Window::Three(Sqp::new(np, options)),
             _ => Window::Four(Sqp::new(np, options)),
-        })
+        };
+        let budget = u32::MAX;
+        Self { window, budget }
     }
 
     /// The same solver with a bound on the counted [work](crate::work) of each solution.
     #[must_use]
     pub fn with_budget(mut self, budget: u32) -> Self {
-        window!(self, limit_work(budget));
+        self.budget = budget;
         self
     }
 
@@ -71,18 +72,19 @@ impl Solver {
 
     /// Solves the problem from the warm start `warm`.
     pub fn solve(&mut self, problem: &Problem<'_>, warm: &Plan) -> Solution {
-        window!(self, solve(problem, warm, WHOLE))
+        window!(self, solve(problem, warm, self.budget))
     }
 
     /// Solves the problem from each start in turn until a solution violates nothing; otherwise
-    /// returns the one that violates least. All starts share one budget of work, of which the first
-    /// leaves at least a quarter.
+    /// returns the one that violates least. All starts share one budget of work: each leaves at
+    /// least a quarter of what the ones before it left, the last nothing.
     pub fn solve_from(&mut self, problem: &Problem<'_>, starts: &[Plan]) -> Solution {
         let mut best: Option<Solution> = None;
         let (mut iterations, mut qp_iterations, mut work) = (0, 0, 0);
-        for start in starts {
-            let share = if work == 0 { FIRST } else { WHOLE - FIRST };
-            let found = window!(self, solve(problem, start, share));
+        for (others, start) in (0..starts.len()).rev().zip(starts) {
+            let left = self.budget.saturating_sub(work);
+            let most = if others == 0 { left } else { left / 4 * 3 };
+            let found = window!(self, solve(problem, start, most));
             iterations += found.iterations;
             qp_iterations += found.qp_iterations;
             work += found.work;

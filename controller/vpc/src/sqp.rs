@@ -9,9 +9,9 @@
 //! |---|---|---|
 //! | V | `plan` | the variables: Nc commands, m/s and rad/s |
 //! | d | `step` | a change of V |
-//! | l(V) | [`Outcome::cost`] | the cost |
+//! | l(V), c(V) | [`Outcome::cost`], [`Outcome::change`] | the cost; that of changing the command |
 //! | c_i(V), margin | `Source` | clearance of a point from a border; its lower bound, px |
-//! | m(V) = l(V) + rho sum_i max(0, margin - c_i) | [`Outcome::merit`] | the merit |
+//! | m(V) = l(V) + c(V) + rho sum_i max(0, margin - c_i) | [`Outcome::merit`] | the merit |
 //! | rho | [`Progress::rho`] | the penalty weight, 1/px |
 //!
 //! Source: J. Nocedal and S. Wright, "Numerical Optimization", Ch. 18 (S l1 QP).
@@ -50,6 +50,8 @@ const QP_CHANGES_PER_VARIABLE: u32 = 6;
 #[derive(Clone, Copy, Debug)]
 struct Outcome {
     cost: f64,
+    /// The weight on changes of the command.
+    change: f64,
     /// Sum of all violations, px.
     total: f64,
     /// Greatest violation, px.
@@ -58,7 +60,7 @@ struct Outcome {
 
 impl Outcome {
     fn merit(&self, rho: f64) -> f64 {
-        self.cost + rho * self.total
+        self.cost + self.change + rho * self.total
     }
 }
 
@@ -116,8 +118,6 @@ pub(crate) struct Sqp<const N: usize> {
     sources: [Source; MAX_ROWS],
     program: ActiveSet<N>,
     options: SolverOptions,
-    /// Most work of a solution from all starts.
-    budget: u32,
     progress: Progress,
 }
 
@@ -135,20 +135,15 @@ impl<const N: usize> Sqp<N> {
             sources: [nowhere; MAX_ROWS],
             program: ActiveSet::new(),
             options,
-            budget: u32::MAX,
             progress: Progress::default(),
         }
-    }
-
-    pub(crate) fn limit_work(&mut self, budget: u32) {
-        self.budget = budget;
     }
 
     /// Cost of a plan; `None` if the plan brings a point behind the camera.
     pub(crate) fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
         let plan = head(plan);
         let possible = self.preview.evaluate(problem.task, problem.initial, &plan);
-        possible.then(|| self.cost(problem, &plan))
+        possible.then(|| cost::value(problem, &self.preview, &plan))
     }
 
     /// Whether the first period of a plan brings no point deeper into an obstacle, or further out
@@ -182,33 +177,34 @@ impl<const N: usize> Sqp<N> {
             .trace(task, initial, &first_command(plan), self.preview.step(0))
     }
 
-    /// Solves the problem from the warm start `warm`, with some quarters of the budget of work.
-    pub(crate) fn solve(&mut self, problem: &Problem<'_>, warm: &Plan, quarters: u32) -> Solution {
+    /// Solves the problem from the warm start `warm` with so much work at most.
+    pub(crate) fn solve(&mut self, problem: &Problem<'_>, warm: &Plan, budget: u32) -> Solution {
         self.progress = Progress {
-            budget: self.budget / 4 * quarters,
+            budget,
             rho: first_rho(problem, self.preview.np()),
             ..Progress::default()
         };
         let Some(mut here) = self.first(problem, warm) else {
-            let work = self.progress.work;
-            return Solution {
-                work,
-                ..Solution::NONE
-            };
+            return self.failure();
         };
         while self.may_go_on() {
             let (cost, quadratic) = self.expand(problem, &here.plan);
             self.collect_rows(problem, &here.plan, &quadratic);
             let Answer { step, status, .. } = self.solve_program_raising_rho(&quadratic);
             if status == QpStatus::NumericalFailure {
-                return self.solution(problem, &here, Status::NumericalFailure);
+                return self.failure();
             }
             let rho = self.progress.rho;
             let merit = here.outcome.merit(rho);
             let predicted = cost + quadratic.change(&step) + rho * self.rows.violation(&step);
             let decrease = merit - predicted;
             if decrease <= self.options.tolerance * (1e-6 + merit.abs()) {
-                return self.solution(problem, &here, Status::Converged);
+                // A program that was cut short says nothing of optimality.
+                let status = match status {
+                    QpStatus::Solved => Status::Converged,
+                    _ => Status::IterationLimit,
+                };
+                return self.solution(problem, &here, status);
             }
             let next = self
                 .full_step(problem, &here, &quadratic, step, decrease)
@@ -238,9 +234,8 @@ impl<const N: usize> Sqp<N> {
     fn expand(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> (f64, Quadratic<N>) {
         self.progress.iterations += 1;
         self.progress.work += work::expansion(self.preview.np());
-        let (task, target) = (problem.task, problem.target);
-        let expansion = Expansion::about(task, &self.preview, plan, target, problem.r_share);
-        let room = |k: usize, sign: f64| sign * task.limits[k % DOF] - plan[k];
+        let expansion = Expansion::about(problem, &self.preview, plan);
+        let room = |k: usize, sign: f64| sign * problem.task.limits[k % DOF] - plan[k];
         let quadratic = Quadratic {
             hessian: expansion.hessian,
             gradient: expansion.gradient,
@@ -406,9 +401,9 @@ impl<const N: usize> Sqp<N> {
             return None;
         }
         self.progress.work += self.inside.work();
-        let cost = self.cost(problem, &plan);
         let mut outcome = Outcome {
-            cost,
+            cost: cost::value(problem, &self.preview, &plan),
+            change: cost::change(problem, &plan),
             total: 0.0,
             worst: 0.0,
         };
@@ -428,15 +423,14 @@ impl<const N: usize> Sqp<N> {
         is_finite.then_some(Iterate { plan, outcome })
     }
 
-    /// Cost of the plan that was previewed last.
-    fn cost(&self, problem: &Problem<'_>, plan: &[f64; N]) -> f64 {
-        cost::value(
-            problem.task,
-            &self.preview,
-            plan,
-            problem.target,
-            problem.r_share,
-        )
+    /// No plan: the zero twist.
+    fn failure(&self) -> Solution {
+        Solution {
+            iterations: self.progress.iterations,
+            qp_iterations: self.progress.qp_iterations,
+            work: self.progress.work,
+            ..Solution::NONE
+        }
     }
 
     fn solution(&self, problem: &Problem<'_>, at: &Iterate<N>, status: Status) -> Solution {
@@ -448,11 +442,7 @@ impl<const N: usize> Sqp<N> {
             .for_each(|(to, from)| *to = from);
         Solution {
             plan,
-            status: match status {
-                Status::NumericalFailure => Status::NumericalFailure,
-                _ if violates => Status::Infeasible,
-                other => other,
-            },
+            status: if violates { Status::Infeasible } else { status },
             iterations: self.progress.iterations,
             qp_iterations: self.progress.qp_iterations,
             work: self.progress.work,

@@ -2,12 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::MAX_VARIABLES;
 use crate::delay::History;
 use crate::features::PlainPoints;
 use crate::foresight::Foresight;
 use crate::prediction::Plan;
 use crate::strategy::Strategy;
+use crate::{DOF, MAX_VARIABLES, Twist};
 
 /// All that a [`Controller`](crate::Controller) remembers from one cycle to the next. Put into
 /// another controller of the same task and settings it gives the same commands from there on, bit
@@ -27,12 +27,16 @@ pub struct State {
     pub predicted: PlainPoints,
     /// The last measurement that was believed.
     pub seen: PlainPoints,
+    /// What the filter made of it.
+    pub filtered: PlainPoints,
     /// Its exposure, ns; 0 if there was none.
     pub seen_ns: u64,
     /// Whether the last command was in force since then without a gap.
     pub is_linked: bool,
     /// Motion that was commanded while `seen` did not change in any bit, px.
     pub still_px: f64,
+    /// The command that was sent last.
+    pub standing: Twist,
     /// The commands that were sent.
     pub history: History,
 }
@@ -47,9 +51,11 @@ impl State {
             previous: [0.0; MAX_VARIABLES],
             predicted: PlainPoints::NONE,
             seen: PlainPoints::NONE,
+            filtered: PlainPoints::NONE,
             seen_ns: 0,
             is_linked: false,
             still_px: 0.0,
+            standing: [0.0; DOF],
             history: History::new(),
         }
     }
@@ -124,8 +130,12 @@ mod tests {
         };
         let late = after(PERIOD, |_| ());
         assert_eq!(late, after(PERIOD, |_| ()));
-        assert_ne!(late, after(PERIOD, |state| state.seen.points[0][1] += 1.0));
-        assert_ne!(late, after(PERIOD, |state| state.seen.count = 0));
+        assert_ne!(
+            late,
+            after(PERIOD, |state| state.filtered.points[0][1] += 1.0)
+        );
+        assert_ne!(late, after(PERIOD, |state| state.filtered.count = 0));
+        assert_ne!(late, after(PERIOD, |state| state.standing[0] += 0.1));
         assert_ne!(late, after(PERIOD, |state| state.is_linked = false));
         assert_ne!(late, after(PERIOD, |state| state.still_px = 1.0));
         assert_ne!(late, after(PERIOD, |state| state.seen_ns = u64::MAX));

@@ -39,7 +39,9 @@ fn one_thread_and_three_build_the_same_memory() {
     assert_eq!(one.trajectories.len(), 16);
 
     let task = Task::new(&scene()).unwrap();
-    let contents = |progress| memory::contents(&scene(), &task, &settings(), progress).unwrap();
+    let mut settings = settings();
+    settings.regression.samples = 100;
+    let contents = |progress| memory::contents(&scene(), &task, &settings, progress).unwrap();
     assert_eq!(contents(&one), contents(&three));
 }
 

@@ -33,9 +33,11 @@ fn run(strategy: &str, cycles: u64) -> Report {
     let place = Place::new();
     let realtime = match is_without("realtime") {
         true => "",
-        false => "[realtime]\npriority = 80\ncpu = 0",
+        false => "[realtime]\npriority = 80\ncpu = 0\n",
     };
-    let config = place.file("vpcd.toml", realtime);
+    // What foresight finds does not matter here.
+    let law = "[law]\nforesight_periods = 30\n";
+    let config = place.file("vpcd.toml", &format!("{realtime}{law}"));
     let report = place.path("report.json");
     let mut daemon = Command::new(program("vpcd"));
     daemon.arg("--config").arg(config);

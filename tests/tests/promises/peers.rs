@@ -79,6 +79,7 @@ fn visit(
 }
 
 #[test]
+#[ignore = "a quarter of a minute: CI runs it in a line of its own"]
 fn killed_peers_come_back_and_leave_nothing_behind() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(1);
@@ -86,7 +87,7 @@ fn killed_peers_come_back_and_leave_nothing_behind() {
     let mut witness = Witness::new(&place);
     let mut daemon = Running::start(place.vpcd(""));
     let mut plateau = None;
-    let rounds = repeats("kill -9 of camera and client in turn", 10, 100);
+    let rounds = repeats("kill -9 of camera and client in turn", 20, 100);
     let mut worst = 0;
     for round in 0..rounds {
         worst = worst.max(fairly(&format!("round {round}"), || {

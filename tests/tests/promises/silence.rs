@@ -21,10 +21,10 @@ use crate::stall::fairly;
 
 const BRAKING_NS: u64 = 3 * PERIOD_NS;
 const ZERO_NS: u64 = 300_000_000;
-/// Good features after a fault until arming is asked for. This camera did not move as it was
-/// commanded while it was silent, so its points may be taken for others (`Hold::Mixed`) until the
-/// law has forgotten those commands: it remembers 32.
-const GOOD_PERIODS: u64 = 36;
+/// Periods after which the law has forgotten its commands: it remembers 32. This camera does not
+/// move as it is commanded. After a silence its points may therefore be taken for others
+/// (`Hold::Mixed`) so long.
+const FORGOTTEN: u64 = 36;
 
 /// The features of a camera that is far from the goal and does not move, but for its noise: the law
 /// always wants to.
@@ -223,7 +223,11 @@ fn fail(fault: Fault, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
         });
         over.store(true, Ordering::Relaxed);
         // Good features alone do not set it in motion; late ones would have come by then.
-        std::thread::sleep(Duration::from_nanos(GOOD_PERIODS * PERIOD_NS));
+        let periods = match fault {
+            Fault::Silence | Fault::Pause | Fault::Late => FORGOTTEN,
+            _ => 16,
+        };
+        std::thread::sleep(Duration::from_nanos(periods * PERIOD_NS));
         commands.extend(witness.commands());
         ensure!(commands.len() > 6, "{commands:?}");
         let outcome = witness.ask(Action::Arm);

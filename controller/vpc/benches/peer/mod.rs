@@ -101,7 +101,7 @@ impl Seen {
         assert!(self.preview.linearize(&case.task, &case.initial, &twist));
         let weights = &case.task.cost;
         let commands = (case.np - 1) as f64;
-        self.cost = cost::value(&case.task, &self.preview, &twist, &case.target, 1.0) / unit;
+        self.cost = cost::value(&case.problem(), &self.preview, &twist) / unit;
         self.gradient = core::array::from_fn(|k| 2.0 * commands * weights.r[k] * twist[k] / unit);
         let two_q = 2.0 * weights.k_q / unit;
         for step in self.preview.steps() {

@@ -109,6 +109,8 @@ impl Case {
             initial: &self.initial,
             target: &self.target,
             r_share: 1.0,
+            change_share: 0.0,
+            standing: [0.0; 6],
             margin: 0.0,
         }
     }
@@ -136,10 +138,7 @@ impl Case {
             .flat_map(|j| preview.step(j))
             .map(|&pixel| constraint::violation(&self.task, pixel, 0.0))
             .fold(0.0, f64::max);
-        (
-            cost::value(&self.task, &preview, twist, &self.target, 1.0),
-            worst,
-        )
+        (cost::value(&self.problem(), &preview, twist), worst)
     }
 }
 
