@@ -53,6 +53,7 @@ fn distances(config: &str) -> Vec<f64> {
             let expected = present.step(&Measurement::from_points(&now), None).unwrap();
             let apart = twist.iter().zip(expected.twist).map(|(a, b)| (a - b).abs());
             distances.push(apart.fold(0.0, f64::max));
+            present.sent(&twist, time_ns(k));
         }
         camera.advance(&twist, scene.sampling_time());
     }
