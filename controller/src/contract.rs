@@ -3,7 +3,7 @@
 use ipc::{CycleRecord, Features, ForesightCode, RecallCode, SolverStatus, StrategyCode};
 use vpc::foresight::{Foresight, Outcome, PLACES};
 use vpc::guide::Kind;
-use vpc::{Measurement, Refusal, Status, Step, Strategy};
+use vpc::{Asked, Measurement, Refusal, Status, Step, Strategy};
 
 use crate::decision::HoldReason;
 
@@ -94,10 +94,11 @@ pub fn record_step(step: &Step, record: &mut CycleRecord) {
         Status::NumericalFailure => SolverStatus::NumericalFailure,
     }
     .code();
-    record.recalled = match step {
-        _ if step.recalled => RecallCode::Followed,
-        _ if step.recall_refused => RecallCode::Refused,
-        _ => RecallCode::Unasked,
+    record.recalled = match step.asked {
+        Asked::Not => RecallCode::Unasked,
+        Asked::Followed => RecallCode::Followed,
+        Asked::Replaced => RecallCode::Replaced,
+        Asked::Refused => RecallCode::Refused,
     }
     .code();
     record.iterations = step.iterations;
@@ -120,14 +121,5 @@ pub fn solver_failed(record: &CycleRecord) -> Option<bool> {
     match SolverStatus::from_code(record.status) {
         None | Some(SolverStatus::Idle) => None,
         Some(status) => Some(status == SolverStatus::NumericalFailure),
-    }
-}
-
-/// Whether the memory was asked in the cycle of a record, and if so, whether its answer was out of
-/// range.
-pub fn recall_refused(record: &CycleRecord) -> Option<bool> {
-    match RecallCode::from_code(record.recalled) {
-        None | Some(RecallCode::Unasked) => None,
-        Some(code) => Some(code == RecallCode::Refused),
     }
 }

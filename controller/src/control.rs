@@ -134,7 +134,6 @@ impl ControlStep {
             decision: proposed.decision,
             good_ns: self.gate.good_ns(),
             solver_failed: contract::solver_failed(record),
-            recall_refused: contract::recall_refused(record),
             missed: inputs.missed,
             robot: self.robot.look(&inputs.robot, inputs.now_ns),
             shutdown: inputs.shutdown,

@@ -85,7 +85,7 @@ mod tests {
                 -f64::NAN,
             ],
             state: TwistState::Disarmed,
-            hold: Some(HoldReason::Recall),
+            hold: Some(HoldReason::Frozen),
         };
         let rules = Rules {
             limits: [f64::MAX; 6],
@@ -104,7 +104,6 @@ mod tests {
                 decision,
                 good_ns: Some(u64::MAX),
                 solver_failed: Some(true),
-                recall_refused: Some(true),
                 missed: u32::MAX,
                 robot: Some(HoldReason::RobotLost),
                 shutdown: true,

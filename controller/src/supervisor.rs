@@ -7,7 +7,7 @@
 //!
 //! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
 //! - *Brake, disarm*: shutdown, operator's disarm, robot silent, overruns, bad twist, solver
-//!   failure, recall out of range, frozen image, features lost.
+//!   failure, frozen image, features lost.
 //! - *Brake, go on with the next good features*: features stale, invalid, hidden, miscounted, not
 //!   finite, off the image, mixed up, out of order; transport; a solver that failed once or twice.
 //!
@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::{Decision, HoldReason};
 
-/// Cycles in a row with missed releases, with a solver that failed, or with a memory whose answers
-/// were out of range, after which the camera is stopped.
+/// Cycles in a row with missed releases, or with a solver that failed, after which the camera is
+/// stopped.
 const IN_A_ROW: u32 = 3;
 /// A cycle with missed releases adds this to the count, one without subtracts 1. So overruns in
 /// more than one of three cycles also stop the camera, if they last.
@@ -51,8 +51,6 @@ pub struct Situation {
     pub good_ns: Option<u64>,
     /// Whether the law ran in this cycle, and if so, whether its solver failed.
     pub solver_failed: Option<bool>,
-    /// Whether the memory was asked in this cycle, and if so, whether its answer was out of range.
-    pub recall_refused: Option<bool>,
     /// Releases missed just before this cycle.
     pub missed: u32,
     /// What is wrong with the robot: [`HoldReason::RobotFault`] or [`HoldReason::RobotLost`].
@@ -82,7 +80,6 @@ pub struct Supervisor {
     situation: Option<Situation>,
     overruns: u32,
     failures: u32,
-    refusals: u32,
 }
 
 /// The response to a cause.
@@ -111,7 +108,6 @@ impl Supervisor {
             situation: None,
             overruns: 0,
             failures: 0,
-            refusals: 0,
         }
     }
 
@@ -202,7 +198,7 @@ impl Supervisor {
         if situation.decision.hold.is_some() {
             return Outcome::NoFeatures;
         }
-        (self.overruns, self.failures, self.refusals) = (0, 0, 0);
+        (self.overruns, self.failures) = (0, 0);
         self.mode = Mode::Armed;
         Outcome::Done
     }
@@ -221,7 +217,6 @@ impl Supervisor {
             _ => self.overruns.saturating_add(OVERRUN),
         };
         self.failures = in_a_row(self.failures, situation.solver_failed);
-        self.refusals = in_a_row(self.refusals, situation.recall_refused);
     }
 
     /// The present response to a cause: a failed solver is given a few cycles to recover.
@@ -255,7 +250,6 @@ impl Supervisor {
             (self.overruns >= OVERRUN * IN_A_ROW, HoldReason::Overruns),
             (is_decided(HoldReason::BadTwist), HoldReason::BadTwist),
             (self.failures >= IN_A_ROW, HoldReason::Solver),
-            (self.refusals >= IN_A_ROW, HoldReason::Recall),
             (is_decided(HoldReason::Frozen), HoldReason::Frozen),
             (situation.good_ns.is_some_and(beyond), HoldReason::Lost),
         ]
@@ -309,7 +303,6 @@ fn response(cause: HoldReason) -> Response {
         | HoldReason::Overruns
         | HoldReason::BadTwist
         | HoldReason::Solver
-        | HoldReason::Recall
         | HoldReason::Frozen
         | HoldReason::Lost => Response::Disarm,
         HoldReason::NoFeatures

@@ -133,8 +133,6 @@ codes! {
         Mixed = 21 => "points mixed up",
         /// The features did not change in any bit, although the camera was commanded to move.
         Frozen = 22 => "frozen image",
-        /// The answers of the memory of motion were out of range several cycles in a row.
-        Recall = 23 => "recall out of range",
     }
 }
 
@@ -164,8 +162,11 @@ codes! {
         Unasked = 0 => "not asked",
         /// Its warm start and way point were followed.
         Followed = 1 => "followed",
-        /// Its answer was out of range and was not used.
+        /// Its answers were out of range and were not used.
         Refused = 2 => "out of range",
+        /// The Gaussian process knew nothing, or its answer was out of range: the nearest
+        /// neighbour's was followed.
+        Replaced = 3 => "replaced by the nearest neighbour's",
     }
 }
 

@@ -54,11 +54,12 @@ impl<'a> Gpr<'a> {
         !self.cholesky.is_empty()
     }
 
-    /// Writes the mean at a raw input.
+    /// Writes the mean at a raw input. Returns the greatest correlation of the input with a sample,
+    /// 0 to 1: near 0 the process knows nothing there, and the mean is its constant one.
     ///
     /// # Errors
     /// [`QueryError`] if a length or an entry of the input is wrong.
-    pub fn mean(&self, input: &[f64], output: &mut [f64]) -> Result<(), QueryError> {
+    pub fn mean(&self, input: &[f64], output: &mut [f64]) -> Result<f64, QueryError> {
         if output.len() != self.outputs {
             return Err(QueryError::OutputLength {
                 found: output.len(),
@@ -68,15 +69,15 @@ impl<'a> Gpr<'a> {
         let query = self.query(input)?;
         let padded = self.mean.len();
         let mut sums = [0.0; MAX_PADDED];
-        match padded {
+        let correlation = match padded {
             8 => self.accumulate::<8>(&query, &mut sums),
             16 => self.accumulate::<16>(&query, &mut sums),
             _ => self.accumulate::<MAX_PADDED>(&query, &mut sums),
-        }
+        };
         for (o, y) in output.iter_mut().enumerate() {
             *y = self.mean[o] + self.signal_variance * sums[o];
         }
-        Ok(())
+        Ok(correlation)
     }
 
     /// Writes the latent predictive variance of each output at a raw input, in its squared units:
@@ -145,10 +146,19 @@ impl<'a> Gpr<'a> {
         exp_nonpositive(&squares.map(|square| -0.5 * square))
     }
 
-    fn accumulate<const P: usize>(&self, query: &[f64; MAX_INPUTS], sums: &mut [f64; MAX_PADDED]) {
+    /// Sums up Lambda, weighted by the correlations of the samples; returns the greatest of these.
+    fn accumulate<const P: usize>(
+        &self,
+        query: &[f64; MAX_INPUTS],
+        sums: &mut [f64; MAX_PADDED],
+    ) -> f64 {
         let mut total = [0.0; P];
+        let mut greatest = [0.0_f64; LANES];
         for (block, rows) in self.lambda.chunks_exact(LANES * P).enumerate() {
             let kernel = self.kernel(block, query);
+            for (greatest, k) in greatest.iter_mut().zip(kernel) {
+                *greatest = greatest.max(k);
+            }
             for (row, k) in rows.chunks_exact(P).zip(kernel) {
                 for (sum, lambda) in total.iter_mut().zip(row) {
                     *sum += k * lambda;
@@ -156,5 +166,6 @@ impl<'a> Gpr<'a> {
             }
         }
         sums[..P].copy_from_slice(&total);
+        greatest.into_iter().fold(0.0, f64::max)
     }
 }

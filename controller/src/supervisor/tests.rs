@@ -32,7 +32,6 @@ impl Bench {
             situation: Situation {
                 decision: GOOD,
                 good_ns: Some(1000 * MS),
-                recall_refused: Some(false),
                 solver_failed: Some(false),
                 missed: 0,
                 robot: None,
@@ -149,7 +148,7 @@ fn features_that_stay_away_disarm() {
 #[test]
 fn graver_causes_brake_and_disarm() {
     type Change = fn(&mut Situation);
-    let cases: [(HoldReason, Change); 6] = [
+    let cases: [(HoldReason, Change); 5] = [
         (HoldReason::Shutdown, |s| s.shutdown = true),
         (HoldReason::RobotLost, |s| {
             s.robot = Some(HoldReason::RobotLost)
@@ -158,7 +157,6 @@ fn graver_causes_brake_and_disarm() {
             s.decision.hold = Some(HoldReason::BadTwist)
         }),
         (HoldReason::Overruns, |s| s.missed = 1),
-        (HoldReason::Recall, |s| s.recall_refused = Some(true)),
         (HoldReason::Frozen, |s| {
             s.decision.hold = Some(HoldReason::Frozen)
         }),
@@ -192,7 +190,7 @@ fn two_failures_and_an_overrun_in_three_cycles_are_forgiven() {
     for _ in 0..50 {
         for (missed, failed) in [(1, true), (0, true), (0, false)] {
             bench.situation.missed = missed;
-            bench.situation.recall_refused = Some(failed);
+            bench.situation.solver_failed = Some(failed);
             assert_eq!(bench.good(), GOOD);
         }
     }

@@ -13,7 +13,7 @@ use memory_blob::MemoryFile;
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::{Motion, rotation};
-use vpc::{Controller, Measurement, MotionMemory, Settings, Strategy, camera};
+use vpc::{Asked, Controller, Measurement, MotionMemory, Settings, Strategy, camera};
 
 const STARTS: usize = 25;
 const REPLAYS: usize = 7;
@@ -84,7 +84,7 @@ impl Cycles {
             let Ok(step) = step else {
                 break;
             };
-            self.recalled += usize::from(step.recalled);
+            self.recalled += usize::from(step.asked == Asked::Followed);
             self.iterations += u64::from(step.iterations);
             if step.error_px <= scene.success.convergence_px {
                 break;

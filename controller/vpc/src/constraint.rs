@@ -103,6 +103,30 @@ pub fn least_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
     })
 }
 
+/// Most steps of [`moved_out`]: as many occlusions may overlap.
+const STEPS_OUT: usize = 4;
+
+/// The pixel moved out of the occlusions that it is inside of, each by the shortest way; as it is
+/// where there is none.
+pub fn moved_out(task: &Task, mut pixel: [f64; 2]) -> [f64; 2] {
+    for _ in 0..STEPS_OUT {
+        let near = task.obstacles_near(pixel, pixel, 0.0);
+        let clearances = near.map(|(_, obstacle)| obstacle.clearance(pixel));
+        let Some(deepest) = clearances.min_by(|a, b| a.distance.total_cmp(&b.distance)) else {
+            break;
+        };
+        if deepest.distance >= 0.0 {
+            break;
+        }
+        let [a, b] = deepest.normal;
+        pixel = [
+            pixel[0] - deepest.distance * a,
+            pixel[1] - deepest.distance * b,
+        ];
+    }
+    pixel
+}
+
 /// The least clearance of a pixel from the image border, px.
 pub fn border_clearance(task: &Task, pixel: [f64; 2]) -> f64 {
     sides(&task.camera)

@@ -9,7 +9,7 @@ use crate::foresight::{Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
 use crate::prediction::{InitialState, Plan, Preview};
 use crate::problem::Status;
-use crate::recall::{self, MotionMemory, OutOfRange, Recall};
+use crate::recall::{self, Asked, MotionMemory, Recall};
 use crate::settings::{Settings, SettingsError};
 use crate::solver::Solver;
 use crate::state::State;
@@ -49,10 +49,8 @@ pub struct Step {
     pub twist: Twist,
     /// How the solver ended.
     pub status: Status,
-    /// Whether the memory was asked, and its answer followed.
-    pub recalled: bool,
-    /// Whether it was asked, and its answer was out of range: this cycle went without.
-    pub recall_refused: bool,
+    /// Whether the memory was asked, and what became of it.
+    pub asked: Asked,
     /// The way point tracked instead of the goal, px.
     pub way_point: Option<Points>,
     /// Iterations of the solver.
@@ -251,8 +249,7 @@ impl Controller {
         let mut step = Step {
             twist: [0.0; DOF],
             status: Status::Converged,
-            recalled: false,
-            recall_refused: false,
+            asked: Asked::Not,
             way_point: None,
             iterations: 0,
             qp_iterations: 0,
@@ -269,7 +266,9 @@ impl Controller {
                 let tracked = guide.advance(points, self.converged_px);
                 let warm = self.state.previous;
                 let recalled = self.state.foresight.recalled.take();
-                step.recalled = recalled.is_some();
+                if recalled.is_some() {
+                    step.asked = Asked::Followed;
+                }
                 self.plan(
                     &initial,
                     &warm,
@@ -280,10 +279,8 @@ impl Controller {
                 );
             }
             Strategy::Previous | Strategy::Knn { .. } | Strategy::Gpr => {
-                let recall = self.recall(points, clearance_px, memory);
-                step.recall_refused = matches!(recall, Some(Err(_)));
-                let recall = recall.and_then(Result::ok);
-                step.recalled = recall.is_some();
+                let (recall, asked) = self.recall(points, clearance_px, memory);
+                step.asked = asked;
                 let warm = recall.as_ref().map(|recall| repeated(&recall.twist));
                 let warm = warm.unwrap_or(self.state.previous);
                 let tracked = recall.map(|recall| recall.way_point);
@@ -419,16 +416,14 @@ impl Controller {
         points: &Points,
         clearance_px: f64,
         memory: Option<&dyn MotionMemory>,
-    ) -> Option<Result<Recall, OutOfRange>> {
+    ) -> (Option<Recall>, Asked) {
         let near = recall::is_near(self.state.near, clearance_px, &self.settings);
         self.state.near = near;
-        let memory = memory.filter(|_| near && self.settings.strategy.needs_memory())?;
-        Some(recall::query(
-            &self.task,
-            self.settings.strategy,
-            memory,
-            points,
-        ))
+        let strategy = self.settings.strategy;
+        match memory.filter(|_| near && strategy.needs_memory()) {
+            Some(memory) => recall::advise(&self.task, strategy, memory, points),
+            None => (None, Asked::Not),
+        }
     }
 
     /// Solves the optimal-control problem towards what is tracked, else the goal, and limits its

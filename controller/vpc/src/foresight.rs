@@ -313,7 +313,7 @@ impl Thinker<'_> {
             (Kind::Regression, Strategy::Gpr),
         ];
         kinds.map(|(kind, strategy)| {
-            let answer = recall::query(task, strategy, memory?, points).ok()?;
+            let answer = recall::query(task, strategy, memory?, points)?;
             Some((kind, answer))
         })
     }

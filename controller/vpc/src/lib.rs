@@ -88,7 +88,7 @@ pub use features::Points;
 pub use measurement::{Measurement, Refusal};
 pub use prediction::Model;
 pub use problem::{SolverOptions, Status};
-pub use recall::MotionMemory;
+pub use recall::{Asked, MotionMemory};
 pub use settings::{Settings, SettingsError};
 pub use state::State;
 pub use strategy::Strategy;

@@ -84,39 +84,58 @@ impl MotionMemory for memory_blob::Memory<'_> {
     }
 }
 
-/// The memory has no answer, or none that can be followed.
+/// What became of asking the memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OutOfRange;
+pub enum Asked {
+    /// It was not asked.
+    Not,
+    /// Its answer was followed.
+    Followed,
+    /// The Gaussian process knew nothing, or its answer was [out of range](Recall::from_output): the
+    /// nearest neighbour's was followed.
+    Replaced,
+    /// No answer could be followed.
+    Refused,
+}
 
-/// Asks the memory.
-///
-/// # Errors
-/// [`OutOfRange`] if it has no answer, or one beyond what [`Recall::from_output`] allows.
+/// Asks the memory, and where the Gaussian process has no answer, the nearest neighbour.
+pub fn advise(
+    task: &Task,
+    strategy: Strategy,
+    memory: &dyn MotionMemory,
+    points: &Points,
+) -> (Option<Recall>, Asked) {
+    if let Some(answer) = query(task, strategy, memory, points) {
+        return (Some(answer), Asked::Followed);
+    }
+    let nearest = Strategy::Knn { k: 1 };
+    match query(task, nearest, memory, points) {
+        Some(answer) if strategy == Strategy::Gpr => (Some(answer), Asked::Replaced),
+        _ => (None, Asked::Refused),
+    }
+}
+
+/// Asks the memory; `None` if it has no answer, or one beyond what [`Recall::from_output`] allows.
 pub fn query(
     task: &Task,
     strategy: Strategy,
     memory: &dyn MotionMemory,
     points: &Points,
-) -> Result<Recall, OutOfRange> {
+) -> Option<Recall> {
     let mut output = [0.0; DOF + 2 * MAX_POINTS];
-    let output = output.get_mut(..DOF + 2 * points.len()).ok_or(OutOfRange)?;
-    match memory.infer(strategy, &task.recall_input(points), output) {
-        true => Recall::from_output(task, output),
-        false => Err(OutOfRange),
-    }
+    let output = output.get_mut(..DOF + 2 * points.len())?;
+    let has_answer = memory.infer(strategy, &task.recall_input(points), output);
+    has_answer.then(|| Recall::from_output(task, output))?
 }
 
 impl Recall {
     /// Splits an output y = (v, way point), clamps the twist to the limits and the way point to the
-    /// image.
-    ///
-    /// # Errors
-    /// [`OutOfRange`] if a number is not finite, the twist beyond twice the limits, or a point
-    /// of the way point further outside the image than a quarter of it: no plan of the memory is
-    /// like that.
-    pub fn from_output(task: &Task, output: &[f64]) -> Result<Self, OutOfRange> {
-        let (twist, way_point) = output.split_at_checked(DOF).ok_or(OutOfRange)?;
-        let twist: Twist = twist.try_into().map_err(|_| OutOfRange)?;
+    /// image, and moves a point of it that is inside an occlusion out of it. `None` if the output is
+    /// out of range: a number is not finite, the twist beyond twice the limits, or a point further
+    /// outside the image than a quarter of it. No plan of the memory is like that.
+    pub fn from_output(task: &Task, output: &[f64]) -> Option<Self> {
+        let (twist, way_point) = output.split_at_checked(DOF)?;
+        let twist: Twist = twist.try_into().ok()?;
         let size = [task.camera.width, task.camera.height];
         // A NaN is in no range.
         let is_near = |(y, size): (&f64, f64)| {
@@ -125,13 +144,16 @@ impl Recall {
         let mut twists = twist.iter().zip(task.limits);
         let mut ways = way_point.iter().zip(size.into_iter().cycle());
         if !twists.all(|(v, limit)| v.abs() <= MOST_TWIST * limit) || !ways.all(is_near) {
-            return Err(OutOfRange);
+            return None;
         }
         let (way_point, _) = way_point.as_chunks();
         let inside = |[u, v]: &[f64; 2]| [u.clamp(0.0, size[0]), v.clamp(0.0, size[1])];
-        Ok(Self {
+        Some(Self {
             twist: limit::clamp(&twist, &task.limits),
-            way_point: way_point.iter().map(inside).collect(),
+            way_point: way_point
+                .iter()
+                .map(|pixel| constraint::moved_out(task, inside(pixel)))
+                .collect(),
         })
     }
 }
@@ -161,8 +183,8 @@ mod tests {
             Recall::from_output(&task, &answer)
         };
         let (limit, width) = (task.limits[3], task.camera.width);
-        assert_eq!(ask(3, -1.5 * limit).map(|r| r.twist[3]), Ok(-limit));
-        assert_eq!(ask(8, 1.1 * width).map(|r| r.way_point[1][0]), Ok(width));
+        assert_eq!(ask(3, -1.5 * limit).map(|r| r.twist[3]), Some(-limit));
+        assert_eq!(ask(8, 1.1 * width).map(|r| r.way_point[1][0]), Some(width));
         for (index, value) in [
             (3, 2.1 * limit),
             (8, 1.3 * width),
@@ -170,8 +192,61 @@ mod tests {
             (0, f64::NAN),
             (7, f64::INFINITY),
         ] {
-            assert_eq!(ask(index, value), Err(OutOfRange), "{index}: {value}");
+            assert_eq!(ask(index, value), None, "{index}: {value}");
         }
-        assert_eq!(Recall::from_output(&task, &answer[..3]), Err(OutOfRange));
+        assert_eq!(Recall::from_output(&task, &answer[..3]), None);
+    }
+
+    #[test]
+    fn a_way_point_inside_an_occlusion_is_moved_out_by_the_shortest_way() {
+        let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
+        // The spot on the right is a circle about (850, 560) of radius 75.
+        let mut answer = [300.0; DOF + 8];
+        answer[..DOF].fill(0.0);
+        (answer[DOF], answer[DOF + 1]) = (850.0 - 60.0, 560.0);
+        let recall = Recall::from_output(&task, &answer).unwrap();
+        let [u, v] = recall.way_point[0];
+        assert!(
+            (u - 775.0).abs() < 1.0 && (v - 560.0).abs() < 1.0,
+            "{u} {v}"
+        );
+        assert_eq!(recall.way_point[1], [300.0; 2]);
+    }
+
+    /// A memory with these answers of the process and of the nearest neighbour.
+    struct Answers {
+        process: Option<f64>,
+        neighbour: Option<f64>,
+    }
+
+    impl MotionMemory for Answers {
+        fn infer(&self, strategy: Strategy, _: &[f64], output: &mut [f64]) -> bool {
+            let twist = match strategy {
+                Strategy::Gpr => self.process,
+                _ => self.neighbour,
+            };
+            output.fill(300.0);
+            output[..DOF].fill(twist.unwrap_or(0.0));
+            twist.is_some()
+        }
+    }
+
+    #[test]
+    fn where_the_process_has_no_answer_in_range_the_nearest_neighbours_is_followed() {
+        let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
+        let ask = |strategy, process, neighbour| {
+            let memory = Answers { process, neighbour };
+            let (recall, asked) = advise(&task, strategy, &memory, &task.goal);
+            (recall.map(|recall| recall.twist[0]), asked)
+        };
+        let gpr = Strategy::Gpr;
+        assert_eq!(ask(gpr, Some(0.1), Some(0.2)), (Some(0.1), Asked::Followed));
+        for wrong in [None, Some(f64::NAN), Some(9.0)] {
+            let replaced = (Some(0.2), Asked::Replaced);
+            assert_eq!(ask(gpr, wrong, Some(0.2)), replaced);
+            assert_eq!(ask(gpr, wrong, wrong), (None, Asked::Refused));
+            let knn = ask(Strategy::Knn { k: 1 }, Some(0.1), wrong);
+            assert_eq!(knn, (None, Asked::Refused));
+        }
     }
 }

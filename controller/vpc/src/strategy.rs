@@ -29,6 +29,10 @@ pub enum Strategy {
     Foresight,
 }
 
+/// Below this correlation with every sample the Gaussian process knows nothing: the variance that is
+/// left is 99 % of what it was before any sample.
+const LEAST_CORRELATION: f64 = 0.1;
+
 impl Strategy {
     /// Every strategy, k-NN with one neighbour.
     pub const ALL: [Self; 5] = [
@@ -79,11 +83,14 @@ impl Strategy {
     }
 
     /// Asks a memory: writes y = (v, way point) for x = (s, area, angle); `false` where it has no
-    /// answer.
+    /// answer, or knows nothing.
     pub(crate) fn infer(self, memory: &Memory<'_>, input: &[f64], output: &mut [f64]) -> bool {
         match self {
             Self::Knn { k } => memory.samples().nearest(input, k, output).is_ok(),
-            Self::Gpr => (memory.gpr()).is_some_and(|gpr| gpr.mean(input, output).is_ok()),
+            Self::Gpr => {
+                let correlation = memory.gpr().map(|gpr| gpr.mean(input, output));
+                matches!(correlation, Some(Ok(correlation)) if correlation >= LEAST_CORRELATION)
+            }
             Self::Previous | Self::Ibvs | Self::Foresight => false,
         }
     }

@@ -90,8 +90,11 @@ enum vpc_recall {
     VPC_RECALL_UNASKED = 0,
     // Its warm start and way point were followed.
     VPC_RECALL_FOLLOWED = 1,
-    // Its answer was out of range and was not used.
+    // Its answers were out of range and were not used.
     VPC_RECALL_REFUSED = 2,
+    // The Gaussian process knew nothing, or its answer was out of range: the nearest neighbour's
+    // was followed.
+    VPC_RECALL_REPLACED = 3,
 };
 
 // Strategy of the control law.
@@ -156,8 +159,6 @@ enum vpc_hold {
     VPC_HOLD_MIXED = 21,
     // The features did not change in any bit, although the camera was commanded to move.
     VPC_HOLD_FROZEN = 22,
-    // The answers of the memory of motion were out of range several cycles in a row.
-    VPC_HOLD_RECALL = 23,
 };
 
 // What foresight follows.

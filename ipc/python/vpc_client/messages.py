@@ -78,8 +78,11 @@ class RecallCode(Code):
     UNASKED = 0, "not asked"
     # Its warm start and way point were followed.
     FOLLOWED = 1, "followed"
-    # Its answer was out of range and was not used.
+    # Its answers were out of range and were not used.
     REFUSED = 2, "out of range"
+    # The Gaussian process knew nothing, or its answer was out of range: the nearest neighbour's was
+    # followed.
+    REPLACED = 3, "replaced by the nearest neighbour's"
 
 
 class StrategyCode(Code):
@@ -146,8 +149,6 @@ class Hold(Code):
     MIXED = 21, "points mixed up"
     # The features did not change in any bit, although the camera was commanded to move.
     FROZEN = 22, "frozen image"
-    # The answers of the memory of motion were out of range several cycles in a row.
-    RECALL = 23, "recall out of range"
 
 
 class ForesightCode(Code):

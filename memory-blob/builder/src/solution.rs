@@ -52,7 +52,7 @@ impl<'a> Finder<'a> {
         let close = recall::clearance(self.task, points) < self.settings.trigger_px;
         let recalled = store
             .filter(|_| close)
-            .and_then(|store| recall::query(self.task, Strategy::Knn { k: 1 }, store, points).ok());
+            .and_then(|store| recall::query(self.task, Strategy::Knn { k: 1 }, store, points));
         let first = match recalled {
             Some(Recall { twist, way_point }) => self.solve(points, &way_point, &twist),
             None => self.solve(points, &self.task.goal.clone(), previous),

@@ -179,9 +179,6 @@ fn remedy(hold: Hold) -> &'static str {
             "the camera must name its points as the scene does, and keep the names: pattern.points"
         }
         Hold::Frozen => "the camera sends one picture again and again: start its driver again",
-        Hold::Recall => {
-            "the memory does not suit what is seen: vpc-memory build, or vpcctl strategy previous"
-        }
         Hold::Order | Hold::Clock => "data_ns must be CLOCK_MONOTONIC of this machine, and grow",
         Hold::RobotFault | Hold::RobotLost => "clear the fault at the robot, or start its client",
         Hold::Overruns | Hold::Standstill => "the machine is overloaded: `vpcd --preflight`",
