@@ -1,6 +1,7 @@
 //! The control law with its files: scene, settings and memory of motion, loaded at start-up.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use memory_blob::{MemoryFile, OpenError};
 use scene::{FileError, Scene, SceneFiles};
@@ -53,7 +54,7 @@ impl LoadError {
 pub struct LoadedController {
     /// Large: it stays where it is.
     pub controller: Box<vpc::Controller>,
-    memory: Option<MemoryFile>,
+    memory: Option<Arc<MemoryFile>>,
     files: SceneFiles,
 }
 
@@ -82,15 +83,28 @@ impl LoadedController {
         memory: Option<&Path>,
         settings: Settings,
     ) -> Result<Self, LoadError> {
+        let memory = memory
+            .map(|file| open_memory(file, &files.scene, settings.strategy))
+            .transpose()?;
+        Self::with(files, path, memory.map(Arc::new), settings)
+    }
+
+    /// Sets up the controller for a scene and a memory that were read before.
+    ///
+    /// # Errors
+    /// [`LoadError::Task`] if scene and settings give no task; `path` is for the message.
+    pub fn with(
+        files: SceneFiles,
+        path: &str,
+        memory: Option<Arc<MemoryFile>>,
+        settings: Settings,
+    ) -> Result<Self, LoadError> {
         let controller = set_up(&files.scene, settings)
             .map_err(LoadError::Thread)?
             .map_err(|source| LoadError::Task {
                 path: path.to_owned(),
                 source,
             })?;
-        let memory = memory
-            .map(|file| open_memory(file, &files.scene, settings.strategy))
-            .transpose()?;
         Ok(Self {
             controller,
             memory,
@@ -110,7 +124,7 @@ impl LoadedController {
 
     /// The memory of motion.
     pub fn memory(&self) -> Option<&MemoryFile> {
-        self.memory.as_ref()
+        self.memory.as_deref()
     }
 
     /// One step of the law. Never allocates.
@@ -118,14 +132,14 @@ impl LoadedController {
     /// # Errors
     /// [`vpc::Refusal`] if the features cannot be trusted.
     pub fn step(&mut self, measurement: &vpc::Measurement) -> Result<vpc::Step, vpc::Refusal> {
-        let view = self.memory.as_ref().map(MemoryFile::view);
+        let view = self.memory.as_deref().map(MemoryFile::view);
         let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
         self.controller.step(measurement, memory)
     }
 
     /// Thinks ahead, after the command was sent. Never allocates.
     pub fn think(&mut self) {
-        let view = self.memory.as_ref().map(MemoryFile::view);
+        let view = self.memory.as_deref().map(MemoryFile::view);
         let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
         self.controller.think(memory);
     }

@@ -9,6 +9,7 @@
 pub mod camera;
 pub mod cell;
 pub mod config;
+pub mod cost;
 pub mod emulator;
 pub mod eye;
 pub mod free;

@@ -10,6 +10,7 @@ pub mod robot;
 pub mod robot_table;
 pub mod row;
 pub mod run;
+pub mod simulated;
 pub mod spec;
 
 /// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo

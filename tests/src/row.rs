@@ -31,6 +31,8 @@ pub struct Row {
     pub violations: usize,
     /// Runs that did not arrive in time.
     pub not_converged: usize,
+    /// Runs in which the daemon disarmed, or sent a command beyond the limits.
+    pub faults: usize,
     /// Mean change of the command from one period to the next after arrival, as a share of the
     /// limit; 0 if no run arrived.
     pub change: f64,
@@ -113,6 +115,7 @@ impl Row {
             mean_cost: runs.iter().map(|run| run.cost).sum::<f64>() / count,
             violations: because(&[Reason::Violation, Reason::LostSight]),
             not_converged: because(&[Reason::NotConverged]),
+            faults: because(&[Reason::Disarmed, Reason::BeyondLimits]),
             change: mean(runs.iter().filter_map(|run| run.change)),
             iterations: per_cycle(runs.iter().map(|run| run.iterations).sum()),
             solver_not_converged: per_cycle(runs.iter().map(|run| run.not_converged).sum()),
@@ -145,14 +148,14 @@ fn wilson(successes: usize, count: usize) -> [f64; 2] {
 /// The rows as a Markdown table.
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
-        "| strategy | Np | success (%) | 95 % interval | mean cost l/Np | cycles to arrival | violations | not converged | \
+        "| strategy | Np | success (%) | 95 % interval | mean cost l/Np | cycles to arrival | violations | not converged | faults | \
          deepest (px) | change at the goal (%) | mean cycle (us) | p50 (us) | p99 (us) | slack p50 (us) | slack p99 (us) | simulated period (us) |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
+         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );
     for row in rows {
         let (t, slack) = (&row.cycle_us, &row.slack_us);
         text += &format!(
-            "| {} | {} | {:.1} | {:.1} to {:.1} | {:.2} | {:.0} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {:.0} | {:.1} |\n",
+            "| {} | {} | {:.1} | {:.1} to {:.1} | {:.2} | {:.0} | {} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {:.0} | {:.1} |\n",
             row.strategy,
             row.np,
             100.0 * row.success_rate,
@@ -162,6 +165,7 @@ pub fn markdown(rows: &[Row]) -> String {
             row.steps,
             row.violations,
             row.not_converged,
+            row.faults,
             row.deepest_px,
             100.0 * row.change,
             t.mean,

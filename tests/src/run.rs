@@ -1,13 +1,18 @@
-//! One closed-loop run: the law against the emulator's camera, judged by the emulator's referee.
+//! One closed-loop run: the daemon's decision step against the emulator's camera, judged by the
+//! emulator's referee.
 
 use std::time::Instant;
 
+use controller::input::Inputs;
+use hw_sim::cost::running_cost;
 use hw_sim::referee::INSTANTS;
 use hw_sim::sensor::{Flaws, Sensor};
 use hw_sim::{End, FreeCamera, Referee};
+use ipc::{CycleRecord, SolverStatus, TwistState};
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::{Controller, Measurement, MotionMemory, Refusal, Step};
+
+use crate::simulated::Simulated;
 
 /// What happened in a run.
 #[derive(Clone, Debug, Serialize)]
@@ -27,7 +32,7 @@ pub struct Run {
     pub least_clearance_px: f64,
     /// The same at the instants between frames.
     pub least_between_px: f64,
-    /// Time of each cycle of the law until the run was decided, us: filled by [`time`].
+    /// Time of each decision until the run was decided, us: filled by [`time`].
     #[serde(skip)]
     pub cycles_us: Vec<f64>,
     /// Time that foresight took after each of those cycles, us: filled by [`time`].
@@ -55,61 +60,49 @@ pub enum Reason {
     NotConverged,
     /// A point of the pattern came behind the camera.
     LostSight,
+    /// The daemon disarmed, also after the features arrived.
+    Disarmed,
+    /// A command was beyond the velocity limits.
+    BeyondLimits,
 }
 
-/// Periods without a frame after which the twist is zero: the daemon's default.
-const STALE_PERIODS: usize = 3;
+/// Rounding that a command may have beyond the limits, as a share of them.
+const ROUNDING: f64 = 1e-9;
 
 /// One cycle of a run.
 #[derive(Clone, Debug)]
 pub struct Moment {
     /// True features, px.
     pub features: Vec<[f64; 2]>,
-    /// What the camera delivered; `None` if no frame came.
-    pub measured: Option<Measurement>,
-    /// Whether the frame before was missing.
-    pub gap: bool,
-    /// The simulated time, ns.
-    pub now_ns: u64,
+    /// What the daemon received.
+    pub inputs: Inputs,
     /// Twist sent.
     pub twist: [f64; 6],
     /// Way point tracked, px.
     pub way_point: Option<Vec<[f64; 2]>>,
 }
 
-/// Runs the law from a start for the scene's time, against a camera without flaws. As [`flawed`].
-pub fn run(
-    scene: &Scene,
-    controller: &mut Controller,
-    memory: Option<&dyn MotionMemory>,
-    start: &Pose,
-) -> Run {
-    flawed(scene, controller, memory, start, Flaws::default())
+/// Runs the daemon from a start for the scene's time, against a camera without flaws. As
+/// [`flawed`].
+pub fn run(scene: &Scene, daemon: &mut Simulated, start: &Pose) -> Run {
+    flawed(scene, daemon, start, Flaws::default())
 }
 
-/// Runs the law from a start for the scene's time, against a camera with these flaws. The run is
-/// decided when the features arrive, when a constraint is violated, or when time is up; a run that
-/// arrived goes on regulating, watched, so that the mean cost of every run is taken over the same
-/// time.
+/// Runs the daemon from a start for the scene's time, against a camera with these flaws. The run is
+/// decided when the features arrive, when a constraint is violated, when the daemon disarms, or
+/// when time is up; a run that arrived goes on regulating, watched, so that the mean cost of every
+/// run is taken over the same time.
 ///
 /// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and
-/// what answers it takes effect when it is delivered. Where no frame comes the last twist stands,
-/// after three periods the zero twist.
-pub fn flawed(
-    scene: &Scene,
-    controller: &mut Controller,
-    memory: Option<&dyn MotionMemory>,
-    start: &Pose,
-    flaws: Flaws,
-) -> Run {
-    controller.reset();
+/// what answers it takes effect when it is delivered.
+pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws) -> Run {
+    daemon.restart();
     let ts = scene.sampling_time();
     let periods = (scene.success.time_s * scene.camera.rate_hz).round() as usize;
-    let np = controller.settings().np as f64;
+    let np = daemon.law().settings().np;
     let mut camera = FreeCamera::new(scene, start);
     let mut referee = Referee::new(scene);
     let mut sensor = Sensor::new(flaws);
-    let (mut standing, mut silence) = ([0.0; 6], STALE_PERIODS);
     let mut run = Run {
         success: false,
         reason: Some(Reason::NotConverged),
@@ -126,7 +119,8 @@ pub fn flawed(
         history: Vec::new(),
     };
     let (mut cost, mut cycles) = (0.0, 0.0_f64);
-    let limits = controller.task().limits;
+    let limits = daemon.law().task().limits;
+    let mut standing = [0.0; 6];
     let mut changes = Vec::new();
     'run: for k in 0..periods {
         let seen = camera.features().map_err(|_| Reason::LostSight);
@@ -146,48 +140,31 @@ pub fn flawed(
         }
         let now_ns = (k as f64 * ts * 1e9).round() as u64;
         let frame = sensor.expose(&features, now_ns);
-        let measured = frame
-            .map(|frame| Measurement::from_points(&frame.points).taken(frame.exposure_ns, now_ns));
-        let gap = silence > 0;
-        let step = measured
-            .as_ref()
-            .map(|measured| cycle(controller, memory, measured, gap));
-        let twist = match &step {
-            Some(Ok(step)) => step.twist,
-            // A refusal means the zero twist, as in the daemon; and so does silence.
-            Some(Err(_)) => [0.0; 6],
-            None if silence >= STALE_PERIODS => [0.0; 6],
-            None => standing,
-        };
-        controller.sent(&twist, now_ns);
-        controller.think(memory);
+        let inputs = daemon.inputs(frame.as_ref(), now_ns);
+        let record = daemon.decide(&inputs);
+        daemon.think();
+        let twist = record.twist;
+        cost += running_cost(scene, referee.goal(), &camera.pose, &twist, np).unwrap_or(0.0);
+        cycles += 1.0;
+        if let Some(reason) = fault(&record, &limits) {
+            (run.success, run.reason, run.steps) = (false, Some(reason), k);
+            break;
+        }
         if run.success {
             let shares = twist.iter().zip(&standing).zip(&limits);
             let shares = shares.map(|((now, before), limit)| (now - before).abs() / limit);
             changes.push(shares.fold(0.0, f64::max));
-        }
-        (standing, silence) = (twist, if step.is_some() { 0 } else { silence + 1 });
-        cycles += 1.0;
-        let step = step.and_then(Result::ok);
-        if !run.success {
+        } else {
+            run.iterations += u64::from(record.iterations);
+            run.not_converged += u64::from(!has_converged(&record));
             run.history.push(Moment {
                 features: features.to_vec(),
-                measured,
-                gap,
-                now_ns,
+                inputs,
                 twist,
-                way_point: step
-                    .as_ref()
-                    .and_then(|step| Some(step.way_point.as_ref()?.to_vec())),
+                way_point: (record.way_point_count > 0).then(|| way_point(&record)),
             });
         }
-        if let Some(step) = step {
-            cost += step.cost / np;
-            if !run.success {
-                run.iterations += u64::from(step.iterations);
-                run.not_converged += u64::from(!step.status.is_success());
-            }
-        }
+        standing = twist;
         for _ in 1..INSTANTS {
             camera.advance(&twist, ts / f64::from(INSTANTS));
             let reason = match camera.features() {
@@ -209,51 +186,54 @@ pub fn flawed(
     run
 }
 
-/// One cycle of the law; a missing frame before it breaks the link.
-fn cycle(
-    controller: &mut Controller,
-    memory: Option<&dyn MotionMemory>,
-    measured: &Measurement,
-    gap: bool,
-) -> Result<Step, Refusal> {
-    if gap {
-        controller.skip_mismatch();
-    }
-    controller.step(measured, memory)
+/// Why a run with this cycle fails.
+fn fault(record: &CycleRecord, limits: &[f64; 6]) -> Option<Reason> {
+    let mut shares = record.twist.iter().zip(limits);
+    // A NaN is not within.
+    let is_within = shares.all(|(v, limit)| v.abs() <= limit * (1.0 + ROUNDING));
+    let is_disarmed = record.state == TwistState::Disarmed.code();
+    is_disarmed
+        .then_some(Reason::Disarmed)
+        .or_else(|| (!is_within).then_some(Reason::BeyondLimits))
 }
 
-/// Replays the cycles of a run through the law `repeats` times and notes the median time of each:
+fn has_converged(record: &CycleRecord) -> bool {
+    let status = SolverStatus::from_code(record.status);
+    matches!(
+        status,
+        Some(SolverStatus::Idle | SolverStatus::Converged | SolverStatus::Stalled)
+    )
+}
+
+fn way_point(record: &CycleRecord) -> Vec<[f64; 2]> {
+    let pairs = record.way_point.as_chunks().0.iter().copied();
+    pairs.take(record.way_point_count as usize).collect()
+}
+
+/// Replays the cycles of a run through the daemon `repeats` times and notes the median time of each:
 /// other work on the machine disturbs a cycle here and there, not most repeats of the same one. The
 /// caches are warm.
 ///
 /// # Errors
-/// [`NotRepeatable`] if a replay commands another twist than the run did, which the law never
-/// may.
-pub fn time(
-    run: &mut Run,
-    controller: &mut Controller,
-    memory: Option<&dyn MotionMemory>,
-    repeats: usize,
-) -> Result<(), NotRepeatable> {
+/// [`NotRepeatable`] if a replay commands another twist than the run did, which the daemon
+/// never may.
+pub fn time(run: &mut Run, daemon: &mut Simulated, repeats: usize) -> Result<(), NotRepeatable> {
     let mut times = vec![Vec::with_capacity(repeats); run.history.len()];
     let mut slack = times.clone();
     run.simulated = 0;
     for _ in 0..repeats {
-        controller.reset();
+        daemon.restart();
         for (cycle, moment) in run.history.iter().enumerate() {
-            if let Some(measured) = &moment.measured {
-                let begin = Instant::now();
-                let step = self::cycle(controller, memory, measured, moment.gap);
-                times[cycle].push(micros(begin));
-                if step.map_or([0.0; 6], |step| step.twist) != moment.twist {
-                    return Err(NotRepeatable { cycle });
-                }
-            }
-            controller.sent(&moment.twist, moment.now_ns);
             let begin = Instant::now();
-            controller.think(memory);
+            let record = daemon.decide(&moment.inputs);
+            times[cycle].push(micros(begin));
+            if record.twist != moment.twist {
+                return Err(NotRepeatable { cycle });
+            }
+            let begin = Instant::now();
+            daemon.think();
             slack[cycle].push(micros(begin));
-            run.simulated += u64::from(controller.foreseen().periods);
+            run.simulated += u64::from(daemon.law().foreseen().periods);
         }
     }
     run.simulated /= repeats.max(1) as u64;

@@ -15,7 +15,7 @@ use crate::settings::BuildSettings;
 use crate::solution::Finder;
 use crate::start::{self, NoStart};
 use crate::store::{Store, Trajectory};
-use crate::trajectory::{self, Failure};
+use crate::trajectory::{self, Trial};
 
 /// Failures to which the mixture is fitted: the latest ones.
 const REMEMBERED_FAILURES: usize = 400;
@@ -27,7 +27,8 @@ const HOPELESS_BATCHES: usize = 20;
 pub struct Progress {
     /// Successful trajectories.
     pub trajectories: Vec<Trajectory>,
-    /// Starts that failed, as points of R^6.
+    /// Starts at which the paper's algorithms failed, as points of R^6; from some the planner found a
+    /// way.
     pub failures: Vec<[f64; 6]>,
     /// Starts tried.
     pub tried: u64,
@@ -84,7 +85,7 @@ pub fn collect(
         let starts = draw_starts(scene, &task, settings, &progress, &mut rng)?;
         let seeds: Vec<u64> = starts.iter().map(|_| rng.random()).collect();
         let guide = (store.trajectories() >= settings.guide_after).then_some(&store);
-        let results: Vec<Result<Trajectory, Failure>> = starts
+        let trials: Vec<Trial> = starts
             .par_iter()
             .zip(&seeds)
             .map_init(
@@ -96,20 +97,18 @@ pub fn collect(
             )
             .collect();
         let before = progress.trajectories.len();
-        for (start, result) in starts.iter().zip(results) {
+        for (start, Trial { trajectory, failure }) in starts.iter().zip(trials) {
             if progress.trajectories.len() == settings.trajectories {
                 break;
             }
             progress.tried += 1;
-            match result {
-                Ok(trajectory) => {
-                    store.add(&task, settings, &trajectory);
-                    progress.trajectories.push(trajectory);
-                }
-                Err(failure) => {
-                    progress.causes[failure as usize] += 1;
-                    progress.failures.push(start::coordinates(start));
-                }
+            if let Some(failure) = failure {
+                progress.causes[failure as usize] += 1;
+                progress.failures.push(start::coordinates(start));
+            }
+            if let Some(trajectory) = trajectory {
+                store.add(&task, settings, &trajectory);
+                progress.trajectories.push(trajectory);
             }
         }
         progress.batches += 1;

@@ -15,6 +15,8 @@ use crate::store::Store;
 const RANDOM_DIRECTIONS: usize = 10;
 /// Predefined directions: each component of the camera velocity, both ways.
 const PREDEFINED_DIRECTIONS: usize = 12;
+/// Components below this share of their limits are standing still.
+const STILL: f64 = 0.02;
 
 /// Finds commands; owns the solver's workspace.
 pub struct Finder<'a> {
@@ -38,14 +40,15 @@ impl<'a> Finder<'a> {
 
     /// The next command from the features `points`: guided by the memory where features are close
     /// to an occlusion (`store` is given once it holds enough trajectories), else from the
-    /// `previous` command; and where that gives no success, from 12 predefined and 10 random
-    /// directions. `None` where every start fails.
+    /// `previous` command; and where that gives no success, or the features do not move any more,
+    /// from 12 predefined and 10 random directions. `None` where every start fails.
     ///
     /// Source: paper, the second algorithm.
     pub fn find(
         &mut self,
         points: &Points,
         previous: &Twist,
+        is_stalled: bool,
         store: Option<&Store>,
         rng: &mut ChaCha8Rng,
     ) -> Option<Twist> {
@@ -58,7 +61,8 @@ impl<'a> Finder<'a> {
             None => self.solve(points, &self.task.goal.clone(), previous),
         };
         let mut random = ChaCha8Rng::from_rng(rng);
-        first.or_else(|| {
+        let moving = first.filter(|twist| !is_stalled || self.moves(twist));
+        moving.or_else(|| {
             let goal = self.task.goal.clone();
             let predefined = (0..PREDEFINED_DIRECTIONS)
                 .map(|k| self.direction(k))
@@ -69,8 +73,16 @@ impl<'a> Finder<'a> {
             predefined
                 .iter()
                 .chain(&random)
-                .find_map(|start| self.solve(points, &goal, start))
+                .filter_map(|start| self.solve(points, &goal, start))
+                .find(|twist| !is_stalled || self.moves(twist))
+                .or(first)
         })
+    }
+
+    /// Whether a command is more than rounding around standing still.
+    fn moves(&self, twist: &Twist) -> bool {
+        let mut shares = twist.iter().zip(self.task.limits);
+        shares.any(|(v, limit)| v.abs() > STILL * limit)
     }
 
     /// Solves one problem from `warm` towards `target`; `None` where the solution violates a

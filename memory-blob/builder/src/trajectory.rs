@@ -13,8 +13,10 @@ use crate::solution::Finder;
 use crate::start::image_motion;
 use crate::store::{Store, Trajectory};
 
-/// Periods without motion after which a trajectory counts as stuck.
+/// Periods without motion after which a trajectory counts as stuck, and those after which the solver
+/// starts from other directions.
 const STUCK_PERIODS: usize = 6;
+const STALLED_PERIODS: usize = 3;
 /// Image motion below which a period counts as one without motion: share of the motion that the
 /// camera's linear limit gives the pattern at its goal.
 const STILL: f64 = 2e-3;
@@ -34,8 +36,18 @@ pub enum Failure {
     TimeOut,
 }
 
-/// Runs from a start to the goal, step by step; `command` gives the next command from features and
-/// last command.
+/// A start that was tried: a trajectory, a failure of the paper's algorithms, or both, where the
+/// planner found a way nevertheless.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// The trajectory, if there is one.
+    pub trajectory: Option<Trajectory>,
+    /// Why the paper's algorithms gave none.
+    pub failure: Option<Failure>,
+}
+
+/// Runs from a start to the goal, step by step; `command` gives the next command from features, last
+/// command, and whether the features have not moved for some periods.
 ///
 /// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not
 /// failed").
@@ -43,7 +55,7 @@ pub(crate) fn run(
     scene: &Scene,
     task: &Task,
     start: &Pose,
-    mut command: impl FnMut(&Points, &Twist) -> Option<Twist>,
+    mut command: impl FnMut(&Points, &Twist, bool) -> Option<Twist>,
 ) -> Result<Trajectory, Failure> {
     let periods = (scene.success.time_s * scene.camera.rate_hz) as usize;
     let fastest = scene.limits.linear * task.ts * task.camera.fx / scene.goal.translation[2];
@@ -75,7 +87,7 @@ pub(crate) fn run(
         if rest >= STUCK_PERIODS {
             return Err(Failure::Stuck);
         }
-        twist = command(&points, &twist).ok_or(Failure::NoSolution)?;
+        twist = command(&points, &twist, rest >= STALLED_PERIODS).ok_or(Failure::NoSolution)?;
         trajectory.twists.push(twist);
         let motion = Motion::of_camera(&twist, task.ts);
         pattern.iter_mut().for_each(|x| *x = motion.apply(x));
@@ -91,16 +103,20 @@ pub fn generate(
     start: &Pose,
     store: Option<&Store>,
     rng: &mut ChaCha8Rng,
-) -> Result<Trajectory, Failure> {
+) -> Trial {
     let task = finder.task;
-    let found = run(scene, task, start, |points, previous| {
-        finder.find(points, previous, store, rng)
+    let found = run(scene, task, start, |points, previous, is_stalled| {
+        finder.find(points, previous, is_stalled, store, rng)
     });
-    match found {
-        Err(failure) if finder.settings.planner => planner::path(scene, task, start, rng)
-            .and_then(|path| follow(scene, finder, start, &path))
-            .ok_or(failure),
-        other => other,
+    let failure = found.as_ref().err().copied();
+    let may_plan = finder.settings.planner && failure.is_some();
+    let planned = may_plan.then(|| planner::path(scene, task, start, rng));
+    let followed = planned
+        .flatten()
+        .and_then(|path| follow(scene, finder, start, &path));
+    Trial {
+        trajectory: found.ok().or(followed),
+        failure,
     }
 }
 
@@ -116,7 +132,7 @@ fn follow(
     [0.15, 0.08, 0.04, 0.02].iter().find_map(|share| {
         let ahead = share * task.camera.width;
         let mut next = 0;
-        run(scene, task, start, |points, previous| {
+        run(scene, task, start, |points, previous, _| {
             while next < path.len() && image_motion(points, &path[next]) < ahead {
                 next += 1;
             }

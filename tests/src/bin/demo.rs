@@ -5,19 +5,22 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{ExitCode, Stdio};
+use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
 use hw_sim::eye::Sight;
 use hw_sim::recording;
+use ipc::ClockMode;
 use memory_blob::MemoryFile;
 use scene::{Pose, Scene, read_starts};
 use system_tests::children::{self, Children, attended};
 use system_tests::flags::{Common, RobotFlags, defaults};
 use system_tests::pictures::{self, Draw};
+use system_tests::simulated::Simulated;
 use system_tests::spec::Spec;
 use system_tests::{robot_table, root, run};
-use vpc::{Controller, MotionMemory, Task};
+use vpc::{MotionMemory, Task};
 
 /// A scene to show.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -223,15 +226,15 @@ impl<'a> Demo<'a> {
 
     /// Runs the strategies with the camera that flies freely.
     fn compare(&self) -> anyhow::Result<Vec<(Spec, run::Run)>> {
-        let memory = self.memory()?;
-        let view = memory.view();
+        let memory = Arc::new(self.memory()?);
         let mut runs = Vec::new();
         for text in ["previous:3", "gpr:3", "foresight:3"] {
             let spec: Spec = text.parse().map_err(anyhow::Error::msg)?;
-            let mut controller = Box::new(Controller::new(&self.scene, spec.settings())?);
-            let view = Some(&view as &dyn MotionMemory);
+            let memory = Some(memory.clone());
+            let clock = ClockMode::Fixed;
+            let mut daemon = Simulated::new(&self.scene, memory, spec.settings(), clock)?;
             let start = &self.starts[self.start];
-            runs.push((spec, run::run(&self.scene, &mut controller, view, start)));
+            runs.push((spec, run::run(&self.scene, &mut daemon, start)));
         }
         Ok(runs)
     }

@@ -5,6 +5,7 @@ use std::fs;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use clap::error::ErrorKind;
@@ -12,6 +13,7 @@ use clap::parser::ValueSource;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use hw_sim::robot::calibration::Truth;
 use hw_sim::sensor::Flaws;
+use ipc::ClockMode;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
 use scene::{Pose, Scene, read_starts};
@@ -21,8 +23,9 @@ use system_tests::flags::{Common, RobotFlags};
 use system_tests::pictures::{self, Draw};
 use system_tests::row::{self, Row};
 use system_tests::run::{flawed, time};
+use system_tests::simulated::Simulated;
 use system_tests::{arguments, robot_table};
-use vpc::{Controller, MotionMemory, Task};
+use vpc::{MotionMemory, Task};
 
 /// Runs every strategy from the same starts against an emulated camera, as in the paper's Table I.
 ///
@@ -134,9 +137,10 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         }
         None => None,
     };
+    let memory = memory.map(Arc::new);
     match cli.robot {
         Body::Free => free(cli, &scene, &starts, memory.as_ref()),
-        Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
+        Body::Panda => on_robot(cli, &scene, &starts, memory.as_deref()),
     }
 }
 
@@ -145,7 +149,7 @@ fn free(
     cli: &Cli,
     scene: &Scene,
     starts: &[Pose],
-    memory: Option<&MemoryFile>,
+    memory: Option<&Arc<MemoryFile>>,
 ) -> anyhow::Result<()> {
     let Common { noise, drop, .. } = cli.common;
     let CameraFlags { delay, repeats } = cli.camera;
@@ -155,12 +159,12 @@ fn free(
         ..Truth::default()
     };
     let believed = wrong.scene(scene);
-    let view = memory.map(MemoryFile::view);
-    let view = view.as_ref().map(|view| view as &dyn MotionMemory);
     let bar = bar(cli.common.strategies.len() * starts.len());
     let (mut rows, mut all) = (Vec::new(), Vec::new());
     for &spec in &cli.common.strategies {
-        let mut controller = Box::new(Controller::new(&believed, cli.common.settings(spec))?);
+        let settings = cli.common.settings(spec);
+        let memory = memory.cloned();
+        let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
         let mut runs = Vec::with_capacity(starts.len());
         for (start, pose) in starts.iter().enumerate() {
             bar.set_message(format!("{spec}, start {start}"));
@@ -170,8 +174,8 @@ fn free(
                 drop,
                 seed: cli.common.seed + start as u64,
             };
-            let mut run = flawed(scene, &mut controller, view, pose, flaws);
-            time(&mut run, &mut controller, view, usize::from(repeats))?;
+            let mut run = flawed(scene, &mut daemon, pose, flaws);
+            time(&mut run, &mut daemon, usize::from(repeats))?;
             runs.push(run);
             bar.inc(1);
         }
@@ -192,6 +196,7 @@ fn free(
         100.0 * cli.common.depth_error,
         row::markdown(&rows)
     );
+    let memory = memory.map(AsRef::as_ref);
     finish(cli, scene, memory, &text, &rows, &all)
 }
 

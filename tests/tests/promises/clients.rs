@@ -5,13 +5,15 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 
+use ipc::ClockMode;
 use memory_blob::MemoryFile;
 use scene::{Scene, read_starts};
 use serde_json::Value;
 use system_tests::run::run;
+use system_tests::simulated::Simulated;
 use system_tests::spec::Spec;
-use vpc::{Controller, MotionMemory};
 
 use testkit::python::{self, Environment};
 
@@ -41,14 +43,13 @@ fn daemon(place: &Place, strategy: &str) -> Running {
 /// referee.
 fn table(spec: &str, count: usize) -> Vec<Outcome> {
     let scene = Scene::read(&scene_file()).unwrap();
-    let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes())).unwrap();
-    let view = memory.view();
+    let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes()));
+    let memory = Some(Arc::new(memory.unwrap()));
     let settings = spec.parse::<Spec>().unwrap().settings();
-    let mut controller = Box::new(Controller::new(&scene, settings).unwrap());
+    let mut daemon = Simulated::new(&scene, memory, settings, ClockMode::Lockstep).unwrap();
     let starts = read_starts(&starts_file()).unwrap();
     let outcome = |start| {
-        let view: Option<&dyn MotionMemory> = Some(&view);
-        let run = run(&scene, &mut controller, view, start);
+        let run = run(&scene, &mut daemon, start);
         let reason = run
             .reason
             .map(|reason| serde_json::to_value(reason).unwrap());

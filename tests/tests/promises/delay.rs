@@ -2,9 +2,11 @@
 //! frames later.
 
 use hw_sim::sensor::Flaws;
+use ipc::ClockMode;
 use scene::Scene;
 use system_tests::run::{Reason, Run, flawed, time};
-use vpc::{Controller, Settings};
+use system_tests::simulated::Simulated;
+use vpc::Settings;
 
 use crate::fixture::turn;
 
@@ -18,16 +20,16 @@ fn runs(delay_frames: usize, delay_compensation: bool) -> Vec<Run> {
         delay_compensation,
         ..Settings::default()
     };
-    let mut controller = Box::new(Controller::new(&scene, settings).unwrap());
+    let mut daemon = Simulated::new(&scene, None, settings, ClockMode::Fixed).unwrap();
     let flaws = Flaws {
         delay_frames,
         ..Flaws::default()
     };
     let mut runs = Vec::new();
     for &i in &STARTS {
-        let mut run = flawed(&scene, &mut controller, None, &starts[i], flaws);
+        let mut run = flawed(&scene, &mut daemon, &starts[i], flaws);
         // The run with its delay is repeatable, bit for bit.
-        time(&mut run, &mut controller, None, 1).unwrap();
+        time(&mut run, &mut daemon, 1).unwrap();
         runs.push(run);
     }
     runs

@@ -1,7 +1,10 @@
 //! Foresight arrives from starts that no setting was chosen on, no run is deep inside an occlusion
 //! at any instant, and in the exact model a run costs no more than was foreseen.
 
+use std::sync::Arc;
+
 use hw_sim::FreeCamera;
+use ipc::ClockMode;
 use memory_blob::MemoryFile;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -9,6 +12,7 @@ use rayon::prelude::*;
 use scene::{Pose, Scene};
 use system_tests::row::Row;
 use system_tests::run::{Run, run};
+use system_tests::simulated::Simulated;
 use system_tests::spec::Spec;
 use vpc::foresight::Outcome;
 use vpc::{Controller, Measurement, MotionMemory, Settings, Task};
@@ -36,8 +40,9 @@ fn starts(scene: &Scene, count: usize) -> Vec<Pose> {
     draws.filter(valid).take(count).collect()
 }
 
-fn memory(scene: &Scene) -> MemoryFile {
-    MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes())).unwrap()
+fn memory(scene: &Scene) -> Arc<MemoryFile> {
+    let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes()));
+    Arc::new(memory.unwrap())
 }
 
 /// Runs of a strategy with changed settings from each start, and their row.
@@ -50,11 +55,8 @@ fn row(text: &str, starts: &[Pose], change: fn(&mut Settings)) -> (Row, Vec<Run>
     let runs: Vec<Run> = starts
         .par_iter()
         .map_init(
-            || Box::new(Controller::new(&scene, settings).unwrap()),
-            |controller, start| {
-                let view = memory.view();
-                run(&scene, controller, Some(&view as &dyn MotionMemory), start)
-            },
+            || Simulated::new(&scene, Some(memory.clone()), settings, ClockMode::Fixed).unwrap(),
+            |daemon, start| run(&scene, daemon, start),
         )
         .collect();
     let row = Row::of(spec, &runs);

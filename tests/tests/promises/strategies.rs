@@ -1,12 +1,15 @@
 //! The memory helps: with the default memory more starts arrive than without one, and no constraint
 //! is violated.
 
+use std::sync::Arc;
+
+use ipc::ClockMode;
 use memory_blob::MemoryFile;
 use scene::Scene;
 use system_tests::row::Row;
 use system_tests::run::{Run, run};
+use system_tests::simulated::Simulated;
 use system_tests::spec::Spec;
-use vpc::{Controller, MotionMemory};
 
 use crate::fixture::{memory_file, turn};
 
@@ -22,21 +25,16 @@ fn knn_and_gpr_arrive_where_previous_stays_behind() {
     let _turn = turn();
     let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "paper-sim-starts.csv").unwrap();
-    let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes())).unwrap();
-    let view = memory.view();
+    let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes()));
+    let memory = Arc::new(memory.unwrap());
     let row = |text: &str| {
         let spec: Spec = text.parse().unwrap();
-        let mut controller = Box::new(Controller::new(&scene, spec.settings()).unwrap());
+        let memory = Some(memory.clone());
+        let mut daemon =
+            Simulated::new(&scene, memory, spec.settings(), ClockMode::Fixed).unwrap();
         let runs: Vec<Run> = STARTS
             .iter()
-            .map(|&i| {
-                run(
-                    &scene,
-                    &mut controller,
-                    Some(&view as &dyn MotionMemory),
-                    &starts[i],
-                )
-            })
+            .map(|&i| run(&scene, &mut daemon, &starts[i]))
             .collect();
         Row::of(spec, &runs)
     };

@@ -1,0 +1,106 @@
+//! The daemon's decision step in simulated time: order and age, law, supervisor; the same code as
+//! the daemon's loop runs, without its clock and ports.
+
+use std::sync::Arc;
+
+use anyhow::Context;
+use controller::arguments::Arguments;
+use controller::config::Config;
+use controller::control::{ControlStep, State};
+use controller::cycle::Pace;
+use controller::input::{Input, Inputs};
+use controller::loaded::LoadedController;
+use hw_sim::sensor::Frame;
+use ipc::{ClockMode, CycleRecord, Features};
+use memory_blob::MemoryFile;
+use scene::{Scene, SceneFiles};
+use vpc::{Controller, Settings};
+
+/// When a run begins: any time but zero, which means that a time is unknown, ns.
+pub const BEGIN_NS: u64 = 1_000_000_000;
+
+/// A daemon that is armed, with the configuration that it has by itself but for the law.
+pub struct Simulated {
+    control: ControlStep,
+    /// Its state before the first cycle.
+    fresh: Box<State>,
+    /// Number of the last frame.
+    sequence: u64,
+}
+
+impl Simulated {
+    /// A daemon for this scene, as the law believes it to be.
+    ///
+    /// # Errors
+    /// If scene and settings give no task.
+    pub fn new(
+        scene: &Scene,
+        memory: Option<Arc<MemoryFile>>,
+        settings: Settings,
+        clock: ClockMode,
+    ) -> anyhow::Result<Self> {
+        const PATH: &str = "the scene";
+        let files = SceneFiles {
+            scene: scene.clone(),
+            path: PATH.into(),
+            text: String::new(),
+            masks: Default::default(),
+        };
+        let config = Config::read(&Arguments {
+            scene: Some(PATH.into()),
+            clock: Some(clock.to_string()),
+            arm: true,
+            ..Arguments::default()
+        });
+        let pace = Pace::new(&config.context("the default configuration")?, scene);
+        let control = pace.control(LoadedController::with(files, PATH, memory, settings)?);
+        let fresh = Box::new(control.state());
+        Ok(Self {
+            control,
+            fresh,
+            sequence: 0,
+        })
+    }
+
+    /// Begins a run.
+    pub fn restart(&mut self) {
+        self.control.restore(&self.fresh);
+        self.sequence = 0;
+    }
+
+    /// The law.
+    pub fn law(&self) -> &Controller {
+        &self.control.loaded().controller
+    }
+
+    /// What a cycle receives `now_ns` after the begin of the run: the frame that arrives, if any.
+    pub fn inputs(&mut self, frame: Option<&Frame>, now_ns: u64) -> Inputs {
+        let now_ns = BEGIN_NS + now_ns;
+        let features = frame.map_or(Input::Nothing, |frame| {
+            self.sequence += 1;
+            let mut features = Features::new(&frame.points, BEGIN_NS + frame.exposure_ns);
+            features.stamp.sequence = self.sequence;
+            features.stamp.published_ns = now_ns;
+            Input::Message(features)
+        });
+        Inputs {
+            now_ns,
+            features,
+            robot: Input::Nothing,
+            missed: 0,
+            shutdown: false,
+        }
+    }
+
+    /// One decision, and all that is told of it.
+    pub fn decide(&mut self, inputs: &Inputs) -> CycleRecord {
+        let mut record = CycleRecord::default();
+        self.control.decide(inputs, &mut record);
+        record
+    }
+
+    /// Thinks ahead, after the decision.
+    pub fn think(&mut self) {
+        self.control.think();
+    }
+}
