@@ -62,6 +62,9 @@ mod tests {
         let spin = cost([0.0, 0.0, 0.0, 0.0, 0.0, 1e-6], 3) - still;
         assert!(spin.abs() < 1e-3 * still);
         let there = FreeCamera::new(&scene, &scene.goal).pose;
-        assert_eq!(running_cost(&scene, &goal, &there, &[0.0; 6], 3).unwrap(), 0.0);
+        assert_eq!(
+            running_cost(&scene, &goal, &there, &[0.0; 6], 3).unwrap(),
+            0.0
+        );
     }
 }

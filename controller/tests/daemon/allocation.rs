@@ -18,7 +18,7 @@ use vpc::{Settings, Strategy};
 use crate::fixture::{Place, scene_file, square, write_memory};
 
 /// Cycles counted.
-const CYCLES: u64 = 10_000;
+const CYCLES: u64 = 5_000;
 /// Cycles before: connections are made with the first messages, and that allocates.
 const WARM_UP: u64 = 100;
 

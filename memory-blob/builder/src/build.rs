@@ -97,7 +97,14 @@ pub fn collect(
             )
             .collect();
         let before = progress.trajectories.len();
-        for (start, Trial { trajectory, failure }) in starts.iter().zip(trials) {
+        for (
+            start,
+            Trial {
+                trajectory,
+                failure,
+            },
+        ) in starts.iter().zip(trials)
+        {
             if progress.trajectories.len() == settings.trajectories {
                 break;
             }

@@ -61,8 +61,9 @@ impl<'a> Finder<'a> {
             None => self.solve(points, &self.task.goal.clone(), previous),
         };
         let mut random = ChaCha8Rng::from_rng(rng);
-        let moving = first.filter(|twist| !is_stalled || self.moves(twist));
-        moving.or_else(|| {
+        let limits = self.task.limits;
+        let may_do = |twist: &Twist| !is_stalled || moves(twist, &limits);
+        first.filter(may_do).or_else(|| {
             let goal = self.task.goal.clone();
             let predefined = (0..PREDEFINED_DIRECTIONS)
                 .map(|k| self.direction(k))
@@ -74,15 +75,9 @@ impl<'a> Finder<'a> {
                 .iter()
                 .chain(&random)
                 .filter_map(|start| self.solve(points, &goal, start))
-                .find(|twist| !is_stalled || self.moves(twist))
+                .find(may_do)
                 .or(first)
         })
-    }
-
-    /// Whether a command is more than rounding around standing still.
-    fn moves(&self, twist: &Twist) -> bool {
-        let mut shares = twist.iter().zip(self.task.limits);
-        shares.any(|(v, limit)| v.abs() > STILL * limit)
     }
 
     /// Solves one problem from `warm` towards `target`; `None` where the solution violates a
@@ -122,4 +117,10 @@ impl<'a> Finder<'a> {
     fn random_direction(&self, rng: &mut ChaCha8Rng) -> Twist {
         std::array::from_fn(|i| self.task.limits[i] * (2.0 * rng.random::<f64>() - 1.0))
     }
+}
+
+/// Whether a command is more than standing still.
+fn moves(twist: &Twist, limits: &Twist) -> bool {
+    let mut shares = twist.iter().zip(limits);
+    shares.any(|(v, limit)| v.abs() > STILL * limit)
 }

@@ -22,8 +22,7 @@ use crate::stall::fairly;
 const BRAKING_NS: u64 = 3 * PERIOD_NS;
 const ZERO_NS: u64 = 300_000_000;
 /// Periods after which the law has forgotten its commands: it remembers 32. This camera does not
-/// move as it is commanded. After a silence its points may therefore be taken for others
-/// (`Hold::Mixed`) so long.
+/// move as it is commanded: after a fault its points may be taken for others (`Hold::Mixed`) so long.
 const FORGOTTEN: u64 = 36;
 
 /// The features of a camera that is far from the goal and does not move, but for its noise: the law
@@ -223,11 +222,7 @@ fn fail(fault: Fault, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
         });
         over.store(true, Ordering::Relaxed);
         // Good features alone do not set it in motion; late ones would have come by then.
-        let periods = match fault {
-            Fault::Silence | Fault::Pause | Fault::Late => FORGOTTEN,
-            _ => 16,
-        };
-        std::thread::sleep(Duration::from_nanos(periods * PERIOD_NS));
+        std::thread::sleep(Duration::from_nanos(FORGOTTEN * PERIOD_NS));
         commands.extend(witness.commands());
         ensure!(commands.len() > 6, "{commands:?}");
         let outcome = witness.ask(Action::Arm);

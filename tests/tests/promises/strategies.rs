@@ -30,8 +30,7 @@ fn knn_and_gpr_arrive_where_previous_stays_behind() {
     let row = |text: &str| {
         let spec: Spec = text.parse().unwrap();
         let memory = Some(memory.clone());
-        let mut daemon =
-            Simulated::new(&scene, memory, spec.settings(), ClockMode::Fixed).unwrap();
+        let mut daemon = Simulated::new(&scene, memory, spec.settings(), ClockMode::Fixed).unwrap();
         let runs: Vec<Run> = STARTS
             .iter()
             .map(|&i| run(&scene, &mut daemon, &starts[i]))

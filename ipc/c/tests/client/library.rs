@@ -94,6 +94,6 @@ fn codes_have_words() {
     };
     assert_eq!(name(0), "none");
     assert_eq!(name(20), "standstill of the loop");
-    assert_eq!(name(23), "recall out of range");
-    assert_eq!(name(24), "unknown");
+    assert_eq!(name(22), "frozen image");
+    assert_eq!(name(23), "unknown");
 }
