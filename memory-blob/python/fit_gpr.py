@@ -26,7 +26,7 @@ FAR = 1e150  # fills rows of no sample; far from every query, and finite when sq
 LANES = 8  # rows of the process in a block
 TWIST = 6  # entries of an output before the way point
 PROBES = 8
-SCHEMA = "2"
+SCHEMA = "3"
 
 
 def up(count, of):

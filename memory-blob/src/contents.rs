@@ -26,6 +26,8 @@ pub struct Contents {
     pub trajectory: Vec<u32>,
     /// Control period of each sample in its trajectory.
     pub step: Vec<u32>,
+    /// Cost of the rest of its trajectory from each sample on, at least zero.
+    pub cost_to_go: Vec<f64>,
     /// The Gaussian process.
     pub regression: Option<Regression>,
     /// Where the memory comes from: seed, counts, settings, date, tool.

@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 /// Value of the metadata key `format`.
 pub(crate) const FORMAT: &str = "vpc-memory";
 /// Value of the metadata key `schema`.
-pub(crate) const SCHEMA: &str = "2";
+pub(crate) const SCHEMA: &str = "3";
 /// Largest header, bytes.
 pub(crate) const MAX_HEADER: usize = 64 * 1024;
 /// Alignment of tensors in our files and in sealed memory, bytes.

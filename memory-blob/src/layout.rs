@@ -99,6 +99,7 @@ impl Layout {
             ("samples.boxes", vec![round_up(blocks, 4), 2, n]),
             ("samples.groups", vec![round_up(groups, 4), 2, n]),
             ("samples.origin", vec![2, blocks * BLOCK]),
+            ("samples.cost_to_go", vec![blocks * BLOCK]),
             ("probes.x", vec![self.probes, n8]),
             ("probes.knn", vec![self.probes, p8]),
         ]);
@@ -160,6 +161,7 @@ impl Layout {
             outputs: self.outputs,
             x: tensor("samples.x"),
             y: tensor("samples.y"),
+            cost_to_go: tensor("samples.cost_to_go"),
             boxes: &tensor("samples.boxes")[..blocks * 2 * n],
             groups: &tensor("samples.groups")[..groups * 2 * n],
         };

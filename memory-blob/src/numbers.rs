@@ -16,6 +16,11 @@ impl MemoryFile {
         let view = self.view();
         let samples = view.samples();
         positive("scaling: scale", samples.scaling().scale)?;
+        if let Some(cost) = samples.cost_to_go.iter().find(|cost| **cost < 0.0) {
+            return Err(format!(
+                "samples.cost_to_go: {cost}; allowed: numbers from 0 on"
+            ));
+        }
         if let Some(gpr) = view.gpr() {
             positive("gpr.length_scale", gpr.length_scale)?;
             positive("gpr.output_scale", gpr.output_scale)?;

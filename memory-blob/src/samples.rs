@@ -23,6 +23,8 @@ pub struct Samples<'a> {
     pub(crate) x: &'a [f64],
     /// Raw outputs, [blocks * BLOCK, outputs].
     pub(crate) y: &'a [f64],
+    /// Cost of the rest of each sample's trajectory, [blocks * BLOCK].
+    pub(crate) cost_to_go: &'a [f64],
     /// Boxes of the blocks, [blocks, 2, inputs]: lows, then highs.
     pub(crate) boxes: &'a [f64],
     /// Boxes of the groups, [groups, 2, inputs].
@@ -105,6 +107,12 @@ impl<'a> Samples<'a> {
     /// The raw output of a sample.
     pub fn output(&self, index: usize) -> &'a [f64] {
         &self.y[index * self.outputs..][..self.outputs]
+    }
+
+    /// Cost of the rest of its trajectory from a sample on: the sum of l(v) / Np over its control
+    /// periods.
+    pub fn cost_to_go(&self, index: usize) -> f64 {
+        self.cost_to_go[index]
     }
 
     /// Writes the raw input of a sample.

@@ -31,6 +31,7 @@ pub(crate) fn of_samples(contents: &Contents, layout: &Layout) -> Tensors {
         let values: Vec<f64> = order.iter().map(|&i| f64::from(of[i])).collect();
         padded(&values, rows, 0.0)
     };
+    let cost_to_go = order.iter().map(|&i| contents.cost_to_go[i]).collect();
     let y: Vec<f64> = order
         .iter()
         .flat_map(|&i| contents.y[i].iter().copied())
@@ -45,6 +46,7 @@ pub(crate) fn of_samples(contents: &Contents, layout: &Layout) -> Tensors {
             ("scaling", scaling.concat(), 0.0),
             ("samples.x", x, FAR),
             ("samples.y", y, 0.0),
+            ("samples.cost_to_go", cost_to_go, 0.0),
             ("samples.boxes", boxes, FAR),
             ("samples.groups", groups, FAR),
             (

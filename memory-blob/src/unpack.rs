@@ -29,6 +29,7 @@ impl MemoryFile {
             y: order.iter().map(|&i| samples.output(i).to_vec()).collect(),
             trajectory: order.iter().map(|&i| trajectory[i] as u32).collect(),
             step: order.iter().map(|&i| step[i] as u32).collect(),
+            cost_to_go: order.iter().map(|&i| samples.cost_to_go(i)).collect(),
             regression: view.gpr().map(|gpr| self.regression(&gpr, raw)),
             provenance: self.provenance(),
         }

@@ -181,7 +181,7 @@ fn another_schema_and_a_missing_file_are_errors_of_their_own() {
     assert!(matches!(error, OpenError::Schema { .. }), "{error}");
     let message = error.to_string();
     assert!(
-        message.contains("schema 1; allowed: 2; build the memory again"),
+        message.contains("schema 1; allowed: 3; build the memory again"),
         "{message}"
     );
     let error = MemoryFile::open("/nowhere/missing.vpcmem".as_ref(), None).unwrap_err();

@@ -63,6 +63,7 @@ pub fn write_memory(scene: &Scene, path: &Path, random: &mut impl Rng) {
             .collect(),
         trajectory: vec![0; x.len()],
         step: (0..x.len() as u32).collect(),
+        cost_to_go: vec![0.0; x.len()],
         x,
         y,
         regression: Some(regression),

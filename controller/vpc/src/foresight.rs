@@ -51,6 +51,9 @@ const PROGRESS: f64 = 0.99;
 /// An incumbent that arrives is simulated again every so many cycles. In between it is trusted: what
 /// it promised, less what the last period cost.
 const TRUSTED: u32 = 4;
+/// A sample is a candidate where the rest of its trajectory costs less than this multiple of what is
+/// known.
+const HOPEFUL: f64 = 1.0;
 /// Places of a foreseen path.
 pub const PLACES: usize = 8;
 
@@ -279,23 +282,24 @@ impl Thinker<'_> {
                 return;
             }
             foresight.drawn += 1;
-            let knows_a_way = matches!(best.outcome, Outcome::Arrives { .. });
-            match self.drawn(foresight.drawn, knows_a_way) {
-                Some(guide) => self.consider(guide, best, foresight),
-                None if knows_a_way => return,
-                None => (),
+            if let Some(guide) = self.drawn(foresight.drawn, best.outcome) {
+                self.consider(guide, best, foresight);
             }
         }
     }
 
     /// The candidate of this number: over a sample; while no way is known, in turn also over two
     /// samples, or with a step aside first. `None` where it needs a memory and there is none.
-    fn drawn(&self, number: u64, knows_a_way: bool) -> Option<Guide> {
-        let sample = || self.over_sample(Guide::GOAL, number);
+    fn drawn(&self, number: u64, best: Outcome) -> Option<Guide> {
+        let (knows_a_way, most) = match best {
+            Outcome::Arrives { cost, .. } => (true, HOPEFUL * cost),
+            _ => (false, f64::INFINITY),
+        };
+        let sample = || self.over_sample(Guide::GOAL, number, most);
         match number % 4 {
             1 if !knows_a_way => {
-                let second = self.over_sample(Guide::GOAL, 4 * number + 1)?;
-                self.over_sample(second, number)
+                let second = self.over_sample(Guide::GOAL, 4 * number + 1, most)?;
+                self.over_sample(second, number, most)
             }
             2 if !knows_a_way => Some(self.aside(Guide::GOAL, number)),
             3 if !knows_a_way => Some(self.aside(sample().unwrap_or(Guide::GOAL), number)),
@@ -330,20 +334,21 @@ impl Thinker<'_> {
         }
     }
 
-    /// The guide that goes over a sample first, then on as `then`; `None` without a memory.
-    fn over_sample(&self, then: Guide, number: u64) -> Option<Guide> {
+    /// The guide that goes over a sample first, then on as `then`; `None` without a memory, or where
+    /// the rest of the sample's trajectory alone costs more than `most`.
+    fn over_sample(&self, then: Guide, number: u64, most: f64) -> Option<Guide> {
         let points = &self.initial.points;
         let input = self.law.task.recall_input(points);
         let mut found = [0.0; MAX_INPUTS];
         let found = found.get_mut(..input.len())?;
         let memory = self.memory?;
         let uniform = uniform(number, 0);
-        let is_there = match number % 2 {
+        let cost_to_go = match number % 2 {
             0 => memory.neighbour(&input, 1 + (uniform * uniform * RANKS) as usize, found),
             _ => memory.sample((uniform * memory.count() as f64) as usize, found),
-        };
+        }?;
         let target = found.as_chunks().0.get(..points.len())?;
-        is_there.then(|| then.after(Kind::Sample, target))
+        (cost_to_go <= most).then(|| then.after(Kind::Sample, target))
     }
 
     /// The guide that steps aside first, then goes on as `then`: the features shifted, turned and
@@ -457,7 +462,7 @@ mod tests {
             false
         }
 
-        fn neighbour(&self, _: &[f64], rank: usize, found: &mut [f64]) -> bool {
+        fn neighbour(&self, _: &[f64], rank: usize, found: &mut [f64]) -> Option<f64> {
             self.sample(rank, found)
         }
 
@@ -465,12 +470,12 @@ mod tests {
             100
         }
 
-        fn sample(&self, index: usize, input: &mut [f64]) -> bool {
+        fn sample(&self, index: usize, input: &mut [f64]) -> Option<f64> {
             let goal = self.0.iter().flatten();
             for (to, from) in input.iter_mut().zip(goal) {
                 *to = from + index as f64 - 50.0;
             }
-            true
+            Some(0.0)
         }
     }
 

@@ -45,9 +45,10 @@ pub trait MotionMemory {
     /// input.
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
 
-    /// Writes the input of the `rank`-th nearest sample, from 1; `false` if there is none.
-    fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> bool {
-        false
+    /// Writes the input of the `rank`-th nearest sample, from 1, and returns the cost of the rest of
+    /// its trajectory; `None` if there is none.
+    fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> Option<f64> {
+        None
     }
 
     /// The number of samples to look at.
@@ -55,10 +56,10 @@ pub trait MotionMemory {
         0
     }
 
-    /// Writes the input of a sample, from 0 to [`MotionMemory::count`], in an order of the memory's
-    /// own; `false` if there is none.
-    fn sample(&self, _index: usize, _input: &mut [f64]) -> bool {
-        false
+    /// The same of a sample by its index, from 0 to [`MotionMemory::count`], in an order of the
+    /// memory's own.
+    fn sample(&self, _index: usize, _input: &mut [f64]) -> Option<f64> {
+        None
     }
 }
 
@@ -67,20 +68,19 @@ impl MotionMemory for memory_blob::Memory<'_> {
         strategy.infer(self, input, output)
     }
 
-    fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> bool {
-        let nearest = self.samples().search(input, rank);
-        let furthest = nearest
-            .ok()
-            .and_then(|found| found.indices().last().copied());
-        furthest.is_some_and(|index| self.samples().input(index, found).is_ok())
+    fn neighbour(&self, input: &[f64], rank: usize, found: &mut [f64]) -> Option<f64> {
+        let nearest = self.samples().search(input, rank).ok()?;
+        self.sample(*nearest.indices().last()?, found)
     }
 
     fn count(&self) -> usize {
         self.samples().len()
     }
 
-    fn sample(&self, index: usize, input: &mut [f64]) -> bool {
-        index < self.count() && self.samples().input(index, input).is_ok()
+    fn sample(&self, index: usize, input: &mut [f64]) -> Option<f64> {
+        let samples = self.samples();
+        let is_there = index < samples.len() && samples.input(index, input).is_ok();
+        is_there.then(|| samples.cost_to_go(index))
     }
 }
 

@@ -37,6 +37,7 @@ pub fn contents(
         step: index(&store.step),
         regression: Some(regression),
         provenance: provenance(settings, progress, &store),
+        cost_to_go: store.cost_to_go,
         x: store.inputs,
         y: store.outputs,
     })

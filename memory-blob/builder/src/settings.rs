@@ -17,8 +17,9 @@ const GROWTH: [f64; 2] = [1.0, 3.0];
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "vpc-memory build")]
 pub struct BuildSettings {
-    /// N_t: successful trajectories to collect. Flag: --trajectories.
-    #[default = 900]
+    /// N_t: successful trajectories to collect; 900 in the paper, whose strategies need as many.
+    /// Flag: --trajectories.
+    #[default = 50]
     #[schemars(range(min = 1, max = 100000))]
     pub trajectories: usize,
     /// Steps previewed by the solver. Flag: --np.

@@ -1,8 +1,8 @@
 //! The memory while it grows: samples (x, y) of the successful trajectories, asked by k-NN.
 
 use serde::{Deserialize, Serialize};
-use vpc::features::MAX_INPUTS;
-use vpc::{MotionMemory, Points, Strategy, Task, Twist};
+use vpc::features::{self, MAX_INPUTS};
+use vpc::{MotionMemory, Points, Strategy, Task, Twist, cost};
 
 use crate::settings::{BuildSettings, WayPoint};
 use crate::sight;
@@ -37,6 +37,8 @@ pub struct Store {
     pub trajectory: Vec<usize>,
     /// Index of the control period of each sample in its trajectory.
     pub step: Vec<usize>,
+    /// Cost of the rest of its trajectory from each sample on.
+    pub cost_to_go: Vec<f64>,
     /// Per input: what it is divided by before distances are taken.
     scale: Vec<f64>,
     trajectories: usize,
@@ -64,6 +66,7 @@ impl Store {
     /// Stores the samples of a trajectory, each at least the settings' spacing from the one before.
     pub fn add(&mut self, task: &Task, settings: &BuildSettings, trajectory: &Trajectory) {
         let spacing = settings.sample_spacing * task.camera.width;
+        let costs = costs_to_go(task, trajectory);
         let mut last: Option<&[[f64; 2]]> = None;
         for (j, twist) in trajectory.twists.iter().enumerate() {
             let points = &trajectory.features[j];
@@ -79,6 +82,7 @@ impl Store {
                 .push(twist.iter().copied().chain(pixels).collect());
             self.trajectory.push(self.trajectories);
             self.step.push(j);
+            self.cost_to_go.push(costs[j]);
         }
         self.trajectories += 1;
     }
@@ -90,6 +94,24 @@ impl Store {
             .map(|((a, b), s)| ((a - b) / s) * ((a - b) / s))
             .sum()
     }
+}
+
+/// The cost of the rest of a trajectory from each of its control periods on: the sum of k_Q |s -
+/// s*|^2 + r v' R v.
+fn costs_to_go(task: &Task, trajectory: &Trajectory) -> Vec<f64> {
+    let periods = trajectory.features.iter().zip(&trajectory.twists);
+    let mut costs: Vec<f64> = periods
+        .map(|(points, twist)| {
+            let distance = features::rms_distance(points, &task.goal);
+            let weighted = task.cost.r.iter().zip(twist).map(|(r, v)| r * v * v);
+            let effort = cost::r_share(task, points, &task.goal) * weighted.sum::<f64>();
+            task.cost.k_q * distance * distance * points.len() as f64 + effort
+        })
+        .collect();
+    for j in (1..costs.len()).rev() {
+        costs[j - 1] += costs[j];
+    }
+    costs
 }
 
 /// The way point of sample `j` of a trajectory.

@@ -28,6 +28,7 @@ impl Contents {
             ("y", self.y.len()),
             ("trajectory", self.trajectory.len()),
             ("step", self.step.len()),
+            ("cost_to_go", self.cost_to_go.len()),
         ];
         for (what, found) in lengths {
             require(found == count, what, format!("{found} rows"), || {
@@ -36,6 +37,7 @@ impl Contents {
         }
         rows("x", &self.x, n)?;
         rows("y", &self.y, p)?;
+        rows("cost_to_go", std::slice::from_ref(&self.cost_to_go), count)?;
         self.regression.as_ref().map_or(Ok(()), |r| r.check(n, p))
     }
 }

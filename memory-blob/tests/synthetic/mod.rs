@@ -119,6 +119,7 @@ fn contents(x: Vec<Vec<f64>>, y: Vec<Vec<f64>>) -> Contents {
         scale: (0..INPUTS).map(scale).collect(),
         trajectory: (0..count).map(|i| i / STEPS as u32).collect(),
         step: (0..count).map(|i| i % STEPS as u32).collect(),
+        cost_to_go: (0..count).map(|i| f64::from(count - i)).collect(),
         x,
         y,
         regression: None,

@@ -71,6 +71,9 @@ struct CameraFlags {
     delay: u16,
 }
 
+/// Trajectories of the paper's memory.
+const PAPERS_TRAJECTORIES: &str = "900";
+
 /// What carries the camera.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Body {
@@ -282,6 +285,7 @@ fn built(children: &Children, cli: &Cli, scene: &Scene) -> anyhow::Result<Memory
     let path = directory.join("memory.vpcmem");
     let mut builder = children::command(programs.join("vpc-memory"));
     builder.arg("build").arg(&cli.scene).arg("-o").arg(&path);
+    builder.args(["--trajectories", PAPERS_TRAJECTORIES]);
     // Standard output is the table's.
     builder.stdout(std::process::Stdio::piped());
     let (status, said) = children.start("vpc-memory", builder)?.output()?;

@@ -8,8 +8,7 @@ use std::time::Duration;
 
 use controller::clock::sleep_until;
 use ipc::{
-    Action, CameraPorts, CycleRecord, Domain, Features, Hold, Outcome, RecallCode, SolverStatus,
-    TwistState, now_ns,
+    CameraPorts, CycleRecord, Domain, Features, Hold, RecallCode, SolverStatus, TwistState, now_ns,
 };
 use memory_blob::MemoryFile;
 use rand::{RngExt, SeedableRng};
@@ -18,7 +17,7 @@ use rustix::process::Pid;
 
 use crate::fixture::{
     CAMERA_PRIORITY, EndOnDrop, PERIOD_NS, Place, Running, Stage, Witness, assert_within_limits,
-    eventually, is_still, not_run, root, speed, turn,
+    is_still, not_run, root, speed, turn,
 };
 use crate::machine::{keep, may_be_real_time, on_time, processors, take_priority};
 

@@ -76,14 +76,18 @@ fn row(text: &str, starts: &[Pose], change: fn(&mut Settings)) -> (Row, Vec<Run>
 #[test]
 fn foresight_arrives_where_the_papers_strategies_stay_behind() {
     let _turn = turn();
-    let starts = starts(&scene(), repeats("foresight, starts", 40, 1000));
+    let starts = starts(&scene(), repeats("foresight, starts", 100, 1000));
     let (foresight, runs) = row("foresight:3", &starts, |_| ());
-    let (gpr, _) = row("gpr:3", &starts, |_| ());
     let failed = runs.iter().filter(|run| !run.success).count();
     assert!(failed * 200 <= starts.len(), "{failed} of {}", starts.len());
     assert!(foresight.mean_cost <= 12.5, "{}", foresight.mean_cost);
-    assert!(foresight.mean_cost < gpr.mean_cost, "{}", gpr.mean_cost);
     assert!(foresight.steps <= 49.0, "{}", foresight.steps);
+    for text in ["previous:3", "gpr:3"] {
+        let (other, _) = row(text, &starts, |_| ());
+        let [low, high] = [foresight.success_interval[0], other.success_interval[1]];
+        assert!(high < low, "{text}: up to {high}, foresight from {low} on");
+        assert!(foresight.mean_cost < other.mean_cost, "{text}");
+    }
 }
 
 #[test]

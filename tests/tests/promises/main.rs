@@ -33,4 +33,3 @@ mod shutdown;
 mod silence;
 mod stall;
 mod startup;
-mod strategies;
