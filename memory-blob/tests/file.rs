@@ -30,6 +30,7 @@ fn contents(count: usize, regression: bool) -> Contents {
         scale: (0..10).map(|k| 900.0 + k as f64).collect(),
         trajectory: (0..count as u32).map(|i| i / 10).collect(),
         step: (0..count as u32).map(|i| i % 10).collect(),
+        cost_to_go: vec![1.0; count],
         x,
         y,
         regression,

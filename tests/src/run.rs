@@ -8,7 +8,7 @@ use hw_sim::cost::running_cost;
 use hw_sim::referee::INSTANTS;
 use hw_sim::sensor::{Flaws, Sensor};
 use hw_sim::{End, FreeCamera, Referee};
-use ipc::{CycleRecord, SolverStatus, TwistState};
+use ipc::{CycleRecord, Hold, SolverStatus, TwistState};
 use scene::{Pose, Scene};
 use serde::Serialize;
 
@@ -21,6 +21,8 @@ pub struct Run {
     pub success: bool,
     /// Why not.
     pub reason: Option<Reason>,
+    /// Why the daemon disarmed, if it did.
+    pub cause: Option<String>,
     /// Cycles until the run was decided.
     pub steps: usize,
     /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
@@ -106,6 +108,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
     let mut run = Run {
         success: false,
         reason: Some(Reason::NotConverged),
+        cause: None,
         steps: periods,
         cost: 0.0,
         change: None,
@@ -148,6 +151,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         cycles += 1.0;
         if let Some(reason) = fault(&record, &limits) {
             (run.success, run.reason, run.steps) = (false, Some(reason), k);
+            run.cause = Hold::from_code(record.hold).map(|hold| hold.to_string());
             break;
         }
         if run.success {

@@ -26,7 +26,7 @@ use crate::prediction::{InitialState, Plan};
 use crate::recall::{self, MotionMemory, Recall};
 use crate::solver::Solver;
 use crate::strategy::Strategy;
-use crate::{MAX_POINTS, Points, Twist};
+use crate::{MAX_POINTS, Points, Twist, gate};
 
 /// A candidate that arrives replaces one that does where it costs less than this share.
 const BETTER: f64 = 0.97;
@@ -389,7 +389,12 @@ impl Thinker<'_> {
         let (mut initial, mut previous) = (self.initial.clone(), *self.previous);
         let mut standing = *self.standing;
         let (mut cost, mut nearest, mut idle) = (0.0, f64::INFINITY, 0);
+        let is_from_front = gate::is_from_front(task, &initial.points);
         for period in 0..self.horizon {
+            // Where the camera would look from the side, the features are soon refused.
+            if is_from_front && !gate::is_from_front(task, &initial.points) {
+                return future;
+            }
             future.path.note(period, &initial.points);
             let error_px = features::largest_error(&initial.points, &task.goal);
             if error_px < PROGRESS * nearest {

@@ -76,6 +76,20 @@ pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
     Ok(())
 }
 
+/// Whether the pattern is clearly seen from its front: no three of its points are nearly on a line
+/// that are not in the pattern. Beyond such a view [`check_sense`] refuses the features.
+pub fn is_from_front(task: &Task, points: &Points) -> bool {
+    let pairs = || points.iter().zip(&task.goal).enumerate();
+    pairs().all(|(k, c)| {
+        pairs().take(k).all(|(j, b)| {
+            pairs().take(j).all(|(_, a)| {
+                let (seen, goal) = (height(*a.0, *b.0, *c.0), height(*a.1, *b.1, *c.1));
+                goal.abs() < LEAST_HEIGHT_PX || seen * goal.signum() > LEAST_HEIGHT_PX
+            })
+        })
+    })
+}
+
 /// Refuses two points in one place, and points all on a line: those of a detector that found
 /// nothing, not of any view of the pattern.
 ///
@@ -207,6 +221,22 @@ mod tests {
         for start in &starts {
             let points = task.features_at(start).unwrap();
             assert_eq!(check_sense(&task, &points), Ok(()));
+        }
+    }
+
+    #[test]
+    fn a_view_from_the_side_is_not_clearly_from_the_front() {
+        let task = task();
+        assert!(is_from_front(&task, &task.goal));
+        let squeezed = |share: f64| {
+            let points = task.goal.iter();
+            points
+                .map(|p| [p[0], 512.0 + share * (p[1] - 512.0)])
+                .collect()
+        };
+        assert!(is_from_front(&task, &squeezed(0.1)));
+        for share in [0.005, 0.0, -0.005, -1.0] {
+            assert!(!is_from_front(&task, &squeezed(share)), "{share}");
         }
     }
 
