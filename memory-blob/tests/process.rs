@@ -102,6 +102,7 @@ fn contents(fixture: &Fixture) -> Contents {
         scale,
         trajectory: vec![0; x.len()],
         step: (0..x.len() as u32).collect(),
+        cost_to_go: vec![0.0; x.len()],
         regression: Some(Regression {
             x: x.clone(),
             length_scale,
@@ -183,6 +184,7 @@ fn every_width_of_outputs_and_every_count_of_samples_is_the_formula() {
                 y: x.iter().map(|_| vec![0.0; p]).collect(),
                 trajectory: vec![0; count],
                 step: vec![0; count],
+                cost_to_go: vec![0.0; count],
                 regression: Some(regression.clone()),
                 provenance: Map::new(),
                 x,

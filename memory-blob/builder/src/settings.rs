@@ -183,12 +183,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_the_papers_and_valid() {
+    fn the_defaults_are_valid_and_the_papers_but_for_the_trajectories() {
         let settings = BuildSettings::default();
         assert_eq!(toml_schema::check(&settings), Ok(()));
         assert_eq!(
             (settings.trajectories, settings.np, settings.iterations),
-            (900, 10, 100)
+            (50, 10, 100)
         );
     }
 

@@ -210,7 +210,7 @@ fn the_guide_to_a_task_of_ones_own_runs() {
     guide.run("vpc-memory new own/scene.toml", &[("", obstacles)]);
     guide.run("vpc-memory mask own/scene.toml", &[]);
     guide.run("vpc-memory preview own/painted.toml", &[]);
-    let small = [("300", "12"), ("", "--gpr-samples 60 --iterations 30")];
+    let small = [("", "--trajectories 12 --gpr-samples 60 --iterations 30")];
     guide.run("vpc-memory build own/painted.toml", &small);
     guide.run("vpc-memory verify own/task.vpcmem", &[]);
     guide.run("vpc-memory starts own/painted.toml", &[("50", "5")]);

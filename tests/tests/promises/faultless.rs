@@ -37,7 +37,7 @@ fn run(strategy: &str, cycles: u64) -> Report {
     };
     // What foresight finds does not matter here.
     let law = "[law]\nforesight_periods = 30\n";
-    let config = place.file("vpcd.toml", &format!("{realtime}{law}"));
+    let config = place.file("vpcd.toml", format!("{realtime}{law}"));
     let report = place.path("report.json");
     let mut daemon = Command::new(program("vpcd"));
     daemon.arg("--config").arg(config);
