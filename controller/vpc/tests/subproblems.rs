@@ -48,9 +48,10 @@ fn start_for_start_our_answers_are_seldom_dearer_than_scipy_s_and_violate_nothin
             if problem.feasible {
                 worst = worst.max(ours.violation_px);
             }
+            // Where SciPy finds nothing from there, there is nothing to compare.
+            let Some(scipy) = start.cost else { continue };
             let feasible = ours.violation_px <= VIOLATION_PX;
             let ours = if feasible { ours.cost } else { f64::INFINITY };
-            let scipy = start.cost.unwrap_or(f64::INFINITY);
             count += 1;
             as_good += u32::from(ours <= scipy * (1.0 + COST_SHARE));
             cheaper += u32::from(ours * (1.0 + COST_SHARE) < scipy);

@@ -275,6 +275,6 @@ fn no_deadline_is_missed_under_load() {
     check(250, cycles as u64);
     check(
         30,
-        repeats("deadlines, cycles at 30 Hz", 200, 18_000) as u64,
+        repeats("deadlines, cycles at 30 Hz", 120, 18_000) as u64,
     );
 }

@@ -125,7 +125,7 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
     command.stderr(std::process::Stdio::piped());
     let mut daemon = Running::start(command);
     let (mut answered, mut moving) = (0_u64, 0_u64);
-    let messages = repeats("fuzzed messages", 30_000, 1_000_000) as u64;
+    let messages = repeats("fuzzed messages", 20_000, 1_000_000) as u64;
     for sequence in 1..=messages {
         let features = nasty_features(sequence, &mut random);
         camera.features.publish_verbatim(&features).unwrap();

@@ -19,7 +19,7 @@ fn kills_during_start_up_do_no_harm_to_the_next_start() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let place = Place::new();
-    for round in 0..repeats("25 kills -9 during start-up", 4, 40) {
+    for round in 0..repeats("25 kills -9 during start-up", 3, 40) {
         for _ in 0..KILLS {
             let mut command = match random.random_range(0..3) {
                 0 => place.vpcd(""),
