@@ -9,9 +9,9 @@ use crate::solver::Solver;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist};
 
-/// Where a command is decided from.
+/// What a command is decided from.
 #[derive(Clone, Copy)]
-pub(crate) struct From<'a> {
+pub(crate) struct Present<'a> {
     /// The features, and what the model knows of their depth.
     pub initial: &'a InitialState,
     /// The command in force.
@@ -37,21 +37,21 @@ impl Law<'_> {
     pub fn command(
         &self,
         solver: &mut Solver,
-        from: &From<'_>,
+        present: &Present<'_>,
         aim: &Points,
         target: &Points,
     ) -> (Twist, Solution) {
-        let From { initial, warm, .. } = *from;
+        let Present { initial, warm, .. } = *present;
         let problem = Problem {
             task: self.task,
             initial,
             target,
             r_share: cost::r_share(self.task, &initial.points, aim),
             change_share: self.settings.change_share,
-            standing: *from.standing,
+            standing: *present.standing,
             margin: self.settings.margin_px,
         };
-        let solution = match from.recalled {
+        let solution = match present.recalled {
             Some(twist) => {
                 solver.solve_from(&problem, &[*warm, repeated(twist), [0.0; MAX_VARIABLES]])
             }

@@ -2,7 +2,7 @@
 
 use scene::Scene;
 
-use crate::command::{From, Law, repeated};
+use crate::command::{Law, Present, repeated};
 use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
 use crate::foresight::{Foresight, Thinker};
@@ -443,13 +443,13 @@ impl Controller {
             task: &self.task,
             settings: &self.settings,
         };
-        let from = From {
+        let present = Present {
             initial,
             standing: &self.state.standing,
             warm,
             recalled: recalled.as_ref(),
         };
-        let (twist, solution) = law.command(&mut self.solver, &from, aim, &target);
+        let (twist, solution) = law.command(&mut self.solver, &present, aim, &target);
         step.twist = twist;
         step.status = solution.status;
         step.iterations = solution.iterations;

@@ -19,7 +19,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::command::{From, Law};
+use crate::command::{Law, Present};
 use crate::features::{self, MAX_INPUTS};
 use crate::guide::{Guide, Kind};
 use crate::prediction::{InitialState, Plan};
@@ -418,13 +418,13 @@ impl Thinker<'_> {
             let tracked = guide.advance(&initial.points, self.converged_px);
             let aim = tracked.as_ref().unwrap_or(&task.goal);
             let recalled = self.recalled.as_ref().filter(|_| period == 0);
-            let from = From {
+            let present = Present {
                 initial: &initial,
                 standing: &standing,
                 warm: &previous,
                 recalled,
             };
-            let (twist, solution) = self.law.command(self.solver, &from, aim, aim);
+            let (twist, solution) = self.law.command(self.solver, &present, aim, aim);
             cost += match guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost / np,
