@@ -17,7 +17,7 @@ use scene::{Scene, SceneFiles};
 use vpc::{Controller, Settings};
 
 /// When a run begins: any time but zero, which means that a time is unknown, ns.
-pub const BEGIN_NS: u64 = 1_000_000_000;
+const BEGIN_NS: u64 = 1_000_000_000;
 
 /// A daemon that is armed, with the configuration that it has by itself but for the law.
 pub struct Simulated {

@@ -22,7 +22,7 @@ const CYCLES: u64 = 5_000;
 /// Cycles before: connections are made with the first messages, and that allocates.
 const WARM_UP: u64 = 100;
 
-/// Periods that foresight simulates in a cycle: fewer than usual, so that most of the time is not its.
+/// Periods that foresight simulates in a cycle: fewer than usual, so that the test is quick.
 const PERIODS: u32 = 15;
 
 #[global_allocator]

@@ -276,7 +276,7 @@ impl Thinker<'_> {
             let guide = Guide::GOAL.after(*kind, &answer.way_point);
             self.consider(guide, best, foresight);
         }
-        // Each takes a period at least.
+        // Each that is simulated takes a period at least; the others are bounded in number.
         for _ in 0..self.budget {
             if self.budget == 0 {
                 return;
@@ -289,7 +289,8 @@ impl Thinker<'_> {
     }
 
     /// The candidate of this number: over a sample; while no way is known, in turn also over two
-    /// samples, or with a step aside first. `None` where it needs a memory and there is none.
+    /// samples, or with a step aside first. `None` where it needs a memory and there is none, or where
+    /// a sample is left out for its cost.
     fn drawn(&self, number: u64, best: Outcome) -> Option<Guide> {
         let (knows_a_way, most) = match best {
             Outcome::Arrives { cost, .. } => (true, HOPEFUL * cost),

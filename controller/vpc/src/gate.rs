@@ -62,31 +62,20 @@ pub fn pass<'a>(
 /// # Errors
 /// [`Refusal::Mixed`] names two points of such a triangle.
 pub fn check_sense(task: &Task, points: &Points) -> Result<(), Refusal> {
-    let pairs = || points.iter().zip(&task.goal).enumerate();
-    for (k, c) in pairs() {
-        for (j, b) in pairs().take(k) {
-            for (_, a) in pairs().take(j) {
-                let (seen, goal) = (height(*a.0, *b.0, *c.0), height(*a.1, *b.1, *c.1));
-                if seen * goal < 0.0 && seen.abs().min(goal.abs()) > LEAST_HEIGHT_PX {
-                    return Err(Refusal::Mixed { points: [j, k] });
-                }
-            }
-        }
+    let turns = |&(_, [seen, goal]): &([usize; 2], [f64; 2])| {
+        seen * goal < 0.0 && seen.abs().min(goal.abs()) > LEAST_HEIGHT_PX
+    };
+    match triangles(task, points).find(turns) {
+        Some((points, _)) => Err(Refusal::Mixed { points }),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// Whether the pattern is clearly seen from its front: no three of its points are nearly on a line
 /// that are not in the pattern. Beyond such a view [`check_sense`] refuses the features.
 pub fn is_from_front(task: &Task, points: &Points) -> bool {
-    let pairs = || points.iter().zip(&task.goal).enumerate();
-    pairs().all(|(k, c)| {
-        pairs().take(k).all(|(j, b)| {
-            pairs().take(j).all(|(_, a)| {
-                let (seen, goal) = (height(*a.0, *b.0, *c.0), height(*a.1, *b.1, *c.1));
-                goal.abs() < LEAST_HEIGHT_PX || seen * goal.signum() > LEAST_HEIGHT_PX
-            })
-        })
+    triangles(task, points).all(|(_, [seen, goal])| {
+        goal.abs() < LEAST_HEIGHT_PX || seen * goal.signum() > LEAST_HEIGHT_PX
     })
 }
 
@@ -98,22 +87,35 @@ pub fn is_from_front(task: &Task, points: &Points) -> bool {
 /// height.
 pub fn check_shape(task: &Task, points: &Points) -> Result<(), Refusal> {
     let pairs = || points.iter().zip(&task.goal).enumerate();
-    let (mut seen_px, mut goal_px) = (0.0_f64, 0.0_f64);
     for (k, c) in pairs() {
         for (j, b) in pairs().take(k) {
             if distance(*b.0, *c.0) < LEAST_PX && distance(*b.1, *c.1) > LEAST_HEIGHT_PX {
                 return Err(Refusal::Coincident { points: [j, k] });
             }
-            for (_, a) in pairs().take(j) {
-                seen_px = seen_px.max(height(*a.0, *b.0, *c.0).abs());
-                goal_px = goal_px.max(height(*a.1, *b.1, *c.1).abs());
-            }
         }
     }
+    let greatest = |most: [f64; 2], (_, [seen, goal]): (_, [f64; 2])| {
+        [most[0].max(seen.abs()), most[1].max(goal.abs())]
+    };
+    let [seen_px, goal_px] = triangles(task, points).fold([0.0; 2], greatest);
     match seen_px < LEAST_PX && goal_px > LEAST_HEIGHT_PX {
         true => Err(Refusal::Flat { height_px: seen_px }),
         false => Ok(()),
     }
+}
+
+/// The triangles of any three points: the indices of two, and the heights as seen and in the pattern
+/// at the goal, px.
+fn triangles(task: &Task, points: &Points) -> impl Iterator<Item = ([usize; 2], [f64; 2])> {
+    let pairs = move || points.iter().zip(&task.goal).enumerate();
+    pairs().flat_map(move |(k, c)| {
+        pairs().take(k).flat_map(move |(j, b)| {
+            pairs().take(j).map(move |(_, a)| {
+                let heights = [height(*a.0, *b.0, *c.0), height(*a.1, *b.1, *c.1)];
+                ([j, k], heights)
+            })
+        })
+    })
 }
 
 fn distance(p: [f64; 2], q: [f64; 2]) -> f64 {

@@ -97,23 +97,16 @@ pub fn collect(
             )
             .collect();
         let before = progress.trajectories.len();
-        for (
-            start,
-            Trial {
-                trajectory,
-                failure,
-            },
-        ) in starts.iter().zip(trials)
-        {
+        for (start, trial) in starts.iter().zip(trials) {
             if progress.trajectories.len() == settings.trajectories {
                 break;
             }
             progress.tried += 1;
-            if let Some(failure) = failure {
+            if let Some(failure) = trial.failure {
                 progress.causes[failure as usize] += 1;
                 progress.failures.push(start::coordinates(start));
             }
-            if let Some(trajectory) = trajectory {
+            if let Some(trajectory) = trial.trajectory {
                 store.add(&task, settings, &trajectory);
                 progress.trajectories.push(trajectory);
             }

@@ -9,9 +9,10 @@ use nalgebra::{Rotation3, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
+use vpc::features::largest_distance;
 use vpc::{Points, Task, constraint};
 
-use crate::start::{self, image_motion};
+use crate::start;
 
 /// Paths planned, of which the shortest is kept.
 const ATTEMPTS: usize = 4;
@@ -89,7 +90,7 @@ impl Space<'_> {
     fn motion(&self, a: &Node, b: &Node) -> Option<Vec<Points>> {
         let (first, last) = (self.task.features_at(&a.pose())?, self.features(b)?);
         let resolution = RESOLUTION * self.task.camera.width;
-        let count = (1.5 * image_motion(&first, &last) / resolution)
+        let count = (1.5 * largest_distance(&first, &last) / resolution)
             .ceil()
             .max(1.0) as usize;
         (1..=count)

@@ -125,14 +125,6 @@ fn inside(scene: &Scene, pose: &Pose) -> bool {
         && roll.abs() <= region.roll_max + 1e-9
 }
 
-/// Largest distance between corresponding points, px: how far an image has moved.
-pub fn image_motion(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
-    a.iter()
-        .zip(b)
-        .map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]))
-        .fold(0.0, f64::max)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,12 +1,11 @@
 //! The memory while it grows: samples (x, y) of the successful trajectories, asked by k-NN.
 
 use serde::{Deserialize, Serialize};
-use vpc::features::{self, MAX_INPUTS};
+use vpc::features::{self, MAX_INPUTS, largest_distance};
 use vpc::{MotionMemory, Points, Strategy, Task, Twist, cost};
 
 use crate::settings::{BuildSettings, WayPoint};
 use crate::sight;
-use crate::start::image_motion;
 
 /// Distance between the places at which a straight line is checked, px.
 const CHECK_EVERY_PX: f64 = 3.0;
@@ -70,7 +69,7 @@ impl Store {
         let mut last: Option<&[[f64; 2]]> = None;
         for (j, twist) in trajectory.twists.iter().enumerate() {
             let points = &trajectory.features[j];
-            if last.is_some_and(|last| image_motion(last, points) < spacing) {
+            if last.is_some_and(|last| largest_distance(last, points) < spacing) {
                 continue;
             }
             last = Some(points);
@@ -136,7 +135,7 @@ fn in_sight(task: &Task, far: f64, trajectory: &Trajectory, j: usize) -> Vec<[f6
     let least = LEAST_AHEAD * task.camera.width;
     let (mut seen, mut travelled) = (j, 0.0);
     for (there, pair) in trajectory.features[j..].windows(2).enumerate() {
-        travelled += image_motion(&pair[0], &pair[1]);
+        travelled += largest_distance(&pair[0], &pair[1]);
         if travelled > far || (travelled > least && !is_in_sight(task, here, &pair[1])) {
             break;
         }

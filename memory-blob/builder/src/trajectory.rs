@@ -3,14 +3,13 @@
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
-use vpc::features::largest_error;
+use vpc::features::{largest_distance, largest_error};
 use vpc::motion::Motion;
 use vpc::task::placed;
 use vpc::{Points, Task, Twist, camera, constraint};
 
 use crate::planner;
 use crate::solution::Finder;
-use crate::start::image_motion;
 use crate::store::{Store, Trajectory};
 
 /// Periods without motion after which a trajectory counts as stuck, and those after which the solver
@@ -77,7 +76,7 @@ pub(crate) fn run(
         let moved = trajectory
             .features
             .last()
-            .map_or(f64::INFINITY, |last| image_motion(last, &points));
+            .map_or(f64::INFINITY, |last| largest_distance(last, &points));
         rest = if moved < still { rest + 1 } else { 0 };
         trajectory.features.push(points.to_vec());
         // Half of what counts as arrived, so that the end of a trajectory lies inside it.
@@ -133,7 +132,7 @@ fn follow(
         let ahead = share * task.camera.width;
         let mut next = 0;
         run(scene, task, start, |points, previous, _| {
-            while next < path.len() && image_motion(points, &path[next]) < ahead {
+            while next < path.len() && largest_distance(points, &path[next]) < ahead {
                 next += 1;
             }
             let target = path.get(next).unwrap_or(&task.goal).clone();
