@@ -235,6 +235,7 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
     let settings = Settings {
         strategy,
         np: law.np,
+        step_s: law.step_s,
         nc: law.nc,
         solver: vpc::SolverOptions {
             max_iterations: law.iterations,
@@ -242,12 +243,12 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
             intersample: law.intersample,
         },
         model: law.model,
-        foresight_periods: law.foresight_periods,
+        foresight_steps: law.foresight_steps,
         trigger_px: law.trigger_px,
         hysteresis: law.hysteresis,
         margin_px: law.margin_px,
         change_share: law.change_share,
-        filter_gain: law.filter_gain,
+        filter_s: law.filter_s,
         filter_px: law.filter_px,
         lambda: law.lambda,
         delay_compensation: law.delay_compensation,

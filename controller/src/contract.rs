@@ -60,7 +60,7 @@ pub fn hold_reason(refusal: Refusal) -> HoldReason {
 }
 
 /// Copies what is foreseen into the record of the cycle that follows it.
-pub fn record_foresight(foresight: &Foresight, period_s: f64, record: &mut CycleRecord) {
+pub fn record_foresight(foresight: &Foresight, step_s: f64, record: &mut CycleRecord) {
     record.foresight = match foresight.guide.kind {
         Kind::Goal => ForesightCode::Goal,
         Kind::Sample => ForesightCode::Sample,
@@ -70,14 +70,14 @@ pub fn record_foresight(foresight: &Foresight, period_s: f64, record: &mut Cycle
     }
     .code();
     record.candidates = foresight.tried;
-    record.simulated = foresight.periods;
+    record.simulated = foresight.simulated;
     record.switches = foresight.switches;
     record.arrival_s = match foresight.outcome {
-        Outcome::Arrives { periods, .. } => f64::from(periods) * period_s,
+        Outcome::Arrives { steps, .. } => steps * step_s,
         Outcome::Nears { .. } | Outcome::Unknown => f64::NAN,
     };
     let path = &foresight.path;
-    record.path_every_s = f64::from(path.every) * period_s;
+    record.path_every_s = f64::from(path.every) * step_s;
     record.path_count = path.count;
     record.path_points = path.points;
     let places = path.places.iter().flatten().flatten();

@@ -314,23 +314,23 @@ fn room(facts: &Facts) -> Check {
 }
 
 fn foresight_cost(cost: Cost) -> Check {
-    let all_ns = u64::from(cost.periods) * cost.period_ns;
+    let all_ns = u64::from(cost.steps) * cost.step_ns;
     let most = cost.control_ns / 2;
-    let fitting = most.checked_div(cost.period_ns).unwrap_or(0);
+    let fitting = most.checked_div(cost.step_ns).unwrap_or(0);
     check(
         "foresight",
         (all_ns <= most, State::Note),
         format!(
-            "{} simulated periods of {:.1} us each: {:.1} ms",
-            cost.periods,
-            cost.period_ns as f64 / 1e3,
+            "{} simulated steps of {:.1} us each: {:.1} ms",
+            cost.steps,
+            cost.step_ns as f64 / 1e3,
             all_ns as f64 / 1e6
         ),
         format!(
             "at most half of the control period: {:.1} ms",
             most as f64 / 1e6
         ),
-        format!("law.foresight_periods = {fitting}"),
+        format!("law.foresight_steps = {fitting}"),
     )
 }
 
@@ -399,8 +399,8 @@ mod tests {
             isolated: "1,4-7".to_owned(),
             shm_bytes: 1 << 30,
             foresight: Some(Cost {
-                period_ns: 10_000,
-                periods: 150,
+                step_ns: 10_000,
+                steps: 150,
                 control_ns: 33_333_333,
             }),
             wake_ns: Percentiles {
@@ -428,14 +428,14 @@ mod tests {
     fn foresight_that_takes_more_than_half_of_a_period_is_noted_with_what_would_fit() {
         let mut facts = good();
         facts.foresight = facts.foresight.map(|cost| Cost {
-            period_ns: 200_000,
+            step_ns: 200_000,
             ..cost
         });
         let found = judge(&facts, WISH);
         assert!(found.fit);
         let check = found.checks.last().unwrap();
         assert_eq!((check.name, check.state), ("foresight", State::Note));
-        assert_eq!(check.remedy, "law.foresight_periods = 83");
+        assert_eq!(check.remedy, "law.foresight_steps = 83");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use ipc::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -115,8 +115,8 @@ mod tests {
         state.stamp = STAMP;
         robot.look(&Input::Message(state), u64::MAX);
         let mut law = vpc::State::new(vpc::Strategy::Knn { k: usize::MAX });
-        law.history.from_ns.fill(u64::MAX);
-        law.history.twists.fill(decision.twist);
+        law.history.from_ns.as_flattened_mut().fill(u64::MAX);
+        law.history.twists.as_flattened_mut().fill(decision.twist);
         (law.history.count, law.predicted.count, law.seen.count) = (u32::MAX, u32::MAX, u32::MAX);
         law.seen_ns = u64::MAX;
         law.previous.fill(f64::NAN);
@@ -161,10 +161,8 @@ mod tests {
             decode(&snapshot).unwrap_err().to_string()
         };
         let message = refused(&|snapshot| snapshot.version = 99);
-        assert!(
-            message.contains("before cycle 7: version = 99; allowed: 1"),
-            "{message}"
-        );
+        let wanted = format!("before cycle 7: version = 99; allowed: {VERSION}");
+        assert!(message.contains(&wanted), "{message}");
         let message = refused(&|snapshot| snapshot.length -= 1);
         assert!(message.contains("damaged"), "{message}");
         let message = refused(&|snapshot| snapshot.length += 1);

@@ -293,7 +293,7 @@ message! {
         foresight: u32 [code(ForesightCode)],
         /// Candidates that foresight compared with it since the previous command.
         candidates: u32,
-        /// Periods that foresight simulated for that.
+        /// Steps that foresight simulated for that.
         simulated: u32,
         /// How often foresight has changed what it follows.
         switches: u32,

@@ -6,12 +6,12 @@ use crate::field::Stamp;
 use crate::message::{Qos, message};
 
 /// Most bytes of a state.
-const STATE: usize = 8192;
+const STATE: usize = 32_768;
 
 message! {
     /// All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
     /// replay by the same version of vpcd: `state` is private to it.
-    Snapshot: "vpc/Snapshot/1" {
+    Snapshot: "vpc/Snapshot/2" {
         /// Head.
         stamp: Stamp,
         /// The cycle that follows.

@@ -46,15 +46,21 @@ pub struct Common {
     /// Weight of the change of the command, as a share of R; 0 in the paper.
     #[arg(long, value_name = "X", default_value_t = Settings::default().change_share)]
     pub change_share: f64,
-    /// Gain of the filter of the features; 1: none, as in the paper.
-    #[arg(long, value_name = "X", default_value_t = Settings::default().filter_gain)]
-    pub filter_gain: f64,
+    /// Time constant of the filter of the features, s; 0: none, as in the paper.
+    #[arg(long, value_name = "S", default_value_t = Settings::default().filter_s)]
+    pub filter_s: f64,
     /// Greatest distance of a filtered feature from the measured one, px.
     #[arg(long, value_name = "PX", default_value_t = Settings::default().filter_px)]
     pub filter_px: f64,
-    /// Most periods that foresight simulates in a cycle.
-    #[arg(long, value_name = "N", default_value_t = Settings::default().foresight_periods)]
-    pub foresight_periods: u32,
+    /// Length of a step of the preview, s; where the camera's period is longer, that.
+    #[arg(long, value_name = "S", default_value_t = Settings::default().step_s)]
+    pub step_s: f64,
+    /// Rate of the camera instead of the scene's, Hz.
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+    /// Most steps that foresight simulates in a cycle.
+    #[arg(long, value_name = "N", default_value_t = Settings::default().foresight_steps)]
+    pub foresight_steps: u32,
 }
 
 /// A model by its name in configuration files.
@@ -74,9 +80,10 @@ impl Common {
         Settings {
             delay_compensation: !self.no_compensation,
             model: self.model,
-            foresight_periods: self.foresight_periods,
+            foresight_steps: self.foresight_steps,
             change_share: self.change_share,
-            filter_gain: self.filter_gain,
+            filter_s: self.filter_s,
+            step_s: self.step_s,
             filter_px: self.filter_px,
             solver: vpc::SolverOptions {
                 intersample: !self.at_samples_only,
@@ -93,6 +100,7 @@ impl Common {
     pub fn check(&self) -> anyhow::Result<()> {
         check("--noise", self.noise, 0.0, 100.0)?;
         check("--drop", self.drop, 0.0, 1.0)?;
+        check("--rate", self.rate.unwrap_or(30.0), 1.0, 1000.0)?;
         check("--depth-error", self.depth_error, -0.9, 9.0)
     }
 }

@@ -22,7 +22,7 @@ pub struct Row {
     pub cycle_us: CycleTime,
     /// Time of foresight after it; zeros without.
     pub slack_us: CycleTime,
-    /// Mean time of a simulated period, us; 0 without.
+    /// Mean time of a simulated step, us; 0 without.
     pub simulated_us: f64,
     /// The deepest that a point was inside an occlusion or outside the image at any of twelve
     /// instants a period, px.
@@ -149,7 +149,7 @@ fn wilson(successes: usize, count: usize) -> [f64; 2] {
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
         "| strategy | Np | success (%) | 95 % interval | mean cost l/Np | cycles to arrival | violations | not converged | faults | \
-         deepest (px) | change at the goal (%) | mean cycle (us) | p50 (us) | p99 (us) | slack p50 (us) | slack p99 (us) | simulated period (us) |\n\
+         deepest (px) | change at the goal (%) | mean cycle (us) | p50 (us) | p99 (us) | slack p50 (us) | slack p99 (us) | simulated step (us) |\n\
          |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );
     for row in rows {

@@ -237,7 +237,7 @@ pub fn time(run: &mut Run, daemon: &mut Simulated, repeats: usize) -> Result<(),
             let begin = Instant::now();
             daemon.think();
             slack[cycle].push(micros(begin));
-            run.simulated += u64::from(daemon.law().foreseen().periods);
+            run.simulated += u64::from(daemon.law().foreseen().simulated);
         }
     }
     run.simulated /= repeats.max(1) as u64;

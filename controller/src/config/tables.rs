@@ -53,6 +53,10 @@ pub struct Law {
     #[default = 3]
     #[schemars(range(min = 1, max = vpc::MAX_NP))]
     pub np: usize,
+    /// Length of a step; where the camera's period is longer, that. Flag of `cargo table`: --step-s.
+    #[default = 0.033]
+    #[schemars(range(min = 1e-3, max = 10), extend("x-unit" = "s"))]
+    pub step_s: f64,
     /// Free commands in the prediction; the last is held to its end.
     #[default = 1]
     #[schemars(range(min = 1, max = vpc::MAX_NC), extend("x-allowed" = "1 to 4, at most np"))]
@@ -72,11 +76,11 @@ pub struct Law {
     /// How features are predicted.
     #[serde(with = "Model")]
     pub model: vpc::Model,
-    /// Most periods that foresight simulates between two frames; never more than 5 for each
+    /// Most steps that foresight simulates between two frames; never more than 10 for each
     /// millisecond of the control period. One takes 10 to 20 us.
     #[default = 150]
     #[schemars(range(min = 1, max = 1e5))]
-    pub foresight_periods: u32,
+    pub foresight_steps: u32,
     /// The memory is asked when a feature comes this close to an occlusion.
     #[default = 20.0]
     #[schemars(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
@@ -93,11 +97,11 @@ pub struct Law {
     #[default = 0.03]
     #[schemars(range(min = 0, max = 10))]
     pub change_share: f64,
-    /// Share of the difference to the measured features by which the predicted ones are corrected.
-    /// 1: no filter, as in the paper.
-    #[default = 0.2]
-    #[schemars(range(min = 0.01, max = 1))]
-    pub filter_gain: f64,
+    /// Time constant with which the predicted features follow the measured ones. 0: no filter, as in
+    /// the paper.
+    #[default = 0.15]
+    #[schemars(range(min = 0, max = 10), extend("x-unit" = "s"))]
+    pub filter_s: f64,
     /// Greatest distance of a filtered feature from the measured one: some three times the noise.
     #[default = 1.0]
     #[schemars(range(min = 0, max = 100), extend("x-unit" = "px"))]

@@ -1,4 +1,4 @@
-//! What foresight costs on this machine: the time of a simulated period, measured.
+//! What foresight costs on this machine: the time of a simulated step, measured.
 
 use std::time::Instant;
 
@@ -13,10 +13,10 @@ const AWAY: f64 = 0.4;
 /// The cost of foresight.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cost {
-    /// Time of a simulated period, ns: the median over cycles.
-    pub period_ns: u64,
-    /// Periods that a cycle may simulate.
-    pub periods: u32,
+    /// Time of a simulated step, ns: the median over cycles.
+    pub step_ns: u64,
+    /// Steps that a cycle may simulate.
+    pub steps: u32,
     /// The control period, ns.
     pub control_ns: u64,
 }
@@ -48,14 +48,14 @@ impl Cost {
             let begin = Instant::now();
             law.think(memory);
             let time = begin.elapsed().as_nanos() as u64;
-            if let Some(each) = time.checked_div(law.foreseen().periods.into()) {
+            if let Some(each) = time.checked_div(law.foreseen().simulated.into()) {
                 times.push(each);
             }
         }
         times.sort_unstable();
         Some(Self {
-            period_ns: times.get(times.len() / 2).copied()?,
-            periods: law.foreseen_periods(),
+            step_ns: times.get(times.len() / 2).copied()?,
+            steps: law.foreseen_steps(),
             control_ns: (1e9 * scene.sampling_time()) as u64,
         })
     }

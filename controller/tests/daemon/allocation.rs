@@ -45,7 +45,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
     write_memory(&scene, &memory, &mut ChaCha8Rng::seed_from_u64(1));
     let settings = Settings {
         strategy,
-        foresight_periods: PERIODS,
+        foresight_steps: PERIODS,
         ..Settings::default()
     };
     let loaded = LoadedController::open(&scene_file(), Some(&memory), settings).unwrap();

@@ -50,7 +50,7 @@ impl Bench {
             ..Arguments::default()
         };
         let mut config = Config::read(&arguments).unwrap();
-        config.settings.foresight_periods = PERIODS;
+        config.settings.foresight_steps = PERIODS;
         Self { config, place }
     }
 

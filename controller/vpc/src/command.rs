@@ -1,4 +1,4 @@
-//! The command of one period, and what it costs: of a cycle and of a simulated period alike.
+//! The command of one period, and what it costs: of a cycle and of a simulated step alike.
 
 use crate::cost;
 use crate::limit;
@@ -14,8 +14,10 @@ use crate::{DOF, MAX_VARIABLES, Points, Twist};
 pub(crate) struct Present<'a> {
     /// The features, and what the model knows of their depth.
     pub initial: &'a InitialState,
-    /// The command in force.
+    /// The command in force,
     pub standing: &'a Twist,
+    /// and the time between two commands, s.
+    pub interval: f64,
     /// The plan that the solver starts from.
     pub warm: &'a Plan,
     /// The twist that it starts from where that plan leads into a violation.
@@ -41,13 +43,18 @@ impl Law<'_> {
         aim: &Points,
         target: &Points,
     ) -> (Twist, Solution) {
-        let Present { initial, warm, .. } = *present;
+        let Present {
+            initial,
+            warm,
+            interval,
+            ..
+        } = *present;
         let problem = Problem {
             task: self.task,
             initial,
             target,
             r_share: cost::r_share(self.task, &initial.points, aim),
-            change_share: self.settings.change_share,
+            change_share: self.settings.change_share * self.task.ts / interval,
             standing: *present.standing,
             margin: self.settings.margin_px,
         };

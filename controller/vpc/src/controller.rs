@@ -7,7 +7,7 @@ use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
 use crate::foresight::{Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
-use crate::prediction::{InitialState, Plan, Preview};
+use crate::prediction::{InitialState, Plan};
 use crate::problem::Status;
 use crate::recall::{self, Asked, MotionMemory, Recall};
 use crate::settings::{Settings, SettingsError};
@@ -26,21 +26,22 @@ pub struct Controller {
     off_image_px: f64,
     converged_px: f64,
     solver: Solver,
-    one_step: Preview<DOF>,
     state: State,
     /// Where the preview of this cycle began, until the law has thought ahead.
     root: Option<InitialState>,
     /// l(v) / Np of the last step.
     spent: f64,
-    /// Most periods simulated in a cycle.
+    /// Most steps simulated in a cycle.
     budget: u32,
-    /// Most periods of a future.
+    /// Most steps of a future.
     horizon: u32,
 }
 
-/// Periods that foresight may simulate for each second of the sampling time, which leaves most of
-/// it to others: a simulated period takes 10 to 20 us.
-const PERIODS_A_SECOND: f64 = 5e3;
+/// Steps that foresight may simulate for each second of the sampling time, which leaves most of it
+/// to others: a simulated step takes 10 to 20 us.
+const STEPS_A_SECOND: f64 = 1e4;
+/// A future is at most this share of the scene's time long.
+const HORIZON: f64 = 0.5;
 
 /// What one cycle decided.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,21 +77,23 @@ impl Controller {
     /// [`SettingsError`] if a setting is out of range or the goal of the scene cannot be seen.
     pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SettingsError> {
         settings.check()?;
+        let mut task = Task::new(scene)?;
+        task.ts = settings.step_s.max(task.period);
+        let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         Ok(Self {
-            task: Task::new(scene)?,
             off_image_px: scene.success.violation_px,
             converged_px: scene.success.convergence_px,
             solver: Solver::new(settings.np, settings.nc, settings.solver)
                 .with_budget(work::budget(settings.np, settings.solver.max_iterations)),
-            one_step: Preview::new(1),
             state: State::new(settings.strategy),
             settings,
             root: None,
             spent: 0.0,
             budget: settings
-                .foresight_periods
-                .min(libm::ceil(PERIODS_A_SECOND * scene.sampling_time()) as u32),
-            horizon: (0.5 * scene.success.time_s * scene.camera.rate_hz).max(1.0) as u32,
+                .foresight_steps
+                .min(libm::ceil(STEPS_A_SECOND * task.period) as u32),
+            horizon: horizon.max(1.0) as u32,
+            task,
         })
     }
 
@@ -118,13 +121,13 @@ impl Controller {
     /// Thinks ahead, in the time that a cycle leaves over after its command was sent.
     pub fn think(&mut self, memory: Option<&dyn MotionMemory>) {
         // What a cycle without features or another strategy leaves is no work of its own.
-        (self.state.foresight.tried, self.state.foresight.periods) = (0, 0);
+        (self.state.foresight.tried, self.state.foresight.simulated) = (0, 0);
         let Some(root) = self.root.take() else { return };
         if self.settings.strategy != Strategy::Foresight {
             return;
         }
-        let (model, ts) = (self.settings.model, self.task.ts);
-        let Some(next) = root.moved(&self.task, model, &self.state.standing, ts) else {
+        let (model, period) = (self.settings.model, self.task.period);
+        let Some(next) = root.moved(&self.task, model, &self.state.standing, period) else {
             return;
         };
         let mut thinker = Thinker {
@@ -141,6 +144,7 @@ impl Controller {
             recalled: None,
             converged_px: self.converged_px,
             horizon: self.horizon,
+            whole: self.budget,
             budget: self.budget,
         };
         thinker.think(&mut self.state.foresight);
@@ -151,8 +155,8 @@ impl Controller {
         &self.state.foresight
     }
 
-    /// Most periods that foresight simulates in a cycle.
-    pub fn foreseen_periods(&self) -> u32 {
+    /// Most steps that foresight simulates in a cycle.
+    pub fn foreseen_steps(&self) -> u32 {
         self.budget
     }
 
@@ -263,7 +267,8 @@ impl Controller {
             Strategy::Ibvs => self.servo(&initial, &mut step),
             Strategy::Foresight => {
                 let guide = &mut self.state.foresight.guide;
-                let tracked = guide.advance(points, self.converged_px);
+                let tracked =
+                    guide.advance(points, self.converged_px, self.task.period / self.task.ts);
                 let warm = self.state.previous;
                 let recalled = self.state.foresight.recalled.take();
                 if recalled.is_some() {
@@ -311,7 +316,7 @@ impl Controller {
             self.check_motion(points, expected, exposed_ns)?;
         }
         let (filtered, mismatch) = match expected {
-            Some(expected) if self.settings.filter_gain < 1.0 => {
+            Some(expected) if self.settings.filter_s > 0.0 => {
                 (self.filtered(points, &expected), None)
             }
             expected => {
@@ -342,12 +347,13 @@ impl Controller {
     /// arm that lags behind, is believed at once.
     fn filtered(&self, points: &Points, expected: &Points) -> Points {
         let Settings {
-            filter_gain,
+            filter_s,
             filter_px,
             ..
         } = self.settings;
         let most_px = features::largest_distance(expected, points);
-        let kept = (1.0 - filter_gain).min(filter_px / most_px.max(f64::MIN_POSITIVE));
+        let kept = libm::exp(-self.task.period / filter_s);
+        let kept = kept.min(filter_px / most_px.max(f64::MIN_POSITIVE));
         let pairs = points.iter().zip(expected);
         pairs
             .map(|(s, e)| [s[0] + kept * (e[0] - s[0]), s[1] + kept * (e[1] - s[1])])
@@ -367,7 +373,7 @@ impl Controller {
         };
         gate::check_names(points, expected)?;
         let since_s = exposed_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
-        if since_s < gate::LEAP_PERIODS * self.task.ts {
+        if since_s < gate::LEAP_PERIODS * self.task.period {
             gate::check_leaps(&self.task, points, expected)?;
         }
         let moved_px = features::largest_distance(expected, &filtered);
@@ -446,6 +452,7 @@ impl Controller {
         let present = Present {
             initial,
             standing: &self.state.standing,
+            interval: self.task.period,
             warm,
             recalled: recalled.as_ref(),
         };
@@ -460,13 +467,12 @@ impl Controller {
         self.state.previous = solution.plan;
     }
 
-    /// Remembers where the features should be one sampling time after `twist`.
+    /// Remembers where the features should be one period after `twist`.
     fn predict(&mut self, initial: &InitialState, twist: &Twist) {
-        let possible = self.one_step.evaluate(&self.task, initial, twist);
-        self.state.predicted = match possible {
-            true => self.one_step.step(0).into(),
-            false => PlainPoints::NONE,
-        };
+        let next = initial.moved(&self.task, self.settings.model, twist, self.task.period);
+        self.state.predicted = next.map_or(PlainPoints::NONE, |next| {
+            next.explained(&self.task).as_slice().into()
+        });
     }
 }
 

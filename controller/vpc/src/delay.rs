@@ -14,8 +14,13 @@ use crate::prediction::{InitialState, Model};
 use crate::task::Task;
 use crate::{DOF, Twist};
 
-/// Commands remembered: one second at 30 Hz, eight times the 100 to 130 ms of a real camera.
-pub const CAPACITY: usize = 32;
+/// Time for which commands are remembered, ns: eight times the 100 to 130 ms of a real camera.
+const MEMORY_NS: u64 = 1_100_000_000;
+/// Most commands remembered: those of that time at 250 Hz.
+const CAPACITY: usize = ROWS * ROW;
+/// In rows, as long arrays are no plain data to serde.
+const ROWS: usize = 5;
+const ROW: usize = 32;
 
 /// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is
 /// forgotten first. Plain data: a copy goes on as the original does.
@@ -25,12 +30,12 @@ pub const CAPACITY: usize = 32;
 /// meanwhile are remembered too, so that the interval is known again after one delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
-    /// Commands remembered, 0 to 32.
+    /// Commands remembered, 0 to 160.
     pub count: u32,
     /// From when on each was in force, ns, the oldest first; the rest is zero.
-    pub from_ns: [u64; CAPACITY],
+    pub from_ns: [[u64; ROW]; ROWS],
     /// The commands, camera frame, m/s and rad/s; the rest is zero.
-    pub twists: [Twist; CAPACITY],
+    pub twists: [[Twist; ROW]; ROWS],
     /// Whether the camera stood still before the oldest; otherwise nothing is known of then.
     pub from_rest: bool,
     /// How long a command is obeyed when none follows, ns; 2^64 - 1: for ever, in a simulated run.
@@ -61,8 +66,8 @@ impl History {
     pub const fn new() -> Self {
         Self {
             count: 0,
-            from_ns: [0; CAPACITY],
-            twists: [[0.0; DOF]; CAPACITY],
+            from_ns: [[0; ROW]; ROWS],
+            twists: [[[0.0; DOF]; ROW]; ROWS],
             from_rest: true,
             validity_ns: u64::MAX,
         }
@@ -104,25 +109,35 @@ impl History {
         if last.is_some_and(|last| last > at_ns) {
             self.forget();
         }
+        // One that was followed by another so long ago is of no use.
+        let since_ns = at_ns.saturating_sub(MEMORY_NS);
+        let next = self.entries().skip(1);
+        let mut old = next.take_while(|(from_ns, _)| *from_ns <= since_ns).count();
         let mut count = self.entries().len();
         if last == Some(at_ns) {
             count -= 1;
-        } else if count >= CAPACITY {
-            self.from_ns.copy_within(1.., 0);
-            self.twists.copy_within(1.., 0);
-            self.from_rest = false;
-            count = CAPACITY - 1;
+        } else if count == CAPACITY {
+            old = old.max(1);
         }
-        if let (Some(from_ns), Some(to)) = (self.from_ns.get_mut(count), self.twists.get_mut(count))
-        {
+        if old > 0 {
+            self.from_ns.as_flattened_mut().copy_within(old.., 0);
+            self.twists.as_flattened_mut().copy_within(old.., 0);
+            self.from_rest = false;
+            count = count.saturating_sub(old);
+        }
+        let from_ns = self.from_ns.as_flattened_mut().iter_mut();
+        let mut places = from_ns.zip(self.twists.as_flattened_mut()).skip(count);
+        if let Some((from_ns, to)) = places.next() {
             (*from_ns, *to) = (at_ns, *twist);
         }
+        places.for_each(|(from_ns, to)| (*from_ns, *to) = (0, [0.0; DOF]));
         self.count = count as u32 + 1;
     }
 
     /// The commands with their times, the oldest first.
     fn entries(&self) -> impl DoubleEndedIterator<Item = (u64, &Twist)> + ExactSizeIterator {
-        let entries = self.from_ns.iter().copied().zip(&self.twists);
+        let times = self.from_ns.as_flattened().iter().copied();
+        let entries = times.zip(self.twists.as_flattened());
         entries.take(self.count as usize)
     }
 
@@ -302,19 +317,22 @@ mod tests {
         for k in 0..1000 {
             history.push(&twist(k), 1000 + k as u64);
         }
-        let (error, moved) = error_of(Model::Pose, CAPACITY, history);
+        let (error, moved) = error_of(Model::Pose, 32, history);
         assert!(error < 1e-8 && moved > 1.0, "{error} of {moved}");
-        // The oldest command known is the last but 31.
-        let (task, mut history) = (task(), History::new());
+        // The oldest is as old as is remembered, or the last but 159.
+        let (task, fast) = (task(), 4_000_000);
         let initial = InitialState::new(&task, Model::Pose, &Truth::new(&task).features(&task));
-        let last = 3 * CAPACITY as u64;
-        (0..=last).for_each(|k| history.push(&[0.01; 6], k * PERIOD));
-        let oldest = last - CAPACITY as u64 + 1;
-        let advance = |from| history.advance(&task, Model::Pose, &initial, from, last * PERIOD);
-        assert!(advance(oldest * PERIOD).is_ok());
-        let known_ns = (last - oldest) * PERIOD;
-        let refused = advance(oldest * PERIOD - 1).err();
-        assert_eq!(refused, Some(Unpredictable::Unknown { known_ns }));
+        for (period, commands) in [(PERIOD, 1 + 34), (fast, CAPACITY as u64)] {
+            let mut history = History::new();
+            let last = 3 * CAPACITY as u64;
+            (0..=last).for_each(|k| history.push(&[0.01; 6], k * period));
+            let oldest = last - commands + 1;
+            let advance = |from| history.advance(&task, Model::Pose, &initial, from, last * period);
+            assert!(advance(oldest * period).is_ok());
+            let known_ns = (last - oldest) * period;
+            let refused = advance(oldest * period - 1).err();
+            assert_eq!(refused, Some(Unpredictable::Unknown { known_ns }));
+        }
     }
 
     #[test]

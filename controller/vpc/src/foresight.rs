@@ -1,9 +1,9 @@
 //! Foresight: whole futures, simulated in the time that a cycle leaves over; the best is followed.
 //!
 //! A *candidate* is a [`Guide`]: a sub-goal, after which the goal is tracked. It is rolled out: the
-//! law itself, with its own model, solver and constraints, steers period by period until the
-//! features arrive, the cost exceeds the best one's, or the horizon ends. Its value is the sum of
-//! the running cost l(v) / Np until arrival.
+//! law itself, with its own model, solver and constraints, steers step by step of its preview until
+//! the features arrive, the cost exceeds the best one's, or the horizon ends. Its value is the sum
+//! of the running cost l(v) / Np until arrival.
 //!
 //! The *incumbent* is the candidate that is followed. It is kept unless another one arrives at a
 //! cost that is lower by 3 %. In the exact model the cost to go of what is followed therefore
@@ -11,8 +11,9 @@
 //!
 //! Candidates are, in this order, the incumbent, the goal, near an occlusion the way points that
 //! k-NN and the Gaussian process infer, and samples of the memory, alternately one of the nearest
-//! and any. Work is counted in simulated periods, so many a cycle; no clock decides, and a replay
-//! gives the same bits.
+//! and any. Work is counted in simulated steps, so many a cycle; no clock decides, and a replay
+//! gives the same bits. A future that takes more than a cycle's steps goes on in the next cycle:
+//! then what it costs is known to the accuracy of what the camera moves meanwhile.
 //!
 //! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning" (2020),
 //! Sect. 2.3 (fortified rollout).
@@ -20,7 +21,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::command::{Law, Present};
-use crate::features::{self, MAX_INPUTS};
+use crate::features::{self, MAX_INPUTS, PlainPoints};
 use crate::guide::{Guide, Kind};
 use crate::prediction::{InitialState, Plan};
 use crate::recall::{self, MotionMemory, Recall};
@@ -44,13 +45,13 @@ const SHIFT: f64 = 0.25;
 const TURN: f64 = 1.0;
 /// and shrinks them at most to this share.
 const SMALLEST: f64 = 0.5;
-/// A future that tracks the goal for so many periods and comes no nearer is stalled: it ends.
+/// A future that tracks the goal for so many steps and comes no nearer is stalled: it ends.
 const PATIENCE: u32 = 6;
 /// Coming nearer is to less than this share of the least distance before.
 const PROGRESS: f64 = 0.99;
-/// An incumbent that arrives is simulated again every so many cycles. In between it is trusted: what
-/// it promised, less what the last period cost.
-const TRUSTED: u32 = 4;
+/// An incumbent that arrives is simulated again when so many steps have passed. Until then it is
+/// trusted: what it promised, less what the periods since cost.
+const TRUSTED: f64 = 4.5;
 /// A sample is a candidate where the rest of its trajectory costs less than this multiple of what is
 /// known.
 const HOPEFUL: f64 = 1.0;
@@ -62,17 +63,17 @@ pub const PLACES: usize = 8;
 pub enum Outcome {
     /// The features arrive.
     Arrives {
-        /// Sum of l(v) / Np until then.
+        /// Sum of l(v) / Np over the periods until then.
         cost: f64,
-        /// Periods until then.
-        periods: u32,
+        /// Time until then, in steps of the preview.
+        steps: f64,
     },
     /// They do not: they stall, or the horizon ends.
     Nears {
         /// Least distance from the goal (largest component), px.
         error_px: f64,
     },
-    /// Not known to the end: a point is lost, or the budget or the allowed cost is used up.
+    /// Not known to the end: a point is lost, or the allowed cost is used up.
     Unknown,
 }
 
@@ -95,7 +96,7 @@ pub struct Path {
     pub count: u32,
     /// Points at each, 0 to 8.
     pub points: u32,
-    /// Periods from one to the next.
+    /// Steps from one to the next.
     pub every: u32,
     /// (u, v) of each point at each place, px; the rest is zero.
     pub places: [[[f32; 2]; MAX_POINTS]; PLACES],
@@ -110,10 +111,10 @@ impl Path {
         places: [[[0.0; 2]; MAX_POINTS]; PLACES],
     };
 
-    /// Notes the features after `period` periods; where there is no more room, every other place is
+    /// Notes the features after `step` steps; where there is no more room, every other place is
     /// forgotten.
-    fn note(&mut self, period: u32, points: &[[f64; 2]]) {
-        if !period.is_multiple_of(self.every) {
+    fn note(&mut self, step: u32, points: &[[f64; 2]]) {
+        if !step.is_multiple_of(self.every) {
             return;
         }
         if self.count as usize == PLACES {
@@ -121,7 +122,7 @@ impl Path {
                 self.places.copy_within(2 * place..2 * place + 1, place);
             }
             (self.count, self.every) = (PLACES as u32 / 2, 2 * self.every);
-            if !period.is_multiple_of(self.every) {
+            if !step.is_multiple_of(self.every) {
                 return;
             }
         }
@@ -147,16 +148,18 @@ pub struct Foresight {
     pub outcome: Outcome,
     /// The features on the way.
     pub path: Path,
-    /// Cycles since what is followed was simulated.
-    pub trusted: u32,
+    /// Steps since what is followed was simulated.
+    pub trusted: f64,
+    /// A future that did not fit into the cycle.
+    pub suspended: Option<Suspended>,
     /// The twist that the memory infers for the next period, near an occlusion.
     pub recalled: Option<Twist>,
     /// Samples drawn so far: the next one follows from it.
     pub drawn: u64,
     /// Candidates of the last cycle, the incumbent not counted.
     pub tried: u32,
-    /// Periods simulated in the last cycle.
-    pub periods: u32,
+    /// Steps simulated in the last cycle.
+    pub simulated: u32,
     /// Changes of what is followed.
     pub switches: u32,
 }
@@ -167,11 +170,12 @@ impl Foresight {
         guide: Guide::GOAL,
         outcome: Outcome::Unknown,
         path: Path::NONE,
-        trusted: 0,
+        trusted: TRUSTED,
+        suspended: None,
         recalled: None,
         drawn: 0,
         tried: 0,
-        periods: 0,
+        simulated: 0,
         switches: 0,
     };
 }
@@ -182,6 +186,41 @@ struct Future {
     guide: Guide,
     outcome: Outcome,
     path: Path,
+}
+
+/// A simulation on its way. Plain data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Suspended {
+    /// The candidate,
+    candidate: Guide,
+    /// and what is ahead of it at the step that was reached.
+    guide: Guide,
+    /// Whether it is the incumbent.
+    is_incumbent: bool,
+    /// The features there, px,
+    points: PlainPoints,
+    /// the command in force and the plan that warms the solver.
+    standing: Twist,
+    previous: Plan,
+    /// Whether the pattern was seen from its front at the begin.
+    is_from_front: bool,
+    /// Steps and cost so far.
+    step: u32,
+    cost: f64,
+    /// Least distance from the goal, px, and steps since.
+    nearest_px: f64,
+    idle: u32,
+    /// Steps and cost of the camera since it began.
+    since: f64,
+    spent: f64,
+    path: Path,
+}
+
+/// How a simulation ended for this cycle.
+#[expect(clippy::large_enum_variant, reason = "the law does not allocate")]
+enum RollOut {
+    Ended(Future),
+    Suspended(Suspended),
 }
 
 /// What one cycle thinks with.
@@ -200,9 +239,11 @@ pub(crate) struct Thinker<'a> {
     pub converged_px: f64,
     /// The twist that the memory infers there.
     pub recalled: Option<Twist>,
-    /// Most periods of a future.
+    /// Most steps of a future.
     pub horizon: u32,
-    /// Periods that may still be simulated in this cycle.
+    /// Steps that may be simulated in a cycle,
+    pub whole: u32,
+    /// and still in this one.
     pub budget: u32,
 }
 
@@ -210,7 +251,6 @@ impl Thinker<'_> {
     /// Looks for something better to follow.
     pub(crate) fn think(&mut self, foresight: &mut Foresight) {
         let points = &self.initial.points;
-        let begun = self.budget;
         let is_far =
             features::largest_error(points, &self.law.task.goal) >= FAR * self.converged_px;
         foresight.tried = 0;
@@ -221,43 +261,72 @@ impl Thinker<'_> {
             .last()
             .map(|(_, answer)| answer.twist);
         self.recalled = foresight.recalled;
-        if !is_far {
-            foresight.guide = Guide::GOAL;
+        if !is_far && foresight.guide != Guide::GOAL {
+            (foresight.guide, foresight.suspended) = (Guide::GOAL, None);
         }
-        let mut best = self.incumbent(foresight);
-        if is_far {
-            self.improve(&answers, &mut best, foresight);
+        self.pass(foresight);
+        let suspended = foresight.suspended.take();
+        let (rest, candidate) = match suspended {
+            Some(suspended) if suspended.is_incumbent => (Some(suspended), None),
+            candidate => (None, candidate),
+        };
+        let mut best = self.incumbent(foresight, rest);
+        if is_far && foresight.suspended.is_none() {
+            self.improve(&answers, &mut best, foresight, candidate);
         }
         if best.guide != foresight.guide {
             foresight.switches += 1;
-            foresight.trusted = 0;
+            foresight.trusted = 0.0;
         }
         (foresight.guide, foresight.outcome, foresight.path) =
             (best.guide, best.outcome, best.path);
-        foresight.periods = begun - self.budget;
+        foresight.simulated = self.whole - self.budget;
     }
 
-    /// What is followed, with its future.
-    fn incumbent(&mut self, foresight: &mut Foresight) -> Future {
-        let Foresight { guide, path, .. } = *foresight;
-        match foresight.outcome {
-            Outcome::Arrives { cost, periods }
-                if foresight.trusted < TRUSTED && periods > 1 && cost > self.spent =>
-            {
-                foresight.trusted += 1;
-                let outcome = Outcome::Arrives {
-                    cost: cost - self.spent,
-                    periods: periods - 1,
-                };
-                Future {
-                    guide,
-                    outcome,
-                    path,
-                }
+    /// Lets a period pass: what is expected gets nearer.
+    fn pass(&self, foresight: &mut Foresight) {
+        let passed = self.law.task.period / self.law.task.ts;
+        foresight.trusted += passed;
+        if let Some(suspended) = &mut foresight.suspended {
+            suspended.since += passed;
+            suspended.spent += self.spent;
+        }
+        if let Outcome::Arrives { cost, steps } = &mut foresight.outcome {
+            (*cost, *steps) = (*cost - self.spent, *steps - passed);
+        }
+    }
+
+    /// What is followed, with its future: as promised, or simulated again.
+    fn incumbent(&mut self, foresight: &mut Foresight, rest: Option<Suspended>) -> Future {
+        let Foresight {
+            guide,
+            outcome,
+            path,
+            ..
+        } = *foresight;
+        let promised = Future {
+            guide,
+            outcome,
+            path,
+        };
+        let is_trusted = match outcome {
+            Outcome::Arrives { cost, steps } => {
+                foresight.trusted < TRUSTED && cost > 0.0 && steps > 0.5
             }
-            _ => {
-                foresight.trusted = 0;
-                self.roll_out(guide, f64::INFINITY)
+            _ => foresight.trusted < 1.0,
+        };
+        if is_trusted && rest.is_none() {
+            return promised;
+        }
+        let rest = rest.unwrap_or_else(|| self.begun(guide, true));
+        match self.roll_out(rest, f64::INFINITY) {
+            RollOut::Ended(future) => {
+                foresight.trusted = 0.0;
+                future
+            }
+            RollOut::Suspended(rest) => {
+                foresight.suspended = Some(rest);
+                promised
             }
         }
     }
@@ -268,22 +337,27 @@ impl Thinker<'_> {
         answers: &[Option<(Kind, Recall)>],
         best: &mut Future,
         foresight: &mut Foresight,
+        rest: Option<Suspended>,
     ) {
-        if best.guide.kind != Kind::Goal {
-            self.consider(Guide::GOAL, best, foresight);
+        if let Some(rest) = rest {
+            self.consider(rest, best, foresight);
+        } else {
+            if best.guide.kind != Kind::Goal {
+                self.try_out(Guide::GOAL, best, foresight);
+            }
+            for (kind, answer) in answers.iter().flatten() {
+                let guide = Guide::GOAL.after(*kind, &answer.way_point);
+                self.try_out(guide, best, foresight);
+            }
         }
-        for (kind, answer) in answers.iter().flatten() {
-            let guide = Guide::GOAL.after(*kind, &answer.way_point);
-            self.consider(guide, best, foresight);
-        }
-        // Each that is simulated takes a period at least; the others are bounded in number.
+        // Each that is simulated takes a step at least; the others are bounded in number.
         for _ in 0..self.budget {
-            if self.budget == 0 {
+            if self.budget == 0 || foresight.suspended.is_some() {
                 return;
             }
             foresight.drawn += 1;
             if let Some(guide) = self.drawn(foresight.drawn, best.outcome) {
-                self.consider(guide, best, foresight);
+                self.try_out(guide, best, foresight);
             }
         }
     }
@@ -323,15 +397,27 @@ impl Thinker<'_> {
         })
     }
 
-    fn consider(&mut self, guide: Guide, best: &mut Future, foresight: &mut Foresight) {
-        foresight.tried += 1;
-        let most = match best.outcome {
-            Outcome::Arrives { cost, .. } => BETTER * cost,
-            _ => f64::INFINITY,
+    fn try_out(&mut self, guide: Guide, best: &mut Future, foresight: &mut Foresight) {
+        if foresight.suspended.is_none() {
+            foresight.tried += 1;
+            self.consider(self.begun(guide, false), best, foresight);
+        }
+    }
+
+    /// Goes on with a candidate. What is left of it at the end of the cycle waits for the next one,
+    /// unless others are known from begin to end within a cycle.
+    fn consider(&mut self, rest: Suspended, best: &mut Future, foresight: &mut Foresight) {
+        let is_whole = self.budget == self.whole;
+        let (must_fit, most) = match best.outcome {
+            Outcome::Arrives { cost, steps } => (steps <= f64::from(self.whole), BETTER * cost),
+            _ => (false, f64::INFINITY),
         };
-        let future = self.roll_out(guide, most);
-        if future.outcome.is_better_than(best.outcome) {
-            *best = future;
+        match self.roll_out(rest, most) {
+            RollOut::Ended(future) if future.outcome.is_better_than(best.outcome) => *best = future,
+            RollOut::Suspended(rest) if is_whole || !must_fit => {
+                foresight.suspended = Some(rest);
+            }
+            _ => (),
         }
     }
 
@@ -377,71 +463,97 @@ impl Thinker<'_> {
         then.after(Kind::Aside, &target)
     }
 
-    /// Simulates the law under a guide, at a cost of at most `most`.
-    fn roll_out(&mut self, guide: Guide, most: f64) -> Future {
-        let Law { task, settings } = self.law;
-        let np = settings.np as f64;
-        let mut future = Future {
-            guide,
-            outcome: Outcome::Unknown,
+    /// A simulation of a candidate before its first step.
+    fn begun(&self, candidate: Guide, is_incumbent: bool) -> Suspended {
+        Suspended {
+            candidate,
+            guide: candidate,
+            is_incumbent,
+            points: self.initial.points.as_slice().into(),
+            standing: *self.standing,
+            previous: *self.previous,
+            is_from_front: gate::is_from_front(self.law.task, &self.initial.points),
+            step: 0,
+            cost: 0.0,
+            nearest_px: f64::INFINITY,
+            idle: 0,
+            since: 0.0,
+            spent: 0.0,
             path: Path::NONE,
+        }
+    }
+
+    /// Simulates the law under a guide until its future is known, at a cost of at most `most` from
+    /// now on, or until the budget is used up.
+    fn roll_out(&mut self, mut now: Suspended, most: f64) -> RollOut {
+        let Law { task, settings } = self.law;
+        let mut initial = match now.step {
+            0 => self.initial.clone(),
+            _ => InitialState::new(task, settings.model, &now.points.get().unwrap_or_default()),
         };
-        let mut guide = guide;
-        let (mut initial, mut previous) = (self.initial.clone(), *self.previous);
-        let mut standing = *self.standing;
-        let (mut cost, mut nearest, mut idle) = (0.0, f64::INFINITY, 0);
-        let is_from_front = gate::is_from_front(task, &initial.points);
-        for period in 0..self.horizon {
+        // Costs are counted by the period.
+        let share = task.ts / task.period / settings.np as f64;
+        let ended = |now: &Suspended, outcome| {
+            RollOut::Ended(Future {
+                guide: now.candidate,
+                outcome,
+                path: now.path,
+            })
+        };
+        while now.step < self.horizon {
+            // Every candidate takes at least one step, so that a cycle ends.
+            if self.budget == 0 {
+                now.points = initial.points.as_slice().into();
+                return RollOut::Suspended(now);
+            }
             // Where the camera would look from the side, the features are soon refused.
-            if is_from_front && !gate::is_from_front(task, &initial.points) {
-                return future;
+            if now.is_from_front && !gate::is_from_front(task, &initial.points) {
+                return ended(&now, Outcome::Unknown);
             }
-            future.path.note(period, &initial.points);
+            now.path.note(now.step, &initial.points);
             let error_px = features::largest_error(&initial.points, &task.goal);
-            if error_px < PROGRESS * nearest {
-                (nearest, idle) = (error_px, 0);
-            } else if guide.ahead == 0 {
-                idle += 1;
+            if error_px < PROGRESS * now.nearest_px {
+                (now.nearest_px, now.idle) = (error_px, 0);
+            } else if now.guide.ahead == 0 {
+                now.idle += 1;
             }
-            if idle > PATIENCE {
+            if now.idle > PATIENCE {
                 break;
             }
             if error_px < self.converged_px {
-                let periods = period;
-                future.outcome = Outcome::Arrives { cost, periods };
-                return future;
+                let (cost, steps) = (now.cost - now.spent, f64::from(now.step) - now.since);
+                return ended(&now, Outcome::Arrives { cost, steps });
             }
-            // Every candidate takes at least one period, so that a cycle ends.
-            let Some(left) = self.budget.checked_sub(1) else {
-                return future;
-            };
-            self.budget = left;
-            let tracked = guide.advance(&initial.points, self.converged_px);
+            self.budget -= 1;
+            let tracked = now.guide.advance(&initial.points, self.converged_px, 1.0);
             let aim = tracked.as_ref().unwrap_or(&task.goal);
-            let recalled = self.recalled.as_ref().filter(|_| period == 0);
+            let recalled = self.recalled.as_ref().filter(|_| now.step == 0);
             let present = Present {
                 initial: &initial,
-                standing: &standing,
-                warm: &previous,
+                standing: &now.standing,
+                interval: task.ts,
+                warm: &now.previous,
                 recalled,
             };
             let (twist, solution) = self.law.command(self.solver, &present, aim, aim);
-            cost += match guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
+            let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
-                true => solution.cost / np,
-                false => self.law.running_cost(self.solver, &initial, &twist) / np,
+                true => solution.cost,
+                false => self.law.running_cost(self.solver, &initial, &twist),
             };
-            if cost > most {
-                return future;
+            now.cost += share * cost;
+            if now.cost - now.spent > most {
+                return ended(&now, Outcome::Unknown);
             }
-            (previous, standing) = (solution.plan, twist);
+            (now.previous, now.standing) = (solution.plan, twist);
+            now.step += 1;
             match initial.moved(task, settings.model, &twist, task.ts) {
                 Some(next) => initial = next,
-                None => return future,
+                None => return ended(&now, Outcome::Unknown),
             }
         }
-        future.outcome = Outcome::Nears { error_px: nearest };
-        future
+        let error_px = now.nearest_px;
+        ended(&now, Outcome::Nears { error_px })
     }
 }
 
@@ -507,8 +619,8 @@ mod tests {
                 law.sent(&step.twist, now_ns);
                 law.think(Some(&memory));
                 let foreseen = law.foreseen();
-                assert!(foreseen.periods <= law.foreseen_periods());
-                assert!(foreseen.tried <= law.foreseen_periods());
+                assert!(foreseen.simulated <= law.foreseen_steps());
+                assert!(foreseen.tried <= law.foreseen_steps());
                 arrived += u32::from(matches!(foreseen.outcome, Outcome::Arrives { .. }));
             }
         }
@@ -519,8 +631,8 @@ mod tests {
     fn a_path_keeps_places_at_equal_intervals_however_long_it_is() {
         for length in [1, 7, 8, 9, 100, 1000] {
             let mut path = Path::NONE;
-            for period in 0..length {
-                path.note(period, &[[f64::from(period), 1.0]; 4]);
+            for step in 0..length {
+                path.note(step, &[[f64::from(step), 1.0]; 4]);
             }
             assert!(path.count >= length.min(PLACES as u32 / 2) && path.points == 4);
             for (place, points) in path.places.iter().enumerate().take(path.count as usize) {

@@ -7,10 +7,12 @@ use crate::features::{self, PlainPoints};
 
 /// Most sub-goals of a guide.
 pub const MOST: usize = 2;
-/// Most periods for which a sub-goal is tracked.
-const LENGTH: u32 = 25;
-/// Periods without progress after which a sub-goal is given up.
-const BLOCKED: u32 = 3;
+/// Most steps for which a sub-goal is tracked.
+const LENGTH: f64 = 25.0;
+/// Steps without progress after which a sub-goal is given up.
+const BLOCKED: f64 = 3.0;
+/// Rounding of a sum of shares of steps.
+const ROUNDING: f64 = 1e-6;
 /// Decrease of the distance to the sub-goal that is progress, px.
 const PROGRESS_PX: f64 = 3.0;
 
@@ -38,12 +40,12 @@ pub struct Guide {
     pub targets: [PlainPoints; MOST],
     /// Sub-goals ahead, the one that is tracked among them.
     pub ahead: u32,
-    /// Periods left in which it may be tracked.
-    pub left: u32,
+    /// Steps of the preview left in which it may be tracked.
+    pub left: f64,
     /// Least distance to it so far (largest component), px.
     pub least_px: f64,
-    /// Periods without progress.
-    pub idle: u32,
+    /// Steps without progress.
+    pub idle: f64,
 }
 
 impl Guide {
@@ -52,9 +54,9 @@ impl Guide {
         kind: Kind::Goal,
         targets: [PlainPoints::NONE; MOST],
         ahead: 0,
-        left: 0,
+        left: 0.0,
         least_px: f64::INFINITY,
-        idle: 0,
+        idle: 0.0,
     };
 
     /// The guide that goes over a sub-goal first, then on as `self`, which has room for one more.
@@ -67,28 +69,29 @@ impl Guide {
             kind,
             left: LENGTH,
             least_px: f64::INFINITY,
-            idle: 0,
+            idle: 0.0,
             ..self
         }
     }
 
-    /// One period: what is tracked in it; `None` for the goal.
-    pub fn advance(&mut self, points: &[[f64; 2]], reached_px: f64) -> Option<Points> {
+    /// What is tracked in the next so many steps, a share of one in a cycle; `None` for the goal.
+    pub fn advance(&mut self, points: &[[f64; 2]], reached_px: f64, steps: f64) -> Option<Points> {
         loop {
             let ahead = self.ahead.checked_sub(1)?;
             let target = self.targets.get(ahead as usize)?.get()?;
             let away_px = features::largest_error(points, &target);
             if away_px < self.least_px - PROGRESS_PX {
-                (self.least_px, self.idle) = (away_px, 0);
+                (self.least_px, self.idle) = (away_px, 0.0);
             } else {
-                self.idle += 1;
+                self.idle += steps;
             }
-            if away_px >= reached_px && self.idle <= BLOCKED && self.left > 0 {
-                self.left -= 1;
+            let is_blocked = self.idle > BLOCKED + ROUNDING;
+            if away_px >= reached_px && !is_blocked && self.left > ROUNDING {
+                self.left -= steps;
                 return Some(target);
             }
             (self.ahead, self.left) = (ahead, LENGTH);
-            (self.least_px, self.idle) = (f64::INFINITY, 0);
+            (self.least_px, self.idle) = (f64::INFINITY, 0.0);
             if ahead == 0 {
                 *self = Self::GOAL;
             }

@@ -5,7 +5,7 @@
 //! | s_j | [`Preview::step`] | features after step j, px; j = 0 is one sampling time ahead |
 //! | V = (v_1 .. v_Nc) | `plan` | free commands; the last one is held to the end of the window |
 //! | Np, Nc | `np`, `NC` | steps previewed, free commands |
-//! | Ts | `task.ts` | sampling time, s |
+//! | Ts | `task.ts` | length of a step, s |
 //! | L | `interaction` | interaction matrix, for the depth models |
 //! | X_j = exp(-Ts v_j) X_{j-1} | [`Motion`] | points in the camera frame, m, for [`Model::Pose`] |
 //!
@@ -117,7 +117,7 @@ impl InitialState {
                 })
             }
             Geometry::Depths(_) => {
-                let steps = libm::ceil(seconds / (STEP * task.ts)).clamp(1.0, MOST_STEPS);
+                let steps = libm::ceil(seconds / (STEP * task.period)).clamp(1.0, MOST_STEPS);
                 let mut initial = self.clone();
                 for _ in 0..steps as u32 {
                     initial = initial.integrated(task, model, twist, seconds / steps)?;

@@ -13,6 +13,8 @@ pub struct Settings {
     pub strategy: Strategy,
     /// Steps previewed, 1 to 40.
     pub np: usize,
+    /// Length of a step, s; never shorter than the sampling time.
+    pub step_s: f64,
     /// Free commands, 1 to 4 and at most `np`.
     pub nc: usize,
     /// When the solver stops.
@@ -28,17 +30,16 @@ pub struct Settings {
     pub margin_px: f64,
     /// Weight of the change of the command from one period to the next, as a share of R.
     pub change_share: f64,
-    /// Gain of the filter: share of the difference to the measured features by which the predicted
-    /// ones are corrected; 1: no filter, and the target is corrected by the mismatch instead, as in
-    /// the paper.
-    pub filter_gain: f64,
+    /// Time constant of the filter of the features, s; 0: no filter, and the target is corrected by
+    /// the mismatch instead, as in the paper.
+    pub filter_s: f64,
     /// Greatest distance of a filtered feature from the measured one, px.
     pub filter_px: f64,
     /// Gain of the classic law, 1/s.
     pub lambda: f64,
-    /// Most periods that foresight simulates in a cycle; never more than 5 for each millisecond of
+    /// Most steps that foresight simulates in a cycle; never more than 10 for each millisecond of
     /// the sampling time.
-    pub foresight_periods: u32,
+    pub foresight_steps: u32,
     /// Whether features are advanced from their exposure to the instant at which the command takes
     /// effect.
     pub delay_compensation: bool,
@@ -50,6 +51,7 @@ impl Default for Settings {
         Self {
             strategy: Strategy::Previous,
             np: 3,
+            step_s: 0.033,
             nc: 1,
             solver: SolverOptions {
                 max_iterations: 10,
@@ -61,10 +63,10 @@ impl Default for Settings {
             hysteresis: 2.0,
             margin_px: 0.0,
             change_share: 0.03,
-            filter_gain: 0.2,
+            filter_s: 0.15,
             filter_px: 1.0,
             lambda: 0.5,
-            foresight_periods: 150,
+            foresight_steps: 150,
             delay_compensation: true,
         }
     }
@@ -101,6 +103,7 @@ impl Settings {
         let iterations = f64::from(self.solver.max_iterations);
         let ranges = [
             ("np", self.np as f64, 1.0, most_np, "1 to 40"),
+            ("step_s", self.step_s, 1e-3, 10.0, "0.001 to 10 s"),
             ("nc", self.nc as f64, 1.0, most_nc, "1 to 4, at most np"),
             ("iterations", iterations, 1.0, 1e3, "1 to 1000"),
             ("tolerance", self.solver.tolerance, 1e-15, 1.0, "1e-15 to 1"),
@@ -108,12 +111,12 @@ impl Settings {
             ("hysteresis", self.hysteresis, 1.0, 100.0, "1 to 100"),
             ("margin_px", self.margin_px, 0.0, 1e3, "0 to 1e3 px"),
             ("change_share", self.change_share, 0.0, 10.0, "0 to 10"),
-            ("filter_gain", self.filter_gain, 0.01, 1.0, "0.01 to 1"),
+            ("filter_s", self.filter_s, 0.0, 10.0, "0 to 10 s"),
             ("filter_px", self.filter_px, 0.0, 100.0, "0 to 100 px"),
             ("lambda", self.lambda, 1e-6, 100.0, "1e-6 to 100 per s"),
             (
-                "foresight_periods",
-                f64::from(self.foresight_periods),
+                "foresight_steps",
+                f64::from(self.foresight_steps),
                 1.0,
                 1e5,
                 "1 to 1e5",

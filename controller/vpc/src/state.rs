@@ -114,7 +114,7 @@ mod tests {
     fn every_part_of_the_state_matters() {
         every_part_matters(Settings::default());
         every_part_matters(Settings {
-            filter_gain: 1.0,
+            filter_s: 0.0,
             ..Settings::default()
         });
     }
@@ -144,7 +144,7 @@ mod tests {
         );
         assert_ne!(late, after(PERIOD, |state| state.filtered.count = 0));
         assert_ne!(late, after(PERIOD, |state| state.standing[0] += 0.1));
-        if settings.filter_gain == 1.0 {
+        if settings.filter_s == 0.0 {
             assert_ne!(late, after(PERIOD, |state| state.is_linked = false));
         }
         assert_ne!(late, after(PERIOD, |state| state.still_px = 1.0));

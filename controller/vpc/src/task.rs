@@ -33,7 +33,9 @@ pub struct Task {
     pub parts: heapless::Vec<Part, MAX_ALL_PARTS>,
     /// Areas of all masks, px.
     pub areas: heapless::Vec<Area, MAX_AREAS>,
-    /// Sampling time, s.
+    /// Time between two cycles, s.
+    pub period: f64,
+    /// Length of a step of the preview, s: the period, or longer.
     pub ts: f64,
     /// The bounding box of each obstacle, px.
     boxes: heapless::Vec<[[f64; 2]; 2], { MAX_ALL_PARTS + MAX_AREAS }>,
@@ -111,6 +113,7 @@ impl Task {
             cost: scene.cost,
             parts,
             areas,
+            period: scene.sampling_time(),
             ts: scene.sampling_time(),
             boxes,
         })

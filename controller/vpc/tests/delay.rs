@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::{Motion, rotation};
-use vpc::{Controller, DOF, Measurement, Model, Refusal, Settings, Twist, camera, delay};
+use vpc::{Controller, DOF, Measurement, Model, Refusal, Settings, Twist, camera};
 
 /// A camera that obeys exactly, in simulated time.
 struct World {
@@ -15,7 +15,7 @@ struct World {
     /// The first point is shown beside where it is by this much, px.
     bias: f64,
     /// Of the law that looks.
-    filter_gain: f64,
+    filter_s: f64,
 }
 
 impl World {
@@ -33,14 +33,14 @@ impl World {
             scene,
             cycle: 0,
             bias: 0.0,
-            filter_gain: Settings::default().filter_gain,
+            filter_s: Settings::default().filter_s,
         }
     }
 
     fn controller(&self, compensated: bool) -> Box<Controller> {
         let settings = Settings {
             delay_compensation: compensated,
-            filter_gain: self.filter_gain,
+            filter_s: self.filter_s,
             ..Settings::default()
         };
         Box::new(Controller::new(&self.scene, settings).unwrap())
@@ -142,7 +142,7 @@ fn the_mismatch_of_late_features_is_that_of_their_exposure() {
     // once; the rest is how the error of the fit changes along the way of four frames.
     let world = World {
         bias: 3.0,
-        filter_gain: 1.0,
+        filter_s: 0.0,
         ..World::new()
     };
     let twists = side_by_side(world, 4, 60, true);
@@ -172,17 +172,16 @@ fn features_older_than_the_commands_known_are_refused_until_enough_is_known() {
         law.sent(&[0.0; DOF], world.time_ns(k));
     }
     assert_eq!(refused, 4);
-    // A delay beyond the capacity is never known.
-    let capacity = delay::CAPACITY as u64;
-    (20..20 + 2 * capacity).for_each(|k| law.sent(&[0.0; DOF], world.time_ns(k)));
-    let (last, most) = (20 + 2 * capacity, capacity);
+    // A delay beyond what is remembered is never known.
+    let (last, most) = (100, 34);
+    (20..last).for_each(|k| law.sent(&[0.0; DOF], world.time_ns(k)));
     assert!(law.step(&seen(last, most), None).is_ok());
     let refusal = law.step(&seen(last, most + 1), None).unwrap_err();
     assert!(matches!(refusal, Refusal::Late { .. }), "{refusal}");
     assert!(
         refusal
             .to_string()
-            .contains("exposed 1100.0 ms ago; allowed: 1066.7 ms"),
+            .contains("exposed 1166.7 ms ago; allowed: 1133.3 ms"),
         "{refusal}"
     );
 }

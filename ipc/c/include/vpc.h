@@ -414,7 +414,7 @@ typedef struct {
     uint32_t foresight;
     // Candidates that foresight compared with it since the previous command.
     uint32_t candidates;
-    // Periods that foresight simulated for that.
+    // Steps that foresight simulated for that.
     uint32_t simulated;
     // How often foresight has changed what it follows.
     uint32_t switches;
@@ -468,12 +468,12 @@ typedef struct {
     vpc_stamp stamp;
     // The cycle that follows.
     uint64_t cycle;
-    // Bytes in state. 0 to 8192.
+    // Bytes in state. 0 to 32768.
     uint32_t length;
     // Version of the encoding of state.
     uint32_t version;
     // The state, encoded by the controller; zero past length.
-    uint8_t state[8192];
+    uint8_t state[32768];
 } vpc_snapshot;
 
 // An operator's request. Several operators may be at work. Service `vpc/requests`.
@@ -803,7 +803,7 @@ static_assert(offsetof(vpc_cycle_record, requests) == 1632, "vpc_cycle_record.re
 static_assert(offsetof(vpc_cycle_record, missed) == 1636, "vpc_cycle_record.missed");
 static_assert(offsetof(vpc_cycle_record, flags) == 1640, "vpc_cycle_record.flags");
 static_assert(offsetof(vpc_cycle_record, reserved) == 1644, "vpc_cycle_record.reserved");
-static_assert(sizeof(vpc_snapshot) == 8232, "vpc_snapshot");
+static_assert(sizeof(vpc_snapshot) == 32808, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");
 static_assert(offsetof(vpc_snapshot, length) == 32, "vpc_snapshot.length");

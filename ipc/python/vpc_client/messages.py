@@ -443,7 +443,7 @@ class CycleRecord(Message):
         ("foresight", ctypes.c_uint32),
         # Candidates that foresight compared with it since the previous command.
         ("candidates", ctypes.c_uint32),
-        # Periods that foresight simulated for that.
+        # Steps that foresight simulated for that.
         ("simulated", ctypes.c_uint32),
         # How often foresight has changed what it follows.
         ("switches", ctypes.c_uint32),
@@ -504,17 +504,17 @@ class Snapshot(Message):
         ("stamp", Stamp),
         # The cycle that follows.
         ("cycle", ctypes.c_uint64),
-        # Bytes in `state`. 0 to 8192.
+        # Bytes in `state`. 0 to 32768.
         ("length", ctypes.c_uint32),
         # Version of the encoding of `state`.
         ("version", ctypes.c_uint32),
         # The state, encoded by the controller; zero past `length`.
-        ("state", ctypes.c_uint8 * 8192),
+        ("state", ctypes.c_uint8 * 32768),
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Snapshot/1"
+        return "vpc/Snapshot/2"
 
 
 class Request(Message):
@@ -610,7 +610,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "robot_input": InputCode,
     },
     Snapshot: {
-        "length": (0, 8192),
+        "length": (0, 32768),
     },
     Request: {
         "action": Action,

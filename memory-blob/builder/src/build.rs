@@ -70,7 +70,7 @@ pub fn collect(
     settings: &BuildSettings,
     mut progress: Progress,
     stop: &AtomicBool,
-    mut report: impl FnMut(&Progress),
+    report: &mut dyn FnMut(&Progress),
 ) -> Result<Progress, BuildError> {
     let task = Task::new(scene).map_err(BuildError::Task)?;
     let mut store = Store::new(&task);

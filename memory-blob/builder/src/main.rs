@@ -300,7 +300,7 @@ fn run_build(build: &Build) -> anyhow::Result<()> {
     }
     let bar = progress_bar(settings.trajectories, begun.trajectories.len());
     let clock = Instant::now();
-    let progress = build::collect(&grown, &settings, begun, &stop, |progress| {
+    let progress = build::collect(&grown, &settings, begun, &stop, &mut |progress| {
         bar.set_position(progress.trajectories.len() as u64);
         let found = progress.trajectories.len() as f64;
         bar.set_message(format!(

@@ -29,7 +29,16 @@ fn built(threads: usize) -> Progress {
         .build()
         .unwrap();
     let never = AtomicBool::new(false);
-    pool.install(|| collect(&scene(), &settings(), Progress::default(), &never, |_| ()).unwrap())
+    pool.install(|| {
+        collect(
+            &scene(),
+            &settings(),
+            Progress::default(),
+            &never,
+            &mut |_| (),
+        )
+        .unwrap()
+    })
 }
 
 #[test]
@@ -52,11 +61,11 @@ fn an_interrupted_build_goes_on_to_the_same_memory() {
     let mut interruptions = 0;
     while progress.trajectories.len() < settings().trajectories {
         let stop = AtomicBool::new(false);
-        let after_a_batch = |_: &Progress| stop.store(true, Ordering::Relaxed);
+        let mut after_a_batch = |_: &Progress| stop.store(true, Ordering::Relaxed);
         // Through the text of the partial file, as after a Ctrl-C.
         let text = serde_json::to_string(&progress).unwrap();
         let resumed = serde_json::from_str(&text).unwrap();
-        progress = collect(&scene(), &settings(), resumed, &stop, after_a_batch).unwrap();
+        progress = collect(&scene(), &settings(), resumed, &stop, &mut after_a_batch).unwrap();
         interruptions += 1;
     }
     assert!(interruptions >= 2);

@@ -130,7 +130,7 @@ fn main() -> ExitCode {
 
 fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     cli.common.check()?;
-    let scene = Scene::read(&cli.scene)?;
+    let mut scene = Scene::read(&cli.scene)?;
     let starts = read_starts(&cli.starts)?;
     let mut strategies = cli.common.strategies.iter();
     let memory = match &cli.memory {
@@ -141,6 +141,7 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         None => None,
     };
     let memory = memory.map(Arc::new);
+    scene.camera.rate_hz = cli.common.rate.unwrap_or(scene.camera.rate_hz);
     match cli.robot {
         Body::Free => free(cli, &scene, &starts, memory.as_ref()),
         Body::Panda => on_robot(cli, &scene, &starts, memory.as_deref()),

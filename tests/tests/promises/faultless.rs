@@ -36,7 +36,7 @@ fn run(strategy: &str, cycles: u64) -> Report {
         false => "[realtime]\npriority = 80\ncpu = 0\n",
     };
     // What foresight finds does not matter here.
-    let law = "[law]\nforesight_periods = 30\n";
+    let law = "[law]\nforesight_steps = 30\n";
     let config = place.file("vpcd.toml", format!("{realtime}{law}"));
     let report = place.path("report.json");
     let mut daemon = Command::new(program("vpcd"));

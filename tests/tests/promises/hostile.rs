@@ -120,8 +120,8 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
     let mut camera = CameraPorts::open(&domain).unwrap();
     let mut operator = OperatorPorts::open(&domain).unwrap();
     // Foresight thinks, but briefly: who fuzzes waits for each answer.
-    let mut command = place
-        .vpcd("[law]\nforesight_periods = 5\n[cycle]\nclock = 'lockstep'\n[log]\nlevel = 'off'");
+    let mut command =
+        place.vpcd("[law]\nforesight_steps = 5\n[cycle]\nclock = 'lockstep'\n[log]\nlevel = 'off'");
     command.stderr(std::process::Stdio::piped());
     let mut daemon = Running::start(command);
     let (mut answered, mut moving) = (0_u64, 0_u64);

@@ -239,9 +239,9 @@ times     {:>9}{:>10}{:>10}\n",
                 true => format!("arrives in {:.1} s", last.arrival_s),
                 false => warning("no way known".to_owned()),
             };
-            let (tried, periods) = (last.candidates, last.simulated);
+            let (tried, steps) = (last.candidates, last.simulated);
             text += &format!(
-                "foresight {arrival}, by {foresight}; {tried} others tried in {periods} simulated periods\n"
+                "foresight {arrival}, by {foresight}; {tried} others tried in {steps} simulated steps\n"
             );
         }
         let counts = [last.overruns, last.lost_records, view.missed];
