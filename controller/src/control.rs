@@ -327,6 +327,8 @@ mod tests {
         loaded.controller.go_live(3 * PERIOD);
         let rules = Rules {
             limits: LIMITS,
+            acceleration: [f64::INFINITY; 6],
+            period_ns: 33 * MS,
             brake_ns: 150 * MS,
             lost_ns: Some(300 * MS),
             armed: true,

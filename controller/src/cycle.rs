@@ -52,14 +52,15 @@ impl Pace {
         let ns = |seconds: f64| (seconds * 1e9) as u64;
         // Never before the command has gone stale and a brake has had time to begin.
         let least_ns = ns((config.stale_periods + 2.0) * scene.sampling_time());
-        let (linear, angular) = (scene.limits.linear, scene.limits.angular);
         let is_lockstep = config.clock == ClockMode::Lockstep;
         Self {
             clock: config.clock,
             period_ns: ns(scene.sampling_time()),
             stale_periods: config.stale_periods,
             rules: Rules {
-                limits: [linear, linear, linear, angular, angular, angular],
+                limits: scene.limits.velocity(),
+                acceleration: scene.limits.acceleration(),
+                period_ns: ns(scene.sampling_time()),
                 brake_ns: match is_lockstep {
                     true => 0,
                     false => ns(config.safety.brake_s),
@@ -191,9 +192,11 @@ impl Cycle {
     /// Most cycles that braking from the limits to zero takes, and one to begin with; none in
     /// lockstep.
     pub fn braking_cycles(&self) -> u64 {
+        let rules = self.pace.rules;
         match self.pace.clock {
             ClockMode::Fixed | ClockMode::Phase => {
-                self.pace.rules.brake_ns.div_ceil(self.pace.period_ns) + 1
+                let stop_ns = (rules.stop_s(&rules.limits) * 1e9) as u64;
+                rules.brake_ns.max(stop_ns).div_ceil(rules.period_ns) + 1
             }
             ClockMode::Lockstep => 0,
         }

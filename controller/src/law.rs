@@ -50,9 +50,8 @@ pub fn decide(
 /// The last check of a command before it is sent, independent of the law. A NaN is not within the
 /// limits.
 fn is_within(twist: &[f64; 6], limits: &Limits) -> bool {
-    let within = |v: &f64, limit: f64| v.abs() <= limit * (1.0 + ROUNDING);
-    twist[..3].iter().all(|v| within(v, limits.linear))
-        && twist[3..].iter().all(|w| within(w, limits.angular))
+    let mut pairs = twist.iter().zip(limits.velocity());
+    pairs.all(|(v, limit)| v.abs() <= limit * (1.0 + ROUNDING))
 }
 
 #[cfg(test)]

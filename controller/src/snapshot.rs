@@ -89,6 +89,8 @@ mod tests {
         };
         let rules = Rules {
             limits: [f64::MAX; 6],
+            acceleration: [f64::MAX; 6],
+            period_ns: u64::MAX,
             brake_ns: u64::MAX,
             lost_ns: Some(u64::MAX),
             armed: true,

@@ -31,7 +31,12 @@ const OVERRUN: u32 = 2;
 pub struct Rules {
     /// Largest magnitude of each component of the twist, m/s and rad/s.
     pub limits: [f64; 6],
-    /// Time in which a twist at the limits is braked to zero, ns; 0: at once.
+    /// Greatest change of each in a second, m/s^2 and rad/s^2; infinite without such a limit.
+    pub acceleration: [f64; 6],
+    /// The control period, ns.
+    pub period_ns: u64,
+    /// Time in which a twist at the limits is braked to zero, ns; 0: as fast as the acceleration
+    /// allows.
     pub brake_ns: u64,
     /// Time without usable features, or of standstill of the loop, or of silence of a robot that
     /// was heard, after which the camera is disarmed, ns; `None` in lockstep, where time does not
@@ -39,6 +44,14 @@ pub struct Rules {
     pub lost_ns: Option<u64>,
     /// Whether it starts armed.
     pub armed: bool,
+}
+
+impl Rules {
+    /// Time that a stop from this twist takes at the limits of acceleration, s.
+    pub fn stop_s(&self, twist: &[f64; 6]) -> f64 {
+        let each = twist.iter().zip(self.acceleration);
+        each.map(|(v, most)| v.abs() / most).fold(0.0, f64::max)
+    }
 }
 
 /// What the supervisor decides from in a cycle, apart from the time.
@@ -259,8 +272,8 @@ impl Supervisor {
     }
 
     /// One step of braking: the twist shrinks as a whole, so that the camera stays on its path, at
-    /// a rate that takes one at the limits to zero in the braking time. At zero the state is
-    /// `after`.
+    /// a rate that takes one at the limits to zero in the braking time, but by no more than a
+    /// period's acceleration. At zero the state is `after`.
     fn braked(&self, cause: HoldReason, after: TwistState, elapsed_ns: u64) -> Decision {
         let limits = self.rules.limits;
         let ratios = self.sent.twist.iter().zip(limits);
@@ -270,6 +283,9 @@ impl Supervisor {
             0 => 0.0,
             brake_ns => speed - elapsed_ns as f64 / brake_ns as f64,
         };
+        let period_s = self.rules.period_ns as f64 * 1e-9;
+        let stop_s = self.rules.stop_s(&self.sent.twist).max(period_s);
+        let slower = slower.max(speed * (1.0 - period_s / stop_s));
         // Also where the last twist was zero, and for a NaN.
         if slower.is_nan() || slower <= 0.0 {
             return Decision::still(cause, after);

@@ -88,7 +88,7 @@ impl Cell for FreeCell {
             self.progress.begin(self.now_ns);
         }
         self.carry(order.sent_ns);
-        self.standing = Standing::new(&order.twist, order.until_ns, &self.scene.limits);
+        self.standing = Standing::new(&order.twist, order.until_ns, &self.scene.limits.velocity());
         self.progress.limited += u64::from(self.standing.was_limited());
     }
 

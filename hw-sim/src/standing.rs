@@ -1,7 +1,5 @@
 //! The command that stands, inside the limits.
 
-use scene::Limits;
-
 /// A camera velocity (camera frame; m/s, rad/s) that holds until an instant; then the camera stands
 /// still.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -14,10 +12,9 @@ pub struct Standing {
 impl Standing {
     /// A command cut to the limits; components that are not finite count as zero. Nothing is
     /// rescaled: a wrong command must show, not be mended.
-    pub fn new(command: &[f64; 6], until_ns: u64, limits: &Limits) -> Self {
-        let limit = |k: usize| if k < 3 { limits.linear } else { limits.angular };
-        let cut = |k: usize| command[k].clamp(-limit(k), limit(k));
-        let is_within = |k: usize| command[k].abs() <= limit(k) * (1.0 + 1e-9);
+    pub fn new(command: &[f64; 6], until_ns: u64, limits: &[f64; 6]) -> Self {
+        let cut = |k: usize| command[k].clamp(-limits[k], limits[k]);
+        let is_within = |k: usize| command[k].abs() <= limits[k] * (1.0 + 1e-9);
         Self {
             twist: std::array::from_fn(|k| if command[k].is_finite() { cut(k) } else { 0.0 }),
             until_ns,
@@ -66,10 +63,7 @@ mod tests {
 
     #[test]
     fn a_command_outside_the_limits_is_cut_and_said_so_and_ends() {
-        let limits = Limits {
-            linear: 0.5,
-            angular: 1.0,
-        };
+        let limits = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
         assert!(!Standing::new(&[0.5, -0.5, 0.0, 1.0, 0.0, 0.0], 10, &limits).was_limited());
         let cut = Standing::new(&[0.6, f64::NAN, 0.0, -3.0, 0.0, 0.0], 10, &limits);
         assert!(cut.was_limited());

@@ -64,7 +64,7 @@ pub enum Reason {
     LostSight,
     /// The daemon disarmed, also after the features arrived.
     Disarmed,
-    /// A command was beyond the velocity limits.
+    /// A command was beyond the limits of velocity or acceleration.
     BeyondLimits,
 }
 
@@ -122,7 +122,8 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         history: Vec::new(),
     };
     let (mut cost, mut cycles) = (0.0, 0.0_f64);
-    let limits = daemon.law().task().limits;
+    let task = daemon.law().task();
+    let (limits, most) = (task.limits, task.acceleration.map(|a| a * ts));
     let mut standing = [0.0; 6];
     let mut changes = Vec::new();
     'run: for k in 0..periods {
@@ -149,7 +150,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         let twist = record.twist;
         cost += running_cost(scene, referee.goal(), &camera.pose, &twist, np).unwrap_or(0.0);
         cycles += 1.0;
-        if let Some(reason) = fault(&record, &limits) {
+        if let Some(reason) = fault(&record, &standing, &limits, &most) {
             (run.success, run.reason, run.steps) = (false, Some(reason), k);
             run.cause = Hold::from_code(record.hold).map(|hold| hold.to_string());
             break;
@@ -191,14 +192,22 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
 }
 
 /// Why a run with this cycle fails.
-fn fault(record: &CycleRecord, limits: &[f64; 6]) -> Option<Reason> {
-    let mut shares = record.twist.iter().zip(limits);
+fn fault(
+    record: &CycleRecord,
+    standing: &[f64; 6],
+    limits: &[f64; 6],
+    most_change: &[f64; 6],
+) -> Option<Reason> {
     // A NaN is not within.
-    let is_within = shares.all(|(v, limit)| v.abs() <= limit * (1.0 + ROUNDING));
+    let is_within = |x: f64, limit: f64| x.abs() <= limit * (1.0 + ROUNDING);
+    let each = record.twist.iter().zip(standing);
+    let mut each = each.zip(limits.iter().zip(most_change));
+    let is_slow = each
+        .all(|((v, before), (limit, most))| is_within(*v, *limit) && is_within(v - before, *most));
     let is_disarmed = record.state == TwistState::Disarmed.code();
     is_disarmed
         .then_some(Reason::Disarmed)
-        .or_else(|| (!is_within).then_some(Reason::BeyondLimits))
+        .or_else(|| (!is_slow).then_some(Reason::BeyondLimits))
 }
 
 fn has_converged(record: &CycleRecord) -> bool {

@@ -53,7 +53,8 @@ pub struct Law {
     #[default = 3]
     #[schemars(range(min = 1, max = vpc::MAX_NP))]
     pub np: usize,
-    /// Length of a step; where the camera's period is longer, that. Flag of `cargo table`: --step-s.
+    /// Length of a step; where the camera's period and a stop from the limits take longer, that. Flag
+    /// of `cargo table`: --step-s.
     #[default = 0.033]
     #[schemars(range(min = 1e-3, max = 10), extend("x-unit" = "s"))]
     pub step_s: f64,

@@ -22,6 +22,8 @@ impl Bench {
     fn new(armed: bool) -> Self {
         let rules = Rules {
             limits: [0.1, 0.1, 0.1, 0.4, 0.4, 0.4],
+            acceleration: [f64::INFINITY; 6],
+            period_ns: 33 * MS,
             brake_ns: 150 * MS,
             lost_ns: Some(300 * MS),
             armed,
@@ -108,6 +110,34 @@ fn braking_stays_on_the_path_and_within_its_time() {
         bench.bad(HoldReason::Hidden),
         Decision::still(HoldReason::Hidden, TwistState::Holding)
     );
+}
+
+#[test]
+fn braking_is_no_faster_than_the_acceleration_allows() {
+    let mut bench = Bench::moving();
+    let acceleration = [0.5, 0.5, 0.5, 1.2, 1.2, 1.2];
+    let mut rules = bench.supervisor.rules();
+    // 0.2 rad/s take 167 ms; in lockstep as well.
+    for lost_ns in [Some(300 * MS), None] {
+        (rules.acceleration, rules.lost_ns, rules.brake_ns) = (acceleration, lost_ns, 0);
+        bench.supervisor = Supervisor::new(rules);
+        bench.good();
+        let mut last = FAST;
+        for cycle in 0..6 {
+            let decision = bench.bad(HoldReason::Hidden);
+            let most = last.iter().zip(decision.twist).zip(acceleration);
+            let most = most.map(|((before, now), a)| (before - now).abs() / (a * 0.033));
+            let most = most.fold(0.0, f64::max);
+            assert!(most < 1.0 + 1e-9, "{cycle}: {most}");
+            assert!(cycle == 5 || most > 1.0 - 1e-9, "{cycle}: {most}");
+            last = decision.twist;
+        }
+        assert_eq!(last, [0.0; 6]);
+        // A stop does not wait.
+        bench.good();
+        bench.supervisor.request(Action::Stop);
+        assert_eq!(bench.good().twist, [0.0; 6]);
+    }
 }
 
 #[test]
@@ -362,6 +392,8 @@ fn the_gravest_of_several_causes_is_told() {
 fn in_lockstep_braking_takes_no_time() {
     let rules = Rules {
         limits: [1.0; 6],
+        acceleration: [f64::INFINITY; 6],
+        period_ns: 33 * MS,
         brake_ns: 0,
         lost_ns: None,
         armed: true,

@@ -55,6 +55,8 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         stale_periods: 50.0,
         rules: Rules {
             limits: [0.5, 0.5, 0.5, 1.0, 1.0, 1.0],
+            acceleration: [f64::INFINITY; 6],
+            period_ns: 33_333_333,
             brake_ns: 150_000_000,
             lost_ns: None,
             armed: true,

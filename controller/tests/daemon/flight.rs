@@ -63,6 +63,8 @@ impl Bench {
         let (v, w) = (limits.linear, limits.angular);
         let rules = Rules {
             limits: [v, v, v, w, w, w],
+            acceleration: [f64::INFINITY; 6],
+            period_ns: 33_333_333,
             brake_ns: 150_000_000,
             lost_ns: Some(300_000_000),
             armed: true,

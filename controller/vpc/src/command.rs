@@ -34,8 +34,8 @@ pub(crate) struct Law<'a> {
 impl Law<'_> {
     /// Solves the optimal-control problem, and limits its first command. `aim` is the goal or a way
     /// point; `target` the same, corrected by the mismatch. Where the warm start leads into a
-    /// violation, it begins again from what was recalled, and then from standing still: that is
-    /// feasible unless a constraint is already violated.
+    /// violation, it begins again from what was recalled, and then from braking: that is feasible
+    /// unless a constraint is already violated.
     pub fn command(
         &self,
         solver: &mut Solver,
@@ -56,13 +56,13 @@ impl Law<'_> {
             r_share: cost::r_share(self.task, &initial.points, aim),
             change_share: self.settings.change_share * self.task.ts / interval,
             standing: *present.standing,
+            interval,
             margin: self.settings.margin_px,
         };
+        let braking = repeated(&problem.braking());
         let solution = match present.recalled {
-            Some(twist) => {
-                solver.solve_from(&problem, &[*warm, repeated(twist), [0.0; MAX_VARIABLES]])
-            }
-            None => solver.solve_from(&problem, &[*warm, [0.0; MAX_VARIABLES]]),
+            Some(twist) => solver.solve_from(&problem, &[*warm, repeated(twist), braking]),
+            None => solver.solve_from(&problem, &[*warm, braking]),
         };
         (limit::command(solver, &problem, &solution), solution)
     }
@@ -78,6 +78,7 @@ impl Law<'_> {
             r_share: cost::r_share(self.task, &initial.points, goal),
             change_share: 0.0,
             standing: [0.0; DOF],
+            interval: self.task.ts,
             margin: 0.0,
         };
         solver.evaluate(&problem, &repeated(twist)).unwrap_or(0.0)

@@ -78,7 +78,13 @@ impl Controller {
     pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SettingsError> {
         settings.check()?;
         let mut task = Task::new(scene)?;
-        task.ts = settings.step_s.max(task.period);
+        let stop_s = task.period + task.stop_s(&task.limits);
+        // The window is long enough for a stop.
+        task.ts = settings
+            .step_s
+            .max(task.period)
+            .max(stop_s / settings.np as f64);
+        task.reach = task.ts.max(stop_s);
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         Ok(Self {
             off_image_px: scene.success.violation_px,
@@ -408,10 +414,15 @@ impl Controller {
             .advance(&self.task, model, initial, from_ns, to_ns)
     }
 
-    /// The classic law, scaled as a whole into the limits.
+    /// The classic law, scaled as a whole into the limits of velocity, its change into those of
+    /// acceleration.
     fn servo(&mut self, initial: &InitialState, step: &mut Step) {
         match ibvs::twist(&self.task, initial, self.settings.lambda) {
-            Some(twist) => step.twist = limit::scale(&twist, &self.task.limits),
+            Some(twist) => {
+                let (task, standing) = (&self.task, &self.state.standing);
+                let twist = limit::scale(&twist, &task.limits);
+                step.twist = limit::approach(&twist, standing, task, task.period);
+            }
             None => step.status = Status::NumericalFailure,
         }
     }

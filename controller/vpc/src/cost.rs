@@ -168,6 +168,7 @@ mod tests {
             r_share: 0.7,
             change_share: 0.2,
             standing: [0.1, -0.2, 0.3, 0.1, 0.0, -0.4],
+            interval: task.ts,
             margin: 0.0,
         };
         let mut at = |plan: &[f64; 12]| {

@@ -1,11 +1,12 @@
-//! Constraints between the samples: the way of the features inside the first period of the window.
+//! Constraints between the samples: the way of the features in the first step of the window, or for
+//! as long as the camera goes on in this direction if it has to stop ([`Task::reach`]).
 //!
-//! Features move up to 100 px in a period, further than many an occlusion is wide. Only the first
-//! command is carried out, so only its period is looked at more closely: the steps behind it are
-//! when they come first.
+//! Features move up to 100 px in a step, further than many an occlusion is wide. Only the first
+//! command is carried out, so only its way is looked at more closely: the steps behind it are when
+//! they come first.
 //!
-//! The period is cut into equal stretches, so many that no feature which passes near a border moves
-//! more than [`SPACING_PX`] in one, at most [`MOST_STRETCHES`]. Between two of these places a
+//! The way is cut into equal stretches, so many that no feature which passes near a border moves
+//! more than [`SPACING_PX`] in one, at most [`STRETCHES_A_STEP`] for each step. Between two of these places a
 //! feature that rounds a right-angled corner is at most 3 px inside.
 
 use crate::clearance::Clearance;
@@ -16,36 +17,42 @@ use crate::{MAX_POINTS, Twist, work};
 
 /// Image motion between two places that are looked at, px.
 pub const SPACING_PX: f64 = 8.0;
-/// Most stretches of a period.
-pub const MOST_STRETCHES: usize = 12;
+/// Most stretches of a step's way,
+pub const STRETCHES_A_STEP: usize = 12;
+/// and of any.
+const MOST_STRETCHES: usize = 36;
 /// A way that comes nearer to a border than this is looked at, px.
 pub(crate) const NEAR_PX: f64 = 20.0;
-/// A feature's way in a period leaves the box about its ends by at most this share of its length.
+/// A feature's way leaves the box about its ends by at most this share of its length.
 const BEND: f64 = 0.1;
 
-/// Places inside the first period.
+/// Places on the way.
 #[derive(Clone, Debug)]
 pub(crate) struct Intersample {
-    /// Stretches of the period; their ends but the last are the places.
+    /// Stretches of the way; their ends are the places, the last one only if it is behind the
+    /// first step.
     stretches: usize,
+    /// Places that count.
+    count: usize,
     /// The points whose way comes near a border.
     is_near: [bool; MAX_POINTS],
     /// A box about the way of each point: least and greatest (u, v), px.
     boxes: [[[f64; 2]; 2]; MAX_POINTS],
     /// The features at each place, px; those of points that come near no border mean nothing.
-    places: [[[f64; 2]; MAX_POINTS]; MOST_STRETCHES - 1],
+    places: [[[f64; 2]; MAX_POINTS]; MOST_STRETCHES],
 }
 
 impl Intersample {
     pub(crate) const NONE: Self = Self {
         stretches: 1,
+        count: 0,
         is_near: [false; MAX_POINTS],
         boxes: [[[0.0; 2]; 2]; MAX_POINTS],
-        places: [[[0.0; 2]; MAX_POINTS]; MOST_STRETCHES - 1],
+        places: [[[0.0; 2]; MAX_POINTS]; MOST_STRETCHES],
     };
 
-    /// Follows the features under `twist` to where they are at the period's end. `false` if a point
-    /// comes behind the camera.
+    /// Follows the features under `twist` to where they are at the end of their way, with places in
+    /// between if it is dense. `false` if a point comes behind the camera.
     #[must_use]
     pub(crate) fn trace(
         &mut self,
@@ -53,7 +60,10 @@ impl Intersample {
         initial: &InitialState,
         twist: &Twist,
         ends: &[[f64; 2]],
+        is_dense: bool,
     ) -> bool {
+        // The end of the first step has rows of its own.
+        let is_longer = task.reach > task.ts;
         let mut longest = 0.0_f64;
         let ways = initial.points.iter().zip(ends);
         let points = self.is_near.iter_mut().zip(&mut self.boxes);
@@ -64,7 +74,7 @@ impl Intersample {
                 [u.min(to_u) - bend, v.min(to_v) - bend],
                 [u.max(to_u) + bend, v.max(to_v) + bend],
             ];
-            *is_near = way > SPACING_PX
+            *is_near = (is_longer || way > SPACING_PX)
                 && constraint::borders_near(task, *box_, NEAR_PX)
                     .next()
                     .is_some();
@@ -72,23 +82,31 @@ impl Intersample {
                 longest = longest.max(way);
             }
         }
-        self.stretches = (libm::ceil(longest / SPACING_PX) as usize).clamp(1, MOST_STRETCHES);
-        let count = self.stretches as f64;
-        let places = self.places.iter_mut().take(self.stretches - 1);
+        let steps = libm::ceil(task.reach / task.ts) as usize;
+        let most = if is_dense {
+            STRETCHES_A_STEP * steps
+        } else {
+            1
+        };
+        self.stretches =
+            (libm::ceil(longest / SPACING_PX) as usize).clamp(1, most.min(MOST_STRETCHES));
+        self.count = self.stretches - usize::from(!is_longer);
+        let stretches = self.stretches as f64;
+        let places = self.places.iter_mut().take(self.count);
         places.enumerate().all(|(k, place)| {
-            let share = (k + 1) as f64 / count;
+            let share = (k + 1) as f64 / stretches;
             initial.passes(task, twist, share, ends, &self.is_near, place)
         })
     }
 
     /// Counted [work](crate::work) of the last trace.
     pub(crate) fn work(&self) -> u32 {
-        work::PLACE * (self.stretches as u32 - 1)
+        work::PLACE * self.count as u32
     }
 
     /// The points whose way comes near a border, where there are places.
     pub(crate) fn near(&self) -> impl Iterator<Item = usize> {
-        let has_places = self.stretches > 1;
+        let has_places = self.count > 0;
         let points = self.is_near.iter().enumerate();
         points.filter_map(move |(point, &is_near)| (is_near && has_places).then_some(point))
     }
@@ -114,15 +132,45 @@ impl Intersample {
         constraint::borders_near(task, box_, margin)
     }
 
-    /// The place at which a point comes nearest to a border, as a share of the period, with its
-    /// clearance.
+    /// The place at which a point comes nearest to a border, as a share of its way, with its
+    /// clearance; `None` for one of a way that is short or comes near no border.
     pub(crate) fn deepest(&self, point: usize, border: Border<'_>) -> Option<(f64, Clearance)> {
-        let places = self.places.iter().take(self.stretches - 1).enumerate();
+        self.is_near.get(point).filter(|is_near| **is_near)?;
+        let places = self.places.iter().take(self.count).enumerate();
         let at = |(k, place): (usize, &[[f64; 2]; MAX_POINTS])| {
             let share = (k + 1) as f64 / self.stretches as f64;
             Some((share, border.clearance(*place.get(point)?)))
         };
         let places = places.filter_map(at);
         places.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::prediction::Model;
+
+    #[test]
+    fn of_a_point_that_comes_near_no_border_nothing_is_left_of_an_earlier_way() {
+        let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
+        let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+        let (mut inside, mut mixed) = (Intersample::NONE, 0);
+        for start in &starts {
+            let points = task.features_at(start).unwrap();
+            let initial = InitialState::new(&task, Model::Pose, &points);
+            for twist in [[0.5; 6], [0.1, -0.1, 0.3, 0.2, 0.1, 0.4]] {
+                let ends = initial.ends(&task, &twist).unwrap();
+                assert!(inside.trace(&task, &initial, &twist, &ends, true));
+                let near: heapless::Vec<usize, MAX_POINTS> = inside.near().collect();
+                mixed += usize::from(!near.is_empty() && near.len() < points.len());
+                for point in (0..points.len()).filter(|point| !near.contains(point)) {
+                    for (_, border) in inside.borders(&task, point, 1e4) {
+                        assert!(inside.deepest(point, border).is_none());
+                    }
+                }
+            }
+        }
+        assert!(mixed > 50, "{mixed}");
     }
 }

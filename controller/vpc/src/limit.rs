@@ -1,34 +1,71 @@
-//! The last check of a command: finite, inside the velocity limits, and not worse than standing
-//! still.
+//! The last check of a command: finite, inside the limits of velocity and acceleration, and not worse
+//! than braking.
 
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution};
 use crate::solver::Solver;
-use crate::{DOF, Twist};
+use crate::task::Task;
+use crate::{DOF, MAX_VARIABLES, Twist};
 
-/// Halvings towards standing still before the command is zero.
+/// Halvings towards braking before the command is that.
 const HALVINGS: usize = 6;
 /// A first period may bring a point this deep, px: below the accuracy of the model.
 pub const SLACK: f64 = 0.25;
 
-/// The first command of a solution, slowed down until its period is clear ([`Solver::is_clear`]),
-/// and clamped to the limits; zero if no halving achieves this.
+/// The first command of a solution, brought nearer to the braking one until its step is clear
+/// ([`Solver::is_clear`]), inside its bounds; the braking one if no halving achieves this. Without
+/// limits of acceleration that is zero.
 pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
+    let braking = problem.braking();
     let mut plan = solution.plan;
     let mut is_clear = solution.violation_px <= SLACK;
     for _ in 0..HALVINGS {
         if is_clear || solver.is_clear(problem, &plan, SLACK) {
-            return twist(&plan, &problem.task.limits);
+            return first(&plan, problem);
         }
-        plan = plan.map(|x| 0.5 * x);
+        let braking = braking.iter().cycle();
+        let pairs = plan.iter().zip(braking);
+        let mut nearer = [0.0; MAX_VARIABLES];
+        nearer
+            .iter_mut()
+            .zip(pairs)
+            .for_each(|(to, (x, b))| *to = 0.5 * (x + b));
+        plan = nearer;
         is_clear = false;
     }
-    [0.0; DOF]
+    braking
 }
 
-/// The first command of a plan, clamped; zero if a component is not finite.
-pub fn twist(plan: &Plan, limits: &Twist) -> Twist {
-    clamp(plan.first_chunk().unwrap_or(&[0.0; DOF]), limits)
+/// The first command of a plan inside its bounds; the braking one if a component is not finite.
+fn first(plan: &Plan, problem: &Problem<'_>) -> Twist {
+    let mut twist = *plan.first_chunk().unwrap_or(&[f64::NAN; DOF]);
+    if !twist.iter().all(|x| x.is_finite()) {
+        return problem.braking();
+    }
+    for (k, x) in twist.iter_mut().enumerate() {
+        let [least, most] = problem.bounds(k);
+        *x = x.max(least).min(most);
+    }
+    twist
+}
+
+/// A twist nearer to the command in force, as a whole, until the acceleration limits allow the
+/// change in so many seconds.
+pub fn approach(twist: &Twist, standing: &Twist, task: &Task, seconds: f64) -> Twist {
+    let mut change = *twist;
+    change
+        .iter_mut()
+        .zip(standing)
+        .for_each(|(x, before)| *x -= before);
+    let share = seconds / task.stop_s(&change);
+    if share >= 1.0 {
+        return *twist;
+    }
+    let mut next = *standing;
+    next.iter_mut()
+        .zip(change)
+        .for_each(|(x, change)| *x += share * change);
+    next
 }
 
 /// A twist inside the limits, component by component; zero if a component is not finite.

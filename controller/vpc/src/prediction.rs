@@ -127,8 +127,29 @@ impl InitialState {
         }
     }
 
-    /// Where the preview has the wanted points after a share of the first period under `twist`, px,
-    /// which at its end are at `ends`. `false` if one comes behind the camera.
+    /// Where the points are at the end of their way under `twist` ([`Task::reach`]), px; `None` if one
+    /// comes behind the camera.
+    pub(crate) fn ends(&self, task: &Task, twist: &Twist) -> Option<Points> {
+        let camera = &task.camera;
+        match &self.geometry {
+            Geometry::Positions(points) => {
+                let motion = Motion::of_camera(twist, task.reach);
+                let ends = points.iter().map(|x| motion.apply(x));
+                ends.map(|x| camera::project(camera, x.into())).collect()
+            }
+            Geometry::Depths(depths) => {
+                let ends = self.points.iter().zip(depths).map(|(&pixel, &depth)| {
+                    let [x, y] = camera::normalise(camera, pixel);
+                    let (rate, _) = interaction::flow([x, y], depth, twist);
+                    camera::pixel(camera, [x + task.reach * rate[0], y + task.reach * rate[1]])
+                });
+                Some(ends.collect())
+            }
+        }
+    }
+
+    /// Where the preview has the wanted points after a share of their way under `twist`, px, which
+    /// at its end are at `ends`. `false` if one comes behind the camera.
     #[must_use]
     pub(crate) fn passes(
         &self,
@@ -140,7 +161,7 @@ impl InitialState {
         out: &mut [[f64; 2]],
     ) -> bool {
         let motion = match &self.geometry {
-            Geometry::Positions(_) => Motion::of_camera(twist, share * task.ts),
+            Geometry::Positions(_) => Motion::of_camera(twist, share * task.reach),
             Geometry::Depths(_) => Motion::REST,
         };
         let points = out.iter_mut().zip(wanted).enumerate();
@@ -160,7 +181,7 @@ impl InitialState {
         true
     }
 
-    /// Derivatives of u and v of a point after a share of the first period by `twist`.
+    /// Derivatives of u and v of a point after a share of its way by `twist`.
     pub(crate) fn passing_gradient(
         &self,
         task: &Task,
@@ -168,7 +189,7 @@ impl InitialState {
         share: f64,
         point: usize,
     ) -> [Twist; 2] {
-        let seconds = share * task.ts;
+        let seconds = share * task.reach;
         let focal = [task.camera.fx, task.camera.fy];
         match &self.geometry {
             Geometry::Positions(points) => {

@@ -4,7 +4,7 @@
 
 use crate::prediction::{InitialState, Plan};
 use crate::task::Task;
-use crate::{MAX_VARIABLES, Points, Twist};
+use crate::{DOF, MAX_VARIABLES, Points, Twist};
 
 /// When the solver stops.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,10 +30,39 @@ pub struct Problem<'a> {
     pub r_share: f64,
     /// Share of R that weighs the change of the command.
     pub change_share: f64,
-    /// The command in force, from which the first one of the plan is a change.
+    /// The command in force, from which the first one of the plan is a change,
     pub standing: Twist,
+    /// and the time from one command to the next, s.
+    pub interval: f64,
     /// Extra clearance kept from every border, px.
     pub margin: f64,
+}
+
+impl Problem<'_> {
+    /// Least and greatest value of the k-th variable of a plan: inside the velocity limits, and no
+    /// further from the command in force than the acceleration limits allow until then.
+    pub fn bounds(&self, k: usize) -> [f64; 2] {
+        let task = self.task;
+        let [limit, most, standing] = [&task.limits, &task.acceleration, &self.standing]
+            .map(|each| each.get(k % DOF).copied().unwrap_or(0.0));
+        let standing = standing.clamp(-limit, limit);
+        let change = most * (self.interval + (k / DOF) as f64 * task.ts);
+        [
+            (standing - change).max(-limit),
+            (standing + change).min(limit),
+        ]
+    }
+
+    /// The command that brakes: the one in force, slowed down as a whole, so that the camera stays on
+    /// its path.
+    pub fn braking(&self) -> Twist {
+        let stop_s = self.task.stop_s(&self.standing);
+        if stop_s > self.interval {
+            self.standing.map(|v| v * (1.0 - self.interval / stop_s))
+        } else {
+            [0.0; DOF]
+        }
+    }
 }
 
 /// How a solution ended.

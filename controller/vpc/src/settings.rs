@@ -13,7 +13,7 @@ pub struct Settings {
     pub strategy: Strategy,
     /// Steps previewed, 1 to 40.
     pub np: usize,
-    /// Length of a step, s; never shorter than the sampling time.
+    /// Length of a step, s; never shorter than the sampling time and a stop from the limits.
     pub step_s: f64,
     /// Free commands, 1 to 4 and at most `np`.
     pub nc: usize,

@@ -27,7 +27,6 @@ use crate::intersample::{Intersample, NEAR_PX};
 use crate::prediction::{Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
 use crate::qp::{ActiveSet, Answer, MAX_ROWS, QpStatus, Quadratic, Rows};
-use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Twist, work};
 
 /// Halvings of a step before the line search gives up.
@@ -75,7 +74,7 @@ struct Iterate<const N: usize> {
 /// [borders](constraint::border).
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    /// 0 is the first; [`INSIDE`] the deepest place inside the first.
+    /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command.
     step: u8,
     point: u8,
     border: u8,
@@ -91,7 +90,7 @@ impl Source {
     }
 }
 
-/// The "step" of a row for a place inside the first period.
+/// The "step" of a row for a place on the way of the first command.
 const INSIDE: usize = 255;
 
 /// How far the present solution has come.
@@ -167,14 +166,16 @@ impl<const N: usize> Sqp<N> {
         is_clear || (sums[1] < sums[0] && worst[1] <= worst[0])
     }
 
-    /// Follows the features through the first period of the plan that was previewed last.
+    /// Follows the features along the first command of the plan that was previewed last.
     fn trace(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> bool {
-        if !self.options.intersample {
-            return true;
+        let (task, initial, twist) = (problem.task, problem.initial, first_command(plan));
+        let is_dense = self.options.intersample;
+        if task.reach == task.ts {
+            let ends = self.preview.step(0);
+            return self.inside.trace(task, initial, &twist, ends, is_dense);
         }
-        let (task, initial) = (problem.task, problem.initial);
-        self.inside
-            .trace(task, initial, &first_command(plan), self.preview.step(0))
+        let ends = initial.ends(task, &twist);
+        ends.is_some_and(|ends| self.inside.trace(task, initial, &twist, &ends, is_dense))
     }
 
     /// Solves the problem from the warm start `warm` with so much work at most.
@@ -218,10 +219,11 @@ impl<const N: usize> Sqp<N> {
         self.solution(problem, &here, Status::IterationLimit)
     }
 
-    /// The warm start inside the limits; standing still where that is impossible.
+    /// The warm start inside its bounds; as near to standing still as these allow where that is
+    /// impossible.
     fn first(&mut self, problem: &Problem<'_>, warm: &Plan) -> Option<Iterate<N>> {
-        self.outcome(problem, clamped(&head(warm), problem.task))
-            .or_else(|| self.outcome(problem, [0.0; N]))
+        self.outcome(problem, clamped(&head(warm), problem))
+            .or_else(|| self.outcome(problem, clamped(&[0.0; N], problem)))
     }
 
     fn may_go_on(&self) -> bool {
@@ -235,18 +237,17 @@ impl<const N: usize> Sqp<N> {
         self.progress.iterations += 1;
         self.progress.work += work::expansion(self.preview.np());
         let expansion = Expansion::about(problem, &self.preview, plan);
-        let room = |k: usize, sign: f64| sign * problem.task.limits[k % DOF] - plan[k];
         let quadratic = Quadratic {
             hessian: expansion.hessian,
             gradient: expansion.gradient,
-            lower: core::array::from_fn(|k| room(k, -1.0)),
-            upper: core::array::from_fn(|k| room(k, 1.0)),
+            lower: core::array::from_fn(|k| problem.bounds(k)[0] - plan[k]),
+            upper: core::array::from_fn(|k| problem.bounds(k)[1] - plan[k]),
         };
         (expansion.value, quadratic)
     }
 
     /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
-    /// be used up. Those inside the first period come first; rows past the store's end belong to
+    /// be used up. Those on the way of the first command come first; rows past the store's end belong to
     /// the last steps of the window, which the next cycles see again.
     fn collect_rows(&mut self, problem: &Problem<'_>, plan: &[f64; N], bounds: &Quadratic<N>) {
         self.rows.clear();
@@ -435,7 +436,7 @@ impl<const N: usize> Sqp<N> {
 
     fn solution(&self, problem: &Problem<'_>, at: &Iterate<N>, status: Status) -> Solution {
         let violates = at.outcome.worst > problem.margin.max(0.0) + FEASIBLE;
-        let clamped = clamped(&at.plan, problem.task);
+        let clamped = clamped(&at.plan, problem);
         let mut plan = [0.0; MAX_VARIABLES];
         plan.iter_mut()
             .zip(clamped)
@@ -463,15 +464,12 @@ fn moved<const N: usize>(plan: &[f64; N], step: &[f64; N], share: f64) -> [f64; 
     core::array::from_fn(|k| plan[k] + share * step[k])
 }
 
-/// The plan inside the velocity limits; entries that are not finite are zero.
-fn clamped<const N: usize>(plan: &[f64; N], task: &Task) -> [f64; N] {
+/// The plan inside its bounds; entries that are not finite are as near to zero as these allow.
+fn clamped<const N: usize>(plan: &[f64; N], problem: &Problem<'_>) -> [f64; N] {
     core::array::from_fn(|k| {
-        let limit = task.limits[k % DOF];
-        if plan[k].is_finite() {
-            plan[k].clamp(-limit, limit)
-        } else {
-            0.0
-        }
+        let [least, most] = problem.bounds(k);
+        let x = if plan[k].is_finite() { plan[k] } else { 0.0 };
+        x.max(least).min(most)
     })
 }
 

@@ -1,11 +1,11 @@
 //! The task: the scene as the law sees it, with what follows from it by projection.
 
 use nalgebra::Vector3;
-use scene::{Area, Camera, Cost, Limits, MAX_AREAS, Part, Pose, Scene};
+use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
 use crate::obstacle::Obstacle;
-use crate::{DOF, MAX_POINTS, Twist, camera, motion};
+use crate::{MAX_POINTS, Twist, camera, motion};
 
 /// Most parts of all occlusions together.
 pub const MAX_ALL_PARTS: usize = 48;
@@ -25,8 +25,10 @@ pub struct Task {
     pub goal_area: f64,
     /// Orientation of the pattern at the goal, rad.
     pub goal_angle: f64,
-    /// Greatest size of each component of the camera velocity.
+    /// Greatest size of each component of the camera velocity, m/s and rad/s.
     pub limits: Twist,
+    /// Greatest change of each in a second, m/s^2 and rad/s^2; infinite where none is given.
+    pub acceleration: Twist,
     /// Weights of the cost.
     pub cost: Cost,
     /// Parts of all occlusions, px.
@@ -37,6 +39,9 @@ pub struct Task {
     pub period: f64,
     /// Length of a step of the preview, s: the period, or longer.
     pub ts: f64,
+    /// Time for which the way of the first command is looked at, s: a step, or a period and a stop
+    /// from the limits. A command that is clear for so long is followed by one that brakes and is.
+    pub reach: f64,
     /// The bounding box of each obstacle, px.
     boxes: heapless::Vec<[[f64; 2]; 2], { MAX_ALL_PARTS + MAX_AREAS }>,
 }
@@ -101,7 +106,6 @@ impl Task {
         let obstacles = parts.iter().map(Obstacle::Part);
         let obstacles = obstacles.chain(areas.iter().map(Obstacle::Area));
         let boxes = obstacles.map(Obstacle::bounding_box).collect();
-        let Limits { linear, angular } = scene.limits;
         Ok(Self {
             camera: scene.camera,
             pattern: scene.pattern.clone(),
@@ -109,14 +113,22 @@ impl Task {
             goal_angle: features::angle(&goal),
             goal,
             goal_depth,
-            limits: core::array::from_fn(|i| if i < DOF / 2 { linear } else { angular }),
+            limits: scene.limits.velocity(),
+            acceleration: scene.limits.acceleration(),
             cost: scene.cost,
             parts,
             areas,
             period: scene.sampling_time(),
             ts: scene.sampling_time(),
+            reach: scene.sampling_time(),
             boxes,
         })
+    }
+
+    /// Time that a stop from a velocity takes, s, where all components end together.
+    pub fn stop_s(&self, twist: &Twist) -> f64 {
+        let each = twist.iter().zip(self.acceleration);
+        each.map(|(v, most)| v.abs() / most).fold(0.0, f64::max)
     }
 
     /// Every part and every area that features must keep clear of.

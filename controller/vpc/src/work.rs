@@ -1,7 +1,7 @@
 //! Counted work: one unit for a change of the active set of a quadratic program, or for what takes
 //! about as long (some 0.1 us on a present-day processor).
 
-use crate::intersample::MOST_STRETCHES;
+use crate::intersample::STRETCHES_A_STEP;
 
 /// Previewing a window of `np` steps and summing up its cost and violations.
 pub const fn evaluation(np: usize) -> u32 {
@@ -13,7 +13,7 @@ pub const PLACE: u32 = 2;
 
 /// Most work of previewing a window of `np` steps and following the features inside the first.
 pub const fn most_evaluation(np: usize) -> u32 {
-    evaluation(np) + PLACE * (MOST_STRETCHES as u32 - 1)
+    evaluation(np) + PLACE * (STRETCHES_A_STEP as u32 - 1)
 }
 
 /// Expanding cost and clearances about a plan, and factorising the quadratic program.

@@ -38,17 +38,13 @@ impl Bridge {
     /// Takes a command of the controller: camera velocity in the camera frame (m/s, rad/s), to hold
     /// until `until_ns`. Returns whether it was outside the limits and was cut.
     pub fn command(&mut self, twist: &[f64; 6], until_ns: u64) -> bool {
-        self.standing = Standing::new(twist, until_ns, &self.limits);
+        self.standing = Standing::new(twist, until_ns, &self.limits.velocity());
         self.standing.was_limited()
     }
 
     /// Takes a command of the robot's own side, to which the limits of the servoing do not apply.
     pub fn move_by_itself(&mut self, twist: &[f64; 6], until_ns: u64) {
-        let limits = Limits {
-            linear: f64::INFINITY,
-            angular: f64::INFINITY,
-        };
-        self.standing = Standing::new(twist, until_ns, &limits);
+        self.standing = Standing::new(twist, until_ns, &[f64::INFINITY; 6]);
     }
 
     /// The command that stands.

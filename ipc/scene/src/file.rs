@@ -106,6 +106,9 @@ fn beside(path: &str, mask: &str) -> std::path::PathBuf {
     Path::new(path).parent().unwrap_or(Path::new("")).join(mask)
 }
 
+/// Longest time that a stop from the velocity limits may take, s.
+const MAX_STOP_S: f64 = 5.0;
+
 /// The checks that concern several keys.
 struct Checker<'a> {
     document: Document,
@@ -124,6 +127,7 @@ impl Checker<'_> {
             self.hold(value <= most, &key, value, "inside the image")?;
         }
         self.starts(&tables.starts)?;
+        self.limits(&tables.limits)?;
         let scene = Scene {
             camera,
             pattern: self.pattern(tables.pattern.points)?,
@@ -150,6 +154,24 @@ impl Checker<'_> {
         } else {
             Err(self.document.refuse(key, value, allowed))
         }
+    }
+
+    fn limits(&self, limits: &Limits) -> Result<(), FileError> {
+        for (key, speed, acceleration) in [
+            ("linear", limits.linear, limits.linear_acceleration),
+            ("angular", limits.angular, limits.angular_acceleration),
+        ] {
+            if let Some(acceleration) = acceleration {
+                let least = speed / MAX_STOP_S;
+                self.hold(
+                    acceleration >= least,
+                    &format!("limits.{key}_acceleration"),
+                    acceleration,
+                    &format!("at least {least}, with which a stop takes {MAX_STOP_S} s"),
+                )?;
+            }
+        }
+        Ok(())
     }
 
     fn pattern(
@@ -276,6 +298,16 @@ mod tests {
                 "linear = 0.5",
                 "linear = -0.5",
                 ["limits.linear", "-0.5", "1e-6 to 10"],
+            ),
+            (
+                "linear = 0.5",
+                "linear = 0.5\nlinear_acceleration = 0.09",
+                ["limits.linear_acceleration", "0.09", "at least 0.1,"],
+            ),
+            (
+                "linear = 0.5",
+                "linear = 0.5\nangular_acceleration = inf",
+                ["limits.angular_acceleration", "inf", "1e-6 to 1e4"],
             ),
             (
                 "time_s = 15.0",

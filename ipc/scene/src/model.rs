@@ -99,7 +99,7 @@ table! {
 }
 
 table! {
-    /// Limits of the camera velocity.
+    /// Limits of the camera's motion.
     pub struct Limits {
         /// Largest magnitude of each linear component.
         #[key(range(min = 1e-6, max = 10), extend("x-unit" = "m/s"))]
@@ -107,7 +107,34 @@ table! {
         /// Largest magnitude of each angular component.
         #[key(range(min = 1e-6, max = 30), extend("x-unit" = "rad/s"))]
         pub angular: f64,
+        /// Most change of each linear component in a second, so that a stop takes at most 5 s; without
+        /// the key any.
+        #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "m/s^2"))]
+        pub linear_acceleration: Option<f64>,
+        /// The same of each angular component.
+        #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "rad/s^2"))]
+        pub angular_acceleration: Option<f64>,
     }
+}
+
+impl Limits {
+    /// The largest magnitude of each component: vx, vy, vz in m/s, wx, wy, wz in rad/s.
+    pub fn velocity(&self) -> [f64; 6] {
+        each(self.linear, self.angular)
+    }
+
+    /// The most change of each in a second, m/s^2 and rad/s^2; infinite where none is given.
+    pub fn acceleration(&self) -> [f64; 6] {
+        let [linear, angular] = [self.linear_acceleration, self.angular_acceleration];
+        each(
+            linear.unwrap_or(f64::INFINITY),
+            angular.unwrap_or(f64::INFINITY),
+        )
+    }
+}
+
+fn each(linear: f64, angular: f64) -> [f64; 6] {
+    std::array::from_fn(|k| if k < 3 { linear } else { angular })
 }
 
 table! {

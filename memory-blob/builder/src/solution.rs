@@ -91,6 +91,7 @@ impl<'a> Finder<'a> {
             r_share: cost::r_share(self.task, points, target),
             change_share: 0.0,
             standing: [0.0; 6],
+            interval: f64::INFINITY,
             margin: 0.0,
         };
         let plan: Plan = std::array::from_fn(|k| if k < 6 { warm[k] } else { 0.0 });

@@ -111,6 +111,7 @@ impl Case {
             r_share: 1.0,
             change_share: 0.0,
             standing: [0.0; 6],
+            interval: self.task.ts,
             margin: 0.0,
         }
     }
