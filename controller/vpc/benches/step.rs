@@ -1,14 +1,14 @@
 //! What a solution costs, ours and a peer's, on the problems of the fixture: `cargo bench -p
-//! vpc-bench`.
+//! vpc-bench`. What their answers are worth is the matter of `peers.py`, for which `-- --write
+//! FILE` writes them.
 //!
-//! Each iteration takes the next problem of its window. The table at the end compares problem by
-//! problem, all solvers in turn from standing still, and says what their answers are worth.
+//! Each iteration takes the next problem of its window.
 
+mod export;
+mod peer;
 #[allow(dead_code)] // the test asks for more
 #[path = "../tests/subproblem/mod.rs"]
 mod subproblem;
-
-mod peer;
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -25,10 +25,14 @@ const REST: Twist = [0.0; DOF];
 const REPEATS: usize = 5;
 
 fn main() {
+    if let [flag, path, ..] = &*std::env::args().skip(1).collect::<Vec<_>>()
+        && flag == "--write"
+    {
+        return export::write(path.as_ref());
+    }
     divan::main();
     // Not where the benches only show that they run, or one of them is asked for.
     if std::env::args().skip(1).eq(["--bench".to_owned()]) {
-        WINDOWS.into_iter().for_each(compare);
         println!(
             "\nthe paper's scene, us   | shapes p50, p99 | mask p50, p99   | mask / shapes p50, of p99 | once more, shapes p50, p99"
         );
@@ -152,82 +156,6 @@ impl Solvers {
         let solver = self.0[index].get_or_insert_with(|| case.solver());
         let solution = case.solve(solver, &REST);
         core::array::from_fn(|k| solution.plan[k])
-    }
-}
-
-/// What one solver did with the problems of a window.
-#[derive(Default)]
-struct Column {
-    name: &'static str,
-    times_us: Vec<f64>,
-    /// Our time over this one's, problem by problem.
-    times_ours: Vec<f64>,
-    costs: Vec<f64>,
-    violations_px: Vec<f64>,
-}
-
-/// Every solver on every problem of a window, in turn.
-fn compare(np: usize) {
-    let fixture = Fixture::read();
-    let mut solvers = Solvers::new();
-    let mut columns = ["ours", "slsqp", "open"].map(|name| Column {
-        name,
-        ..Column::default()
-    });
-    for problem in window(&fixture, np) {
-        let case = fixture.case(problem);
-        let mut times = [const { Vec::new() }; 3];
-        let mut answers = [REST; 3];
-        for _ in 0..REPEATS {
-            for i in 0..3 {
-                let begin = Instant::now();
-                answers[i] = match i {
-                    0 => solvers.solve(black_box(&case)),
-                    1 => peer::slsqp(black_box(&case), &REST),
-                    _ => peer::open(black_box(&case), &REST),
-                };
-                times[i].push(begin.elapsed().as_secs_f64() * 1e6);
-            }
-        }
-        let times = times.map(|mut times| quantile(&mut times, 0.5));
-        for (i, column) in columns.iter_mut().enumerate() {
-            let (cost, violation) = case.judge(&answers[i]);
-            column.times_us.push(times[i]);
-            column.times_ours.push(times[i] / times[0]);
-            column.costs.push(cost / problem.cost);
-            column.violations_px.push(violation);
-        }
-    }
-    println!(
-        "\nNp {np}  | p50 us    | p99 us    | x ours | within 1 % of SciPy's best | cost ratio p50, p90 | violated > 0.1 px | worst px"
-    );
-    columns.iter_mut().for_each(Column::print);
-}
-
-impl Column {
-    fn print(&mut self) {
-        let count = self.costs.len();
-        let share = |n: usize| 100.0 * n as f64 / count as f64;
-        let feasible = |&(cost, px): &(&f64, &f64)| *cost <= 1.01 && *px <= 0.1;
-        let good = self
-            .costs
-            .iter()
-            .zip(&self.violations_px)
-            .filter(feasible)
-            .count();
-        let violated = self.violations_px.iter().filter(|px| **px > 0.1).count();
-        println!(
-            "{:<6} | {:>9.1} | {:>9.1} | {:>6.1} | {:>24.1} % | {:>8.4}, {:>8.4}  | {:>15.1} % | {:.2}",
-            self.name,
-            quantile(&mut self.times_us, 0.5),
-            quantile(&mut self.times_us, 0.99),
-            quantile(&mut self.times_ours, 0.5),
-            share(good),
-            quantile(&mut self.costs, 0.5),
-            quantile(&mut self.costs, 0.9),
-            share(violated),
-            quantile(&mut self.violations_px, 1.0),
-        );
     }
 }
 

@@ -73,7 +73,13 @@ pub mod obstacle;
 mod pose;
 pub mod prediction;
 pub mod problem;
-mod qp;
+#[doc(hidden)]
+#[expect(
+    clippy::len_without_is_empty,
+    clippy::new_without_default,
+    reason = "public for vpc-bench alone"
+)]
+pub mod qp;
 pub mod recall;
 pub mod settings;
 pub mod solver;

@@ -86,6 +86,12 @@ impl<const N: usize> Rows<N> {
         self.len
     }
 
+    /// The gradient and the clearance at d = 0 (px) of every row.
+    pub fn iter(&self) -> impl Iterator<Item = (&[f64; N], f64)> {
+        let clearances = self.clearances.iter().copied();
+        self.gradients.iter().zip(clearances).take(self.len)
+    }
+
     /// Forgets all rows.
     pub fn clear(&mut self) {
         self.len = 0;
@@ -124,8 +130,7 @@ impl<const N: usize> Rows<N> {
 
     /// The sum of all violations that the rows predict for `d`, px.
     pub fn violation(&self, d: &[f64; N]) -> f64 {
-        let rows = self.gradients.iter().zip(&self.clearances).take(self.len);
-        rows.map(|(a, c)| (-(dot(a, d) + c)).max(0.0)).sum()
+        self.iter().map(|(a, c)| (-(dot(a, d) + c)).max(0.0)).sum()
     }
 }
 

@@ -5,6 +5,7 @@
 use crate::DOF;
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution, SolverOptions};
+use crate::qp::{Quadratic, Rows};
 use crate::sqp::Sqp;
 
 /// The solver with its workspace: up to half a megabyte, made once and kept in place.
@@ -68,6 +69,20 @@ impl Solver {
     /// already: the sum of all violations falls, and none is above the greatest of now.
     pub fn is_clear(&mut self, problem: &Problem<'_>, plan: &Plan, slack: f64) -> bool {
         window!(self, is_clear(problem, plan, slack))
+    }
+
+    /// The quadratic program of an iteration about a plan, and rho. `None` with several free
+    /// commands, and where a plan brings a point behind the camera.
+    #[doc(hidden)] // for vpc-bench
+    pub fn program_about(
+        &mut self,
+        problem: &Problem<'_>,
+        plan: &Plan,
+    ) -> Option<(Quadratic<DOF>, Rows<DOF>, f64)> {
+        match &mut self.window {
+            Window::One(sqp) => sqp.program_about(problem, plan),
+            _ => None,
+        }
     }
 
     /// Solves the problem from the warm start `warm`.

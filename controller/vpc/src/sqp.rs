@@ -219,6 +219,19 @@ impl<const N: usize> Sqp<N> {
         self.solution(problem, &here, Status::IterationLimit)
     }
 
+    /// The program that the first iteration from `plan` solves, and its rho.
+    pub(crate) fn program_about(
+        &mut self,
+        problem: &Problem<'_>,
+        plan: &Plan,
+    ) -> Option<(Quadratic<N>, Rows<N>, f64)> {
+        let here = self.first(problem, plan)?;
+        let (_, quadratic) = self.expand(problem, &here.plan);
+        self.collect_rows(problem, &here.plan, &quadratic);
+        let rho = first_rho(problem, self.preview.np());
+        Some((quadratic, self.rows.clone(), rho))
+    }
+
     /// The warm start inside its bounds; as near to standing still as these allow where that is
     /// impossible.
     fn first(&mut self, problem: &Problem<'_>, warm: &Plan) -> Option<Iterate<N>> {
