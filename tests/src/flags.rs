@@ -52,7 +52,7 @@ pub struct Common {
     /// Greatest distance of a filtered feature from the measured one, px.
     #[arg(long, value_name = "PX", default_value_t = Settings::default().filter_px)]
     pub filter_px: f64,
-    /// Length of a step of the preview, s; where the camera's period is longer, that.
+    /// Length of a step of the preview, s; where the camera's period or a stop takes longer, that.
     #[arg(long, value_name = "S", default_value_t = Settings::default().step_s)]
     pub step_s: f64,
     /// Rate of the camera instead of the scene's, Hz.

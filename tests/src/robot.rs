@@ -1,5 +1,6 @@
-//! One closed-loop run of the law against the emulated robot, in simulated time: no processes, no
-//! clocks, and the same bits in every run. Everything else is what `hw-sim` steps in real time.
+//! One closed-loop run of the daemon's decision step against the emulated robot, in simulated time:
+//! no processes, no clocks, and the same bits in every run. Everything else is what `hw-sim` steps
+//! in real time.
 
 use hw_sim::End;
 use hw_sim::cell::{Cell, Exposed, Order};
@@ -7,14 +8,15 @@ use hw_sim::eye::Shot;
 use hw_sim::recording::ArmRecord;
 use hw_sim::rig::{Rig, RigError, RigSettings};
 use hw_sim::robot::inspector::ArmReport;
+use ipc::{CycleRecord, Features, Hold, TwistState};
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::{Controller, Measurement, MotionMemory};
 
-/// Time that a command holds without a newer one: the daemon's three periods.
+use crate::run::way_point;
+use crate::simulated::Simulated;
+
+/// Periods for which a command holds without a newer one, as the daemon's.
 const PERIODS: f64 = 3.0;
-/// Time without usable features after which the daemon disarms, ns.
-const LOST_NS: u64 = 300_000_000;
 
 /// The result of a run.
 #[derive(Clone, Debug, Serialize)]
@@ -55,6 +57,10 @@ pub enum Reason {
     TimeOut,
     /// The robot stopped itself.
     Reflex,
+    /// The controller disarmed for another cause.
+    Disarmed,
+    /// A command was beyond the limits of velocity or acceleration.
+    BeyondLimits,
 }
 
 impl Reason {
@@ -65,6 +71,8 @@ impl Reason {
             Self::MarkerLost => "marker lost",
             Self::TimeOut => "time out",
             Self::Reflex => "reflex",
+            Self::Disarmed => "disarmed",
+            Self::BeyondLimits => "beyond the limits",
         }
     }
 }
@@ -84,121 +92,65 @@ pub struct Sample {
     pub arm: ArmRecord,
 }
 
-/// The daemon's part in simulated time: the law steps when a frame is delivered, its command stands
-/// for three periods, a hidden marker means standing still, and 0.3 s without usable features end
-/// the run.
-struct Driver<'a> {
-    controller: &'a mut Controller,
-    memory: Option<&'a dyn MotionMemory>,
-    period_ns: u64,
-    /// Number of the last frame that the law used.
-    last: u64,
-    /// When the features were last usable.
-    good_ns: u64,
-    twist: [f64; 6],
-    way_point: Option<Vec<[f64; 2]>>,
-    hidden: u64,
-    cost: f64,
-    cycles: f64,
-}
-
-impl Driver<'_> {
-    fn answer(&mut self, shot: &Shot, now_ns: u64) {
-        self.way_point = None;
-        if !shot.is_whole() {
-            self.hidden += 1;
-            self.send([0.0; 6], now_ns);
-            return;
-        }
-        if self.last + 1 != shot.number {
-            self.controller.skip_mismatch();
-        }
-        let measurement = Measurement::from_points(&shot.points).taken(shot.stamp_ns, now_ns);
-        let twist = match self.controller.step(&measurement, self.memory) {
-            Ok(step) => {
-                (self.last, self.good_ns) = (shot.number, now_ns);
-                self.cost += step.cost / self.controller.settings().np as f64;
-                self.cycles += 1.0;
-                self.way_point = step.way_point.map(|points| points.to_vec());
-                step.twist
-            }
-            Err(_) => [0.0; 6],
-        };
-        self.send(twist, now_ns);
-    }
-
-    fn send(&mut self, twist: [f64; 6], now_ns: u64) {
-        self.twist = twist;
-        self.controller.sent(&twist, now_ns);
-        self.controller.think(self.memory);
-    }
-}
-
-/// Runs the law from a start until the run is decided.
+/// Runs the daemon from a start until the run is decided. It decides once a period, from the newest
+/// frame that was delivered until then.
 ///
 /// # Errors
 /// [`RigError`]: the start is out of the robot's reach, or a setting out of its range.
 pub fn run(
     scene: &Scene,
     settings: &RigSettings,
-    controller: &mut Controller,
-    memory: Option<&dyn MotionMemory>,
+    daemon: &mut Simulated,
     start: &Pose,
 ) -> Result<RobotRun, RigError> {
-    controller.reset();
+    daemon.restart();
     let mut rig = Rig::new(scene, start, settings)?;
-    let mut driver = Driver {
-        controller,
-        memory,
-        period_ns: (1e9 / scene.camera.rate_hz) as u64,
-        last: 0,
-        good_ns: 0,
-        twist: [0.0; 6],
-        way_point: None,
-        hidden: 0,
-        cost: 0.0,
-        cycles: 0.0,
-    };
-    let validity_ns = (PERIODS * driver.period_ns as f64) as u64;
+    let np = daemon.law().settings().np as f64;
     let mut history = Vec::new();
-    let mut begun = false;
-    let mut until_ns = 0;
-    let mut lost = false;
-    while rig.progress().end.is_none() && !lost {
+    let (mut cycle, mut shot): (u32, Option<Shot>) = (0, None);
+    let (mut shown, mut hidden, mut cost, mut cycles) = (None, 0, 0.0, 0.0_f64);
+    let mut stopped = None;
+    while rig.progress().end.is_none() && stopped.is_none() {
         let now_ns = rig.now_ns();
         let instant = rig.look(now_ns)?;
-        if let Some(shot) = &instant.shot {
-            driver.answer(shot, now_ns);
-            if !begun {
-                driver.good_ns = now_ns;
+        shot = instant.shot.or(shot);
+        let release_s = f64::from(cycle) * scene.sampling_time();
+        if now_ns as f64 >= release_s * 1e9 {
+            cycle += 1;
+            let frame = shot.take();
+            hidden += u64::from(frame.as_ref().is_some_and(|shot| !shot.is_whole()));
+            let inputs = Simulated::received(frame.map(message), now_ns);
+            let record = daemon.decide(&inputs);
+            daemon.think();
+            if record.cost.is_finite() {
+                cost += record.cost / np;
+                cycles += 1.0;
             }
-            begun = true;
-            until_ns = now_ns + validity_ns;
+            let is_armed = record.state != TwistState::Disarmed.code();
             rig.obey(&Order {
-                twist: driver.twist,
+                twist: record.twist,
                 sent_ns: now_ns,
-                until_ns,
-                is_armed: true,
+                until_ns: now_ns + (1e9 * PERIODS * scene.sampling_time()) as u64,
+                is_armed,
             });
-        } else if begun && now_ns == until_ns && driver.twist != [0.0; 6] {
-            // The daemon brakes; the bridge's ramp is the quicker one.
-            driver.send([0.0; 6], now_ns);
+            shown = way_point(&record);
+            if rig.phase().obeys_controller() {
+                stopped = stop(is_armed, daemon, &record);
+            }
         }
         if let Some(Exposed { points, .. }) = instant.exposed {
             history.push(Sample {
                 time_s: rig.progress().time_s,
                 features: points.to_vec(),
                 twist: rig.aimed(),
-                way_point: driver.way_point.clone(),
+                way_point: shown.clone(),
                 arm: rig.record(),
             });
         }
         rig.advance();
-        let is_steered = rig.phase().obeys_controller();
-        lost = begun && is_steered && now_ns.saturating_sub(driver.good_ns) > LOST_NS;
     }
     let reason = match &rig.progress().end {
-        _ if lost => Some(Reason::MarkerLost),
+        _ if stopped.is_some() => stopped,
         Some(End::Arrived) => None,
         Some(End::Reflex) => Some(Reason::Reflex),
         Some(End::Violation(_) | End::LostSight) => Some(Reason::Violation),
@@ -212,10 +164,30 @@ pub fn run(
         arrived_s: rig.progress().arrived_s,
         least_clearance_px: rig.progress().referee.least_clearance(),
         error_px: rig.progress().error_px,
-        hidden: driver.hidden,
-        cost: driver.cost / driver.cycles.max(1.0),
+        hidden,
+        cost: cost / cycles.max(1.0),
         arm,
         history,
+    })
+}
+
+/// A delivered frame as the daemon receives it.
+fn message(shot: Shot) -> Features {
+    let mut features = Features::new(&shot.points, shot.stamp_ns);
+    features.visible = shot.visible;
+    features.stamp.sequence = shot.number;
+    features
+}
+
+/// Why the daemon ends the run, if it does.
+fn stop(is_armed: bool, daemon: &Simulated, record: &CycleRecord) -> Option<Reason> {
+    if daemon.has_exceeded() {
+        return Some(Reason::BeyondLimits);
+    }
+    let was_lost = Hold::from_code(record.hold) == Some(Hold::Lost);
+    (!is_armed).then_some(match was_lost {
+        true => Reason::MarkerLost,
+        false => Reason::Disarmed,
     })
 }
 

@@ -1,20 +1,25 @@
 //! `cargo table -- --robot panda`: strategies on the same starts against the emulated robot, in
 //! simulated time.
 
+use std::sync::Arc;
+
 use anyhow::Context;
 use hw_sim::rig::RigSettings;
 use hw_sim::robot::bridge::Shaping;
 use hw_sim::robot::calibration::Truth;
+use ipc::ClockMode;
+use memory_blob::MemoryFile;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, UnitSphere};
 use rayon::prelude::*;
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::{Controller, MotionMemory, Settings, SolverOptions};
+use vpc::{Settings, SolverOptions};
 
 use crate::flags::{Common, RobotFlags};
 use crate::robot::{Reason, RobotRun, run};
+use crate::simulated::Simulated;
 use crate::spec::Spec;
 
 /// A row.
@@ -30,6 +35,8 @@ pub struct RobotRow {
     pub markers_lost: usize,
     /// ... time.
     pub time_outs: usize,
+    /// ... another disarm, or a command beyond the limits.
+    pub faults: usize,
     /// ... a reflex.
     pub reflexes: u64,
     /// Milliseconds beyond a limit, all runs.
@@ -97,7 +104,7 @@ fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> Rig
 pub fn table(
     scene: &Scene,
     starts: &[Pose],
-    memory: Option<&(dyn MotionMemory + Sync)>,
+    memory: Option<&Arc<MemoryFile>>,
     flags: &RobotFlags,
     common: &Common,
     tick: &(dyn Fn() + Sync),
@@ -111,10 +118,10 @@ pub fn table(
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
-            let mut controller = Box::new(Controller::new(scene, settings)?);
+            let memory = memory.cloned();
+            let mut daemon = Simulated::new(scene, memory, settings, ClockMode::Fixed)?;
             let cell = cell(scene, flags, common, start);
-            let memory = memory.map(|memory| memory as &dyn MotionMemory);
-            let run = run(scene, &cell, &mut controller, memory, &starts[start]);
+            let run = run(scene, &cell, &mut daemon, &starts[start]);
             tick();
             run.with_context(|| format!("start {start}"))
         };
@@ -141,6 +148,7 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
         violations: because(Reason::Violation),
         markers_lost: because(Reason::MarkerLost),
         time_outs: because(Reason::TimeOut),
+        faults: because(Reason::Disarmed) + because(Reason::BeyondLimits),
         reflexes: runs.iter().map(|run| run.arm.reflexes).sum(),
         limit_violations: runs.iter().map(|run| run.arm.limit_violations).sum(),
         discontinuities: runs.iter().map(|run| run.arm.discontinuities).sum(),
@@ -157,19 +165,20 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
 /// The rows as a Markdown table.
 pub fn markdown(rows: &[RobotRow]) -> String {
     let mut text = String::from(
-        "| strategy | success (%) | violation | marker lost | time out | reflexes | limit violations | discontinuities | \
+        "| strategy | success (%) | violation | marker lost | time out | faults | reflexes | limit violations | discontinuities | \
          arrival (s) | cost l/Np | joint speed, acceleration, jerk (% of limit) |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
+         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );
     for row in rows {
         let [speed, push, snap] = row.joint_shares.map(|share| 100.0 * share);
         text += &format!(
-            "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {:.4} | {speed:.0}, {push:.0}, {snap:.0} |\n",
+            "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {} | {:.4} | {speed:.0}, {push:.0}, {snap:.0} |\n",
             row.strategy,
             100.0 * row.success_rate,
             row.violations,
             row.markers_lost,
             row.time_outs,
+            row.faults,
             row.reflexes,
             row.limit_violations,
             row.discontinuities,

@@ -68,9 +68,6 @@ pub enum Reason {
     BeyondLimits,
 }
 
-/// Rounding that a command may have beyond the limits, as a share of them.
-const ROUNDING: f64 = 1e-9;
-
 /// One cycle of a run.
 #[derive(Clone, Debug)]
 pub struct Moment {
@@ -122,8 +119,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         history: Vec::new(),
     };
     let (mut cost, mut cycles) = (0.0, 0.0_f64);
-    let task = daemon.law().task();
-    let (limits, most) = (task.limits, task.acceleration.map(|a| a * ts));
+    let limits = daemon.law().task().limits;
     let mut standing = [0.0; 6];
     let mut changes = Vec::new();
     'run: for k in 0..periods {
@@ -150,7 +146,12 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         let twist = record.twist;
         cost += running_cost(scene, referee.goal(), &camera.pose, &twist, np).unwrap_or(0.0);
         cycles += 1.0;
-        if let Some(reason) = fault(&record, &standing, &limits, &most) {
+        let reason = if record.state == TwistState::Disarmed.code() {
+            Some(Reason::Disarmed)
+        } else {
+            daemon.has_exceeded().then_some(Reason::BeyondLimits)
+        };
+        if let Some(reason) = reason {
             (run.success, run.reason, run.steps) = (false, Some(reason), k);
             run.cause = Hold::from_code(record.hold).map(|hold| hold.to_string());
             break;
@@ -166,7 +167,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
                 features: features.to_vec(),
                 inputs,
                 twist,
-                way_point: (record.way_point_count > 0).then(|| way_point(&record)),
+                way_point: way_point(&record),
             });
         }
         standing = twist;
@@ -191,25 +192,6 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
     run
 }
 
-/// Why a run with this cycle fails.
-fn fault(
-    record: &CycleRecord,
-    standing: &[f64; 6],
-    limits: &[f64; 6],
-    most_change: &[f64; 6],
-) -> Option<Reason> {
-    // A NaN is not within.
-    let is_within = |x: f64, limit: f64| x.abs() <= limit * (1.0 + ROUNDING);
-    let each = record.twist.iter().zip(standing);
-    let mut each = each.zip(limits.iter().zip(most_change));
-    let is_slow = each
-        .all(|((v, before), (limit, most))| is_within(*v, *limit) && is_within(v - before, *most));
-    let is_disarmed = record.state == TwistState::Disarmed.code();
-    is_disarmed
-        .then_some(Reason::Disarmed)
-        .or_else(|| (!is_slow).then_some(Reason::BeyondLimits))
-}
-
 fn has_converged(record: &CycleRecord) -> bool {
     let status = SolverStatus::from_code(record.status);
     matches!(
@@ -218,9 +200,11 @@ fn has_converged(record: &CycleRecord) -> bool {
     )
 }
 
-fn way_point(record: &CycleRecord) -> Vec<[f64; 2]> {
+/// The way point that a cycle tracked, px.
+pub(crate) fn way_point(record: &CycleRecord) -> Option<Vec<[f64; 2]>> {
     let pairs = record.way_point.as_chunks().0.iter().copied();
-    pairs.take(record.way_point_count as usize).collect()
+    let points = pairs.take(record.way_point_count as usize).collect();
+    (record.way_point_count > 0).then_some(points)
 }
 
 /// Replays the cycles of a run through the daemon `repeats` times and notes the median time of each:

@@ -11,13 +11,16 @@ use controller::cycle::Pace;
 use controller::input::{Input, Inputs};
 use controller::loaded::LoadedController;
 use hw_sim::sensor::Frame;
-use ipc::{ClockMode, CycleRecord, Features};
+use ipc::{ClockMode, CycleRecord, Features, TwistState};
 use memory_blob::MemoryFile;
 use scene::{Scene, SceneFiles};
 use vpc::{Controller, Settings};
 
 /// When a run begins: any time but zero, which means that a time is unknown, ns.
 const BEGIN_NS: u64 = 1_000_000_000;
+
+/// Rounding that a command may have beyond the limits, as a share of them.
+const ROUNDING: f64 = 1e-9;
 
 /// A daemon that is armed, with the configuration that it has by itself but for the law.
 pub struct Simulated {
@@ -26,6 +29,10 @@ pub struct Simulated {
     fresh: Box<State>,
     /// Number of the last frame.
     sequence: u64,
+    /// The last command.
+    standing: [f64; 6],
+    /// Whether a command of this run was beyond the limits of velocity or acceleration.
+    exceeded: bool,
 }
 
 impl Simulated {
@@ -59,6 +66,8 @@ impl Simulated {
             control,
             fresh,
             sequence: 0,
+            standing: [0.0; 6],
+            exceeded: false,
         })
     }
 
@@ -66,6 +75,12 @@ impl Simulated {
     pub fn restart(&mut self) {
         self.control.restore(&self.fresh);
         self.sequence = 0;
+        (self.standing, self.exceeded) = ([0.0; 6], false);
+    }
+
+    /// Whether a command of this run was beyond the limits of velocity or acceleration.
+    pub fn has_exceeded(&self) -> bool {
+        self.exceeded
     }
 
     /// The law.
@@ -75,11 +90,21 @@ impl Simulated {
 
     /// What a cycle receives `now_ns` after the begin of the run: the frame that arrives, if any.
     pub fn inputs(&mut self, frame: Option<&Frame>, now_ns: u64) -> Inputs {
-        let now_ns = BEGIN_NS + now_ns;
-        let features = frame.map_or(Input::Nothing, |frame| {
+        let frame = frame.map(|frame| {
             self.sequence += 1;
-            let mut features = Features::new(&frame.points, BEGIN_NS + frame.exposure_ns);
+            let mut features = Features::new(&frame.points, frame.exposure_ns);
             features.stamp.sequence = self.sequence;
+            features
+        });
+        Self::received(frame, now_ns)
+    }
+
+    /// What a cycle receives `now_ns` after the begin of the run: a message whose exposure is
+    /// counted from there, if one arrives.
+    pub fn received(features: Option<Features>, now_ns: u64) -> Inputs {
+        let now_ns = BEGIN_NS + now_ns;
+        let features = features.map_or(Input::Nothing, |mut features| {
+            features.stamp.data_ns += BEGIN_NS;
             features.stamp.published_ns = now_ns;
             Input::Message(features)
         });
@@ -96,6 +121,19 @@ impl Simulated {
     pub fn decide(&mut self, inputs: &Inputs) -> CycleRecord {
         let mut record = CycleRecord::default();
         self.control.decide(inputs, &mut record);
+        let (task, twist) = (self.law().task(), record.twist);
+        let change: [f64; 6] = std::array::from_fn(|k| twist[k] - self.standing[k]);
+        let is_within = |x: &[f64; 6], most: [f64; 6]| {
+            // A NaN is not within.
+            x.iter()
+                .zip(most)
+                .all(|(x, most)| x.abs() <= most * (1.0 + ROUNDING))
+        };
+        let has_exceeded = !is_within(&twist, task.limits)
+            || !is_within(&change, task.acceleration.map(|a| a * task.period));
+        // A stop goes to zero at once.
+        self.exceeded |= has_exceeded && record.state != TwistState::Disarmed.code();
+        self.standing = twist;
         record
     }
 

@@ -115,7 +115,7 @@ fn braking_stays_on_the_path_and_within_its_time() {
 #[test]
 fn braking_is_no_faster_than_the_acceleration_allows() {
     let mut bench = Bench::moving();
-    let acceleration = [0.5, 0.5, 0.5, 1.2, 1.2, 1.2];
+    let acceleration = [1.0, 1.0, 1.0, 1.2, 1.2, 1.2];
     let mut rules = bench.supervisor.rules();
     // 0.2 rad/s take 167 ms; in lockstep as well.
     for lost_ns in [Some(300 * MS), None] {

@@ -10,8 +10,8 @@ use toml_schema::{Document, FileError};
 use crate::model::*;
 
 /// What controller, builder and emulator must agree on. A memory belongs to the scene it was built
-/// for; only `success`, `starts`, the names of occlusions and the weights of `cost` may change
-/// under it. All keys but `occlusion` are required.
+/// for; only `success`, `starts`, the limits of acceleration, the names of occlusions and the
+/// weights of `cost` may change under it. All keys but `occlusion` and those limits are required.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Scene")]
@@ -365,5 +365,9 @@ mod tests {
         assert_ne!(base, with("half = [75.0, 75.0]", "half = [75.0, 76.0]"));
         assert_eq!(base, with("L, left", "left L"));
         assert_eq!(base, with("time_s = 15.0", "time_s = 20.0"));
+        assert_eq!(
+            base,
+            with("[limits]", "[limits]\nlinear_acceleration = 1.0")
+        );
     }
 }

@@ -72,7 +72,9 @@ impl Template {
              points = [{}]\n\n\
              [goal]\ntranslation = {}\nrotation = {}\n\n\
              [limits]\nlinear = {:?}   # m/s, each component of the camera velocity\n\
-             angular = {:?}  # rad/s\n\n\
+             angular = {:?}  # rad/s\n\
+             # linear_acceleration = 1.0   # m/s^2, without it any: most change of a component in a second\n\
+             # angular_acceleration = 2.0  # rad/s^2\n\n\
              [cost]\n# the paper's weights: of the squared image error (1/px^2), of the squared velocity\n\
              k_q = 1e-3\nr = [100.0, 100.0, 1.0, 0.5, 0.5, 0.5]\n\n\
              [success]\n\

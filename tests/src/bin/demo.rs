@@ -20,7 +20,7 @@ use system_tests::pictures::{self, Draw};
 use system_tests::simulated::Simulated;
 use system_tests::spec::Spec;
 use system_tests::{robot_table, root, run};
-use vpc::{MotionMemory, Task};
+use vpc::Task;
 
 /// A scene to show.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -254,10 +254,9 @@ impl<'a> Demo<'a> {
             drop: 0.01,
             ..defaults()
         };
-        let memory = self.memory()?;
-        let view = memory.view();
-        let view = Some(&view as &(dyn MotionMemory + Sync));
-        let all = robot_table::table(&self.scene, &self.starts, view, &flags, &common, &|| ())?;
+        let memory = Arc::new(self.memory()?);
+        let memory = Some(&memory);
+        let all = robot_table::table(&self.scene, &self.starts, memory, &flags, &common, &|| ())?;
         let runs = all
             .into_iter()
             .flat_map(|(spec, runs)| runs.into_iter().map(move |run| (spec, run)));

@@ -25,7 +25,7 @@ use system_tests::row::{self, Row};
 use system_tests::run::{flawed, time};
 use system_tests::simulated::Simulated;
 use system_tests::{arguments, robot_table};
-use vpc::{MotionMemory, Task};
+use vpc::Task;
 
 /// Runs every strategy from the same starts against an emulated camera, as in the paper's Table I.
 ///
@@ -144,7 +144,7 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     scene.camera.rate_hz = cli.common.rate.unwrap_or(scene.camera.rate_hz);
     match cli.robot {
         Body::Free => free(cli, &scene, &starts, memory.as_ref()),
-        Body::Panda => on_robot(cli, &scene, &starts, memory.as_deref()),
+        Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
     }
 }
 
@@ -209,14 +209,12 @@ fn on_robot(
     cli: &Cli,
     scene: &Scene,
     starts: &[Pose],
-    memory: Option<&MemoryFile>,
+    memory: Option<&Arc<MemoryFile>>,
 ) -> anyhow::Result<()> {
-    let view = memory.map(MemoryFile::view);
-    let view = view.as_ref().map(|view| view as &(dyn MotionMemory + Sync));
     let count = cli.arm.only.map_or(starts.len(), |_| 1);
     let bar = bar(cli.common.strategies.len() * count);
     let tick = || bar.inc(1);
-    let all = robot_table::table(scene, starts, view, &cli.arm, &cli.common, &tick)?;
+    let all = robot_table::table(scene, starts, memory, &cli.arm, &cli.common, &tick)?;
     bar.finish_and_clear();
     let rows = all.iter().map(|(spec, runs)| robot_table::row(*spec, runs));
     let rows: Vec<_> = rows.collect();

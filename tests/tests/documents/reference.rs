@@ -73,6 +73,8 @@ fn subjects() -> [Subject; 4] {
                 "goal.translation",
                 "starts.translation_min",
                 "starts.translation_max",
+                "limits.linear_acceleration",
+                "limits.angular_acceleration",
             ],
             shipped: &[
                 "ipc/scene/scenes/paper-sim.toml",
