@@ -175,7 +175,7 @@ fn the_commands_of_the_emulators_readme_run() {
     readme.start("vpcd --scene", &[]);
     readme.run("hw-sim --config", &[]);
     // One start of one strategy instead of 200 runs.
-    let few = [("previous:3,gpr:3", "gpr:3"), ("", "--only 0")];
+    let few = [("previous:3,gpr:3,foresight:3", "gpr:3"), ("", "--only 0")];
     readme.run("table --robot panda", &few);
 }
 
