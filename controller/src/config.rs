@@ -16,7 +16,7 @@ mod tables;
 #[cfg(test)]
 mod tests;
 
-use tables::{Law, Tables};
+use tables::{Law, Presence, Tables};
 
 pub use toml_schema::FileError as ConfigError;
 
@@ -81,6 +81,8 @@ pub struct Safety {
     pub brake_s: f64,
     /// Time without usable features after which the camera is disarmed, s.
     pub lost_s: f64,
+    /// Whether the camera stands still until a robot was heard.
+    pub needs_robot: bool,
 }
 
 /// Returns the JSON Schema of a configuration file.
@@ -185,6 +187,11 @@ fn laid_over(
         .safety
         .armed
         .get_or_insert(clock == ClockMode::Lockstep);
+    let robot = tables.safety.robot.get_or_insert(match clock {
+        ClockMode::Lockstep => Presence::Optional,
+        ClockMode::Fixed | ClockMode::Phase => Presence::Required,
+    });
+    let needs_robot = *robot == Presence::Required;
     let domain = tables
         .ipc
         .domain
@@ -204,6 +211,7 @@ fn laid_over(
             armed,
             brake_s: tables.safety.brake_s,
             lost_s: tables.safety.lost_s,
+            needs_robot,
         },
         domain,
         margin_ns: (tables.cycle.margin_ms * 1e6) as u64,

@@ -50,7 +50,7 @@ impl ControlStep {
     pub fn new(loaded: LoadedController, stale_ns: Option<u64>, rules: Rules) -> Self {
         Self {
             gate: Gate::new(stale_ns),
-            robot: RobotWatch::new(rules.lost_ns),
+            robot: RobotWatch::new(&rules),
             loaded,
             supervisor: Supervisor::new(rules),
             standing: Answer {
@@ -103,10 +103,16 @@ impl ControlStep {
     /// answer lacks what its publication fills in.
     pub fn request(&mut self, request: &Request, cycle: u64) -> Reply {
         let outcome = match (request.action(), request.strategy_code()) {
-            (None, _) | (_, None) => Outcome::Unknown,
             (Some(Action::Strategy), Some(code)) => self.change(code, request.neighbours),
+            (None, _) | (Some(Action::Strategy), None) => Outcome::Unknown,
+            // Whatever else it says: a stop is a stop.
             (Some(action), _) => self.supervisor.request(action),
         };
+        self.reply(request, cycle, outcome)
+    }
+
+    /// The answer to a request with this outcome.
+    pub fn reply(&self, request: &Request, cycle: u64, outcome: Outcome) -> Reply {
         let (state, reason) = self.supervisor.state();
         let (strategy, neighbours) = self.strategy();
         Reply {
@@ -136,6 +142,7 @@ impl ControlStep {
             solver_failed: contract::solver_failed(record),
             missed: inputs.missed,
             robot: self.robot.look(&inputs.robot, inputs.now_ns),
+            suspended: inputs.suspended,
             shutdown: inputs.shutdown,
         };
         let decision = self.supervisor.supervise(&situation, inputs.now_ns);
@@ -147,6 +154,7 @@ impl ControlStep {
         // plan, so that a replay needs no other clock.
         let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);
         self.loaded.controller.sent(&decision.twist, effective_ns);
+        self.robot.sent(&decision.twist, inputs.now_ns);
         record.features_sequence = proposed.stamp.sequence;
         record.twist = decision.twist;
         record.state = decision.state.code();
@@ -222,8 +230,11 @@ impl ControlStep {
         let (code, seen) = inputs.robot.wire();
         (record.robot_input, record.robot_seen) = (code.code(), seen);
         record.missed = inputs.missed;
-        if inputs.shutdown {
-            record.flags |= CycleFlags::SHUTDOWN.0;
+        for (flag, is_set) in [
+            (CycleFlags::SHUTDOWN, inputs.shutdown),
+            (CycleFlags::SUSPENDED, inputs.suspended),
+        ] {
+            record.flags |= if is_set { flag.0 } else { 0 };
         }
     }
 
@@ -327,11 +338,12 @@ mod tests {
         loaded.controller.go_live(3 * PERIOD);
         let rules = Rules {
             limits: LIMITS,
-            acceleration: [f64::INFINITY; 6],
-            period_ns: 33 * MS,
+            change: [f64::INFINITY; 6],
             brake_ns: 150 * MS,
+            ramp_ns: 150 * MS,
             lost_ns: Some(300 * MS),
-            armed: true,
+            needs_robot: false,
+            begins: None,
         };
         let mut control = ControlStep::new(loaded, Some(2 * PERIOD), rules);
         let mut now_ns = 1 << 40;
@@ -362,6 +374,7 @@ mod tests {
                     0 => random.random(),
                     _ => 0,
                 },
+                suspended: random.random_bool(0.002),
                 shutdown: false,
             };
             let Answer { decision, .. } = control.decide(&inputs, &mut CycleRecord::default());

@@ -3,14 +3,16 @@
 
 use heapless::Vec;
 use ipc::{
-    Action, ClockMode, ControllerPorts, CycleFlags, CycleRecord, Features, Order, Outcome,
-    PublishError, RealTime, ReceiveError, Reply, TwistCommand, TwistState, now_ns,
+    Action, ClockMode, ControllerPorts, CycleFlags, CycleRecord, FUTURE_NS, Features, Message,
+    Order, Outcome, PublishError, RealTime, ReceiveError, Reply, Request, StopFile, TwistCommand,
+    TwistState, now_ns, suspended_ns,
 };
 use scene::Scene;
 
 use crate::clock::{Grid, sleep_until};
-use crate::config::Config;
+use crate::config::{Config, ConfigError};
 use crate::control::{Answer, ControlStep};
+use crate::decision::HoldReason;
 use crate::flight::{DumpRequest, Producer};
 use crate::input::{Input, Inputs};
 use crate::loaded::LoadedController;
@@ -26,8 +28,19 @@ const POLL_NS: u64 = 20_000;
 /// Longest wait in lockstep before the stop flag is checked, ns.
 const WAIT_NS: u64 = 5_000_000;
 
-/// Most requests of operators taken in a cycle: as many as wait in the queue.
-const REQUESTS: usize = 16;
+/// Longest time without new features for which commands may be valid, s, and the periods that are
+/// always allowed.
+const MOST_STALE_S: f64 = 1.0;
+const LEAST_STALE_PERIODS: f64 = 3.0;
+/// Most requests of operators taken in a cycle: as many as can wait in their queues, so that no
+/// operator keeps another one's waiting.
+const REQUESTS: usize = Request::QOS.publishers * Request::QOS.buffer;
+/// Age from which on a request to move is refused, ns.
+const LATE_NS: u64 = 1_000_000_000;
+/// Growth of the time suspended that is no error of its measurement, ns.
+const SUSPENDED_NS: u64 = 1_000_000;
+/// Answers to them and to the stop file.
+const REPLIES: usize = REQUESTS + 1;
 
 /// How the loop runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,29 +61,51 @@ pub struct Pace {
 
 impl Pace {
     /// How the loop of this configuration runs on this scene; real time is not asked for yet.
-    pub fn new(config: &Config, scene: &Scene) -> Self {
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] if commands would be valid for too long; `source` names the
+    /// configuration.
+    pub fn new(config: &Config, scene: &Scene, source: &str) -> Result<Self, ConfigError> {
+        let most = (MOST_STALE_S / scene.sampling_time()).max(LEAST_STALE_PERIODS);
+        let is_lockstep = config.clock == ClockMode::Lockstep;
+        if !is_lockstep && config.stale_periods > most {
+            let rate_hz = scene.camera.rate_hz;
+            let allowed = format!("at most {most} at the scene's {rate_hz} Hz, {MOST_STALE_S} s");
+            let key = "cycle.stale_periods";
+            return Err(ConfigError::value(
+                source,
+                key,
+                config.stale_periods,
+                allowed,
+            ));
+        }
         let ns = |seconds: f64| (seconds * 1e9) as u64;
         // Never before the command has gone stale and a brake has had time to begin.
         let least_ns = ns((config.stale_periods + 2.0) * scene.sampling_time());
-        let is_lockstep = config.clock == ClockMode::Lockstep;
-        Self {
+        let brake_ns = match is_lockstep {
+            true => 0,
+            false => ns(config.safety.brake_s),
+        };
+        Ok(Self {
             clock: config.clock,
             period_ns: ns(scene.sampling_time()),
             stale_periods: config.stale_periods,
             rules: Rules {
                 limits: scene.limits.velocity(),
-                acceleration: scene.limits.acceleration(),
-                period_ns: ns(scene.sampling_time()),
-                brake_ns: match is_lockstep {
-                    true => 0,
-                    false => ns(config.safety.brake_s),
-                },
+                change: scene
+                    .limits
+                    .acceleration()
+                    .map(|a| a * scene.sampling_time()),
+                brake_ns,
+                // As steeply as it brakes.
+                ramp_ns: brake_ns,
                 lost_ns: (!is_lockstep).then(|| ns(config.safety.lost_s).max(least_ns)),
-                armed: config.safety.armed,
+                needs_robot: config.safety.needs_robot,
+                begins: (!config.safety.armed).then_some(HoldReason::NotArmed),
             },
             margin_ns: config.margin_ns,
             realtime: RealTime::default(),
-        }
+        })
     }
 
     /// The control step of such a loop before its first cycle.
@@ -92,11 +127,23 @@ impl Pace {
     }
 }
 
+/// Whether a request that leads to motion has waited for too long, in a loop that hung perhaps, or
+/// is from the future. Those that end it are never late.
+fn is_late(request: &Request, now_ns: u64) -> bool {
+    let asked_ns = request.stamp.published_ns;
+    let is_in_time = asked_ns <= now_ns + FUTURE_NS && now_ns <= asked_ns.saturating_add(LATE_NS);
+    let leads_to_motion = matches!(request.action(), Some(Action::Arm | Action::Strategy));
+    leads_to_motion && !is_in_time
+}
+
 /// The loop with all it owns. With other threads it shares the queue of its records and the flag
 /// for the flight record.
 pub struct Cycle {
     pace: Pace,
     ports: ControllerPorts,
+    stop_file: StopFile,
+    /// Whether it asked for a stop that is not acknowledged yet.
+    is_stopping: bool,
     control: ControlStep,
     grid: Grid,
     /// Moves the grid, in the clock `phase`.
@@ -108,9 +155,11 @@ pub struct Cycle {
     count: u64,
     /// Releases missed until the last cycle.
     missed: u64,
+    /// How long the machine was suspended until the last cycle, ns.
+    suspended_ns: u64,
     /// Requests taken since the last cycle.
     requests: u32,
-    replies: Vec<Reply, REQUESTS>,
+    replies: Vec<Reply, REPLIES>,
     /// The thread's counters when it woke up.
     woken: Usage,
 }
@@ -120,6 +169,7 @@ impl Cycle {
     pub fn new(
         pace: Pace,
         ports: ControllerPorts,
+        stop_file: StopFile,
         control: ControlStep,
         mut producer: Producer,
         dump: DumpRequest,
@@ -128,6 +178,8 @@ impl Cycle {
         let is_phase = pace.clock == ClockMode::Phase;
         Self {
             ports,
+            stop_file,
+            is_stopping: false,
             control,
             grid: Grid::new(now_ns(), pace.period_ns),
             pll: is_phase.then(|| CameraPll::new(pace.period_ns, pace.margin_ns)),
@@ -140,6 +192,7 @@ impl Cycle {
             },
             count: 0,
             missed: 0,
+            suspended_ns: suspended_ns(),
             requests: 0,
             replies: Vec::new(),
             woken: Usage::now(),
@@ -172,6 +225,7 @@ impl Cycle {
         let Some((woken_ns, features)) = self.wake(&mut record) else {
             self.take_requests();
             self.reply();
+            self.acknowledge_stop();
             return Ok(None);
         };
         let inputs = self.receive(features, stop);
@@ -184,6 +238,9 @@ impl Cycle {
         record.send_ns = now_ns().saturating_sub(decided_ns);
         self.woken.record_usage(&mut record);
         self.reply();
+        if sent.is_ok() {
+            self.acknowledge_stop();
+        }
         self.control.think();
         self.finish(&inputs, &answer, &mut record);
         sent.map(|()| Some(record))
@@ -195,8 +252,8 @@ impl Cycle {
         let rules = self.pace.rules;
         match self.pace.clock {
             ClockMode::Fixed | ClockMode::Phase => {
-                let stop_ns = (rules.stop_s(&rules.limits) * 1e9) as u64;
-                rules.brake_ns.max(stop_ns).div_ceil(rules.period_ns) + 1
+                let by_time = rules.brake_ns.div_ceil(self.pace.period_ns);
+                by_time.max(rules.stop_cycles(&rules.limits).ceil() as u64) + 1
             }
             ClockMode::Lockstep => 0,
         }
@@ -265,33 +322,58 @@ impl Cycle {
         self.take_requests();
         let missed = self.grid.missed() - self.missed;
         self.missed = self.grid.missed();
+        let suspended_ns = suspended_ns().max(self.suspended_ns);
+        let slept_ns = suspended_ns - self.suspended_ns;
+        self.suspended_ns = suspended_ns;
         Inputs {
             now_ns: now_ns(),
             features,
             robot,
             missed: u32::try_from(missed).unwrap_or(u32::MAX),
+            suspended: slept_ns > SUSPENDED_NS,
             shutdown: stop.is_asked(),
         }
     }
 
-    /// Passes the requests of operators to the control step. Those without a head are skipped here;
-    /// the ordinary thread, which also receives them, logs them.
+    /// Passes the requests of operators to the control step, and that of the stop file after them,
+    /// so that it wins. Those without a head are skipped here; the ordinary thread, which also
+    /// receives them, logs them.
     fn take_requests(&mut self) {
         for _ in 0..REQUESTS {
             match self.ports.requests.oldest() {
                 Ok(Some(request)) => {
-                    let reply = self.control.request(&request, self.count + 1);
-                    let is_done = reply.outcome() == Some(Outcome::Done);
-                    if is_done && request.action() == Some(Action::Record) {
+                    let outcome = self.answer(&request);
+                    if outcome == Some(Outcome::Done) && request.action() == Some(Action::Record) {
                         self.dump.make();
                     }
-                    self.requests = self.requests.saturating_add(1);
-                    // There is room for as many as this loop takes.
-                    let _ = self.replies.push(reply);
                 }
                 Ok(None) | Err(ReceiveError::Transport { .. }) => break,
                 Err(ReceiveError::Invalid { .. }) => (),
             }
+        }
+        if self.stop_file.is_asked() {
+            self.answer(&Request::new(Request::STOP_FILE, Action::Stop));
+            self.is_stopping = true;
+        }
+    }
+
+    fn answer(&mut self, request: &Request) -> Option<Outcome> {
+        let cycle = self.count + 1;
+        let reply = match is_late(request, now_ns()) {
+            true => self.control.reply(request, cycle, Outcome::Late),
+            false => self.control.request(request, cycle),
+        };
+        let outcome = reply.outcome();
+        self.requests = self.requests.saturating_add(1);
+        // There is room for as many as this loop takes.
+        let _ = self.replies.push(reply);
+        outcome
+    }
+
+    /// Tells who stopped by the file that the zero twist is sent.
+    fn acknowledge_stop(&mut self) {
+        if std::mem::take(&mut self.is_stopping) {
+            self.stop_file.obey();
         }
     }
 
@@ -354,5 +436,28 @@ impl Cycle {
         let (code, error_ns) = pll.standing();
         (record.phase, record.phase_error_ns) = (code.code(), error_ns);
         self.grid.advance_by(interval_ns, now_ns());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_moves_the_camera_can_be_late() {
+        const NOW: u64 = 5_000_000_000;
+        let asked = |action, published_ns| {
+            let mut request = Request::new(7, action);
+            request.stamp.published_ns = published_ns;
+            is_late(&request, NOW)
+        };
+        for action in [Action::Arm, Action::Strategy] {
+            assert!(!asked(action, NOW) && !asked(action, NOW - LATE_NS));
+            assert!(asked(action, NOW - LATE_NS - 1) && asked(action, 0));
+            assert!(asked(action, NOW + 2 * FUTURE_NS) && asked(action, u64::MAX));
+        }
+        for action in [Action::Stop, Action::Disarm, Action::Status, Action::Record] {
+            assert!(!asked(action, 0) && !asked(action, u64::MAX));
+        }
     }
 }

@@ -1,21 +1,24 @@
 //! The daemon from its command line to its exit code.
 
 use std::ffi::OsString;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use ipc::{ClockMode, ControllerPorts, Domain, RealTime};
+use ipc::{ClockMode, ControllerPorts, Domain, RealTime, StopFile};
 
 use crate::arguments::{Arguments, Command};
 use crate::config::{self, Config, ConfigError};
 use crate::cycle::{Cycle, Pace};
+use crate::decision::HoldReason;
 use crate::exit::Exit;
 use crate::flight::{self, About, DumpRequest, Recorder};
 use crate::instance::{Instance, InstanceError};
 use crate::loaded::{LoadError, LoadedController};
 use crate::log::Log;
+use crate::panicked::Panicked;
 use crate::preflight::{Cost, Facts};
 use crate::published::Published;
 use crate::report::{Report, ReportError};
@@ -47,6 +50,8 @@ pub enum Failure {
     #[error(transparent)]
     Open(#[from] ipc::OpenError),
     #[error(transparent)]
+    Stop(#[from] ipc::StopError),
+    #[error(transparent)]
     Recorder(#[from] RecorderError),
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -67,7 +72,7 @@ impl Failure {
         match self {
             Self::Config(error) => error.into(),
             Self::Load(error) => error.exit(),
-            Self::Join(_) | Self::Instance(_) | Self::Open(_) => Exit::Unavailable,
+            Self::Join(_) | Self::Instance(_) | Self::Open(_) | Self::Stop(_) => Exit::Unavailable,
             Self::Service(_) => Exit::Config,
             Self::Report(_) => Exit::CannotCreate,
             Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
@@ -191,18 +196,25 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let loaded = LoadedController::open(&config.scene, config.memory.as_deref(), config.settings)?;
     let rate_hz = loaded.scene().camera.rate_hz;
     let (room, source) = (realtime::memory_bytes(), config::named(arguments));
+    let mut pace = Pace::new(&config, loaded.scene(), &source)?;
     Recorder::check_room(&config.flight, rate_hz, room, source)?;
     if arguments.check_only {
         println!("{}", describe(&config, &loaded));
         return Ok(());
     }
-    let mut pace = Pace::new(&config, loaded.scene());
     let period = Duration::from_nanos(pace.period_ns);
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
     let instance = Instance::claim(domain.directory())?;
+    if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
+        pace.rules.begins = Some(HoldReason::Unclean);
+        tracing::warn!(
+            "process {process}, the last vpcd of this domain, was killed or crashed: begins disarmed"
+        );
+    }
     let ports = ControllerPorts::open(&domain)?;
+    let stop_file = StopFile::open(domain.directory())?;
     let printed = Config::print(arguments)?;
     let published = publish(&loaded, &printed, domain.directory());
     let (producer, consumer) = flight::queue();
@@ -224,10 +236,25 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             RealTime::default()
         }
     };
-    let mut cycle = Cycle::new(pace, ports, pace.control(loaded), producer, signals.dump);
-    let outcome = turn(&mut cycle, &signals.stop, &progress, arguments.cycles);
+    let mut cycle = Cycle::new(
+        pace,
+        ports,
+        stop_file,
+        pace.control(loaded),
+        producer,
+        signals.dump,
+    );
+    let panicked = Panicked::in_this_thread();
+    let outcome = {
+        let turn = || turn(&mut cycle, &signals.stop, &progress, arguments.cycles);
+        catch_unwind(AssertUnwindSafe(turn))
+    };
     // Whatever happened, the last word is zero.
-    let stopped = cycle.stop();
+    let stopped = catch_unwind(AssertUnwindSafe(|| cycle.stop()));
+    let (Ok(outcome), Ok(stopped)) = (outcome, stopped) else {
+        panicked.end(cycle, recorder, log);
+    };
+    drop(std::panic::take_hook());
     drop(cycle);
     let machine = Report {
         realtime: pace.realtime.0,

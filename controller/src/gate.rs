@@ -4,7 +4,7 @@
 //! It checks messages: their order, their age, and whether all points were visible. The law then
 //! checks the numbers against the scene.
 
-use ipc::{Features, Order, Stamp};
+use ipc::{FUTURE_NS, Features, Order, Stamp};
 use serde::{Deserialize, Serialize};
 
 use crate::decision::HoldReason;
@@ -37,9 +37,6 @@ pub enum Link {
     /// A new run: all earlier state is void.
     New,
 }
-
-/// How much later than now features may claim to be published, ns: one clock serves all processes.
-pub(crate) const FUTURE_NS: u64 = 1_000_000;
 
 /// The gate. Plain data: a copy goes on as the original does.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -26,6 +26,8 @@ pub struct Inputs {
     pub robot: Input<RobotState>,
     /// Releases missed just before this cycle.
     pub missed: u32,
+    /// Whether the machine was suspended just before this cycle.
+    pub suspended: bool,
     /// Whether the daemon is to stop.
     pub shutdown: bool,
 }

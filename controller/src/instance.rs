@@ -5,7 +5,7 @@
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::Path;
 
 /// Name of the file in the domain's directory.
@@ -38,6 +38,8 @@ pub enum InstanceError {
 #[derive(Debug)]
 pub struct Instance {
     file: File,
+    /// The process that had the domain before, if it ended without giving it back.
+    pub unclean: Option<String>,
 }
 
 impl Instance {
@@ -69,16 +71,24 @@ impl Instance {
             }
             Err(TryLockError::Error(source)) => return Err(trouble(source)),
         }
-        // What a killed predecessor wrote goes first.
+        // Anything at all was left by an unclean end.
+        let mut left = [0; 32];
+        let count = file.read_at(&mut left, 0).map_err(trouble)?;
+        let left = String::from_utf8_lossy(&left[..count]).trim().to_owned();
+        let unclean = (count > 0).then_some(left);
         file.set_len(0)
             .and_then(|()| writeln!(file, "{}", std::process::id()))
             .map_err(trouble)?;
-        Ok(Self { file })
+        Ok(Self { file, unclean })
     }
 }
 
 impl Drop for Instance {
     fn drop(&mut self) {
+        // After a panic the next one is to know that this end was not clean.
+        if std::thread::panicking() {
+            return;
+        }
         // The file stays, since removing it could race with who locks it; empty, it names nobody.
         let _ = self.file.set_len(0);
     }
@@ -104,7 +114,9 @@ mod tests {
         let us = format!("process {};", std::process::id());
         assert!(message.contains(&us), "{message}");
         drop(first);
-        Instance::claim(directory.path()).unwrap();
+        let next = Instance::claim(directory.path()).unwrap();
+        assert_eq!(next.unclean, None);
+        drop(next);
         let left = std::fs::read_to_string(directory.path().join(FILE)).unwrap();
         assert_eq!(left, "");
     }
@@ -114,7 +126,8 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join(FILE);
         std::fs::write(&file, "99999999999\n").unwrap();
-        let _claim = Instance::claim(directory.path()).unwrap();
+        let claim = Instance::claim(directory.path()).unwrap();
+        assert_eq!(claim.unclean.as_deref(), Some("99999999999"));
         let written = std::fs::read_to_string(&file).unwrap();
         assert_eq!(written, format!("{}\n", std::process::id()));
     }

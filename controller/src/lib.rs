@@ -40,6 +40,7 @@ pub mod law;
 pub mod loaded;
 pub mod log;
 pub mod lossy;
+pub mod panicked;
 pub mod pll;
 pub mod preflight;
 pub mod published;

@@ -156,7 +156,7 @@ fn repeat_request(control: &mut ControlStep, reply: &Reply) -> Result<(), Box<Di
 fn request_of(reply: &Reply) -> Option<Request> {
     use ipc::{Action, Outcome, StrategyCode};
     match (Action::from_code(reply.action)?, reply.outcome()?) {
-        (_, Outcome::Unknown) => None,
+        (_, Outcome::Unknown | Outcome::Late) => None,
         (Action::Strategy, Outcome::Done) => {
             let strategy = StrategyCode::from_code(reply.strategy)?;
             Some(Request::strategy(reply.id, strategy, reply.neighbours))

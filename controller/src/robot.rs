@@ -1,49 +1,120 @@
-//! The robot's state by its messages: at fault, silent, or fine. Pure; the time is an argument.
+//! The robot's state by its messages: not there, at fault, silent, not following, or fine. Pure;
+//! the time is an argument.
 
 use ipc::{RobotFaults, RobotMode, RobotState};
 use serde::{Deserialize, Serialize};
 
 use crate::decision::HoldReason;
 use crate::input::Input;
+use crate::supervisor::Rules;
+
+/// Spans of time whose commands a robot may still be carrying out, and the length of each, ns: a
+/// shaper, a low-pass filter and the way there have half a second together.
+const SPANS: usize = 5;
+const SPAN_NS: u64 = 100_000_000;
+/// A robot follows where each component is no further from what was commanded than this share of
+/// its limit.
+const SHARE: f64 = 0.1;
 
 /// What the robot's messages have said so far.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotWatch {
     lost_ns: Option<u64>,
+    is_needed: bool,
+    /// Largest distance from what was commanded, m/s and rad/s.
+    room: [f64; 6],
+    /// What was commanded of late, the newest first.
+    spans: [Span; SPANS],
     /// When the last state was published, CLOCK_MONOTONIC, ns; not later than it was looked at.
     heard_ns: Option<u64>,
     at_fault: bool,
+    /// Since when it has not followed, CLOCK_MONOTONIC, ns.
+    strays_ns: Option<u64>,
+}
+
+/// The smallest and the greatest of each component that was commanded in a span of time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Span {
+    begin_ns: u64,
+    last: [f64; 6],
+    least: [f64; 6],
+    most: [f64; 6],
 }
 
 impl RobotWatch {
-    /// A watch for which a robot is lost after `lost_ns` of silence; `None` in lockstep, where time
-    /// does not pass.
-    pub fn new(lost_ns: Option<u64>) -> Self {
+    /// A watch by these rules, before the first message.
+    pub fn new(rules: &Rules) -> Self {
         Self {
-            lost_ns,
+            lost_ns: rules.lost_ns,
+            is_needed: rules.needs_robot,
+            room: rules.limits.map(|limit| SHARE * limit),
+            spans: Default::default(),
             heard_ns: None,
             at_fault: false,
+            strays_ns: None,
         }
     }
 
-    /// What is wrong at `now_ns`, after what was received by then. A robot that was never heard is
-    /// none: a camera may be carried by something that says nothing.
+    /// What is wrong at `now_ns`, after what was received by then: [`HoldReason::NoRobot`],
+    /// [`HoldReason::RobotFault`], [`HoldReason::RobotLost`] or [`HoldReason::NotFollowed`]. Where
+    /// none is needed, a robot that was never heard is not missed: a camera may be carried by
+    /// something that says nothing.
     pub fn look(&mut self, input: &Input<RobotState>, now_ns: u64) -> Option<HoldReason> {
         if let Input::Message(state) = input {
             // A stamp from the future would put off the silence after it.
             self.heard_ns = Some(state.stamp.published_ns.min(now_ns));
             self.at_fault = is_fault(state);
+            // One that is idle says that it obeys nobody.
+            let is_idle = state.mode() == Some(RobotMode::Idle);
+            self.strays_ns = match is_idle || self.follows(&state.twist) {
+                true => None,
+                false => self.strays_ns.or(Some(now_ns)),
+            };
         }
-        let silent = |heard: u64| {
+        let is_long = |since: u64| {
             let limit = self.lost_ns;
-            limit.is_some_and(|limit| now_ns.saturating_sub(heard) > limit)
+            limit.is_some_and(|limit| now_ns.saturating_sub(since) > limit)
         };
         // A state that breaks the contract is as good as none: it ends in silence.
         match self.heard_ns {
+            None => self.is_needed.then_some(HoldReason::NoRobot),
             _ if self.at_fault => Some(HoldReason::RobotFault),
-            Some(heard) if silent(heard) => Some(HoldReason::RobotLost),
+            Some(heard) if is_long(heard) => Some(HoldReason::RobotLost),
+            _ if self.strays_ns.is_some_and(is_long) => Some(HoldReason::NotFollowed),
             _ => None,
         }
+    }
+
+    /// Notes what was commanded at `now_ns`.
+    pub fn sent(&mut self, twist: &[f64; 6], now_ns: u64) {
+        let newest = self.spans[0];
+        if now_ns.saturating_sub(newest.begin_ns) >= SPAN_NS {
+            self.spans.rotate_right(1);
+            // The command before is in force until this one.
+            let last = newest.last;
+            self.spans[0] = Span {
+                begin_ns: now_ns,
+                last,
+                least: last,
+                most: last,
+            };
+        }
+        let span = &mut self.spans[0];
+        span.last = *twist;
+        for (k, v) in twist.iter().enumerate() {
+            (span.least[k], span.most[k]) = (span.least[k].min(*v), span.most[k].max(*v));
+        }
+    }
+
+    /// Whether a robot that carries this out does what was commanded of late.
+    fn follows(&self, twist: &[f64; 6]) -> bool {
+        (0..6).all(|k| {
+            let spans = self.spans.iter();
+            let (least, most) = spans.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), span| {
+                (a.min(span.least[k]), b.max(span.most[k]))
+            });
+            (least - self.room[k]..=most + self.room[k]).contains(&twist[k])
+        })
     }
 }
 
@@ -64,17 +135,74 @@ mod tests {
         Input::Message(message)
     }
 
+    fn watch(lost_ns: Option<u64>) -> RobotWatch {
+        RobotWatch::new(&Rules {
+            limits: [0.5, 0.5, 0.5, 1.0, 1.0, 1.0],
+            change: [f64::INFINITY; 6],
+            brake_ns: 0,
+            ramp_ns: 0,
+            lost_ns,
+            needs_robot: false,
+            begins: None,
+        })
+    }
+
     #[test]
-    fn a_robot_that_was_never_heard_is_not_missed() {
+    fn a_robot_that_was_never_heard_is_missed_where_one_is_needed() {
+        let mut watch = watch(Some(10));
+        assert_eq!(watch.look(&Input::Nothing, 1 << 40), None);
+        watch.is_needed = true;
+        let missed = watch.look(&Input::Nothing, 1 << 40);
+        assert_eq!(missed, Some(HoldReason::NoRobot));
+        let idle = state(RobotMode::Idle, RobotFaults::default(), 1 << 40);
+        assert_eq!(watch.look(&idle, 1 << 40), None);
+    }
+
+    #[test]
+    fn a_robot_that_does_not_carry_out_what_it_is_told_does_not_follow() {
+        const MS: u64 = 1_000_000;
+        // What it carries out of a command that changes from 0 to 0.4 m/s at 1 s; when it is found
+        // not to follow, if ever, ms.
+        let found_in = |mode: RobotMode, carries: fn(u64) -> f64| {
+            let mut watch = watch(Some(300 * MS));
+            (0..4000).step_by(33).find(|ms| {
+                let mut message = RobotState {
+                    mode: mode.code(),
+                    ..RobotState::default()
+                };
+                message.stamp.published_ns = ms * MS;
+                message.twist[1] = carries(*ms);
+                let wrong = watch.look(&Input::Message(message), ms * MS);
+                let commanded = if *ms < 1000 { 0.0 } else { 0.4 };
+                watch.sent(&[0.0, commanded, 0.0, 0.0, 0.0, 0.0], ms * MS);
+                assert!(wrong.is_none_or(|cause| cause == HoldReason::NotFollowed));
+                wrong.is_some()
+            })
+        };
+        let found = |carries| found_in(RobotMode::Moving, carries);
+        let command = |ms: u64| if ms < 1000 { 0.0 } else { 0.4 };
+        assert_eq!(found(command), None);
+        // Late by 0.4 s, too slow by a twentieth of the limit, shaped over 0.3 s.
+        assert_eq!(found(|ms| if ms < 1400 { 0.0 } else { 0.4 }), None);
+        assert_eq!(found(|ms| if ms < 1000 { 0.0 } else { 0.375 }), None);
         assert_eq!(
-            RobotWatch::new(Some(10)).look(&Input::Nothing, 1 << 40),
+            found(|ms| (ms.saturating_sub(1000) as f64 / 300.0).min(1.0) * 0.4),
             None
         );
+        // It stands; it moves by itself; it goes the other way.
+        let stands = found(|_| 0.0).unwrap();
+        assert!((1700..1950).contains(&stands), "{stands}");
+        let by_itself = found(|_| 0.1).unwrap();
+        assert!((300..400).contains(&by_itself), "{by_itself}");
+        let other_way = found(|ms| if ms < 1000 { 0.0 } else { -0.4 }).unwrap();
+        assert!((1300..1450).contains(&other_way), "{other_way}");
+        // While something else moves it, it says so.
+        assert_eq!(found_in(RobotMode::Idle, |_| 0.1), None);
     }
 
     #[test]
     fn silence_is_noticed_and_ends_with_the_next_state() {
-        let mut watch = RobotWatch::new(Some(10));
+        let mut watch = watch(Some(10));
         let fine = RobotFaults::default();
         assert_eq!(watch.look(&state(RobotMode::Moving, fine, 100), 101), None);
         assert_eq!(watch.look(&Input::Nothing, 110), None);
@@ -87,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_state_from_the_future_puts_off_no_silence() {
-        let mut watch = RobotWatch::new(Some(10));
+        let mut watch = watch(Some(10));
         let future = state(RobotMode::Moving, RobotFaults::default(), u64::MAX);
         assert_eq!(watch.look(&future, 100), None);
         assert_eq!(
@@ -98,7 +226,7 @@ mod tests {
 
     #[test]
     fn a_fault_lasts_until_the_robot_says_otherwise() {
-        let mut watch = RobotWatch::new(None);
+        let mut watch = watch(None);
         let fine = RobotFaults::default();
         let reflex = state(RobotMode::Moving, RobotFaults::REFLEX, 1);
         assert_eq!(watch.look(&reflex, 2), Some(HoldReason::RobotFault));

@@ -6,7 +6,7 @@ use ipc::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 4;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -89,11 +89,12 @@ mod tests {
         };
         let rules = Rules {
             limits: [f64::MAX; 6],
-            acceleration: [f64::MAX; 6],
-            period_ns: u64::MAX,
+            change: [f64::MAX; 6],
             brake_ns: u64::MAX,
+            ramp_ns: u64::MAX,
             lost_ns: Some(u64::MAX),
-            armed: true,
+            needs_robot: false,
+            begins: None,
         };
         let mut gate = Gate::new(Some(u64::MAX));
         let mut message = Features::new(&[[1.0; 2]; 4], 0);
@@ -108,11 +109,13 @@ mod tests {
                 solver_failed: Some(true),
                 missed: u32::MAX,
                 robot: Some(HoldReason::RobotLost),
+                suspended: true,
                 shutdown: true,
             },
             u64::MAX,
         );
-        let mut robot = RobotWatch::new(Some(u64::MAX));
+        let mut robot = RobotWatch::new(&rules);
+        robot.sent(&[f64::MIN_POSITIVE / 4.0; 6], u64::MAX);
         let mut state = ipc::RobotState::free_camera([0.0; 3], [0.0; 3], 0);
         state.stamp = STAMP;
         robot.look(&Input::Message(state), u64::MAX);

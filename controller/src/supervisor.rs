@@ -6,13 +6,15 @@
 //! the gravest of all that hold, and each cause has one response:
 //!
 //! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
-//! - *Brake, disarm*: shutdown, operator's disarm, robot silent, overruns, bad twist, solver
-//!   failure, frozen image, features lost.
-//! - *Brake, go on with the next good features*: features stale, invalid, hidden, miscounted, not
-//!   finite, off the image, mixed up, out of order; transport; a solver that failed once or twice.
+//! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, overruns, bad
+//!   twist, solver failure, frozen image, features lost.
+//! - *Brake, go on with the next good features*: no robot yet; features stale, invalid, hidden,
+//!   miscounted, not finite, off the image, mixed up, out of order; transport; a solver that failed
+//!   once or twice.
 //!
 //! Each list begins with its gravest cause. Features are *lost* if the law could use none for
-//! [`Rules::lost_ns`].
+//! [`Rules::lost_ns`]. After a response the law's twist is taken up again as steeply as it is
+//! braked, and no more so.
 
 use ipc::{Action, Outcome, TwistState};
 use serde::{Deserialize, Serialize};
@@ -22,6 +24,8 @@ use crate::decision::{Decision, HoldReason};
 /// Cycles in a row with missed releases, or with a solver that failed, after which the camera is
 /// stopped.
 const IN_A_ROW: u32 = 3;
+/// Relative error of a sum of two twists.
+const ROUNDING: f64 = 1e-9;
 /// A cycle with missed releases adds this to the count, one without subtracts 1. So overruns in
 /// more than one of three cycles also stop the camera, if they last.
 const OVERRUN: u32 = 2;
@@ -31,25 +35,29 @@ const OVERRUN: u32 = 2;
 pub struct Rules {
     /// Largest magnitude of each component of the twist, m/s and rad/s.
     pub limits: [f64; 6],
-    /// Greatest change of each in a second, m/s^2 and rad/s^2; infinite without such a limit.
-    pub acceleration: [f64; 6],
-    /// The control period, ns.
-    pub period_ns: u64,
+    /// Greatest change of each from one cycle to the next; infinite without such a limit.
+    pub change: [f64; 6],
     /// Time in which a twist at the limits is braked to zero, ns; 0: as fast as the acceleration
     /// allows.
     pub brake_ns: u64,
-    /// Time without usable features, or of standstill of the loop, or of silence of a robot that
-    /// was heard, after which the camera is disarmed, ns; `None` in lockstep, where time does not
-    /// pass.
+    /// Time in which, after an arming or a brake, the law's twist is taken up from zero to the
+    /// limits, ns; 0: at once.
+    pub ramp_ns: u64,
+    /// Time without usable features, or of standstill of the loop, or in which a robot that was
+    /// heard is silent or does not follow, after which the camera is disarmed, ns; `None` in
+    /// lockstep, where time does not pass.
     pub lost_ns: Option<u64>,
-    /// Whether it starts armed.
-    pub armed: bool,
+    /// Whether the camera stands still until a robot was heard.
+    pub needs_robot: bool,
+    /// Why it begins disarmed; `None` if it begins armed.
+    pub begins: Option<HoldReason>,
 }
 
 impl Rules {
-    /// Time that a stop from this twist takes at the limits of acceleration, s.
-    pub fn stop_s(&self, twist: &[f64; 6]) -> f64 {
-        let each = twist.iter().zip(self.acceleration);
+    /// Cycles that a stop from this twist takes at the greatest change; a share of one counts as
+    /// that.
+    pub fn stop_cycles(&self, twist: &[f64; 6]) -> f64 {
+        let each = twist.iter().zip(self.change);
         each.map(|(v, most)| v.abs() / most).fold(0.0, f64::max)
     }
 }
@@ -66,8 +74,10 @@ pub struct Situation {
     pub solver_failed: Option<bool>,
     /// Releases missed just before this cycle.
     pub missed: u32,
-    /// What is wrong with the robot: [`HoldReason::RobotFault`] or [`HoldReason::RobotLost`].
+    /// What is wrong with the robot, as [`RobotWatch::look`](crate::robot::RobotWatch::look) says.
     pub robot: Option<HoldReason>,
+    /// Whether the machine was suspended just before this cycle.
+    pub suspended: bool,
     /// Whether the daemon is to stop.
     pub shutdown: bool,
 }
@@ -89,6 +99,10 @@ pub struct Supervisor {
     /// The last cycle: when it was, and what it sent.
     last: Option<u64>,
     sent: Decision,
+    /// Whether the law's twist is taken up again, and was not reached yet.
+    is_ramping: bool,
+    /// Whether an operator has stopped it since the last cycle.
+    is_stopped: bool,
     /// The situation of the last cycle.
     situation: Option<Situation>,
     overruns: u32,
@@ -111,13 +125,11 @@ impl Supervisor {
     pub fn new(rules: Rules) -> Self {
         Self {
             rules,
-            mode: if rules.armed {
-                Mode::Armed
-            } else {
-                Mode::Disarmed(HoldReason::NotArmed)
-            },
+            mode: rules.begins.map_or(Mode::Armed, Mode::Disarmed),
             last: None,
             sent: Decision::hold(HoldReason::NoFeatures),
+            is_ramping: true,
+            is_stopped: false,
             situation: None,
             overruns: 0,
             failures: 0,
@@ -151,7 +163,10 @@ impl Supervisor {
         match action {
             Action::Arm => return self.arm(),
             Action::Disarm => self.disarm(HoldReason::Operator),
-            Action::Stop => self.mode = Mode::Disarmed(HoldReason::Operator),
+            Action::Stop => {
+                self.mode = Mode::Disarmed(HoldReason::Operator);
+                self.is_stopped = true;
+            }
             Action::Status | Action::Strategy | Action::Record => (),
         }
         Outcome::Done
@@ -176,7 +191,7 @@ impl Supervisor {
             }
         }
         let decision = match (self.mode, cause) {
-            (Mode::Armed, None) => situation.decision,
+            (Mode::Armed, None) => self.ramped(&situation.decision, elapsed_ns),
             (Mode::Armed, Some(cause)) => self.braked(cause, TwistState::Holding, elapsed_ns),
             (Mode::Disarming(cause), _) => self.braked(cause, TwistState::Disarmed, elapsed_ns),
             (Mode::Disarmed(cause), _) => Decision::still(cause, TwistState::Disarmed),
@@ -185,6 +200,7 @@ impl Supervisor {
             self.mode = Mode::Disarmed(decision.hold.unwrap_or(HoldReason::NotArmed));
         }
         self.sent = decision;
+        self.is_stopped = false;
         self.situation = Some(*situation);
         decision
     }
@@ -199,10 +215,8 @@ impl Supervisor {
         match self.mode {
             Mode::Armed => return Outcome::Done,
             Mode::Disarming(_) => return Outcome::Braking,
-            // A stop of this very cycle: its zero goes out before anything moves again.
-            Mode::Disarmed(_) if self.sent.state != TwistState::Disarmed => {
-                return Outcome::Braking;
-            }
+            // Its zero goes out before anything moves again.
+            Mode::Disarmed(_) if self.is_stopped => return Outcome::Braking,
             Mode::Disarmed(_) => (),
         }
         if situation.robot.is_some() {
@@ -248,44 +262,89 @@ impl Supervisor {
             limit.is_some_and(|limit| now_ns.saturating_sub(since) > limit)
         };
         let stood_still = self.rules.lost_ns.is_some_and(|limit| elapsed_ns > limit);
-        let faulty = situation.robot == Some(HoldReason::RobotFault);
+        let is_robot = |reason| situation.robot == Some(reason);
         let is_decided = |reason| decided == Some(reason);
         // The order of this list is the order of gravity.
         [
-            (faulty, HoldReason::RobotFault),
+            (is_robot(HoldReason::RobotFault), HoldReason::RobotFault),
             (
                 is_decided(HoldReason::Clock) || elapsed_ns == u64::MAX,
                 HoldReason::Clock,
             ),
-            (stood_still, HoldReason::Standstill),
+            (stood_still || situation.suspended, HoldReason::Standstill),
             (situation.shutdown, HoldReason::Shutdown),
-            (situation.robot.is_some(), HoldReason::RobotLost),
+            (is_robot(HoldReason::RobotLost), HoldReason::RobotLost),
+            (is_robot(HoldReason::NotFollowed), HoldReason::NotFollowed),
             (self.overruns >= OVERRUN * IN_A_ROW, HoldReason::Overruns),
             (is_decided(HoldReason::BadTwist), HoldReason::BadTwist),
             (self.failures >= IN_A_ROW, HoldReason::Solver),
             (is_decided(HoldReason::Frozen), HoldReason::Frozen),
             (situation.good_ns.is_some_and(beyond), HoldReason::Lost),
+            (is_robot(HoldReason::NoRobot), HoldReason::NoRobot),
         ]
         .into_iter()
         .find_map(|(holds, cause)| holds.then_some(cause))
         .or(decided)
     }
 
+    /// The law's decision; after anything else its twist grows as a whole, so that the camera stays
+    /// on the path that the law has looked at.
+    fn ramped(&mut self, decision: &Decision, elapsed_ns: u64) -> Decision {
+        self.is_ramping |= self.sent.hold.is_some();
+        let share = match self.rules.change.iter().all(|c| c.is_finite()) {
+            // The law keeps to them by itself; but what it decided before it was held stands still.
+            true if self.may_follow(&decision.twist) => 1.0,
+            true => self.share_by_change(&decision.twist),
+            false if self.rules.ramp_ns == 0 => 1.0,
+            false => {
+                let step = elapsed_ns as f64 / self.rules.ramp_ns as f64;
+                (self.speed(&self.sent.twist) + step) / self.speed(&decision.twist)
+            }
+        };
+        // Also where the law asks for zero.
+        if !self.is_ramping || share.is_nan() || share >= 1.0 {
+            self.is_ramping = false;
+            return *decision;
+        }
+        let twist = decision.twist.map(|v| v * share);
+        match self.may_follow(&twist) {
+            true => Decision { twist, ..*decision },
+            false => self.braked(HoldReason::Stale, TwistState::Holding, elapsed_ns),
+        }
+    }
+
+    /// Whether a twist is no further from the last one than a cycle's change.
+    fn may_follow(&self, twist: &[f64; 6]) -> bool {
+        let pairs = std::iter::zip(twist, self.sent.twist).zip(self.rules.change);
+        let mut each = pairs.map(|((v, sent), most)| (v - sent).abs() <= most * (1.0 + ROUNDING));
+        each.all(|is_within| is_within)
+    }
+
+    /// The largest share of a twist to which no component has to grow by more than a cycle's change.
+    fn share_by_change(&self, twist: &[f64; 6]) -> f64 {
+        let pairs = std::iter::zip(twist, self.sent.twist).zip(self.rules.change);
+        let each = pairs.map(|((v, sent), most)| (sent * v.signum() + most) / v.abs());
+        each.fold(1.0, f64::min).max(0.0)
+    }
+
+    /// Largest component of a twist as a share of its limit.
+    fn speed(&self, twist: &[f64; 6]) -> f64 {
+        let shares = twist.iter().zip(self.rules.limits);
+        let shares = shares.map(|(v, limit)| v.abs() / limit);
+        shares.fold(0.0, f64::max)
+    }
+
     /// One step of braking: the twist shrinks as a whole, so that the camera stays on its path, at
     /// a rate that takes one at the limits to zero in the braking time, but by no more than a
-    /// period's acceleration. At zero the state is `after`.
+    /// cycle's change. At zero the state is `after`.
     fn braked(&self, cause: HoldReason, after: TwistState, elapsed_ns: u64) -> Decision {
-        let limits = self.rules.limits;
-        let ratios = self.sent.twist.iter().zip(limits);
-        let ratios = ratios.map(|(v, limit)| v.abs() / limit);
-        let speed = ratios.fold(0.0, f64::max);
+        let speed = self.speed(&self.sent.twist);
         let slower = match self.rules.brake_ns {
             0 => 0.0,
             brake_ns => speed - elapsed_ns as f64 / brake_ns as f64,
         };
-        let period_s = self.rules.period_ns as f64 * 1e-9;
-        let stop_s = self.rules.stop_s(&self.sent.twist).max(period_s);
-        let slower = slower.max(speed * (1.0 - period_s / stop_s));
+        let stop_cycles = self.rules.stop_cycles(&self.sent.twist).max(1.0);
+        let slower = slower.max(speed * (1.0 - 1.0 / stop_cycles));
         // Also where the last twist was zero, and for a NaN.
         if slower.is_nan() || slower <= 0.0 {
             return Decision::still(cause, after);
@@ -315,13 +374,16 @@ fn response(cause: HoldReason) -> Response {
         HoldReason::Shutdown
         | HoldReason::Operator
         | HoldReason::NotArmed
+        | HoldReason::Unclean
         | HoldReason::RobotLost
+        | HoldReason::NotFollowed
         | HoldReason::Overruns
         | HoldReason::BadTwist
         | HoldReason::Solver
         | HoldReason::Frozen
         | HoldReason::Lost => Response::Disarm,
-        HoldReason::NoFeatures
+        HoldReason::NoRobot
+        | HoldReason::NoFeatures
         | HoldReason::Stale
         | HoldReason::Invalid
         | HoldReason::Hidden

@@ -10,7 +10,7 @@ use ipc::{
     Action, Domain, JoinError, Message, OpenError, Outcome, ReceiveError, RecorderPort, Reply,
     Request,
 };
-use tracing::{debug, info, warn};
+use tracing::{debug, error, info, warn};
 
 use crate::flight::{Consumer, DumpRequest, Recorder};
 use crate::service::Notifier;
@@ -21,6 +21,8 @@ use crate::summary::Summary;
 const PAUSE: Duration = Duration::from_millis(5);
 /// Time between two sweeps for what killed peers left unfinished, which could hang the loop.
 const SWEEP: Duration = Duration::from_secs(1);
+/// Cycles in a row in which the stop file asks for a stop, after which it counts as lost.
+const LOST: u32 = 10;
 
 /// Why the ordinary thread could not do its work.
 #[derive(Debug, thiserror::Error)]
@@ -84,7 +86,7 @@ impl Telemetry {
     }
 
     fn run(mut self, mut port: RecorderPort, domain: &Domain) -> Summary {
-        let mut summary = Summary::default();
+        let (mut summary, mut stops) = (Summary::default(), StopLog::default());
         let mut swept = Instant::now();
         loop {
             if swept.elapsed() >= SWEEP {
@@ -95,7 +97,7 @@ impl Telemetry {
             // taken.
             let is_last = self.consumer.cycles.is_abandoned();
             let is_requested = self.dump.take();
-            self.take(&mut port, &mut summary);
+            self.take(&mut port, &mut summary, &mut stops);
             self.flight.tend(is_requested, Instant::now());
             if is_last {
                 self.flight.end();
@@ -109,7 +111,7 @@ impl Telemetry {
     }
 
     /// Publishes and keeps what the loop left.
-    fn take(&mut self, port: &mut RecorderPort, summary: &mut Summary) {
+    fn take(&mut self, port: &mut RecorderPort, summary: &mut Summary, stops: &mut StopLog) {
         while let Ok(mut cycle) = self.consumer.cycles.pop() {
             match port.cycles.publish(&cycle.record) {
                 Ok(sent) => {
@@ -139,7 +141,10 @@ impl Telemetry {
             }
         }
         while let Ok(reply) = self.consumer.replies.pop() {
-            log_reply(&reply);
+            match reply.id {
+                Request::STOP_FILE => stops.log(&reply),
+                _ => log_reply(&reply),
+            }
             self.flight.push_reply(reply);
         }
     }
@@ -164,6 +169,31 @@ fn log_refused_requests(port: &mut RecorderPort) {
                 debug!(%error, "requests not received");
                 break;
             }
+        }
+    }
+}
+
+/// Logs stops by the file.
+#[derive(Default)]
+struct StopLog {
+    /// The cycle of the last one,
+    cycle: u64,
+    /// and how many came in cycles one after the other.
+    in_a_row: u32,
+}
+
+impl StopLog {
+    fn log(&mut self, reply: &Reply) {
+        let follows = reply.cycle <= self.cycle + 1;
+        self.in_a_row = if follows { self.in_a_row + 1 } else { 1 };
+        self.cycle = reply.cycle;
+        match self.in_a_row {
+            1 => info!("stop file: stopped"),
+            // No hand writes so often.
+            LOST => error!(
+                "stop file: it was removed or replaced, or cannot be read: nothing moves until vpcd is started again"
+            ),
+            _ => (),
         }
     }
 }

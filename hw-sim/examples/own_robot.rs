@@ -6,12 +6,16 @@
 //! vpcd --scene ipc/scene/scenes/paper-robot.toml --domain /tmp/mine --arm &
 //! cargo run --release -p hw-sim --example own_robot -- /tmp/mine 30
 //! ```
-//! Ends when the features are at the goal (exit code 0), or after so many seconds (1). So that it
-//! runs alone it plays the camera, too, by the emulated robot's pose: with a camera of your own
-//! leave [`Camera`] out.
+//! Ends when the features are at the goal (exit code 0), after so many seconds (1), or on SIGINT or
+//! SIGTERM (1), each time with a robot that stands. A third argument names a TOML file with your
+//! hand-eye calibration: `translation` (m) and `rotation_deg` of the camera in the flange frame. So
+//! that it runs alone it plays the camera, too, by the emulated robot's pose: with a camera of your
+//! own leave [`Camera`] out.
 
 use std::path::Path;
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use hw_sim::camera::project;
@@ -28,8 +32,12 @@ use panda::{
     ShaperSettings, Twist, place,
 };
 use scene::Scene;
+use signal_hook::consts::{SIGINT, SIGTERM};
 
 type Failure = Box<dyn std::error::Error>;
+
+/// A robot slower than this stands, m/s and rad/s.
+const AT_REST: f64 = 1e-4;
 
 /// What the bridge needs of the robot in every millisecond.
 struct Measured {
@@ -58,17 +66,20 @@ struct Bridge {
     states: Publisher<RobotState>,
     mount: Mount,
     shaper: Shaper,
+    /// Largest magnitude of each component, m/s and rad/s.
+    limits: [f64; 6],
     /// The newest command: camera velocity along camera axes.
     command: TwistCommand,
 }
 
 impl Bridge {
-    fn new(domain: &Domain, mount: Mount) -> Result<Self, Failure> {
+    fn new(domain: &Domain, mount: Mount, scene: &Scene) -> Result<Self, Failure> {
         Ok(Self {
             twists: domain.subscriber(4)?,
             states: domain.publisher()?,
             mount,
             shaper: Shaper::new(ShaperSettings::default())?,
+            limits: scene.limits.velocity(),
             // A zero twist that is no longer valid: stand still.
             command: TwistCommand::zero(ipc::TwistState::Stopped),
         })
@@ -79,14 +90,16 @@ impl Bridge {
         if let Some(newest) = self.twists.latest()? {
             self.command = newest.message;
         }
-        let measured = robot.measured();
+        let (measured, now) = (robot.measured(), now_ns());
+        // The dead man: a controller that fell silent, hangs, or is in lockstep moves nothing.
+        let wanted = self.command.in_force(now);
+        let cut: [f64; 6] =
+            std::array::from_fn(|k| wanted[k].clamp(-self.limits[k], self.limits[k]));
         // Transported with the lever arm anew each time: the base axes turn under the camera.
-        let camera = Twist::from_column_slice(&self.command.twist);
-        let base = self.mount.to_base(&measured.base_from_flange, &camera);
-        // From `valid_until_ns` on the shaper goes to zero by itself: a controller that fell silent
-        // moves nothing.
-        self.shaper.aim(&base, self.command.valid_until_ns);
-        let now = now_ns();
+        let flange = &measured.base_from_flange;
+        let base = self.mount.to_base(flange, &Twist::from_column_slice(&cut));
+        // From then on the shaper goes to zero by itself.
+        self.shaper.aim(&base, self.command.in_force_until_ns());
         robot.command(&self.shaper.step(&measured.echo, now));
 
         // For observers, and for vpcd, which a robot at fault disarms.
@@ -101,10 +114,12 @@ impl Bridge {
         for (fault, raised) in [
             (RobotFaults::REFLEX, measured.is_at_fault),
             (RobotFaults::STALE_COMMAND, is_stale),
+            (RobotFaults::COMMAND_LIMITED, cut != wanted),
         ] {
             state.faults |= if raised { fault.0 } else { 0 };
         }
-        state.twist = self.command.twist;
+        // What is carried out, not what was asked for.
+        state.twist = self.mount.to_camera(flange, &measured.echo.twist).into();
         state.joints = JOINTS as u32;
         (state.q, state.dq) = (measured.q, measured.dq);
         self.states.publish(&state)?;
@@ -170,10 +185,19 @@ fn main() -> ExitCode {
 
 fn run() -> Result<bool, Failure> {
     let mut arguments = std::env::args().skip(1);
-    let directory = arguments.next().ok_or("usage: own_robot DOMAIN SECONDS")?;
+    let usage = "usage: own_robot DOMAIN [SECONDS [HAND_EYE.toml]]";
+    let directory = arguments.next().ok_or(usage)?;
     let seconds: f64 = arguments.next().unwrap_or("30".into()).parse()?;
+    let hand_eye: HandEye = match arguments.next() {
+        Some(file) => toml::from_str(&std::fs::read_to_string(file)?)?,
+        None => HandEye::default(),
+    };
+    let end = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&end))?;
+    }
     let scene = Scene::parse(scene::PAPER_ROBOT, "paper-robot.toml")?;
-    let mount = HandEye::default().mount();
+    let mount = hand_eye.mount();
 
     // The robot, 2 cm beside the goal.
     let mut object = from_scene(&scene.goal);
@@ -190,7 +214,7 @@ fn run() -> Result<bool, Failure> {
     robot.0.start(MotionKind::Cartesian)?;
 
     let domain = Domain::join(Path::new(&directory))?;
-    let mut bridge = Bridge::new(&domain, mount)?;
+    let mut bridge = Bridge::new(&domain, mount, &scene)?;
     let mut camera = Camera {
         features: domain.publisher()?,
         goal,
@@ -198,8 +222,19 @@ fn run() -> Result<bool, Failure> {
     };
     let begin = now_ns();
     let (mut first, mut error) = (None, f64::INFINITY);
+    let (mut has_arrived, mut is_over) = (false, false);
     let mut millisecond = 0;
-    while millisecond as f64 <= 1e3 * seconds && error > camera.scene.success.convergence_px {
+    loop {
+        has_arrived |= error <= camera.scene.success.convergence_px;
+        let is_late = millisecond as f64 > 1e3 * seconds;
+        is_over |= has_arrived || is_late || end.load(Ordering::Relaxed);
+        // However it ends, the robot comes to rest first.
+        if is_over {
+            bridge.limits = [0.0; 6];
+            if robot.measured().echo.twist.amax() < AT_REST {
+                break;
+            }
+        }
         // With libfranka this is `robot.control(...)`, which calls at its own pace.
         let due = begin + millisecond * 1_000_000;
         std::thread::sleep(Duration::from_nanos(due.saturating_sub(now_ns())));
@@ -217,5 +252,5 @@ fn run() -> Result<bool, Failure> {
         1e-3 * millisecond as f64,
         state.robot_mode.name()
     );
-    Ok(error <= camera.scene.success.convergence_px && state.robot_mode == Mode::Move)
+    Ok(has_arrived && state.robot_mode == Mode::Move)
 }

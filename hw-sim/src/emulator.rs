@@ -20,7 +20,8 @@ use crate::priority;
 use crate::recording::{Record, Recorder};
 use crate::rig::Rig;
 
-/// A camera whose command is older than this, or than three periods of a slow camera, stands still.
+/// In lockstep a camera stands still whose command is older than this, or than three periods of a
+/// slow camera; in real time the contract says when ([`TwistCommand::in_force_until_ns`]).
 const STALE_NS: u64 = 100_000_000;
 /// How long lockstep waits for a controller to come, and for each answer.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -260,7 +261,12 @@ impl<'a> Session<'a> {
         if (1..self.since_ns).contains(&command.features_published_ns) {
             return;
         }
-        let sent_ns = command.stamp.published_ns;
+        let (sent_ns, now) = (command.stamp.published_ns, now_ns());
+        let (twist, sent_ns) = match self.is_live() {
+            // One from the future moves nothing, now or later.
+            true => (command.in_force(now), sent_ns.min(now)),
+            false => (command.twist, sent_ns),
+        };
         let still = [Some(TwistState::Disarmed), Some(TwistState::Stopped)];
         let is_armed = !still.contains(&command.state());
         let is_disarmed = command.state() == Some(TwistState::Disarmed);
@@ -269,11 +275,12 @@ impl<'a> Session<'a> {
             eprintln!("hw-sim: vpcd is disarmed: the run begins with vpcctl arm");
         }
         cell.obey(&Order {
-            twist: command.twist,
+            twist,
             sent_ns,
-            until_ns: sent_ns
-                .saturating_add(self.stale_ns)
-                .min(command.valid_until_ns),
+            until_ns: match self.is_live() {
+                true => command.in_force_until_ns(),
+                false => sent_ns.saturating_add(self.stale_ns),
+            },
             is_armed,
         });
         self.command = Some(command);

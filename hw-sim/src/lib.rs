@@ -3,7 +3,8 @@
 //! Written from poses and projection, without the mathematics of the control law (it must not
 //! depend on `vpc`), so that one mistake cannot hide on both sides. [`emulator`] is the loop of the
 //! process. It steps a [`cell::Cell`]: the [`free::FreeCell`], which moves as told, or the
-//! [`rig::Rig`], a Panda. Cells know neither clocks nor ports; the table of results steps them, too.
+//! [`rig::Rig`], a Panda. Cells know neither clocks nor ports; the table of results steps them,
+//! too.
 #![deny(unsafe_code)] // but for the one call of `priority`
 
 pub mod camera;

@@ -201,6 +201,7 @@ fn all_starts_are_run_one_after_another_each_a_new_run() {
         code,
         stdout,
         stderr: said,
+        ..
     } = running.ended();
     let numbers: Vec<u64> = frames.iter().map(|frame| frame.0).collect();
     assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 1, 2, 3, 4, 5, 6]);

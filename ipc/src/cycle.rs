@@ -54,6 +54,8 @@ bits! {
         SENT = 1 => "sent",
         /// The daemon was shutting down.
         SHUTDOWN = 2 => "shutdown",
+        /// The machine was suspended just before this cycle.
+        SUSPENDED = 4 => "suspended",
     }
 }
 
@@ -127,12 +129,20 @@ codes! {
         Shutdown = 18 => "shutdown",
         /// No usable features came for so long that the camera was disarmed.
         Lost = 19 => "features lost",
-        /// The loop itself stood still for so long that the camera was disarmed.
+        /// The loop itself stood still for so long that the camera was disarmed, or the machine was
+        /// suspended.
         Standstill = 20 => "standstill of the loop",
         /// Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
         Mixed = 21 => "points mixed up",
         /// The features did not change in any bit, although the camera was commanded to move.
         Frozen = 22 => "frozen image",
+        /// The last vpcd of this domain was killed or crashed: whatever the configuration says, the
+        /// next one begins disarmed.
+        Unclean = 24 => "unclean end of the last vpcd",
+        /// No robot has told its state yet, and one is required (`safety.robot`).
+        NoRobot = 25 => "no robot",
+        /// What the robot says it carries out is not what it was commanded.
+        NotFollowed = 26 => "not followed",
     }
 }
 

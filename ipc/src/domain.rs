@@ -9,7 +9,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use iceoryx2::node::{Node, NodeBuilder};
-use iceoryx2::prelude::{Config, FileName, LogLevel, SemanticString, SignalHandlingMode};
+use iceoryx2::prelude::{Config, FileName, SemanticString, SignalHandlingMode};
 use iceoryx2::service::ipc::Service;
 
 use crate::error::{JoinError, JoinReason, OpenError};
@@ -82,7 +82,6 @@ impl Domain {
     }
 
     fn try_join(directory: &Path) -> Result<Self, JoinReason> {
-        iceoryx2::prelude::set_log_level(LogLevel::Error);
         let (guard, _startup) = Guard::enter(directory, wipe)?;
         let config = configuration(guard.directory()).ok_or(JoinReason::Path)?;
         remove_unfinished(guard.directory());

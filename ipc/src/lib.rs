@@ -67,9 +67,10 @@ mod role;
 mod service;
 mod snapshot;
 mod stale;
+mod stop;
 mod twist;
 
-pub use clock::now_ns;
+pub use clock::{now_ns, suspended_ns};
 pub use codes::{Name, Table};
 pub use cycle::{
     ClockMode, CycleFlags, CycleRecord, ForesightCode, Hold, InputCode, MAX_NEIGHBOURS,
@@ -87,7 +88,8 @@ pub use robot::{RobotFaults, RobotMode, RobotState};
 pub use role::{CameraPorts, ControllerPorts, Observer, OperatorPorts, RecorderPort};
 pub use service::{MAX_NODES, SERVICES, Service};
 pub use snapshot::Snapshot;
-pub use twist::{TwistCommand, TwistState};
+pub use stop::{Asked, STOP_FILE, StopError, StopFile, stop};
+pub use twist::{FUTURE_NS, MOST_OBEYED_NS, TwistCommand, TwistState};
 
 /// Most points that one message carries.
 pub const MAX_POINTS: usize = 8;

@@ -17,7 +17,8 @@ codes! {
         Arm = 1 => "arm",
         /// Brake to zero, and stay there until the next `arm`.
         Disarm = 2 => "disarm",
-        /// Zero at once, without braking, and stay there until the next `arm`.
+        /// Zero at once, without braking, and stay there until the next `arm`. Use the stop file:
+        /// no other operator can keep it waiting.
         Stop = 3 => "stop",
         /// Change the strategy of the control law.
         Strategy = 4 => "strategy",
@@ -46,6 +47,8 @@ codes! {
         Shutdown = 6 => "refused: shutting down",
         /// Refused: the code of the action or of the strategy is unknown.
         Unknown = 8 => "refused: no such action or strategy",
+        /// Refused: it leads to motion, and waited for too long, or is from the future.
+        Late = 9 => "refused: it waited for more than a second",
     }
 }
 
@@ -54,7 +57,7 @@ message! {
     Request: "vpc/Request/1" {
         /// Head; `data_ns` is zero.
         stamp: Stamp,
-        /// Chosen by the operator at random; the reply has the same.
+        /// Chosen by the operator at random; the reply has the same. 0: the stop file.
         id: u64,
         /// What is asked for. An unknown code is answered with outcome 8.
         action: u32 [any_code(Action)],
@@ -70,6 +73,9 @@ message! {
 }
 
 impl Request {
+    /// The id by which a stop by [`StopFile`](crate::StopFile) is answered and recorded.
+    pub const STOP_FILE: u64 = 0;
+
     /// A request for an action other than [`Action::Strategy`].
     pub fn new(id: u64, action: Action) -> Self {
         Self {
@@ -129,7 +135,8 @@ message! {
         /// Its neighbours (knn), else zero.
         neighbours: u32,
     }
-    "vpc/replies" from "controller": Qos { history: 0, buffer: 64, subscribers: 16, publishers: 1 }
+    // As many as a cycle may answer.
+    "vpc/replies" from "controller": Qos { history: 0, buffer: 256, subscribers: 16, publishers: 1 }
 }
 
 impl Reply {

@@ -11,7 +11,7 @@ const STATE: usize = 32_768;
 message! {
     /// All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
     /// replay by the same version of vpcd: `state` is private to it.
-    Snapshot: "vpc/Snapshot/2" {
+    Snapshot: "vpc/Snapshot/4" {
         /// Head.
         stamp: Stamp,
         /// The cycle that follows.

@@ -7,6 +7,11 @@ use crate::features::Features;
 use crate::field::Stamp;
 use crate::message::{Qos, message};
 
+/// Longest time for which a robot obeys a command that none follows, ns.
+pub const MOST_OBEYED_NS: u64 = 100_000_000;
+/// How much later than now a message may claim to be published, ns: one clock serves all processes.
+pub const FUTURE_NS: u64 = 1_000_000;
+
 codes! {
     /// State of the controller.
     TwistState {
@@ -90,6 +95,28 @@ impl TwistCommand {
         self.features_sequence == sequence && self.features_published_ns == published_ns
     }
 
+    /// Until when a robot in real time obeys it, CLOCK_MONOTONIC, ns: while it is valid, but no
+    /// longer than [`MOST_OBEYED_NS`] after it was published, whatever it claims. 0 for a command
+    /// of lockstep, which is valid for ever because its time is not real.
+    pub fn in_force_until_ns(&self) -> u64 {
+        match self.valid_until_ns {
+            u64::MAX => 0,
+            valid => valid.min(self.stamp.published_ns.saturating_add(MOST_OBEYED_NS)),
+        }
+    }
+
+    /// The dead man of every robot in real time: what the newest command lets it do at this instant
+    /// (CLOCK_MONOTONIC, ns). Zero when it is no longer in force, is from the future, or is not
+    /// finite. Also ask it for zero before the first command.
+    pub fn in_force(&self, now_ns: u64) -> [f64; 6] {
+        let is_from_future = self.stamp.published_ns > now_ns.saturating_add(FUTURE_NS);
+        let is_finite = self.twist.iter().all(|v| v.is_finite());
+        match now_ns < self.in_force_until_ns() && is_finite && !is_from_future {
+            true => self.twist,
+            false => [0.0; 6],
+        }
+    }
+
     /// Whether the command may be executed at this instant (CLOCK_MONOTONIC, ns).
     pub fn is_valid_at(&self, now_ns: u64) -> bool {
         now_ns < self.valid_until_ns
@@ -105,6 +132,33 @@ impl TwistCommand {
 mod tests {
     use super::*;
     use crate::message::Message;
+
+    #[test]
+    fn no_command_is_in_force_for_longer_than_a_robot_obeys() {
+        const SENT: u64 = 5_000_000_000;
+        let command = |valid_until_ns, twist| {
+            let mut command = TwistCommand::zero(TwistState::Moving);
+            command.stamp.published_ns = SENT;
+            (command.valid_until_ns, command.twist) = (valid_until_ns, twist);
+            command
+        };
+        let (go, still) = ([0.1; 6], [0.0; 6]);
+        let short = command(SENT + 10, go);
+        assert_eq!(
+            (short.in_force(SENT + 9), short.in_force(SENT + 10)),
+            (go, still)
+        );
+        let long = command(SENT + 33_000_000_000, go);
+        assert_eq!(long.in_force(SENT + MOST_OBEYED_NS - 1), go);
+        assert_eq!(long.in_force(SENT + MOST_OBEYED_NS), still);
+        // From the future, or of lockstep.
+        assert_eq!(long.in_force(SENT - 2 * FUTURE_NS), still);
+        assert_eq!(command(u64::MAX, go).in_force(SENT), still);
+        let mut broken = go;
+        broken[4] = f64::NAN;
+        assert_eq!(command(SENT + 10, broken).in_force(SENT), still);
+        assert_eq!(TwistCommand::default().in_force(0), still);
+    }
 
     #[test]
     fn an_answer_is_told_from_the_answer_to_a_restarted_camera() {

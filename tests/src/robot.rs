@@ -109,7 +109,7 @@ pub fn run(
     let mut history = Vec::new();
     let (mut cycle, mut shot): (u32, Option<Shot>) = (0, None);
     let (mut shown, mut hidden, mut cost, mut cycles) = (None, 0, 0.0, 0.0_f64);
-    let mut stopped = None;
+    let (mut standing, mut stopped) = ([0.0; 6], None);
     while rig.progress().end.is_none() && stopped.is_none() {
         let now_ns = rig.now_ns();
         let instant = rig.look(now_ns)?;
@@ -127,6 +127,8 @@ pub fn run(
                 cycles += 1.0;
             }
             let is_armed = record.state != TwistState::Disarmed.code();
+            let is_within = daemon.is_within_limits(&record.twist, &standing);
+            standing = record.twist;
             rig.obey(&Order {
                 twist: record.twist,
                 sent_ns: now_ns,
@@ -135,7 +137,7 @@ pub fn run(
             });
             shown = way_point(&record);
             if rig.phase().obeys_controller() {
-                stopped = stop(is_armed, daemon, &record);
+                stopped = stop(is_armed, is_within, &record);
             }
         }
         if let Some(Exposed { points, .. }) = instant.exposed {
@@ -180,15 +182,13 @@ fn message(shot: Shot) -> Features {
 }
 
 /// Why the daemon ends the run, if it does.
-fn stop(is_armed: bool, daemon: &Simulated, record: &CycleRecord) -> Option<Reason> {
-    if daemon.has_exceeded() {
-        return Some(Reason::BeyondLimits);
+fn stop(is_armed: bool, is_within: bool, record: &CycleRecord) -> Option<Reason> {
+    match (is_armed, Hold::from_code(record.hold)) {
+        (false, Some(Hold::Lost)) => Some(Reason::MarkerLost),
+        (false, _) => Some(Reason::Disarmed),
+        // A stop goes to zero at once.
+        (true, _) => (!is_within).then_some(Reason::BeyondLimits),
     }
-    let was_lost = Hold::from_code(record.hold) == Some(Hold::Lost);
-    (!is_armed).then_some(match was_lost {
-        true => Reason::MarkerLost,
-        false => Reason::Disarmed,
-    })
 }
 
 /// The samples until the robot let the object go.

@@ -149,7 +149,8 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         let reason = if record.state == TwistState::Disarmed.code() {
             Some(Reason::Disarmed)
         } else {
-            daemon.has_exceeded().then_some(Reason::BeyondLimits)
+            let is_within = daemon.is_within_limits(&twist, &standing);
+            (!is_within).then_some(Reason::BeyondLimits)
         };
         if let Some(reason) = reason {
             (run.success, run.reason, run.steps) = (false, Some(reason), k);
@@ -207,9 +208,9 @@ pub(crate) fn way_point(record: &CycleRecord) -> Option<Vec<[f64; 2]>> {
     (record.way_point_count > 0).then_some(points)
 }
 
-/// Replays the cycles of a run through the daemon `repeats` times and notes the median time of each:
-/// other work on the machine disturbs a cycle here and there, not most repeats of the same one. The
-/// caches are warm.
+/// Replays the cycles of a run through the daemon `repeats` times and notes the median time of
+/// each: other work on the machine disturbs a cycle here and there, not most repeats of the same
+/// one. The caches are warm.
 ///
 /// # Errors
 /// [`NotRepeatable`] if a replay commands another twist than the run did, which the daemon

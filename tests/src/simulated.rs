@@ -11,7 +11,7 @@ use controller::cycle::Pace;
 use controller::input::{Input, Inputs};
 use controller::loaded::LoadedController;
 use hw_sim::sensor::Frame;
-use ipc::{ClockMode, CycleRecord, Features, TwistState};
+use ipc::{ClockMode, CycleRecord, Features};
 use memory_blob::MemoryFile;
 use scene::{Scene, SceneFiles};
 use vpc::{Controller, Settings};
@@ -29,10 +29,6 @@ pub struct Simulated {
     fresh: Box<State>,
     /// Number of the last frame.
     sequence: u64,
-    /// The last command.
-    standing: [f64; 6],
-    /// Whether a command of this run was beyond the limits of velocity or acceleration.
-    exceeded: bool,
 }
 
 impl Simulated {
@@ -59,15 +55,15 @@ impl Simulated {
             arm: true,
             ..Arguments::default()
         });
-        let pace = Pace::new(&config.context("the default configuration")?, scene);
+        let mut pace = Pace::new(&config.context("the default configuration")?, scene, PATH)?;
+        // Nothing carries this camera, and as in the paper its run begins in motion.
+        (pace.rules.needs_robot, pace.rules.ramp_ns) = (false, 0);
         let control = pace.control(LoadedController::with(files, PATH, memory, settings)?);
         let fresh = Box::new(control.state());
         Ok(Self {
             control,
             fresh,
             sequence: 0,
-            standing: [0.0; 6],
-            exceeded: false,
         })
     }
 
@@ -75,12 +71,19 @@ impl Simulated {
     pub fn restart(&mut self) {
         self.control.restore(&self.fresh);
         self.sequence = 0;
-        (self.standing, self.exceeded) = ([0.0; 6], false);
     }
 
-    /// Whether a command of this run was beyond the limits of velocity or acceleration.
-    pub fn has_exceeded(&self) -> bool {
-        self.exceeded
+    /// Whether a command that follows another one is within the limits of velocity and
+    /// acceleration.
+    pub fn is_within_limits(&self, twist: &[f64; 6], before: &[f64; 6]) -> bool {
+        let task = self.law().task();
+        let pairs = twist.iter().zip(before);
+        let mut each = pairs.zip(task.limits.iter().zip(task.acceleration));
+        each.all(|((v, before), (limit, acceleration))| {
+            // A NaN is not within.
+            let is_within = |x: f64, most: f64| x.abs() <= most * (1.0 + ROUNDING);
+            is_within(*v, *limit) && is_within(v - before, acceleration * task.period)
+        })
     }
 
     /// The law.
@@ -113,6 +116,7 @@ impl Simulated {
             features,
             robot: Input::Nothing,
             missed: 0,
+            suspended: false,
             shutdown: false,
         }
     }
@@ -121,19 +125,6 @@ impl Simulated {
     pub fn decide(&mut self, inputs: &Inputs) -> CycleRecord {
         let mut record = CycleRecord::default();
         self.control.decide(inputs, &mut record);
-        let (task, twist) = (self.law().task(), record.twist);
-        let change: [f64; 6] = std::array::from_fn(|k| twist[k] - self.standing[k]);
-        let is_within = |x: &[f64; 6], most: [f64; 6]| {
-            // A NaN is not within.
-            x.iter()
-                .zip(most)
-                .all(|(x, most)| x.abs() <= most * (1.0 + ROUNDING))
-        };
-        let has_exceeded = !is_within(&twist, task.limits)
-            || !is_within(&change, task.acceleration.map(|a| a * task.period));
-        // A stop goes to zero at once.
-        self.exceeded |= has_exceeded && record.state != TwistState::Disarmed.code();
-        self.standing = twist;
         record
     }
 

@@ -42,10 +42,10 @@ pub struct Tables {
 #[serde(deny_unknown_fields, default)]
 pub struct Law {
     /// How the goal is reached: by whole futures over the memory, simulated between two frames, the
-    /// best of which is followed (`foresight`); or as in the paper, where warm start and target come
-    /// from the previous cycle (`previous`), the nearest sample of the memory (`knn`) or the mean of
-    /// several (`knn5`), or regression over the memory (`gpr`). `ibvs` is the classic law without
-    /// prediction. Flag: --strategy.
+    /// best of which is followed (`foresight`); or as in the paper, where warm start and target
+    /// come from the previous cycle (`previous`), the nearest sample of the memory (`knn`) or the
+    /// mean of several (`knn5`), or regression over the memory (`gpr`). `ibvs` is the classic law
+    /// without prediction. Flag: --strategy.
     #[default = "foresight"]
     #[schemars(extend("enum" = strategies(), "x-allowed" = vpc::strategy::ALLOWED))]
     pub strategy: String,
@@ -53,8 +53,8 @@ pub struct Law {
     #[default = 3]
     #[schemars(range(min = 1, max = vpc::MAX_NP))]
     pub np: usize,
-    /// Length of a step; where the camera's period and a stop from the limits take longer, that. Flag
-    /// of `cargo table`: --step-s.
+    /// Length of a step; where the camera's period and a stop from the limits take longer, that.
+    /// Flag of `cargo table`: --step-s.
     #[default = 0.033]
     #[schemars(range(min = 1e-3, max = 10), extend("x-unit" = "s"))]
     pub step_s: f64,
@@ -98,8 +98,8 @@ pub struct Law {
     #[default = 0.03]
     #[schemars(range(min = 0, max = 10))]
     pub change_share: f64,
-    /// Time constant with which the predicted features follow the measured ones. 0: no filter, as in
-    /// the paper.
+    /// Time constant with which the predicted features follow the measured ones. 0: no filter, as
+    /// in the paper.
     #[default = 0.15]
     #[schemars(range(min = 0, max = 10), extend("x-unit" = "s"))]
     pub filter_s: f64,
@@ -145,7 +145,8 @@ pub struct Cycle {
     #[default = 1.0]
     #[schemars(range(min = 0, max = 20), extend("x-unit" = "ms"))]
     pub margin_ms: f64,
-    /// Longest time that a command is valid without new features.
+    /// Longest time that a command is valid without new features; at most 1 s or 3 periods, except
+    /// in lockstep. A robot in real time obeys no command for longer than 100 ms.
     #[default = 3.0]
     #[schemars(range(min = 2, max = 1000), extend("x-unit" = "periods"))]
     pub stale_periods: f64,
@@ -191,6 +192,20 @@ pub struct Safety {
     #[default = 0.3]
     #[schemars(range(min = 0.1, max = 10), extend("x-unit" = "s"))]
     pub lost_s: f64,
+    /// Whether the camera stands still until a robot has told its state (`required`). A robot that
+    /// was heard must go on telling it, and carry out what it is told, either way.
+    #[schemars(extend("x-default" = "optional in lockstep, else required"))]
+    pub robot: Option<Presence>,
+}
+
+/// The values of `safety.robot`.
+#[derive(Clone, Copy, Deserialize, PartialEq, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Presence {
+    /// Nothing moves without it.
+    Required,
+    /// Something that says nothing may carry the camera.
+    Optional,
 }
 
 /// The shared memory.

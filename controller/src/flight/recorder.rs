@@ -269,11 +269,11 @@ fn is_armed(record: &CycleRecord) -> bool {
     !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped))
 }
 
-/// The reason of the hold, unless an operator or a shutdown asked for it.
+/// The reason of the hold, unless it is how vpcd began, or an operator or a shutdown asked for it.
 fn unwanted(record: &CycleRecord) -> Option<HoldReason> {
-    use HoldReason::{NotArmed, Operator, Shutdown};
+    use HoldReason::{NotArmed, Operator, Shutdown, Unclean};
     let reason = HoldReason::from_code(record.hold)?;
-    (!matches!(reason, NotArmed | Operator | Shutdown)).then_some(reason)
+    (!matches!(reason, NotArmed | Operator | Shutdown | Unclean)).then_some(reason)
 }
 
 #[cfg(test)]

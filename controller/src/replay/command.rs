@@ -147,7 +147,7 @@ fn control(
             expected: expected.to_owned(),
         });
     }
-    Ok(Pace::new(&config, loaded.scene()).control(loaded))
+    Ok(Pace::new(&config, loaded.scene(), "the recording")?.control(loaded))
 }
 
 /// The attached configuration, with the scene that is attached as well, and with the strategy of

@@ -73,6 +73,7 @@ impl<'a> Source<'a> {
             features: input(record.features_input, record.features_seen, &self.features)?,
             robot: input(record.robot_input, record.robot_seen, &self.robot)?,
             missed: record.missed,
+            suspended: record.flags & CycleFlags::SUSPENDED.0 != 0,
             shutdown: record.flags & CycleFlags::SHUTDOWN.0 != 0,
         })
     }

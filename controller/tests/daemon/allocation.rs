@@ -10,7 +10,7 @@ use controller::service::Notifier;
 use controller::shutdown::Stop;
 use controller::supervisor::Rules;
 use controller::telemetry::Telemetry;
-use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features};
+use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features, StopFile};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use vpc::{Settings, Strategy};
@@ -18,7 +18,7 @@ use vpc::{Settings, Strategy};
 use crate::fixture::{Place, scene_file, square, write_memory};
 
 /// Cycles counted.
-const CYCLES: u64 = 5_000;
+const CYCLES: u64 = 2_000;
 /// Cycles before: connections are made with the first messages, and that allocates.
 const WARM_UP: u64 = 100;
 
@@ -55,11 +55,12 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         stale_periods: 50.0,
         rules: Rules {
             limits: [0.5, 0.5, 0.5, 1.0, 1.0, 1.0],
-            acceleration: [f64::INFINITY; 6],
-            period_ns: 33_333_333,
+            change: [f64::INFINITY; 6],
             brake_ns: 150_000_000,
+            ramp_ns: 150_000_000,
             lost_ns: None,
-            armed: true,
+            needs_robot: false,
+            begins: None,
         },
         margin_ns: 10_000,
         realtime: ipc::RealTime::default(),
@@ -81,7 +82,9 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
                 notifier: Notifier::default(),
             };
             let recorder = telemetry.start(&place.domain()).unwrap();
-            let mut cycle = Cycle::new(pace, ports, pace.control(loaded), producer, dump);
+            let stop_file = StopFile::open(domain.directory()).unwrap();
+            let mut cycle =
+                Cycle::new(pace, ports, stop_file, pace.control(loaded), producer, dump);
             let mut tally = Tally::default();
             let never = Stop::default();
             while cycle.count() < WARM_UP + CYCLES {

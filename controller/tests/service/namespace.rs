@@ -187,8 +187,8 @@ fn is_restarted_after_a_kill_and_after_hangs(machine: &Machine) {
     assert!(log.contains("the loop stands still"), "{log}");
 }
 
-/// Under SCHED_FIFO an endless loop would keep a core to itself; the kernel ends it, or on a machine
-/// that gives the loop less than half of a core, the watchdog.
+/// Under SCHED_FIFO an endless loop would keep a core to itself; the kernel ends it, or on a
+/// machine that gives the loop less than half of a core, the watchdog.
 fn is_restarted_after_an_endless_loop(machine: &Machine) {
     if !spin(thread(machine.daemon(), "vpcd")) {
         return not_run("an endless loop", "unknown processor");

@@ -7,6 +7,7 @@ use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
 use crate::foresight::{Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
+use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::problem::Status;
 use crate::recall::{self, Asked, MotionMemory, Recall};
@@ -229,6 +230,7 @@ impl Controller {
     /// they come back.
     pub fn lose_sight(&mut self) {
         (self.state.seen, self.state.filtered) = (PlainPoints::NONE, PlainPoints::NONE);
+        self.state.tilt = None;
         self.state.seen_ns = 0;
         self.state.still_px = 0.0;
     }
@@ -236,7 +238,7 @@ impl Controller {
     /// Forgets the prediction for this cycle, where the last command was not in force for one
     /// sampling time (a dropped frame, a skipped period): the mismatch would not be the model's.
     pub fn skip_mismatch(&mut self) {
-        self.state.predicted = PlainPoints::NONE;
+        (self.state.predicted, self.state.predicted_tilt) = (PlainPoints::NONE, None);
         self.state.is_linked = false;
     }
 
@@ -317,7 +319,8 @@ impl Controller {
     ) -> Result<(InitialState, Option<Points>), Refusal> {
         let points = gate::pass(&self.task, measurement, self.off_image_px)?;
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
-        let expected = self.expected_at_exposure(exposed_ns, age_ns);
+        let (expected, tilt) = self.expected_at_exposure(exposed_ns, age_ns).unzip();
+        let tilt = tilt.flatten().or(self.state.tilt);
         if let (true, Some(expected)) = (self.state.history.is_live(), &expected) {
             self.check_motion(points, expected, exposed_ns)?;
         }
@@ -331,7 +334,9 @@ impl Controller {
                 (points.clone(), mismatch)
             }
         };
-        let measured = InitialState::new(&self.task, self.settings.model, &filtered);
+        let model = self.settings.model;
+        let measured = InitialState::turned(&self.task, model, &filtered, tilt.as_ref());
+        let tilt = measured.tilt;
         let initial = if age_ns == 0 || !self.settings.delay_compensation {
             measured
         } else {
@@ -343,6 +348,7 @@ impl Controller {
         };
         self.state.seen = points.as_slice().into();
         self.state.filtered = filtered.as_slice().into();
+        self.state.tilt = tilt;
         self.state.seen_ns = exposed_ns;
         self.state.is_linked = true;
         Ok((initial, mismatch))
@@ -388,18 +394,20 @@ impl Controller {
     }
 
     /// Where these features were expected: predicted for this exposure from those of the previous
-    /// one, filtered, with the commands that were in force in between.
-    fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<Points> {
+    /// one, filtered, with the commands that were in force in between; and which of two poses is
+    /// believed there.
+    fn expected_at_exposure(&self, exposed_ns: u64, age_ns: u64) -> Option<(Points, Option<Tilt>)> {
         if age_ns == 0 && !self.state.history.is_live() {
-            return self.state.predicted.get();
+            return Some((self.state.predicted.get()?, self.state.predicted_tilt));
         }
         let (filtered, seen_ns) = (self.state.filtered.get()?, self.state.seen_ns);
         if seen_ns >= exposed_ns {
             return None;
         }
-        let before = InitialState::new(&self.task, self.settings.model, &filtered);
+        let (model, tilt) = (self.settings.model, self.state.tilt.as_ref());
+        let before = InitialState::turned(&self.task, model, &filtered, tilt);
         let expected = self.advance(&before, seen_ns, exposed_ns).ok()?;
-        Some(expected.explained(&self.task))
+        Some((expected.explained(&self.task), expected.tilt))
     }
 
     fn advance(
@@ -481,9 +489,11 @@ impl Controller {
     /// Remembers where the features should be one period after `twist`.
     fn predict(&mut self, initial: &InitialState, twist: &Twist) {
         let next = initial.moved(&self.task, self.settings.model, twist, self.task.period);
-        self.state.predicted = next.map_or(PlainPoints::NONE, |next| {
-            next.explained(&self.task).as_slice().into()
-        });
+        let state = &mut self.state;
+        (state.predicted, state.predicted_tilt) = match next {
+            Some(next) => (next.explained(&self.task).as_slice().into(), next.tilt),
+            None => (PlainPoints::NONE, None),
+        };
     }
 }
 

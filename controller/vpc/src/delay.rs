@@ -120,17 +120,30 @@ impl History {
             old = old.max(1);
         }
         if old > 0 {
-            self.from_ns.as_flattened_mut().copy_within(old.., 0);
-            self.twists.as_flattened_mut().copy_within(old.., 0);
+            let (times, twists) = (
+                self.from_ns.as_flattened_mut(),
+                self.twists.as_flattened_mut(),
+            );
+            times.copy_within(old.., 0);
+            twists.copy_within(old.., 0);
+            times
+                .iter_mut()
+                .rev()
+                .take(old)
+                .for_each(|from_ns| *from_ns = 0);
+            twists
+                .iter_mut()
+                .rev()
+                .take(old)
+                .for_each(|twist| *twist = [0.0; DOF]);
             self.from_rest = false;
             count = count.saturating_sub(old);
         }
         let from_ns = self.from_ns.as_flattened_mut().iter_mut();
-        let mut places = from_ns.zip(self.twists.as_flattened_mut()).skip(count);
-        if let Some((from_ns, to)) = places.next() {
+        let mut places = from_ns.zip(self.twists.as_flattened_mut());
+        if let Some((from_ns, to)) = places.nth(count) {
             (*from_ns, *to) = (at_ns, *twist);
         }
-        places.for_each(|(from_ns, to)| (*from_ns, *to) = (0, [0.0; DOF]));
         self.count = count as u32 + 1;
     }
 

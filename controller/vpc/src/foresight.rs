@@ -15,14 +15,15 @@
 //! gives the same bits. A future that takes more than a cycle's steps goes on in the next cycle:
 //! then what it costs is known to the accuracy of what the camera moves meanwhile.
 //!
-//! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning" (2020),
-//! Sect. 2.3 (fortified rollout).
+//! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning"
+//! (2020), Sect. 2.3 (fortified rollout).
 
 use serde::{Deserialize, Serialize};
 
 use crate::command::{Law, Present};
 use crate::features::{self, MAX_INPUTS, PlainPoints};
 use crate::guide::{Guide, Kind};
+use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::recall::{self, MotionMemory, Recall};
 use crate::solver::Solver;
@@ -52,8 +53,8 @@ const PROGRESS: f64 = 0.99;
 /// An incumbent that arrives is simulated again when so many steps have passed. Until then it is
 /// trusted: what it promised, less what the periods since cost.
 const TRUSTED: f64 = 4.5;
-/// A sample is a candidate where the rest of its trajectory costs less than this multiple of what is
-/// known.
+/// A sample is a candidate where the rest of its trajectory costs less than this multiple of what
+/// is known.
 const HOPEFUL: f64 = 1.0;
 /// Places of a foreseen path.
 pub const PLACES: usize = 8;
@@ -197,8 +198,9 @@ pub struct Suspended {
     guide: Guide,
     /// Whether it is the incumbent.
     is_incumbent: bool,
-    /// The features there, px,
+    /// The features there, px, and which of two poses is believed,
     points: PlainPoints,
+    tilt: Option<Tilt>,
     /// the command in force and the plan that warms the solver.
     standing: Twist,
     previous: Plan,
@@ -363,8 +365,8 @@ impl Thinker<'_> {
     }
 
     /// The candidate of this number: over a sample; while no way is known, in turn also over two
-    /// samples, or with a step aside first. `None` where it needs a memory and there is none, or where
-    /// a sample is left out for its cost.
+    /// samples, or with a step aside first. `None` where it needs a memory and there is none, or
+    /// where a sample is left out for its cost.
     fn drawn(&self, number: u64, best: Outcome) -> Option<Guide> {
         let (knows_a_way, most) = match best {
             Outcome::Arrives { cost, .. } => (true, HOPEFUL * cost),
@@ -421,8 +423,8 @@ impl Thinker<'_> {
         }
     }
 
-    /// The guide that goes over a sample first, then on as `then`; `None` without a memory, or where
-    /// the rest of the sample's trajectory alone costs more than `most`.
+    /// The guide that goes over a sample first, then on as `then`; `None` without a memory, or
+    /// where the rest of the sample's trajectory alone costs more than `most`.
     fn over_sample(&self, then: Guide, number: u64, most: f64) -> Option<Guide> {
         let points = &self.initial.points;
         let input = self.law.task.recall_input(points);
@@ -470,6 +472,7 @@ impl Thinker<'_> {
             guide: candidate,
             is_incumbent,
             points: self.initial.points.as_slice().into(),
+            tilt: self.initial.tilt,
             standing: *self.standing,
             previous: *self.previous,
             is_from_front: gate::is_from_front(self.law.task, &self.initial.points),
@@ -489,7 +492,10 @@ impl Thinker<'_> {
         let Law { task, settings } = self.law;
         let mut initial = match now.step {
             0 => self.initial.clone(),
-            _ => InitialState::new(task, settings.model, &now.points.get().unwrap_or_default()),
+            _ => {
+                let points = now.points.get().unwrap_or_default();
+                InitialState::turned(task, settings.model, &points, now.tilt.as_ref())
+            }
         };
         // Costs are counted by the period.
         let share = task.ts / task.period / settings.np as f64;
@@ -504,6 +510,7 @@ impl Thinker<'_> {
             // Every candidate takes at least one step, so that a cycle ends.
             if self.budget == 0 {
                 now.points = initial.points.as_slice().into();
+                now.tilt = initial.tilt;
                 return RollOut::Suspended(now);
             }
             // Where the camera would look from the side, the features are soon refused.

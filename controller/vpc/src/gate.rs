@@ -104,8 +104,8 @@ pub fn check_shape(task: &Task, points: &Points) -> Result<(), Refusal> {
     }
 }
 
-/// The triangles of any three points: the indices of two, and the heights as seen and in the pattern
-/// at the goal, px.
+/// The triangles of any three points: the indices of two, and the heights as seen and in the
+/// pattern at the goal, px.
 fn triangles(task: &Task, points: &Points) -> impl Iterator<Item = ([usize; 2], [f64; 2])> {
     let pairs = move || points.iter().zip(&task.goal).enumerate();
     pairs().flat_map(move |(k, c)| {

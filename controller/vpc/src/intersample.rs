@@ -6,8 +6,8 @@
 //! they come first.
 //!
 //! The way is cut into equal stretches, so many that no feature which passes near a border moves
-//! more than [`SPACING_PX`] in one, at most [`STRETCHES_A_STEP`] for each step. Between two of these places a
-//! feature that rounds a right-angled corner is at most 3 px inside.
+//! more than [`SPACING_PX`] in one, at most [`STRETCHES_A_STEP`] for each step. Between two of
+//! these places a feature that rounds a right-angled corner is at most 3 px inside.
 
 use crate::clearance::Clearance;
 use crate::constraint::{self, Border};

@@ -1,11 +1,11 @@
-//! The last check of a command: finite, inside the limits of velocity and acceleration, and not worse
-//! than braking.
+//! The last check of a command: finite, inside the limits of velocity and acceleration, and not
+//! worse than braking.
 
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution};
 use crate::solver::Solver;
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Twist};
+use crate::{DOF, Twist};
 
 /// Halvings towards braking before the command is that.
 const HALVINGS: usize = 6;
@@ -23,14 +23,8 @@ pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) 
         if is_clear || solver.is_clear(problem, &plan, SLACK) {
             return first(&plan, problem);
         }
-        let braking = braking.iter().cycle();
-        let pairs = plan.iter().zip(braking);
-        let mut nearer = [0.0; MAX_VARIABLES];
-        nearer
-            .iter_mut()
-            .zip(pairs)
-            .for_each(|(to, (x, b))| *to = 0.5 * (x + b));
-        plan = nearer;
+        let pairs = plan.iter_mut().zip(braking.iter().cycle());
+        pairs.for_each(|(x, b)| *x = 0.5 * (*x + b));
         is_clear = false;
     }
     braking

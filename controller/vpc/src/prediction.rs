@@ -20,6 +20,7 @@ use libm::sqrt;
 use nalgebra::Vector3;
 
 use crate::motion::{Motion, Sensitivity};
+use crate::pose::{Estimate, Tilt};
 use crate::task::Task;
 use crate::{
     DOF, MAX_NP, MAX_POINTS, MAX_VARIABLES, Points, Twist, camera, features, interaction, pose,
@@ -49,6 +50,8 @@ pub struct InitialState {
     /// Measured features, px.
     pub points: Points,
     geometry: Geometry,
+    /// Which of two poses is believed; `None` where none is known.
+    pub(crate) tilt: Option<Tilt>,
 }
 
 /// Longest step with which the motion of a depth model is integrated, as a share of the sampling
@@ -70,14 +73,24 @@ enum Geometry {
 impl InitialState {
     /// The start of a preview from measured features.
     pub fn new(task: &Task, model: Model, points: &Points) -> Self {
-        let geometry = match model {
-            Model::TargetDepth => Geometry::Depths(task.goal_depth.clone()),
-            Model::AreaDepth => area_depth(task, points),
-            Model::Pose => space(task, points).unwrap_or_else(|| area_depth(task, points)),
+        Self::turned(task, model, points, None)
+    }
+
+    /// The same with what images before have told about which of two poses is the right one.
+    pub fn turned(task: &Task, model: Model, points: &Points, before: Option<&Tilt>) -> Self {
+        let pose = match model {
+            Model::Pose => pose_of(task, points, before),
+            Model::TargetDepth | Model::AreaDepth => None,
+        };
+        let geometry = match (&pose, model) {
+            (Some((pose, _)), _) => Geometry::Positions(pose::points(pose, &task.pattern)),
+            (None, Model::TargetDepth) => Geometry::Depths(task.goal_depth.clone()),
+            (None, Model::AreaDepth | Model::Pose) => area_depth(task, points),
         };
         Self {
             points: points.clone(),
             geometry,
+            tilt: pose.map(|(_, tilt)| tilt),
         }
     }
 
@@ -114,6 +127,10 @@ impl InitialState {
                         .map(|(s, (b, a))| [a[0] + (s[0] - b[0]), a[1] + (s[1] - b[1])])
                         .collect(),
                     geometry: Geometry::Positions(after),
+                    tilt: self.tilt.map(|tilt| Tilt {
+                        normal: (motion.rotation * Vector3::from(tilt.normal)).into(),
+                        ..tilt
+                    }),
                 })
             }
             Geometry::Depths(_) => {
@@ -127,8 +144,8 @@ impl InitialState {
         }
     }
 
-    /// Where the points are at the end of their way under `twist` ([`Task::reach`]), px; `None` if one
-    /// comes behind the camera.
+    /// Where the points are at the end of their way under `twist` ([`Task::reach`]), px; `None` if
+    /// one comes behind the camera.
     pub(crate) fn ends(&self, task: &Task, twist: &Twist) -> Option<Points> {
         let camera = &task.camera;
         match &self.geometry {
@@ -139,9 +156,10 @@ impl InitialState {
             }
             Geometry::Depths(depths) => {
                 let ends = self.points.iter().zip(depths).map(|(&pixel, &depth)| {
-                    let [x, y] = camera::normalise(camera, pixel);
-                    let (rate, _) = interaction::flow([x, y], depth, twist);
-                    camera::pixel(camera, [x + task.reach * rate[0], y + task.reach * rate[1]])
+                    let at = camera::normalise(camera, pixel);
+                    let (rate, _) = interaction::flow(at, depth, twist);
+                    let end = [at[0] + task.reach * rate[0], at[1] + task.reach * rate[1]];
+                    camera::pixel(camera, end)
                 });
                 Some(ends.collect())
             }
@@ -231,7 +249,11 @@ impl InitialState {
                 Model::TargetDepth => self.geometry.clone(),
                 Model::AreaDepth | Model::Pose => area_depth(task, &points),
             };
-            Self { points, geometry }
+            Self {
+                points,
+                geometry,
+                tilt: None,
+            }
         };
         let middle = at(slide(&self.points, self, 0.5 * h)?);
         Some(at(slide(&self.points, &middle, h)?))
@@ -250,14 +272,14 @@ fn area_depth(task: &Task, points: &Points) -> Geometry {
     Geometry::Depths(task.goal_depth.iter().map(|z| z * ratio).collect())
 }
 
-fn space(task: &Task, points: &Points) -> Option<Geometry> {
+/// The pose of the pattern, if one explains the features.
+fn pose_of(task: &Task, points: &Points, before: Option<&Tilt>) -> Option<(Estimate, Tilt)> {
     let image: Vec<[f64; 2], MAX_POINTS> = points
         .iter()
         .map(|&p| camera::normalise(&task.camera, p))
         .collect();
-    let estimate = pose::estimate(&task.pattern, &image)?;
-    (estimate.residual <= POSE_RESIDUAL * sqrt(features::area(&image)))
-        .then(|| Geometry::Positions(pose::points(&estimate, &task.pattern)))
+    let found = pose::estimate(&task.pattern, &image, before)?;
+    (found.0.residual <= POSE_RESIDUAL * sqrt(features::area(&image))).then_some(found)
 }
 
 /// A plan: `nc` camera velocities; the last one holds to the end of the window. Only the first `6

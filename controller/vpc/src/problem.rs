@@ -53,8 +53,8 @@ impl Problem<'_> {
         ]
     }
 
-    /// The command that brakes: the one in force, slowed down as a whole, so that the camera stays on
-    /// its path.
+    /// The command that brakes: the one in force, slowed down as a whole, so that the camera stays
+    /// on its path.
     pub fn braking(&self) -> Twist {
         let stop_s = self.task.stop_s(&self.standing);
         if stop_s > self.interval {

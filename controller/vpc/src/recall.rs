@@ -45,8 +45,8 @@ pub trait MotionMemory {
     /// input.
     fn infer(&self, strategy: Strategy, input: &[f64], output: &mut [f64]) -> bool;
 
-    /// Writes the input of the `rank`-th nearest sample, from 1, and returns the cost of the rest of
-    /// its trajectory; `None` if there is none.
+    /// Writes the input of the `rank`-th nearest sample, from 1, and returns the cost of the rest
+    /// of its trajectory; `None` if there is none.
     fn neighbour(&self, _input: &[f64], _rank: usize, _found: &mut [f64]) -> Option<f64> {
         None
     }
@@ -91,8 +91,8 @@ pub enum Asked {
     Not,
     /// Its answer was followed.
     Followed,
-    /// The Gaussian process knew nothing, or its answer was [out of range](Recall::from_output): the
-    /// nearest neighbour's was followed.
+    /// The Gaussian process knew nothing, or its answer was [out of range](Recall::from_output):
+    /// the nearest neighbour's was followed.
     Replaced,
     /// No answer could be followed.
     Refused,
@@ -130,9 +130,9 @@ pub fn query(
 
 impl Recall {
     /// Splits an output y = (v, way point), clamps the twist to the limits and the way point to the
-    /// image, and moves a point of it that is inside an occlusion out of it. `None` if the output is
-    /// out of range: a number is not finite, the twist beyond twice the limits, or a point further
-    /// outside the image than a quarter of it. No plan of the memory is like that.
+    /// image, and moves a point of it that is inside an occlusion out of it. `None` if the output
+    /// is out of range: a number is not finite, the twist beyond twice the limits, or a point
+    /// further outside the image than a quarter of it. No plan of the memory is like that.
     pub fn from_output(task: &Task, output: &[f64]) -> Option<Self> {
         let (twist, way_point) = output.split_at_checked(DOF)?;
         let twist: Twist = twist.try_into().ok()?;

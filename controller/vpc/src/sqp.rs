@@ -250,18 +250,19 @@ impl<const N: usize> Sqp<N> {
         self.progress.iterations += 1;
         self.progress.work += work::expansion(self.preview.np());
         let expansion = Expansion::about(problem, &self.preview, plan);
+        let bounds: [_; N] = core::array::from_fn(|k| problem.bounds(k));
         let quadratic = Quadratic {
             hessian: expansion.hessian,
             gradient: expansion.gradient,
-            lower: core::array::from_fn(|k| problem.bounds(k)[0] - plan[k]),
-            upper: core::array::from_fn(|k| problem.bounds(k)[1] - plan[k]),
+            lower: core::array::from_fn(|k| bounds[k][0] - plan[k]),
+            upper: core::array::from_fn(|k| bounds[k][1] - plan[k]),
         };
         (expansion.value, quadratic)
     }
 
     /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
-    /// be used up. Those on the way of the first command come first; rows past the store's end belong to
-    /// the last steps of the window, which the next cycles see again.
+    /// be used up. Those on the way of the first command come first; rows past the store's end
+    /// belong to the last steps of the window, which the next cycles see again.
     fn collect_rows(&mut self, problem: &Problem<'_>, plan: &[f64; N], bounds: &Quadratic<N>) {
         self.rows.clear();
         let (task, margin) = (problem.task, problem.margin);

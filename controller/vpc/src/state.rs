@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::delay::History;
 use crate::features::PlainPoints;
 use crate::foresight::Foresight;
+use crate::pose::Tilt;
 use crate::prediction::Plan;
 use crate::strategy::Strategy;
 use crate::{DOF, MAX_VARIABLES, Twist};
@@ -25,10 +26,14 @@ pub struct State {
     pub previous: Plan,
     /// Where the features should be in the next cycle.
     pub predicted: PlainPoints,
+    /// Which of two poses is believed there.
+    pub predicted_tilt: Option<Tilt>,
     /// The last measurement that was believed.
     pub seen: PlainPoints,
     /// What the filter made of it.
     pub filtered: PlainPoints,
+    /// Which of two poses was believed there.
+    pub tilt: Option<Tilt>,
     /// Its exposure, ns; 0 if there was none.
     pub seen_ns: u64,
     /// Whether the last command was in force since then without a gap.
@@ -50,8 +55,10 @@ impl State {
             foresight: Foresight::NONE,
             previous: [0.0; MAX_VARIABLES],
             predicted: PlainPoints::NONE,
+            predicted_tilt: None,
             seen: PlainPoints::NONE,
             filtered: PlainPoints::NONE,
+            tilt: None,
             seen_ns: 0,
             is_linked: false,
             still_px: 0.0,
@@ -160,5 +167,34 @@ mod tests {
         assert_ne!(same, after(|state| state.predicted.points[1][0] += 1.0));
         assert_ne!(same, after(|state| state.strategy = Strategy::Ibvs));
         assert_ne!(same, after(|state| state.previous = [0.3; MAX_VARIABLES]));
+    }
+
+    #[test]
+    fn the_tilt_matters_where_two_poses_look_alike() {
+        // 10 m away the pattern is small.
+        let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let mut law = Box::new(Controller::new(&scene, Settings::default()).unwrap());
+        let pose = scene::Pose {
+            translation: [0.3, 0.2, 10.0],
+            rotation: [0.0, 0.5, 0.0],
+        };
+        let noise = [[0.02, -0.01], [-0.015, 0.02], [0.01, 0.015], [-0.02, -0.01]];
+        let points = crate::task::placed(&scene.pattern, &pose).zip(noise);
+        let points = points.map(|(x, noise)| {
+            let [u, v] = crate::camera::project(&law.task().camera, x.into()).unwrap();
+            [u + noise[0], v + noise[1]]
+        });
+        let view = Measurement::from_points(&points.collect::<Vec<_>>());
+        let twists = [0.48, -0.48].map(|x| {
+            let mut state = State::new(Strategy::Previous);
+            state.predicted = view.points.as_slice().into();
+            state.predicted_tilt = Some(Tilt {
+                normal: [x, 0.0, 0.88],
+                evidence: 1.0,
+            });
+            law.restore(&state);
+            law.step(&view, None).unwrap().twist
+        });
+        assert_ne!(twists[0], twists[1]);
     }
 }

@@ -29,8 +29,8 @@ pub enum Strategy {
     Foresight,
 }
 
-/// Below this correlation with every sample the Gaussian process knows nothing: the variance that is
-/// left is 99 % of what it was before any sample.
+/// Below this correlation with every sample the Gaussian process knows nothing: the variance that
+/// is left is 99 % of what it was before any sample.
 const LEAST_CORRELATION: f64 = 0.1;
 
 impl Strategy {

@@ -3,8 +3,8 @@
 
 use nalgebra::Vector3;
 use scene::{Limits, Pose, Scene};
-use vpc::motion::{Motion, rotation};
-use vpc::{Controller, Measurement, Settings, Strategy, Task, Twist, camera, constraint};
+use vpc::motion::Motion;
+use vpc::{Controller, Measurement, Settings, Strategy, Task, Twist, camera, constraint, task};
 
 const ACCELERATION: Limits = Limits {
     linear: 0.5,
@@ -49,10 +49,7 @@ fn run(law: &Scene, judge: &Task, start: &Pose, strategy: Strategy) -> Seen {
         ..Settings::default()
     };
     let mut controller = Box::new(Controller::new(law, settings).unwrap());
-    let at = |p: &[f64; 3]| {
-        rotation(start.rotation) * Vector3::from(*p) + Vector3::from(start.translation)
-    };
-    let mut points: Vec<_> = law.pattern.iter().map(at).collect();
+    let mut points: Vec<_> = task::placed(&law.pattern, start).collect();
     let (mut seen, mut standing) = (Seen::default(), [0.0; 6]);
     let period = law.sampling_time();
     for k in 0..300_u64 {

@@ -3,8 +3,8 @@
 
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
-use vpc::motion::{Motion, rotation};
-use vpc::{Controller, Measurement, Settings, State, Strategy, Twist, camera};
+use vpc::motion::Motion;
+use vpc::{Controller, Measurement, Settings, State, Strategy, Twist, camera, task};
 
 const CYCLES: u64 = 40;
 
@@ -16,10 +16,8 @@ struct Run {
 
 impl Run {
     fn new(scene: &Scene, start: &Pose, state: State) -> Self {
-        let turned: nalgebra::Matrix3<f64> = rotation(start.rotation);
-        let at = |p: &[f64; 3]| turned * Vector3::from(*p) + Vector3::from(start.translation);
         Self {
-            points: scene.pattern.iter().map(at).collect(),
+            points: task::placed(&scene.pattern, start).collect(),
             state,
         }
     }

@@ -21,6 +21,10 @@ pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: TaskStep) {
         0.0,
         0.0,
     ];
+    if !phase.obeys_controller() {
+        // A motion of its own: nobody else is obeyed.
+        state.mode = RobotMode::Idle.code();
+    }
     let is_reflex = told.robot_mode == Mode::Reflex;
     if is_reflex
         || matches!(

@@ -105,7 +105,7 @@ fn occluded_markers_are_never_visible_and_the_others_are_where_they_are() {
     let mut detector = detector(&scene);
     let mut random = random(1);
     let mut tally = Tally::default();
-    let frames = repeats("random frames", 500, 10_000);
+    let frames = repeats("random frames", 200, 10_000);
     for _ in 0..frames {
         let pose = any_pose(&scene, &mut random, 1.6);
         detector.expect(&pose);

@@ -153,12 +153,20 @@ enum vpc_hold {
     VPC_HOLD_SHUTDOWN = 18,
     // No usable features came for so long that the camera was disarmed.
     VPC_HOLD_LOST = 19,
-    // The loop itself stood still for so long that the camera was disarmed.
+    // The loop itself stood still for so long that the camera was disarmed, or the machine was
+    // suspended.
     VPC_HOLD_STANDSTILL = 20,
     // Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
     VPC_HOLD_MIXED = 21,
     // The features did not change in any bit, although the camera was commanded to move.
     VPC_HOLD_FROZEN = 22,
+    // The last vpcd of this domain was killed or crashed: whatever the configuration says, the next
+    // one begins disarmed.
+    VPC_HOLD_UNCLEAN = 24,
+    // No robot has told its state yet, and one is required (`safety.robot`).
+    VPC_HOLD_NO_ROBOT = 25,
+    // What the robot says it carries out is not what it was commanded.
+    VPC_HOLD_NOT_FOLLOWED = 26,
 };
 
 // What foresight follows.
@@ -207,7 +215,8 @@ enum vpc_action {
     VPC_ACTION_ARM = 1,
     // Brake to zero, and stay there until the next `arm`.
     VPC_ACTION_DISARM = 2,
-    // Zero at once, without braking, and stay there until the next `arm`.
+    // Zero at once, without braking, and stay there until the next `arm`. Use the stop file: no
+    // other operator can keep it waiting.
     VPC_ACTION_STOP = 3,
     // Change the strategy of the control law.
     VPC_ACTION_STRATEGY = 4,
@@ -234,6 +243,8 @@ enum vpc_outcome {
     VPC_OUTCOME_SHUTDOWN = 6,
     // Refused: the code of the action or of the strategy is unknown.
     VPC_OUTCOME_UNKNOWN = 8,
+    // Refused: it leads to motion, and waited for too long, or is from the future.
+    VPC_OUTCOME_LATE = 9,
 };
 
 // What is wrong with the robot.
@@ -268,6 +279,8 @@ enum vpc_cycle_flags {
     VPC_CYCLE_FLAGS_SENT = 1,
     // The daemon was shutting down.
     VPC_CYCLE_FLAGS_SHUTDOWN = 2,
+    // The machine was suspended just before this cycle.
+    VPC_CYCLE_FLAGS_SUSPENDED = 4,
 };
 
 // Head of every message. Times are CLOCK_MONOTONIC.
@@ -480,7 +493,7 @@ typedef struct {
 typedef struct {
     // Head; data_ns is zero.
     vpc_stamp stamp;
-    // Chosen by the operator at random; the reply has the same.
+    // Chosen by the operator at random; the reply has the same. 0: the stop file.
     uint64_t id;
     // What is asked for. An unknown code is answered with outcome 8. Code: vpc_action.
     uint32_t action;
@@ -532,7 +545,7 @@ enum vpc_status
     VPC_STATUS_REFUSED = 3,
     // An argument is NULL or outside its range.
     VPC_STATUS_ARGUMENT = -1,
-    // The domain cannot be joined.
+    // The domain cannot be joined, or its stop file cannot be used.
     VPC_STATUS_DOMAIN = -2,
     // Another camera is at work in this domain, or as many operators or observers as the service
     // allows.
@@ -628,8 +641,14 @@ vpc_status vpc_camera_wait(vpc_camera *camera,
                            uint64_t patience_ns,
                            vpc_twist_command *out);
 
-// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed
-// until its `valid_until_ns`, never longer: stop then.
+// The dead man of every robot in real time: into `twist` (6 numbers, m/s and rad/s, camera frame)
+// goes what the newest command lets it do at this instant (CLOCK_MONOTONIC, ns): zero once it is
+// no longer valid, is older than 100 ms whatever it claims, is from the future or of lockstep, is
+// not finite, or is NULL because none came yet. Call it in every cycle of the robot.
+vpc_status vpc_twist_in_force(const vpc_twist_command *newest, uint64_t now_ns, double (*twist)[6]);
+
+// The newest command since the last call; VPC_STATUS_NOTHING if there is none. What it lets a
+// robot do, and for how long, vpc_twist_in_force says.
 vpc_status vpc_camera_twist(vpc_camera *camera, vpc_twist_command *out);
 
 // Publishes the robot's state; sequence and time of publication are filled in, the rest is as
@@ -691,8 +710,12 @@ vpc_status vpc_arm(vpc_operator *operator_, vpc_reply *out);
 // Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.
 vpc_status vpc_disarm(vpc_operator *operator_, vpc_reply *out);
 
-// Zero at once, without braking, until the next vpc_arm; waits for the answer, at most a second.
-vpc_status vpc_stop(vpc_operator *operator_, vpc_reply *out);
+// Zero at once, without braking, until the next vpc_arm. Waits until the zero twist is sent, at
+// most `patience_ns`; VPC_STATUS_TIMEOUT: no controller obeyed in that time, and the next one of
+// this domain begins disarmed. Goes by the stop file of the domain in `directory` (NULL:
+// /tmp/vpc-UID), which needs neither a joined domain nor an operator: nothing that others do keeps
+// it waiting. Any thread may call it.
+vpc_status vpc_stop(const char *directory, uint64_t patience_ns);
 
 // The name of a vpc_state for people; "unknown" for other numbers. Always valid, as are those
 // below.

@@ -6,7 +6,7 @@ use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::thread::ThreadId;
 
-use ipc::{AskError, Invalid, JoinError, OpenError, PublishError, ReceiveError};
+use ipc::{AskError, Invalid, JoinError, OpenError, PublishError, ReceiveError, StopError};
 
 use crate::status::Status;
 
@@ -48,6 +48,16 @@ impl From<Invalid> for Fault {
 impl From<JoinError> for Fault {
     fn from(error: JoinError) -> Self {
         Self::new(Status::Domain, error.to_string())
+    }
+}
+
+impl From<StopError> for Fault {
+    fn from(error: StopError) -> Self {
+        let status = match error {
+            StopError::File { .. } => Status::Domain,
+            StopError::NotObeyed { .. } => Status::Timeout,
+        };
+        Self::new(status, error.to_string())
     }
 }
 

@@ -157,8 +157,29 @@ pub unsafe extern "C" fn vpc_camera_wait(
     })
 }
 
-/// The newest command since the last call; VPC_STATUS_NOTHING if there is none. It may be executed
-/// until its `valid_until_ns`, never longer: stop then.
+/// The dead man of every robot in real time: into `twist` (6 numbers, m/s and rad/s, camera frame)
+/// goes what the newest command lets it do at this instant (CLOCK_MONOTONIC, ns): zero once it is
+/// no longer valid, is older than 100 ms whatever it claims, is from the future or of lockstep, is
+/// not finite, or is NULL because none came yet. Call it in every cycle of the robot.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_twist_in_force(
+    newest: *const TwistCommand,
+    now_ns: u64,
+    twist: *mut [f64; 6],
+) -> Status {
+    boundary::enter(|| {
+        let in_force = match newest.is_null() {
+            true => [0.0; 6],
+            // SAFETY: the header asks for NULL or a command.
+            false => unsafe { boundary::get(newest, "newest") }?.in_force(now_ns),
+        };
+        // SAFETY: the header asks for a place.
+        unsafe { boundary::put(twist, "twist", in_force) }
+    })
+}
+
+/// The newest command since the last call; VPC_STATUS_NOTHING if there is none. What it lets a
+/// robot do, and for how long, vpc_twist_in_force says.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_camera_twist(camera: *mut Camera, out: *mut TwistCommand) -> Status {
     boundary::enter(|| {

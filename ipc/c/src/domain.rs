@@ -2,7 +2,7 @@
 
 use std::ffi::{OsStr, c_char};
 use std::os::unix::ffi::OsStrExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::boundary::{self, Handle};
 use crate::status::Status;
@@ -19,14 +19,22 @@ pub unsafe extern "C" fn vpc_domain_join(
 ) -> Status {
     boundary::enter(|| {
         // SAFETY: the header asks for NULL or a string that ends in NUL.
-        let directory = match unsafe { boundary::text(directory) } {
-            Some(text) => Path::new(OsStr::from_bytes(text.to_bytes())).to_owned(),
-            None => ipc::default_directory(),
-        };
-        let domain = ipc::Domain::join(&directory)?;
+        let domain = ipc::Domain::join(&unsafe { named(directory) })?;
         // SAFETY: the header asks for a place.
         unsafe { boundary::give(out, domain) }
     })
+}
+
+/// The directory of this name; NULL: the default.
+///
+/// # Safety
+/// `directory` is NULL or a string that ends in NUL.
+pub unsafe fn named(directory: *const c_char) -> PathBuf {
+    // SAFETY: as above.
+    match unsafe { boundary::text(directory) } {
+        Some(text) => Path::new(OsStr::from_bytes(text.to_bytes())).to_owned(),
+        None => ipc::default_directory(),
+    }
 }
 
 /// Leaves the domain once the last port opened with it is closed. NULL does nothing.

@@ -1,12 +1,13 @@
 //! An operator: commands the controller.
 
+use std::ffi::c_char;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::time::Duration;
 
 use ipc::{Action, OperatorPorts, Outcome, Reply, Request};
 
 use crate::boundary::{self, Fault, Handle};
-use crate::domain::Domain;
+use crate::domain::{self, Domain};
 use crate::status::Status;
 
 /// Asks the controller, and waits for its answers.
@@ -81,7 +82,7 @@ pub unsafe extern "C" fn vpc_operator_ask(
     })
 }
 
-/// How long vpc_arm, vpc_disarm and vpc_stop wait.
+/// How long vpc_arm and vpc_disarm wait.
 const PATIENCE_NS: u64 = 1_000_000_000;
 
 /// Lets the control law move the camera, from the next good features on; waits for the answer, at
@@ -99,9 +100,17 @@ pub unsafe extern "C" fn vpc_disarm(operator: *mut Operator, out: *mut Reply) ->
     unsafe { vpc_operator_ask(operator, Action::Disarm.code(), 0, 0, PATIENCE_NS, out) }
 }
 
-/// Zero at once, without braking, until the next vpc_arm; waits for the answer, at most a second.
+/// Zero at once, without braking, until the next vpc_arm. Waits until the zero twist is sent, at
+/// most `patience_ns`; VPC_STATUS_TIMEOUT: no controller obeyed in that time, and the next one of
+/// this domain begins disarmed. Goes by the stop file of the domain in `directory` (NULL:
+/// /tmp/vpc-UID), which needs neither a joined domain nor an operator: nothing that others do keeps
+/// it waiting. Any thread may call it.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn vpc_stop(operator: *mut Operator, out: *mut Reply) -> Status {
-    // SAFETY: the header asks for a handle and a place.
-    unsafe { vpc_operator_ask(operator, Action::Stop.code(), 0, 0, PATIENCE_NS, out) }
+pub unsafe extern "C" fn vpc_stop(directory: *const c_char, patience_ns: u64) -> Status {
+    boundary::enter(|| {
+        // SAFETY: the header asks for NULL or a string that ends in NUL.
+        let directory = unsafe { domain::named(directory) };
+        ipc::stop(&directory, Duration::from_nanos(patience_ns))?;
+        Ok(())
+    })
 }

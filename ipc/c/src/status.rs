@@ -15,7 +15,7 @@ pub enum Status {
     Refused = 3,
     /// An argument is NULL or outside its range.
     Argument = -1,
-    /// The domain cannot be joined.
+    /// The domain cannot be joined, or its stop file cannot be used.
     Domain = -2,
     /// Another camera is at work in this domain, or as many operators or observers as the service
     /// allows.

@@ -5,6 +5,7 @@
             print(vpc_client.Hold(cycle.hold).words, cycle.step_ns)
 """
 
+from .dead_man import twist_in_force
 from .domain import Domain, default_directory
 from .errors import BadArgument, BadDomain, BadMessage, NoAnswer, OtherContract, Refused, Taken, VpcError
 from .messages import (
@@ -34,6 +35,7 @@ from .messages import (
     TwistState,
 )
 from .ports import CameraPorts, OperatorPorts, Publisher, Sent, Subscriber, now_ns
+from .stop import stop
 
 __version__ = "0.1.0"
 
@@ -78,4 +80,6 @@ __all__ = [
     "VpcError",
     "default_directory",
     "now_ns",
+    "stop",
+    "twist_in_force",
 ]

@@ -143,12 +143,20 @@ class Hold(Code):
     SHUTDOWN = 18, "shutdown"
     # No usable features came for so long that the camera was disarmed.
     LOST = 19, "features lost"
-    # The loop itself stood still for so long that the camera was disarmed.
+    # The loop itself stood still for so long that the camera was disarmed, or the machine was
+    # suspended.
     STANDSTILL = 20, "standstill of the loop"
     # Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
     MIXED = 21, "points mixed up"
     # The features did not change in any bit, although the camera was commanded to move.
     FROZEN = 22, "frozen image"
+    # The last vpcd of this domain was killed or crashed: whatever the configuration says, the next
+    # one begins disarmed.
+    UNCLEAN = 24, "unclean end of the last vpcd"
+    # No robot has told its state yet, and one is required (`safety.robot`).
+    NO_ROBOT = 25, "no robot"
+    # What the robot says it carries out is not what it was commanded.
+    NOT_FOLLOWED = 26, "not followed"
 
 
 class ForesightCode(Code):
@@ -201,7 +209,8 @@ class Action(Code):
     ARM = 1, "arm"
     # Brake to zero, and stay there until the next `arm`.
     DISARM = 2, "disarm"
-    # Zero at once, without braking, and stay there until the next `arm`.
+    # Zero at once, without braking, and stay there until the next `arm`. Use the stop file: no
+    # other operator can keep it waiting.
     STOP = 3, "stop"
     # Change the strategy of the control law.
     STRATEGY = 4, "strategy"
@@ -229,6 +238,8 @@ class Outcome(Code):
     SHUTDOWN = 6, "refused: shutting down"
     # Refused: the code of the action or of the strategy is unknown.
     UNKNOWN = 8, "refused: no such action or strategy"
+    # Refused: it leads to motion, and waited for too long, or is from the future.
+    LATE = 9, "refused: it waited for more than a second"
 
 
 class RobotFaults(enum.IntFlag):
@@ -266,6 +277,8 @@ class CycleFlags(enum.IntFlag):
     SENT = 1
     # The daemon was shutting down.
     SHUTDOWN = 2
+    # The machine was suspended just before this cycle.
+    SUSPENDED = 4
 
 
 class Stamp(Message):
@@ -514,7 +527,7 @@ class Snapshot(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Snapshot/2"
+        return "vpc/Snapshot/4"
 
 
 class Request(Message):
@@ -523,7 +536,7 @@ class Request(Message):
     _fields_ = [
         # Head; `data_ns` is zero.
         ("stamp", Stamp),
-        # Chosen by the operator at random; the reply has the same.
+        # Chosen by the operator at random; the reply has the same. 0: the stop file.
         ("id", ctypes.c_uint64),
         # What is asked for. An unknown code is answered with outcome 8. Code: `Action`.
         ("action", ctypes.c_uint32),
@@ -632,5 +645,5 @@ SERVICES = {
     "vpc/cycles": Service(CycleRecord, 0, 1024, 8, 1),
     "vpc/snapshots": Service(Snapshot, 1, 16, 4, 1),
     "vpc/requests": Service(Request, 0, 16, 4, 8),
-    "vpc/replies": Service(Reply, 0, 64, 16, 1),
+    "vpc/replies": Service(Reply, 0, 256, 16, 1),
 }

@@ -276,10 +276,6 @@ class OperatorPorts(_Closes):
         """Brakes to zero, and stays there until the next `arm`."""
         return self._asked(Action.DISARM, patience_s)
 
-    def stop(self, patience_s: float = 1.0) -> Reply:
-        """Zero at once, without braking, until the next `arm`."""
-        return self._asked(Action.STOP, patience_s)
-
     def strategy(self, name: str, neighbours: int = 0, patience_s: float = 1.0) -> Reply:
         """Another strategy: previous, knn with 1 to 64 neighbours, gpr, ibvs."""
         try:

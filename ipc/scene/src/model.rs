@@ -107,8 +107,8 @@ table! {
         /// Largest magnitude of each angular component.
         #[key(range(min = 1e-6, max = 30), extend("x-unit" = "rad/s"))]
         pub angular: f64,
-        /// Most change of each linear component in a second, so that a stop takes at most 5 s; without
-        /// the key any.
+        /// Most change of each linear component in a second, so that a stop takes at most 5 s;
+        /// without the key any.
         #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "m/s^2"))]
         pub linear_acceleration: Option<f64>,
         /// The same of each angular component.

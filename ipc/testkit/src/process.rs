@@ -1,5 +1,6 @@
 use std::borrow::BorrowMut;
 use std::io::{self, Read};
+use std::os::unix::process::ExitStatusExt;
 use std::process::{Child, Command, ExitStatus, Output};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -14,6 +15,8 @@ use crate::{PATIENCE, eventually, within};
 pub struct Ended {
     /// The exit code; `None` if a signal ended it.
     pub code: Option<i32>,
+    /// The signal that ended it.
+    pub signal: Option<i32>,
     /// Standard output.
     pub stdout: String,
     /// Standard error.
@@ -31,6 +34,7 @@ impl From<Output> for Ended {
     fn from(output: Output) -> Self {
         Self {
             code: output.status.code(),
+            signal: output.status.signal(),
             stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
             stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
         }
@@ -148,6 +152,7 @@ impl Running {
         };
         Ended {
             code: status.code(),
+            signal: status.signal(),
             stdout: self.stdout.finish(),
             stderr: self.stderr.finish(),
         }

@@ -74,6 +74,44 @@ fn numbers(text: &str, head: &str) -> Vec<f64> {
         .collect()
 }
 
+/// The dead man says the same in both languages, and Python stops.
+fn safety_agrees(python: &Path) {
+    const SENT: u64 = 5_000_000_000;
+    let cases = [
+        (SENT + 10, SENT + 9),
+        (SENT + 10, SENT + 10),
+        (SENT + 33_000_000_000, SENT + 99_999_999),
+        (SENT + 33_000_000_000, SENT + 100_000_000),
+        (SENT + 33_000_000_000, SENT - 1_000_000),
+        (SENT + 33_000_000_000, SENT - 1_000_001),
+        (u64::MAX, SENT),
+    ];
+    let mut words = Vec::new();
+    let expected: Vec<_> = cases
+        .iter()
+        .map(|&(valid_until_ns, now_ns)| {
+            let mut command = ipc::TwistCommand::zero(ipc::TwistState::Moving);
+            command.stamp.published_ns = SENT;
+            (command.valid_until_ns, command.twist) = (valid_until_ns, [0.5; 6]);
+            words.push(format!("{SENT},{valid_until_ns},{now_ns}"));
+            command.in_force(now_ns)[5]
+        })
+        .collect();
+    assert!(expected.contains(&0.5) && expected.contains(&0.0));
+    let place = Place::new();
+    std::fs::create_dir(place.domain()).unwrap();
+    let mut stop_file = ipc::StopFile::open(&place.domain()).unwrap();
+    let mut peer = script(python, "tests/python/peer.py");
+    peer.arg("safety").arg(place.domain()).args(words);
+    let peer = Running::start(peer.stdout(Stdio::piped()));
+    eventually("a stop from Python", || stop_file.is_asked().then_some(()));
+    stop_file.obey();
+    let ended = peer.ended();
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert_eq!(numbers(&ended.stdout, "in force"), expected);
+    assert!(numbers(&ended.stdout, "stopped after")[0] < 10.0);
+}
+
 fn messages_go_both_ways(python: &Path) {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
@@ -444,6 +482,7 @@ fn the_client_in_python_agrees() {
     if let Some(python) = Environment::CLIENT.python("the_client_in_python_agrees") {
         layouts_agree(&python);
         messages_go_both_ways(&python);
+        safety_agrees(&python);
         the_camera_can_be_driven(&python);
         the_referee_measures(&python);
     }

@@ -92,6 +92,22 @@ def hears(directory):
                 print(error, flush=True)
 
 
+def safety(directory, *cases):
+    """What the dead man lets a robot do; then a stop."""
+    seen = []
+    for case in cases:
+        sent, valid_until, now = (int(word) for word in case.split(","))
+        command = vpc_client.TwistCommand()
+        command.stamp.published_ns, command.valid_until_ns = sent, valid_until
+        command.twist[:] = [0.5] * 6
+        seen.append(vpc_client.twist_in_force(command, now)[5])
+    print("in force", *seen)
+    assert vpc_client.twist_in_force(None) == [0.0] * 6
+    command.twist[3] = float("nan")
+    assert vpc_client.twist_in_force(command, sent) == [0.0] * 6
+    print("stopped after", vpc_client.stop(directory, patience_s=10.0))
+
+
 def depths(directory):
     """Depths in a circle, in a near rectangle, and in a white rectangle painted into an image; then verdicts."""
     import numpy as np
@@ -120,4 +136,5 @@ def depths(directory):
 
 
 if __name__ == "__main__":
-    {"layout": layout, "exchange": exchange, "refusals": refusals, "hears": hears, "depths": depths}[sys.argv[1]](*sys.argv[2:])
+    parts = (layout, exchange, refusals, hears, safety, depths)
+    {part.__name__: part for part in parts}[sys.argv[1]](*sys.argv[2:])

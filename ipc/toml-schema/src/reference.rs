@@ -8,8 +8,8 @@ use serde_json::Value;
 use crate::schema::allowed;
 
 /// Returns every key of a schema as tables of Markdown, one for each table of the file. Keys come
-/// in the order of `example`, a file that shows them, be it as comments; what it does not show comes
-/// last, by name.
+/// in the order of `example`, a file that shows them, be it as comments; what it does not show
+/// comes last, by name.
 pub fn reference(schema: &Value, example: &str) -> String {
     let meaning = schema["description"].as_str().unwrap_or_default();
     let mut text = format!("\n{meaning}\n");

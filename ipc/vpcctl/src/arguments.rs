@@ -7,13 +7,14 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use ipc::{MAX_NEIGHBOURS, StrategyCode};
 
+use crate::check_bridge::CheckBridgeArguments;
 use crate::plot::PlotArguments;
 use crate::record::RecordArguments;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
 /// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be fixed
-/// (doctor); 2 the request was refused; 3 no daemon; 4 the daemon does not answer; 5 disarmed
+/// (doctor, check-bridge); 2 the request was refused; 3 no daemon; 4 the daemon does not answer; 5 disarmed
 /// (status); 64 command line; 65 a file is wrong; 66 a file is missing; 69 shared memory, slot or
 /// address not available; 70 failure of vpcctl.
 #[derive(Clone, Debug, Parser)]
@@ -54,6 +55,9 @@ pub enum Command {
     Flight(RequestArguments),
     /// Find out what is wrong with this machine or setup, and how to fix it.
     Doctor(DoctorArguments),
+    /// Play vpcd to the program that carries out twists, and judge what it reports: the camera moves
+    /// some centimetres along its x axis and back.
+    CheckBridge(CheckBridgeArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
     /// Serve a live view to browsers on this machine.
@@ -177,7 +181,7 @@ pub struct StrategyArguments {
 }
 
 /// Reads a duration in seconds.
-fn seconds(text: &str) -> Result<Duration, String> {
+pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
     let range = 0.05..=3600.0;
     match text.parse::<f64>() {
         Ok(seconds) if range.contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),

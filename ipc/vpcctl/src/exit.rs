@@ -15,7 +15,7 @@ use scene::FileError;
 pub enum Exit {
     /// `status`: moving or arrived. A request: done. `doctor`: no failure.
     Ok = 0,
-    /// `status`: stopped, holding or braking. `doctor`: at least one failure.
+    /// `status`: stopped, holding or braking. `doctor`, `check-bridge`: at least one failure.
     Attention = 1,
     /// The daemon refused the request.
     Refused = 2,
@@ -94,6 +94,7 @@ macro_rules! exits {
 exits! {
     ipc::JoinError => |_| Exit::Unavailable,
     ipc::OpenError => |_| Exit::Unavailable,
+    ipc::PublishError => |_| Exit::Unavailable,
     ipc::AskError => |_| Exit::Unavailable,
     ipc::ReceiveError => |_| Exit::Unavailable,
     io::Error => |_| Exit::Software,

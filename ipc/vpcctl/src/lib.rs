@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 pub mod arguments;
+pub mod check_bridge;
 pub mod doctor;
 pub mod exit;
 pub mod image_plane;
@@ -63,7 +64,7 @@ pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
 fn run(arguments: &Arguments) -> Result<Exit, Failure> {
     let directory = arguments.directory();
     let ask = |request: Request, with: &RequestArguments| -> Result<Exit, Failure> {
-        let (line, exit) = request::outcome(&request::send(&directory, &request, with.timeout)?);
+        let (line, exit) = request::ask(&directory, &request, with.timeout)?;
         output::write(&line)?;
         Ok(exit)
     };
@@ -88,6 +89,11 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Doctor(with) => {
             let findings = doctor::examine(&directory, with);
             let (text, exit) = doctor::report(&findings, output::colours());
+            output::write(&text)?;
+            return Ok(exit);
+        }
+        Command::CheckBridge(with) => {
+            let (text, exit) = check_bridge::check(&directory, with)?;
             output::write(&text)?;
             return Ok(exit);
         }

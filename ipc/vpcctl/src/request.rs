@@ -1,10 +1,13 @@
 //! Requests: arm, disarm, stop, strategy, flight.
 
 use std::hash::{BuildHasher, RandomState};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{Action, Domain, OpenError, OperatorPorts, Outcome, Reply, Request, StrategyCode};
+use ipc::{
+    Action, Domain, OpenError, OperatorPorts, Outcome, Reply, Request, StopError, StrategyCode,
+};
 
 use crate::exit::{Exit, Failure};
 use crate::presence::{self, Presence};
@@ -12,9 +15,6 @@ use crate::view::word;
 
 /// Pause between two attempts to get an operator's place.
 const PAUSE: Duration = Duration::from_millis(10);
-/// How long `stop` waits for an answer before it is sent again.
-const AGAIN: Duration = Duration::from_millis(250);
-
 /// A number that no other operator uses: the standard library's hashers are seeded with the
 /// operating system's random numbers.
 fn fresh_id() -> u64 {
@@ -31,30 +31,72 @@ pub fn strategy(strategy: StrategyCode, neighbours: u32) -> Request {
     Request::strategy(fresh_id(), strategy, neighbours)
 }
 
-/// Sends a request to the daemon of this domain and waits for its answer.
-///
-/// `stop` is sent again while no answer comes: a daemon that starts meanwhile is stopped as well,
-/// and asking twice changes nothing. Other requests are sent once.
+/// Asks the daemon of this domain, and waits for its answer: a line, and the exit code. `stop` goes
+/// by the stop file, past everything that could keep it waiting.
 ///
 /// # Errors
 /// No daemon, no answer; the domain or its ports cannot be used.
-pub fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Reply, Failure> {
+pub fn ask(
+    directory: &Path,
+    request: &Request,
+    timeout: Duration,
+) -> Result<(String, Exit), Failure> {
+    match request.action() {
+        Some(Action::Stop) => stop(directory, timeout),
+        _ => Ok(outcome(&send(directory, request, timeout)?)),
+    }
+}
+
+fn stop(directory: &Path, timeout: Duration) -> Result<(String, Exit), Failure> {
+    let end = Instant::now() + timeout;
+    loop {
+        let left = end.saturating_duration_since(Instant::now());
+        return match ipc::stop(directory, left) {
+            Ok(after) => Ok((stopped(after), Exit::Ok)),
+            Err(StopError::File { source, .. }) if source.kind() == ErrorKind::NotFound => {
+                // The first daemon of this domain may be starting.
+                if directory.is_dir() && !left.is_zero() {
+                    std::thread::sleep(PAUSE);
+                    continue;
+                }
+                Err(match Presence::of(directory).process() {
+                    Some(process) => stop_file_lost(directory, process),
+                    None => Failure::no_daemon(directory),
+                })
+            }
+            Err(error @ StopError::NotObeyed { .. }) => {
+                Err(match Presence::of(directory).process() {
+                    Some(_) => no_answer(directory, timeout),
+                    None => Failure::new(Exit::NoDaemon, error),
+                })
+            }
+            Err(error) => Err(Failure::new(Exit::Unavailable, error)),
+        };
+    }
+}
+
+/// A daemon whose stop file was removed moves nothing.
+fn stop_file_lost(directory: &Path, process: u32) -> Failure {
+    let file = directory.join(ipc::STOP_FILE);
+    let message = format!(
+        "{}: missing, so process {process} has stopped, and moves nothing until it is started again",
+        file.display()
+    );
+    Failure::new(Exit::Unavailable, message)
+}
+
+/// What is said of a stop that was obeyed after this time.
+pub fn stopped(after: Duration) -> String {
+    format!("stop: done after {} ms; disarmed\n", after.as_millis())
+}
+
+fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Reply, Failure> {
     let end = Instant::now() + timeout;
     let domain = presence::join(directory)?;
     let mut operator = open(&domain, end)?;
-    let patience = match request.action() {
-        Some(Action::Stop) => AGAIN,
-        _ => timeout,
-    };
-    loop {
-        let left = end.saturating_duration_since(Instant::now());
-        if let Some(reply) = operator.ask(request, patience.min(left))? {
-            return Ok(reply);
-        }
-        if Instant::now() >= end {
-            return Err(no_answer(directory, timeout));
-        }
-    }
+    let left = end.saturating_duration_since(Instant::now());
+    let reply = operator.ask(request, left)?;
+    reply.ok_or_else(|| no_answer(directory, timeout))
 }
 
 fn no_answer(directory: &Path, timeout: Duration) -> Failure {
@@ -81,7 +123,7 @@ fn open(domain: &Domain, end: Instant) -> Result<OperatorPorts, OpenError> {
 }
 
 /// The outcome of a request in one line, and its exit code.
-pub fn outcome(reply: &Reply) -> (String, Exit) {
+fn outcome(reply: &Reply) -> (String, Exit) {
     let action = word(Action::from_code(reply.action));
     let (outcome, state) = (word(reply.outcome()), word(reply.state()));
     let cause = match reply.hold() {

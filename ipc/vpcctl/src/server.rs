@@ -1,17 +1,22 @@
 //! HTTP for the page and the metrics: `axum` on one thread, with bounds on clients, heads and
 //! time, and one request a connection.
+//!
+//! A command finds room whatever others do: of the clients that have not sent their head yet, the
+//! oldest makes room for a new one, and those that are being answered leave out the commands.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::future::Future;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use axum::Router;
 use axum::extract::Request;
-use axum::http::StatusCode;
 use axum::http::header::{self, HeaderMap, HeaderName};
 use axum::http::uri::Authority;
+use axum::http::{Method, StatusCode};
 use axum::middleware::{Next, from_fn, map_response};
 use axum::response::{IntoResponse, Response};
 use hyper::server::conn::http1;
@@ -19,7 +24,8 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::AbortHandle;
 
 use crate::exit::{Exit, Failure};
 use crate::output;
@@ -28,8 +34,10 @@ use crate::output;
 const HEAD: usize = 16 * 1024;
 /// How long a client may take to send its head, or to receive what it was sent.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Most connections at one time.
-const CONNECTIONS: usize = 32;
+/// Most clients that have not sent their head yet.
+const WAITING: usize = 32;
+/// Most that are being answered, commands not counted.
+const ANSWERED: usize = 32;
 
 /// Headers of every response: nothing is loaded from elsewhere, framed or kept.
 const HEADERS: [(HeaderName, &str); 4] = [
@@ -100,22 +108,61 @@ pub fn serve(
 }
 
 async fn accept(listener: TcpListener, routes: Router) -> Infallible {
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
+    let places = Arc::new(Semaphore::new(ANSWERED));
+    let mut waiting: VecDeque<(AbortHandle, Arc<Client>)> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Out of descriptors, for instance: others must close first.
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
-        if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
-            let routes = routes.clone();
-            tokio::spawn(async move {
-                // A client that left or talks nonsense is its own affair.
-                let _ = converse(stream, routes).await;
-                drop(place);
-            });
+        waiting.retain(|(task, client)| !(task.is_finished() || client.has_asked()));
+        if waiting.len() >= WAITING
+            && let Some((oldest, _)) = waiting.pop_front()
+        {
+            oldest.abort();
         }
+        let client = Arc::new(Client::default());
+        let admitted = admitted(routes.clone(), &client, &places);
+        let task = tokio::spawn(async move {
+            // A client that left or talks nonsense is its own affair.
+            let _ = converse(stream, admitted).await;
+        });
+        waiting.push_back((task.abort_handle(), client));
     }
+}
+
+/// A connection.
+#[derive(Debug, Default)]
+struct Client {
+    has_asked: AtomicBool,
+    /// Given back when the connection ends.
+    place: OnceLock<OwnedSemaphorePermit>,
+}
+
+impl Client {
+    fn has_asked(&self) -> bool {
+        self.has_asked.load(Ordering::Relaxed)
+    }
+}
+
+/// The routes for this client, who needs a place unless it commands.
+fn admitted(routes: Router, client: &Arc<Client>, places: &Arc<Semaphore>) -> Router {
+    let (client, places) = (Arc::clone(client), Arc::clone(places));
+    routes.layer(from_fn(move |request: Request, next: Next| {
+        client.has_asked.store(true, Ordering::Relaxed);
+        let is_admitted = request.method() == Method::POST
+            || match Arc::clone(&places).try_acquire_owned() {
+                Ok(place) => client.place.set(place).is_ok(),
+                Err(_) => false,
+            };
+        async move {
+            match is_admitted {
+                true => next.run(request).await,
+                false => refusal(StatusCode::SERVICE_UNAVAILABLE, "too many clients"),
+            }
+        }
+    }))
 }
 
 async fn converse(stream: TcpStream, routes: Router) -> Result<(), Box<dyn std::error::Error>> {

@@ -27,8 +27,8 @@ const HOPELESS_BATCHES: usize = 20;
 pub struct Progress {
     /// Successful trajectories.
     pub trajectories: Vec<Trajectory>,
-    /// Starts at which the paper's algorithms failed, as points of R^6; from some the planner found a
-    /// way.
+    /// Starts at which the paper's algorithms failed, as points of R^6; from some the planner found
+    /// a way.
     pub failures: Vec<[f64; 6]>,
     /// Starts tried.
     pub tried: u64,

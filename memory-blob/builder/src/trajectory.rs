@@ -12,8 +12,8 @@ use crate::planner;
 use crate::solution::Finder;
 use crate::store::{Store, Trajectory};
 
-/// Periods without motion after which a trajectory counts as stuck, and those after which the solver
-/// starts from other directions.
+/// Periods without motion after which a trajectory counts as stuck, and those after which the
+/// solver starts from other directions.
 const STUCK_PERIODS: usize = 6;
 const STALLED_PERIODS: usize = 3;
 /// Image motion below which a period counts as one without motion: share of the motion that the
@@ -45,8 +45,8 @@ pub struct Trial {
     pub failure: Option<Failure>,
 }
 
-/// Runs from a start to the goal, step by step; `command` gives the next command from features, last
-/// command, and whether the features have not moved for some periods.
+/// Runs from a start to the goal, step by step; `command` gives the next command from features,
+/// last command, and whether the features have not moved for some periods.
 ///
 /// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not
 /// failed").

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use hw_sim::{FreeCamera, Referee};
-use ipc::{CameraPorts, Domain, Features, Sent, TwistCommand, now_ns};
+use ipc::{CameraPorts, Domain, Features, RobotState, Sent, TwistCommand, now_ns};
 use scene::{Pose, Scene};
 
 /// Frames after which it begins elsewhere, wherever it is.
@@ -22,6 +22,8 @@ pub struct Camera<'a> {
     camera: FreeCamera,
     referee: Referee,
     frames: u32,
+    /// What it carries out.
+    twist: [f64; 6],
     /// Whether the next frame is the first after a jump: it shows no point, as between two objects.
     is_blind: bool,
     // The last to be dropped.
@@ -40,13 +42,17 @@ impl<'a> Camera<'a> {
             camera: FreeCamera::new(scene, &starts[0]),
             referee: Referee::new(scene),
             frames: 0,
+            twist: [0.0; 6],
             is_blind: false,
             _domain: domain,
         }
     }
 
-    /// Publishes what it sees.
+    /// Publishes what it carries out and sees.
     pub fn show(&mut self) -> Sent {
+        let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now_ns());
+        state.twist = self.twist;
+        self.ports.robot.publish(&state).unwrap();
         loop {
             let exposure = now_ns();
             if self.frames < MOST_FRAMES
@@ -72,6 +78,7 @@ impl<'a> Camera<'a> {
 
     /// Moves for one period as commanded.
     pub fn obey(&mut self, command: &TwistCommand) {
+        self.twist = command.twist;
         self.camera
             .advance(&command.twist, self.scene.sampling_time());
     }

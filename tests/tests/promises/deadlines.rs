@@ -1,19 +1,18 @@
-//! No deadline is missed, and the loop wakes up about as promptly as the machine can: thousands of
-//! cycles of the daemon under `stress-ng`, with `cyclictest` beside it at the same priority and
-//! period.
+//! No deadline is missed under load, and the loop wakes up about as promptly as the machine can:
+//! thousands of cycles of the daemon, in real time on processor 1, beside a load (`load`) and a
+//! reference: a thread on the same processor, with the same period. Its priority is one higher, so
+//! that it never waits for the loop; it takes a few us of a period.
 //!
-//! The loop stays on processor 1. `cyclictest` runs a thread on each of processors 0 and 1 at the
-//! same time; two FIFO threads of one priority never interrupt each other, and each of them takes a
-//! few us in a period. The loop is compared with the better of the two p99. Whatever stops a
-//! processor for a while (a host, firmware) also stops the thread of `cyclictest` there. If
-//! `cyclictest` itself was late by half a period, or in one of a hundred wake-ups by a tenth, the
-//! machine is unfit, and the run neither passes nor fails.
+//! What the machine itself does is taken off each wake-up, also of the reference, and off each miss
+//! (`watch`). A release that was missed while the processor ran is a failure, at once. The late
+//! wake-ups are compared with those of the reference; chance has a part in that, so of three runs
+//! one must pass. Where the processor stood still for a quarter of the period in one of four
+//! cycles, nothing is shown: neither passed nor failed.
 //!
-//! A virtual machine's host may also delay one of them and not the other, so a single run says
-//! little about a p99. A run that does not pass is therefore repeated, up to [`RUNS`] in all; each
-//! run is printed. A loop that is really late is late in each.
+//! Where `stress-ng` and `cyclictest` are installed, they load and measure, too, and the bar is
+//! that of the prompter of all references.
 //!
-//! 2,500 cycles at 250 Hz take 10 s, 300 at the real 30 Hz ten more. At full length there are
+//! 1,500 cycles at 250 Hz take 6 s, 120 at the real 30 Hz four more. At full length there are
 //! 18,000 of each, which take eleven minutes:
 //!
 //!     VPC_LONG=1 cargo test --test promises deadlines
@@ -24,85 +23,101 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use controller::report::Report;
+use controller::clock::sleep_until;
 use ipc::now_ns;
-use scene::Scene;
 
-use crate::camera::Camera;
-use crate::fixture::{Place, Running, are_installed, program, repeats, root, tell, turn};
-use crate::machine::{is_without, may_have_a_processor};
+use crate::fixture::{EndOnDrop, Running, repeats, tell, turn};
+use crate::load;
+use crate::machine::{keep, may_have_a_processor, take_priority};
+use crate::paced::{Laps, PRIORITY, PROCESSOR, START_UP_NS, Track};
+use crate::watch::Standstills;
 
-/// SCHED_FIFO priority of the daemon and of cyclictest.
-const PRIORITY: u32 = 80;
-/// SCHED_FIFO priority of the camera, whose frames must be on time whatever else the machine does.
-const CAMERA_PRIORITY: i32 = 70;
-/// Processor of the daemon; the camera stays on the other.
-const CPU: usize = 1;
-/// Threads of cyclictest, on processors 0 and 1.
-const THREADS: usize = 2;
-/// The limit: this factor times the p99 of cyclictest, plus this time, us.
+/// SCHED_FIFO priority of the references.
+const ABOVE: i32 = PRIORITY + 1;
+/// Most wake-ups that are kept of a reference.
+const MOST: usize = 1 << 16;
+/// The limit: this factor times the reference, plus this time, us.
 const BAR: (f64, f64) = (2.0, 20.0);
-/// Runs at most, until one passes.
+/// Runs at most.
 const RUNS: usize = 3;
-/// Cycles before peers are met and steering begins.
-const START_UP: u64 = 200;
+/// Most of the cycles in which the processor may stand still.
+const UNFIT: f64 = 0.25;
 
-/// Latencies of the wake-ups of one thread of cyclictest after its start-up, us, ascending.
-struct Thread(Vec<u64>);
+/// A release of a reference.
+#[derive(Clone, Copy, Default)]
+struct WakeUp {
+    release_ns: u64,
+    woken_ns: u64,
+}
 
-impl Thread {
-    /// Of a thread, from what `cyclictest --verbose` prints: `thread:wake-up:us`, a line each.
-    ///
-    /// The first wake-ups are not counted: one thread sleeps for up to 50 ms in its very first one,
-    /// while cyclictest brings the others to the same grid.
-    fn parse(printed: &str, thread: usize) -> Self {
-        let late = |line: &str| {
-            let mut numbers = line.split(':').map(|number| number.trim().parse::<u64>());
-            let mut next = || numbers.next()?.ok();
-            let (number, wake_up, late) = (next()?, next()?, next()?);
-            (number == thread as u64 && wake_up >= START_UP).then_some(late)
-        };
-        let mut late: Vec<u64> = printed.lines().filter_map(late).collect();
-        late.sort_unstable();
+/// Wakes up every period, until `done`.
+fn wake_up(period_ns: u64, done: &AtomicBool) -> Vec<WakeUp> {
+    let mut all = vec![WakeUp::default(); MOST];
+    keep(None, PROCESSOR);
+    take_priority(ABOVE);
+    let begin_ns = now_ns();
+    let (mut release_ns, mut count) = (begin_ns, 0);
+    while !done.load(Ordering::Relaxed) && count < MOST {
+        release_ns += period_ns;
+        sleep_until(release_ns);
+        let woken_ns = now_ns();
+        if woken_ns > begin_ns + START_UP_NS {
+            all[count] = WakeUp {
+                release_ns,
+                woken_ns,
+            };
+            count += 1;
+        }
+        release_ns += (woken_ns - release_ns) / period_ns * period_ns;
+    }
+    all.truncate(count);
+    all
+}
+
+/// Latenesses of one thread after the start-up, us, ascending.
+struct Reference(Vec<f64>);
+
+impl Reference {
+    fn new(late: impl Iterator<Item = f64>) -> Self {
+        let mut late: Vec<f64> = late.collect();
+        late.sort_unstable_by(f64::total_cmp);
         Self(late)
     }
 
-    /// 99 of 100 wake-ups are not later, us.
-    fn p99(&self) -> f64 {
-        self.0[(self.0.len() - 1) * 99 / 100] as f64
+    /// Of a thread that was woken up at these times after its releases, without the time in which
+    /// its processor stood still.
+    fn corrected(wake_ups: Vec<WakeUp>, seen: &Standstills) -> Self {
+        let late = |wake_up: WakeUp| {
+            let WakeUp {
+                release_ns,
+                woken_ns,
+            } = wake_up;
+            let late_ns = woken_ns - release_ns - seen.between(release_ns, woken_ns);
+            late_ns as f64 / 1e3
+        };
+        Self::new(wake_ups.into_iter().map(late))
     }
 
-    /// The latest wake-up, us.
-    fn latest(&self) -> u64 {
-        self.0.last().copied().unwrap_or(0)
+    /// Of what `cyclictest --verbose` prints: `thread:wake-up:us`, a line each.
+    fn parse(printed: &str, start_up: u64) -> Self {
+        let late = |line: &str| {
+            let mut numbers = line.split(':').map(|number| number.trim().parse::<u64>());
+            let mut next = || numbers.next()?.ok();
+            let (_thread, wake_up, late) = (next()?, next()?, next()?);
+            (wake_up >= start_up).then_some(late as f64)
+        };
+        Self::new(printed.lines().filter_map(late))
+    }
+
+    /// This share of the wake-ups is not later, us.
+    fn quantile(&self, share: f64) -> f64 {
+        self.0[((self.0.len() - 1) as f64 * share) as usize]
     }
 }
 
-/// Runs the daemon for `cycles` at this rate, beside everything that disturbs and measures it.
-fn run(rate_hz: u32, cycles: u64) -> (Report, [Thread; THREADS]) {
-    let place = Place::new();
-    let scenes = root().join("ipc/scene/scenes");
-    let text = std::fs::read_to_string(scenes.join("paper-sim.toml")).unwrap();
-    let text = text.replace("rate_hz = 30.0", &format!("rate_hz = {rate_hz}.0"));
-    let scene_file = place.file("scene.toml", &text);
-    let scene = Scene::read(&scene_file).unwrap();
-    assert_eq!(scene.camera.rate_hz, f64::from(rate_hz));
-    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
-    let period_us = 1_000_000 / rate_hz;
-    let all_cycles = cycles + START_UP;
-    let patience =
-        Duration::from_micros(all_cycles * u64::from(period_us)) + Duration::from_secs(30);
-
-    // The camera's losses are no matter here: what it sends may be old for a while.
-    let realtime = match is_without("realtime") {
-        true => String::new(),
-        false => format!("[realtime]\npriority = {PRIORITY}\ncpu = {CPU}"),
-    };
-    let text = format!("[cycle]\nstale_periods = 20.0\n[safety]\nlost_s = 10.0\n{realtime}");
-    let config = place.file("vpcd.toml", &text);
-    let report = place.path("report.json");
-    let measured = place.path("cyclictest.txt");
-
+/// `stress-ng`, and `cyclictest` as another reference.
+fn outside(track: &Track, cycles: u64) -> [Running; 2] {
+    let seconds = (cycles + track.start_up()) * track.period_ns / 1_000_000_000 + 2;
     let mut stress = Command::new("stress-ng");
     stress.args([
         "--cpu",
@@ -115,166 +130,138 @@ fn run(rate_hz: u32, cycles: u64) -> (Report, [Thread; THREADS]) {
         "64M",
         "--quiet",
     ]);
-    stress.args(["--timeout", &format!("{}s", patience.as_secs())]);
+    stress.args(["--timeout", &format!("{seconds}s")]);
     let mut cyclictest = Command::new("cyclictest");
-    cyclictest.args([
-        "--verbose",
-        "--mlockall",
-        "--policy=fifo",
-        "--affinity=0,1",
-        "--distance=0",
-    ]);
-    cyclictest.arg(format!("--threads={THREADS}"));
-    cyclictest.arg(format!("--priority={PRIORITY}"));
-    cyclictest.arg(format!("--interval={period_us}"));
-    cyclictest.arg(format!("--loops={all_cycles}"));
-    cyclictest.stdout(std::fs::File::create(&measured).unwrap());
-    let mut daemon = Command::new(program("vpcd"));
-    daemon
-        .arg("--config")
-        .arg(config)
-        .arg("--scene")
-        .arg(&scene_file);
-    daemon.arg("--arm").arg("--domain").arg(place.domain());
-    daemon.arg("--cycles").arg(all_cycles.to_string());
-    daemon.arg("--report").arg(&report);
-
-    let done = AtomicBool::new(false);
-    let codes = std::thread::scope(|threads| {
-        let camera = threads.spawn(|| {
-            // Outcomes do not matter: without it the camera is a poorer instrument, and the report
-            // shows it.
-            let _ = act_in_time();
-            let mut camera = Camera::new(&scene, &starts, &place.domain());
-            let mut release = now_ns();
-            while !done.load(Ordering::Relaxed) {
-                camera.show();
-                release += u64::from(period_us) * 1000;
-                controller::clock::sleep_until(release);
-                if let Some(command) = camera.newest() {
-                    camera.obey(&command);
-                }
-            }
-        });
-        let _stress = Running::start(stress.stdout(Stdio::null()).stderr(Stdio::null()));
-        let cyclictest = Running::start(cyclictest.stderr(Stdio::null()));
-        let daemon = Running::start(daemon.stderr(Stdio::null()));
-        let codes = [daemon, cyclictest].map(|process| process.ended_within(patience).code);
-        done.store(true, Ordering::Relaxed);
-        camera.join().unwrap();
-        codes
-    });
-    assert_eq!(codes, [Some(0); 2], "daemon, cyclictest");
-    let report = std::fs::read_to_string(report).unwrap();
-    let measured = std::fs::read_to_string(measured).unwrap();
-    let threads = std::array::from_fn(|thread| Thread::parse(&measured, thread));
-    for Thread(wake_ups) in &threads {
-        assert!(
-            wake_ups.len() as u64 >= cycles * 9 / 10,
-            "{} wake-ups of cyclictest in {cycles} cycles",
-            wake_ups.len()
-        );
-    }
-    (serde_json::from_str(&report).unwrap(), threads)
+    cyclictest.args(["--verbose", "--mlockall", "--policy=fifo", "--threads=1"]);
+    cyclictest.arg(format!("--affinity={PROCESSOR}"));
+    cyclictest.arg(format!("--priority={ABOVE}"));
+    cyclictest.arg(format!("--interval={}", track.period_ns / 1000));
+    cyclictest.arg(format!("--loops={}", cycles + track.start_up()));
+    let measured = std::fs::File::create(track.place.path("cyclictest.txt")).unwrap();
+    stress.stdout(Stdio::null()).stderr(Stdio::null());
+    cyclictest.stdout(measured).stderr(Stdio::null());
+    [Running::start(stress), Running::start(cyclictest)]
 }
 
-/// Gives the calling thread the camera's priority and processor.
-pub fn act_in_time() -> std::io::Result<()> {
-    let thread = rustix::thread::gettid().as_raw_nonzero().to_string();
-    let run = |command: &mut Command| command.stdout(Stdio::null()).stderr(Stdio::null()).status();
-    run(Command::new("taskset").args(["-p", "-c", "0", &thread]))?;
-    run(Command::new("chrt").args(["-f", "-p", &CAMERA_PRIORITY.to_string(), &thread]))?;
-    Ok(())
+/// Runs the daemon for `cycles` beside everything that disturbs and measures it.
+fn run(track: &Track, cycles: u64, has_outside: bool) -> (Laps, Vec<Reference>) {
+    let done = AtomicBool::new(false);
+    let directory = track.place.path("");
+    let (laps, wake_ups) = std::thread::scope(|threads| {
+        let _done = EndOnDrop(&done);
+        load::work(threads, &directory, &done);
+        let reference = threads.spawn(|| wake_up(track.period_ns, &done));
+        let (laps, outside) = track.run(cycles, || has_outside.then(|| outside(track, cycles)));
+        if let Some([_stress, cyclictest]) = outside {
+            let ended = cyclictest.ended_within(Duration::from_secs(30));
+            assert_eq!(ended.code, Some(0));
+        }
+        done.store(true, Ordering::Relaxed);
+        (laps, reference.join().unwrap())
+    });
+    let mut references = vec![Reference::corrected(wake_ups, &laps.standstills)];
+    if has_outside {
+        let printed = std::fs::read_to_string(track.place.path("cyclictest.txt")).unwrap();
+        references.push(Reference::parse(&printed, track.start_up()));
+    }
+    (laps, references)
 }
 
 /// The result of a run.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Verdict {
     Passed,
-    Failed,
+    /// It woke up late, which chance can do.
+    Late,
     /// The machine is unfit.
-    Unfit,
+    NotShown,
 }
 
-/// Judges a run and prints the result.
-fn judge(rate_hz: u32, cycles: u64) -> Verdict {
-    let (report, threads) = run(rate_hz, cycles);
-    let period_us = 1e6 / f64::from(rate_hz);
-    let p99s = || threads.iter().map(Thread::p99);
-    let best = p99s().fold(f64::INFINITY, f64::min);
-    let worst = p99s().fold(0.0, f64::max);
-    let latest = threads.iter().map(Thread::latest).max().unwrap_or(0);
-    let wake = report.wake_ns.p99 as f64 / 1e3;
-    let bar = BAR.0 * best + BAR.1;
-    let costs = report.minor_faults + report.major_faults + report.blocked + report.allocations;
+/// Judges a run and prints the result; panics where the loop missed a release by itself.
+fn judge(rate_hz: u32, cycles: u64, has_outside: bool) -> Verdict {
+    let track = Track::new(rate_hz);
+    let (laps, references) = run(&track, cycles, has_outside);
+    let late = Reference::new(laps.late_ns().iter().map(|ns| *ns as f64 / 1e3));
+    for thread in references.iter().chain([&late]) {
+        let count = thread.0.len() as u64;
+        assert!(count >= cycles / 2, "{count} wake-ups in {cycles} cycles");
+    }
+    // Ten wake-ups or one of a hundred are later.
+    let share = (1.0 - 10.0 / cycles as f64).min(0.99);
+    let each: Vec<f64> = references
+        .iter()
+        .map(|thread| thread.quantile(share))
+        .collect();
+    let best = each.iter().copied().fold(f64::INFINITY, f64::min);
+    let (wake, bar) = (late.quantile(share), BAR.0 * best + BAR.1);
+    let (report, disturbed) = (&laps.report, laps.disturbed());
+    let missed = laps.missed();
     tell(format!(
-        "deadlines: {rate_hz} Hz, {} cycles, {} steering: {} missed; wake p50 {} p99 {wake:.0} p99.9 {} max {} us (bar {bar:.0}); busy p99 {} us; cyclictest p99 {best:.0} and {worst:.0}, latest {latest} us; {} faults, {} blocked, {} heap calls",
+        "deadlines: {rate_hz} Hz, {} cycles, {} steering: {missed} missed, and {} while the processor stood still ({:.1} ms at most, in {:.1} % of the cycles); wake-up p{:.0} {wake:.0} us (bar {bar:.0}), with the machine's part p50 {} max {} us; references {each:.0?} us; busy p99 {} us",
         report.cycles,
         report.armed,
-        report.overruns,
+        report.overruns - missed,
+        laps.standstills.longest_ns() as f64 / 1e6,
+        disturbed * 100.0,
+        share * 100.0,
         report.wake_ns.p50 / 1000,
-        report.wake_ns.p999 / 1000,
         report.wake_ns.max / 1000,
         report.busy_ns.p99 / 1000,
-        report.minor_faults + report.major_faults,
-        report.blocked,
-        report.allocations,
     ));
-    // The machine has no part in these.
-    assert_eq!(costs, 0, "faults, blocked and heap calls");
-    // Deadlines missed in a row disarm the daemon, which then has no work to do.
-    let had_work = report.armed >= cycles * 9 / 10;
-    assert!(
-        had_work || report.overruns > 0,
-        "{} of {cycles} cycles with work to do, and no deadline missed",
-        report.armed
+    assert_eq!(
+        missed, 0,
+        "releases missed at {rate_hz} Hz while the processor ran"
     );
-    if latest as f64 >= 0.5 * period_us || worst >= 0.1 * period_us {
-        tell(
-            "UNFIT, neither passed nor failed: cyclictest itself was late by half a period, or by a tenth in one of a hundred wake-ups",
-        );
-        return Verdict::Unfit;
+    if disturbed > UNFIT {
+        return Verdict::NotShown;
     }
-    match had_work && report.overruns == 0 && wake <= bar {
+    match wake <= bar {
         true => Verdict::Passed,
-        false => Verdict::Failed,
+        false => Verdict::Late,
     }
 }
 
-/// Runs until one run passes. Of those that the machine was fit for, two at least must fail for a
-/// failure.
-fn check(rate_hz: u32, cycles: u64) {
-    let mut failed = 0;
+/// Runs until one run passes: whether one did. Panics if none did, and not all of them were unfit.
+fn check(rate_hz: u32, cycles: u64, has_outside: bool) -> bool {
+    let mut verdicts = Vec::new();
     for _ in 0..RUNS {
-        match judge(rate_hz, cycles) {
-            Verdict::Passed => return,
-            Verdict::Failed => failed += 1,
-            Verdict::Unfit => (),
+        match judge(rate_hz, cycles, has_outside) {
+            Verdict::Passed => return true,
+            verdict => verdicts.push(verdict),
         }
     }
+    let is_shown = verdicts.iter().all(|verdict| *verdict == Verdict::NotShown);
     assert!(
-        failed < 2,
-        "{failed} of {RUNS} runs at {rate_hz} Hz missed deadlines or woke up later than the bar, none passed"
+        is_shown,
+        "no run of {RUNS} at {rate_hz} Hz passed: {verdicts:?}"
     );
-    tell("UNFIT, neither passed nor failed: no run of all of them can tell");
+    false
 }
 
 #[test]
 fn no_deadline_is_missed_under_load() {
     let _turn = turn();
-    let programs = [
-        "stress-ng",
-        "cyclictest=rt-tests",
-        "chrt=util-linux",
-        "taskset=util-linux",
-    ];
-    if !are_installed("deadlines", &programs) || !may_have_a_processor("deadlines") {
+    if !may_have_a_processor("deadlines") {
         return;
     }
-    let cycles = repeats("deadlines, cycles at 250 Hz", 1_500, 18_000);
-    check(250, cycles as u64);
-    check(
-        30,
-        repeats("deadlines, cycles at 30 Hz", 120, 18_000) as u64,
-    );
+    let programs = ["stress-ng", "cyclictest=rt-tests"];
+    let has_outside =
+        testkit::are_installed("deadlines beside others' load and reference", &programs);
+    let mut not_shown = Vec::new();
+    for (rate_hz, cycles) in [(250, 1_500), (30, 120)] {
+        let cycles = repeats(
+            &format!("deadlines, cycles at {rate_hz} Hz"),
+            cycles,
+            18_000,
+        );
+        if !check(rate_hz, cycles as u64, has_outside) {
+            not_shown.push(format!("{rate_hz} Hz"));
+        }
+    }
+    if !not_shown.is_empty() {
+        tell(format!(
+            "deadlines: NOT SHOWN on this machine, which stood still too often: {}",
+            not_shown.join(", ")
+        ));
+    }
 }

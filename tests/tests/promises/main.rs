@@ -3,7 +3,8 @@
 //! build.
 //!
 //! The tests run one at a time (`fixture::turn`), because they measure times and would disturb each
-//! other. A trial is repeated if the machine stood still (`stall::fairly`). `VPC_LONG=1` runs the
+//! other. A trial that was late is repeated if the machine stood still at that time
+//! (`stall::fairly`). `VPC_LONG=1` runs the
 //! tests at full length; without it they are short enough for CI, and print that.
 
 mod bounded;
@@ -11,6 +12,7 @@ mod camera;
 mod clients;
 mod clock;
 mod configuration;
+mod damage;
 mod deadlines;
 mod delay;
 mod failures;
@@ -19,17 +21,23 @@ mod fixture;
 mod foresight;
 mod hang;
 mod hostile;
+mod inputs;
+mod load;
 mod logging;
 mod machine;
 mod memory;
 mod onlookers;
 mod orphans;
 mod own_robot;
+mod paced;
 mod peers;
 mod phase;
 mod refit;
 mod replay;
 mod shutdown;
 mod silence;
+mod soak;
 mod stall;
 mod startup;
+mod stop;
+mod watch;

@@ -1,17 +1,20 @@
 //! The clocks `phase` and `fixed` with real processes and a camera whose rate is half a per cent
 //! off, so that the fixed clock drifts through a whole period in seven seconds. When the frames
 //! stop, the clock `phase` runs free again.
+//!
+//! The clock learns how late frames come. On a machine that stands still again and again they come
+//! late again and again, and it waits for them: where that is so before one answer in twenty, a
+//! miss of the bars shows nothing.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use anyhow::ensure;
 use ipc::{Domain, Observer, PhaseCode};
 use rustix::process::Signal;
 
-use crate::fixture::{Place, Running, eventually, program, root, tell, turn};
-use crate::machine::{may_be_real_time, on_time};
-use crate::stall::fairly;
+use crate::fixture::{PERIOD_NS, Place, Running, WAKE_NS, eventually, program, root, tell, turn};
+use crate::machine::{may_be_real_time, on_time, processors};
+use crate::watch::{Standstills, Watch};
 
 /// The camera's rate, Hz; the daemon's is 30.
 const RATE: f64 = 29.85;
@@ -21,9 +24,20 @@ const WATCHED: Duration = Duration::from_secs(8);
 /// A start at which `previous` stays in front of an occlusion for good.
 const START: &str = "82";
 
-/// Latencies from the publication of features to the command that answers them, ms, ascending; and
-/// the grid's relation to the camera at the end. Without a camera the grid must be free.
-fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
+/// Between two looks at the clock, and lateness of one from which on the machine stood still, ns.
+const TICK_NS: u64 = 1_000_000;
+const LATE_NS: u64 = WAKE_NS;
+/// Runs at most, until the machine does not stand still too often.
+const RUNS: usize = 3;
+/// Most of the answers before which the machine may stand still for a miss to count.
+const UNFIT: f64 = 0.05;
+
+/// An answer: when its features and its command were published, ns.
+type Answer = [u64; 2];
+
+/// Answers to features, and the grid's relation to the camera at the end. Without a camera the grid
+/// must be free.
+fn answers(clock: &str) -> (Vec<Answer>, PhaseCode) {
     let place = Place::new();
     let scenes = root().join("ipc/scene/scenes");
     let text = std::fs::read_to_string(scenes.join("paper-sim.toml")).unwrap();
@@ -65,8 +79,7 @@ fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
             let is_new = twist.features_sequence != answered;
             answered = twist.features_sequence;
             if is_new && answered != 0 && start.elapsed() > LOCKING {
-                let ns = twist.stamp.published_ns - twist.features_published_ns;
-                found.push(ns as f64 / 1e6);
+                found.push([twist.features_published_ns, twist.stamp.published_ns]);
             }
         }
         std::thread::sleep(Duration::from_millis(5));
@@ -84,7 +97,6 @@ fn latencies(clock: &str) -> (Vec<f64>, PhaseCode) {
     drop(domain);
     daemon.signal(Signal::TERM);
     assert_eq!(daemon.ended().code, Some(0));
-    found.sort_by(f64::total_cmp);
     (found, with_camera)
 }
 
@@ -96,28 +108,50 @@ fn share(sorted: &[f64], share: f64) -> f64 {
 #[ignore = "half a minute: CI runs it in a line of its own"]
 fn latency_is_small_and_constant_where_a_fixed_grid_drifts() {
     let _turn = turn();
-    fairly("latency", compare);
+    if !(0..RUNS).any(|_| compare()) {
+        tell("phase: NOT SHOWN on this machine, which stood still too often");
+    }
 }
 
-fn compare() -> anyhow::Result<()> {
-    let mut spreads = Vec::new();
+/// Latencies of the answers before which the machine did not stand still, ms, ascending; and the
+/// share of the others.
+fn latencies(answers: &[Answer], seen: &Standstills) -> (Vec<f64>, f64) {
+    let is_quiet = |[from_ns, to_ns]: &&Answer| seen.between(from_ns - PERIOD_NS, *to_ns) == 0;
+    let quiet = answers.iter().filter(is_quiet);
+    let mut all: Vec<f64> = quiet.map(|[from, to]| (to - from) as f64 / 1e6).collect();
+    all.sort_by(f64::total_cmp);
+    let disturbed = 1.0 - all.len() as f64 / answers.len() as f64;
+    (all, disturbed)
+}
+
+/// Compares the two clocks; whether that showed the promise. Panics where it is broken and the
+/// machine was fit.
+fn compare() -> bool {
+    let (mut spreads, mut worst) = (Vec::new(), 0.0_f64);
     for clock in ["fixed", "phase"] {
-        let (found, with_camera) = latencies(clock);
+        let watch = Watch::start(&processors(), TICK_NS, LATE_NS);
+        let (answers, with_camera) = answers(clock);
+        let (found, disturbed) = latencies(&answers, &watch.end());
+        worst = worst.max(disturbed);
+        if found.is_empty() {
+            return false;
+        }
         let (p1, p50, p99) = (share(&found, 0.01), share(&found, 0.5), share(&found, 0.99));
         tell(format!(
-            "phase: clock {clock}: features to command p1 {p1:.2}, p50 {p50:.2}, p99 {p99:.2} ms over {} answers",
-            found.len()
+            "phase: clock {clock}: features to command p1 {p1:.2}, p50 {p50:.2}, p99 {p99:.2} ms over {} answers; the machine stood still before {:.1} %",
+            answers.len(),
+            100.0 * disturbed
         ));
-        ensure!(found.len() > 200, "{clock}: {} answers", found.len());
+        assert!(answers.len() > 200, "{clock}: {} answers", answers.len());
         spreads.push((p99 - p1, p99, with_camera));
     }
     let [(fixed, _, free), (phase, latest, following)] = spreads[..] else {
         unreachable!("two clocks")
     };
-    // Seen with ten builds beside: 32 ms against 0.7 ms.
-    assert!(fixed > 20.0, "{fixed} ms: the fixed grid did not drift");
-    ensure!(phase < 4.0 && latest < 6.0, "{phase} ms, {latest} ms");
     assert_eq!(free, PhaseCode::Free);
-    ensure!(following != PhaseCode::Free, "a free grid with frames");
-    Ok(())
+    assert_ne!(following, PhaseCode::Free, "a free grid with frames");
+    // Seen with ten builds beside: 32 ms against 0.7 ms.
+    let is_kept = fixed > 20.0 && phase < 4.0 && latest < 6.0;
+    assert!(is_kept || worst > UNFIT, "{fixed}, {phase}, {latest} ms");
+    is_kept
 }

@@ -1,25 +1,20 @@
-//! Whether the machine itself stood still while a promise was tested.
+//! Bars of time, judged by what the machine did meanwhile.
 //!
-//! The limits of the promises are milliseconds of wall time. A virtual machine whose host takes its
-//! processors away for 50 ms breaks them through no fault of the programs. A thread on each
-//! processor, at a priority above everything under test, wakes up every millisecond and notes how
-//! late it is: only the machine can make it late. A trial that missed a limit *while the machine
-//! stood still* is void: the test prints that and tries again, a few times at most. A trial that
-//! missed a limit while the machine ran fails at once, and so does every failed `assert!`, which
-//! checks everything but time.
+//! The limits of the promises are milliseconds of wall time. Something that took too long is
+//! `late`, with the time that it took. It is void, and tried again, where it would have kept its
+//! bar without the part of *that* time in which the machine stood still (`watch`). A standstill at
+//! another time excuses nothing, and every failed `assert!`, which checks all but time, fails at
+//! once. Of what is no duration (`ensure!`: releases missed, for instance) the whole trial is the
+//! time.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
+use std::fmt;
 
-use controller::clock::sleep_until;
 use ipc::now_ns;
 
 use crate::fixture::{WAKE_NS, not_run, tell};
-use crate::machine::{keep, processors, take_priority};
+use crate::machine::{processors, take_priority};
+use crate::watch::{Standstills, Watch};
 
-/// SCHED_FIFO priority above everything under test.
-const PRIORITY: i32 = 95;
 /// Between two looks at the clock, ns.
 const TICK_NS: u64 = 1_000_000;
 /// Lateness from which on the machine stood still: what the bars allow for being woken, ns.
@@ -27,59 +22,73 @@ const STALL_NS: u64 = WAKE_NS;
 /// Most trials of one thing.
 const TRIALS: usize = 6;
 
-/// Threads that look at the clock.
-struct Watch {
-    end: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<u64>>,
+/// Something that took longer than its bar.
+#[derive(Debug)]
+struct Late {
+    what: &'static str,
+    from_ns: u64,
+    to_ns: u64,
+    bar_ns: u64,
 }
 
-impl Watch {
-    fn start() -> Self {
-        let end = Arc::new(AtomicBool::new(false));
-        let threads = processors().into_iter().map(|processor| {
-            let end = Arc::clone(&end);
-            std::thread::spawn(move || {
-                keep(None, processor);
-                // Without the right to real time nobody has it: this thread is then as ordinary as
-                // the daemon.
-                take_priority(PRIORITY);
-                let (mut release, mut latest) = (now_ns(), 0);
-                while !end.load(Ordering::Relaxed) {
-                    release += TICK_NS;
-                    sleep_until(release);
-                    let now = now_ns();
-                    latest = latest.max(now - release);
-                    release = release.max(now - now % TICK_NS);
-                }
-                latest
-            })
-        });
-        let threads = threads.collect();
-        Self { end, threads }
-    }
-
-    /// The longest time that a processor stood still, ns.
-    fn end(self) -> u64 {
-        self.end.store(true, Ordering::Relaxed);
-        let latest = self.threads.into_iter().map(|thread| thread.join());
-        latest.map(Result::unwrap).max().unwrap_or(0)
+impl fmt::Display for Late {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let took = (self.to_ns - self.from_ns) as f64 / 1e6;
+        write!(
+            f,
+            "{} after {took:.1} ms, bar {:.1} ms",
+            self.what,
+            self.bar_ns as f64 / 1e6
+        )
     }
 }
 
-/// Tries something until it keeps its bars, or misses them on a machine that did not stand still. A
-/// trial gives an error (`ensure!`) where it missed a bar of time, and panics at any other fault.
+impl std::error::Error for Late {}
+
+/// How long something took, ns, if that was no longer than its bar; `from` and `to` are instants of
+/// CLOCK_MONOTONIC, ns.
+pub fn in_time(what: &'static str, from_ns: u64, to_ns: u64, bar_ns: u64) -> anyhow::Result<u64> {
+    let took_ns = to_ns - from_ns;
+    match took_ns <= bar_ns {
+        true => Ok(took_ns),
+        false => Err(Late {
+            what,
+            from_ns,
+            to_ns,
+            bar_ns,
+        }
+        .into()),
+    }
+}
+
+/// Whether the machine is to blame for a bar that was missed in a trial.
+fn is_void(missed: &anyhow::Error, trial_ns: [u64; 2], seen: &Standstills) -> bool {
+    match missed.downcast_ref::<Late>() {
+        Some(late) => {
+            let stood_ns = seen.between(late.from_ns, late.to_ns);
+            late.to_ns - late.from_ns <= late.bar_ns + stood_ns
+        }
+        None => seen.between(trial_ns[0], trial_ns[1]) > 0,
+    }
+}
+
+/// Tries something until it keeps its bars, or misses them through its own fault. A trial gives an
+/// error (`in_time`, `ensure!`) where it missed a bar of time, and panics at any other fault.
 pub fn fairly<T>(what: &str, mut trial: impl FnMut() -> anyhow::Result<T>) -> T {
     for count in 1..=TRIALS {
-        let watch = Watch::start();
+        let watch = Watch::start(&processors(), TICK_NS, STALL_NS);
+        let begin_ns = now_ns();
         let outcome = trial();
-        let stood_ns = watch.end();
+        let trial_ns = [begin_ns, now_ns()];
+        let seen = watch.end();
         let missed = match outcome {
             Ok(value) => return value,
             Err(missed) => missed,
         };
-        let stood = format!("the machine itself stood still for {stood_ns} ns");
+        let stood = seen.longest_ns() / 1_000_000;
+        let stood = format!("the machine stood still for {stood} ms at most");
         assert!(
-            stood_ns > STALL_NS && count < TRIALS,
+            is_void(&missed, trial_ns, &seen) && count < TRIALS,
             "{what}, trial {count}: {missed}; {stood}"
         );
         tell(format!("VOID, tried again: {what}: {missed}; {stood}"));
@@ -87,39 +96,60 @@ pub fn fairly<T>(what: &str, mut trial: impl FnMut() -> anyhow::Result<T>) -> T 
     unreachable!("the last trial has a result or panics")
 }
 
+/// Takes the processors away for this time, by threads above the watch, one on each.
+fn hog(ns: u64) {
+    std::thread::scope(|threads| {
+        for processor in processors() {
+            threads.spawn(move || {
+                crate::machine::keep(None, processor);
+                take_priority(crate::watch::PRIORITY + 1);
+                let end = now_ns() + ns;
+                while now_ns() < end {
+                    std::hint::spin_loop();
+                }
+            });
+        }
+    });
+}
+
 #[test]
-fn what_misses_a_bar_is_tried_again_only_where_the_machine_stood_still() {
-    // A processor that is taken away: by threads above the watch, one on each.
-    let hog = || {
-        std::thread::scope(|threads| {
-            for processor in processors() {
-                threads.spawn(move || {
-                    keep(None, processor);
-                    take_priority(PRIORITY + 1);
-                    let end = now_ns() + 20 * TICK_NS;
-                    while now_ns() < end {
-                        std::hint::spin_loop();
-                    }
-                });
-            }
-        });
-    };
+fn a_missed_bar_is_void_only_where_the_machine_stood_still_at_that_time() {
+    const MS: u64 = 1_000_000;
     let _turn = crate::fixture::turn();
     if !take_priority(0) || !crate::machine::may_be_real_time() {
         return not_run("stall", "no right to real time");
     }
+    const BAR_NS: u64 = 80 * MS;
+    let sleep = |ms| std::thread::sleep(std::time::Duration::from_millis(ms));
+    // 110 ms and a little, of which the machine takes 100: the bar of 80 would have been kept.
     let mut trials = 0;
     let taken = fairly("a hog", || {
         trials += 1;
+        let from_ns = now_ns();
         if trials == 1 {
-            hog();
-            anyhow::bail!("late");
+            hog(100 * MS);
+            sleep(10);
         }
+        in_time("it", from_ns, now_ns(), BAR_NS)?;
         Ok(trials)
     });
     assert_eq!(taken, 2);
-    let quiet = std::panic::catch_unwind(|| {
-        fairly("no hog", || -> anyhow::Result<()> { anyhow::bail!("late") });
+    // What fails: a hog at another time, one that is too short, and none.
+    let fails = |trial: &dyn Fn() -> anyhow::Result<u64>| {
+        let trial = std::panic::AssertUnwindSafe(|| fairly("it", trial));
+        assert!(std::panic::catch_unwind(trial).is_err());
+    };
+    fails(&|| {
+        hog(100 * MS);
+        let from_ns = now_ns();
+        sleep(200);
+        in_time("another time", from_ns, now_ns(), BAR_NS)
     });
-    assert!(quiet.is_err());
+    fails(&|| {
+        let from_ns = now_ns();
+        hog(20 * MS);
+        sleep(200);
+        in_time("too short", from_ns, now_ns(), BAR_NS)
+    });
+    fails(&|| anyhow::bail!("none"));
 }

@@ -15,8 +15,8 @@ Each kind has a JSON Schema. A file names it in its first line, for instance `#:
 language server (taplo, Even Better TOML, tombi) complete and check keys from it.
 ";
 
-/// Returns the page: each kind of file with what it is for, its schema, and a file that has its keys
-/// in the order in which they are read best.
+/// Returns the page: each kind of file with what it is for, its schema, and a file that has its
+/// keys in the order in which they are read best.
 pub fn make() -> anyhow::Result<String> {
     let shipped = |path: &str| {
         std::fs::read_to_string(root().join(path)).with_context(|| format!("{path}: cannot read"))

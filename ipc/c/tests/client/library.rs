@@ -1,13 +1,16 @@
 //! The functions, called as C calls them.
 
 use std::ffi::CStr;
-use std::ptr::null_mut;
+use std::ptr::{null, null_mut};
 
 use ipc::{ControllerPorts, Features};
 use vpcclient::boundary::{Fault, enter, vpc_message};
-use vpcclient::camera::{vpc_camera_close, vpc_camera_open, vpc_camera_publish, vpc_camera_twist};
+use vpcclient::camera::{
+    vpc_camera_close, vpc_camera_open, vpc_camera_publish, vpc_camera_twist, vpc_twist_in_force,
+};
 use vpcclient::domain::{vpc_domain_join, vpc_domain_leave};
 use vpcclient::names::vpc_hold_name;
+use vpcclient::operator::vpc_stop;
 use vpcclient::status::Status;
 
 fn words() -> String {
@@ -84,6 +87,44 @@ fn a_handle_is_refused_in_another_thread_and_ports_outlive_their_domain() {
 }
 
 #[test]
+fn the_dead_man_and_the_stop_need_no_domain() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_str().unwrap().to_owned() + "\0";
+    let mut command = ipc::TwistCommand::zero(ipc::TwistState::Moving);
+    command.stamp.published_ns = 1_000;
+    (command.valid_until_ns, command.twist) = (u64::MAX - 1, [0.5; 6]);
+    let mut twist = [9.0; 6];
+    // SAFETY: pointers are valid or NULL, as the header says.
+    unsafe {
+        for (now_ns, allowed) in [(1_000, 0.5), (100_000_999, 0.5), (100_001_000, 0.0)] {
+            assert_eq!(vpc_twist_in_force(&command, now_ns, &mut twist), Status::Ok);
+            assert_eq!(twist, [allowed; 6], "{now_ns}");
+        }
+        twist = [9.0; 6];
+        assert_eq!(vpc_twist_in_force(null(), 1_000, &mut twist), Status::Ok);
+        assert_eq!(twist, [0.0; 6]);
+        assert_eq!(
+            vpc_twist_in_force(&command, 0, null_mut()),
+            Status::Argument
+        );
+
+        assert_eq!(vpc_stop(path.as_ptr().cast(), 1), Status::Domain);
+        let mut stop_file = ipc::StopFile::open(directory.path()).unwrap();
+        assert_eq!(vpc_stop(path.as_ptr().cast(), 1), Status::Timeout);
+        assert!(words().contains("begins disarmed"), "{}", words());
+        assert!(stop_file.is_asked());
+        let address = path.clone();
+        let stop = std::thread::spawn(move || vpc_stop(address.as_ptr().cast(), 10_000_000_000));
+        while !stop.is_finished() {
+            if stop_file.is_asked() {
+                stop_file.obey();
+            }
+        }
+        assert_eq!(stop.join().unwrap(), Status::Ok);
+    }
+}
+
+#[test]
 fn codes_have_words() {
     let name = |code| {
         // SAFETY: valid for ever.
@@ -96,4 +137,5 @@ fn codes_have_words() {
     assert_eq!(name(20), "standstill of the loop");
     assert_eq!(name(22), "frozen image");
     assert_eq!(name(23), "unknown");
+    assert_eq!(name(24), "unclean end of the last vpcd");
 }

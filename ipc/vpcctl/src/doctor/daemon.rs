@@ -183,6 +183,13 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::RobotFault | Hold::RobotLost => "clear the fault at the robot, or start its client",
         Hold::Overruns | Hold::Standstill => "the machine is overloaded: `vpcd --preflight`",
         Hold::NotArmed | Hold::Operator => "vpcctl arm",
+        Hold::NoRobot => {
+            "start the robot's client; `safety.robot = \"optional\"` where the robot tells nothing"
+        }
+        Hold::NotFollowed => {
+            "see why the robot does not move as commanded (its mode, its limits, the frames of its client), then `vpcctl arm`"
+        }
+        Hold::Unclean => "find out why it ended (its log, `journalctl`), then `vpcctl arm`",
         Hold::None | Hold::Transport | Hold::BadTwist | Hold::Solver | Hold::Shutdown => {
             "see the daemon's log"
         }

@@ -6,8 +6,9 @@ use std::convert::Infallible;
 use std::fs::File;
 use std::io::{self, Read};
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::extract::State;
@@ -15,8 +16,9 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, Sse};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{get, post};
-use futures_util::stream::{self, Stream};
+use futures_util::stream::{self, Stream, StreamExt};
 use ipc::Action;
+use tokio::sync::Semaphore;
 use tokio::time::Interval;
 
 use crate::exit::{Exit, Failure};
@@ -29,16 +31,22 @@ use feed::Feed;
 
 /// The page: plain JavaScript, nothing from elsewhere.
 const PAGE: &str = include_str!("page.html");
+/// Most views at one time: a browser opens six connections to a host, for all its tabs, and a
+/// command needs one.
+const VIEWS: usize = 5;
 /// Time between two events.
 const EVENT: Duration = Duration::from_millis(50);
 /// How long to wait for the daemon's answer.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Pause between two looks whether a stop was obeyed.
+const POLL: Duration = Duration::from_millis(2);
 
 /// What the handlers share.
 #[derive(Debug)]
 struct Server {
     status: Mutex<Status>,
     plane: ImagePlane,
+    views: Arc<Semaphore>,
     /// `None` if the page may not command.
     token: Option<String>,
 }
@@ -56,6 +64,7 @@ pub fn run(
     let server = Arc::new(Server {
         status: Mutex::new(Status::new(&watcher)),
         plane,
+        views: Arc::new(Semaphore::new(VIEWS)),
         token: control.then(token).transpose()?,
     });
     // The part behind # stays in the browser: it is not sent, and not logged.
@@ -89,7 +98,11 @@ pub fn run(
 
 async fn events(
     State(server): State<Arc<Server>>,
-) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Response> {
+    let Ok(view) = Arc::clone(&server.views).try_acquire_owned() else {
+        let reason = format!("{VIEWS} views are open; allowed: {VIEWS}");
+        return Err(refusal(StatusCode::SERVICE_UNAVAILABLE, &reason));
+    };
     let feed = Feed::new(server.plane.clone());
     let ticks = tokio::time::interval(EVENT);
     let next = async |(server, mut feed, mut ticks): (Arc<Server>, Feed, Interval)| {
@@ -99,7 +112,9 @@ async fn events(
         let event = Event::default().data(event.to_string());
         Some((Ok(event), (server, feed, ticks)))
     };
-    Sse::new(stream::unfold((server, feed, ticks), next))
+    let events = stream::unfold((server, feed, ticks), next);
+    // The place is given back with the stream.
+    Ok(Sse::new(events.inspect(move |_| _ = &view)))
 }
 
 /// Commands come from our own page, with the token that was printed.
@@ -122,17 +137,32 @@ async fn command(
         let status = server.status.lock().unwrap_or_else(PoisonError::into_inner);
         status.directory.clone()
     };
-    let asked = move || request::send(&directory, &request::plain(action), PATIENCE);
+    if action == Action::Stop {
+        return stop(&directory).await;
+    }
+    let asked = move || request::ask(&directory, &request::plain(action), PATIENCE);
     match tokio::task::spawn_blocking(asked).await {
-        Ok(Ok(reply)) => {
-            let (line, exit) = request::outcome(&reply);
-            match exit {
-                Exit::Ok => line.into_response(),
-                _ => (StatusCode::CONFLICT, line).into_response(),
-            }
-        }
+        Ok(Ok((line, Exit::Ok))) => line.into_response(),
+        Ok(Ok((line, _))) => (StatusCode::CONFLICT, line).into_response(),
         Ok(Err(failure)) => refusal(StatusCode::SERVICE_UNAVAILABLE, &failure.to_string()),
         Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
+    }
+}
+
+/// Stops by the stop file, without a thread, which a machine in trouble may not give.
+async fn stop(directory: &Path) -> Response {
+    let (begin, unavailable) = (Instant::now(), StatusCode::SERVICE_UNAVAILABLE);
+    let asked = match ipc::Asked::in_domain(directory) {
+        Ok(asked) => asked,
+        Err(error) => return refusal(unavailable, &error.to_string()),
+    };
+    loop {
+        match asked.is_obeyed() {
+            Ok(true) => return request::stopped(begin.elapsed()).into_response(),
+            Ok(false) if begin.elapsed() < PATIENCE => tokio::time::sleep(POLL).await,
+            Ok(false) => return refusal(unavailable, &asked.not_obeyed(PATIENCE).to_string()),
+            Err(error) => return refusal(unavailable, &error.to_string()),
+        }
     }
 }
 

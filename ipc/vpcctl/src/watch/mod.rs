@@ -169,8 +169,8 @@ impl Session {
         let (sender, answer) = mpsc::channel();
         let directory = self.status.directory.clone();
         std::thread::spawn(move || {
-            let line = match request::send(&directory, &request, PATIENCE) {
-                Ok(reply) => request::outcome(&reply).0,
+            let line = match request::ask(&directory, &request, PATIENCE) {
+                Ok((line, _)) => line,
                 Err(failure) => format!("{action}: {failure}"),
             };
             // A newer request may have been made.

@@ -1,6 +1,7 @@
 //! The command as a process, against a stand-in for the daemon: same ports, same contract, no law.
 
 mod browser;
+mod check_bridge;
 mod doctor;
 mod metrics;
 mod recordings;

@@ -71,9 +71,10 @@ fn stop_needs_no_observers_place() {
     );
     let output = vpcctl(directory.path(), &["stop"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    assert_eq!(
-        stdout(&output),
-        "stop: done; disarmed (operator), strategy previous\n"
+    let line = stdout(&output);
+    assert!(
+        line.starts_with("stop: done after ") && line.ends_with(" ms; disarmed\n"),
+        "{line}"
     );
 }
 
@@ -92,6 +93,20 @@ fn a_daemon_that_does_not_answer_is_told_from_none() {
     assert_eq!(deaf.status.code(), Some(4), "{}", stderr(&deaf));
     let process = format!("process {} did not answer", std::process::id());
     assert!(stderr(&deaf).contains(&process), "{}", stderr(&deaf));
+}
+
+#[test]
+fn a_stop_file_that_was_removed_is_told() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    std::fs::remove_file(directory.path().join(ipc::STOP_FILE)).unwrap();
+    let output = vpcctl(directory.path(), &["stop", "--timeout", "0.2"]);
+    assert_eq!(output.status.code(), Some(69), "{}", stderr(&output));
+    let words = format!(
+        "stop: missing, so process {} has stopped",
+        std::process::id()
+    );
+    assert!(stderr(&output).contains(&words), "{}", stderr(&output));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use std::io::{Read, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::browser::Browser;
@@ -110,22 +111,65 @@ fn clients_are_bounded_in_number_head_and_time() {
         nonsense.is_empty() || nonsense.starts_with("HTTP/1.1 400"),
         "{nonsense}"
     );
-    // Clients that say nothing, and clients that never take what they asked for.
+    // Views that are never read.
     let host = format!("Host: {}\r\n\r\n", server.address);
-    for request in ["", &format!("GET /events HTTP/1.1\r\n{host}")] {
-        let clients: Vec<_> = (0..32).map(|_| server.connect()).collect();
-        for mut client in &clients {
-            rustix::net::sockopt::set_socket_recv_buffer_size(client, 4096).unwrap();
-            client.write_all(request.as_bytes()).unwrap();
-        }
-        std::thread::sleep(Duration::from_millis(200));
-        let answer = server.try_get("/");
-        assert!(answer.is_empty(), "more than 32 clients:\n{answer}");
-        testkit::eventually("idle clients are dropped", || {
-            let answer = server.try_get("/");
-            answer.starts_with("HTTP/1.1 200").then_some(())
-        });
+    let clients: Vec<_> = (0..5).map(|_| server.connect()).collect();
+    for mut client in &clients {
+        rustix::net::sockopt::set_socket_recv_buffer_size(client, 4096).unwrap();
+        write!(client, "GET /events HTTP/1.1\r\n{host}").unwrap();
     }
+    std::thread::sleep(Duration::from_millis(200));
+    let host = format!("Host: {}\r\n", server.address);
+    let events = server.ask("GET /events", &host, 2048);
+    assert!(
+        events.starts_with("HTTP/1.1 503") && events.contains("5 views are open"),
+        "{events}"
+    );
+    testkit::eventually("idle clients are dropped", || {
+        let events = server.ask("GET /events", &host, 2048);
+        events.starts_with("HTTP/1.1 200").then_some(())
+    });
+}
+
+#[test]
+fn a_stop_gets_through_whatever_others_do() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let words = ["serve", "--listen", "127.0.0.1:0", "--control"];
+    let server = Server::start(directory.path(), &words);
+    let token = server.line.trim().rsplit('#').next().unwrap().to_owned();
+    let host = server.address.clone();
+    // As many watchers as there are places, read without end.
+    let watchers: Vec<_> = (0..64).map(|_| server.connect()).collect();
+    for mut watcher in &watchers {
+        write!(watcher, "GET /events HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
+    }
+    let end = AtomicBool::new(false);
+    std::thread::scope(|threads| {
+        // Clients that drip, and begin anew when they are dropped.
+        for _ in 0..4 {
+            threads.spawn(|| {
+                let mut clients: Vec<_> = (0..16).map(|_| server.connect()).collect();
+                while !end.load(Ordering::Relaxed) {
+                    for client in &mut clients {
+                        if client.write_all(b"G").is_err() {
+                            *client = server.connect();
+                        }
+                    }
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+            });
+        }
+        std::thread::sleep(Duration::from_millis(300));
+        let fields = format!("Host: {host}\r\nOrigin: http://{host}\r\nX-Vpc-Token: {token}\r\n");
+        let answers: Vec<_> = (0..20)
+            .map(|_| server.ask("POST /stop", &fields, 1 << 16))
+            .collect();
+        end.store(true, Ordering::Relaxed);
+        for answer in answers {
+            assert!(answer.contains("stop: done after"), "{answer}");
+        }
+    });
 }
 
 #[test]
@@ -215,6 +259,8 @@ fn a_browser_shows_the_run_and_its_buttons_command() {
     let pixel = "(() => { const c = document.getElementById('image'); const s = c.width / 1280; \
         return c.getContext('2d').getImageData(700 * s, 500 * s, 1, 1).data[3] > 0; })()";
     browser.wait_for(pixel);
+    // As many tabs as a browser has connections, and more.
+    browser.value("others = [...Array(8)].map(() => new EventSource('events')); 0");
     browser.value("document.getElementById('arm').click()");
     browser.wait_for("document.getElementById('state').textContent === 'moving'");
     browser.wait_for("document.getElementById('answer').textContent.startsWith('arm: done')");

@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use ipc::{Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RecorderPort, Reply};
-use ipc::{Request, SolverStatus, Stamp, StrategyCode, TwistState};
+use ipc::{Request, SolverStatus, Stamp, StopFile, StrategyCode, TwistState};
 
 /// Period of its loop.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -46,6 +46,7 @@ impl StandIn {
                 let domain = Domain::join(&directory).unwrap();
                 let mut ports = ControllerPorts::open(&domain).unwrap();
                 let mut recorder = RecorderPort::open(&domain).unwrap();
+                let mut stop_file = StopFile::open(domain.directory()).unwrap();
                 ready.send(()).unwrap();
                 let mut law = Law::default();
                 while !end.load(Ordering::Relaxed) {
@@ -54,6 +55,10 @@ impl StandIn {
                         while let Ok(Some(request)) = ports.requests.oldest() {
                             let reply = law.answer(&request.message);
                             ports.replies.publish(&reply).unwrap();
+                        }
+                        if stop_file.is_asked() {
+                            law.answer(&Request::new(Request::STOP_FILE, Action::Stop));
+                            stop_file.obey();
                         }
                     }
                     if manner.cycles {

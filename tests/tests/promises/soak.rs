@@ -1,0 +1,413 @@
+//! Soak: daemon, emulator, recorder, page and metrics for an hour, with faults at random: peers that
+//! are killed or hang, floods, a loaded machine, stops, kills and hangs of the daemon itself. No
+//! command passes the limits, the robot stands whenever the daemon is gone, and nothing grows:
+//! memory of the daemon, descriptors, segments.
+//!
+//!     VPC_LONG=1 cargo test --test promises soak -- --ignored --nocapture
+//!
+//! `VPC_SECONDS` chooses another time, `VPC_SEED` other faults (1).
+
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use ipc::{Action, Domain, OperatorPorts, Request, TwistState, now_ns};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rustix::process::Signal;
+
+use crate::fixture::{
+    CAMERA_PRIORITY, EndOnDrop, Place, Running, WAKE_NS, Witness, assert_within_limits, program,
+    repeats, tell, turn,
+};
+use crate::load;
+use crate::machine::{on_time, processors};
+use crate::watch::{Standstills, Watch};
+
+/// Longest time from the end of the daemon to standstill, ns.
+const STANDS_NS: u64 = 100_000_000 + WAKE_NS;
+/// How long a fault that passes lasts.
+const PASSING: Duration = Duration::from_secs(1);
+/// Time in which dead peers are cleared away.
+const CLEARED: Duration = Duration::from_millis(2500);
+/// Share of the faults that end or halt the daemon itself: in an hour, and in a short run.
+const RARE: [f64; 2] = [0.02, 0.2];
+/// Time in which the daemon's memory settles: its flight record is full, and was written.
+const SETTLED: Duration = Duration::from_secs(60);
+/// Growth of the daemon's memory after that, in one of its lives, that is no leak, KiB.
+const GROWTH_KIB: u64 = 1024;
+/// More descriptors, and segments, than at first that are no leak: peers come and go.
+const MORE: usize = 4;
+
+/// What goes wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fault {
+    CameraKilled,
+    CameraHangs,
+    RecorderKilled,
+    PageKilled,
+    MetricsKilled,
+    Stopped,
+    Flooded,
+    Loaded,
+    DaemonKilled,
+    DaemonHangs,
+    DaemonTerminated,
+}
+
+/// Those of others, each as often as it stands here.
+const FAULTS: [Fault; 17] = {
+    use Fault::*;
+    [
+        CameraKilled,
+        CameraKilled,
+        CameraKilled,
+        CameraHangs,
+        CameraHangs,
+        RecorderKilled,
+        RecorderKilled,
+        PageKilled,
+        PageKilled,
+        MetricsKilled,
+        MetricsKilled,
+        Stopped,
+        Stopped,
+        Flooded,
+        Flooded,
+        Loaded,
+        Loaded,
+    ]
+};
+/// Those of the daemon.
+const GRAVE: [Fault; 3] = [
+    Fault::DaemonKilled,
+    Fault::DaemonHangs,
+    Fault::DaemonTerminated,
+];
+
+/// Who takes part.
+struct Cast {
+    place: Place,
+    witness: Witness,
+    daemon: Running,
+    camera: Running,
+    recorder: Running,
+    page: Running,
+    metrics: Running,
+    /// Starts of the camera, and recordings, so far.
+    starts: usize,
+    recordings: usize,
+}
+
+/// What was seen.
+#[derive(Default)]
+struct Tally {
+    faults: BTreeMap<Fault, u32>,
+    restarts: u32,
+    cycles: u64,
+    missed: u64,
+    /// Of the present daemon.
+    overruns: u64,
+    stands_ns: u64,
+    stop: Duration,
+    growth_kib: u64,
+    moving: u64,
+}
+
+impl Cast {
+    fn new() -> Self {
+        let place = Place::new();
+        let witness = Witness::new(&place);
+        Self {
+            daemon: daemon(&place),
+            camera: camera(&place, 0),
+            recorder: recorder(&place, 0),
+            page: server(&place, "serve"),
+            metrics: server(&place, "metrics"),
+            place,
+            witness,
+            starts: 1,
+            recordings: 1,
+        }
+    }
+
+    /// Starts who has ended; runs of the camera end by themselves.
+    fn revive(&mut self, tally: &mut Tally) {
+        if !self.daemon.is_running() {
+            self.daemon = daemon(&self.place);
+            (tally.restarts, tally.overruns) = (tally.restarts + 1, 0);
+        }
+        if !self.camera.is_running() {
+            self.camera = camera(&self.place, self.starts);
+            self.starts += 1;
+        }
+        if !self.recorder.is_running() {
+            let _ = std::fs::remove_file(recording(&self.place, self.recordings - 1));
+            self.recorder = recorder(&self.place, self.recordings);
+            self.recordings += 1;
+            tally.restarts += 1;
+        }
+        for (server_of, name) in [(&mut self.page, "serve"), (&mut self.metrics, "metrics")] {
+            if !server_of.is_running() {
+                *server_of = server(&self.place, name);
+                tally.restarts += 1;
+            }
+        }
+    }
+
+    /// Takes what came, and arms whenever it is disarmed.
+    fn tend(&mut self, tally: &mut Tally) {
+        let commands = self.witness.commands();
+        commands.iter().for_each(assert_within_limits);
+        let moving = |twist: &&ipc::TwistCommand| twist.state() == Some(TwistState::Moving);
+        tally.moving += commands.iter().filter(moving).count() as u64;
+        for record in self.witness.records() {
+            tally.cycles += 1;
+            tally.missed += record.overruns.saturating_sub(tally.overruns);
+            tally.overruns = record.overruns;
+        }
+        if commands.last().and_then(|twist| twist.state()) == Some(TwistState::Disarmed) {
+            let id = ChaCha8Rng::seed_from_u64(now_ns()).random();
+            self.witness.say(&Request::new(id, Action::Arm));
+        }
+    }
+
+    /// Tends for so long.
+    fn go_on(&mut self, time: Duration, tally: &mut Tally) {
+        let begin = Instant::now();
+        while begin.elapsed() < time {
+            self.revive(tally);
+            self.tend(tally);
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    fn commit(&mut self, fault: Fault, tally: &mut Tally, random: &mut impl Rng) {
+        *tally.faults.entry(fault).or_default() += 1;
+        match fault {
+            Fault::CameraKilled => self.camera.signal(Signal::KILL),
+            Fault::RecorderKilled => self.recorder.signal(Signal::KILL),
+            Fault::PageKilled => self.page.signal(Signal::KILL),
+            Fault::MetricsKilled => self.metrics.signal(Signal::KILL),
+            Fault::CameraHangs => {
+                self.camera.signal(Signal::STOP);
+                self.go_on(PASSING, tally);
+                self.camera.signal(Signal::CONT);
+            }
+            Fault::Stopped => {
+                let took = ipc::stop(&self.place.domain(), Duration::from_secs(2));
+                tally.stop = tally.stop.max(took.expect("a stop that is obeyed"));
+            }
+            Fault::Flooded => self.flooded(tally, random),
+            Fault::Loaded => {
+                let (done, directory) = (AtomicBool::new(false), self.place.path(""));
+                std::thread::scope(|threads| {
+                    let _done = EndOnDrop(&done);
+                    load::work(threads, &directory, &done);
+                    self.go_on(PASSING, tally);
+                });
+            }
+            Fault::DaemonTerminated => self.daemon.signal(Signal::TERM),
+            Fault::DaemonKilled | Fault::DaemonHangs => {
+                self.tend(tally);
+                let watch = Watch::start(&processors(), 1_000_000, WAKE_NS);
+                let signal = match fault {
+                    Fault::DaemonKilled => Signal::KILL,
+                    _ => Signal::STOP,
+                };
+                self.daemon.signal(signal);
+                let gone_ns = now_ns();
+                let stands_ns = self.witness.until_it_stands(gone_ns, &mut self.camera);
+                check_standing(gone_ns, stands_ns, &watch.end(), tally);
+                self.daemon.signal(Signal::CONT);
+            }
+        }
+    }
+
+    /// Operators who ask without a pause.
+    fn flooded(&mut self, tally: &mut Tally, random: &mut impl Rng) {
+        let done = AtomicBool::new(false);
+        let directory = self.place.domain();
+        let first: u64 = random.random();
+        std::thread::scope(|threads| {
+            let _done = EndOnDrop(&done);
+            threads.spawn(|| {
+                let domain = Domain::join(&directory).unwrap();
+                let mut operator = OperatorPorts::open(&domain).unwrap();
+                let ids = (0..).map(|k| first.wrapping_add(k));
+                for id in ids.take_while(|_| !done.load(Ordering::Relaxed)) {
+                    let request = Request::new(id, Action::Status);
+                    operator.requests.publish(&request).unwrap();
+                    std::thread::sleep(Duration::from_micros(100));
+                }
+            });
+            self.go_on(PASSING, tally);
+        });
+    }
+}
+
+/// Counts how long the robot moved on, without the time in which the machine stood still.
+fn check_standing(gone_ns: u64, stands_ns: Option<u64>, seen: &Standstills, tally: &mut Tally) {
+    let Some(stands_ns) = stands_ns else { return };
+    let took_ns = (stands_ns - gone_ns).saturating_sub(seen.between(gone_ns, stands_ns));
+    assert!(took_ns <= STANDS_NS, "the robot stands after {took_ns} ns");
+    tally.stands_ns = tally.stands_ns.max(took_ns);
+}
+
+fn daemon(place: &Place) -> Running {
+    Running::start(place.vpcd("[flight]\ndirectory = 'records'\nkeep = 3\nminutes = 0.2"))
+}
+
+fn camera(place: &Place, start: usize) -> Running {
+    Running::start(on_time(place.hw_sim(start % 100), CAMERA_PRIORITY))
+}
+
+fn recording(place: &Place, number: usize) -> PathBuf {
+    place.path(&format!("{number}.mcap"))
+}
+
+fn vpcctl(place: &Place) -> Command {
+    let mut command = Command::new(program("vpcctl"));
+    command
+        .arg("--domain")
+        .arg(place.domain())
+        .stdin(Stdio::null());
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+fn recorder(place: &Place, number: usize) -> Running {
+    let mut command = vpcctl(place);
+    command.arg("record").arg(recording(place, number));
+    Running::start(command)
+}
+
+/// The page, or the metrics, at a port of its own.
+fn server(place: &Place, name: &str) -> Running {
+    let mut command = vpcctl(place);
+    command.args([name, "--listen", address(name)]);
+    Running::start(command)
+}
+
+fn address(name: &str) -> &'static str {
+    match name {
+        "serve" => "127.0.0.1:39470",
+        _ => "127.0.0.1:39469",
+    }
+}
+
+/// Reads a page again and again; counts the bytes.
+fn read(name: &str, path: &str, done: &AtomicBool, bytes: &AtomicU64) {
+    while !done.load(Ordering::Relaxed) {
+        let visit = || -> std::io::Result<()> {
+            let mut stream = TcpStream::connect(address(name))?;
+            stream.set_read_timeout(Some(Duration::from_secs(1)))?;
+            let host = address(name);
+            write!(
+                stream,
+                "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
+            )?;
+            let mut part = [0; 4096];
+            while !done.load(Ordering::Relaxed) {
+                match stream.read(&mut part)? {
+                    0 => break,
+                    count => _ = bytes.fetch_add(count as u64, Ordering::Relaxed),
+                }
+            }
+            Ok(())
+        };
+        // Its server was killed, or is not there yet.
+        let _ = visit();
+        std::thread::sleep(Duration::from_millis(500));
+    }
+}
+
+/// Memory of a process, KiB.
+fn memory_kib(process: u32) -> Option<u64> {
+    let text = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    line.trim().trim_end_matches(" kB").parse().ok()
+}
+
+#[test]
+#[ignore = "half a minute: CI runs it in a line of its own"]
+fn an_hour_of_faults_leaves_nothing_behind_and_nothing_moves_on() {
+    let _turn = turn();
+    let given = |name| {
+        std::env::var(name)
+            .ok()
+            .map(|text| text.parse().expect(name))
+    };
+    let seconds = given("VPC_SECONDS");
+    let seconds = seconds.unwrap_or_else(|| repeats("seconds of soak", 30, 3600) as u64);
+    let (time, seed) = (Duration::from_secs(seconds), given("VPC_SEED").unwrap_or(1));
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (mut cast, mut tally) = (Cast::new(), Tally::default());
+    let (done, bytes) = (AtomicBool::new(false), AtomicU64::new(0));
+    // Descriptors of the daemon and segments of the domain, with everybody there.
+    let state = |cast: &Cast| {
+        let descriptors = std::fs::read_dir(format!("/proc/{}/fd", cast.daemon.id()));
+        let segments = Domain::segments(&cast.place.domain()).unwrap();
+        [descriptors.map_or(0, Iterator::count), segments]
+    };
+    let [first, last] = std::thread::scope(|threads| {
+        let _done = EndOnDrop(&done);
+        threads.spawn(|| read("serve", "/events", &done, &bytes));
+        threads.spawn(|| read("metrics", "/metrics", &done, &bytes));
+        cast.go_on(2 * CLEARED, &mut tally);
+        let first = state(&cast);
+        let begin = Instant::now();
+        let rare = RARE[usize::from(time < Duration::from_secs(600))];
+        // The daemon that is observed, since when, and its memory when that had settled.
+        let mut life = (0, begin, None);
+        while begin.elapsed() < time {
+            let pause = Duration::from_millis(random.random_range(300..4000));
+            cast.go_on(pause, &mut tally);
+            let memory = memory_kib(cast.daemon.id()).unwrap_or(0);
+            if life.0 != cast.daemon.id() {
+                life = (cast.daemon.id(), Instant::now(), None);
+            } else if life.1.elapsed() > SETTLED {
+                let settled = *life.2.get_or_insert(memory);
+                tally.growth_kib = tally.growth_kib.max(memory.saturating_sub(settled));
+            }
+            let fault = match random.random_bool(rare) {
+                true => GRAVE[random.random_range(0..GRAVE.len())],
+                false => FAULTS[random.random_range(0..FAULTS.len())],
+            };
+            cast.commit(fault, &mut tally, &mut random);
+        }
+        cast.go_on(2 * CLEARED, &mut tally);
+        [first, state(&cast)]
+    });
+    tell(format!(
+        "soak: {} s, seed {seed}: {} cycles, {} with the law, {} releases missed; faults {:?}; {} restarts, {} runs of the camera, {} KiB read of page and metrics; the robot stands after {} ms, a stop is back after {} ms, at most; memory of the daemon grew by {} KiB at most; descriptors and segments {first:?}, then {last:?}",
+        time.as_secs(),
+        tally.cycles,
+        tally.moving,
+        tally.missed,
+        tally.faults,
+        tally.restarts,
+        cast.starts,
+        bytes.load(Ordering::Relaxed) / 1024,
+        tally.stands_ns / 1_000_000,
+        tally.stop.as_millis(),
+        tally.growth_kib,
+    ));
+    assert!(tally.moving > 10 * time.as_secs(), "it hardly moved");
+    assert!(
+        bytes.load(Ordering::Relaxed) > 1000 * time.as_secs(),
+        "nothing was read"
+    );
+    assert!(
+        tally.growth_kib <= GROWTH_KIB,
+        "memory: {} KiB",
+        tally.growth_kib
+    );
+    for (then, now) in first.into_iter().zip(last) {
+        assert!(now <= then + MORE, "{first:?} -> {last:?}");
+    }
+}
