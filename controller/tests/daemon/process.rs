@@ -4,6 +4,7 @@ use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use hw_sim::FreeCamera;
 use ipc::{
     Action, CameraPorts, Domain, Features, Hold, Observer, OperatorPorts, Order, Outcome, Request,
     RobotMode, RobotState, StrategyCode, TwistCommand, TwistState,
@@ -410,22 +411,33 @@ fn nothing_moves_before_a_robot_was_heard_and_one_that_does_not_follow_disarms()
     let mut bench = Bench::new();
     let daemon = bench.start(&[]);
     eventually("a command", || bench.camera.twist.latest().unwrap());
-    let mut points = bench.features();
-    // A frame, and beside it what the robot carries out, as a share of what it is commanded: the
-    // newest record.
-    let mut frame = |follows: Option<f64>| {
-        for x in &mut points.points[..8] {
+    let mut start = bench.scene.goal;
+    start.translation[0] += 0.05;
+    start.translation[2] += 0.1;
+    let mut camera = FreeCamera::new(&bench.scene, &start);
+    let (mut command, mut since_ns) = ([0.0; 6], ipc::now_ns());
+    // A frame of a camera that carries out what is commanded, and beside it a robot that says how
+    // much faster it moves along y, m/s: the newest record.
+    let mut frame = |faster: Option<f64>| {
+        let now_ns = ipc::now_ns();
+        camera.advance(&command, (now_ns - since_ns) as f64 * 1e-9);
+        since_ns = now_ns;
+        let mut points = camera.features().unwrap();
+        // What repeats itself to the bit is frozen.
+        for x in points.iter_mut().flatten() {
             *x += bench.random.random_range(-0.1..0.1);
         }
-        points.stamp.data_ns = ipc::now_ns();
-        bench.camera.features.publish(&points).unwrap();
-        let command = bench.camera.twist.latest().unwrap();
-        if let Some(share) = follows {
-            let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], ipc::now_ns());
-            let commanded = command.map_or([0.0; 6], |command| command.message.twist);
+        let features = Features::new(&points, now_ns);
+        bench.camera.features.publish(&features).unwrap();
+        if let Some(faster) = faster {
+            let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now_ns);
             state.mode = RobotMode::Moving.code();
-            state.twist = commanded.map(|v| share * v);
+            state.twist = command;
+            state.twist[1] += faster;
             bench.camera.robot.publish(&state).unwrap();
+        }
+        if let Some(newest) = bench.camera.twist.latest().unwrap() {
+            command = newest.message.twist;
         }
         std::thread::sleep(Duration::from_millis(30));
         let record = bench.observer.cycles.latest().unwrap();
@@ -437,14 +449,14 @@ fn nothing_moves_before_a_robot_was_heard_and_one_that_does_not_follow_disarms()
     for _ in 0..10 {
         assert!(frame(None).is_none_or(|found| found == (Hold::NoRobot, false)));
     }
-    eventually("motion", || frame(Some(1.0)).filter(|(_, moves)| *moves));
-    // It follows; then it stands.
+    eventually("motion", || frame(Some(0.0)).filter(|(_, moves)| *moves));
+    // It follows; then something else moves it, twice as fast as the limit.
     for _ in 0..40 {
-        let cause = frame(Some(1.0)).map_or(Hold::None, |(cause, _)| cause);
+        let cause = frame(Some(0.0)).map_or(Hold::None, |(cause, _)| cause);
         assert_ne!(cause, Hold::NotFollowed);
     }
     eventually("disarmed", || {
-        (frame(Some(0.0)) == Some((Hold::NotFollowed, false))).then_some(())
+        (frame(Some(1.0)) == Some((Hold::NotFollowed, false))).then_some(())
     });
     let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
