@@ -2,7 +2,8 @@
 //! time, and one request a connection.
 //!
 //! A command finds room whatever others do: of the clients that have not sent their head yet, the
-//! oldest makes room for a new one, and those that are being answered leave out the commands.
+//! oldest makes room for a new one, once it had its time; and those that are being answered leave
+//! out the commands.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -26,6 +27,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
+use tokio::time::Instant;
 
 use crate::exit::{Exit, Failure};
 use crate::output;
@@ -35,7 +37,9 @@ const HEAD: usize = 16 * 1024;
 /// How long a client may take to send its head, or to receive what it was sent.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Most clients that have not sent their head yet.
-const WAITING: usize = 32;
+const WAITING: usize = 128;
+/// How long each of them has for it, however many come after it.
+const GRACE: Duration = Duration::from_millis(100);
 /// Most that are being answered, commands not counted.
 const ANSWERED: usize = 32;
 
@@ -109,26 +113,51 @@ pub fn serve(
 
 async fn accept(listener: TcpListener, routes: Router) -> Infallible {
     let places = Arc::new(Semaphore::new(ANSWERED));
-    let mut waiting: VecDeque<(AbortHandle, Arc<Client>)> = VecDeque::new();
+    let mut waiting: VecDeque<Waiting> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Out of descriptors, for instance: others must close first.
-            tokio::time::sleep(Duration::from_millis(100)).await;
+            tokio::time::sleep(GRACE).await;
             continue;
         };
-        waiting.retain(|(task, client)| !(task.is_finished() || client.has_asked()));
-        if waiting.len() >= WAITING
-            && let Some((oldest, _)) = waiting.pop_front()
-        {
-            oldest.abort();
-        }
         let client = Arc::new(Client::default());
         let admitted = admitted(routes.clone(), &client, &places);
         let task = tokio::spawn(async move {
             // A client that left or talks nonsense is its own affair.
             let _ = converse(stream, admitted).await;
         });
-        waiting.push_back((task.abort_handle(), client));
+        waiting.push_back(Waiting {
+            until: Instant::now() + GRACE,
+            task: task.abort_handle(),
+            client,
+        });
+        // A crowd waits here, so that it pushes out nobody who has just come.
+        loop {
+            waiting.retain(Waiting::still_waits);
+            if waiting.len() <= WAITING {
+                break;
+            }
+            tokio::time::sleep_until(waiting[0].until).await;
+            if let Some(oldest) = waiting.pop_front()
+                && oldest.still_waits()
+            {
+                oldest.task.abort();
+            }
+        }
+    }
+}
+
+/// A client that has not sent its head yet.
+struct Waiting {
+    /// It may be dropped from then on.
+    until: Instant,
+    task: AbortHandle,
+    client: Arc<Client>,
+}
+
+impl Waiting {
+    fn still_waits(&self) -> bool {
+        !(self.task.is_finished() || self.client.has_asked())
     }
 }
 
