@@ -19,8 +19,6 @@ use crate::summary::Summary;
 
 /// Pause between two looks at the queue.
 const PAUSE: Duration = Duration::from_millis(5);
-/// Time between two sweeps for what killed peers left unfinished, which could hang the loop.
-const SWEEP: Duration = Duration::from_secs(1);
 /// Cycles in a row in which the stop file asks for a stop, after which it counts as lost.
 const LOST: u32 = 10;
 
@@ -68,12 +66,12 @@ impl Telemetry {
             .spawn(move || {
                 let opened = Domain::join(&domain)
                     .map_err(RecorderError::from)
-                    .and_then(|domain| Ok((RecorderPort::open(&domain)?, domain)));
+                    .and_then(|domain| Ok(RecorderPort::open(&domain)?));
                 match opened {
-                    Ok((port, domain)) => {
+                    Ok(port) => {
                         // The starter waits for it.
                         let _ = ready.send(Ok(()));
-                        self.run(port, &domain)
+                        self.run(port)
                     }
                     Err(error) => {
                         let _ = ready.send(Err(error));
@@ -85,14 +83,9 @@ impl Telemetry {
         Ok(thread)
     }
 
-    fn run(mut self, mut port: RecorderPort, domain: &Domain) -> Summary {
+    fn run(mut self, mut port: RecorderPort) -> Summary {
         let (mut summary, mut stops) = (Summary::default(), StopLog::default());
-        let mut swept = Instant::now();
         loop {
-            if swept.elapsed() >= SWEEP {
-                domain.sweep();
-                swept = Instant::now();
-            }
             // In this order: what was left before the loop let go, or before a request, is still
             // taken.
             let is_last = self.consumer.cycles.is_abandoned();

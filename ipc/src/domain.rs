@@ -13,10 +13,9 @@ use iceoryx2::prelude::{Config, FileName, SemanticString, SignalHandlingMode};
 use iceoryx2::service::ipc::Service;
 
 use crate::error::{JoinError, JoinReason, OpenError};
-use crate::guard::Guard;
+use crate::guard::{Guard, Place, Startup};
 use crate::message::Message;
 use crate::service::{self, Factory, OpenService};
-use crate::stale;
 
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
@@ -85,13 +84,12 @@ impl Domain {
         let (guard, _startup) = Guard::enter(directory, wipe)?;
         let config = configuration(guard.directory()).ok_or(JoinReason::Path)?;
         remove_unfinished(guard.directory());
-        stale::clean(&config);
+        clean(&config);
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Service>()?;
         let services = service::open_all(&node)?;
-        stale::reap(&services, &config);
         let shared = Rc::new(Shared {
             services,
             node: Some(node),
@@ -105,27 +103,34 @@ impl Domain {
     pub fn directory(&self) -> &Path {
         self.shared.guard.directory()
     }
-
-    /// Removes shared memory that a killed process created but gave no size. iceoryx2 0.9.3, run by
-    /// root, waits for such a size without end, also in peers that only receive. Joining removes
-    /// it; a process with an ordinary thread calls this once a second, so that its loop is freed
-    /// even if nobody joins. Does not wait.
-    pub fn sweep(&self) {
-        sweep_unfinished(self.directory());
-    }
 }
 
 impl Shared {
-    /// Opens a port of the service that carries `T`. If all slots are taken, removes what killed
+    /// The right to open a port.
+    pub(crate) fn startup(&self) -> Result<Startup, OpenError> {
+        let startup = self.guard.startup();
+        Ok(startup.map_err(|reason| self.error(reason))?)
+    }
+
+    /// Takes a place among those who publish `T`.
+    pub(crate) fn place<T: Message>(&self, startup: &Startup) -> Result<Place, OpenError> {
+        let (service, most) = (T::SERVICE, T::QOS.publishers);
+        let place = Place::take(&self.guard, startup, service, most);
+        let place = place.map_err(|error| self.error(error.into()))?;
+        place.ok_or_else(|| OpenError::Taken {
+            service,
+            domain: self.directory(),
+            most,
+        })
+    }
+
+    /// Opens a port of the service that carries `T`. If iceoryx2 refuses, removes what killed
     /// participants left and tries again.
     pub(crate) fn open<T: Message, P>(
         &self,
+        _startup: &Startup,
         create: impl Fn(&Factory<T>) -> Result<P, OpenError>,
     ) -> Result<P, OpenError> {
-        let _startup = self.guard.startup().map_err(|reason| JoinError {
-            directory: self.directory(),
-            reason,
-        })?;
         let mut services = self.services.iter();
         let factory = services
             .find_map(|service| (service.as_ref() as &dyn Any).downcast_ref::<Factory<T>>());
@@ -133,18 +138,21 @@ impl Shared {
             service: T::SERVICE,
             reason: "no service of the contract".to_owned(),
         })?;
-        match create(factory) {
-            Err(OpenError::Taken { .. } | OpenError::Full { .. }) => {
-                remove_unfinished(self.guard.directory());
-                stale::clean(&self.config);
-                stale::reap(&self.services, &self.config);
-                create(factory)
-            }
-            result => result,
+        create(factory).or_else(|_| {
+            remove_unfinished(self.guard.directory());
+            clean(&self.config);
+            create(factory)
+        })
+    }
+
+    fn error(&self, reason: JoinReason) -> JoinError {
+        JoinError {
+            directory: self.directory(),
+            reason,
         }
     }
 
-    pub(crate) fn directory(&self) -> String {
+    fn directory(&self) -> String {
         self.guard.directory().display().to_string()
     }
 }
@@ -162,10 +170,15 @@ fn configuration(directory: &Path) -> Option<Config> {
         .global
         .set_root_path(&iceoryx2::prelude::Path::new(root.as_os_str().as_bytes()).ok()?);
     config.global.prefix = FileName::new(shared_memory_prefix(directory).as_bytes()).ok()?;
-    // Cleaning up is done while joining, under the guard (`stale`).
+    // Cleaning up is done while joining, under the guard.
     config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     Some(config)
+}
+
+/// Removes dead nodes, as far as iceoryx2 can. Call this only while holding the startup lock.
+fn clean(config: &Config) {
+    Node::<Service>::try_cleanup_dead_nodes(config);
 }
 
 /// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit
@@ -201,7 +214,7 @@ fn ours(directory: &Path) -> io::Result<impl Iterator<Item = DirEntry>> {
 
 /// Removes shared memory of size 0 that is old enough to have been left by a killed process.
 /// Returns how many files are too young to tell.
-fn sweep_unfinished(directory: &Path) -> usize {
+fn remove_old(directory: &Path) -> usize {
     let unfinished = ours(directory).into_iter().flatten().filter_map(|entry| {
         let found = entry.metadata().ok().filter(|found| found.len() == 0)?;
         let age = found.modified().ok().and_then(|at| at.elapsed().ok());
@@ -220,7 +233,7 @@ fn sweep_unfinished(directory: &Path) -> usize {
 fn remove_unfinished(directory: &Path) {
     let pause = Duration::from_millis(5);
     for _ in 0..2 * UNFINISHED.as_millis() / pause.as_millis() {
-        if sweep_unfinished(directory) == 0 {
+        if remove_old(directory) == 0 {
             return;
         }
         std::thread::sleep(pause);

@@ -14,6 +14,9 @@
 //! halfway, the next one is alone again. The kernel drops the locks of dead processes, however they
 //! died. Linux does not turn an exclusive lock into a shared one atomically; no other process can
 //! slip in between, because trying takes `startup`.
+//!
+//! A third kind of lock says who publishes. iceoryx2 counts publishers too, but a kill can leave it
+//! a place too few for good, which then must not be the only one.
 
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io;
@@ -29,6 +32,9 @@ use crate::error::JoinReason;
 /// Permissions that the directory of a domain must not have: users who can replace its files can
 /// take part.
 pub const WRITABLE_BY_OTHERS: u32 = 0o022;
+
+/// Directory of the publishers' locks in that of the domain.
+const PUBLISHERS: &str = "publishers";
 
 /// Longest wait for others that join or leave. Joining takes milliseconds; a process that holds the
 /// lock for longer is stopped.
@@ -103,6 +109,30 @@ impl Startup {
     }
 }
 
+/// A publisher's place in a service, until it is dropped or its process ends.
+#[derive(Debug)]
+pub(crate) struct Place(#[allow(dead_code)] File);
+
+impl Place {
+    /// Takes one of the `most` places; `None` while others have them all.
+    pub(crate) fn take(
+        guard: &Guard,
+        _startup: &Startup,
+        service: &str,
+        most: usize,
+    ) -> io::Result<Option<Self>> {
+        let directory = guard.directory.join(PUBLISHERS);
+        let name = service.replace('/', "-");
+        for place in 1..=most {
+            let file = open(&directory, &format!("{name}-{place}"))?;
+            if try_lock(&file)? {
+                return Ok(Some(Self(file)));
+            }
+        }
+        Ok(None)
+    }
+}
+
 /// Tries to lock a file exclusively; false if another process holds a lock on it.
 fn try_lock(file: &File) -> io::Result<bool> {
     match flock(file, FlockOperation::NonBlockingLockExclusive) {
@@ -139,7 +169,12 @@ fn prepare(directory: &Path) -> Result<PathBuf, JoinReason> {
     if mode & WRITABLE_BY_OTHERS != 0 {
         return Err(JoinReason::Open(mode));
     }
-    Ok(directory.canonicalize()?)
+    let directory = directory.canonicalize()?;
+    DirBuilder::new()
+        .recursive(true)
+        .mode(0o700)
+        .create(directory.join(PUBLISHERS))?;
+    Ok(directory)
 }
 
 #[cfg(test)]
@@ -166,6 +201,17 @@ mod tests {
         drop((second, third));
         let _fourth = enter("fourth");
         assert_eq!(wiped, ["first", "fourth"]);
+    }
+
+    #[test]
+    fn publishers_have_so_many_places_and_free_them() {
+        let directory = tempfile::tempdir().unwrap();
+        let (guard, startup) = Guard::enter(directory.path(), |_| Ok(())).unwrap();
+        let take = || Place::take(&guard, &startup, "a/b", 2).unwrap();
+        let (first, second) = (take(), take());
+        assert!(first.is_some() && second.is_some() && take().is_none());
+        drop(first);
+        assert!(take().is_some());
     }
 
     #[test]

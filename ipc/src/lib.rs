@@ -66,7 +66,6 @@ mod robot;
 mod role;
 mod service;
 mod snapshot;
-mod stale;
 mod stop;
 mod twist;
 

@@ -14,7 +14,7 @@ pub struct Qos {
     pub buffer: usize,
     /// Most subscribers.
     pub subscribers: usize,
-    /// Most publishers.
+    /// Most publishers at a time.
     pub publishers: usize,
 }
 

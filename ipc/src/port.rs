@@ -4,7 +4,6 @@
 use std::ops::Deref;
 
 use iceoryx2::port::SendError;
-use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::service::ipc::Service;
@@ -12,6 +11,7 @@ use iceoryx2::service::ipc::Service;
 use crate::domain::Domain;
 use crate::error::{OpenError, PublishError, ReceiveError};
 use crate::field::Stamp;
+use crate::guard::Place;
 use crate::message::Message;
 use crate::service::Factory;
 
@@ -22,21 +22,16 @@ impl Domain {
     /// [`OpenError::Taken`] if the service has all the publishers that it takes, even if they are
     /// stopped.
     pub fn publisher<T: Message>(&self) -> Result<Publisher<T>, OpenError> {
-        let service = T::SERVICE;
-        let port = self.shared.open(|factory: &Factory<T>| {
+        let startup = self.shared.startup()?;
+        let place = self.shared.place::<T>(&startup)?;
+        let port = self.shared.open(&startup, |factory: &Factory<T>| {
             let port = factory.publisher_builder().max_loaned_samples(1).create();
-            port.map_err(|error| match error {
-                PublisherCreateError::ExceedsMaxSupportedPublishers => OpenError::Taken {
-                    service,
-                    domain: self.shared.directory(),
-                    most: T::QOS.publishers,
-                },
-                _ => refused(service, error),
-            })
+            port.map_err(|error| refused(T::SERVICE, error))
         })?;
         Ok(Publisher {
             port,
             sequence: 0,
+            _place: place,
             _domain: self.clone(),
         })
     }
@@ -48,7 +43,8 @@ impl Domain {
     pub fn subscriber<T: Message>(&self, buffer: usize) -> Result<Subscriber<T>, OpenError> {
         let (service, most) = (T::SERVICE, T::QOS.subscribers);
         let buffer = buffer.clamp(1, T::QOS.buffer);
-        let port = self.shared.open(|factory: &Factory<T>| {
+        let startup = self.shared.startup()?;
+        let port = self.shared.open(&startup, |factory: &Factory<T>| {
             let port = factory.subscriber_builder().buffer_size(buffer).create();
             port.map_err(|error| match error {
                 SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
@@ -85,9 +81,10 @@ pub struct Sent {
 /// A publisher of a service.
 #[derive(Debug)]
 pub struct Publisher<T: Message> {
-    // Ports before the domain: fields are dropped in this order.
+    // Ports before the place and the domain: fields are dropped in this order.
     port: iceoryx2::port::publisher::Publisher<Service, T, ()>,
     sequence: u64,
+    _place: Place,
     _domain: Domain,
 }
 

@@ -3,13 +3,10 @@
 use core::any::Any;
 use core::fmt::Debug;
 
-use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::Node;
-use iceoryx2::prelude::{CallbackProgression, Config, PortFactory};
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
-use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::ipc;
 use iceoryx2::service::port_factory::publish_subscribe;
 
@@ -20,6 +17,8 @@ use crate::{CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCo
 
 /// Most processes in one domain.
 pub const MAX_NODES: usize = 32;
+/// Publishers that iceoryx2 allows beyond those of the contract: places that kills may leave taken.
+const SPARE: usize = 16;
 
 /// One service of the contract.
 #[derive(Clone, Copy, Debug)]
@@ -71,35 +70,9 @@ services! {
 pub(crate) type Factory<T> = publish_subscribe::PortFactory<ipc::Service, T, ()>;
 
 /// An opened service, whatever its message.
-pub(crate) trait OpenService: Any + Debug {
-    /// Node and number of each port.
-    fn ports(&self) -> Vec<(UniqueNodeId, u128)>;
+pub(crate) trait OpenService: Any + Debug {}
 
-    /// Removes a node and its ports, as far as they have tags.
-    fn remove(&self, node: &UniqueNodeId, config: &Config);
-}
-
-impl<T: Message> OpenService for Factory<T> {
-    fn ports(&self) -> Vec<(UniqueNodeId, u128)> {
-        let mut ports = Vec::new();
-        let dynamic = self.dynamic_config();
-        dynamic.list_publishers(|port| {
-            ports.push((port.node_id, port.publisher_id.value()));
-            CallbackProgression::Continue
-        });
-        dynamic.list_subscribers(|port| {
-            ports.push((port.node_id, port.subscriber_id.value()));
-            CallbackProgression::Continue
-        });
-        ports
-    }
-
-    fn remove(&self, node: &UniqueNodeId, config: &Config) {
-        // What cannot be removed now, the next process that joins removes.
-        let _ =
-            ipc::Service::__internal_remove_node_from_service(node, self.service_hash(), config);
-    }
-}
+impl<T: Message> OpenService for Factory<T> {}
 
 /// Opens a service, or creates it.
 fn open<T: Message>(node: &Node<ipc::Service>) -> Result<Factory<T>, JoinReason> {
@@ -111,7 +84,7 @@ fn open<T: Message>(node: &Node<ipc::Service>) -> Result<Factory<T>, JoinReason>
         let name = service.try_into().map_err(|_| Error::SystemInFlux)?;
         node.service_builder(&name)
             .publish_subscribe::<T>()
-            .max_publishers(T::QOS.publishers)
+            .max_publishers(T::QOS.publishers + SPARE)
             .max_subscribers(T::QOS.subscribers)
             .max_nodes(MAX_NODES)
             .history_size(T::QOS.history)

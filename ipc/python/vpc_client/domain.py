@@ -17,6 +17,9 @@ from .errors import BadArgument, BadDomain, NoAnswer, OtherContract, Taken
 from .messages import SERVICES
 from .ports import CameraPorts, OperatorPorts, Port, Publisher, Subscriber
 
+# Publishers that iceoryx2 allows beyond those of the contract: places that kills may leave taken.
+SPARE = 16
+
 # How long joining waits for others that join or leave, and how long to wait for a controller.
 PATIENCE_S = 10.0
 
@@ -39,6 +42,7 @@ class Domain:
         self._startup: int | None = None
         self.directory = self._claim(default_directory() if directory is None else directory)
         self._prefix = f"vpc_{_fnv1a(self.directory):016x}_"
+        os.makedirs(os.path.join(self.directory, "publishers"), mode=0o700, exist_ok=True)
         self._startup = self._open("startup")
         self._member = self._open("lock")
         # Weakly: ports keep their domain.
@@ -74,18 +78,22 @@ class Domain:
         self._startup = None
 
     def publisher(self, service: str) -> Publisher:
-        """Opens the publisher of a service; raises Taken where it has all it takes."""
+        """Opens a publisher of a service; raises Taken where it has all it takes, even if they are stopped."""
 
         def create() -> Publisher:
+            place = self._place(service)
+            if place is None:
+                most = SERVICES[service].publishers
+                raise Taken(
+                    f"{service}: another publisher is at work in domain {self.directory}; allowed: {most} (stop the other, or"
+                    " use another domain)"
+                )
             try:
                 port = self._create(lambda: self._services[service].publisher_builder().max_loaned_samples(1).create())
             except iox2.PublisherCreateError as error:
-                most = SERVICES[service].publishers
-                raise Taken(
-                    f"{service}: no publisher in domain {self.directory} ({error}); allowed: {most} (stop the other, or use"
-                    " another domain)"
-                ) from error
-            return self._keep(Publisher(service, port))
+                os.close(place)
+                raise Taken(f"{service}: iceoryx2 refused the publisher: {error}") from error
+            return self._keep(Publisher(service, port, place))
 
         return self._port(service, create)
 
@@ -121,11 +129,10 @@ class Domain:
         """Whether a controller is in the domain: the one publisher of replies."""
 
         def probe() -> bool:
-            try:
-                self._create(lambda: self._services["vpc/replies"].publisher_builder().create()).delete()
-            except iox2.PublisherCreateError:
-                return True
-            return False
+            place = self._place("vpc/replies")
+            if place is not None:
+                os.close(place)
+            return place is None
 
         return self._port("vpc/replies", probe)
 
@@ -178,6 +185,17 @@ class Domain:
         finally:
             fcntl.flock(self._startup, fcntl.LOCK_UN)
 
+    def _place(self, service: str) -> int | None:
+        """A place among the publishers of a service, which closing it frees; None while others have them all."""
+        for place in range(1, SERVICES[service].publishers + 1):
+            file = self._open(os.path.join("publishers", f"{service.replace('/', '-')}-{place}"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return file
+            except BlockingIOError:
+                os.close(file)
+        return None
+
     def _join(self) -> None:
         if self._is_alone():
             self._wipe()
@@ -203,7 +221,7 @@ class Domain:
         builder = (
             self._node.service_builder(iox2.ServiceName.new(name))
             .publish_subscribe(service.message)
-            .max_publishers(service.publishers)
+            .max_publishers(service.publishers + SPARE)
             .max_subscribers(service.subscribers)
             .max_nodes(32)
             .history_size(service.history)

@@ -348,7 +348,7 @@ class TwistCommand(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/TwistCommand/1"
+        return "vpc/TwistCommand/2"
 
 
 class RobotState(Message):

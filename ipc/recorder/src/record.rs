@@ -87,7 +87,7 @@ pub fn record(
             .spawn_scoped(threads, move || write(recorder, options, &queue, tell))
             .map_err(RecordError::Thread)?;
         let end = options.duration.map(|duration| Instant::now() + duration);
-        let received = forward(&mut ports, items, &domain, || {
+        let received = forward(&mut ports, items, || {
             stop.load(Ordering::Relaxed)
                 || writer.is_finished()
                 || end.is_some_and(|end| Instant::now() >= end)
@@ -166,10 +166,8 @@ impl<T: Viewed + Send> Source for Port<T> {
 fn forward(
     ports: &mut [Box<dyn Source>],
     items: SyncSender<Item>,
-    domain: &Domain,
     is_over: impl Fn() -> bool,
 ) -> Result<(), ReceiveError> {
-    let mut swept = Instant::now();
     loop {
         let is_last = is_over();
         for port in &mut *ports {
@@ -177,11 +175,6 @@ fn forward(
         }
         if is_last {
             return Ok(());
-        }
-        // As the daemon does: what killed peers left half-made could hang whoever receives.
-        if swept.elapsed() >= Duration::from_secs(1) {
-            domain.sweep();
-            swept = Instant::now();
         }
         std::thread::sleep(PAUSE);
     }

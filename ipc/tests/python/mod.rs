@@ -312,7 +312,7 @@ fn refusals_have_words(python: &Path) {
         &format!("vpc/features: points of shape (8,); {pairs}"),
         &format!("vpc/features: points of shape (4, 1, 2); {pairs}"),
         "data_ns = -1; allowed: 0 to",
-        "taken: vpc/features: no publisher in domain",
+        "taken: vpc/features: another publisher is at work in domain",
         "vpc/twist: no answer to features 1 within 0.01 s; does vpcd run",
         "service vpc/nothing; allowed: vpc/features, vpc/twist,",
         "vpc/twist: buffer = 65; allowed: 1 to 64",

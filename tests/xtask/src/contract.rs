@@ -9,7 +9,7 @@ use crate::doc::{self, structs, tables};
 
 fn services() -> String {
     let mut text = "\
-| Service | Payload type name | Bytes | `history_size` | `subscriber_max_buffer_size` | `max_subscribers` | `max_publishers` | Publisher |
+| Service | Payload type name | Bytes | `history_size` | `subscriber_max_buffer_size` | `max_subscribers` | Publishers | Who publishes |
 |---|---|---|---|---|---|---|---|
 "
     .to_owned();
