@@ -15,7 +15,9 @@ use vpcclient::camera::Sent;
 
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
-/// Compiles a source as the README says; warnings are errors.
+
+/// Compiles a source as the README says; warnings are errors. With `VPC_LONG=1` it runs under
+/// valgrind, which checks each access to memory, those of the library too.
 fn compiled(place: &Place, source: &Path) -> Command {
     let program = place.path("program");
     // The shared library is beside this executable.
@@ -31,7 +33,19 @@ fn compiled(place: &Place, source: &Path) -> Command {
     cc.arg(format!("-Wl,-rpath,{}", libraries.display()));
     let status = cc.status().unwrap();
     assert!(status.success(), "{} does not compile", source.display());
-    let mut command = Command::new(program);
+    let is_checked =
+        testkit::is_long() && testkit::are_installed("C programs under valgrind", &["valgrind"]);
+    let mut command = match is_checked {
+        true => {
+            let mut valgrind = Command::new("valgrind");
+            valgrind.args(["-q", "--error-exitcode=9", "--leak-check=full"]);
+            valgrind
+                .arg("--errors-for-leak-kinds=definite")
+                .arg(program);
+            valgrind
+        }
+        false => Command::new(program),
+    };
     command.stdout(Stdio::piped());
     command
 }
