@@ -84,7 +84,6 @@ impl Domain {
         let (guard, _startup) = Guard::enter(directory, wipe)?;
         let config = configuration(guard.directory()).ok_or(JoinReason::Path)?;
         remove_unfinished(guard.directory());
-        clean(&config);
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -140,7 +139,7 @@ impl Shared {
         })?;
         create(factory).or_else(|_| {
             remove_unfinished(self.guard.directory());
-            clean(&self.config);
+            Node::<Service>::try_cleanup_dead_nodes(&self.config);
             create(factory)
         })
     }
@@ -170,15 +169,9 @@ fn configuration(directory: &Path) -> Option<Config> {
         .global
         .set_root_path(&iceoryx2::prelude::Path::new(root.as_os_str().as_bytes()).ok()?);
     config.global.prefix = FileName::new(shared_memory_prefix(directory).as_bytes()).ok()?;
-    // Cleaning up is done while joining, under the guard.
-    config.global.node.cleanup_dead_nodes_on_creation = false;
+    // Only under the guard: while joining.
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     Some(config)
-}
-
-/// Removes dead nodes, as far as iceoryx2 can. Call this only while holding the startup lock.
-fn clean(config: &Config) {
-    Node::<Service>::try_cleanup_dead_nodes(config);
 }
 
 /// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit

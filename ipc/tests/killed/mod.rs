@@ -6,6 +6,7 @@ use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use ipc::{CameraPorts, ControllerPorts, Domain, Features, Message, TwistCommand, TwistState};
+use rustix::process::{Pid, Signal, kill_process};
 use testkit::{Place, are_installed, is_long, tell};
 
 use crate::{peer, square, working};
@@ -79,6 +80,16 @@ fn killed_at(call: &Call, role: &str, place: &Place) -> Child {
     peer(role, place, Some(strace)).spawn().unwrap()
 }
 
+/// Kills what runs under `strace`, which ends then.
+fn kill_children(strace: &Child) {
+    let id = strace.id();
+    let children = std::fs::read_to_string(format!("/proc/{id}/task/{id}/children")).unwrap();
+    for child in children.split_whitespace() {
+        let process = Pid::from_raw(child.parse().unwrap()).unwrap();
+        kill_process(process, Signal::KILL).unwrap();
+    }
+}
+
 /// How often this thread has given up its processor by itself.
 fn given_up() -> u64 {
     let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
@@ -97,7 +108,7 @@ fn kill_everywhere(role: &str, place: &Place, mut live: impl FnMut()) {
     let mut longest = Vec::new();
     for (k, call) in calls.iter().step_by(stride).enumerate() {
         let mut peer = killed_at(call, &once, place);
-        let mut turn = Duration::ZERO;
+        let (begin, mut turn) = (Instant::now(), Duration::ZERO);
         while peer.try_wait().unwrap().is_none() {
             let (before, start) = (given_up(), Instant::now());
             live();
@@ -107,6 +118,10 @@ fn kill_everywhere(role: &str, place: &Place, mut live: impl FnMut()) {
                 times < PATIENCE,
                 "beside a {role} killed at {call:?}: waited {times} times"
             );
+            if begin.elapsed() > testkit::PATIENCE {
+                kill_children(&peer);
+                panic!("{role}, to be killed at {call:?}, waits for what others left");
+            }
             std::thread::sleep(Duration::from_micros(200));
         }
         longest.push(turn.as_micros());

@@ -38,7 +38,12 @@ fn compiled(place: &Place, source: &Path) -> Command {
     let mut command = match is_checked {
         true => {
             let mut valgrind = Command::new("valgrind");
-            valgrind.args(["-q", "--error-exitcode=9", "--leak-check=full"]);
+            valgrind.args([
+                "-q",
+                "--error-exitcode=9",
+                "--leak-check=full",
+                "--show-leak-kinds=definite",
+            ]);
             valgrind
                 .arg("--errors-for-leak-kinds=definite")
                 .arg(program);
