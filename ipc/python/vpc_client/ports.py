@@ -6,6 +6,7 @@ import math
 import numbers
 import os
 import time
+import weakref
 from collections.abc import Iterable, Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -118,13 +119,14 @@ class Publisher(Port):
 
     def __init__(self, service: str, port: Any, place: int) -> None:
         super().__init__(service, port)
-        self._place = place
+        # Also for one that nobody closes.
+        self._free_place = weakref.finalize(self, os.close, place)
 
     def close(self) -> None:
         """Closes the port and frees its place; the second time it does nothing."""
         if self._open is not None:
             super().close()
-            os.close(self._place)
+            self._free_place()
 
     def publish(self, message: Any) -> Sent:
         """Publishes a copy under the next sequence number.

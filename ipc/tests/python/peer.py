@@ -70,7 +70,8 @@ def refusals(directory):
             refused(lambda: camera.publish_features(square, data_ns=-1))
             refused(domain.camera, "taken: ")
             refused(lambda: camera.wait_for_answer(camera.publish_features(square), patience_s=0.01))
-        # Its place is free again.
+        # Its place is free again, also after one that is thrown away.
+        domain.camera()
         domain.camera().close()
         refused(lambda: domain.subscribe("vpc/nothing"))
         refused(lambda: domain.subscribe("vpc/twist", buffer=65))
