@@ -169,7 +169,7 @@ fn configuration(directory: &Path) -> Option<Config> {
         .global
         .set_root_path(&iceoryx2::prelude::Path::new(root.as_os_str().as_bytes()).ok()?);
     config.global.prefix = FileName::new(shared_memory_prefix(directory).as_bytes()).ok()?;
-    // Only under the guard: while joining.
+    // Only under the guard: while joining, or opening a port.
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     Some(config)
 }

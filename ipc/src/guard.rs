@@ -26,6 +26,7 @@ use std::time::Duration;
 
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
+use rustix::process::{Pid, getpid};
 
 use crate::error::JoinReason;
 
@@ -111,7 +112,20 @@ impl Startup {
 
 /// A publisher's place in a service, until it is dropped or its process ends.
 #[derive(Debug)]
-pub(crate) struct Place(#[allow(dead_code)] File);
+pub(crate) struct Place {
+    file: File,
+    process: Pid,
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        // Children that were forked without exec hold the same file: closing ours would not do, and
+        // theirs must not free our place.
+        if getpid() == self.process {
+            let _ = flock(&self.file, FlockOperation::Unlock);
+        }
+    }
+}
 
 impl Place {
     /// Takes one of the `most` places; `None` while others have them all.
@@ -126,7 +140,10 @@ impl Place {
         for place in 1..=most {
             let file = open(&directory, &format!("{name}-{place}"))?;
             if try_lock(&file)? {
-                return Ok(Some(Self(file)));
+                return Ok(Some(Self {
+                    file,
+                    process: getpid(),
+                }));
             }
         }
         Ok(None)

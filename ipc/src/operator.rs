@@ -69,7 +69,7 @@ message! {
         reserved: u32,
     }
     // No history: a controller that restarts must not obey a request from before.
-    "vpc/requests" from "operators": Qos { history: 0, buffer: 16, subscribers: 4, publishers: 8 }
+    "vpc/requests" from "operators": Qos { history: 0, buffer: 16, subscribers: 8, publishers: 8 }
 }
 
 impl Request {

@@ -15,7 +15,7 @@ import iceoryx2 as iox2
 
 from .errors import BadArgument, BadDomain, NoAnswer, OtherContract, Taken
 from .messages import SERVICES
-from .ports import CameraPorts, OperatorPorts, Port, Publisher, Subscriber
+from .ports import CameraPorts, OperatorPorts, Port, Publisher, Subscriber, free
 
 # Publishers that iceoryx2 allows beyond those of the contract: places that kills may leave taken.
 SPARE = 16
@@ -90,9 +90,11 @@ class Domain:
                 )
             try:
                 port = self._create(lambda: self._services[service].publisher_builder().max_loaned_samples(1).create())
-            except iox2.PublisherCreateError as error:
-                os.close(place)
-                raise Taken(f"{service}: iceoryx2 refused the publisher: {error}") from error
+            except BaseException as error:
+                free(place, os.getpid())
+                if isinstance(error, iox2.PublisherCreateError):
+                    raise Taken(f"{service}: iceoryx2 refused the publisher: {error}") from error
+                raise
             return self._keep(Publisher(service, port, place))
 
         return self._port(service, create)
@@ -131,7 +133,7 @@ class Domain:
         def probe() -> bool:
             place = self._place("vpc/replies")
             if place is not None:
-                os.close(place)
+                free(place, os.getpid())
             return place is None
 
         return self._port("vpc/replies", probe)
@@ -194,6 +196,9 @@ class Domain:
                 return file
             except BlockingIOError:
                 os.close(file)
+            except BaseException:
+                os.close(file)
+                raise
         return None
 
     def _join(self) -> None:

@@ -644,6 +644,6 @@ SERVICES = {
     "vpc/robot": Service(RobotState, 1, 64, 8, 1),
     "vpc/cycles": Service(CycleRecord, 0, 1024, 8, 1),
     "vpc/snapshots": Service(Snapshot, 1, 16, 4, 1),
-    "vpc/requests": Service(Request, 0, 16, 4, 8),
+    "vpc/requests": Service(Request, 0, 16, 8, 8),
     "vpc/replies": Service(Reply, 0, 256, 16, 1),
 }

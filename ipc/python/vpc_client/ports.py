@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import math
 import numbers
 import os
@@ -112,6 +113,14 @@ class Port(_Closes):
             self._open = None
 
 
+def free(place: int, process: int) -> None:
+    """Frees a publisher's place. Forked children hold the same file: closing ours would not do, and theirs must not free
+    our place."""
+    if os.getpid() == process:
+        fcntl.flock(place, fcntl.LOCK_UN)
+    os.close(place)
+
+
 class Publisher(Port):
     """Publishes the messages of one service."""
 
@@ -119,8 +128,9 @@ class Publisher(Port):
 
     def __init__(self, service: str, port: Any, place: int) -> None:
         super().__init__(service, port)
-        # Also for one that nobody closes.
-        self._free_place = weakref.finalize(self, os.close, place)
+        # Also for one that nobody closes. At the end of the process the kernel does it, after the port is gone.
+        self._free_place = weakref.finalize(self, free, place, os.getpid())
+        self._free_place.atexit = False
 
     def close(self) -> None:
         """Closes the port and frees its place; the second time it does nothing."""

@@ -1,7 +1,7 @@
 //! HTTP for the page and the metrics: `axum` on one thread, with bounds on clients, heads and
 //! time, and one request a connection.
 //!
-//! A command finds room whatever others do: of the clients that have not sent their head yet, the
+//! A command finds room beside up to a thousand connections a second: of the clients that have not sent their head yet, the
 //! oldest makes room for a new one, once it had its time; and those that are being answered leave
 //! out the commands.
 
