@@ -1,5 +1,5 @@
-//! A panic in the loop's thread: its last word is zero, then it is told, then the process aborts, so
-//! that it looks like the crash that it is.
+//! A panic in the loop's thread: its last word is zero, then it is told, then the process aborts,
+//! so that it looks like the crash that it is.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};

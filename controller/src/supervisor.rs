@@ -320,7 +320,8 @@ impl Supervisor {
         each.all(|is_within| is_within)
     }
 
-    /// The largest share of a twist to which no component has to grow by more than a cycle's change.
+    /// The largest share of a twist to which no component has to grow by more than a cycle's
+    /// change.
     fn share_by_change(&self, twist: &[f64; 6]) -> f64 {
         let pairs = std::iter::zip(twist, self.sent.twist).zip(self.rules.change);
         let each = pairs.map(|((v, sent), most)| (sent * v.signum() + most) / v.abs());

@@ -44,8 +44,8 @@ fn calls_of(role: &str, place: &Place) -> Vec<Call> {
     let domain = place.domain().display().to_string();
     let (mut numbers, mut found, mut is_inside) = (BTreeMap::new(), Vec::new(), false);
     let log = std::fs::read_to_string(log).unwrap();
-    // `strace` counts the calls of each thread by themselves. A number that the harness's own thread
-    // reaches too would end the peer there.
+    // `strace` counts the calls of each thread by themselves. A number that the harness's own
+    // thread reaches too would end the peer there.
     let plays = log.lines().find(|line| line.contains(&domain)).unwrap();
     let (thread, mut harness) = (plays.split_once(' ').unwrap().0, BTreeMap::new());
     for line in log.lines() {
@@ -121,8 +121,8 @@ fn given_up() -> u64 {
     line.unwrap().trim().parse().unwrap()
 }
 
-/// Ends this process where the living peer makes no turn for long: it cannot tell itself that it waits
-/// without end. Ends with the last holder of the count.
+/// Ends this process where the living peer makes no turn for long: it cannot tell itself that it
+/// waits without end. Ends with the last holder of the count.
 fn watch(turns: &Arc<AtomicU64>) {
     let turns = Arc::downgrade(turns);
     let now = move || turns.upgrade().map(|turns| turns.load(Ordering::Relaxed));

@@ -1,9 +1,9 @@
 //! HTTP for the page and the metrics: `axum` on one thread, with bounds on clients, heads and
 //! time, and one request a connection.
 //!
-//! A command finds room beside up to a thousand connections a second: of the clients that have not sent their head yet, the
-//! oldest makes room for a new one, once it had its time; and those that are being answered leave
-//! out the commands.
+//! A command finds room beside up to a thousand connections a second: of the clients that have not
+//! sent their head yet, the oldest makes room for a new one, once it had its time; and those that
+//! are being answered leave out the commands.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;

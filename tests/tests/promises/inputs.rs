@@ -1,6 +1,6 @@
-//! Inputs nobody thought of, made by `proptest` and made smaller where one fails: files and requests
-//! that were edited at random, stop files of any content, and sequences of anything that the
-//! decision step can receive. Nothing panics; what is wrong is refused; and of the twist:
+//! Inputs nobody thought of, made by `proptest` and made smaller where one fails: files and
+//! requests that were edited at random, stop files of any content, and sequences of anything that
+//! the decision step can receive. Nothing panics; what is wrong is refused; and of the twist:
 //!
 //! - it never passes the limits, nor those of acceleration but to stop at once;
 //! - while the controller is disarmed it is zero, whatever comes but an `arm`;

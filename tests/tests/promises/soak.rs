@@ -1,6 +1,6 @@
-//! Soak: daemon, emulator, recorder, page and metrics for an hour, with faults at random: peers that
-//! are killed or hang, floods, a loaded machine, stops, kills and hangs of the daemon itself. No
-//! command passes the limits, the robot stands whenever the daemon is gone, and nothing grows:
+//! Soak: daemon, emulator, recorder, page and metrics for an hour, with faults at random: peers
+//! that are killed or hang, floods, a loaded machine, stops, kills and hangs of the daemon itself.
+//! No command passes the limits, the robot stands whenever the daemon is gone, and nothing grows:
 //! memory of the daemon, descriptors, segments.
 //!
 //!     VPC_LONG=1 cargo test --test promises soak -- --ignored --nocapture
