@@ -1,6 +1,8 @@
 //! The file of a flight record: a recording (MCAP) with the same topics and schemas as `vpcctl
 //! record` writes.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -101,11 +103,21 @@ fn messages(file: &mut RecordingFile, ring: &Ring, progress: &AtomicU64) -> Resu
     Ok(())
 }
 
-/// SHA-256 of the running program. Reads all of its file.
+/// SHA-256 of the running program, empty if it cannot be read. Reads all of its file, in parts: it
+/// may be larger than everything else that the daemon holds.
 pub fn executable() -> String {
     // Also after an upgrade this is the file that runs.
-    let bytes = std::fs::read("/proc/self/exe");
-    bytes.map_or(String::new(), |bytes| hex(&Sha256::digest(bytes)))
+    let read = || {
+        let (mut sha, mut part) = (Sha256::new(), [0; 16 << 10]);
+        let mut program = File::open("/proc/self/exe")?;
+        loop {
+            match program.read(&mut part)? {
+                0 => return std::io::Result::Ok(hex(&sha.finalize())),
+                count => sha.update(&part[..count]),
+            }
+        }
+    };
+    read().unwrap_or_default()
 }
 
 /// Lower-case hexadecimal digits.
