@@ -1,6 +1,6 @@
 //! Conversions between the codes of the contract and the types of the control law.
 
-use ipc::{CycleRecord, Features, ForesightCode, RecallCode, SolverStatus, StrategyCode};
+use ipc::{CycleRecord, Features, ForesightCode, RecallCode, SolverStatus, Stamp, StrategyCode};
 use vpc::foresight::{Foresight, Outcome, PLACES};
 use vpc::guide::Kind;
 use vpc::{Asked, Measurement, Refusal, Status, Step, Strategy};
@@ -34,14 +34,19 @@ pub fn strategy(code: StrategyCode, neighbours: u32) -> Option<Strategy> {
 
 /// The measurement in a message, for a command that takes effect at `effective_ns`.
 pub fn measurement(features: &Features, effective_ns: u64) -> Measurement {
-    let exposed_ns = match features.stamp.data_ns {
-        // Unknown: not later than the publication.
-        0 => features.stamp.published_ns,
-        data_ns => data_ns,
-    };
+    let exposed_ns = exposed_ns(&features.stamp);
     let mut measurement = Measurement::from_points(&[]).taken(exposed_ns, effective_ns);
     measurement.points.extend(features.pairs());
     measurement
+}
+
+/// When the features with this head were exposed, or the latest instant that this may have been.
+pub fn exposed_ns(features: &Stamp) -> u64 {
+    match features.data_ns {
+        // Unknown: not later than the publication.
+        0 => features.published_ns,
+        data_ns => data_ns,
+    }
 }
 
 /// The reason to hold for a refusal by the law.

@@ -2,13 +2,15 @@
 //! earlier cycles left, with no clock and no port: the loop calls it live, a replay calls it again,
 //! and both get the same bits.
 
-use ipc::{Action, CycleFlags, CycleRecord, Outcome, Reply, Request, Stamp, StrategyCode};
+use ipc::{
+    Action, CycleFlags, CycleRecord, Features, Outcome, Reply, Request, Stamp, StrategyCode,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::contract;
 use crate::decision::{Decision, HoldReason, hold_code};
 use crate::gate::{Gate, Verdict};
-use crate::input::Inputs;
+use crate::input::{Input, Inputs};
 use crate::law;
 use crate::loaded::LoadedController;
 use crate::robot::RobotWatch;
@@ -171,6 +173,45 @@ impl ControlStep {
         self.loaded.think();
     }
 
+    /// Decides on the features that are expected at `now_ns`, and forgets it: code and data of the
+    /// next decision are then in the caches. Returns what would be sent; changes nothing. Never
+    /// allocates.
+    pub fn rehearse(&mut self, now_ns: u64) -> Option<Answer> {
+        let features = self.expected(now_ns)?;
+        let inputs = Inputs {
+            now_ns,
+            features: Input::Message(features),
+            robot: Input::Nothing,
+            missed: 0,
+            suspended: false,
+            shutdown: false,
+        };
+        let state = self.state();
+        let answer = self.decide(&inputs, &mut CycleRecord::default());
+        self.restore(&state);
+        Some(answer)
+    }
+
+    /// The newest features that are expected at `now_ns`: whole periods after the last ones, with
+    /// the points where the law expects them; `None` where nothing is expected.
+    fn expected(&self, now_ns: u64) -> Option<Features> {
+        let controller = &self.loaded.controller;
+        let period_ns = (controller.task().period * 1e9) as u64;
+        let mut stamp = self.standing.stamp;
+        let periods = now_ns.checked_sub(stamp.published_ns)? / period_ns;
+        let since_ns = periods.max(1) * period_ns;
+        stamp.sequence = stamp.sequence.checked_add(1)?;
+        stamp.published_ns = stamp.published_ns.checked_add(since_ns)?;
+        if stamp.data_ns != 0 {
+            stamp.data_ns = stamp.data_ns.checked_add(since_ns)?;
+        }
+        let points = controller.expected(contract::exposed_ns(&stamp))?;
+        Some(Features {
+            stamp,
+            ..Features::new(&points, stamp.data_ns)
+        })
+    }
+
     /// When a command that is decided at `now_ns` takes effect: at once; or in lockstep, where the
     /// camera's stamps are the clock, when the features that it answers were delivered.
     pub fn effective_ns(&self, answered: &Stamp, now_ns: u64) -> u64 {
@@ -328,9 +369,8 @@ mod tests {
         Input::Message(message)
     }
 
-    #[test]
-    fn in_real_time_no_input_whatsoever_panics_or_passes_the_limits() {
-        let mut random = ChaCha8Rng::seed_from_u64(1);
+    /// In real time, at rest and not armed.
+    fn control() -> ControlStep {
         let text = scene::PAPER_SIM.to_owned();
         let files = SceneFiles::parse(text, "sim", &|_| unreachable!("no masks")).unwrap();
         let mut loaded =
@@ -345,7 +385,13 @@ mod tests {
             needs_robot: false,
             begins: None,
         };
-        let mut control = ControlStep::new(loaded, Some(2 * PERIOD), rules);
+        ControlStep::new(loaded, Some(2 * PERIOD), rules)
+    }
+
+    #[test]
+    fn in_real_time_no_input_whatsoever_panics_or_passes_the_limits() {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let mut control = control();
         let mut now_ns = 1 << 40;
         let (mut moving, mut still) = (0, 0);
         for cycle in 0..30_000 {
@@ -389,5 +435,43 @@ mod tests {
         }
         // There was work, and there were faults.
         assert!(moving > 3000 && still > 3000, "{moving} and {still}");
+    }
+
+    #[test]
+    fn a_rehearsal_runs_the_law_and_changes_nothing() {
+        let mut random = ChaCha8Rng::seed_from_u64(2);
+        let (mut plain, mut rehearsing) = (control(), control());
+        let mut by_the_law = 0;
+        for cycle in 0..3000 {
+            let now_ns = (1 << 40) + cycle * PERIOD;
+            if random.random_bool(0.3) {
+                for control in [&mut plain, &mut rehearsing] {
+                    control.request(&Request::new(cycle, Action::Arm), cycle);
+                }
+            }
+            let instant = match random.random_range(0..10) {
+                0 => nasty_instant(now_ns, &mut random),
+                _ => now_ns,
+            };
+            let rehearsed = rehearsing.rehearse(instant);
+            by_the_law += u32::from(rehearsed.is_some_and(|answer| answer.decision.hold.is_none()));
+            let inputs = Inputs {
+                now_ns,
+                features: features(now_ns, cycle + 1, &mut random),
+                robot: robot(now_ns, &mut random),
+                missed: 0,
+                suspended: false,
+                shutdown: false,
+            };
+            let told = [&mut plain, &mut rehearsing].map(|control| {
+                let mut record = CycleRecord::default();
+                control.decide(&inputs, &mut record);
+                control.think();
+                // As text: a NaN is no other than itself.
+                format!("{record:?} {:?}", control.state())
+            });
+            assert!(told[0] == told[1], "cycle {cycle}: {inputs:?}");
+        }
+        assert!(by_the_law > 100, "{by_the_law}");
     }
 }

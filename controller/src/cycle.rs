@@ -1,4 +1,4 @@
-//! The loop: wake, receive, decide, send, slack. Nothing here allocates, logs, or waits without a
+//! The loop: wake, receive, decide, send, slack, rehearse. Nothing here allocates, logs, or waits without a
 //! bound.
 
 use heapless::Vec;
@@ -21,6 +21,9 @@ use crate::shutdown::Stop;
 use crate::supervisor::Rules;
 use crate::usage::Usage;
 
+/// How long before its release a cycle is rehearsed, ns: several times what a decision takes, and
+/// so short that nobody else uses the caches in between.
+const REHEARSAL_NS: u64 = 300_000;
 /// Rounds of polling in lockstep that only yield, before polling sleeps.
 const YIELDS: u32 = 100;
 /// Sleep between two polls in lockstep, ns.
@@ -276,9 +279,14 @@ impl Cycle {
         }
     }
 
-    /// Waits for the next release, and takes the latest message.
+    /// Waits for the next release, rehearses the cycle just before it, and takes the latest message.
     fn wait_for_release(&mut self, record: &mut CycleRecord) -> (u64, Input<Features>) {
         let release_ns = self.grid.next_ns();
+        let rehearsal_ns = release_ns.saturating_sub(REHEARSAL_NS);
+        if now_ns() < rehearsal_ns {
+            sleep_until(rehearsal_ns);
+            self.control.rehearse(release_ns);
+        }
         sleep_until(release_ns);
         let woken_ns = now_ns();
         self.woken = Usage::now();

@@ -1,6 +1,7 @@
 //! One closed-loop run: the daemon's decision step against the emulator's camera, judged by the
 //! emulator's referee.
 
+use std::fmt;
 use std::time::Instant;
 
 use controller::input::Inputs;
@@ -238,6 +239,66 @@ pub fn time(run: &mut Run, daemon: &mut Simulated, repeats: usize) -> Result<(),
     run.cycles_us = times.into_iter().filter_map(median).collect();
     run.slack_us = slack.into_iter().filter_map(median).collect();
     Ok(())
+}
+
+/// Bytes written to empty the caches: more than they hold.
+const COLD_BYTES: usize = 48 << 20;
+
+/// Times of decisions, us, that find their code and data in the caches, that do not, and that do
+/// not but were rehearsed.
+#[derive(Clone, Debug, Default)]
+pub struct Caches {
+    warm: Vec<f64>,
+    cold: Vec<f64>,
+    rehearsed: Vec<f64>,
+    /// What is written to empty them.
+    other: Vec<u8>,
+}
+
+impl Caches {
+    /// Replays a run once for each; `cycles_us` of [`time`] are the warm ones.
+    pub fn time(&mut self, run: &Run, daemon: &mut Simulated) {
+        self.warm.extend(&run.cycles_us);
+        for is_rehearsed in [false, true] {
+            daemon.restart();
+            for moment in &run.history {
+                self.empty();
+                if is_rehearsed {
+                    daemon.rehearse(moment.inputs.now_ns);
+                }
+                let begin = Instant::now();
+                std::hint::black_box(daemon.decide(&moment.inputs));
+                let times = match is_rehearsed {
+                    false => &mut self.cold,
+                    true => &mut self.rehearsed,
+                };
+                times.push(micros(begin));
+                daemon.think();
+            }
+        }
+    }
+
+    fn empty(&mut self) {
+        self.other.resize(COLD_BYTES, 0);
+        for line in self.other.chunks_mut(64) {
+            line[0] = line[0].wrapping_add(1);
+        }
+        std::hint::black_box(&mut self.other);
+    }
+}
+
+impl fmt::Display for Caches {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let of = |times: &Vec<f64>| median(times.clone()).unwrap_or(f64::NAN);
+        let (warm, cold, rehearsed) = (of(&self.warm), of(&self.cold), of(&self.rehearsed));
+        write!(
+            f,
+            "a decision takes {warm:.1} us with warm caches, {cold:.1} with cold ones ({:.1} times), {rehearsed:.1} with cold ones when it was rehearsed ({:.1} times): medians over {} decisions",
+            cold / warm,
+            rehearsed / warm,
+            self.cold.len()
+        )
+    }
 }
 
 /// Time since then, us.

@@ -128,6 +128,11 @@ impl Simulated {
         record
     }
 
+    /// Rehearses the decision at that instant, as the loop does just before a cycle's release.
+    pub fn rehearse(&mut self, now_ns: u64) {
+        self.control.rehearse(now_ns);
+    }
+
     /// Thinks ahead, after the decision.
     pub fn think(&mut self) {
         self.control.think();

@@ -189,6 +189,14 @@ impl Controller {
     pub fn restore(&mut self, state: &State) {
         self.settings.strategy = state.strategy;
         self.state = *state;
+        self.root = None;
+    }
+
+    /// Where the points of a live robot's camera are expected in an exposure at `exposed_ns`, px;
+    /// `None` if they were not seen before, or what was sent since is not known.
+    pub fn expected(&self, exposed_ns: u64) -> Option<Points> {
+        let (points, _) = self.expected_since(exposed_ns)?;
+        Some(points)
     }
 
     /// Changes the strategy from the next cycle on; what earlier cycles left stays.
@@ -400,6 +408,11 @@ impl Controller {
         if age_ns == 0 && !self.state.history.is_live() {
             return Some((self.state.predicted.get()?, self.state.predicted_tilt));
         }
+        self.expected_since(exposed_ns)
+    }
+
+    /// The same by the instants and commands that are known.
+    fn expected_since(&self, exposed_ns: u64) -> Option<(Points, Option<Tilt>)> {
         let (filtered, seen_ns) = (self.state.filtered.get()?, self.state.seen_ns);
         if seen_ns >= exposed_ns {
             return None;

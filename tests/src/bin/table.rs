@@ -22,7 +22,7 @@ use system_tests::children::{self, Children, attended};
 use system_tests::flags::{Common, RobotFlags};
 use system_tests::pictures::{self, Draw};
 use system_tests::row::{self, Row};
-use system_tests::run::{flawed, time};
+use system_tests::run::{Caches, flawed, time};
 use system_tests::simulated::Simulated;
 use system_tests::{arguments, robot_table};
 use vpc::Task;
@@ -66,6 +66,10 @@ struct CameraFlags {
     /// Replays of each run; the time of a cycle is the median over them.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     repeats: u16,
+    /// Time decisions with cold caches as well, alone and after a rehearsal; the caches are emptied
+    /// before each, which takes a second a run.
+    #[arg(long)]
+    cold: bool,
     /// Frames between exposure and delivery.
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
     delay: u16,
@@ -156,7 +160,11 @@ fn free(
     memory: Option<&Arc<MemoryFile>>,
 ) -> anyhow::Result<()> {
     let Common { noise, drop, .. } = cli.common;
-    let CameraFlags { delay, repeats } = cli.camera;
+    let CameraFlags {
+        delay,
+        repeats,
+        cold,
+    } = cli.camera;
     // The same images, from pattern and goal of another size.
     let wrong = Truth {
         depth: cli.common.depth_error,
@@ -164,12 +172,13 @@ fn free(
     };
     let believed = wrong.scene(scene);
     let bar = bar(cli.common.strategies.len() * starts.len());
-    let (mut rows, mut all) = (Vec::new(), Vec::new());
+    let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
     for &spec in &cli.common.strategies {
         let settings = cli.common.settings(spec);
         let memory = memory.cloned();
         let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
         let mut runs = Vec::with_capacity(starts.len());
+        let mut caches = Caches::default();
         for (start, pose) in starts.iter().enumerate() {
             bar.set_message(format!("{spec}, start {start}"));
             let flaws = Flaws {
@@ -180,11 +189,17 @@ fn free(
             };
             let mut run = flawed(scene, &mut daemon, pose, flaws);
             time(&mut run, &mut daemon, usize::from(repeats))?;
+            if cold {
+                caches.time(&run, &mut daemon);
+            }
             runs.push(run);
             bar.inc(1);
         }
         rows.push(Row::of(spec, &runs));
         all.push((spec, runs));
+        if cold {
+            told += &format!("{spec}: {caches}\n");
+        }
     }
     bar.finish_and_clear();
     let text = format!(
@@ -199,7 +214,7 @@ fn free(
         100.0 * drop,
         100.0 * cli.common.depth_error,
         row::markdown(&rows)
-    );
+    ) + &told;
     let memory = memory.map(AsRef::as_ref);
     finish(cli, scene, memory, &text, &rows, &all)
 }

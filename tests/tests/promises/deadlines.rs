@@ -197,7 +197,7 @@ fn judge(rate_hz: u32, cycles: u64, has_outside: bool) -> Verdict {
     let (report, disturbed) = (&laps.report, laps.disturbed());
     let missed = laps.missed();
     tell(format!(
-        "deadlines: {rate_hz} Hz, {} cycles, {} steering: {missed} missed, and {} while the processor stood still ({:.1} ms at most, in {:.1} % of the cycles); wake-up p{:.0} {wake:.0} us (bar {bar:.0}), with the machine's part p50 {} max {} us; references {each:.0?} us; busy p99 {} us",
+        "deadlines: {rate_hz} Hz, {} cycles, {} steering: {missed} missed, and {} while the processor stood still ({:.1} ms at most, in {:.1} % of the cycles); wake-up p{:.0} {wake:.0} us (bar {bar:.0}), with the machine's part p50 {} max {} us; references {each:.0?} us; a decision p50 {} p99 {} us; busy p99 {} us",
         report.cycles,
         report.armed,
         report.overruns - missed,
@@ -206,6 +206,8 @@ fn judge(rate_hz: u32, cycles: u64, has_outside: bool) -> Verdict {
         share * 100.0,
         report.wake_ns.p50 / 1000,
         report.wake_ns.max / 1000,
+        report.step_ns.p50 / 1000,
+        report.step_ns.p99 / 1000,
         report.busy_ns.p99 / 1000,
     ));
     assert_eq!(
