@@ -1,10 +1,13 @@
 //! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
 //! paper's Table I.
 
+use std::convert::Infallible;
+use std::fmt;
 use std::fs;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
@@ -37,12 +40,14 @@ struct Cli {
     /// Scene file (TOML).
     #[arg(long)]
     scene: PathBuf,
-    /// Start poses (CSV: tx,ty,tz,rx,ry,rz).
+    /// Start poses: a file (CSV: tx,ty,tz,rx,ry,rz), or COUNT@SEED: so many that `vpc-memory starts`
+    /// draws by this seed.
     #[arg(long)]
-    starts: PathBuf,
-    /// Memory of motion; if none is given, one with 900 trajectories is built first.
+    starts: Source,
+    /// Memory of motion: a file, or COUNT@SEED: one of so many trajectories that `vpc-memory build`
+    /// makes by this seed; 900@1 if none is given. Several make a table each.
     #[arg(long)]
-    memory: Option<PathBuf>,
+    memory: Vec<Source>,
     #[command(flatten)]
     common: Common,
     /// What carries the camera.
@@ -75,8 +80,45 @@ struct CameraFlags {
     delay: u16,
 }
 
-/// Trajectories of the paper's memory.
-const PAPERS_TRAJECTORIES: &str = "900";
+/// The paper's memory has 900 trajectories.
+const PAPERS_MEMORY: Source = Source::Made {
+    count: 900,
+    seed: 1,
+};
+
+/// Where starts or a memory come from.
+#[derive(Clone, Debug, PartialEq)]
+enum Source {
+    File(PathBuf),
+    /// Made by `vpc-memory`: starts, or trajectories.
+    Made {
+        count: u32,
+        seed: u64,
+    },
+}
+
+impl FromStr for Source {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        let made = text.split_once('@').and_then(|(count, seed)| {
+            Some(Self::Made {
+                count: count.parse().ok()?,
+                seed: seed.parse().ok()?,
+            })
+        });
+        Ok(made.unwrap_or_else(|| Self::File(text.into())))
+    }
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => path.display().fmt(f),
+            Self::Made { count, seed } => write!(f, "{count}@{seed}"),
+        }
+    }
+}
 
 /// What carries the camera.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -134,22 +176,37 @@ fn main() -> ExitCode {
 
 fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     cli.common.check()?;
-    let mut scene = Scene::read(&cli.scene)?;
-    let starts = read_starts(&cli.starts)?;
-    let mut strategies = cli.common.strategies.iter();
-    let memory = match &cli.memory {
-        Some(path) => Some(MemoryFile::open(path, Some(scene.fingerprint().bytes()))?),
-        None if strategies.any(|spec| spec.strategy.needs_memory()) => {
-            Some(built(children, cli, &scene)?)
-        }
-        None => None,
-    };
-    let memory = memory.map(Arc::new);
-    scene.camera.rate_hz = cli.common.rate.unwrap_or(scene.camera.rate_hz);
-    match cli.robot {
-        Body::Free => free(cli, &scene, &starts, memory.as_ref()),
-        Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
+    if cli.memory.len() > 1 && (cli.json.is_some() || cli.plots.is_some()) {
+        bail!(
+            "--json and --plots go with one --memory; given: {}",
+            cli.memory.len()
+        );
     }
+    let mut scene = Scene::read(&cli.scene)?;
+    let fingerprint = scene.fingerprint();
+    let starts = made(children, cli, &cli.starts, "starts", |path| {
+        Ok(read_starts(path)?)
+    })?;
+    let mut strategies = cli.common.strategies.iter();
+    let sources = match cli.memory.as_slice() {
+        [] if strategies.any(|spec| spec.strategy.needs_memory()) => vec![Some(&PAPERS_MEMORY)],
+        [] => vec![None],
+        sources => sources.iter().map(Some).collect(),
+    };
+    scene.camera.rate_hz = cli.common.rate.unwrap_or(scene.camera.rate_hz);
+    for source in sources {
+        let open = |path: &Path| Ok(MemoryFile::open(path, Some(fingerprint.bytes()))?);
+        let open = |source| made(children, cli, source, "build", open);
+        let memory = source.map(open).transpose()?.map(Arc::new);
+        if cli.memory.len() > 1 {
+            println!("memory {}", source.map_or(String::new(), Source::to_string));
+        }
+        match cli.robot {
+            Body::Free => free(cli, &scene, &starts, memory.as_ref()),
+            Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
+        }?;
+    }
+    Ok(())
 }
 
 /// The table of the camera that flies freely.
@@ -289,24 +346,38 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// Has `vpc-memory` build a memory for the scene in a temporary file, which is removed once it is
-/// mapped.
-fn built(children: &Children, cli: &Cli, scene: &Scene) -> anyhow::Result<MemoryFile> {
+/// Reads a file; one that is to be made is made by `vpc-memory` in a temporary directory, which is
+/// removed once it is read.
+fn made<T>(
+    children: &Children,
+    cli: &Cli,
+    source: &Source,
+    command: &str,
+    read: impl Fn(&Path) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    let (count, seed) = match source {
+        Source::File(path) => return read(path),
+        Source::Made { count, seed } => (count.to_string(), seed.to_string()),
+    };
     let programs = children.build(&["vpc-memory"])?;
     let directory = std::env::temp_dir().join(format!("vpc-table-{}", std::process::id()));
     let _place = children.place(directory.clone());
     fs::create_dir_all(&directory).with_context(|| directory.display().to_string())?;
-    let path = directory.join("memory.vpcmem");
-    let mut builder = children::command(programs.join("vpc-memory"));
-    builder.arg("build").arg(&cli.scene).arg("-o").arg(&path);
-    builder.args(["--trajectories", PAPERS_TRAJECTORIES]);
+    let path = directory.join(command);
+    let number = match command {
+        "build" => "--trajectories",
+        _ => "--count",
+    };
+    let mut maker = children::command(programs.join("vpc-memory"));
+    maker.arg(command).arg(&cli.scene).arg("-o").arg(&path);
+    maker.args([number, &count, "--seed", &seed]);
     // Standard output is the table's.
-    builder.stdout(std::process::Stdio::piped());
-    let (status, said) = children.start("vpc-memory", builder)?.output()?;
+    maker.stdout(std::process::Stdio::piped());
+    let (status, said) = children.start("vpc-memory", maker)?.output()?;
     if !status.success() {
-        bail!("vpc-memory built no memory: {said}");
+        bail!("vpc-memory {command} made nothing: {said}");
     }
-    Ok(MemoryFile::open(&path, Some(scene.fingerprint().bytes()))?)
+    read(&path)
 }
 
 fn bar(total: usize) -> ProgressBar {
@@ -326,6 +397,15 @@ mod tests {
         let line = format!("table --scene s --starts s {flags}");
         let parsed = parse(line.split_whitespace().map(Into::into));
         parsed.err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn starts_and_memories_are_files_or_made_by_a_seed() {
+        let source = |text: &str| text.parse::<Source>().unwrap();
+        assert_eq!(source("50@3"), Source::Made { count: 50, seed: 3 });
+        for file in ["starts.csv", "me@home/5.csv", "50@", "@3", "50"] {
+            assert_eq!(source(file), Source::File(file.into()));
+        }
     }
 
     #[test]
