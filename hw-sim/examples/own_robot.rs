@@ -28,7 +28,7 @@ use ipc::{
 };
 use nalgebra::Rotation3;
 use panda::{
-    Chain, Command, Echo, JOINTS, Mode, Motion, MotionKind, Mount, RobotSettings, Shaper,
+    Chain, Command, Echo, JOINTS, Mode, Motion, MotionKind, Mount, Pose, RobotSettings, Shaper,
     ShaperSettings, Twist, place,
 };
 use scene::Scene;
@@ -41,9 +41,10 @@ const AT_REST: f64 = 1e-4;
 
 /// What the bridge needs of the robot in every millisecond.
 struct Measured {
-    /// From the flange frame to the base frame: the rotation in libfranka's O_T_EE, with the flange
-    /// as end effector.
-    base_from_flange: Rotation3<f64>,
+    /// The rotation in libfranka's O_T_EE.
+    base_from_ee: Rotation3<f64>,
+    /// libfranka's F_T_EE: the end effector is not the flange, with the hand not even by its axes.
+    flange_from_ee: Pose,
     /// What the robot was last commanded: libfranka's O_dP_EE_c and O_ddP_EE_c.
     echo: Echo,
     q: [f64; JOINTS],
@@ -55,8 +56,10 @@ struct Measured {
 /// A driver: implement it for your robot.
 trait Driver {
     fn measured(&self) -> Measured;
-    /// Velocity of the flange's origin along base axes, m/s and rad/s; called once in each of the
-    /// robot's milliseconds.
+    /// Velocity of the end effector's origin along base axes, m/s and rad/s; called once in each of
+    /// the robot's milliseconds. With libfranka give `robot.control` the arguments `limit_rate =
+    /// false` and `cutoff_frequency = franka::kMaxCutoffFrequency`: behind its low-pass of 100 Hz,
+    /// which is on by default, the shaper takes 1.5 s to stop.
     fn command(&mut self, twist: &Twist);
 }
 
@@ -96,8 +99,9 @@ impl Bridge {
         let cut: [f64; 6] =
             std::array::from_fn(|k| wanted[k].clamp(-self.limits[k], self.limits[k]));
         // Transported with the lever arm anew each time: the base axes turn under the camera.
-        let flange = &measured.base_from_flange;
-        let base = self.mount.to_base(flange, &Twist::from_column_slice(&cut));
+        let (base_from_ee, flange_from_ee) = (&measured.base_from_ee, &measured.flange_from_ee);
+        let camera = Twist::from_column_slice(&cut);
+        let base = self.mount.to_base(base_from_ee, flange_from_ee, &camera);
         // From then on the shaper goes to zero by itself.
         self.shaper.aim(&base, self.command.in_force_until_ns());
         robot.command(&self.shaper.step(&measured.echo, now));
@@ -119,7 +123,11 @@ impl Bridge {
             state.faults |= if raised { fault.0 } else { 0 };
         }
         // What is carried out, not what was asked for.
-        state.twist = self.mount.to_camera(flange, &measured.echo.twist).into();
+        let carried_out = &measured.echo.twist;
+        let camera = self
+            .mount
+            .to_camera(base_from_ee, flange_from_ee, carried_out);
+        state.twist = camera.into();
         state.joints = JOINTS as u32;
         (state.q, state.dq) = (measured.q, measured.dq);
         self.states.publish(&state)?;
@@ -134,7 +142,8 @@ impl Driver for Emulated {
     fn measured(&self) -> Measured {
         let state = self.0.state();
         Measured {
-            base_from_flange: state.o_t_ee.rotation,
+            base_from_ee: state.o_t_ee.rotation,
+            flange_from_ee: state.f_t_ee,
             echo: Echo::from(state),
             q: state.q.into(),
             dq: state.dq.into(),
@@ -163,7 +172,7 @@ struct Camera {
 impl Camera {
     /// Publishes a frame that is exposed now; returns the largest component of s - s*, px.
     fn expose(&mut self, robot: &Emulated, mount: &Mount) -> Result<f64, Failure> {
-        let camera = mount.camera(&robot.0.state().o_t_ee);
+        let camera = mount.camera(&robot.0.state().flange());
         let object = camera.inverse() * base_from_object();
         let points = project(&self.scene, &object)?;
         self.features.publish(&Features::new(&points, now_ns()))?;
@@ -204,12 +213,9 @@ fn run() -> Result<bool, Failure> {
     let goal = project(&scene, &object)?.to_vec();
     object.translation.x += 0.02;
     let camera = base_from_object() * object.inverse();
-    let settings = RobotSettings {
-        // The flange is the end effector.
-        flange_from_ee: panda::Pose::identity(),
-        ..RobotSettings::default()
-    };
-    let joints = place(&Chain::new(settings.flange_from_ee), &mount.flange(&camera))?;
+    let settings = RobotSettings::with_hand();
+    let hand = settings.flange_from_ee();
+    let joints = place(&Chain::new(hand), &(mount.flange(&camera) * hand))?;
     let mut robot = Emulated(panda::Robot::new(settings, joints)?);
     robot.0.start(MotionKind::Cartesian)?;
 

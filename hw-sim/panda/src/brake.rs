@@ -1,4 +1,5 @@
-//! Stops: each joint brakes by itself, at a share of its bounds.
+//! Stops: each joint brakes by itself, at a share of its bounds. How the real robot brakes is not
+//! published: this is an assumption.
 
 use crate::kinematics::{JOINTS, Joints};
 use crate::limits::{BRAKING, JOINT, PERIOD, Setpoint};

@@ -1,6 +1,7 @@
 //! Why the robot stops itself, under the real robot's names.
 //!
-//! Source of the names: libfranka, `franka::Errors`. The list holds what this emulator can raise:
+//! Source of the names: libfranka, `franka::Errors`. On a velocity interface too much acceleration
+//! and too much jerk are one error, an `acceleration_discontinuity`. The list holds what this emulator can raise:
 //! what comes from torques and contacts (`joint_reflex`, `cartesian_reflex`,
 //! `tau_j_range_violation` ...), from pose and elbow commands and from Franka's own planners is not
 //! modelled.
@@ -37,7 +38,7 @@ flags! {
     CartesianPositionLimitsViolation => "cartesian_position_limits_violation",
     /// A measured joint velocity is above its bound.
     JointVelocityViolation => "joint_velocity_violation",
-    /// The measured velocity of the end effector is above its bound.
+    /// The measured translation of the end effector is faster than allowed.
     CartesianVelocityViolation => "cartesian_velocity_violation",
     /// A joint command would leave the range of a joint.
     JointMotionGeneratorPositionLimitsViolation
@@ -45,18 +46,13 @@ flags! {
     /// A joint command is faster than allowed.
     JointMotionGeneratorVelocityLimitsViolation
         => "joint_motion_generator_velocity_limits_violation",
-    /// Joint commands accelerate more than allowed.
-    JointMotionGeneratorVelocityDiscontinuity => "joint_motion_generator_velocity_discontinuity",
-    /// Joint commands jerk more than allowed.
+    /// Joint commands accelerate or jerk more than allowed.
     JointMotionGeneratorAccelerationDiscontinuity
         => "joint_motion_generator_acceleration_discontinuity",
     /// A Cartesian command is faster than allowed.
     CartesianMotionGeneratorVelocityLimitsViolation
         => "cartesian_motion_generator_velocity_limits_violation",
-    /// Cartesian commands accelerate more than allowed.
-    CartesianMotionGeneratorVelocityDiscontinuity
-        => "cartesian_motion_generator_velocity_discontinuity",
-    /// Cartesian commands jerk more than allowed.
+    /// Cartesian commands accelerate or jerk more than allowed.
     CartesianMotionGeneratorAccelerationDiscontinuity
         => "cartesian_motion_generator_acceleration_discontinuity",
     /// After inverse kinematics a Cartesian command would leave the range of a joint.
@@ -65,10 +61,7 @@ flags! {
     /// After inverse kinematics a joint is faster than allowed.
     CartesianMotionGeneratorJointVelocityLimitsViolation
         => "cartesian_motion_generator_joint_velocity_limits_violation",
-    /// After inverse kinematics a joint accelerates more than allowed.
-    CartesianMotionGeneratorJointVelocityDiscontinuity
-        => "cartesian_motion_generator_joint_velocity_discontinuity",
-    /// After inverse kinematics a joint jerks more than allowed.
+    /// After inverse kinematics a joint accelerates or jerks more than allowed.
     CartesianMotionGeneratorJointAccelerationDiscontinuity
         => "cartesian_motion_generator_joint_acceleration_discontinuity",
     /// Too many commands in a row did not come in time.

@@ -11,20 +11,20 @@ use crate::limits::{PERIOD, Setpoint, cartesian};
 /// What a Cartesian command itself exceeds: velocity, acceleration, jerk.
 const COMMANDED: [Flag; 3] = [
     Flag::CartesianMotionGeneratorVelocityLimitsViolation,
-    Flag::CartesianMotionGeneratorVelocityDiscontinuity,
+    Flag::CartesianMotionGeneratorAccelerationDiscontinuity,
     Flag::CartesianMotionGeneratorAccelerationDiscontinuity,
 ];
 /// What the joints exceed under it: velocity, acceleration, jerk, position.
 const OF_CARTESIAN: [Flag; 4] = [
     Flag::CartesianMotionGeneratorJointVelocityLimitsViolation,
-    Flag::CartesianMotionGeneratorJointVelocityDiscontinuity,
+    Flag::CartesianMotionGeneratorJointAccelerationDiscontinuity,
     Flag::CartesianMotionGeneratorJointAccelerationDiscontinuity,
     Flag::CartesianMotionGeneratorJointPositionLimitsViolation,
 ];
 /// What a joint command exceeds: velocity, acceleration, jerk, position.
 const OF_JOINT: [Flag; 4] = [
     Flag::JointMotionGeneratorVelocityLimitsViolation,
-    Flag::JointMotionGeneratorVelocityDiscontinuity,
+    Flag::JointMotionGeneratorAccelerationDiscontinuity,
     Flag::JointMotionGeneratorAccelerationDiscontinuity,
     Flag::JointMotionGeneratorPositionLimitsViolation,
 ];

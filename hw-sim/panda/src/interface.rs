@@ -30,6 +30,14 @@ pub enum MotionKind {
 }
 
 impl Motion {
+    /// Standing still.
+    pub fn zero(kind: MotionKind) -> Self {
+        match kind {
+            MotionKind::Cartesian => Self::Cartesian(Twist::zeros()),
+            MotionKind::Joint => Self::Joint(Joints::zeros()),
+        }
+    }
+
     /// Its kind.
     pub const fn kind(&self) -> MotionKind {
         match self {
@@ -54,7 +62,8 @@ pub struct Command {
     pub id: u64,
     /// The commanded velocity, m/s and rad/s or rad/s for each joint.
     pub motion: Motion,
-    /// The last command of this motion; the robot brakes if it still moves.
+    /// The last command of this motion. The next would be zero: a robot that still moves goes into
+    /// reflex.
     pub finished: bool,
 }
 

@@ -1,4 +1,5 @@
-//! The camera on the flange, and what its motion is at the flange.
+//! The camera on the flange, and what its motion is at the end effector, which is another place:
+//! the flange is O_T_EE F_T_EE^-1.
 
 use nalgebra::Rotation3;
 
@@ -22,22 +23,34 @@ impl Mount {
         base_from_camera * self.flange_from_camera.inverse()
     }
 
-    /// Velocity of the flange's origin along base axes while the camera's origin moves at `twist`
-    /// along camera axes.
-    pub fn to_base(&self, base_from_flange: &Rotation3<f64>, twist: &Twist) -> Twist {
-        let base_from_camera = base_from_flange * self.flange_from_camera.rotation;
+    /// Velocity of the end effector's origin along base axes while the camera's origin moves at
+    /// `twist` along camera axes. The robot's state tells the rotation of O_T_EE, and F_T_EE.
+    pub fn to_base(
+        &self,
+        base_from_ee: &Rotation3<f64>,
+        flange_from_ee: &Pose,
+        twist: &Twist,
+    ) -> Twist {
+        let camera = flange_from_ee.inverse() * self.flange_from_camera;
+        let base_from_camera = base_from_ee * camera.rotation;
         let (linear, angular) = split(twist);
         let angular = base_from_camera * angular;
-        let lever = base_from_flange * self.flange_from_camera.translation.vector;
+        let lever = base_from_ee * camera.translation.vector;
         let linear = base_from_camera * linear - angular.cross(&lever);
         join(&linear, &angular)
     }
 
     /// The inverse of [`Self::to_base`]: the camera's velocity along camera axes.
-    pub fn to_camera(&self, base_from_flange: &Rotation3<f64>, twist: &Twist) -> Twist {
-        let camera_from_base = (base_from_flange * self.flange_from_camera.rotation).inverse();
+    pub fn to_camera(
+        &self,
+        base_from_ee: &Rotation3<f64>,
+        flange_from_ee: &Pose,
+        twist: &Twist,
+    ) -> Twist {
+        let camera = flange_from_ee.inverse() * self.flange_from_camera;
+        let camera_from_base = (base_from_ee * camera.rotation).inverse();
         let (linear, angular) = split(twist);
-        let lever = base_from_flange * self.flange_from_camera.translation.vector;
+        let lever = base_from_ee * camera.translation.vector;
         let linear = linear + angular.cross(&lever);
         join(&(camera_from_base * linear), &(camera_from_base * angular))
     }
@@ -48,6 +61,7 @@ mod tests {
     use nalgebra::{Translation3, Vector3};
 
     use super::*;
+    use crate::RobotSettings;
     use crate::kinematics::{Chain, Joints, difference};
 
     fn mount() -> Mount {
@@ -63,15 +77,16 @@ mod tests {
 
     #[test]
     fn the_camera_moves_as_told_when_the_joints_move_the_flange_so() {
-        let (chain, mount) = (Chain::default(), mount());
+        let (hand, mount) = (RobotSettings::with_hand().flange_from_ee(), mount());
+        let chain = Chain::new(hand);
         let q = Joints::from(POSITIONS);
         let dq = Joints::from([0.3, -0.2, 0.5, 0.1, -0.4, 0.6, -0.7]);
         let posture = chain.posture(&q);
-        let twist = mount.to_camera(&posture.pose.rotation, &(posture.jacobian * dq));
+        let twist = mount.to_camera(&posture.pose.rotation, &hand, &(posture.jacobian * dq));
         let h = 1e-6;
         let before = mount.camera(&chain.flange(&(q - dq * h)));
         let after = mount.camera(&chain.flange(&(q + dq * h)));
-        let camera = mount.camera(&posture.pose).rotation;
+        let camera = mount.camera(&chain.flange(&q)).rotation;
         let (linear, angular) = split(&(difference(&after, &before) / (2.0 * h)));
         let numeric = join(&(camera.inverse() * linear), &(camera.inverse() * angular));
         assert!((numeric - twist).norm() < 1e-9);
@@ -82,7 +97,9 @@ mod tests {
         let mount = mount();
         let flange = Chain::default().flange(&Joints::from(POSITIONS));
         let twist = Twist::new(0.1, -0.2, 0.3, 0.4, -0.5, 0.6);
-        let back = mount.to_camera(&flange.rotation, &mount.to_base(&flange.rotation, &twist));
+        let hand = RobotSettings::with_hand().flange_from_ee();
+        let ee = flange.rotation * hand.rotation;
+        let back = mount.to_camera(&ee, &hand, &mount.to_base(&ee, &hand, &twist));
         assert!((back - twist).norm() < 1e-14);
         let there = mount.flange(&mount.camera(&flange));
         assert!(difference(&there, &flange).norm() < 1e-12);

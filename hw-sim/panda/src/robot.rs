@@ -3,9 +3,9 @@
 use crate::brake::brake;
 use crate::errors::{Errors, Flag};
 use crate::generator::Generator;
-use crate::interface::{Command, Interface, MotionKind, Reception};
+use crate::interface::{Command, Interface, Motion, MotionKind, Reception};
 use crate::kinematics::{Chain, JOINTS, Joints, Twist, split};
-use crate::limits::{JOINT, ROTATION, Setpoint, TRANSLATION, outside};
+use crate::limits::{JOINT, Setpoint, TRANSLATION, outside};
 use crate::mode::{Mode, RequestError};
 use crate::servo::Servo;
 use crate::settings::{RobotError, RobotSettings, check};
@@ -36,7 +36,7 @@ impl Robot {
     /// A joint outside its range.
     pub fn new(settings: RobotSettings, q: Joints) -> Result<Self, RobotError> {
         check(&q)?;
-        let chain = Chain::new(settings.flange_from_ee);
+        let chain = Chain::new(settings.flange_from_ee());
         let mut robot = Self {
             settings,
             chain,
@@ -51,7 +51,8 @@ impl Robot {
             recovery: 0,
             state: State::default(),
         };
-        robot.state.f_t_ee = settings.flange_from_ee;
+        robot.state.f_t_ee = settings.flange_from_ee();
+        (robot.state.f_t_ne, robot.state.ne_t_ee) = (settings.flange_from_ne, settings.ne_from_ee);
         robot.report();
         Ok(robot)
     }
@@ -168,7 +169,12 @@ impl Robot {
         }
         self.desired = desired;
         if finished {
-            self.end_motion(Errors::NONE);
+            // The next command would be zero: no error where that is no jump.
+            let (_, errors) = generator.advance(&Motion::zero(motion.kind()), &self.desired);
+            match errors.is_empty() {
+                true => self.end_motion(Errors::NONE),
+                false => self.reflex(errors),
+            }
         }
     }
 
@@ -199,11 +205,11 @@ impl Robot {
     fn measured_errors(&self) -> Errors {
         let (q, dq) = (&self.servo.q, &self.servo.dq);
         let measured = self.chain.posture(q);
-        let (linear, angular) = split(&(measured.jacobian * dq));
+        let (linear, _) = split(&(measured.jacobian * dq));
         let fast = (0..JOINTS).any(|k| dq[k].abs() > JOINT[k].velocity);
         let walls = self.settings.walls;
         let beyond = walls.is_some_and(|w| !w.contain(&measured.pose.translation.vector));
-        let fast_ee = linear.norm() > TRANSLATION.velocity || angular.norm() > ROTATION.velocity;
+        let fast_ee = linear.norm() > TRANSLATION.velocity;
         Errors::raised([
             (Flag::JointPositionLimitsViolation, outside(q).is_some()),
             (Flag::CartesianPositionLimitsViolation, beyond),

@@ -1,6 +1,8 @@
 //! Settings of a robot.
 
-use nalgebra::Vector3;
+use std::f64::consts::FRAC_PI_4;
+
+use nalgebra::{Rotation3, Translation3, Vector3};
 use thiserror::Error;
 
 use crate::kinematics::{Joints, Pose};
@@ -25,21 +27,48 @@ impl Walls {
 /// Settings of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotSettings {
-    /// F_T_EE, the end effector in the flange; the flange itself by default.
-    pub flange_from_ee: Pose,
+    /// F_T_NE, the nominal end effector in the flange, as it is set at the desk; the flange itself by
+    /// default.
+    pub flange_from_ne: Pose,
+    /// NE_T_EE, the end effector in the nominal one, as a client sets it (`setEE`); the nominal one
+    /// itself by default.
+    pub ne_from_ee: Pose,
     /// Virtual walls; none by default.
     pub walls: Option<Walls>,
-    /// How long automatic error recovery takes after the robot has come to rest, ms.
+    /// How long automatic error recovery takes after the robot has come to rest, ms. The default of
+    /// 500 is an assumption.
     pub recovery_ms: u64,
 }
 
 impl Default for RobotSettings {
     fn default() -> Self {
         Self {
-            flange_from_ee: Pose::identity(),
+            flange_from_ne: Pose::identity(),
+            ne_from_ee: Pose::identity(),
             walls: None,
             recovery_ms: 500,
         }
+    }
+}
+
+impl RobotSettings {
+    /// A robot whose desk knows of the Franka Hand: turned by -45 deg, and with its fingertips
+    /// 103.4 mm from the flange.
+    ///
+    /// Source: libfranka, `RobotState::F_T_NE` with the hand.
+    pub fn with_hand() -> Self {
+        Self {
+            flange_from_ne: Pose::from_parts(
+                Translation3::new(0.0, 0.0, 0.1034),
+                Rotation3::from_axis_angle(&Vector3::z_axis(), -FRAC_PI_4),
+            ),
+            ..Self::default()
+        }
+    }
+
+    /// F_T_EE, the end effector in the flange.
+    pub fn flange_from_ee(&self) -> Pose {
+        self.flange_from_ne * self.ne_from_ee
     }
 }
 

@@ -26,8 +26,12 @@ pub struct State {
     pub o_t_ee: Pose,
     /// End effector of the desired joints in the base.
     pub o_t_ee_d: Pose,
-    /// F_T_EE, the end effector in the flange.
+    /// F_T_EE, the end effector in the flange: F_T_NE NE_T_EE.
     pub f_t_ee: Pose,
+    /// F_T_NE, as it is set at the desk.
+    pub f_t_ne: Pose,
+    /// NE_T_EE, as a client has set it.
+    pub ne_t_ee: Pose,
     /// Velocity of the end effector's origin along base axes, of the desired joints.
     pub o_dp_ee_d: Twist,
     /// The last commanded velocity, or its extrapolation; zero if no Cartesian motion runs.
@@ -42,4 +46,11 @@ pub struct State {
     pub last_motion_errors: Errors,
     /// Share of the last 100 commands that came in time, 0 to 1; 0 if no motion runs.
     pub control_command_success_rate: f64,
+}
+
+impl State {
+    /// O_T_F, the measured flange in the base.
+    pub fn flange(&self) -> Pose {
+        self.o_t_ee * self.f_t_ee.inverse()
+    }
 }

@@ -64,13 +64,13 @@ mod tests {
         for (name, bit) in [
             ("joint_position_limits_violation", 0),
             ("cartesian_velocity_violation", 3),
-            ("communication_constraints_violation", 15),
+            ("communication_constraints_violation", 12),
         ] {
             let flag = Flag::ALL.iter().find(|flag| flag.name() == name).unwrap();
             assert_eq!(Errors::from(*flag).bits(), 1 << bit);
             assert!(contract.contains(&format!("{bit} {name}")));
         }
-        assert_eq!(Flag::ALL.len(), 16);
+        assert_eq!(Flag::ALL.len(), 13);
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub fn base_from_object() -> Pose {
 }
 
 /// Settings of an arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmSettings {
     /// The calibration that the bridge was given.
     pub hand_eye: HandEye,
@@ -33,6 +33,18 @@ pub struct ArmSettings {
     pub shaping: Shaping,
     /// The robot.
     pub robot: RobotSettings,
+}
+
+impl Default for ArmSettings {
+    /// A robot with the hand, and a true calibration.
+    fn default() -> Self {
+        Self {
+            hand_eye: HandEye::default(),
+            truth: Truth::default(),
+            shaping: Shaping::default(),
+            robot: RobotSettings::with_hand(),
+        }
+    }
 }
 
 /// Why an arm cannot be.
@@ -79,7 +91,7 @@ impl Arm {
         let base_from_object = base_from_object();
         let start = from_scene(&settings.truth.start(start));
         let camera = base_from_object * start.inverse();
-        let flange_from_ee = settings.robot.flange_from_ee;
+        let flange_from_ee = settings.robot.flange_from_ee();
         let chain = panda::Chain::new(flange_from_ee);
         let joints = place(&chain, &(mount.flange(&camera) * flange_from_ee))
             .map_err(ArmError::Placement)?;
@@ -115,14 +127,14 @@ impl Arm {
 
     /// The object in the camera frame, by the measured joints.
     pub fn object(&self) -> RigidPose {
-        self.mount.camera(&self.flange()).inverse() * self.base_from_object
+        self.mount.camera(&self.state().flange()).inverse() * self.base_from_object
     }
 
     /// The camera's velocity in the camera frame (m/s, rad/s), by the desired joints.
     pub fn camera_twist(&self) -> [f64; 6] {
         let state = self.robot.state();
         self.mount
-            .to_camera(&self.flange().rotation, &state.o_dp_ee_d)
+            .to_camera(&state.o_t_ee.rotation, &state.f_t_ee, &state.o_dp_ee_d)
             .into()
     }
 
@@ -132,11 +144,6 @@ impl Arm {
     pub fn is_at_rest(&self) -> bool {
         let state = self.robot.state();
         state.o_dp_ee_d.amax() < AT_REST && state.o_dp_ee_c.amax() < AT_REST
-    }
-
-    fn flange(&self) -> Pose {
-        let state = self.robot.state();
-        state.o_t_ee * state.f_t_ee.inverse()
     }
 }
 

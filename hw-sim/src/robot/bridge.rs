@@ -1,5 +1,5 @@
-//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the
-//! flange.
+//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the end
+//! effector.
 
 use panda::{Command, Echo, Motion, Mount, Shaper, ShaperError, ShaperSettings, State, Twist};
 use scene::Limits;
@@ -53,10 +53,12 @@ impl Bridge {
     }
 
     /// The command that answers a state of the robot. The camera's velocity is transported to the
-    /// flange anew in every millisecond, because the base axes turn under it.
+    /// end effector anew in every millisecond, because the base axes turn under it.
     pub fn answer(&mut self, state: &State, now_ns: u64) -> Command {
         let camera = Twist::from_column_slice(&self.standing.twist());
-        let base = self.mount.to_base(&state.o_t_ee.rotation, &camera);
+        let base = self
+            .mount
+            .to_base(&state.o_t_ee.rotation, &state.f_t_ee, &camera);
         let twist = match &mut self.shaper {
             Some(shaper) => {
                 shaper.aim(&base, self.standing.until_ns());

@@ -32,10 +32,11 @@ pub struct Inspector {
 pub struct ArmReport {
     /// Times that the robot went into reflex.
     pub reflexes: u64,
-    /// Milliseconds in which a joint was out of its range, or a joint or the flange faster than
-    /// allowed.
+    /// Milliseconds in which a joint was out of its range, or a joint or the end effector
+    /// faster than allowed.
     pub limit_violations: u64,
-    /// Milliseconds in which a joint or the flange accelerated or jerked more than allowed.
+    /// Milliseconds in which a joint or the end effector accelerated or jerked more than
+    /// allowed.
     pub discontinuities: u64,
     /// Names of the robot's errors, each once.
     pub errors: Vec<&'static str>,

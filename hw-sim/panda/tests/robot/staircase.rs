@@ -56,7 +56,7 @@ fn drive(robot: &mut Robot, shaped: bool, ticks: u64, loss: f64, random: &mut Ch
         let now = tick * 1_000_000;
         if tick * 30 / 1000 >= frame {
             frame += 1;
-            target = mount().to_base(&state.o_t_ee.rotation, &command(random));
+            target = mount().to_base(&state.o_t_ee.rotation, &state.f_t_ee, &command(random));
             shaper.aim(&target, now + 100_000_000);
         }
         let twist = if shaped {
@@ -128,19 +128,21 @@ fn five_millimetres_a_second_trip_without_the_shaper_and_not_with_it() {
 #[test]
 fn the_camera_arrives_at_the_velocity_that_was_commanded() {
     let twist = Twist::new(0.01, -0.005, 0.008, 0.02, -0.03, 0.01);
-    let mut robot = moving(Robot::new(RobotSettings::default(), Joints::from(READY)).expect("ok"));
+    let hand = RobotSettings::with_hand();
+    let mut robot = moving(Robot::new(hand, Joints::from(READY)).expect("ok"));
     let mut shaper = Shaper::new(ShaperSettings::default()).expect("good settings");
-    let mut before = mount().camera(&robot.state().o_t_ee);
+    let mut before = mount().camera(&robot.state().flange());
     for tick in 0..600 {
         let state = *robot.state();
-        before = mount().camera(&state.o_t_ee);
+        before = mount().camera(&state.flange());
         if tick % 33 == 0 {
-            shaper.aim(&mount().to_base(&state.o_t_ee.rotation, &twist), u64::MAX);
+            let base = mount().to_base(&state.o_t_ee.rotation, &state.f_t_ee, &twist);
+            shaper.aim(&base, u64::MAX);
         }
         answer(&mut robot, shaper.step(&Echo::from(&state), 0));
     }
     // From measured poses: the servo's lag is a delay, no error of a steady velocity.
-    let after = mount().camera(&robot.state().o_t_ee);
+    let after = mount().camera(&robot.state().flange());
     let seen = panda::kinematics::difference(&after, &before) * 1000.0;
     let back = before.rotation.inverse();
     let linear = back * Vector3::new(seen[0], seen[1], seen[2]);

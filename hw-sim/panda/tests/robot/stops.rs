@@ -1,6 +1,10 @@
 //! Ends of motions: finished, stopped, tripped, recovered.
 
-use panda::{Command, Errors, Mode, Motion, MotionKind, RequestError, Robot, Twist};
+use panda::limits::PERIOD;
+use panda::{
+    Command, Echo, Errors, Flag, Mode, Motion, MotionKind, RequestError, Robot, Shaper,
+    ShaperSettings, Twist,
+};
 
 use crate::rig::{answer, moving, ready, ready_but, speed_up, watch_stop};
 
@@ -11,21 +15,89 @@ fn fast() -> Robot {
     robot
 }
 
-#[test]
-fn a_motion_that_is_finished_while_moving_brakes_within_the_bounds_and_is_no_error() {
-    let mut robot = fast();
+fn finish(robot: &mut Robot) {
     let last = Command {
         id: robot.state().id,
         motion: Motion::Cartesian(robot.state().o_dp_ee_c),
         finished: true,
     };
     robot.step(&[last]);
-    assert_eq!(robot.state().robot_mode, Mode::Move);
+}
+
+#[test]
+fn a_motion_that_is_finished_while_moving_is_a_reflex_and_brakes_within_the_bounds() {
+    let mut robot = fast();
+    finish(&mut robot);
+    assert_eq!(robot.state().robot_mode, Mode::Reflex);
+    let jump = Flag::CartesianMotionGeneratorAccelerationDiscontinuity;
+    assert!(robot.state().last_motion_errors.contains(jump));
     assert!(robot.state().o_dp_ee_d.norm() > 0.2);
     let steps = watch_stop(&mut robot);
     assert!(steps > 10 && steps < 300, "{steps}");
+}
+
+#[test]
+fn a_motion_that_is_finished_at_rest_ends_without_an_error() {
+    let mut robot = fast();
+    let shaper = Shaper::new(ShaperSettings::default()).expect("good settings");
+    while robot.state().o_dp_ee_c != Twist::zeros() {
+        let twist = shaper.step(&Echo::from(robot.state()), 1);
+        answer(&mut robot, twist);
+    }
+    finish(&mut robot);
+    watch_stop(&mut robot);
     assert_eq!(robot.state().robot_mode, Mode::Idle);
     assert_eq!(robot.state().last_motion_errors, Errors::NONE);
+}
+
+/// libfranka's low-pass (`franka::lowpassFilter`), which is on by default at 100 Hz.
+fn low_pass(twist: Twist, last: Twist, cutoff_hz: f64) -> Twist {
+    let gain = PERIOD / (PERIOD + 1.0 / (std::f64::consts::TAU * cutoff_hz));
+    twist * gain + last * (1.0 - gain)
+}
+
+#[test]
+fn behind_the_vendors_low_pass_a_stop_takes_eight_times_as_long() {
+    // From 0.1 m/s: milliseconds, and metres.
+    let stop = |cutoff_hz: Option<f64>| {
+        let mut robot = moving(ready());
+        let mut shaper = Shaper::new(ShaperSettings::default()).expect("good settings");
+        shaper.aim(&(Twist::y() * 0.1), 5_000);
+        let step = |robot: &mut Robot, now_ns| {
+            let echo = Echo::from(robot.state());
+            let twist = shaper.step(&echo, now_ns);
+            let twist = cutoff_hz.map_or(twist, |hz| low_pass(twist, echo.twist, hz));
+            answer(robot, twist);
+        };
+        for now_ns in 0..5_000 {
+            step(&mut robot, now_ns);
+        }
+        let begin = robot.state().o_t_ee_d.translation.y;
+        let (mut ms, mut stood) = (5_000, 0);
+        while stood < 10 {
+            step(&mut robot, ms);
+            ms += 1;
+            stood = if robot.state().o_dp_ee_c[1].abs() < 1e-4 {
+                stood + 1
+            } else {
+                0
+            };
+        }
+        (
+            ms - 5_000 - 10,
+            robot.state().o_t_ee_d.translation.y - begin,
+        )
+    };
+    let (plain, filtered) = (stop(None), stop(Some(100.0)));
+    println!("{plain:?} {filtered:?}");
+    assert!(
+        (190..220).contains(&plain.0) && plain.1 < 0.011,
+        "{plain:?}"
+    );
+    assert!(
+        filtered.0 > 7 * plain.0 && filtered.1 > 0.07,
+        "{filtered:?}"
+    );
 }
 
 #[test]
