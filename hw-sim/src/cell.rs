@@ -49,6 +49,9 @@ pub trait Cell {
     /// When the next step is due, ns.
     fn due_ns(&self) -> u64;
 
+    /// The step that is due began so much later, ns.
+    fn late(&mut self, _late_ns: u64) {}
+
     /// Takes a command.
     fn obey(&mut self, order: &Order);
 

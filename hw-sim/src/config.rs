@@ -1,6 +1,7 @@
 //! Configuration of the process: a file, then flags, then checks. A key and its flag are one
 //! declaration.
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use clap::parser::ValueSource;
@@ -14,6 +15,7 @@ use crate::eye::Sight;
 use crate::rig::RigSettings;
 use crate::robot::bridge::Shaping;
 use crate::robot::calibration::{HandEye, Truth};
+use crate::robot::control_unit::FciSettings;
 use crate::sensor::Flaws;
 
 /// Emulates the camera of a scene, and what carries it, behind shared memory.
@@ -122,6 +124,15 @@ pub struct Keys {
     #[arg(long, default_value_t = 0.04)]
     #[schemars(range(min = 0, max = 0.3), extend("x-unit" = "m"))]
     pub retreat_m: f64,
+    /// Panda: offers the vendor's interface (FCI) at this address, to which clients connect; the
+    /// robot then obeys them instead of `vpc/twist`.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "an address and a port, such as 127.0.0.1:1337"))]
+    pub fci: Option<SocketAddr>,
+    /// Version of the interface: 5, the Panda's, or 10, the FR3's.
+    #[arg(long, default_value_t = 5)]
+    #[schemars(range(min = 5, max = 10))]
+    pub fci_version: u16,
     #[arg(skip)]
     #[allow(missing_docs)]
     pub hand_eye: HandEye,
@@ -190,6 +201,35 @@ pub struct Config {
     pub rig: RigSettings,
 }
 
+/// The vendor's interface, and what it does not go with.
+fn fci(
+    document: &Document,
+    keys: &Keys,
+    arguments: &Arguments,
+) -> Result<Option<FciSettings>, FileError> {
+    let Some(address) = keys.fci else {
+        return Ok(None);
+    };
+    let version = keys.fci_version.to_string().parse();
+    let version = version
+        .map_err(|_| document.refuse("fci_version", keys.fci_version, "5 or 10".to_owned()))?;
+    let needs = |is_met: bool, what: &str| match is_met {
+        true => Ok(()),
+        false => Err(document.refuse("fci", address, format!("with {what} only"))),
+    };
+    needs(keys.robot == Body::Panda, "robot = \"panda\"")?;
+    needs(keys.clock == Clock::Fixed, "clock = \"fixed\"")?;
+    needs(
+        !arguments.all && !arguments.repeat,
+        "one start: without --all and --loop",
+    )?;
+    needs(
+        !arguments.unshaped,
+        "commands of a client: without --unshaped",
+    )?;
+    Ok(Some(FciSettings { address, version }))
+}
+
 /// Returns the JSON Schema of a configuration file.
 pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Keys>()
@@ -237,6 +277,7 @@ impl Config {
     }
 
     fn of(document: &Document, keys: Keys, arguments: &Arguments) -> Result<Self, FileError> {
+        let fci = fci(document, &keys, arguments)?;
         let (scene_path, starts_path) = (
             keys.scene.unwrap_or_default(),
             keys.starts.unwrap_or_default(),
@@ -275,6 +316,7 @@ impl Config {
         rig.sequence.retreat_m = keys.retreat_m;
         rig.arm.hand_eye = keys.hand_eye;
         rig.arm.truth = keys.truth;
+        rig.arm.fci = fci;
         if arguments.unshaped {
             rig.arm.shaping = Shaping::Off;
         }

@@ -69,6 +69,9 @@ pub fn run(
         tally.runs += usize::from(outcome.verdict != "stopped");
         tally.arrived += usize::from(outcome.is_success());
         tell(&outcome, tally);
+        if config.rig.arm.fci.is_some() {
+            session.go_on(cell.as_mut())?;
+        }
     }
     if let Some(recorder) = session.recorder {
         recorder.finish()?;
@@ -192,6 +195,14 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
+    /// A robot goes on when its run is decided.
+    fn go_on(&mut self, cell: &mut dyn Cell) -> anyhow::Result<()> {
+        while !self.is_stopped() {
+            self.step(cell, true)?;
+        }
+        Ok(())
+    }
+
     fn step(&mut self, cell: &mut dyn Cell, is_resting: bool) -> anyhow::Result<()> {
         let due_ns = cell.due_ns();
         let now_ns = if self.is_live() {
@@ -203,7 +214,9 @@ impl<'a> Session<'a> {
         } else {
             due_ns
         };
-        self.lateness.add(now_ns.saturating_sub(due_ns));
+        let late_ns = now_ns.saturating_sub(due_ns);
+        self.lateness.add(late_ns);
+        cell.late(late_ns);
         let seen = cell.look(now_ns)?;
         if let Some(shot) = &seen.shot {
             self.publish(cell, shot, now_ns)?;

@@ -133,6 +133,15 @@ impl Rig {
         }
     }
 
+    /// Whether the object is where it belongs. A client keeps the robot to itself, so that nothing is
+    /// released then.
+    fn is_done(&self) -> bool {
+        match self.arm.has_clients() {
+            true => !self.phase().obeys_controller(),
+            false => self.phase() == TaskStep::Done && self.arm.is_at_rest(),
+        }
+    }
+
     fn judge(&mut self, points: &Points) {
         if !self.phase().obeys_controller() {
             self.progress.error_px = self.progress.referee.error(points);
@@ -149,6 +158,14 @@ impl Cell for Rig {
 
     fn due_ns(&self) -> u64 {
         self.now_ns()
+    }
+
+    /// A client cannot answer in time what the machine was late for: the robot's time stands still
+    /// with the machine's.
+    fn late(&mut self, late_ns: u64) {
+        if self.arm.has_clients() && late_ns > STEP_NS {
+            self.epoch_ns += late_ns;
+        }
     }
 
     /// The command counts while the sequence obeys the controller.
@@ -216,9 +233,13 @@ impl Cell for Rig {
         }
         // What a run that arrived in time may take longer for the rest of the sequence.
         let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0);
+        let has_clients = self.arm.has_clients();
         if self.arm.state().robot_mode == Mode::Reflex {
-            self.progress.finish(End::Reflex);
-        } else if self.sequence.phase() == TaskStep::Done && self.arm.is_at_rest() {
+            // Without a run that has begun, a client tries the robot by itself.
+            if !has_clients || self.progress.has_begun() {
+                self.progress.finish(End::Reflex);
+            }
+        } else if self.is_done() {
             self.progress.finish(End::Arrived);
         } else if self.progress.time_s >= self.settings.time_limit_s + grace_s {
             self.progress.finish(End::TimeOut);

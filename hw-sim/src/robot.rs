@@ -4,5 +4,6 @@
 pub mod arm;
 pub mod bridge;
 pub mod calibration;
+pub mod control_unit;
 pub mod inspector;
 pub mod sequence;

@@ -4,7 +4,7 @@ use crate::brake::brake;
 use crate::errors::{Errors, Flag};
 use crate::generator::Generator;
 use crate::interface::{Command, Interface, Motion, MotionKind, Reception};
-use crate::kinematics::{Chain, JOINTS, Joints, Twist, split};
+use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, split};
 use crate::limits::{JOINT, Setpoint, TRANSLATION, outside};
 use crate::mode::{Mode, RequestError};
 use crate::servo::Servo;
@@ -51,8 +51,6 @@ impl Robot {
             recovery: 0,
             state: State::default(),
         };
-        robot.state.f_t_ee = settings.flange_from_ee();
-        (robot.state.f_t_ne, robot.state.ne_t_ee) = (settings.flange_from_ne, settings.ne_from_ee);
         robot.report();
         Ok(robot)
     }
@@ -60,6 +58,20 @@ impl Robot {
     /// The state after the last step.
     pub fn state(&self) -> &State {
         &self.state
+    }
+
+    /// Sets NE_T_EE, the end effector in the nominal one.
+    ///
+    /// # Errors
+    /// The robot is in motion.
+    pub fn set_end_effector(&mut self, ne_from_ee: Pose) -> Result<(), RequestError> {
+        if !self.desired.is_at_rest() || self.motion.is_some() {
+            return Err(RequestError::Moving { mode: self.mode });
+        }
+        self.settings.ne_from_ee = ne_from_ee;
+        self.chain = Chain::new(self.settings.flange_from_ee());
+        self.report();
+        Ok(())
     }
 
     /// Begins a motion; the next step expects a command that answers the present state.
@@ -248,18 +260,20 @@ impl Robot {
     /// Updates the state.
     fn report(&mut self) {
         let desired = self.chain.posture(&self.desired.q);
-        let (twist, acceleration) = match &self.motion {
-            Some((Generator::Cartesian(g), _)) => (*g.twist(), *g.acceleration()),
-            _ => (Twist::zeros(), Twist::zeros()),
+        let (pose, twist, acceleration) = match &self.motion {
+            Some((Generator::Cartesian(g), _)) => (g.pose(), *g.twist(), *g.acceleration()),
+            _ => (desired.pose, Twist::zeros(), Twist::zeros()),
         };
         let state = &mut self.state;
+        state.f_t_ee = self.settings.flange_from_ee();
+        (state.f_t_ne, state.ne_t_ee) = (self.settings.flange_from_ne, self.settings.ne_from_ee);
         state.id = self.time;
         state.time = self.time;
         (state.q, state.dq) = (self.servo.q, self.servo.dq);
         (state.q_d, state.dq_d) = (self.desired.q, self.desired.dq);
         state.ddq_d = self.desired.ddq;
         state.o_t_ee = self.chain.pose(&self.servo.q);
-        state.o_t_ee_d = desired.pose;
+        (state.o_t_ee_d, state.o_t_ee_c) = (desired.pose, pose);
         state.o_dp_ee_d = desired.jacobian * self.desired.dq;
         (state.o_dp_ee_c, state.o_ddp_ee_c) = (twist, acceleration);
         state.robot_mode = self.mode;

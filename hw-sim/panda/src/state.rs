@@ -26,6 +26,8 @@ pub struct State {
     pub o_t_ee: Pose,
     /// End effector of the desired joints in the base.
     pub o_t_ee_d: Pose,
+    /// The integral of the commanded velocities; `o_t_ee_d` if no Cartesian motion runs.
+    pub o_t_ee_c: Pose,
     /// F_T_EE, the end effector in the flange: F_T_NE NE_T_EE.
     pub f_t_ee: Pose,
     /// F_T_NE, as it is set at the desk.

@@ -1,5 +1,8 @@
 //! The arm: a Panda that carries the camera over an object that lies still on the table.
 
+use std::io;
+use std::net::SocketAddr;
+
 use nalgebra::{Matrix3, Rotation3, Translation3};
 use panda::{
     JOINTS, MotionKind, Mount, PlacementError, Pose, RequestError, Robot, RobotError,
@@ -9,6 +12,7 @@ use scene::Scene;
 
 use super::bridge::{Bridge, Shaping};
 use super::calibration::{HandEye, Truth};
+use super::control_unit::{ControlUnit, FciSettings};
 use super::inspector::Inspector;
 use crate::pose::{RigidPose, from_scene};
 
@@ -33,6 +37,8 @@ pub struct ArmSettings {
     pub shaping: Shaping,
     /// The robot.
     pub robot: RobotSettings,
+    /// Whether clients of the vendor's interface command it, instead of the bridge.
+    pub fci: Option<FciSettings>,
 }
 
 impl Default for ArmSettings {
@@ -43,6 +49,7 @@ impl Default for ArmSettings {
             truth: Truth::default(),
             shaping: Shaping::default(),
             robot: RobotSettings::with_hand(),
+            fci: None,
         }
     }
 }
@@ -59,17 +66,27 @@ pub enum ArmError {
     /// The shaper refused its settings.
     #[error(transparent)]
     Shaper(#[from] ShaperError),
+    /// The vendor's interface cannot be offered there.
+    #[error("--fci {address}: {source}")]
+    Fci {
+        /// Where.
+        address: SocketAddr,
+        /// Why not.
+        source: io::Error,
+    },
     /// The robot did not begin a motion.
     #[error("the robot begins no motion: {0}")]
     Motion(RequestError),
 }
 
 /// A Panda with its bridge, stepped once a millisecond.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Arm {
     robot: Robot,
     /// From camera twists to commands of the robot.
     pub bridge: Bridge,
+    /// Who commands the robot in its place.
+    control_unit: Option<ControlUnit>,
     inspector: Inspector,
     /// Where the camera really sits.
     mount: Mount,
@@ -96,10 +113,20 @@ impl Arm {
         let joints = place(&chain, &(mount.flange(&camera) * flange_from_ee))
             .map_err(ArmError::Placement)?;
         let mut robot = Robot::new(settings.robot, joints)?;
-        robot
-            .start(MotionKind::Cartesian)
-            .map_err(ArmError::Motion)?;
+        let open = |fci: FciSettings| {
+            ControlUnit::open(&fci).map_err(|source| ArmError::Fci {
+                address: fci.address,
+                source,
+            })
+        };
+        let control_unit = settings.fci.map(open).transpose()?;
+        if control_unit.is_none() {
+            robot
+                .start(MotionKind::Cartesian)
+                .map_err(ArmError::Motion)?;
+        }
         Ok(Self {
+            control_unit,
             inspector: Inspector::new(robot.state()),
             robot,
             bridge: Bridge::new(believed, scene.limits, settings.shaping)?,
@@ -118,11 +145,21 @@ impl Arm {
         &self.inspector
     }
 
-    /// One millisecond: the bridge answers the robot's state, the robot steps.
+    /// Whether clients of the vendor's interface command it.
+    pub fn has_clients(&self) -> bool {
+        self.control_unit.is_some()
+    }
+
+    /// One millisecond: the bridge, or a client, answers the robot's state; the robot steps.
     pub fn step(&mut self, now_ns: u64) {
-        let command = self.bridge.answer(self.robot.state(), now_ns);
-        let state = self.robot.step(&[command]);
-        self.inspector.look(state);
+        match &mut self.control_unit {
+            Some(control_unit) => control_unit.step(&mut self.robot),
+            None => {
+                let command = self.bridge.answer(self.robot.state(), now_ns);
+                self.robot.step(&[command]);
+            }
+        }
+        self.inspector.look(self.robot.state());
     }
 
     /// The object in the camera frame, by the measured joints.

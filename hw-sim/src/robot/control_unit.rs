@@ -1,0 +1,315 @@
+//! The robot's control unit: the vendor's interface on one side, the robot on the other.
+
+use std::io;
+use std::net::SocketAddr;
+
+use fci::message::{IDENTITY, Mode as WireMode, Transform};
+use fci::{Answer, Controller, Event, Generator, Load, Request, Server, Ticket, Version, errors};
+use nalgebra::{Matrix3, Rotation3, Translation3, Vector3};
+use panda::{Command, Errors, Joints, Mode, Motion, MotionKind, Pose, Robot, State, Twist};
+
+/// Largest part by which a rotation may miss orthonormality.
+const ORTHONORMAL: f64 = 1e-5;
+/// Angle of joint 4 at which the elbow changes its sign, rad: where the arm is stretched out.
+const STRETCHED: f64 = -0.467;
+
+/// Where the interface is, and in which version.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FciSettings {
+    /// Where it listens.
+    pub address: SocketAddr,
+    /// Which version it speaks.
+    pub version: Version,
+}
+
+/// The control unit.
+#[derive(Debug)]
+pub struct ControlUnit {
+    server: Server,
+    /// The motion that a client began.
+    motion: Option<Started>,
+    /// Who waits for a stop, and for a recovery.
+    stop: Option<Ticket>,
+    recovery: Option<Ticket>,
+    /// What clients have set that moves nothing here.
+    stiffness: Transform,
+    load: Load,
+}
+
+/// A motion that was begun.
+#[derive(Clone, Copy, Debug)]
+struct Started {
+    ticket: Ticket,
+    generator: Generator,
+    controller: Controller,
+    is_stopped: bool,
+}
+
+impl ControlUnit {
+    /// A control unit that waits for a client.
+    ///
+    /// # Errors
+    /// The address cannot be had.
+    pub fn open(settings: &FciSettings) -> io::Result<Self> {
+        Ok(Self {
+            server: Server::bind(settings.address, settings.version)?,
+            motion: None,
+            stop: None,
+            recovery: None,
+            stiffness: IDENTITY,
+            load: Load::default(),
+        })
+    }
+
+    /// One millisecond of the robot: the client's commands, its requests, the new state, and the
+    /// answers that are due.
+    pub fn step(&mut self, robot: &mut Robot) {
+        let commands: Vec<Command> = self.commands();
+        robot.step(&commands);
+        for event in self.server.poll() {
+            match event {
+                Event::Request(ticket, request) => self.take(&ticket, &request, robot),
+                Event::Connected(client) => eprintln!("hw-sim: FCI: {client} is connected"),
+                Event::Incompatible { client, version } => eprintln!(
+                    "hw-sim: FCI: {client} speaks version {version}; allowed: {}",
+                    self.server.version()
+                ),
+                Event::Gone(why) => eprintln!("hw-sim: FCI: the client is gone: {why}"),
+            }
+        }
+        // A state with the error goes out before the answer that the motion was aborted.
+        self.server.tell(&self.told(robot.state()));
+        self.answer(robot.state());
+    }
+
+    fn commands(&mut self) -> Vec<Command> {
+        let generator = self.motion.map(|motion| motion.generator);
+        let commands = self.server.commands().into_iter();
+        commands
+            .map(|command| Command {
+                id: command.message_id,
+                motion: match generator {
+                    Some(Generator::JointVelocity) => Motion::Joint(Joints::from(command.dq_c)),
+                    _ => Motion::Cartesian(Twist::from(command.o_dp_ee_c)),
+                },
+                finished: command.is_last,
+            })
+            .collect()
+    }
+
+    fn take(&mut self, ticket: &Ticket, request: &Request, robot: &mut Robot) {
+        let is_moving = robot.state().robot_mode == Mode::Move;
+        let answer = match request {
+            Request::Move {
+                controller,
+                generator,
+            } => self.begin(ticket, *controller, *generator, robot),
+            Request::StopMove => match robot.stop() {
+                Ok(()) => {
+                    self.stop = Some(*ticket);
+                    if let Some(motion) = &mut self.motion {
+                        motion.is_stopped = true;
+                    }
+                    return;
+                }
+                // It stands, or is about to.
+                Err(_) => Answer::Success,
+            },
+            Request::AutomaticErrorRecovery => match robot.recover() {
+                Ok(()) => {
+                    self.recovery = Some(*ticket);
+                    return;
+                }
+                Err(_) if robot.state().robot_mode == Mode::Idle => Answer::Success,
+                Err(_) => Answer::NotPossibleRejected,
+            },
+            Request::SetNeToEe(transform) => match pose(transform) {
+                None => Answer::InvalidArgumentRejected,
+                Some(pose) => match robot.set_end_effector(pose) {
+                    Ok(()) => Answer::Success,
+                    Err(_) => Answer::NotPossibleRejected,
+                },
+            },
+            Request::SetEeToK(transform) => match pose(transform) {
+                None => Answer::InvalidArgumentRejected,
+                Some(_) if is_moving => Answer::NotPossibleRejected,
+                Some(_) => {
+                    self.stiffness = *transform;
+                    Answer::Success
+                }
+            },
+            Request::SetLoad(load) => {
+                let rest = load.center.iter().chain(&load.inertia);
+                match load.mass >= 0.0 && rest.chain([&load.mass]).all(|x| x.is_finite()) {
+                    false => Answer::InvalidArgumentRejected,
+                    true if is_moving => Answer::NotPossibleRejected,
+                    true => {
+                        self.load = *load;
+                        Answer::Success
+                    }
+                }
+            }
+            Request::Setting(_) if is_moving => Answer::NotPossibleRejected,
+            Request::Setting(_) => Answer::Success,
+            Request::Query(kind) => {
+                eprintln!("hw-sim: FCI: {kind:?} is not emulated");
+                Answer::Error
+            }
+            Request::Invalid(_) => Answer::InvalidArgumentRejected,
+        };
+        self.server.reply(ticket, answer);
+    }
+
+    fn begin(
+        &mut self,
+        ticket: &Ticket,
+        controller: Controller,
+        generator: Generator,
+        robot: &mut Robot,
+    ) -> Answer {
+        let kind = match (controller, generator) {
+            (Controller::External, _) => None,
+            (_, Generator::CartesianVelocity) => Some(MotionKind::Cartesian),
+            (_, Generator::JointVelocity) => Some(MotionKind::Joint),
+            _ => None,
+        };
+        let Some(kind) = kind else {
+            eprintln!(
+                "hw-sim: FCI: a motion of {generator:?} under {controller:?} is not emulated; allowed: joint or Cartesian velocities under an impedance controller"
+            );
+            return Answer::NotPossibleRejected;
+        };
+        match robot.start(kind) {
+            Ok(()) => {
+                self.motion = Some(Started {
+                    ticket: *ticket,
+                    generator,
+                    controller,
+                    is_stopped: false,
+                });
+                Answer::MotionStarted
+            }
+            Err(_) => Answer::NotPossibleRejected,
+        }
+    }
+
+    /// Answers what has ended by now.
+    fn answer(&mut self, state: &State) {
+        let aborted = match state.robot_mode {
+            Mode::Reflex => Some(Answer::ReflexAborted),
+            Mode::UserStopped => Some(Answer::EmergencyAborted),
+            _ => None,
+        };
+        if state.robot_mode != Mode::Move
+            && let Some(motion) = self.motion.take()
+        {
+            let ended = match motion.is_stopped {
+                true => Answer::Preempted,
+                false => Answer::Success,
+            };
+            self.server.reply(&motion.ticket, aborted.unwrap_or(ended));
+        }
+        for (waiting, until) in [
+            (&mut self.stop, Mode::Move),
+            (&mut self.recovery, Mode::AutomaticErrorRecovery),
+        ] {
+            if state.robot_mode != until
+                && let Some(ticket) = waiting.take()
+            {
+                self.server
+                    .reply(&ticket, aborted.unwrap_or(Answer::Success));
+            }
+        }
+    }
+
+    /// The state as a client is told of it.
+    fn told(&self, state: &State) -> fci::State {
+        let motion = self.motion.filter(|_| state.robot_mode == Mode::Move);
+        let elbow = |q: &Joints| [q[2], if q[3] > STRETCHED { 1.0 } else { -1.0 }];
+        fci::State {
+            message_id: state.id,
+            o_t_ee: columns(&state.o_t_ee),
+            o_t_ee_d: columns(&state.o_t_ee_d),
+            o_t_ee_c: columns(&state.o_t_ee_c),
+            f_t_ee: columns(&state.f_t_ee),
+            ee_t_k: self.stiffness,
+            f_t_ne: columns(&state.f_t_ne),
+            ne_t_ee: columns(&state.ne_t_ee),
+            load: self.load,
+            elbow: elbow(&state.q),
+            elbow_d: elbow(&state.q_d),
+            q: state.q.into(),
+            q_d: state.q_d.into(),
+            dq: state.dq.into(),
+            dq_d: state.dq_d.into(),
+            ddq_d: state.ddq_d.into(),
+            o_dp_ee_d: state.o_dp_ee_d.into(),
+            o_dp_ee_c: state.o_dp_ee_c.into(),
+            o_ddp_ee_c: state.o_ddp_ee_c.into(),
+            generator: motion.map_or(Generator::Idle, |motion| motion.generator),
+            controller: motion.map_or(Controller::Other, |motion| motion.controller),
+            errors: flags(state.current_errors),
+            reflex_reason: flags(state.last_motion_errors),
+            mode: match state.robot_mode {
+                Mode::Idle => WireMode::Idle,
+                Mode::Move => WireMode::Move,
+                Mode::Reflex => WireMode::Reflex,
+                Mode::UserStopped => WireMode::UserStopped,
+                Mode::AutomaticErrorRecovery => WireMode::AutomaticErrorRecovery,
+            },
+            control_command_success_rate: state.control_command_success_rate,
+        }
+    }
+}
+
+fn flags(errors: Errors) -> [bool; errors::COUNT] {
+    errors::flags(errors.flags().map(|flag| flag.name()))
+}
+
+/// A pose, column by column.
+fn columns(pose: &Pose) -> Transform {
+    let matrix = pose.to_homogeneous();
+    let mut columns = [0.0; 16];
+    columns.copy_from_slice(matrix.as_slice());
+    columns
+}
+
+/// The pose of a transformation; `None` if it is none.
+fn pose(transform: &Transform) -> Option<Pose> {
+    let at = |row: usize, column: usize| transform[4 * column + row];
+    let rotation = Matrix3::from_fn(at);
+    let translation = Vector3::from_fn(|row, _| at(row, 3));
+    let last = [at(3, 0), at(3, 1), at(3, 2), at(3, 3)];
+    let miss = (rotation.transpose() * rotation - Matrix3::identity()).amax();
+    let is_pose = last == [0.0, 0.0, 0.0, 1.0]
+        && miss <= ORTHONORMAL
+        && rotation.determinant() > 0.0
+        && translation.iter().all(|x| x.is_finite());
+    is_pose.then(|| {
+        Pose::from_parts(
+            Translation3::from(translation),
+            Rotation3::from_matrix_unchecked(rotation),
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_goes_over_the_wire_and_back_and_nonsense_is_none() {
+        let hand = panda::RobotSettings::with_hand().flange_from_ne;
+        let sent = columns(&hand);
+        // As libfranka shows F_T_NE of the hand.
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        assert!((sent[0] - half).abs() < 1e-9 && (sent[1] + half).abs() < 1e-9);
+        assert_eq!(sent[14], 0.1034);
+        assert_eq!(pose(&sent), Some(hand));
+        for (place, value) in [(0, 0.9), (15, 2.0), (12, f64::NAN), (0, f64::NAN)] {
+            let mut wrong = sent;
+            wrong[place] = value;
+            assert_eq!(pose(&wrong), None);
+        }
+    }
+}
