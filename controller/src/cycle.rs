@@ -1,5 +1,5 @@
-//! The loop: wake, receive, decide, send, slack, rehearse. Nothing here allocates, logs, or waits without a
-//! bound.
+//! The loop: wake, receive, decide, send, slack, rehearse. Nothing here allocates, logs, or waits
+//! without a bound.
 
 use heapless::Vec;
 use ipc::{
@@ -279,7 +279,8 @@ impl Cycle {
         }
     }
 
-    /// Waits for the next release, rehearses the cycle just before it, and takes the latest message.
+    /// Waits for the next release, rehearses the cycle just before it, and takes the latest
+    /// message.
     fn wait_for_release(&mut self, record: &mut CycleRecord) -> (u64, Input<Features>) {
         let release_ns = self.grid.next_ns();
         let rehearsal_ns = release_ns.saturating_sub(REHEARSAL_NS);

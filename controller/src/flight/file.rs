@@ -2,7 +2,7 @@
 //! record` writes.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -111,9 +111,11 @@ pub fn executable() -> String {
         let (mut sha, mut part) = (Sha256::new(), [0; 16 << 10]);
         let mut program = File::open("/proc/self/exe")?;
         loop {
-            match program.read(&mut part)? {
-                0 => return std::io::Result::Ok(hex(&sha.finalize())),
-                count => sha.update(&part[..count]),
+            match program.read(&mut part) {
+                Ok(0) => return std::io::Result::Ok(hex(&sha.finalize())),
+                Ok(count) => sha.update(&part[..count]),
+                Err(error) if error.kind() == ErrorKind::Interrupted => (),
+                Err(error) => return Err(error),
             }
         }
     };

@@ -79,6 +79,15 @@ pub(crate) struct Row {
     pub answers: &'static [Answer],
 }
 
+/// The row of a request.
+const fn row(kind: Kind, bytes: usize, answers: &'static [Answer]) -> Row {
+    Row {
+        kind,
+        bytes,
+        answers,
+    }
+}
+
 /// How a number of a state is sent.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Width {

@@ -1,8 +1,8 @@
 //! Why the robot stops itself, under the real robot's names.
 //!
 //! Source of the names: libfranka, `franka::Errors`. On a velocity interface too much acceleration
-//! and too much jerk are one error, an `acceleration_discontinuity`. The list holds what this emulator can raise:
-//! what comes from torques and contacts (`joint_reflex`, `cartesian_reflex`,
+//! and too much jerk are one error, an `acceleration_discontinuity`. The list holds what this
+//! emulator can raise: what comes from torques and contacts (`joint_reflex`, `cartesian_reflex`,
 //! `tau_j_range_violation` ...), from pose and elbow commands and from Franka's own planners is not
 //! modelled.
 

@@ -1,7 +1,7 @@
 //! The camera on the flange, and what its motion is at the end effector, which is another place:
 //! the flange is O_T_EE F_T_EE^-1.
 
-use nalgebra::Rotation3;
+use nalgebra::{Rotation3, Vector3};
 
 use crate::kinematics::{Pose, Twist, join, split};
 
@@ -31,11 +31,9 @@ impl Mount {
         flange_from_ee: &Pose,
         twist: &Twist,
     ) -> Twist {
-        let camera = flange_from_ee.inverse() * self.flange_from_camera;
-        let base_from_camera = base_from_ee * camera.rotation;
+        let (base_from_camera, lever) = self.at(base_from_ee, flange_from_ee);
         let (linear, angular) = split(twist);
         let angular = base_from_camera * angular;
-        let lever = base_from_ee * camera.translation.vector;
         let linear = base_from_camera * linear - angular.cross(&lever);
         join(&linear, &angular)
     }
@@ -47,18 +45,28 @@ impl Mount {
         flange_from_ee: &Pose,
         twist: &Twist,
     ) -> Twist {
-        let camera = flange_from_ee.inverse() * self.flange_from_camera;
-        let camera_from_base = (base_from_ee * camera.rotation).inverse();
+        let (base_from_camera, lever) = self.at(base_from_ee, flange_from_ee);
+        let camera_from_base = base_from_camera.inverse();
         let (linear, angular) = split(twist);
-        let lever = base_from_ee * camera.translation.vector;
         let linear = linear + angular.cross(&lever);
         join(&(camera_from_base * linear), &(camera_from_base * angular))
+    }
+
+    /// The camera's axes in the base, and where it is from the end effector, along base axes.
+    fn at(
+        &self,
+        base_from_ee: &Rotation3<f64>,
+        flange_from_ee: &Pose,
+    ) -> (Rotation3<f64>, Vector3<f64>) {
+        let camera = flange_from_ee.inverse() * self.flange_from_camera;
+        let lever = base_from_ee * camera.translation.vector;
+        (base_from_ee * camera.rotation, lever)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Translation3, Vector3};
+    use nalgebra::Translation3;
 
     use super::*;
     use crate::RobotSettings;

@@ -1,7 +1,7 @@
 //! Version 10, the FR3's. Source: the same headers as libfranka 0.21 has them, as the crate
 //! `franka-rs` 0.4 and the simulator `franka-sim` 1.1.7 repeat them.
 
-use super::{Row, Table, Width};
+use super::{Table, Width, row};
 use crate::message::Answer::{self, *};
 use crate::message::Kind;
 
@@ -11,14 +11,6 @@ const SETTER: &[Answer] = &[
     InvalidArgumentRejected,
     RejectedDueToActivatedSafetyFunctions,
 ];
-
-const fn row(kind: Kind, bytes: usize, answers: &'static [Answer]) -> Row {
-    Row {
-        kind,
-        bytes,
-        answers,
-    }
-}
 
 pub(super) static TABLE: Table = Table {
     version: 10,

@@ -1,19 +1,11 @@
 //! Version 5, the Panda's. Source: libfranka-common at libfranka 0.9.2,
 //! `research_interface/robot/service_types.h` and `rbk_types.h`.
 
-use super::{Row, Table, Width};
+use super::{Table, Width, row};
 use crate::message::Answer::{self, *};
 use crate::message::Kind;
 
 const SETTER: &[Answer] = &[Success, NotPossibleRejected, InvalidArgumentRejected];
-
-const fn row(kind: Kind, bytes: usize, answers: &'static [Answer]) -> Row {
-    Row {
-        kind,
-        bytes,
-        answers,
-    }
-}
 
 pub(super) static TABLE: Table = Table {
     version: 5,
