@@ -28,8 +28,8 @@ use ipc::{
 };
 use nalgebra::Rotation3;
 use panda::{
-    Chain, Command, Echo, JOINTS, Mode, Motion, MotionKind, Mount, Pose, RobotSettings, Shaper,
-    ShaperSettings, Twist, place,
+    Chain, Command, Echo, JOINTS, Mode, Model, Motion, MotionKind, Mount, Pose, RobotSettings,
+    Shaper, ShaperSettings, Twist, place,
 };
 use scene::Scene;
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -215,7 +215,11 @@ fn run() -> Result<bool, Failure> {
     let camera = base_from_object() * object.inverse();
     let settings = RobotSettings::with_hand();
     let hand = settings.flange_from_ee();
-    let joints = place(&Chain::new(hand), &(mount.flange(&camera) * hand))?;
+    let joints = place(
+        &Chain::new(hand),
+        Model::Panda.limits(),
+        &(mount.flange(&camera) * hand),
+    )?;
     let mut robot = Emulated(panda::Robot::new(settings, joints)?);
     robot.0.start(MotionKind::Cartesian)?;
 

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use fci::Version;
+use panda::Model;
 use scene::{Pose, Scene, read_starts};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -317,6 +319,9 @@ impl Config {
         rig.arm.hand_eye = keys.hand_eye;
         rig.arm.truth = keys.truth;
         rig.arm.fci = fci;
+        if fci.is_some_and(|fci| fci.version == Version::V10) {
+            rig.arm.robot.model = Model::Fr3;
+        }
         if arguments.unshaped {
             rig.arm.shaping = Shaping::Off;
         }

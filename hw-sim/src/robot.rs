@@ -5,5 +5,6 @@ pub mod arm;
 pub mod bridge;
 pub mod calibration;
 pub mod control_unit;
+pub mod description;
 pub mod inspector;
 pub mod sequence;

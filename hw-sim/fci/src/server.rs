@@ -122,12 +122,17 @@ impl Server {
 
     /// Answers a request; an answer to a client that is gone is dropped.
     pub fn reply(&mut self, ticket: &Ticket, answer: Answer) {
+        self.reply_with(ticket, answer, &[]);
+    }
+
+    /// Answers a request, with what was asked for.
+    pub fn reply_with(&mut self, ticket: &Ticket, answer: Answer, asked: &[u8]) {
         let table = self.version.table();
         let mut body = vec![table.status(ticket.kind, answer)];
         match ticket.kind {
             Kind::Connect => body.extend(table.version.to_le_bytes()),
             Kind::GetCartesianLimit => body.extend([0; CARTESIAN_LIMIT]),
-            _ => (),
+            _ => body.extend(asked),
         }
         let clients = self.clients;
         if let Some(client) = self.client.as_mut().filter(|_| ticket.client == clients) {

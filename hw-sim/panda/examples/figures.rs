@@ -6,7 +6,7 @@
 use std::time::Instant;
 
 use nalgebra::{Rotation3, Translation3, Vector3};
-use panda::limits::{JOINT, PERIOD};
+use panda::limits::{Model, PERIOD};
 use panda::ramp::Ramp;
 use panda::{
     Chain, Command, Echo, Joints, Mode, Motion, MotionKind, PlacementError, Pose, READY, Robot,
@@ -125,7 +125,7 @@ fn run(
             worst.reflexes += 1;
             break;
         }
-        for (k, bound) in JOINT.iter().enumerate() {
+        for (k, bound) in Model::Panda.limits().joints.iter().enumerate() {
             let jerk = (state.ddq_d[k] - before[k]).abs() / PERIOD;
             worst.jerk = worst.jerk.max(jerk / bound.jerk);
             let acceleration = state.ddq_d[k].abs();
@@ -141,5 +141,9 @@ fn somewhere(random: &mut ChaCha8Rng) -> Result<Joints, PlacementError> {
     let down = Rotation3::new(Vector3::x() * std::f64::consts::PI);
     let turn = Rotation3::new(Vector3::new(draw(0.3), draw(0.3), draw(0.8)));
     let at = Translation3::new(0.45 + draw(0.15), draw(0.25), 0.45 + draw(0.15));
-    place(&Chain::default(), &Pose::from_parts(at, down * turn))
+    place(
+        &Chain::default(),
+        Model::Panda.limits(),
+        &Pose::from_parts(at, down * turn),
+    )
 }

@@ -6,7 +6,7 @@ use crate::errors::{Errors, Flag};
 use crate::ik::VelocityIk;
 use crate::interface::{Motion, MotionKind};
 use crate::kinematics::{Chain, Joints, Pose, Twist, split};
-use crate::limits::{PERIOD, Setpoint, cartesian};
+use crate::limits::{Limits, PERIOD, Setpoint};
 
 /// What a Cartesian command itself exceeds: velocity, acceleration, jerk.
 const COMMANDED: [Flag; 3] = [
@@ -54,10 +54,11 @@ pub enum Generator {
 
 impl Generator {
     /// A motion begins at rest at `q`.
-    pub fn new(kind: MotionKind, chain: Chain, q: &Joints) -> Self {
+    pub fn new(kind: MotionKind, chain: Chain, limits: &'static Limits, q: &Joints) -> Self {
         match kind {
-            MotionKind::Cartesian => Self::Cartesian(CartesianGenerator::new(chain, q)),
+            MotionKind::Cartesian => Self::Cartesian(CartesianGenerator::new(chain, limits, q)),
             MotionKind::Joint => Self::Joint(JointGenerator {
+                limits,
                 velocity: Joints::zeros(),
                 acceleration: Joints::zeros(),
             }),
@@ -90,6 +91,7 @@ impl Generator {
 /// Cartesian velocities through inverse kinematics.
 #[derive(Clone, Copy, Debug)]
 pub struct CartesianGenerator {
+    limits: &'static Limits,
     ik: VelocityIk,
     /// The integral of commands: where the end effector's origin is to be, m, and its orientation,
     /// which is held as a quaternion because its length is cheaply kept.
@@ -100,10 +102,11 @@ pub struct CartesianGenerator {
 }
 
 impl CartesianGenerator {
-    fn new(chain: Chain, q: &Joints) -> Self {
+    fn new(chain: Chain, limits: &'static Limits, q: &Joints) -> Self {
         let pose = chain.pose(q);
         Self {
-            ik: VelocityIk::new(chain, q),
+            limits,
+            ik: VelocityIk::new(chain, limits, q),
             position: pose.translation.vector,
             orientation: UnitQuaternion::from_rotation_matrix(&pose.rotation),
             twist: Twist::zeros(),
@@ -132,10 +135,10 @@ impl CartesianGenerator {
     fn advance(&mut self, twist: &Twist, from: &Setpoint) -> (Setpoint, Errors) {
         let acceleration = (twist - self.twist) / PERIOD;
         let jerk = (acceleration - self.acceleration) / PERIOD;
-        let commanded = cartesian(twist, &acceleration, &jerk);
+        let commanded = self.limits.cartesian(twist, &acceleration, &jerk);
         let middle = moved(&self.pose(), twist, 0.5 * PERIOD);
         let desired = from.after(&self.ik.step(from, twist, &middle));
-        let joints = from.exceeded(&desired);
+        let joints = self.limits.joints(from, &desired);
 
         let (linear, angular) = split(twist);
         self.position += linear * PERIOD;
@@ -151,6 +154,7 @@ impl CartesianGenerator {
 /// Joint velocities as they are.
 #[derive(Clone, Copy, Debug)]
 pub struct JointGenerator {
+    limits: &'static Limits,
     velocity: Joints,
     acceleration: Joints,
 }
@@ -158,7 +162,7 @@ pub struct JointGenerator {
 impl JointGenerator {
     fn advance(&mut self, dq: &Joints, from: &Setpoint) -> (Setpoint, Errors) {
         let desired = from.after(dq);
-        let exceeded = from.exceeded(&desired).each();
+        let exceeded = self.limits.joints(from, &desired).each();
         (self.velocity, self.acceleration) = (*dq, desired.ddq);
         (desired, Errors::raised(OF_JOINT.into_iter().zip(exceeded)))
     }

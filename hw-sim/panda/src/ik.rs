@@ -9,7 +9,7 @@
 use nalgebra::{Cholesky, Const, Matrix6};
 
 use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, difference, split};
-use crate::limits::{JOINT, PERIOD, Setpoint};
+use crate::limits::{Limits, PERIOD, Setpoint};
 use crate::ramp::Ramp;
 
 /// Manipulability sqrt(det(J J^T)) under which damping sets in, m^3; 0.08 in the ready position.
@@ -41,6 +41,7 @@ const ELBOW_RAMP: Ramp = Ramp {
 #[derive(Clone, Copy, Debug)]
 pub struct VelocityIk {
     chain: Chain,
+    limits: &'static Limits,
     /// Where joint 3 is to stay, rad.
     elbow: f64,
     /// The direction in which joints move without the end effector, of length 1; its sign does not
@@ -53,9 +54,10 @@ pub struct VelocityIk {
 
 impl VelocityIk {
     /// A motion begins at rest at `q`.
-    pub fn new(chain: Chain, q: &Joints) -> Self {
+    pub fn new(chain: Chain, limits: &'static Limits, q: &Joints) -> Self {
         let mut ik = Self {
             chain,
+            limits,
             elbow: q[2],
             free: Joints::zeros(),
             speed: 0.0,
@@ -110,15 +112,16 @@ impl VelocityIk {
         let turns = self.free[2];
         let share = turns / (turns * turns + ELBOW_FADE);
         let hold = share * (ELBOW_RATE * (self.elbow - q[2]) - task);
-        (hold + self.free.dot(&repulsion(q))).clamp(-ELBOW_SPEED, ELBOW_SPEED)
+        (hold + self.free.dot(&repulsion(q, self.limits))).clamp(-ELBOW_SPEED, ELBOW_SPEED)
     }
 }
 
 /// Joint velocities away from the ends of the joints' ranges, rad/s; zero farther than [`MARGIN`]
 /// from them.
-fn repulsion(q: &Joints) -> Joints {
+fn repulsion(q: &Joints, limits: &Limits) -> Joints {
     Joints::from_fn(|k, _| {
-        let (below, above) = (q[k] - JOINT[k].lower, JOINT[k].upper - q[k]);
+        let bound = &limits.joints[k];
+        let (below, above) = (q[k] - bound.lower, bound.upper - q[k]);
         let near = (1.0 - below.min(above) / MARGIN).clamp(0.0, 1.0);
         REPULSION * near * near * if below < above { 1.0 } else { -1.0 }
     })
@@ -179,11 +182,14 @@ pub(crate) fn manipulability(factor: &Cholesky<f64, Const<6>>) -> f64 {
 mod tests {
     use super::*;
     use crate::READY;
+    use crate::limits::Model;
+
+    const LIMITS: &Limits = Model::Panda.limits();
 
     fn follow(q: [f64; 7], twist: Twist, ticks: usize) -> (Chain, Setpoint, Pose) {
         let chain = Chain::default();
         let mut desired = Setpoint::at_rest(Joints::from(q));
-        let mut ik = VelocityIk::new(chain, &desired.q);
+        let mut ik = VelocityIk::new(chain, LIMITS, &desired.q);
         let mut reference = chain.pose(&desired.q);
         for _ in 0..ticks {
             let half = crate::generator::moved(&reference, &twist, 0.5 * PERIOD);
@@ -211,9 +217,9 @@ mod tests {
             let most = (0..JOINTS).map(|k| bound(k) / joints[k].abs());
             most.fold(f64::INFINITY, f64::min)
         };
-        let acceleration = least(|k| JOINT[k].acceleration);
+        let acceleration = least(|k| LIMITS.joints[k].acceleration);
         assert!((acceleration - 2.38).abs() < 0.005, "{acceleration}");
-        let jerk = least(|k| JOINT[k].jerk);
+        let jerk = least(|k| LIMITS.joints[k].jerk);
         assert!((jerk - 1190.0).abs() < 3.0, "{jerk}");
     }
 
@@ -221,7 +227,7 @@ mod tests {
     fn a_pose_that_is_off_is_drawn_to_the_integral_of_commands() {
         let chain = Chain::default();
         let mut desired = Setpoint::at_rest(Joints::from(READY));
-        let mut ik = VelocityIk::new(chain, &desired.q);
+        let mut ik = VelocityIk::new(chain, LIMITS, &desired.q);
         let off = Twist::new(1e-3, -1e-3, 0.0, 0.0, 2e-3, 0.0);
         let reference = crate::generator::moved(&chain.pose(&desired.q), &off, 1.0);
         for _ in 0..1500 {
@@ -240,7 +246,7 @@ mod tests {
     #[test]
     fn a_joint_near_its_limit_is_pushed_back_without_the_end_effector() {
         let mut q = READY;
-        q[6] = JOINT[6].upper - 0.05;
+        q[6] = LIMITS.joints[6].upper - 0.05;
         let (chain, desired, reference) = follow(q, Twist::zeros(), 3000);
         assert!(desired.q[6] < q[6] - 0.02, "{}", desired.q[6]);
         assert!(difference(&reference, &chain.pose(&desired.q)).norm() < 1e-8);
@@ -251,7 +257,7 @@ mod tests {
         // The outstretched arm cannot go further out.
         let q = [0.0, 0.0, 0.0, -0.07, 0.0, 1.6, 0.0];
         let chain = Chain::default();
-        let mut ik = VelocityIk::new(chain, &Joints::from(q));
+        let mut ik = VelocityIk::new(chain, LIMITS, &Joints::from(q));
         let rest = Setpoint::at_rest(Joints::from(q));
         for axis in 0..6 {
             let mut twist = Twist::zeros();

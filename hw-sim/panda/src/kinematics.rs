@@ -25,13 +25,17 @@ pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 /// Where a frame is in another: x_other = R x + t, m.
 pub type Pose = IsometryMatrix3<f64>;
 
-/// A line of the table: a (m), d (m), and the twist alpha as its cosine and sine, which are exact
-/// in the table's quarter turns.
-struct Link {
-    a: f64,
-    d: f64,
-    cos: f64,
-    sin: f64,
+/// A line of the table: a, d, and the twist alpha as its cosine and sine, which are exact in the
+/// table's quarter turns.
+pub struct Link {
+    /// m.
+    pub a: f64,
+    /// m.
+    pub d: f64,
+    /// Of alpha.
+    pub cos: f64,
+    /// Of alpha.
+    pub sin: f64,
 }
 
 const fn link(a: f64, d: f64, cos: f64, sin: f64) -> Link {
@@ -39,7 +43,7 @@ const fn link(a: f64, d: f64, cos: f64, sin: f64) -> Link {
 }
 
 /// Joint 1 to joint 7.
-const LINKS: [Link; JOINTS] = [
+pub const LINKS: [Link; JOINTS] = [
     link(0.0, 0.333, 1.0, 0.0),
     link(0.0, 0.0, 0.0, -1.0),
     link(0.0, 0.316, 0.0, 1.0),
@@ -50,7 +54,7 @@ const LINKS: [Link; JOINTS] = [
 ];
 
 /// From joint 7 to the flange, along the axis of joint 7, m.
-const FLANGE: f64 = 0.107;
+pub const FLANGE: f64 = 0.107;
 
 /// The ready position that Franka's examples start from, rad.
 pub const READY: [f64; JOINTS] = [

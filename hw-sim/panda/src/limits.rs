@@ -1,8 +1,11 @@
-//! Limits of the robot: the tables of the data sheet.
+//! Limits of the robots: the tables of their data sheets.
 //!
-//! Source: Franka Emika, "Robot and interface specifications", tables of necessary conditions.
-//! Cartesian bounds are on the Euclidean length of the linear and of the angular part, joint bounds
-//! on each joint.
+//! Source: Franka Emika, "Robot and interface specifications", tables of necessary conditions; for
+//! the FR3 also the URDF of libfranka 0.21 (`position_based_velocity_limits`). Cartesian bounds are
+//! on the Euclidean length of the linear and of the angular part, joint bounds on each joint.
+
+use std::fmt;
+use std::str::FromStr;
 
 use nalgebra::Vector3;
 
@@ -13,6 +16,61 @@ pub const PERIOD: f64 = 1e-3;
 
 /// Room for rounding: differences of differences at 1 kHz lose about nine digits of the sixteen.
 const ROUNDING: f64 = 1.0 + 1e-6;
+
+/// A robot; all have the same kinematics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Model {
+    /// Franka Emika Robot, "Panda"; version 5 of the interface.
+    #[default]
+    Panda,
+    /// Franka Research 3; version 10 of the interface.
+    Fr3,
+}
+
+impl Model {
+    /// Its limits.
+    pub const fn limits(self) -> &'static Limits {
+        match self {
+            Self::Panda => &PANDA,
+            Self::Fr3 => &FR3,
+        }
+    }
+
+    /// Its name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Panda => "panda",
+            Self::Fr3 => "fr3",
+        }
+    }
+}
+
+impl FromStr for Model {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let models = [Self::Panda, Self::Fr3];
+        let found = models.into_iter().find(|model| model.name() == text);
+        found.ok_or_else(|| format!("{text}: no such robot; allowed: panda, fr3"))
+    }
+}
+
+impl fmt::Display for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Limits of a robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Of the end effector's origin.
+    pub translation: Bounds,
+    /// Of the end effector's turn.
+    pub rotation: Bounds,
+    /// Of the joints, base to flange.
+    pub joints: [JointBounds; JOINTS],
+}
 
 /// Bounds on a velocity and its first two derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,22 +96,51 @@ pub struct JointBounds {
     pub acceleration: f64,
     /// rad/s^3.
     pub jerk: f64,
+    /// How the velocity's bound shrinks towards the ends of the range, if it does.
+    pub taper: Option<Taper>,
 }
 
-/// Of the end effector's origin.
-pub const TRANSLATION: Bounds = bounds(1.7, 13.0, 6500.0);
-/// Of the end effector's turn.
-pub const ROTATION: Bounds = bounds(2.5, 25.0, 12500.0);
-/// Of the joints, base to flange.
-pub const JOINT: [JointBounds; JOINTS] = [
-    joint(-2.8973, 2.8973, 2.175, 15.0, 7500.0),
-    joint(-1.7628, 1.7628, 2.175, 7.5, 3750.0),
-    joint(-2.8973, 2.8973, 2.175, 10.0, 5000.0),
-    joint(-3.0718, -0.0698, 2.175, 12.5, 6250.0),
-    joint(-2.8973, 2.8973, 2.61, 15.0, 7500.0),
-    joint(-0.0175, 3.7525, 2.61, 20.0, 10000.0),
-    joint(-2.8973, 2.8973, 2.61, 20.0, 10000.0),
-];
+/// A velocity towards an end of a joint's range is at most
+/// sqrt(2 `deceleration` d) - `offset`, with the distance d to that end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Taper {
+    /// The lower end, rad; a little beyond the least position.
+    pub lower: f64,
+    /// The upper end, rad.
+    pub upper: f64,
+    /// rad/s.
+    pub offset: f64,
+    /// rad/s^2.
+    pub deceleration: f64,
+}
+
+static PANDA: Limits = Limits {
+    translation: bounds(1.7, 13.0, 6500.0),
+    rotation: bounds(2.5, 25.0, 12500.0),
+    joints: [
+        joint(-2.8973, 2.8973, 2.175, 15.0, 7500.0),
+        joint(-1.7628, 1.7628, 2.175, 7.5, 3750.0),
+        joint(-2.8973, 2.8973, 2.175, 10.0, 5000.0),
+        joint(-3.0718, -0.0698, 2.175, 12.5, 6250.0),
+        joint(-2.8973, 2.8973, 2.61, 15.0, 7500.0),
+        joint(-0.0175, 3.7525, 2.61, 20.0, 10000.0),
+        joint(-2.8973, 2.8973, 2.61, 20.0, 10000.0),
+    ],
+};
+
+static FR3: Limits = Limits {
+    translation: bounds(3.0, 9.0, 4500.0),
+    rotation: bounds(2.5, 17.0, 8500.0),
+    joints: [
+        joint(-2.7437, 2.7437, 2.62, 10.0, 5000.0).tapered(-2.7501, 2.7501, 0.30, 6.0),
+        joint(-1.7837, 1.7837, 2.62, 10.0, 5000.0).tapered(-1.7918, 1.7918, 0.20, 2.585),
+        joint(-2.9007, 2.9007, 2.62, 10.0, 5000.0).tapered(-2.9065, 2.9065, 0.20, 3.5),
+        joint(-3.0421, -0.1518, 2.62, 10.0, 5000.0).tapered(-3.0481, -0.1458, 0.30, 4.0),
+        joint(-2.8065, 2.8065, 5.26, 10.0, 5000.0).tapered(-2.8101, 2.8101, 0.35, 17.0),
+        joint(0.5445, 4.5169, 4.18, 10.0, 5000.0).tapered(0.54092, 4.5205, 0.35, 5.5),
+        joint(-3.0159, 3.0159, 5.26, 10.0, 5000.0).tapered(-3.0196, 3.0196, 0.35, 17.0),
+    ],
+};
 
 const fn bounds(velocity: f64, acceleration: f64, jerk: f64) -> Bounds {
     Bounds {
@@ -70,6 +157,40 @@ const fn joint(lower: f64, upper: f64, velocity: f64, acceleration: f64, jerk: f
         velocity,
         acceleration,
         jerk,
+        taper: None,
+    }
+}
+
+impl JointBounds {
+    const fn tapered(self, lower: f64, upper: f64, offset: f64, deceleration: f64) -> Self {
+        let taper = Taper {
+            lower,
+            upper,
+            offset,
+            deceleration,
+        };
+        Self {
+            taper: Some(taper),
+            ..self
+        }
+    }
+
+    /// The least and the greatest velocity at a position, rad/s.
+    pub fn velocities(&self, q: f64) -> (f64, f64) {
+        let Some(taper) = self.taper else {
+            return (-self.velocity, self.velocity);
+        };
+        let towards = |distance: f64| {
+            let root = (2.0 * taper.deceleration * distance.max(0.0)).sqrt();
+            (root - taper.offset).clamp(0.0, self.velocity)
+        };
+        (-towards(q - taper.lower), towards(taper.upper - q))
+    }
+
+    /// Whether it is faster than allowed there.
+    pub fn is_too_fast(&self, q: f64, dq: f64) -> bool {
+        let (least, most) = self.velocities(q);
+        dq < least * ROUNDING || dq > most * ROUNDING
     }
 }
 
@@ -93,28 +214,52 @@ impl Exceeded {
     }
 }
 
-/// Checks a Cartesian velocity and its derivatives.
-pub fn cartesian(twist: &Twist, acceleration: &Twist, jerk: &Twist) -> Exceeded {
-    let over = |x: &Twist, linear: f64, angular: f64| {
-        let (l, a) = split(x);
-        beyond(&l, linear) || beyond(&a, angular)
-    };
-    let (t, r) = (TRANSLATION, ROTATION);
-    Exceeded {
-        position: false,
-        velocity: over(twist, t.velocity, r.velocity),
-        acceleration: over(acceleration, t.acceleration, r.acceleration),
-        jerk: over(jerk, t.jerk, r.jerk),
+impl Limits {
+    /// What a Cartesian velocity and its derivatives exceed.
+    pub fn cartesian(&self, twist: &Twist, acceleration: &Twist, jerk: &Twist) -> Exceeded {
+        let over = |x: &Twist, linear: f64, angular: f64| {
+            let (l, a) = split(x);
+            beyond(&l, linear) || beyond(&a, angular)
+        };
+        let (t, r) = (&self.translation, &self.rotation);
+        Exceeded {
+            position: false,
+            velocity: over(twist, t.velocity, r.velocity),
+            acceleration: over(acceleration, t.acceleration, r.acceleration),
+            jerk: over(jerk, t.jerk, r.jerk),
+        }
+    }
+
+    /// What the step of the joints from one setpoint to the next, a period later, exceeds. A
+    /// position counts as exceeded as soon as the joint, braking at [`BRAKING`] of its bounds, could
+    /// no longer stop in front of it.
+    pub fn joints(&self, from: &Setpoint, next: &Setpoint) -> Exceeded {
+        let jerk = (next.ddq - from.ddq) / PERIOD;
+        let any = |over: &dyn Fn(usize, &JointBounds) -> bool| {
+            let mut joints = self.joints.iter().enumerate();
+            joints.any(|(k, bound)| over(k, bound))
+        };
+        Exceeded {
+            position: any(&|k, b| {
+                let ahead = stopping(next.dq[k], next.ddq[k], b);
+                let behind = stopping(-next.dq[k], -next.ddq[k], b);
+                next.q[k] + ahead > b.upper || next.q[k] - behind < b.lower
+            }),
+            velocity: any(&|k, b| b.is_too_fast(next.q[k], next.dq[k])),
+            acceleration: any(&|k, b| next.ddq[k].abs() > b.acceleration * ROUNDING),
+            jerk: any(&|k, b| jerk[k].abs() > b.jerk * ROUNDING),
+        }
+    }
+
+    /// The first joint outside its range, by number from 0; `None` if all are inside.
+    pub fn outside(&self, q: &Joints) -> Option<usize> {
+        let is_inside = |k: usize| (self.joints[k].lower..=self.joints[k].upper).contains(&q[k]);
+        (0..JOINTS).find(|&k| !is_inside(k))
     }
 }
 
 fn beyond(x: &Vector3<f64>, bound: f64) -> bool {
     x.norm() > bound * ROUNDING
-}
-
-/// The first joint outside its range, by number from 0; `None` if all are inside.
-pub fn outside(q: &Joints) -> Option<usize> {
-    (0..JOINTS).find(|&k| !(JOINT[k].lower..=JOINT[k].upper).contains(&q[k]))
 }
 
 /// A desired state of the joints.
@@ -151,26 +296,6 @@ impl Setpoint {
             ddq: (dq - self.dq) / PERIOD,
         }
     }
-
-    /// What the step from `self` to `next`, a period later, exceeds. A position counts as exceeded
-    /// as soon as the joint, braking at [`BRAKING`] of its bounds, could no longer stop in front of
-    /// it.
-    pub fn exceeded(&self, next: &Self) -> Exceeded {
-        let jerk = (next.ddq - self.ddq) / PERIOD;
-        let any = |over: &dyn Fn(usize, &JointBounds) -> bool| {
-            JOINT.iter().enumerate().any(|(k, bound)| over(k, bound))
-        };
-        Exceeded {
-            position: any(&|k, b| {
-                let ahead = stopping(next.dq[k], next.ddq[k], b);
-                let behind = stopping(-next.dq[k], -next.ddq[k], b);
-                next.q[k] + ahead > b.upper || next.q[k] - behind < b.lower
-            }),
-            velocity: any(&|k, b| next.dq[k].abs() > b.velocity * ROUNDING),
-            acceleration: any(&|k, b| next.ddq[k].abs() > b.acceleration * ROUNDING),
-            jerk: any(&|k, b| jerk[k].abs() > b.jerk * ROUNDING),
-        }
-    }
 }
 
 /// Share of the joints' acceleration and jerk that stops take.
@@ -195,11 +320,11 @@ mod tests {
     fn cartesian_bounds_are_on_lengths_not_on_components() {
         let zero = Twist::zeros();
         let inside = Twist::new(1.2, 0.0, 1.2, 0.0, 0.0, 2.49);
-        assert_eq!(cartesian(&inside, &zero, &zero), Exceeded::default());
+        assert_eq!(PANDA.cartesian(&inside, &zero, &zero), Exceeded::default());
         let outside = Twist::new(1.3, 0.0, 1.3, 0.0, 0.0, 0.0);
-        assert!(cartesian(&outside, &zero, &zero).velocity);
+        assert!(PANDA.cartesian(&outside, &zero, &zero).velocity);
         let turn = Twist::new(0.0, 0.0, 0.0, 20.0, 20.0, 0.0);
-        assert!(cartesian(&zero, &turn, &zero).acceleration);
+        assert!(PANDA.cartesian(&zero, &turn, &zero).acceleration);
     }
 
     #[test]
@@ -207,12 +332,12 @@ mod tests {
         let rest = Setpoint::at_rest(Joints::from(crate::READY));
         let mut dq = Joints::zeros();
         dq[1] = 0.9 * 3750.0 * 1e-6;
-        assert_eq!(rest.exceeded(&rest.after(&dq)), Exceeded::default());
+        assert_eq!(PANDA.joints(&rest, &rest.after(&dq)), Exceeded::default());
         dq[1] = 1.1 * 3750.0 * 1e-6;
-        let exceeded = rest.exceeded(&rest.after(&dq));
+        let exceeded = PANDA.joints(&rest, &rest.after(&dq));
         assert!(exceeded.jerk && !exceeded.acceleration);
         dq[1] = 1.1 * 7.5 * 1e-3;
-        let exceeded = rest.exceeded(&rest.after(&dq));
+        let exceeded = PANDA.joints(&rest, &rest.after(&dq));
         assert!(exceeded.jerk && exceeded.acceleration && !exceeded.velocity);
     }
 
@@ -222,8 +347,21 @@ mod tests {
         moving.dq[1] = 1.0;
         // Stopping from 1 rad/s at 0.9 x 7.5 rad/s^2 takes 0.074 rad.
         moving.q[1] = 1.7628 - 0.10;
-        assert!(!moving.exceeded(&moving).position);
+        assert!(!PANDA.joints(&moving, &moving).position);
         moving.q[1] = 1.7628 - 0.05;
-        assert!(moving.exceeded(&moving).position);
+        assert!(PANDA.joints(&moving, &moving).position);
+    }
+
+    #[test]
+    fn an_fr3_is_slower_towards_the_ends_of_its_ranges() {
+        // At 2 rad of joint 2: sqrt(2 x 2.585 x 0.7918) - 0.2, and as fast as ever away from it.
+        let joint = FR3.joints[1];
+        let (least, most) = joint.velocities(1.0);
+        assert!((most - 1.8233).abs() < 1e-4 && least == -2.62, "{most}");
+        assert_eq!(joint.velocities(-1.0), (-most, 2.62));
+        assert!(joint.is_too_fast(1.0, 1.83) && !joint.is_too_fast(1.0, -2.6));
+        // Beyond its end it may only go back.
+        assert_eq!(joint.velocities(1.8).1, 0.0);
+        assert_eq!(PANDA.joints[1].velocities(1.7), (-2.175, 2.175));
     }
 }

@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use crate::ik::manipulability;
 use crate::kinematics::{Chain, JOINTS, Joints, Pose, READY, difference};
-use crate::limits::JOINT;
+use crate::limits::Limits;
 
 /// Most iterations from one posture; a good one needs about ten.
 const ITERATIONS: usize = 80;
@@ -44,14 +44,14 @@ pub struct PlacementError {
 ///
 /// # Errors
 /// None of the starting postures leads there.
-pub fn place(chain: &Chain, wanted: &Pose) -> Result<Joints, PlacementError> {
+pub fn place(chain: &Chain, limits: &Limits, wanted: &Pose) -> Result<Joints, PlacementError> {
     let mut best: Option<(f64, Joints)> = None;
     let mut nearest = f64::INFINITY;
     for seed in seeds(wanted) {
-        let (q, error) = descend(chain, wanted, seed);
+        let (q, error) = descend(chain, limits, wanted, inside(&seed, limits));
         nearest = nearest.min(error);
         if error < FOUND {
-            let score = score(chain, &q);
+            let score = score(chain, limits, &q);
             if best.is_none_or(|(s, _)| score > s) {
                 best = Some((score, q));
             }
@@ -76,17 +76,18 @@ fn seeds(wanted: &Pose) -> impl Iterator<Item = Joints> {
             q[0] = towards - 0.5 * elbow;
             q[2] = elbow;
             q[6] += wrist;
-            inside(&q)
+            q
         })
     })
 }
 
-fn inside(q: &Joints) -> Joints {
-    Joints::from_fn(|k, _| q[k].clamp(JOINT[k].lower + ROOM, JOINT[k].upper - ROOM))
+fn inside(q: &Joints, limits: &Limits) -> Joints {
+    let bound = |k: usize| &limits.joints[k];
+    Joints::from_fn(|k, _| q[k].clamp(bound(k).lower + ROOM, bound(k).upper - ROOM))
 }
 
 /// Where the iterations from `q` end, and the error there.
-fn descend(chain: &Chain, wanted: &Pose, mut q: Joints) -> (Joints, f64) {
+fn descend(chain: &Chain, limits: &Limits, wanted: &Pose, mut q: Joints) -> (Joints, f64) {
     let mut damping = 1e-3;
     let mut posture = chain.posture(&q);
     let mut error = difference(wanted, &posture.pose);
@@ -101,7 +102,7 @@ fn descend(chain: &Chain, wanted: &Pose, mut q: Joints) -> (Joints, f64) {
         };
         let step = j.transpose() * factor.solve(&error);
         let step = step * (STRIDE / step.amax().max(STRIDE));
-        let next = inside(&(q + step));
+        let next = inside(&(q + step), limits);
         let next_posture = chain.posture(&next);
         let next_error = difference(wanted, &next_posture.pose);
         if next_error.norm() < error.norm() {
@@ -115,9 +116,9 @@ fn descend(chain: &Chain, wanted: &Pose, mut q: Joints) -> (Joints, f64) {
 }
 
 /// Room of the tightest joint, as a share of half its range, times manipulability.
-fn score(chain: &Chain, q: &Joints) -> f64 {
+fn score(chain: &Chain, limits: &Limits, q: &Joints) -> f64 {
     let room = |k: usize| {
-        let b = JOINT[k];
+        let b = &limits.joints[k];
         2.0 * (q[k] - b.lower).min(b.upper - q[k]) / (b.upper - b.lower)
     };
     let tightest = (0..JOINTS).map(room).fold(f64::INFINITY, f64::min);
@@ -133,6 +134,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::limits::Model;
 
     #[test]
     fn what_the_arm_can_do_in_front_of_it_is_found() {
@@ -147,16 +149,18 @@ mod tests {
             let turn = Rotation3::new(Vector3::z() * draw(-1.0, 1.0));
             let place_at = Translation3::new(draw(0.35, 0.6), draw(-0.25, 0.25), draw(0.25, 0.6));
             let wanted = Pose::from_parts(place_at, down * tilt * turn);
-            let q = place(&chain, &wanted).unwrap();
-            assert!(difference(&wanted, &chain.pose(&q)).norm() < 1e-9);
-            assert!(crate::limits::outside(&q).is_none());
+            for model in [Model::Panda, Model::Fr3] {
+                let q = place(&chain, model.limits(), &wanted).unwrap();
+                assert!(difference(&wanted, &chain.pose(&q)).norm() < 1e-9);
+                assert!(model.limits().outside(&q).is_none());
+            }
         }
     }
 
     #[test]
     fn what_is_out_of_reach_is_said_to_be() {
         let far = Pose::from_parts(Translation3::new(1.5, 0.0, 0.5), Rotation3::identity());
-        let error = place(&Chain::default(), &far).unwrap_err();
+        let error = place(&Chain::default(), Model::Panda.limits(), &far).unwrap_err();
         assert!(error.error > 0.3 && error.to_string().contains("1.500"));
     }
 }

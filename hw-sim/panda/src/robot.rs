@@ -5,13 +5,13 @@ use crate::errors::{Errors, Flag};
 use crate::generator::Generator;
 use crate::interface::{Command, Interface, Motion, MotionKind, Reception};
 use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, split};
-use crate::limits::{JOINT, Setpoint, TRANSLATION, outside};
+use crate::limits::{Limits, Model, Setpoint};
 use crate::mode::{Mode, RequestError};
 use crate::servo::Servo;
 use crate::settings::{RobotError, RobotSettings, check};
 use crate::state::State;
 
-/// A Panda.
+/// A Panda, or another [`Model`].
 #[derive(Clone, Debug)]
 pub struct Robot {
     settings: RobotSettings,
@@ -35,7 +35,7 @@ impl Robot {
     /// # Errors
     /// A joint outside its range.
     pub fn new(settings: RobotSettings, q: Joints) -> Result<Self, RobotError> {
-        check(&q)?;
+        check(&q, settings.model.limits())?;
         let chain = Chain::new(settings.flange_from_ee());
         let mut robot = Self {
             settings,
@@ -53,6 +53,16 @@ impl Robot {
         };
         robot.report();
         Ok(robot)
+    }
+
+    /// Which robot it is.
+    pub fn model(&self) -> Model {
+        self.settings.model
+    }
+
+    /// Its limits.
+    pub fn limits(&self) -> &'static Limits {
+        self.settings.model.limits()
     }
 
     /// The state after the last step.
@@ -80,7 +90,7 @@ impl Robot {
     /// The robot is not idle.
     pub fn start(&mut self, kind: MotionKind) -> Result<(), RequestError> {
         self.need(Mode::Idle)?;
-        let generator = Generator::new(kind, self.chain, &self.desired.q);
+        let generator = Generator::new(kind, self.chain, self.limits(), &self.desired.q);
         self.motion = Some((generator, Interface::new(kind)));
         self.mode = Mode::Move;
         self.report();
@@ -169,14 +179,14 @@ impl Robot {
             Reception::Lost => (generator.extrapolation(), false),
             Reception::Aborted => {
                 self.reflex(Flag::CommunicationConstraintsViolation.into());
-                self.desired = brake(&self.desired);
+                self.brake();
                 return;
             }
         };
         let (desired, errors) = generator.advance(&motion, &self.desired);
         if !errors.is_empty() {
             self.reflex(errors);
-            self.desired = brake(&self.desired);
+            self.brake();
             return;
         }
         self.desired = desired;
@@ -192,7 +202,7 @@ impl Robot {
 
     /// Brakes, and goes on to the next mode once at rest.
     fn rest(&mut self) {
-        self.desired = brake(&self.desired);
+        self.brake();
         match self.mode {
             Mode::Move if self.desired.is_at_rest() => self.mode = Mode::Idle,
             Mode::AutomaticErrorRecovery if self.recovery > 0 => self.recovery -= 1,
@@ -203,6 +213,10 @@ impl Robot {
             }
             _ => {}
         }
+    }
+
+    fn brake(&mut self) {
+        self.desired = brake(&self.desired, self.limits());
     }
 
     /// Watches what is measured.
@@ -218,14 +232,18 @@ impl Robot {
         let (q, dq) = (&self.servo.q, &self.servo.dq);
         let measured = self.chain.posture(q);
         let (linear, _) = split(&(measured.jacobian * dq));
-        let fast = (0..JOINTS).any(|k| dq[k].abs() > JOINT[k].velocity);
+        let limits = self.limits();
+        let is_fast = |k: usize| limits.joints[k].is_too_fast(q[k], dq[k]);
         let walls = self.settings.walls;
         let beyond = walls.is_some_and(|w| !w.contain(&measured.pose.translation.vector));
-        let fast_ee = linear.norm() > TRANSLATION.velocity;
+        let fast_ee = linear.norm() > limits.translation.velocity;
         Errors::raised([
-            (Flag::JointPositionLimitsViolation, outside(q).is_some()),
+            (
+                Flag::JointPositionLimitsViolation,
+                limits.outside(q).is_some(),
+            ),
             (Flag::CartesianPositionLimitsViolation, beyond),
-            (Flag::JointVelocityViolation, fast),
+            (Flag::JointVelocityViolation, (0..JOINTS).any(is_fast)),
             (Flag::CartesianVelocityViolation, fast_ee),
         ])
     }

@@ -6,7 +6,7 @@ use nalgebra::{Rotation3, Translation3, Vector3};
 use thiserror::Error;
 
 use crate::kinematics::{Joints, Pose};
-use crate::limits::{JOINT, outside};
+use crate::limits::{Limits, Model};
 
 /// A box that the end effector's origin must not leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +27,8 @@ impl Walls {
 /// Settings of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotSettings {
+    /// Which robot; a Panda by default.
+    pub model: Model,
     /// F_T_NE, the nominal end effector in the flange, as it is set at the desk; the flange itself by
     /// default.
     pub flange_from_ne: Pose,
@@ -43,6 +45,7 @@ pub struct RobotSettings {
 impl Default for RobotSettings {
     fn default() -> Self {
         Self {
+            model: Model::default(),
             flange_from_ne: Pose::identity(),
             ne_from_ee: Pose::identity(),
             walls: None,
@@ -87,13 +90,13 @@ pub struct RobotError {
 }
 
 /// Refuses positions outside the joints' ranges.
-pub(crate) fn check(q: &Joints) -> Result<(), RobotError> {
-    outside(q).map_or(Ok(()), |k| {
+pub(crate) fn check(q: &Joints, limits: &Limits) -> Result<(), RobotError> {
+    limits.outside(q).map_or(Ok(()), |k| {
         Err(RobotError {
             joint: k + 1,
             value: q[k],
-            lower: JOINT[k].lower,
-            upper: JOINT[k].upper,
+            lower: limits.joints[k].lower,
+            upper: limits.joints[k].upper,
         })
     })
 }
@@ -105,11 +108,11 @@ mod tests {
     #[test]
     fn positions_out_of_range_are_refused_by_name() {
         let mut q = Joints::from(crate::READY);
-        assert_eq!(check(&q), Ok(()));
+        assert_eq!(check(&q, Model::Panda.limits()), Ok(()));
         q[3] = 0.0;
-        let error = check(&q).unwrap_err().to_string();
+        let error = check(&q, Model::Panda.limits()).unwrap_err().to_string();
         assert_eq!(error, "joint 4 is at 0 rad, allowed is -3.0718 to -0.0698");
         q[3] = f64::NAN;
-        assert!(check(&q).is_err());
+        assert!(check(&q, Model::Panda.limits()).is_err());
     }
 }

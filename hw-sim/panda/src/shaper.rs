@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::kinematics::{Twist, join, split};
-use crate::limits::{PERIOD, ROTATION, TRANSLATION};
+use crate::limits::{Model, PERIOD};
 use crate::ramp::Ramp;
 use crate::state::State;
 
@@ -133,12 +133,13 @@ impl Shaper {
     }
 }
 
-/// A twist inside the robot's bounds, its directions kept.
+/// A twist inside the bounds of a Panda, which an FR3 allows, too; its directions kept.
 fn shortened(twist: &Twist) -> Twist {
+    let limits = Model::Panda.limits();
     let (linear, angular) = split(twist);
     let shorten = |x: Vector3<f64>, most: f64| x * (most / x.norm().max(most));
-    let linear = shorten(linear, TRANSLATION.velocity);
-    let angular = shorten(angular, ROTATION.velocity);
+    let linear = shorten(linear, limits.translation.velocity);
+    let angular = shorten(angular, limits.rotation.velocity);
     join(&linear, &angular)
 }
 

@@ -110,8 +110,12 @@ impl Arm {
         let camera = base_from_object * start.inverse();
         let flange_from_ee = settings.robot.flange_from_ee();
         let chain = panda::Chain::new(flange_from_ee);
-        let joints = place(&chain, &(mount.flange(&camera) * flange_from_ee))
-            .map_err(ArmError::Placement)?;
+        let joints = place(
+            &chain,
+            settings.robot.model.limits(),
+            &(mount.flange(&camera) * flange_from_ee),
+        )
+        .map_err(ArmError::Placement)?;
         let mut robot = Robot::new(settings.robot, joints)?;
         let open = |fci: FciSettings| {
             ControlUnit::open(&fci).map_err(|source| ArmError::Fci {
@@ -127,7 +131,7 @@ impl Arm {
         }
         Ok(Self {
             control_unit,
-            inspector: Inspector::new(robot.state()),
+            inspector: Inspector::new(robot.state(), robot.limits()),
             robot,
             bridge: Bridge::new(believed, scene.limits, settings.shaping)?,
             mount,
@@ -188,7 +192,10 @@ impl Arm {
 /// of the inverse kinematics decays from below this within a few tenths of a second.
 const AT_REST: f64 = 2e-4;
 
-/// The limits of the joints for a picture: least and greatest position, greatest speed.
+/// The limits of a Panda's joints for a picture: least and greatest position, greatest speed.
 pub fn joint_limits() -> [[f64; 3]; JOINTS] {
-    panda::limits::JOINT.map(|bound| [bound.lower, bound.upper, bound.velocity])
+    let limits = panda::limits::Model::Panda.limits();
+    limits
+        .joints
+        .map(|bound| [bound.lower, bound.upper, bound.velocity])
 }

@@ -3,10 +3,12 @@
 use std::io;
 use std::net::SocketAddr;
 
-use fci::message::{IDENTITY, Mode as WireMode, Transform};
+use fci::message::{IDENTITY, Kind, Mode as WireMode, Transform};
 use fci::{Answer, Controller, Event, Generator, Load, Request, Server, Ticket, Version, errors};
 use nalgebra::{Matrix3, Rotation3, Translation3, Vector3};
 use panda::{Command, Errors, Joints, Mode, Motion, MotionKind, Pose, Robot, State, Twist};
+
+use super::description::urdf;
 
 /// Largest part by which a rotation may miss orthonormality.
 const ORTHONORMAL: f64 = 1e-5;
@@ -151,6 +153,12 @@ impl ControlUnit {
             }
             Request::Setting(_) if is_moving => Answer::NotPossibleRejected,
             Request::Setting(_) => Answer::Success,
+            Request::Query(Kind::GetRobotModel) => {
+                let description = urdf(robot.model());
+                self.server
+                    .reply_with(ticket, Answer::Success, description.as_bytes());
+                return;
+            }
             Request::Query(kind) => {
                 eprintln!("hw-sim: FCI: {kind:?} is not emulated");
                 Answer::Error

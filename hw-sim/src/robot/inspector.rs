@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use panda::limits::{JOINT, PERIOD, ROTATION, TRANSLATION};
+use panda::limits::{JointBounds, Limits, PERIOD};
 use panda::{Errors, JOINTS, Joints, Mode, State, Twist};
 use serde::Serialize;
 
@@ -14,6 +14,7 @@ const ROUNDING: f64 = 1.0 + 1e-3;
 /// Judges the robot by its limits, state by state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inspector {
+    limits: &'static Limits,
     report: ArmReport,
     seen: Errors,
     mode: Mode,
@@ -68,9 +69,10 @@ impl fmt::Display for ArmReport {
 }
 
 impl Inspector {
-    /// An inspector that meets a robot at rest.
-    pub fn new(state: &State) -> Self {
+    /// An inspector that meets a robot with these limits at rest.
+    pub fn new(state: &State, limits: &'static Limits) -> Self {
         Self {
+            limits,
             report: ArmReport {
                 joint_room: f64::INFINITY,
                 ..ArmReport::default()
@@ -105,26 +107,29 @@ impl Inspector {
         let jerk = (ddq - self.ddq) / PERIOD;
         let acceleration = (state.o_dp_ee_c - self.twist) / PERIOD;
         let cartesian_jerk = (acceleration - self.acceleration) / PERIOD;
-        let share = |x: &Joints, bound: fn(usize) -> f64| {
-            (0..JOINTS)
-                .map(|k| x[k].abs() / bound(k))
-                .fold(0.0, f64::max)
+        let bounds = &self.limits.joints;
+        let share = |x: &Joints, bound: fn(&JointBounds) -> f64| {
+            let shares = x
+                .iter()
+                .zip(bounds)
+                .map(|(x, joint)| x.abs() / bound(joint));
+            shares.fold(0.0, f64::max)
         };
-        let speed = share(&dq, |k| JOINT[k].velocity);
-        let push = share(&ddq, |k| JOINT[k].acceleration);
-        let snap = share(&jerk, |k| JOINT[k].jerk);
+        let speed = share(&dq, |joint| joint.velocity);
+        let push = share(&ddq, |joint| joint.acceleration);
+        let snap = share(&jerk, |joint| joint.jerk);
         let report = &mut self.report;
         report.joint_velocity = report.joint_velocity.max(speed);
         report.joint_acceleration = report.joint_acceleration.max(push);
         report.joint_jerk = report.joint_jerk.max(snap);
         for q in [&state.q, &state.q_d] {
             let room = (0..JOINTS)
-                .map(|k| (q[k] - JOINT[k].lower).min(JOINT[k].upper - q[k]))
+                .map(|k| (q[k] - bounds[k].lower).min(bounds[k].upper - q[k]))
                 .fold(f64::INFINITY, f64::min);
             report.joint_room = report.joint_room.min(room);
         }
-        let (t, r) = (TRANSLATION, ROTATION);
-        let measured = share(&state.dq, |k| JOINT[k].velocity);
+        let (t, r) = (&self.limits.translation, &self.limits.rotation);
+        let measured = share(&state.dq, |joint| joint.velocity);
         let is_fast =
             speed.max(measured) > ROUNDING || over(&state.o_dp_ee_c, t.velocity, r.velocity);
         report.limit_violations += u64::from(is_fast || report.joint_room < 0.0);
@@ -179,7 +184,7 @@ mod tests {
     #[test]
     fn a_jump_that_the_robot_answers_with_a_reflex_is_seen_once_and_named() {
         let mut robot = robot();
-        let mut inspector = Inspector::new(robot.state());
+        let mut inspector = Inspector::new(robot.state(), robot.limits());
         for _ in 0..300 {
             inspector.look(&step(&mut robot, Twist::x() * 0.05));
         }
@@ -191,7 +196,7 @@ mod tests {
     #[test]
     fn desired_joints_that_jump_are_a_discontinuity_whatever_the_robot_says() {
         let robot = robot();
-        let mut inspector = Inspector::new(robot.state());
+        let mut inspector = Inspector::new(robot.state(), robot.limits());
         let mut state = *robot.state();
         inspector.look(&state);
         assert!(inspector.report().is_clean());
@@ -207,7 +212,7 @@ mod tests {
         for change in [(|s: &mut State| s.q[3] = 0.0) as fn(&mut State), |s| {
             s.dq[0] = 3.0
         }] {
-            let mut inspector = Inspector::new(robot.state());
+            let mut inspector = Inspector::new(robot.state(), robot.limits());
             let mut state = *robot.state();
             change(&mut state);
             inspector.look(&state);

@@ -1,7 +1,7 @@
 //! What trips the robot: every flag, by the way that leads to it.
 
 use nalgebra::Vector3;
-use panda::limits::{JOINT, PERIOD};
+use panda::limits::{Model, PERIOD};
 use panda::{
     Command, Errors, Flag, Joints, Mode, Motion, MotionKind, READY, Robot, RobotSettings, Twist,
     Walls,
@@ -89,7 +89,7 @@ fn into_the_end_of_a_joint() -> Errors {
         answer(&mut robot, twist);
     }
     let state = robot.state();
-    let most = JOINT[6].upper;
+    let most = Model::Panda.limits().joints[6].upper;
     assert!(
         state.q_d[6] > most - 0.1 && state.q_d[6] <= most,
         "{}",

@@ -1,6 +1,6 @@
 //! A robot and a client that answers every state in time.
 
-use panda::limits::{JOINT, PERIOD, Setpoint};
+use panda::limits::{PERIOD, Setpoint};
 use panda::{Command, Joints, Mode, Motion, MotionKind, READY, Robot, RobotSettings, State, Twist};
 
 /// A robot at the ready position.
@@ -59,12 +59,13 @@ pub fn watch_stop(robot: &mut Robot) -> usize {
         let state = *robot.step(&[]);
         let after = setpoint(&state);
         for k in 0..7 {
+            let bound = &robot.limits().joints[k];
             let jerk = (after.ddq[k] - before.ddq[k]) / PERIOD;
             assert!(
-                after.ddq[k].abs() <= JOINT[k].acceleration * 1.001,
+                after.ddq[k].abs() <= bound.acceleration * 1.001,
                 "joint {k}"
             );
-            assert!(jerk.abs() <= JOINT[k].jerk * 1.001, "joint {k}");
+            assert!(jerk.abs() <= bound.jerk * 1.001, "joint {k}");
         }
         before = after;
     }

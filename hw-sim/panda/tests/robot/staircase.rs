@@ -2,8 +2,8 @@
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 use panda::{
-    Chain, Echo, Joints, Mode, Mount, Pose, READY, Robot, RobotSettings, Shaper, ShaperSettings,
-    Twist, place,
+    Chain, Echo, Joints, Mode, Model, Mount, Pose, READY, Robot, RobotSettings, Shaper,
+    ShaperSettings, Twist, place,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -31,7 +31,7 @@ fn somewhere(random: &mut ChaCha8Rng) -> Robot {
     let turn = Rotation3::new(Vector3::new(draw(0.2), draw(0.2), draw(0.6)));
     let at = Translation3::new(0.45 + draw(0.1), draw(0.15), 0.4 + draw(0.1));
     let flange = mount().flange(&Pose::from_parts(at, down * turn));
-    let q = place(&Chain::default(), &flange).expect("within reach");
+    let q = place(&Chain::default(), Model::Panda.limits(), &flange).expect("within reach");
     Robot::new(RobotSettings::default(), q).expect("in range")
 }
 
