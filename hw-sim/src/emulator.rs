@@ -5,7 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use ipc::{CameraPorts, Domain, Features, Stamp, TwistCommand, TwistState, now_ns};
+use ipc::{
+    CameraPorts, Domain, Features, Publisher, RobotState, Stamp, TwistCommand, TwistState, now_ns,
+};
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use scene::Pose;
 
@@ -84,6 +86,8 @@ struct Session<'a> {
     config: &'a Config,
     stop: &'a AtomicBool,
     ports: CameraPorts,
+    /// None where a client of the vendor's interface tells the states.
+    robot: Option<Publisher<RobotState>>,
     recorder: Option<Recorder>,
     stale_ns: u64,
     /// When the present run began: what answers earlier features is not for it.
@@ -104,10 +108,15 @@ impl<'a> Session<'a> {
                 .with_context(|| format!("{}: cannot record", path.display()))
         };
         let ports = CameraPorts::open(domain)?;
+        let robot = match config.rig.arm.fci {
+            Some(_) => None,
+            None => Some(domain.publisher()?),
+        };
         Ok(Self {
             config,
             stop,
             ports,
+            robot,
             recorder: config.record.as_deref().map(record).transpose()?,
             stale_ns: STALE_NS.max((3e9 * config.scene.sampling_time()) as u64),
             since_ns: 0,
@@ -191,7 +200,13 @@ impl<'a> Session<'a> {
             eprintln!();
         }
         // The last word, so that whoever listens learns how it ended.
-        self.ports.robot.publish(&cell.state())?;
+        self.tell(&cell.state())
+    }
+
+    fn tell(&mut self, state: &RobotState) -> anyhow::Result<()> {
+        if let Some(robot) = &mut self.robot {
+            robot.publish(state)?;
+        }
         Ok(())
     }
 
@@ -228,7 +243,7 @@ impl<'a> Session<'a> {
             let mut state = cell.state();
             let frames = cell.progress().frames;
             state.features_sequence = seen.exposed.map_or(0, |_| frames);
-            self.ports.robot.publish(&state)?;
+            self.tell(&state)?;
         }
         cell.advance();
         Ok(())

@@ -18,7 +18,7 @@
 //! schemas of recordings are made from it.
 //!
 //! A process joins a [`Domain`], a directory that separates experiments on one machine, and opens
-//! the ports of its role: [`CameraPorts`], [`ControllerPorts`], [`RecorderPort`], [`OperatorPorts`]
+//! the ports of its role: [`CameraPorts`], [`RobotPorts`], [`ControllerPorts`], [`RecorderPort`], [`OperatorPorts`]
 //! or [`Observer`]. Peers may be absent, late, killed and restarted in any order. Complete
 //! programs: `examples/camera.rs`, `examples/observer.rs`.
 //!
@@ -84,7 +84,7 @@ pub use message::{Invalid, Message, Qos};
 pub use operator::{Action, Outcome, Reply, Request};
 pub use port::{Order, Publisher, Received, Sent, Subscriber};
 pub use robot::{RobotFaults, RobotMode, RobotState};
-pub use role::{CameraPorts, ControllerPorts, Observer, OperatorPorts, RecorderPort};
+pub use role::{CameraPorts, ControllerPorts, Observer, OperatorPorts, RecorderPort, RobotPorts};
 pub use service::{MAX_NODES, SERVICES, Service};
 pub use snapshot::Snapshot;
 pub use stop::{Asked, STOP_FILE, StopError, StopFile, stop};

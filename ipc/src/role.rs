@@ -46,7 +46,7 @@ macro_rules! ports {
 }
 
 ports! {
-    /// The camera and the robot that carries it: publishes features and state, executes twists.
+    /// The camera: publishes features; in lockstep it also waits for their answers.
     CameraPorts {
         /// Commands. A few are kept, so that the zero twist at the end of a run does not overwrite
         /// the answer of its last cycle. Read the newest with [`Subscriber::latest`]. Opened first,
@@ -54,6 +54,15 @@ ports! {
         in twist: TwistCommand, COMMANDS;
         /// What the camera sees.
         out features: Features;
+    }
+}
+
+ports! {
+    /// The robot that carries the camera: executes twists, publishes its state.
+    RobotPorts {
+        /// The latest command; what it lets the robot do, and until when, says
+        /// [`TwistCommand::in_force`].
+        in twist: TwistCommand, 1;
         /// Where it is.
         out robot: RobotState;
     }

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use ipc::{
     CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Observer, OpenError, Order,
-    ReceiveError, RecorderPort, RobotState, TwistCommand, TwistState,
+    ReceiveError, RecorderPort, RobotPorts, RobotState, TwistCommand, TwistState,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -110,6 +110,7 @@ fn every_message_goes_round() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut robot = RobotPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut recorder = RecorderPort::open(&domain).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
@@ -148,7 +149,7 @@ fn every_message_goes_round() {
     );
 
     let state = RobotState::free_camera([0.1, 0.2, 0.3], [0.4, 0.5, 0.6], 7);
-    camera.robot.publish(&state).unwrap();
+    robot.robot.publish(&state).unwrap();
     let record = CycleRecord {
         hold: Hold::Stale.code(),
         ..CycleRecord::default()
@@ -447,12 +448,13 @@ fn sending_and_receiving_never_allocate() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut robot = RobotPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut recorder = RecorderPort::open(&domain).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
     let mut round = |k: u64| {
         camera.features.publish(&square(k as f64 / 1e3)).unwrap();
-        camera
+        robot
             .robot
             .publish(&RobotState::free_camera([0.0; 3], [0.0; 3], k))
             .unwrap();

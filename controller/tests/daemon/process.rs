@@ -7,7 +7,7 @@ use std::time::Duration;
 use hw_sim::FreeCamera;
 use ipc::{
     Action, CameraPorts, Domain, Features, Hold, Observer, OperatorPorts, Order, Outcome, Request,
-    RobotMode, RobotState, StrategyCode, TwistCommand, TwistState,
+    RobotMode, RobotPorts, RobotState, StrategyCode, TwistCommand, TwistState,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -21,6 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 struct Bench {
     scene: Scene,
     camera: CameraPorts,
+    robot: RobotPorts,
     observer: Observer,
     random: ChaCha8Rng,
     // Last: it clears away what is left of the domain.
@@ -34,6 +35,7 @@ impl Bench {
         Self {
             scene: Scene::read(&scene_file()).unwrap(),
             camera: CameraPorts::open(&domain).unwrap(),
+            robot: RobotPorts::open(&domain).unwrap(),
             observer: Observer::open(&domain).unwrap(),
             random: ChaCha8Rng::seed_from_u64(1),
             place,
@@ -362,7 +364,7 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
         if let Some(mode) = robot {
             let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], ipc::now_ns());
             state.mode = mode.code();
-            bench.camera.robot.publish(&state).unwrap();
+            bench.robot.robot.publish(&state).unwrap();
         }
         std::thread::sleep(Duration::from_millis(30));
         id += 1;
@@ -434,7 +436,7 @@ fn nothing_moves_before_a_robot_was_heard_and_one_that_does_not_follow_disarms()
             state.mode = RobotMode::Moving.code();
             state.twist = command;
             state.twist[1] += faster;
-            bench.camera.robot.publish(&state).unwrap();
+            bench.robot.robot.publish(&state).unwrap();
         }
         if let Some(newest) = bench.camera.twist.latest().unwrap() {
             command = newest.message.twist;

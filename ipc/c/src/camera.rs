@@ -1,8 +1,8 @@
-//! The camera, and the robot that carries it.
+//! The camera.
 
 use std::time::Duration;
 
-use ipc::{CameraPorts, Features, Message, RobotState, Stamp, TwistCommand};
+use ipc::{CameraPorts, Features, Message, Stamp, TwistCommand};
 
 use crate::boundary::{self, Fault, Handle};
 use crate::domain::Domain;
@@ -14,7 +14,7 @@ pub struct CameraState {
     sequence: u64,
 }
 
-/// Publishes features and the robot's state, receives twists.
+/// Publishes features, receives twists.
 pub type Camera = Handle<CameraState>;
 
 /// Features that were published, as their answer names them.
@@ -154,60 +154,5 @@ pub unsafe extern "C" fn vpc_camera_wait(
                 ),
             )),
         }
-    })
-}
-
-/// The dead man of every robot in real time: into `twist` (6 numbers, m/s and rad/s, camera frame)
-/// goes what the newest command lets it do at this instant (CLOCK_MONOTONIC, ns): zero once it is
-/// no longer valid, is older than 100 ms whatever it claims, is from the future or of lockstep, is
-/// not finite, or is NULL because none came yet. Call it in every cycle of the robot.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn vpc_twist_in_force(
-    newest: *const TwistCommand,
-    now_ns: u64,
-    twist: *mut [f64; 6],
-) -> Status {
-    boundary::enter(|| {
-        let in_force = match newest.is_null() {
-            true => [0.0; 6],
-            // SAFETY: the header asks for NULL or a command.
-            false => unsafe { boundary::get(newest, "newest") }?.in_force(now_ns),
-        };
-        // SAFETY: the header asks for a place.
-        unsafe { boundary::put(twist, "twist", in_force) }
-    })
-}
-
-/// The newest command since the last call; VPC_STATUS_NOTHING if there is none. What it lets a
-/// robot do, and for how long, vpc_twist_in_force says.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn vpc_camera_twist(camera: *mut Camera, out: *mut TwistCommand) -> Status {
-    boundary::enter(|| {
-        // SAFETY: the header asks for a handle.
-        let camera = unsafe { boundary::handle(camera, "camera") }?;
-        let twist = camera.ports.twist.latest()?;
-        let twist =
-            twist.ok_or_else(|| Fault::new(Status::Nothing, "vpc/twist: no command came"))?;
-        // SAFETY: the header asks for a place.
-        unsafe { boundary::put(out, "out", twist.message) }
-    })
-}
-
-/// Publishes the robot's state; sequence and time of publication are filled in, the rest is as
-/// given.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn vpc_camera_publish_robot(
-    camera: *mut Camera,
-    state: *const RobotState,
-) -> Status {
-    boundary::enter(|| {
-        // SAFETY: the header asks for a handle.
-        let camera = unsafe { boundary::handle(camera, "camera") }?;
-        // SAFETY: the header asks for a state.
-        let mut state = unsafe { boundary::get(state, "state") }?;
-        state.stamp.sequence = 1;
-        state.check()?;
-        camera.ports.robot.publish(&state)?;
-        Ok(())
     })
 }

@@ -14,4 +14,5 @@ pub mod domain;
 pub mod names;
 pub mod observer;
 pub mod operator;
+pub mod robot;
 pub mod status;

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use hw_sim::{FreeCamera, Referee};
-use ipc::{CameraPorts, Domain, Features, RobotState, Sent, TwistCommand, now_ns};
+use ipc::{CameraPorts, Domain, Features, RobotPorts, RobotState, Sent, TwistCommand, now_ns};
 use scene::{Pose, Scene};
 
 /// Frames after which it begins elsewhere, wherever it is.
@@ -16,6 +16,7 @@ const ARRIVED_PX: f64 = 3.0;
 pub struct Camera<'a> {
     /// Its ports.
     pub ports: CameraPorts,
+    robot: RobotPorts,
     scene: &'a Scene,
     starts: &'a [Pose],
     next: usize,
@@ -36,6 +37,7 @@ impl<'a> Camera<'a> {
         let domain = Domain::join(domain).unwrap();
         Self {
             ports: CameraPorts::open(&domain).unwrap(),
+            robot: RobotPorts::open(&domain).unwrap(),
             scene,
             starts,
             next: 1,
@@ -52,7 +54,7 @@ impl<'a> Camera<'a> {
     pub fn show(&mut self) -> Sent {
         let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now_ns());
         state.twist = self.twist;
-        self.ports.robot.publish(&state).unwrap();
+        self.robot.robot.publish(&state).unwrap();
         loop {
             let exposure = now_ns();
             if self.frames < MOST_FRAMES

@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use ipc::{
-    CameraPorts, Domain, Features, Observer, OperatorPorts, Request, RobotState, Stamp, now_ns,
+    CameraPorts, Domain, Features, Observer, OperatorPorts, Request, RobotPorts, RobotState, Stamp,
+    now_ns,
 };
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -118,6 +119,7 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
+    let mut robot = RobotPorts::open(&domain).unwrap();
     let mut operator = OperatorPorts::open(&domain).unwrap();
     // Foresight thinks, but briefly: who fuzzes waits for each answer.
     let mut command =
@@ -131,7 +133,7 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
         camera.features.publish_verbatim(&features).unwrap();
         if sequence % 4 == 0 {
             let state = nasty_state(sequence, &mut random);
-            camera.robot.publish_verbatim(&state).unwrap();
+            robot.robot.publish_verbatim(&state).unwrap();
             let request = nasty_request(sequence, &mut random);
             operator.requests.publish_verbatim(&request).unwrap();
             while let Ok(Some(_)) = operator.replies.oldest() {}

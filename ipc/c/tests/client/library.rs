@@ -3,14 +3,15 @@
 use std::ffi::CStr;
 use std::ptr::{null, null_mut};
 
-use ipc::{ControllerPorts, Features};
+use ipc::{ControllerPorts, Features, RobotState, TwistCommand, TwistState};
 use vpcclient::boundary::{Fault, enter, vpc_message};
-use vpcclient::camera::{
-    vpc_camera_close, vpc_camera_open, vpc_camera_publish, vpc_camera_twist, vpc_twist_in_force,
-};
+use vpcclient::camera::{vpc_camera_close, vpc_camera_open, vpc_camera_publish};
 use vpcclient::domain::{vpc_domain_join, vpc_domain_leave};
 use vpcclient::names::vpc_hold_name;
 use vpcclient::operator::vpc_stop;
+use vpcclient::robot::{
+    vpc_robot_close, vpc_robot_open, vpc_robot_publish, vpc_robot_twist, vpc_twist_in_force,
+};
 use vpcclient::status::Status;
 
 fn words() -> String {
@@ -33,8 +34,8 @@ fn a_panic_becomes_a_status_with_its_words() {
 fn null_is_refused_by_its_name() {
     // SAFETY: NULL is allowed everywhere.
     unsafe {
-        assert_eq!(vpc_camera_twist(null_mut(), null_mut()), Status::Argument);
-        assert_eq!(words(), "camera = NULL; allowed: a valid pointer");
+        assert_eq!(vpc_robot_twist(null_mut(), null_mut()), Status::Argument);
+        assert_eq!(words(), "robot = NULL; allowed: a valid pointer");
         assert_eq!(vpc_camera_close(null_mut()), Status::Ok);
     }
 }
@@ -87,10 +88,53 @@ fn a_handle_is_refused_in_another_thread_and_ports_outlive_their_domain() {
 }
 
 #[test]
+fn a_robot_lives_beside_a_camera_of_another_process() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_str().unwrap().to_owned() + "\0";
+    let peer = ipc::Domain::join(directory.path()).unwrap();
+    let _camera = ipc::CameraPorts::open(&peer).unwrap();
+    let mut controller = ControllerPorts::open(&peer).unwrap();
+    let (mut domain, mut robot, mut second) = (null_mut(), null_mut(), null_mut());
+    // SAFETY: handles and pointers are used as the header says.
+    unsafe {
+        let joined = vpc_domain_join(path.as_ptr().cast(), &mut domain);
+        assert_eq!(joined, Status::Ok, "{}", words());
+        assert_eq!(
+            vpc_robot_open(domain, &mut robot),
+            Status::Ok,
+            "{}",
+            words()
+        );
+        assert_eq!(vpc_robot_open(domain, &mut second), Status::Taken);
+        let mut command = TwistCommand::zero(TwistState::Moving);
+        assert_eq!(vpc_robot_twist(robot, &mut command), Status::Nothing);
+        let sent = TwistCommand {
+            twist: [0.25; 6],
+            ..command
+        };
+        controller.twist.publish(&sent).unwrap();
+        assert_eq!(vpc_robot_twist(robot, &mut command), Status::Ok);
+        assert_eq!(command.twist, [0.25; 6]);
+
+        let mut state = RobotState::free_camera([0.1, 0.2, f64::NAN], [0.0; 3], 7);
+        assert_eq!(vpc_robot_publish(robot, &state), Status::Argument);
+        state.translation[2] = 0.3;
+        assert_eq!(vpc_robot_publish(robot, &state), Status::Ok);
+        let heard = controller.robot.latest().unwrap().unwrap();
+        assert_eq!(
+            (heard.translation, heard.stamp.data_ns),
+            ([0.1, 0.2, 0.3], 7)
+        );
+        assert_eq!(vpc_robot_close(robot), Status::Ok);
+        assert_eq!(vpc_domain_leave(domain), Status::Ok);
+    }
+}
+
+#[test]
 fn the_dead_man_and_the_stop_need_no_domain() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().to_str().unwrap().to_owned() + "\0";
-    let mut command = ipc::TwistCommand::zero(ipc::TwistState::Moving);
+    let mut command = TwistCommand::zero(TwistState::Moving);
     command.stamp.published_ns = 1_000;
     (command.valid_until_ns, command.twist) = (u64::MAX - 1, [0.5; 6]);
     let mut twist = [9.0; 6];

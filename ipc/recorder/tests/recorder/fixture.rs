@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use ipc::{
     Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, OperatorPorts,
-    Outcome, RecorderPort, Reply, Request, RobotMode, RobotState, Stamp, StrategyCode,
+    Outcome, RecorderPort, Reply, Request, RobotMode, RobotPorts, RobotState, Stamp, StrategyCode,
     TwistCommand, TwistState,
 };
 use rand::RngExt;
@@ -39,6 +39,7 @@ pub fn scene() -> SceneFiles {
 /// Everybody who publishes, in one thread.
 pub struct Stage {
     pub camera: CameraPorts,
+    pub robot: RobotPorts,
     pub controller: ControllerPorts,
     pub telemetry: RecorderPort,
     pub operator: OperatorPorts,
@@ -55,12 +56,14 @@ impl Stage {
         std::fs::copy(testkit::root().join("controller/vpcd.toml"), config).unwrap();
         let mut controller = ControllerPorts::open(&domain).unwrap();
         let camera = CameraPorts::open(&domain).unwrap();
+        let robot = RobotPorts::open(&domain).unwrap();
         let telemetry = RecorderPort::open(&domain).unwrap();
         let operator = OperatorPorts::open(&domain).unwrap();
         let reply = reply(&Request::new(0, Action::Status));
         let listeners = controller.replies.publish(&reply).unwrap().receivers;
         Self {
             camera,
+            robot,
             controller,
             telemetry,
             operator,
@@ -96,7 +99,7 @@ impl Stage {
         state.mode = RobotMode::Moving.code();
         state.q = std::array::from_fn(|_| any());
         state.features_sequence = features.stamp.sequence;
-        let sent = self.camera.robot.publish(&state).unwrap();
+        let sent = self.robot.robot.publish(&state).unwrap();
         stamp(&mut state.stamp, &sent);
 
         let twist = std::array::from_fn(|_| any());
