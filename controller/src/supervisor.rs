@@ -167,7 +167,7 @@ impl Supervisor {
                 self.mode = Mode::Disarmed(HoldReason::Operator);
                 self.is_stopped = true;
             }
-            Action::Status | Action::Strategy | Action::Record => (),
+            Action::Status | Action::Strategy | Action::Record | Action::Recover => (),
         }
         Outcome::Done
     }

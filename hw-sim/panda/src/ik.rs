@@ -8,7 +8,7 @@
 
 use nalgebra::{Cholesky, Const, Matrix6};
 
-use crate::kinematics::{Chain, JOINTS, Joints, Pose, Twist, difference, split};
+use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, Twist, difference, split};
 use crate::limits::{Limits, PERIOD, Setpoint};
 use crate::ramp::Ramp;
 
@@ -76,14 +76,34 @@ impl VelocityIk {
     /// Joint velocities for the period that begins at `from`, such that the end effector moves at
     /// `twist` (base axes) and is at `reference` in the middle of the period.
     pub fn step(&mut self, from: &Setpoint, twist: &Twist, reference: &Pose) -> Joints {
-        // The Jacobian in the middle of the period makes the step exact to second order.
-        let middle = from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD);
-        let posture = self.chain.posture(&middle);
-        let system = System::new(&posture.jacobian);
+        let q = middle(from);
+        let posture = self.chain.posture(&q);
         let wanted = twist + feedback(&difference(reference, &posture.pose));
+        self.advance(&q, &posture.jacobian, &wanted, true)
+    }
+
+    /// As [`Self::step`], with no pose to be drawn to; where the elbow is not free, it comes to rest
+    /// wherever it is.
+    pub fn follow(&mut self, from: &Setpoint, twist: &Twist, is_elbow_free: bool) -> Joints {
+        let q = middle(from);
+        let jacobian = self.chain.posture(&q).jacobian;
+        self.advance(&q, &jacobian, twist, is_elbow_free)
+    }
+
+    fn advance(
+        &mut self,
+        q: &Joints,
+        jacobian: &Jacobian,
+        twist: &Twist,
+        is_elbow_free: bool,
+    ) -> Joints {
+        let system = System::new(jacobian);
         self.turn_free(&system);
-        let task = system.solve(&wanted);
-        let target = self.elbow_speed(&middle, task[2]);
+        let task = system.solve(twist);
+        let target = match is_elbow_free {
+            true => self.elbow_speed(q, task[2]),
+            false => 0.0,
+        };
         (self.speed, self.acceleration) =
             ELBOW_RAMP.step(self.speed, self.acceleration, target, PERIOD);
         task + self.free * self.speed
@@ -116,6 +136,18 @@ impl VelocityIk {
     }
 }
 
+/// The joints in the middle of the period that begins at `from`: with their Jacobian a step is exact
+/// to second order.
+fn middle(from: &Setpoint) -> Joints {
+    from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD)
+}
+
+/// The joint velocities of least length for a velocity of the end effector (base axes); damped near
+/// a singularity.
+pub fn joint_velocities(chain: &Chain, q: &Joints, twist: &Twist) -> Joints {
+    System::new(&chain.posture(q).jacobian).solve(twist)
+}
+
 /// Joint velocities away from the ends of the joints' ranges, rad/s; zero farther than [`MARGIN`]
 /// from them.
 fn repulsion(q: &Joints, limits: &Limits) -> Joints {
@@ -137,12 +169,12 @@ fn feedback(error: &Twist) -> Twist {
 
 /// J J^T, damped where it is nearly singular.
 pub(crate) struct System<'a> {
-    jacobian: &'a crate::Jacobian,
+    jacobian: &'a Jacobian,
     factor: Option<Cholesky<f64, Const<6>>>,
 }
 
 impl<'a> System<'a> {
-    pub(crate) fn new(jacobian: &'a crate::Jacobian) -> Self {
+    pub(crate) fn new(jacobian: &'a Jacobian) -> Self {
         let square = jacobian * jacobian.transpose();
         let factor = Cholesky::new(square);
         let measure = factor.as_ref().map_or(0.0, manipulability);

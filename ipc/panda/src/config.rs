@@ -1,0 +1,237 @@
+//! Configuration of the bridge: a file, then flags, then checks.
+
+use std::path::{Path, PathBuf};
+
+use clap::parser::ValueSource;
+use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use nalgebra::Vector3;
+use panda::{Mount, Twist};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
+use toml_schema::{Document, FileError};
+
+use crate::hand_eye::{self, Frame, HandEye};
+
+/// Drives a Franka Panda or FR3 by what vpcd commands.
+///
+/// Connects to the robot's interface, carries out vpc/twist within its own limits, and tells
+/// vpc/robot. The arm stands when no command is in force. Exit codes: 0 stopped by SIGTERM with an
+/// arm that stands, 64 usage, 66 a file is missing, 69 the robot or the shared memory cannot be
+/// used, 78 configuration.
+#[derive(Parser, Debug)]
+#[command(name = "vpc-panda", version)]
+pub struct Arguments {
+    /// Configuration file (TOML), documented in ipc/panda/vpc-panda.toml; flags win over it.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub keys: Keys,
+    /// Connect, read, and print frames and what would be sent, for three seconds; move nothing.
+    #[arg(long, conflicts_with = "preflight")]
+    pub dry_run: bool,
+    /// Check machine, network and robot, and move nothing.
+    #[arg(long)]
+    pub preflight: bool,
+}
+
+/// The path of the hand-eye file is relative to the file. Some keys have a flag, which wins.
+#[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+#[schemars(title = "vpc-panda", extend("required" = ["robot", "hand_eye"]))]
+pub struct Keys {
+    /// Address of the robot's control unit.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a host name or address, such as 172.16.0.2"))]
+    pub robot: Option<String>,
+    /// The camera in the flange, as a hand-eye calibration found it.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a file: TOML, or YAML of easy_handeye or OpenCV"))]
+    pub hand_eye: Option<PathBuf>,
+    /// The frame that the hand-eye file is about.
+    #[arg(long, value_enum, default_value_t)]
+    pub hand_eye_frame: Frame,
+    /// What the robot is commanded.
+    #[arg(long, value_enum, default_value_t)]
+    pub interface: Interface,
+    /// Directory of the shared memory.
+    #[arg(long)]
+    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    pub domain: Option<PathBuf>,
+    /// SCHED_FIFO priority of the loop, above vpcd's.
+    #[arg(skip = 85)]
+    #[default = 85]
+    #[schemars(range(min = 1, max = 99))]
+    pub priority: i32,
+    /// Greatest speed of the camera.
+    #[arg(skip = 0.05)]
+    #[default = 0.05]
+    #[schemars(range(min = 0.001, max = 0.5), extend("x-unit" = "m/s"))]
+    pub linear: f64,
+    /// Greatest speed of the camera's turn.
+    #[arg(skip = 0.25)]
+    #[default = 0.25]
+    #[schemars(range(min = 0.001, max = 1), extend("x-unit" = "rad/s"))]
+    pub angular: f64,
+    /// Distance that joints keep from the ends of their ranges.
+    #[arg(skip = 0.1)]
+    #[default = 0.1]
+    #[schemars(range(min = 0.01, max = 1), extend("x-unit" = "rad"))]
+    pub joint_margin: f64,
+    /// Greatest share of the joints' own speed limits.
+    #[arg(skip = 0.3)]
+    #[default = 0.3]
+    #[schemars(range(min = 0.01, max = 0.9))]
+    pub joint_speed: f64,
+    #[arg(skip)]
+    #[allow(missing_docs)]
+    pub workspace: Workspace,
+}
+
+/// Where the end effector's origin may be, in the robot's base.
+#[derive(Clone, Copy, Debug, PartialEq, SmartDefault, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Workspace {
+    /// Least x, y, z.
+    #[default(_code = "[0.2, -0.5, 0.05]")]
+    #[schemars(inner(range(min = -1.5, max = 1.5)), extend("x-unit" = "m"))]
+    pub lower: [f64; 3],
+    /// Greatest x, y, z.
+    #[default(_code = "[0.8, 0.5, 0.9]")]
+    #[schemars(inner(range(min = -1.5, max = 1.5)), extend("x-unit" = "m"))]
+    pub upper: [f64; 3],
+}
+
+/// What the robot is commanded.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Interface {
+    /// Joint velocities, by inverse kinematics of the bridge's own: each limit is checked before
+    /// anything is sent.
+    #[default]
+    Joint,
+    /// Velocities of the end effector, by the robot's inverse kinematics.
+    Cartesian,
+}
+
+/// The bridge's own limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Greatest speed of the camera, m/s.
+    pub linear: f64,
+    /// Greatest speed of its turn, rad/s.
+    pub angular: f64,
+    /// Distance that joints keep from the ends of their ranges, rad.
+    pub joint_margin: f64,
+    /// Greatest share of the joints' own speed limits, 0 to 1.
+    pub joint_speed: f64,
+    /// Where the end effector's origin may be.
+    pub workspace: Workspace,
+}
+
+impl Bounds {
+    /// A twist of the camera, as long as allowed, its directions kept; zero where it is not finite.
+    pub fn cut(&self, twist: &Twist) -> Twist {
+        if !twist.iter().all(|x| x.is_finite()) {
+            return Twist::zeros();
+        }
+        let length = |first: usize| Vector3::from_fn(|k, _| twist[first + k]).norm();
+        let share = |length: f64, most: f64| most / length.max(most);
+        twist * share(length(0), self.linear).min(share(length(3), self.angular))
+    }
+}
+
+/// A checked configuration.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The robot's address.
+    pub robot: String,
+    /// The camera on the flange, or on the end effector.
+    pub hand_eye: HandEye,
+    /// What the robot is commanded.
+    pub interface: Interface,
+    /// Directory of the shared memory.
+    pub domain: PathBuf,
+    /// SCHED_FIFO priority of the loop.
+    pub priority: i32,
+    /// The bridge's own limits.
+    pub bounds: Bounds,
+}
+
+impl Config {
+    /// Reads the file that the command line names, lays the flags over it, and checks the whole.
+    ///
+    /// # Errors
+    /// [`FileError`] names the file or flag, key, value and what is allowed.
+    pub fn load(matches: &ArgMatches) -> Result<Self, FileError> {
+        let command_line = |error: &dyn ToString| FileError::Syntax {
+            path: toml_schema::COMMAND_LINE.to_owned(),
+            message: error.to_string(),
+        };
+        let arguments =
+            Arguments::from_arg_matches(matches).map_err(|error| command_line(&error))?;
+        let flags = toml::Table::try_from(&arguments.keys).map_err(|error| command_line(&error))?;
+        let mut document = Document::read(arguments.config.as_deref())?;
+        let directory = arguments.config.as_deref().and_then(Path::parent);
+        document.relative_to(directory.unwrap_or(Path::new("")), &["hand_eye"]);
+        for argument in Arguments::command().get_arguments() {
+            let key = argument.get_id().as_str();
+            let flag = argument.get_long().unwrap_or_default();
+            // A flag that was not given has its default, which must not win over the file.
+            if let Some(value) = flags.get(key)
+                && matches.value_source(key) == Some(ValueSource::CommandLine)
+            {
+                document.set(key, &format!("--{flag}"), Some(value.clone()));
+            }
+        }
+        let keys: Keys = document.check()?;
+        Self::of(&document, keys)
+    }
+
+    fn of(document: &Document, keys: Keys) -> Result<Self, FileError> {
+        let Workspace { lower, upper } = keys.workspace;
+        for k in 0..3 {
+            if lower[k] >= upper[k] {
+                let key = format!("workspace.lower[{k}]");
+                let allowed = format!("below workspace.upper[{k}] = {}", upper[k]);
+                return Err(document.refuse(&key, lower[k], allowed));
+            }
+        }
+        let file = keys.hand_eye.unwrap_or_default();
+        Ok(Self {
+            robot: keys.robot.unwrap_or_default(),
+            hand_eye: hand_eye::read(&file, keys.hand_eye_frame)?,
+            interface: keys.interface,
+            domain: keys.domain.unwrap_or_else(ipc::default_directory),
+            priority: keys.priority,
+            bounds: Bounds {
+                linear: keys.linear,
+                angular: keys.angular,
+                joint_margin: keys.joint_margin,
+                joint_speed: keys.joint_speed,
+                workspace: keys.workspace,
+            },
+        })
+    }
+
+    /// The camera on a flange whose end effector is there.
+    pub fn mount(&self, flange_from_ee: &panda::Pose) -> Mount {
+        self.hand_eye.mount(flange_from_ee)
+    }
+}
+
+/// Returns the JSON Schema of a configuration file.
+pub fn schema() -> serde_json::Value {
+    toml_schema::schema::<Keys>()
+}
+
+/// Returns the sysexits code of an error: 66 if a file cannot be read, else 78.
+pub fn exit_code(error: &FileError) -> u8 {
+    match error {
+        FileError::Read { .. } => 66,
+        _ => 78,
+    }
+}

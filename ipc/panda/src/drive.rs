@@ -1,0 +1,253 @@
+//! The loop at the robot's pace: a state comes, a command goes. While a motion runs nothing here
+//! allocates, and nothing waits but for the robot's next state.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
+use ipc::{Action, Domain, Request, RobotPorts, Subscriber, TwistCommand, now_ns};
+use panda::{Joints, Model, Twist};
+use rtrb::Producer;
+use rustix::mm::{MlockAllFlags, mlockall};
+
+use crate::config::{Config, Interface};
+use crate::robot::{self, Motion};
+use crate::steering::{Limited, Output, Steering};
+
+/// What happened, for the log.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// The robot answered.
+    Connected(Model),
+    /// Something that the machine does not grant.
+    Lacks(String),
+    /// A motion runs: commands are carried out from now on.
+    Moves,
+    /// No motion can begin here.
+    Refused(String),
+    /// The robot, or somebody at it, ended the motion, and why.
+    Stopped(String),
+    /// Its errors are cleared.
+    Recovered,
+    /// They are not.
+    NotRecovered(String),
+    /// A command of lockstep or from the future came, which no robot obeys.
+    NotObeyed,
+    /// What limits the motion changed.
+    Limited(Limited),
+}
+
+/// Why the bridge ends by itself.
+#[derive(Debug, thiserror::Error)]
+pub enum DriveError {
+    /// The robot does not answer, or no longer.
+    #[error("robot {address}: {source}")]
+    Robot {
+        /// Where.
+        address: String,
+        /// Why.
+        source: Box<FrankaError>,
+    },
+    /// The shared memory cannot be used.
+    #[error(transparent)]
+    Join(#[from] ipc::JoinError),
+    /// Another robot is at work in the domain.
+    #[error(transparent)]
+    Open(#[from] ipc::OpenError),
+    /// A message could not be received.
+    #[error(transparent)]
+    Receive(#[from] ipc::ReceiveError),
+    /// A state could not be published.
+    #[error(transparent)]
+    Publish(#[from] ipc::PublishError),
+}
+
+/// Drives the robot until `stop`; it stands then.
+///
+/// # Errors
+/// [`DriveError`]: the robot or the shared memory cannot be used.
+pub fn drive(
+    config: &Config,
+    stop: &AtomicBool,
+    events: &mut Producer<Event>,
+) -> Result<(), DriveError> {
+    let failed = |source: FrankaError| DriveError::Robot {
+        address: config.robot.clone(),
+        source: Box::new(source),
+    };
+    let robot = robot::connect(&config.robot).map_err(failed)?;
+    let model = robot::model(&robot);
+    let mut told = |event| {
+        // A full queue loses what nobody has read for long.
+        let _ = events.push(event);
+    };
+    told(Event::Connected(model));
+    enter_real_time(config.priority, &mut told);
+    let domain = Domain::join(&config.domain)?;
+    let mut bridge = Bridge {
+        config,
+        stop,
+        model,
+        ports: RobotPorts::open(&domain)?,
+        requests: domain.subscriber(usize::MAX)?,
+        command: TwistCommand::default(),
+        refused: None,
+        tell: &mut told,
+    };
+    loop {
+        let state = robot.read_once().map_err(failed)?;
+        bridge.publish(&state, None)?;
+        if stop.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        bridge.take_requests(&robot, &state)?;
+        if state.robot_mode == Mode::Idle {
+            match bridge.carry_out(&robot, &state) {
+                Ok(()) => (),
+                Err(End::Robot(source)) => return Err(failed(source)),
+                Err(End::Ours(error)) => return Err(error),
+            }
+        }
+    }
+}
+
+/// Asks for what the loop needs; it works without, and late.
+fn enter_real_time(priority: i32, tell: &mut dyn FnMut(Event)) {
+    if let Err(why) = franka::realtime::set_current_thread_scheduler_priority(priority) {
+        tell(Event::Lacks(format!("SCHED_FIFO {priority}: {why}")));
+    }
+    if let Err(why) = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE) {
+        tell(Event::Lacks(format!("locked memory: {why}")));
+    }
+}
+
+/// How a motion ends by something that is wrong.
+enum End {
+    Robot(FrankaError),
+    Ours(DriveError),
+}
+
+impl<T: Into<DriveError>> From<T> for End {
+    fn from(error: T) -> Self {
+        Self::Ours(error.into())
+    }
+}
+
+struct Bridge<'a> {
+    config: &'a Config,
+    stop: &'a AtomicBool,
+    model: Model,
+    ports: RobotPorts,
+    requests: Subscriber<Request>,
+    /// The newest command.
+    command: TwistCommand,
+    /// Why no motion could begin when it was last tried.
+    refused: Option<String>,
+    tell: &'a mut dyn FnMut(Event),
+}
+
+impl Bridge<'_> {
+    fn publish(&mut self, state: &Told, limited: Option<Limited>) -> Result<(), DriveError> {
+        let mount = self.config.mount(&robot::pose(&state.F_T_EE));
+        let told = robot::told(state, &mount, limited, now_ns());
+        self.ports.robot.publish(&told)?;
+        Ok(())
+    }
+
+    /// It never recovers by itself.
+    fn take_requests(&mut self, robot: &franka::Robot, state: &Told) -> Result<(), DriveError> {
+        let mut is_asked = false;
+        while let Some(request) = self.requests.oldest()? {
+            is_asked |= request.action() == Some(Action::Recover);
+        }
+        if is_asked && state.robot_mode == Mode::Reflex {
+            (self.tell)(match robot.automatic_error_recovery() {
+                Ok(()) => Event::Recovered,
+                Err(why) => Event::NotRecovered(why.to_string()),
+            });
+        }
+        Ok(())
+    }
+
+    /// A motion, from rest to rest.
+    fn carry_out(&mut self, robot: &franka::Robot, state: &Told) -> Result<(), End> {
+        let measured = robot::measured(state);
+        let mount = self.config.mount(&measured.flange_from_ee);
+        let Config {
+            bounds, interface, ..
+        } = self.config;
+        let mut steering = match Steering::new(mount, *bounds, *interface, self.model, &measured) {
+            Ok(steering) => steering,
+            Err(why) => {
+                let why = why.to_string();
+                if self.refused.as_ref() != Some(&why) {
+                    (self.tell)(Event::Refused(why.clone()));
+                    self.refused = Some(why);
+                }
+                return Ok(());
+            }
+        };
+        let mut motion = match Motion::begin(robot, *interface) {
+            Ok(motion) => motion,
+            Err(why) => return self.ended(why),
+        };
+        self.refused = None;
+        (self.tell)(Event::Moves);
+        let mut limited = Limited::default();
+        loop {
+            let state = match motion.state() {
+                Ok(state) => state,
+                Err(why) => return self.ended(why),
+            };
+            self.take_newest()?;
+            let (measured, now) = (robot::measured(&state), now_ns());
+            let is_over = self.stop.load(Ordering::Relaxed);
+            let output = match is_over {
+                true => steering.brake(&measured, now),
+                false => steering.step(&self.command, &measured, now),
+            };
+            if is_over && steering.is_at_rest(&measured) {
+                return match motion.answer(&still(*interface), true) {
+                    Ok(()) => Ok(()),
+                    Err(why) => self.ended(why),
+                };
+            }
+            if let Err(why) = motion.answer(&output, false) {
+                return self.ended(why);
+            }
+            // After the command, which the robot waits for.
+            self.publish(&state, Some(steering.limited()))?;
+            let was = std::mem::replace(&mut limited, steering.limited());
+            if was != limited {
+                (self.tell)(Event::Limited(limited));
+            }
+        }
+    }
+
+    fn take_newest(&mut self) -> Result<(), DriveError> {
+        if let Some(newest) = self.ports.twist.latest()? {
+            self.command = newest.message;
+            if self.command.in_force_until_ns() == 0 {
+                (self.tell)(Event::NotObeyed);
+            }
+        }
+        Ok(())
+    }
+
+    /// The robot ended a motion: with a reason that is told, or by being gone.
+    fn ended(&mut self, why: FrankaError) -> Result<(), End> {
+        match why {
+            FrankaError::Control(_) | FrankaError::Command(_) => {
+                (self.tell)(Event::Stopped(why.to_string()));
+                Ok(())
+            }
+            gone => Err(End::Robot(gone)),
+        }
+    }
+}
+
+fn still(interface: Interface) -> Output {
+    match interface {
+        Interface::Joint => Output::Joint(Joints::zeros()),
+        Interface::Cartesian => Output::Cartesian(Twist::zeros()),
+    }
+}

@@ -1,0 +1,290 @@
+//! Where the camera sits: files of hand-eye calibrations.
+//!
+//! - TOML: `translation` (m) and `rotation_deg` (rotation vector, deg) of the camera in its frame.
+//! - YAML of easy_handeye 1 and 2 (ROS), eye on hand: `transformation` with x y z qx qy qz qw, or
+//!   `transform` with `translation` and `rotation`.
+//! - YAML of OpenCV's `FileStorage`: the matrices `R_cam2gripper` and `t_cam2gripper`, named as in
+//!   `cv::calibrateHandEye`, t in m.
+//!
+//! All of them give the pose of the camera (x right, y down, z forward) in the robot's frame that
+//! the calibration was made with: the flange, or the end effector.
+
+use std::path::Path;
+
+use clap::ValueEnum;
+use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use panda::{Mount, Pose};
+use saphyr::{LoadableYamlNode, Yaml};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use toml_schema::{FileError, read_text};
+
+/// Farthest that a camera on a wrist is from its frame, m: beyond it, units are mixed up.
+const FARTHEST: f64 = 1.0;
+/// By how much a rotation or the length of a quaternion may miss, without unit.
+const ORTHONORMAL: f64 = 1e-3;
+
+/// The frame that a calibration is about.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Frame {
+    /// The flange, `panda_link8`.
+    #[default]
+    Flange,
+    /// The end effector as the robot has it set: O_T_EE is about it.
+    Ee,
+}
+
+/// The camera in a frame of the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandEye {
+    /// Which frame.
+    pub frame: Frame,
+    /// The camera in it.
+    pub camera: Pose,
+}
+
+impl HandEye {
+    /// The camera in the flange, given F_T_EE.
+    pub fn mount(&self, flange_from_ee: &Pose) -> Mount {
+        Mount {
+            flange_from_camera: match self.frame {
+                Frame::Flange => self.camera,
+                Frame::Ee => flange_from_ee * self.camera,
+            },
+        }
+    }
+}
+
+/// Reads a file of any of the kinds.
+///
+/// # Errors
+/// The file cannot be read, is none of the kinds, or is no pose of a camera on a wrist: names the
+/// key, its value and what is allowed.
+pub fn read(path: &Path, frame: Frame) -> Result<HandEye, FileError> {
+    let name = path.display().to_string();
+    let text = read_text(path)?;
+    let is_yaml = matches!(path.extension(), Some(end) if end == "yaml" || end == "yml");
+    let camera = match is_yaml {
+        true => of_yaml(&name, &text)?,
+        false => of_toml(&name, &text)?,
+    };
+    let far = camera.translation.vector.norm();
+    if far > FARTHEST {
+        let allowed = format!("0 to {FARTHEST} m from the {frame:?}; are the units metres?");
+        return Err(FileError::value(&name, "translation", far, allowed));
+    }
+    Ok(HandEye { frame, camera })
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Toml {
+    translation: [f64; 3],
+    rotation_deg: [f64; 3],
+}
+
+fn of_toml(name: &str, text: &str) -> Result<Pose, FileError> {
+    let Toml {
+        translation,
+        rotation_deg,
+    } = toml::from_str(text).map_err(|error| FileError::Syntax {
+        path: name.to_owned(),
+        message: format!("{error}; allowed: translation and rotation_deg, 3 numbers each"),
+    })?;
+    for (key, numbers) in [("translation", translation), ("rotation_deg", rotation_deg)] {
+        if let Some(number) = numbers.iter().find(|x| !x.is_finite()) {
+            return Err(FileError::value(name, key, number, "finite numbers"));
+        }
+    }
+    Ok(Pose::from_parts(
+        Translation3::from(translation),
+        Rotation3::new(Vector3::from(rotation_deg.map(f64::to_radians))),
+    ))
+}
+
+fn of_yaml(name: &str, text: &str) -> Result<Pose, FileError> {
+    let syntax = |message: String| FileError::Syntax {
+        path: name.to_owned(),
+        message,
+    };
+    // OpenCV writes a directive that is not YAML's.
+    let text = match text.strip_prefix("%YAML:1.0") {
+        Some(rest) => rest,
+        None => text,
+    };
+    let documents = Yaml::load_from_str(text).map_err(|error| syntax(error.to_string()))?;
+    let Some(root) = documents.first() else {
+        return Err(syntax("the file is empty".to_owned()));
+    };
+    let number = |of: &Yaml, key: &str| -> Result<f64, FileError> {
+        let value = of.as_mapping_get(key).and_then(float);
+        let value = value.filter(|value| value.is_finite());
+        value.ok_or_else(|| FileError::value(name, key, "missing or not a number", "a number"))
+    };
+    let quaternion = |at: [f64; 3], [w, x, y, z]: [f64; 4]| {
+        let turn = Quaternion::new(w, x, y, z);
+        if (turn.norm() - 1.0).abs() > ORTHONORMAL {
+            let length = format!("a quaternion of length {}", turn.norm());
+            return Err(FileError::value(name, "rotation", length, "of length 1"));
+        }
+        let turn = UnitQuaternion::new_normalize(turn);
+        Ok(Pose::from_parts(
+            Translation3::from(at),
+            turn.to_rotation_matrix(),
+        ))
+    };
+    let parameters = root.as_mapping_get("parameters");
+    if let Some(eye_on_hand) = parameters.and_then(|p| p.as_mapping_get("eye_on_hand"))
+        && eye_on_hand.as_bool() == Some(false)
+    {
+        let allowed = "true: the camera is on the wrist";
+        return Err(FileError::value(name, "eye_on_hand", false, allowed));
+    }
+    if let Some(all) = root.as_mapping_get("transformation") {
+        let at = [number(all, "x")?, number(all, "y")?, number(all, "z")?];
+        let turn = [
+            number(all, "qw")?,
+            number(all, "qx")?,
+            number(all, "qy")?,
+            number(all, "qz")?,
+        ];
+        return quaternion(at, turn);
+    }
+    if let Some(all) = root.as_mapping_get("transform") {
+        let part = |key: &str| {
+            let part = all.as_mapping_get(key);
+            part.ok_or_else(|| FileError::value(name, key, "missing", "x, y, z and, to turn, w"))
+        };
+        let (at, turn) = (part("translation")?, part("rotation")?);
+        let at = [number(at, "x")?, number(at, "y")?, number(at, "z")?];
+        let turn = [
+            number(turn, "w")?,
+            number(turn, "x")?,
+            number(turn, "y")?,
+            number(turn, "z")?,
+        ];
+        return quaternion(at, turn);
+    }
+    let matrix = |key: &str, count: usize| -> Result<Vec<f64>, FileError> {
+        let data = root.as_mapping_get(key);
+        let data = data.and_then(|matrix| matrix.as_mapping_get("data")?.as_sequence());
+        let numbers: Option<Vec<f64>> = data.and_then(|all| all.iter().map(float).collect());
+        let numbers = numbers.filter(|all| all.len() == count && all.iter().all(|x| x.is_finite()));
+        let allowed = format!("a matrix of {count} numbers");
+        numbers.ok_or_else(|| FileError::value(name, key, "missing or of another size", allowed))
+    };
+    if root.as_mapping_get("R_cam2gripper").is_some() {
+        let rows = matrix("R_cam2gripper", 9)?;
+        let at = matrix("t_cam2gripper", 3)?;
+        let turn = Matrix3::from_row_slice(&rows);
+        let miss = (turn.transpose() * turn - Matrix3::identity()).amax();
+        if miss > ORTHONORMAL || turn.determinant() < 0.0 {
+            let found = format!("a matrix that misses a rotation by {miss:.4}");
+            return Err(FileError::value(name, "R_cam2gripper", found, "a rotation"));
+        }
+        let turn = Rotation3::from_matrix_unchecked(turn);
+        let at = Translation3::from(Vector3::from_column_slice(&at));
+        return Ok(Pose::from_parts(at, turn));
+    }
+    Err(syntax(
+        "no hand-eye calibration that is known; allowed: transformation or transform (easy_handeye), R_cam2gripper and t_cam2gripper (OpenCV)"
+            .to_owned(),
+    ))
+}
+
+/// A number, also one without a fraction.
+fn float(value: &Yaml) -> Option<f64> {
+    let whole = value.as_integer().map(|whole| whole as f64);
+    value.as_floating_point().or(whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read_as(name: &str, text: &str) -> Result<HandEye, String> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        read(&path, Frame::Flange).map_err(|error| error.to_string())
+    }
+
+    const TOML: &str = "translation = [0.05, -0.05, 0.04]\nrotation_deg = [0, 0, 90]";
+    const EASY: &str = "parameters:\n  eye_on_hand: true\n  robot_effector_frame: panda_link8\n\
+        transformation:\n  x: 0.05\n  y: -0.05\n  z: 0.04\n  qx: 0\n  qy: 0.0\n  qz: 0.70710678\n  qw: 0.70710678\n";
+    const EASY_2: &str = "parameters:\n  name: cam\n  calibration_type: eye_in_hand\n\
+        transform:\n  translation:\n    x: 0.05\n    y: -0.05\n    z: 0.04\n  rotation:\n    x: 0.0\n    y: 0.0\n    z: 0.70710678\n    w: 0.70710678\n";
+    const OPENCV: &str = "%YAML:1.0\n---\nR_cam2gripper: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n\
+        \x20  data: [ 0., -1., 0., 1., 0., 0., 0., 0., 1. ]\nt_cam2gripper: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ 0.05, -5.0e-02, 0.04 ]\n";
+
+    #[test]
+    fn every_tool_gives_the_same_camera() {
+        let toml = read_as("a.toml", TOML).unwrap().camera;
+        assert!((toml.translation.vector - Vector3::new(0.05, -0.05, 0.04)).norm() < 1e-12);
+        for text in [EASY, EASY_2, OPENCV] {
+            let camera = read_as("a.yaml", text).unwrap().camera;
+            let apart = (camera.rotation.matrix() - toml.rotation.matrix()).amax();
+            assert!(
+                apart < 1e-7 && camera.translation == toml.translation,
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_calibration_about_the_end_effector_is_carried_to_the_flange() {
+        let hand = panda::RobotSettings::with_hand().flange_from_ee();
+        let camera = Pose::translation(0.0, 0.0, 0.1);
+        let frame = Frame::Ee;
+        let mount = HandEye { frame, camera }.mount(&hand);
+        assert_eq!(mount.flange_from_camera, hand * camera);
+    }
+
+    #[test]
+    fn what_is_no_camera_on_a_wrist_is_refused_by_name() {
+        for (name, text, said) in [
+            (
+                "a.toml",
+                "translation = [50, -50, 40]\nrotation_deg = [0, 0, 0]",
+                "are the units metres",
+            ),
+            (
+                "a.toml",
+                "translation = [0, 0]\nrotation_deg = [0, 0, 0]",
+                "3 numbers each",
+            ),
+            (
+                "a.toml",
+                "translation = [0, 0, nan]\nrotation_deg = [0, 0, 0]",
+                "translation = NaN",
+            ),
+            (
+                "a.yaml",
+                &EASY.replace("eye_on_hand: true", "eye_on_hand: false"),
+                "eye_on_hand = false",
+            ),
+            (
+                "a.yaml",
+                &EASY.replace("qw: 0.70710678", "qw: 0.2"),
+                "of length 1",
+            ),
+            ("a.yaml", &EASY.replace("  x: 0.05\n", ""), "x = missing"),
+            ("a.yaml", &OPENCV.replace("1. ]", "2. ]"), "a rotation"),
+            (
+                "a.yaml",
+                &OPENCV.replace(", 1. ]", " ]"),
+                "a matrix of 9 numbers",
+            ),
+            ("a.yaml", "camera: 3\n", "no hand-eye calibration"),
+            ("a.yaml", "", "empty"),
+            ("a.yaml", "a: [", "a.yaml"),
+        ] {
+            let error = read_as(name, text).unwrap_err();
+            assert!(error.contains(said), "{text}: {error}");
+        }
+        assert!(read(Path::new("/nowhere.toml"), Frame::Flange).is_err());
+    }
+}

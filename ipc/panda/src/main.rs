@@ -1,0 +1,151 @@
+//! `vpc-panda`: the bridge as a process.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use clap::CommandFactory;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tracing_subscriber::EnvFilter;
+use vpc_panda::config::{Arguments, Config, exit_code};
+use vpc_panda::drive::{Event, drive};
+
+const USAGE: u8 = 64;
+const UNAVAILABLE: u8 = 69;
+const SOFTWARE: u8 = 70;
+
+/// Events that wait for the log.
+const QUEUE: usize = 256;
+/// How often the log looks.
+const LOOK: Duration = Duration::from_millis(20);
+/// Between two lines about the same thing.
+const SELDOM: Duration = Duration::from_secs(1);
+
+fn main() -> ExitCode {
+    let matches = match Arguments::command().try_get_matches() {
+        Ok(matches) => matches,
+        Err(error) => {
+            // Help and version are not errors.
+            let code = if error.use_stderr() { USAGE } else { 0 };
+            let _ = error.print();
+            return ExitCode::from(code);
+        }
+    };
+    let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    let log = tracing_subscriber::fmt().with_env_filter(filter);
+    log.with_writer(std::io::stderr).with_target(false).init();
+    let config = match Config::load(&matches) {
+        Ok(config) => config,
+        Err(error) => {
+            eprintln!("vpc-panda: {error}");
+            return ExitCode::from(exit_code(&error));
+        }
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        if let Err(error) = signal_hook::flag::register(signal, Arc::clone(&stop)) {
+            eprintln!("vpc-panda: signal {signal}: {error}");
+            return ExitCode::from(UNAVAILABLE);
+        }
+    }
+    let looked_at = match (matches.get_flag("dry_run"), matches.get_flag("preflight")) {
+        (true, _) => Some(vpc_panda::look::dry_run(&config, &stop)),
+        (_, true) => Some(vpc_panda::look::preflight(&config, &stop)),
+        _ => None,
+    };
+    match looked_at {
+        None => run(config, &stop),
+        Some(Ok(is_good)) => ExitCode::from(u8::from(!is_good)),
+        Some(Err(error)) => {
+            eprintln!("vpc-panda: {error}");
+            ExitCode::from(UNAVAILABLE)
+        }
+    }
+}
+
+fn run(config: Config, stop: &Arc<AtomicBool>) -> ExitCode {
+    let (mut sender, mut events) = rtrb::RingBuffer::new(QUEUE);
+    let stopping = Arc::clone(stop);
+    let driver = std::thread::Builder::new()
+        .name("drive".to_owned())
+        .spawn(move || drive(&config, &stopping, &mut sender));
+    let driver = match driver {
+        Ok(driver) => driver,
+        Err(error) => {
+            eprintln!("vpc-panda: no thread: {error}");
+            return ExitCode::from(UNAVAILABLE);
+        }
+    };
+    let mut log = Log::default();
+    loop {
+        let is_over = driver.is_finished();
+        while let Ok(event) = events.pop() {
+            log.tell(&event);
+        }
+        if is_over {
+            break;
+        }
+        std::thread::sleep(LOOK);
+    }
+    match driver.join() {
+        Ok(Ok(())) => {
+            tracing::info!("stopped; the arm stands");
+            ExitCode::SUCCESS
+        }
+        Ok(Err(error)) => {
+            eprintln!("vpc-panda: {error}");
+            ExitCode::from(UNAVAILABLE)
+        }
+        Err(_) => {
+            eprintln!("vpc-panda: a defect; the robot stops by itself without commands");
+            stop.store(true, Ordering::Relaxed);
+            ExitCode::from(SOFTWARE)
+        }
+    }
+}
+
+/// The log, in which what comes in every millisecond stands once a second.
+#[derive(Default)]
+struct Log {
+    limited: Option<Instant>,
+    not_obeyed: Option<Instant>,
+}
+
+impl Log {
+    fn tell(&mut self, event: &Event) {
+        let is_due = |last: &mut Option<Instant>| {
+            let is_due = last.is_none_or(|last| last.elapsed() > SELDOM);
+            if is_due {
+                *last = Some(Instant::now());
+            }
+            is_due
+        };
+        match event {
+            Event::Connected(model) => tracing::info!("connected: {model}"),
+            Event::Lacks(what) => tracing::warn!("DEGRADED, not real time: {what}"),
+            Event::Moves => tracing::info!("the robot follows vpc/twist"),
+            Event::Refused(why) => tracing::warn!("no motion: {why}"),
+            Event::Stopped(why) => {
+                tracing::error!("the robot stopped: {why}; clear it with: vpcctl recover");
+            }
+            Event::Recovered => tracing::info!("the robot's errors are cleared"),
+            Event::NotRecovered(why) => tracing::error!("the robot's errors stand: {why}"),
+            Event::NotObeyed if is_due(&mut self.not_obeyed) => {
+                tracing::warn!("not obeyed: vpc/twist is of a controller in lockstep");
+            }
+            Event::Limited(limited) if is_due(&mut self.limited) => {
+                for (is_so, what) in [
+                    (limited.is_cut, "longer than linear or angular allow"),
+                    (limited.by_workspace, "a wall of the workspace is near"),
+                    (limited.by_joint, "a joint is near its margin or too fast"),
+                ] {
+                    if is_so {
+                        tracing::warn!("the command is not carried out in full: {what}");
+                    }
+                }
+            }
+            Event::NotObeyed | Event::Limited(_) => (),
+        }
+    }
+}
