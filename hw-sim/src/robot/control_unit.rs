@@ -6,7 +6,9 @@ use std::net::SocketAddr;
 use fci::message::{IDENTITY, Kind, Mode as WireMode, Transform};
 use fci::{Answer, Controller, Event, Generator, Load, Request, Server, Ticket, Version, errors};
 use nalgebra::{Matrix3, Rotation3, Translation3, Vector3};
-use panda::{Command, Errors, Joints, Mode, Motion, MotionKind, Pose, Robot, State, Twist};
+use panda::{
+    Command, Errors, Joints, Mode, Motion, MotionKind, Pose, RequestError, Robot, State, Twist,
+};
 
 use super::description::urdf;
 
@@ -33,6 +35,8 @@ pub struct ControlUnit {
     /// Who waits for a stop, and for a recovery.
     stop: Option<Ticket>,
     recovery: Option<Ticket>,
+    /// Who asked for a recovery that begins once the robot stands.
+    braking: Option<Ticket>,
     /// What clients have set that moves nothing here.
     stiffness: Transform,
     load: Load,
@@ -58,6 +62,7 @@ impl ControlUnit {
             motion: None,
             stop: None,
             recovery: None,
+            braking: None,
             stiffness: IDENTITY,
             load: Load::default(),
         })
@@ -68,6 +73,9 @@ impl ControlUnit {
     pub fn step(&mut self, robot: &mut Robot) {
         let commands: Vec<Command> = self.commands();
         robot.step(&commands);
+        if let Some(ticket) = self.braking.take() {
+            self.recover(&ticket, robot);
+        }
         for event in self.server.poll() {
             match event {
                 Event::Request(ticket, request) => self.take(&ticket, &request, robot),
@@ -117,14 +125,7 @@ impl ControlUnit {
                 // It stands, or is about to.
                 Err(_) => Answer::Success,
             },
-            Request::AutomaticErrorRecovery => match robot.recover() {
-                Ok(()) => {
-                    self.recovery = Some(*ticket);
-                    return;
-                }
-                Err(_) if robot.state().robot_mode == Mode::Idle => Answer::Success,
-                Err(_) => Answer::NotPossibleRejected,
-            },
+            Request::AutomaticErrorRecovery => return self.recover(ticket, robot),
             Request::SetNeToEe(transform) => match pose(transform) {
                 None => Answer::InvalidArgumentRejected,
                 Some(pose) => match robot.set_end_effector(pose) {
@@ -164,6 +165,24 @@ impl ControlUnit {
                 Answer::Error
             }
             Request::Invalid(_) => Answer::InvalidArgumentRejected,
+        };
+        self.server.reply(ticket, answer);
+    }
+
+    /// Begins a recovery, now or once the robot stands: clients ask for it as soon as they hear of
+    /// the reflex, as the vendor's examples do.
+    fn recover(&mut self, ticket: &Ticket, robot: &mut Robot) {
+        let answer = match robot.recover() {
+            Ok(()) => {
+                self.recovery = Some(*ticket);
+                return;
+            }
+            Err(RequestError::Moving { .. }) => {
+                self.braking = Some(*ticket);
+                return;
+            }
+            Err(_) if robot.state().robot_mode == Mode::Idle => Answer::Success,
+            Err(_) => Answer::NotPossibleRejected,
         };
         self.server.reply(ticket, answer);
     }
