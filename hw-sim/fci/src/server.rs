@@ -55,7 +55,8 @@ impl Ticket {
 pub struct Server {
     version: Version,
     address: SocketAddr,
-    /// None while a client is there: its port refuses others then.
+    /// None while a client of our version is there: its port refuses others then. One of another
+    /// version may come back at once with ours.
     listener: Option<TcpListener>,
     client: Option<Client>,
     clients: u64,
@@ -188,7 +189,6 @@ impl Server {
         };
         let is_ready = stream.set_nonblocking(true).and(stream.set_nodelay(true));
         if is_ready.is_ok() {
-            self.listener = None;
             self.clients += 1;
             self.client = Some(Client {
                 stream,
@@ -252,6 +252,7 @@ impl Server {
             Ok(datagrams) => client.datagrams = Some(datagrams),
             Err(error) => return Event::Gone(format!("port {port} for states: {error}")),
         }
+        self.listener = None;
         self.reply(ticket, Answer::Success);
         Event::Connected(address)
     }

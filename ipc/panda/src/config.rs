@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use nalgebra::Vector3;
-use panda::{Mount, Twist};
+use panda::{Model, Mount, Twist};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -41,9 +41,9 @@ pub struct Arguments {
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "vpc-panda", extend("required" = ["robot", "hand_eye"]))]
 pub struct Keys {
-    /// Address of the robot's control unit.
+    /// Which robot, and the address of its control unit.
     #[arg(long)]
-    #[schemars(extend("x-allowed" = "a host name or address, such as 172.16.0.2"))]
+    #[schemars(extend("x-allowed" = "panda:ADDRESS or fr3:ADDRESS, such as panda:172.16.0.2"))]
     pub robot: Option<String>,
     /// The camera in the flange, as a hand-eye calibration found it.
     #[arg(long)]
@@ -147,7 +147,9 @@ impl Bounds {
 /// A checked configuration.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The robot's address.
+    /// Which robot.
+    pub model: Model,
+    /// The address of its control unit.
     pub robot: String,
     /// The camera on the flange, or on the end effector.
     pub hand_eye: HandEye,
@@ -200,9 +202,17 @@ impl Config {
                 return Err(document.refuse(&key, lower[k], allowed));
             }
         }
+        let robot = keys.robot.unwrap_or_default();
+        let named = robot.split_once(':').filter(|(_, at)| !at.is_empty());
+        let named = named.and_then(|(model, at)| Some((model.parse::<Model>().ok()?, at)));
+        let Some((model, address)) = named else {
+            let allowed = "panda:ADDRESS or fr3:ADDRESS".to_owned();
+            return Err(document.refuse("robot", &robot, allowed));
+        };
         let file = keys.hand_eye.unwrap_or_default();
         Ok(Self {
-            robot: keys.robot.unwrap_or_default(),
+            model,
+            robot: address.to_owned(),
             hand_eye: hand_eye::read(&file, keys.hand_eye_frame)?,
             interface: keys.interface,
             domain: keys.domain.unwrap_or_else(ipc::default_directory),

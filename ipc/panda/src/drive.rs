@@ -74,8 +74,8 @@ pub fn drive(
         address: config.robot.clone(),
         source: Box::new(source),
     };
-    let robot = robot::connect(&config.robot).map_err(failed)?;
-    let model = robot::model(&robot);
+    let robot = robot::connect(config).map_err(failed)?;
+    let model = config.model;
     let mut told = |event| {
         // A full queue loses what nobody has read for long.
         let _ = events.push(event);

@@ -38,8 +38,8 @@ fn failed(config: &Config) -> impl Fn(FrankaError) -> DriveError + use<> {
 /// [`DriveError`]: the robot or the shared memory cannot be used.
 pub fn dry_run(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
     let failed = failed(config);
-    let robot = robot::connect(&config.robot).map_err(&failed)?;
-    let model = robot::model(&robot);
+    let robot = robot::connect(config).map_err(&failed)?;
+    let model = config.model;
     let state = robot.read_once().map_err(&failed)?;
     print!("{}", frames(config, model, &state));
     let domain = Domain::join(&config.domain)?;
@@ -93,7 +93,7 @@ pub fn preflight(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError>
         false => "not PREEMPT_RT: expect reflexes under load".to_owned(),
     };
     check(kernel, "kernel", found);
-    let robot = robot::connect(&config.robot).map_err(&failed)?;
+    let robot = robot::connect(config).map_err(&failed)?;
     let priority = config.priority;
     let got = franka::realtime::set_current_thread_scheduler_priority(priority);
     let found = match &got {
@@ -127,7 +127,7 @@ pub fn preflight(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError>
         check(rate > LEAST_RATE, "commands in time", found);
     }
     println!("      filter: none on our side");
-    print!("{}", frames(config, robot::model(&robot), &state));
+    print!("{}", frames(config, config.model, &state));
     Ok(is_good)
 }
 

@@ -2,31 +2,30 @@
 
 use franka::{
     ActiveMotionGenerator, CartesianVelocities, FciVersion, FrankaResult, JointVelocities,
-    MoveControllerMode, RealtimeConfig, RobotMode as Mode, RobotState as Told,
+    MoveControllerMode, RealtimeConfig, RobotMode as Mode, RobotOptions, RobotState as Told,
+    VersionPolicy,
 };
 use ipc::{RobotFaults, RobotMode, RobotState};
 use nalgebra::{Matrix4, Rotation3, Translation3};
 use panda::limits::Setpoint;
 use panda::{Chain, Echo, Errors, Flag, JOINTS, Joints, Model, Mount, Pose, Twist};
 
-use crate::config::Interface;
+use crate::config::{Config, Interface};
 use crate::steering::{Limited, Measured, Output};
 
-/// Connects, with whatever version of the interface the robot speaks.
+/// Connects with the robot's version of the interface: a Panda's is 5, an FR3's 10.
 ///
 /// # Errors
 /// The robot does not answer, has another client, or speaks another version.
-pub fn connect(address: &str) -> FrankaResult<franka::Robot> {
+pub fn connect(config: &Config) -> FrankaResult<franka::Robot> {
+    let version = match config.model {
+        Model::Panda => FciVersion::V5,
+        Model::Fr3 => FciVersion::V10,
+    };
     // Priorities are the bridge's own business.
-    franka::Robot::new(address, RealtimeConfig::Ignore)
-}
-
-/// Which robot it is: version 5 of the interface is a Panda's, 10 an FR3's.
-pub fn model(robot: &franka::Robot) -> Model {
-    match robot.fci_version() {
-        FciVersion::V5 => Model::Panda,
-        FciVersion::V10 => Model::Fr3,
-    }
+    let options = RobotOptions::new(RealtimeConfig::Ignore);
+    let options = options.with_version(VersionPolicy::Exact(version));
+    franka::Robot::with_options(&config.robot, options)
 }
 
 /// A transformation, column by column.
