@@ -223,11 +223,11 @@ impl Running<'_> {
         Ok((status, String::from_utf8_lossy(&said).into_owned()))
     }
 
-    /// Asks it to stop and waits for it.
+    /// Asks it to stop, waits for it, and tells how it ended.
     ///
     /// # Errors
-    /// It ended with another exit code than 0, or had to be killed.
-    pub fn stop(mut self) -> anyhow::Result<()> {
+    /// It had to be killed.
+    pub fn terminate(mut self) -> anyhow::Result<ExitStatus> {
         signal(Pid::from_child(&self.child), Signal::TERM);
         if !has_ended(Pid::from_child(&self.child), Instant::now() + PATIENCE) {
             bail!(
@@ -235,9 +235,18 @@ impl Running<'_> {
                 self.name
             );
         }
-        let status = self.wait()?;
+        Ok(self.wait()?)
+    }
+
+    /// Asks it to stop and waits for it.
+    ///
+    /// # Errors
+    /// It ended with another exit code than 0, or had to be killed.
+    pub fn stop(self) -> anyhow::Result<()> {
+        let name = self.name;
+        let status = self.terminate()?;
         if !status.success() {
-            bail!("{} ended with {status}", self.name);
+            bail!("{name} ended with {status}");
         }
         Ok(())
     }

@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod children;
+pub mod fci_table;
 pub mod flags;
 pub mod pictures;
 pub mod robot;

@@ -22,6 +22,7 @@ use memory_blob::MemoryFile;
 use scene::{Pose, Scene, read_starts};
 use serde::Serialize;
 use system_tests::children::{self, Children, attended};
+use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, RobotFlags};
 use system_tests::pictures::{self, Draw};
 use system_tests::row::{self, Row};
@@ -63,6 +64,8 @@ struct Cli {
     camera: CameraFlags,
     #[command(flatten, next_help_heading = "With --robot panda")]
     arm: RobotFlags,
+    #[command(flatten, next_help_heading = "With --robot fci")]
+    fci: FciFlags,
 }
 
 /// The camera that flies freely.
@@ -127,6 +130,9 @@ enum Body {
     Free,
     /// A Franka Emika Panda; frames are delayed.
     Panda,
+    /// The same in real time, with vpcd, vpc-panda and hw-sim as processes: the bridge speaks the
+    /// vendor's protocol.
+    Fci,
 }
 
 /// What `--json` writes.
@@ -151,15 +157,25 @@ struct Record<'a, Run> {
 fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
     let matches = Cli::command().try_get_matches_from(arguments)?;
     let cli = Cli::from_arg_matches(&matches)?;
-    let (others, body) = match cli.robot {
-        Body::Free => (RobotFlags::augment_args(clap::Command::new("")), "panda"),
-        Body::Panda => (CameraFlags::augment_args(clap::Command::new("")), "free"),
-    };
+    let none = || clap::Command::new("");
+    let bodies = [
+        (Body::Free, "free", CameraFlags::augment_args(none())),
+        (Body::Panda, "panda", RobotFlags::augment_args(none())),
+        (Body::Fci, "fci", FciFlags::augment_args(none())),
+    ];
     let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
-    let mut ids = others.get_arguments().map(|flag| flag.get_id().as_str());
-    match ids.find(|id| given(id)) {
+    for (_, name, flags) in bodies.iter().filter(|(body, ..)| *body != cli.robot) {
+        let mut ids = flags.get_arguments().map(|flag| flag.get_id().as_str());
+        if let Some(id) = ids.find(|id| given(id)) {
+            let words = format!("--{} goes with --robot {name}", id.replace('_', "-"));
+            return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
+        }
+    }
+    let common = Common::augment_args(none());
+    let mut ids = common.get_arguments().map(|flag| flag.get_id().as_str());
+    match ids.find(|id| cli.robot == Body::Fci && *id != "strategies" && given(id)) {
         Some(id) => {
-            let words = format!("--{} goes with --robot {body}", id.replace('_', "-"));
+            let words = format!("--{} does not go with --robot fci", id.replace('_', "-"));
             Err(Cli::command().error(ErrorKind::ArgumentConflict, words))
         }
         None => Ok(cli),
@@ -204,6 +220,7 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         match cli.robot {
             Body::Free => free(cli, &scene, &starts, memory.as_ref()),
             Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
+            Body::Fci => by_interface(children, cli, source, starts.len()),
         }?;
     }
     Ok(())
@@ -291,6 +308,38 @@ fn on_robot(
     let rows = all.iter().map(|(spec, runs)| robot_table::row(*spec, runs));
     let rows: Vec<_> = rows.collect();
     finish(cli, scene, None, &robot_table::markdown(&rows), &rows, &all)
+}
+
+/// The table of the robot behind the vendor's interface.
+fn by_interface(
+    children: &Children,
+    cli: &Cli,
+    memory: Option<&Source>,
+    starts: usize,
+) -> anyhow::Result<()> {
+    // The processes read them.
+    fn file(source: &Source) -> anyhow::Result<&Path> {
+        match source {
+            Source::File(path) => Ok(path),
+            made => bail!("{made}: --robot fci takes files; make one with vpc-memory"),
+        }
+    }
+    let setup = Setup {
+        children,
+        scene: &cli.scene,
+        starts: (file(&cli.starts)?, starts),
+        memory: memory.map(file).transpose()?,
+        common: &cli.common,
+        flags: &cli.fci,
+    };
+    let bar = bar(cli.common.strategies.len() * cli.fci.interfaces.len() * starts);
+    let rows = fci_table::table(&setup, &|| bar.inc(1))?;
+    bar.finish_and_clear();
+    println!("{}", fci_table::markdown(&rows));
+    if let Some(path) = &cli.json {
+        write(path, &serde_json::to_vec_pretty(&rows)?)?;
+    }
+    Ok(())
 }
 
 /// Prints the rows and what failed, and writes what was asked for.
@@ -420,6 +469,11 @@ mod tests {
                 "--delay-ms goes with --robot panda",
             ),
             ("--delay 4 --robot panda", "--delay goes with --robot free"),
+            ("--jobs 4", "--jobs goes with --robot fci"),
+            (
+                "--noise 1 --robot fci",
+                "--noise does not go with --robot fci",
+            ),
         ] {
             let message = refusal(flags).unwrap();
             assert!(message.contains(words), "{flags}: {message}");
