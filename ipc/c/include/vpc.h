@@ -223,6 +223,8 @@ enum vpc_action {
     VPC_ACTION_STRATEGY = 4,
     // Write out the flight record.
     VPC_ACTION_RECORD = 5,
+    // Clear the robot's errors: asked of its bridge, not of the controller, which answers done.
+    VPC_ACTION_RECOVER = 6,
 };
 
 // The outcome of a request.

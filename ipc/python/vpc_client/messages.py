@@ -216,6 +216,8 @@ class Action(Code):
     STRATEGY = 4, "strategy"
     # Write out the flight record.
     RECORD = 5, "record"
+    # Clear the robot's errors: asked of its bridge, not of the controller, which answers done.
+    RECOVER = 6, "recover"
 
 
 class Outcome(Code):

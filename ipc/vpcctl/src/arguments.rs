@@ -49,6 +49,8 @@ pub enum Command {
     Disarm(RequestArguments),
     /// Stop at once, without braking, and stay there until the next arm.
     Stop(RequestArguments),
+    /// Ask the robot's bridge to clear the robot's errors; the controller stays disarmed.
+    Recover(RecoverArguments),
     /// Change the strategy.
     Strategy(StrategyArguments),
     /// Make the daemon write its flight record.
@@ -165,6 +167,14 @@ pub struct ServeArguments {
 pub struct RequestArguments {
     /// How long to wait for the answer, 0.05 to 3600 s.
     #[arg(long, value_name = "SECONDS", default_value = "2", value_parser = seconds)]
+    pub timeout: Duration,
+}
+
+/// The command line of `recover`.
+#[derive(Clone, Debug, Args)]
+pub struct RecoverArguments {
+    /// How long to wait for a robot without errors, 0.05 to 3600 s.
+    #[arg(long, value_name = "SECONDS", default_value = "10", value_parser = seconds)]
     pub timeout: Duration,
 }
 

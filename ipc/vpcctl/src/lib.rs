@@ -16,6 +16,7 @@ pub mod output;
 pub mod plot;
 pub mod presence;
 pub mod record;
+pub mod recover;
 pub mod request;
 pub mod serve;
 pub mod server;
@@ -73,6 +74,11 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Disarm(with) => return ask(request::plain(Action::Disarm), with),
         Command::Stop(with) => return ask(request::plain(Action::Stop), with),
         Command::Flight(with) => return ask(request::plain(Action::Record), with),
+        Command::Recover(with) => {
+            let (line, exit) = recover::recover(&directory, with.timeout)?;
+            output::write(&line)?;
+            return Ok(exit);
+        }
         Command::Strategy(with) => {
             let (strategy, neighbours) = with.strategy;
             return ask(request::strategy(strategy, neighbours), &with.request);

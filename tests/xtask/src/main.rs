@@ -52,6 +52,10 @@ const ARTEFACTS: &[Artefact] = &[
         make: |_| Ok(schema_file(hw_sim::config::schema())),
     },
     Artefact {
+        path: "ipc/panda/vpc-panda.schema.json",
+        make: |_| Ok(schema_file(vpc_panda::config::schema())),
+    },
+    Artefact {
         path: "memory-blob/builder/memory.schema.json",
         make: |_| Ok(schema_file(memory_builder::settings::schema())),
     },

@@ -5,6 +5,7 @@ mod check_bridge;
 mod doctor;
 mod metrics;
 mod recordings;
+mod recover;
 mod requests;
 mod serve;
 mod stand_in;

@@ -1,0 +1,68 @@
+//! `recover`: asks the robot's bridge to clear the robot's errors. A bridge never does so by itself.
+//! What counts is what the robot then tells.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use ipc::{Action, OpenError, Publisher, Request, RobotMode, RobotState, Subscriber};
+
+use crate::exit::{Exit, Failure};
+use crate::presence;
+use crate::request::plain;
+
+/// Between two looks.
+const PAUSE: Duration = Duration::from_millis(10);
+
+/// Asks, and waits for a robot that is no longer at fault: a line, and the exit code.
+///
+/// # Errors
+/// There is no domain, no robot tells its state, or the ports cannot be used.
+pub fn recover(directory: &Path, timeout: Duration) -> Result<(String, Exit), Failure> {
+    let end = Instant::now() + timeout;
+    let domain = presence::join(directory)?;
+    let mut states: Subscriber<RobotState> = domain.subscriber(1)?;
+    let mut requests: Publisher<Request> = loop {
+        match domain.publisher() {
+            Err(OpenError::Taken { .. } | OpenError::Full { .. }) if Instant::now() < end => {
+                std::thread::sleep(PAUSE);
+            }
+            result => break result?,
+        }
+    };
+    let mut newest = None;
+    while newest.is_none() && Instant::now() < end {
+        newest = states.latest()?;
+        std::thread::sleep(PAUSE);
+    }
+    let Some(state) = newest else {
+        let message = format!(
+            "domain {}: nothing on vpc/robot within {} s; is a bridge at work?",
+            directory.display(),
+            timeout.as_secs_f64()
+        );
+        return Err(Failure::new(Exit::NoAnswer, message));
+    };
+    if let Some(mode) = state.mode().filter(|mode| *mode != RobotMode::Fault) {
+        return Ok((
+            format!("recover: nothing to clear; the robot is {mode}\n"),
+            Exit::Ok,
+        ));
+    }
+    requests.publish(&plain(Action::Recover))?;
+    while Instant::now() < end {
+        // A bridge that joined just now hears it, too.
+        requests.refresh()?;
+        if let Some(state) = states.latest()?
+            && let Some(mode) = state.mode().filter(|mode| *mode != RobotMode::Fault)
+        {
+            let line = format!("recover: done; the robot is {mode}; arm when it may move\n");
+            return Ok((line, Exit::Ok));
+        }
+        std::thread::sleep(PAUSE);
+    }
+    let line = format!(
+        "recover: the robot is still at fault after {} s; its bridge's log says why\n",
+        timeout.as_secs_f64()
+    );
+    Ok((line, Exit::Refused))
+}
