@@ -8,6 +8,7 @@
 //! tests at full length; without it they are short enough for CI, and print that.
 
 mod bounded;
+mod bridge;
 mod camera;
 mod clients;
 mod clock;
