@@ -79,7 +79,7 @@ pub struct FciRow {
     pub runs: usize,
     /// See `runs`.
     pub arrived: usize,
-    /// Starts that did not, with their verdicts.
+    /// Starts that did not, with their verdicts and the robot's errors.
     pub failed: Vec<(usize, String)>,
     /// Reflexes, milliseconds beyond a limit, and with a discontinuity; of all runs.
     pub trouble: [u64; 3],
@@ -290,9 +290,7 @@ fn row(spec: Spec, interface: &str, runs: &[(usize, FciRun)]) -> FciRow {
         interface: interface.to_owned(),
         runs: runs.len(),
         arrived: runs.iter().filter(|(_, run)| is_good(run)).count(),
-        failed: bad
-            .map(|(start, run)| (*start, run.verdict.clone()))
-            .collect(),
+        failed: bad.map(|(start, run)| (*start, why(run))).collect(),
         trouble: [
             sum(|arm| arm.reflexes),
             sum(|arm| arm.limit_violations),
@@ -306,6 +304,11 @@ fn row(spec: Spec, interface: &str, runs: &[(usize, FciRun)]) -> FciRow {
             most(|arm| arm.joint_jerk),
         ],
     }
+}
+
+fn why(run: &FciRun) -> String {
+    let words = std::iter::once(&run.verdict).chain(&run.arm.errors);
+    words.map(String::as_str).collect::<Vec<_>>().join(" ")
 }
 
 /// The rows as a Markdown table, and what failed.

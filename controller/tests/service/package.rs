@@ -13,7 +13,7 @@ use crate::machine::{Machine, may_raise_limits};
 use crate::namespace::{is_nobody_elses, serves_the_emulator, starts_ready_and_confined};
 
 /// What the package installs into `/usr/bin`.
-const PROGRAMS: [&str; 4] = ["hw-sim", "vpc-memory", "vpcctl", "vpcd"];
+const PROGRAMS: [&str; 5] = ["hw-sim", "vpc-memory", "vpc-panda", "vpcctl", "vpcd"];
 /// The package in the machine.
 const PACKAGE: &str = "/var/cache/vpcd.deb";
 const AS_USER: &str = "runuser -u vpcd --";
