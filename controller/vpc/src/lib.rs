@@ -70,7 +70,7 @@ pub mod limit;
 pub mod measurement;
 pub mod motion;
 pub mod obstacle;
-mod pose;
+pub mod pose;
 pub mod prediction;
 pub mod problem;
 #[doc(hidden)]

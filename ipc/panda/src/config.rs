@@ -31,9 +31,16 @@ pub struct Arguments {
     /// Connect, read, and print frames and what would be sent, for three seconds; move nothing.
     #[arg(long, conflicts_with = "preflight")]
     pub dry_run: bool,
-    /// Check machine, network and robot, and move nothing.
+    /// Check machine, network and robot; hold the arm where it is for two seconds.
     #[arg(long)]
     pub preflight: bool,
+    /// Move each axis of the camera by 5 mm or 0.02 rad and back, compare the image with this scene,
+    /// and name likely mistakes; asks before anything moves.
+    #[arg(long, value_name = "SCENE", conflicts_with_all = ["dry_run", "preflight"])]
+    pub first_motion: Option<PathBuf>,
+    /// With --first-motion: do not ask.
+    #[arg(long, requires = "first_motion")]
+    pub yes: bool,
 }
 
 /// The path of the hand-eye file is relative to the file. Some keys have a flag, which wins.

@@ -4,7 +4,9 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod config;
+pub mod diagnosis;
 pub mod drive;
+pub mod first_motion;
 pub mod hand_eye;
 pub mod look;
 pub mod robot;

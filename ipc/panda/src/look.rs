@@ -156,7 +156,7 @@ fn rate(config: &Config, robot: &franka::Robot, stop: &AtomicBool) -> Result<f64
 }
 
 /// The robot's frames and load as it has them set, and where the camera is by them.
-fn frames(config: &Config, model: Model, state: &Told) -> String {
+pub(crate) fn frames(config: &Config, model: Model, state: &Told) -> String {
     let flange_from_ee = robot::pose(&state.F_T_EE);
     let base_from_ee = robot::pose(&state.O_T_EE);
     let mount = config.mount(&flange_from_ee);

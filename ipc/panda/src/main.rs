@@ -1,15 +1,19 @@
 //! `vpc-panda`: the bridge as a process.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::CommandFactory;
+use scene::Scene;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
 use vpc_panda::config::{Arguments, Config, exit_code};
 use vpc_panda::drive::{Event, drive};
+use vpc_panda::first_motion::first_motion;
+use vpc_panda::look;
 
 const USAGE: u8 = 64;
 const UNAVAILABLE: u8 = 69;
@@ -50,9 +54,23 @@ fn main() -> ExitCode {
         }
     }
     let looked_at = match (matches.get_flag("dry_run"), matches.get_flag("preflight")) {
-        (true, _) => Some(vpc_panda::look::dry_run(&config, &stop)),
-        (_, true) => Some(vpc_panda::look::preflight(&config, &stop)),
+        (true, _) => Some(look::dry_run(&config, &stop).map_err(|error| error.to_string())),
+        (_, true) => Some(look::preflight(&config, &stop).map_err(|error| error.to_string())),
         _ => None,
+    };
+    let looked_at = match matches.get_one::<PathBuf>("first_motion") {
+        Some(path) => {
+            let scene = match Scene::read(path) {
+                Ok(scene) => scene,
+                Err(error) => {
+                    eprintln!("vpc-panda: {error}");
+                    return ExitCode::from(exit_code(&error));
+                }
+            };
+            let found = first_motion(&config, &scene, matches.get_flag("yes"), &stop);
+            Some(found.map_err(|error| error.to_string()))
+        }
+        None => looked_at,
     };
     match looked_at {
         None => run(config, &stop),

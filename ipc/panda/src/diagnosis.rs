@@ -1,0 +1,340 @@
+//! What is wrong between robot and camera, found from a few small moves: how the image moved,
+//! against how it should have by the robot's own poses, the hand-eye calibration and the scene.
+//!
+//! A Levenberg-Marquardt fit of the mistakes that users make: the camera turned or shifted on the
+//! flange, another focal length, a pattern of another size; from every way to name a camera's axes,
+//! and with images that are mirrored.
+
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::{Rotation3, SMatrix, SVector, Translation3, Vector3};
+use panda::{Mount, Pose};
+use scene::{Camera, Scene};
+
+/// A small move of the robot, between two rests.
+#[derive(Clone, Debug)]
+pub struct Move {
+    /// The flange in the base, before and after.
+    pub flange: [Pose; 2],
+    /// The features, before and after, px.
+    pub image: [Vec<[f64; 2]>; 2],
+}
+
+/// How the image differs from a right one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Flip {
+    /// It does not.
+    None,
+    /// Mirrored, left and right.
+    U,
+    /// Mirrored, top and bottom.
+    V,
+    /// u and v are swapped.
+    Swapped,
+}
+
+/// What explains the moves best.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Findings {
+    /// Root mean square of what the settings as they are leave unexplained, px.
+    pub before_px: f64,
+    /// The same with what follows, px.
+    pub after_px: f64,
+    /// The image.
+    pub flip: Flip,
+    /// By how much the true camera is turned from where the calibration has it: rotation vector in
+    /// the camera frame, rad.
+    pub turn: Vector3<f64>,
+    /// By how much it is shifted, m, in the camera frame.
+    pub shift: Vector3<f64>,
+    /// True focal lengths, as a multiple of the scene's.
+    pub focal: f64,
+    /// True size of the pattern, as a multiple of the scene's.
+    pub size: f64,
+}
+
+/// Turn, shift, and the logarithms of focal length and size.
+type Parameters = SVector<f64, 8>;
+
+/// Most iterations of a fit.
+const ITERATIONS: usize = 40;
+/// Step of the difference quotients; all parameters are of size 1 or less.
+const STEP: f64 = 1e-6;
+/// Beginnings that are refined, of all ways to name axes.
+const REFINED: usize = 4;
+/// Part of the error that another image must leave to be believed.
+const BELIEVED: f64 = 0.4;
+
+/// Finds what explains the moves best; `None` where no pose of the pattern fits an image.
+pub fn explain(scene: &Scene, mount: &Mount, moves: &[Move]) -> Option<Findings> {
+    let judge = |flip| Judge {
+        scene,
+        mount,
+        moves,
+        flip,
+    };
+    let plain = judge(Flip::None);
+    let before_px = plain.rms(&Turned::nothing())?;
+    let (mut flip, mut found, mut after_px) = plain.fit()?.named(Flip::None);
+    for other in [Flip::U, Flip::V, Flip::Swapped] {
+        if let Some(fit) = judge(other).fit()
+            && fit.rms < BELIEVED * after_px
+        {
+            (flip, found, after_px) = fit.named(other);
+        }
+    }
+    Some(Findings {
+        before_px,
+        after_px,
+        flip,
+        turn: found.turn.scaled_axis(),
+        shift: found.shift,
+        focal: found.focal,
+        size: found.size,
+    })
+}
+
+impl Findings {
+    /// The likely mistakes, each with what to change; none where all is well.
+    pub fn mistakes(&self) -> Vec<String> {
+        let mut mistakes = Vec::new();
+        match self.flip {
+            Flip::None => (),
+            Flip::U => mistakes.push(
+                "sign: the image is mirrored left and right; u must grow to the right".to_owned(),
+            ),
+            Flip::V => mistakes.push(
+                "sign: the image is mirrored top and bottom; v must grow downwards".to_owned(),
+            ),
+            Flip::Swapped => mistakes.push("axes: u and v are swapped in the features".to_owned()),
+        }
+        let angle = self.turn.norm();
+        let degrees = angle.to_degrees();
+        let axis = match angle > 0.0 {
+            true => self.turn / angle,
+            false => Vector3::z(),
+        };
+        let words = format!(
+            "{degrees:.1} deg about ({:.2} {:.2} {:.2}) of the camera",
+            axis.x, axis.y, axis.z
+        );
+        if angle > FAR_TURN {
+            mistakes.push(format!(
+                "axes: the camera is turned by {words} from where the hand-eye file has it. Its frame is x right, y down, z forward; a file with the inverse, or about another frame (hand_eye_frame), does this, too"
+            ));
+        } else if angle > TURN {
+            mistakes.push(format!(
+                "hand-eye: the camera is turned by {words} from where the file has it: calibrate again"
+            ));
+        }
+        if self.shift.norm() > SHIFT && angle <= FAR_TURN {
+            let [x, y, z]: [f64; 3] = (self.shift * 100.0).into();
+            mistakes.push(format!(
+                "hand-eye: the camera is ({x:.1} {y:.1} {z:.1}) cm from where the file has it, along its axes: calibrate again"
+            ));
+        }
+        if self.focal.ln().abs() > FOCAL {
+            mistakes.push(format!(
+                "focal length: the true one is {:.2} times the scene's (camera.fx, camera.fy); is the image scaled?",
+                self.focal
+            ));
+        }
+        if self.size.ln().abs() > SIZE {
+            mistakes.push(format!(
+                "pattern: it is {:.2} times as large as the scene says (pattern.points); are the units metres?",
+                self.size
+            ));
+        }
+        if self.after_px > UNEXPLAINED_PX {
+            mistakes.push(format!(
+                "unknown: {:.1} px remain unexplained; do the features belong to this camera, and to an object that lies still?",
+                self.after_px
+            ));
+        }
+        mistakes
+    }
+}
+
+/// From which on something is a mistake: rad, m, logarithms, px. The law stands errors of this
+/// size; the moves show them with their noise.
+const TURN: f64 = 0.06;
+const FAR_TURN: f64 = 0.8;
+const SHIFT: f64 = 0.03;
+const FOCAL: f64 = 0.05;
+const SIZE: f64 = 0.10;
+const UNEXPLAINED_PX: f64 = 2.0;
+
+/// The mistakes at which the moves are judged.
+#[derive(Clone, Copy, Debug)]
+struct Turned {
+    turn: Rotation3<f64>,
+    shift: Vector3<f64>,
+    focal: f64,
+    size: f64,
+}
+
+impl Turned {
+    fn nothing() -> Self {
+        Self {
+            turn: Rotation3::identity(),
+            shift: Vector3::zeros(),
+            focal: 1.0,
+            size: 1.0,
+        }
+    }
+
+    fn after(&self, by: &Parameters) -> Self {
+        Self {
+            turn: self.turn * Rotation3::new(by.fixed_rows::<3>(0).into_owned()),
+            shift: self.shift + by.fixed_rows::<3>(3),
+            focal: self.focal * by[6].exp(),
+            size: self.size * by[7].exp(),
+        }
+    }
+}
+
+struct Fit {
+    found: Turned,
+    rms: f64,
+}
+
+impl Fit {
+    fn named(self, flip: Flip) -> (Flip, Turned, f64) {
+        (flip, self.found, self.rms)
+    }
+}
+
+struct Judge<'a> {
+    scene: &'a Scene,
+    mount: &'a Mount,
+    moves: &'a [Move],
+    flip: Flip,
+}
+
+impl Judge<'_> {
+    /// Predicted less seen, px; `None` where no pose fits.
+    fn residuals(&self, at: &Turned) -> Option<Vec<f64>> {
+        let camera = Camera {
+            fx: self.scene.camera.fx * at.focal,
+            fy: self.scene.camera.fy * at.focal,
+            ..self.scene.camera
+        };
+        let scaled = |p: &[f64; 3]| p.map(|x| x * at.size);
+        let pattern: Vec<[f64; 3]> = self.scene.pattern.iter().map(scaled).collect();
+        let error = Pose::from_parts(Translation3::from(at.shift), at.turn);
+        let mount = self.mount.flange_from_camera * error;
+        let mut residuals = Vec::new();
+        for Move { flange, image } in self.moves {
+            let [before, after] = image
+                .each_ref()
+                .map(|points| points.iter().map(|p| self.seen(*p)).collect::<Vec<_>>());
+            let plane: Vec<_> = before
+                .iter()
+                .map(|p| vpc::camera::normalise(&camera, *p))
+                .collect();
+            let (object, _) = vpc::pose::estimate(&pattern, &plane, None)?;
+            let went = mount.inverse() * flange[1].inverse() * flange[0] * mount;
+            for (point, seen) in pattern.iter().zip(after) {
+                let there = went * nalgebra::Point3::from(object.apply(point));
+                let predicted = vpc::camera::project(&camera, there.coords.into())?;
+                residuals.extend([predicted[0] - seen[0], predicted[1] - seen[1]]);
+            }
+        }
+        Some(residuals)
+    }
+
+    /// A point as the camera would have seen it without the flip.
+    fn seen(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        let Camera { width, height, .. } = self.scene.camera;
+        match self.flip {
+            Flip::None => [u, v],
+            Flip::U => [width - 1.0 - u, v],
+            Flip::V => [u, height - 1.0 - v],
+            Flip::Swapped => [v, u],
+        }
+    }
+
+    fn rms(&self, at: &Turned) -> Option<f64> {
+        let residuals = self.residuals(at)?;
+        let squares: f64 = residuals.iter().map(|x| x * x).sum();
+        Some((squares / residuals.len().max(1) as f64).sqrt())
+    }
+
+    /// The best fit from all ways to name axes.
+    fn fit(&self) -> Option<Fit> {
+        let mut beginnings: Vec<(f64, Turned)> = axes()
+            .into_iter()
+            .filter_map(|turn| {
+                let at = Turned {
+                    turn,
+                    ..Turned::nothing()
+                };
+                Some((self.rms(&at)?, at))
+            })
+            .collect();
+        beginnings.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let refined = beginnings.into_iter().take(REFINED);
+        let fits = refined.filter_map(|(_, at)| self.refine(at));
+        fits.min_by(|a, b| a.rms.total_cmp(&b.rms))
+    }
+
+    fn refine(&self, mut at: Turned) -> Option<Fit> {
+        let mut rms = self.rms(&at)?;
+        let mut damping = 1e-3;
+        for _ in 0..ITERATIONS {
+            let here = self.residuals(&at)?;
+            let mut columns = Vec::new();
+            for k in 0..8 {
+                let mut by = Parameters::zeros();
+                by[k] = STEP;
+                let there = self.residuals(&at.after(&by))?;
+                let slope = there.iter().zip(&here).map(|(a, b)| (a - b) / STEP);
+                columns.push(slope.collect::<Vec<_>>());
+            }
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let mut square = SMatrix::<f64, 8, 8>::from_fn(|i, j| dot(&columns[i], &columns[j]));
+            let right = Parameters::from_fn(|i, _| -dot(&columns[i], &here));
+            for k in 0..8 {
+                square[(k, k)] *= 1.0 + damping;
+                square[(k, k)] += 1e-9;
+            }
+            let step = square.cholesky()?.solve(&right);
+            let next = at.after(&step);
+            match self.rms(&next) {
+                Some(better) if better < rms => {
+                    let is_done = rms - better < 1e-9;
+                    (at, rms) = (next, better);
+                    damping = (damping * 0.2).max(1e-9);
+                    if is_done {
+                        break;
+                    }
+                }
+                _ if damping > 1e6 => break,
+                _ => damping *= 10.0,
+            }
+        }
+        Some(Fit { found: at, rms })
+    }
+}
+
+/// The 24 ways to turn a frame onto its own axes.
+fn axes() -> Vec<Rotation3<f64>> {
+    let quarters =
+        |axis: Vector3<f64>, count: u8| Rotation3::new(axis * (f64::from(count) * FRAC_PI_2));
+    let faces = [
+        Rotation3::identity(),
+        quarters(Vector3::x(), 1),
+        quarters(Vector3::x(), 2),
+        quarters(Vector3::x(), 3),
+        quarters(Vector3::y(), 1),
+        quarters(Vector3::y(), 3),
+    ];
+    let mut axes = Vec::new();
+    for face in faces {
+        axes.extend((0..4).map(|count| face * quarters(Vector3::z(), count)));
+    }
+    axes
+}
+
+#[cfg(test)]
+mod tests;
