@@ -34,7 +34,26 @@ pub enum Event {
     NotObeyed,
     /// What limits the motion changed.
     Limited(Limited),
+    /// A motion is over.
+    Over(Report),
 }
+
+/// What a motion was like.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Report {
+    /// States that were answered.
+    pub answered: u64,
+    /// States that never came, by the robot's own clock.
+    pub lost: u64,
+    /// Least share of commands that the robot got in time, 0 to 1, after the first second.
+    pub least_rate: f64,
+    /// Allocations in the loop after the first second, in which connections are made. Counted where
+    /// the program's allocator is [`heap_meter::Meter`].
+    pub allocations: u64,
+}
+
+/// Answers of the first second.
+const WARM_UP: u64 = 1000;
 
 /// Why the bridge ends by itself.
 #[derive(Debug, thiserror::Error)]
@@ -192,12 +211,41 @@ impl Bridge<'_> {
         };
         self.refused = None;
         (self.tell)(Event::Moves);
-        let mut limited = Limited::default();
+        let mut report = Report {
+            least_rate: 1.0,
+            ..Report::default()
+        };
+        let ended = self.answer_all(&mut motion, &mut steering, &mut report);
+        (self.tell)(Event::Over(report));
+        match ended {
+            Err(End::Robot(why)) => self.ended(why),
+            ended => ended,
+        }
+    }
+
+    /// The loop: a state comes, a command goes.
+    fn answer_all(
+        &mut self,
+        motion: &mut Motion,
+        steering: &mut Steering,
+        report: &mut Report,
+    ) -> Result<(), End> {
+        let interface = &self.config.interface;
+        let (mut limited, mut time, mut calls) = (Limited::default(), None, 0);
         loop {
-            let state = match motion.state() {
-                Ok(state) => state,
-                Err(why) => return self.ended(why),
-            };
+            let state = motion.state().map_err(End::Robot)?;
+            let passed = time.replace(state.time.as_millis());
+            let passed = passed.map_or(1, |before| state.time.as_millis().saturating_sub(before));
+            report.lost += passed.saturating_sub(1);
+            report.answered += 1;
+            match report.answered {
+                ..WARM_UP => (),
+                WARM_UP => calls = heap_meter::calls(),
+                _ => {
+                    report.allocations = heap_meter::calls() - calls;
+                    report.least_rate = report.least_rate.min(state.control_command_success_rate);
+                }
+            }
             self.take_newest()?;
             let (measured, now) = (robot::measured(&state), now_ns());
             let is_over = self.stop.load(Ordering::Relaxed);
@@ -206,14 +254,9 @@ impl Bridge<'_> {
                 false => steering.step(&self.command, &measured, now),
             };
             if is_over && steering.is_at_rest(&measured) {
-                return match motion.answer(&still(*interface), true) {
-                    Ok(()) => Ok(()),
-                    Err(why) => self.ended(why),
-                };
+                return motion.answer(&still(*interface), true).map_err(End::Robot);
             }
-            if let Err(why) = motion.answer(&output, false) {
-                return self.ended(why);
-            }
+            motion.answer(&output, false).map_err(End::Robot)?;
             // After the command, which the robot waits for.
             self.publish(&state, Some(steering.limited()))?;
             let was = std::mem::replace(&mut limited, steering.limited());

@@ -1,5 +1,6 @@
 //! `vpc-panda`: the bridge as a process.
 
+use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -7,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::CommandFactory;
+use heap_meter::Meter;
 use scene::Scene;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
@@ -14,6 +16,10 @@ use vpc_panda::config::{Arguments, Config, exit_code};
 use vpc_panda::drive::{Event, drive};
 use vpc_panda::first_motion::first_motion;
 use vpc_panda::look;
+
+// Counts what the loop allocates, which is nothing.
+#[global_allocator]
+static METER: Meter = Meter;
 
 const USAGE: u8 = 64;
 const UNAVAILABLE: u8 = 69;
@@ -38,7 +44,10 @@ fn main() -> ExitCode {
     };
     let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     let log = tracing_subscriber::fmt().with_env_filter(filter);
-    log.with_writer(std::io::stderr).with_target(false).init();
+    log.with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .init();
     let config = match Config::load(&matches) {
         Ok(config) => config,
         Err(error) => {
@@ -142,6 +151,13 @@ impl Log {
         match event {
             Event::Connected(model) => tracing::info!("connected: {model}"),
             Event::Lacks(what) => tracing::warn!("DEGRADED, not real time: {what}"),
+            Event::Over(report) => tracing::info!(
+                answered = report.answered,
+                lost = report.lost,
+                least_rate = report.least_rate,
+                allocations = report.allocations,
+                "motion over"
+            ),
             Event::Moves => tracing::info!("the robot follows vpc/twist"),
             Event::Refused(why) => tracing::warn!("no motion: {why}"),
             Event::Stopped(why) => {

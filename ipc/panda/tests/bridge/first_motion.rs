@@ -1,0 +1,85 @@
+//! `--first-motion`, with each mistake made on purpose.
+
+use std::path::Path;
+
+use testkit::{Ended, ended, root};
+
+use crate::Robot;
+
+fn first_motion(robot: &Robot, hand_eye: &Path) -> Ended {
+    let mut bridge = robot.bridge_with("panda", hand_eye);
+    bridge.arg("--first-motion");
+    bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
+    ended(bridge.arg("--yes"))
+}
+
+/// What is wrong in the world, or in the hand-eye file, and what is to be said of it.
+const MISTAKES: [(&str, Option<&str>, &[&str]); 7] = [
+    ("", None, &[]),
+    ("focal = 0.15", None, &["focal length"]),
+    ("depth = 0.25", None, &["pattern"]),
+    (
+        "hand_eye_deg = [0.0, 8.0, 6.0]",
+        None,
+        &["hand-eye", "turned by"],
+    ),
+    (
+        "hand_eye_m = [0.06, 0.0, 0.05]",
+        None,
+        &["hand-eye", "cm from where"],
+    ),
+    // The camera is mounted by a quarter turn, and its inverse.
+    (
+        "",
+        Some("translation = [0.05, -0.05, 0.04]\nrotation_deg = [0, 0, 135]"),
+        &["axes"],
+    ),
+    (
+        "",
+        Some("translation = [0.0, 0.07, -0.04]\nrotation_deg = [0, 0, -45]"),
+        &["axes"],
+    ),
+];
+
+#[test]
+fn each_mistake_made_on_purpose_is_named_and_only_a_right_camera_is_recommended() {
+    std::thread::scope(|scope| {
+        for (truth, hand_eye, words) in MISTAKES {
+            scope.spawn(move || {
+                let robot = Robot::start(5, truth);
+                let file = match hand_eye {
+                    Some(text) => robot.place.file("hand-eye.toml", text),
+                    None => root().join("ipc/panda/hand-eye.toml"),
+                };
+                let said = first_motion(&robot, &file);
+                let mistakes: Vec<_> = said
+                    .stdout
+                    .lines()
+                    .filter(|line| line.starts_with("LIKELY MISTAKE"))
+                    .collect();
+                assert_eq!(mistakes.len(), usize::from(!words.is_empty()), "{said:?}");
+                for word in words {
+                    assert!(mistakes[0].contains(word), "{truth} {hand_eye:?}: {said:?}");
+                }
+                let is_recommended = said.stdout.contains("vpcctl arm");
+                assert_eq!(is_recommended, words.is_empty(), "{said:?}");
+                assert_eq!(said.code, Some(i32::from(!words.is_empty())));
+                let report = robot.report();
+                assert!(report.contains("\"reflexes\":0"), "{report}");
+            });
+        }
+    });
+}
+
+#[test]
+fn nothing_moves_without_a_yes() {
+    let robot = Robot::start(10, "");
+    let mut bridge = robot.bridge("fr3");
+    bridge.arg("--first-motion");
+    bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
+    let said = ended(bridge.stdin(std::process::Stdio::null()));
+    assert_eq!(said.code, Some(69), "{said:?}");
+    assert!(said.stderr.contains("not confirmed; nothing moved"));
+    assert!(said.stdout.contains("F_T_EE") && said.stdout.contains("workspace"));
+    assert!(robot.report().contains("\"joint_velocity\":0.0"));
+}
