@@ -53,6 +53,9 @@ pub struct FciRun {
     /// The exit code of `vpc-panda` after SIGTERM, with an arm that stands: 0.
     #[serde(default)]
     pub bridge: Option<i32>,
+    /// The last warning of `vpcd`, where it did not arrive.
+    #[serde(default)]
+    pub warning: Option<String>,
 }
 
 /// See `hw_sim::robot::inspector::ArmReport`.
@@ -223,6 +226,8 @@ impl Trio<'_> {
             &[
                 "--robot",
                 &robot,
+                "--scene",
+                &scene,
                 "--hand-eye",
                 &hand_eye,
                 "--interface",
@@ -240,6 +245,11 @@ impl Trio<'_> {
         drop((hw_sim, vpcd));
         let mut run: FciRun = serde_json::from_str(&told)?;
         run.bridge = bridge;
+        if run.verdict != "arrived" {
+            let log = fs::read_to_string(path("vpcd.err"))?;
+            let warning = log.lines().rfind(|line| line.contains(" WARN "));
+            run.warning = warning.map(str::to_owned);
+        }
         fs::remove_dir_all(self.place)?;
         Ok(run)
     }
@@ -308,6 +318,7 @@ fn row(spec: Spec, interface: &str, runs: &[(usize, FciRun)]) -> FciRow {
 
 fn why(run: &FciRun) -> String {
     let words = std::iter::once(&run.verdict).chain(&run.arm.errors);
+    let words = words.chain(&run.warning);
     words.map(String::as_str).collect::<Vec<_>>().join(" ")
 }
 

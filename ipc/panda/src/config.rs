@@ -6,6 +6,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use nalgebra::Vector3;
 use panda::{Model, Mount, Twist};
+use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -34,24 +35,28 @@ pub struct Arguments {
     /// Check machine, network and robot; hold the arm where it is for two seconds.
     #[arg(long)]
     pub preflight: bool,
-    /// Move each axis of the camera by 5 mm or 0.02 rad and back, compare the image with this scene,
+    /// Move each axis of the camera by 5 mm or 0.02 rad and back, compare the image with the scene,
     /// and name likely mistakes; asks before anything moves.
-    #[arg(long, value_name = "SCENE", conflicts_with_all = ["dry_run", "preflight"])]
-    pub first_motion: Option<PathBuf>,
+    #[arg(long, conflicts_with_all = ["dry_run", "preflight"])]
+    pub first_motion: bool,
     /// With --first-motion: do not ask.
     #[arg(long, requires = "first_motion")]
     pub yes: bool,
 }
 
-/// The path of the hand-eye file is relative to the file. Some keys have a flag, which wins.
+/// The paths of scene and hand-eye file are relative to the file. Some keys have a flag, which wins.
 #[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-#[schemars(title = "vpc-panda", extend("required" = ["robot", "hand_eye"]))]
+#[schemars(title = "vpc-panda", extend("required" = ["robot", "scene", "hand_eye"]))]
 pub struct Keys {
     /// Which robot, and the address of its control unit.
     #[arg(long)]
     #[schemars(extend("x-allowed" = "panda:ADDRESS or fr3:ADDRESS, such as panda:172.16.0.2"))]
     pub robot: Option<String>,
+    /// The scene file of vpcd: its limits hold here, too, and first-motion needs its pattern.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    pub scene: Option<PathBuf>,
     /// The camera in the flange, as a hand-eye calibration found it.
     #[arg(long)]
     #[schemars(extend("x-allowed" = "a file: TOML, or YAML of easy_handeye or OpenCV"))]
@@ -131,6 +136,8 @@ pub struct Bounds {
     pub linear: f64,
     /// Greatest speed of its turn, rad/s.
     pub angular: f64,
+    /// Greatest size of each component, by the scene, m/s and rad/s.
+    pub axes: [f64; 6],
     /// Distance that joints keep from the ends of their ranges, rad.
     pub joint_margin: f64,
     /// Greatest share of the joints' own speed limits, 0 to 1.
@@ -147,7 +154,12 @@ impl Bounds {
         }
         let length = |first: usize| Vector3::from_fn(|k, _| twist[first + k]).norm();
         let share = |length: f64, most: f64| most / length.max(most);
-        twist * share(length(0), self.linear).min(share(length(3), self.angular))
+        let axes = (0..6).map(|k| share(twist[k].abs(), self.axes[k]));
+        let speeds = [
+            share(length(0), self.linear),
+            share(length(3), self.angular),
+        ];
+        twist * axes.chain(speeds).fold(1.0, f64::min)
     }
 }
 
@@ -158,6 +170,8 @@ pub struct Config {
     pub model: Model,
     /// The address of its control unit.
     pub robot: String,
+    /// The scene of vpcd.
+    pub scene: Scene,
     /// The camera on the flange, or on the end effector.
     pub hand_eye: HandEye,
     /// What the robot is commanded.
@@ -185,7 +199,7 @@ impl Config {
         let flags = toml::Table::try_from(&arguments.keys).map_err(|error| command_line(&error))?;
         let mut document = Document::read(arguments.config.as_deref())?;
         let directory = arguments.config.as_deref().and_then(Path::parent);
-        document.relative_to(directory.unwrap_or(Path::new("")), &["hand_eye"]);
+        document.relative_to(directory.unwrap_or(Path::new("")), &["hand_eye", "scene"]);
         for argument in Arguments::command().get_arguments() {
             let key = argument.get_id().as_str();
             let flag = argument.get_long().unwrap_or_default();
@@ -216,6 +230,7 @@ impl Config {
             let allowed = "panda:ADDRESS or fr3:ADDRESS".to_owned();
             return Err(document.refuse("robot", &robot, allowed));
         };
+        let scene = Scene::read(&keys.scene.unwrap_or_default())?;
         let file = keys.hand_eye.unwrap_or_default();
         Ok(Self {
             model,
@@ -227,10 +242,12 @@ impl Config {
             bounds: Bounds {
                 linear: keys.linear,
                 angular: keys.angular,
+                axes: scene.limits.velocity(),
                 joint_margin: keys.joint_margin,
                 joint_speed: keys.joint_speed,
                 workspace: keys.workspace,
             },
+            scene,
         })
     }
 

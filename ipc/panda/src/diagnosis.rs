@@ -64,6 +64,8 @@ const STEP: f64 = 1e-6;
 const REFINED: usize = 4;
 /// Part of the error that another image must leave to be believed.
 const BELIEVED: f64 = 0.4;
+/// Factor by which errors of equal explanations differ, by noise.
+const ALIKE: f64 = 1.2;
 
 /// Finds what explains the moves best; `None` where no pose of the pattern fits an image.
 pub fn explain(scene: &Scene, mount: &Mount, moves: &[Move]) -> Option<Findings> {
@@ -75,14 +77,32 @@ pub fn explain(scene: &Scene, mount: &Mount, moves: &[Move]) -> Option<Findings>
     };
     let plain = judge(Flip::None);
     let before_px = plain.rms(&Turned::nothing())?;
-    let (mut flip, mut found, mut after_px) = plain.fit()?.named(Flip::None);
-    for other in [Flip::U, Flip::V, Flip::Swapped] {
-        if let Some(fit) = judge(other).fit()
-            && fit.rms < BELIEVED * after_px
-        {
-            (flip, found, after_px) = fit.named(other);
-        }
+    let mut best = (Flip::None, plain.fit()?);
+    let flips = [Flip::U, Flip::V, Flip::Swapped].into_iter();
+    let mut others: Vec<_> = flips
+        .filter_map(|flip| Some((flip, judge(flip).fit()?)))
+        .collect();
+    others.retain(|(_, fit)| fit.rms < BELIEVED * best.1.rms);
+    // Mirrored one way and turned by half a turn is mirrored the other way: the lesser turn is meant.
+    let least = others
+        .iter()
+        .map(|(_, fit)| fit.rms)
+        .fold(f64::INFINITY, f64::min);
+    others.retain(|(_, fit)| fit.rms < ALIKE * least);
+    let turn = |fit: &Fit| fit.found.turn.angle();
+    if let Some(other) = others
+        .into_iter()
+        .min_by(|(_, a), (_, b)| turn(a).total_cmp(&turn(b)))
+    {
+        best = other;
     }
+    let (
+        flip,
+        Fit {
+            found,
+            rms: after_px,
+        },
+    ) = best;
     Some(Findings {
         before_px,
         after_px,
@@ -196,12 +216,6 @@ impl Turned {
 struct Fit {
     found: Turned,
     rms: f64,
-}
-
-impl Fit {
-    fn named(self, flip: Flip) -> (Flip, Turned, f64) {
-        (flip, self.found, self.rms)
-    }
 }
 
 struct Judge<'a> {

@@ -9,7 +9,6 @@ use std::time::Duration;
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
 use ipc::{Domain, Features, MOST_OBEYED_NS, RobotPorts, Subscriber, TwistCommand, now_ns};
 use panda::Pose;
-use scene::Scene;
 
 use crate::config::{Config, Interface};
 use crate::diagnosis::{Move, explain};
@@ -72,7 +71,6 @@ impl From<ipc::ReceiveError> for FirstMotionError {
 /// [`FirstMotionError`]: why nothing, or not all of it, could be looked at.
 pub fn first_motion(
     config: &Config,
-    scene: &Scene,
     is_confirmed: bool,
     stop: &AtomicBool,
 ) -> Result<bool, FirstMotionError> {
@@ -122,7 +120,6 @@ pub fn first_motion(
     let mut stage = Stage {
         config,
         stop,
-        scene,
         features: domain.subscriber(1).map_err(DriveError::from)?,
         ports,
         steering,
@@ -132,7 +129,7 @@ pub fn first_motion(
     let ended = stage.come_to_rest();
     let moves = moves?;
     ended?;
-    let findings = explain(scene, &mount, &moves).ok_or(FirstMotionError::NoPose)?;
+    let findings = explain(&config.scene, &mount, &moves).ok_or(FirstMotionError::NoPose)?;
     println!(
         "The image moved as predicted to {:.2} px; with the best explanation, to {:.2} px.",
         findings.before_px, findings.after_px
@@ -160,7 +157,6 @@ fn confirmed() -> bool {
 struct Stage<'a> {
     config: &'a Config,
     stop: &'a AtomicBool,
-    scene: &'a Scene,
     features: Subscriber<Features>,
     ports: RobotPorts,
     steering: Steering,
@@ -242,7 +238,7 @@ impl Stage<'_> {
     /// Rests; where the flange then is, and what the camera sees, px.
     fn look(&mut self) -> Result<(Pose, Vec<[f64; 2]>), FirstMotionError> {
         let begin = now_ns();
-        let count = self.scene.pattern.len();
+        let count = self.config.scene.pattern.len();
         let mut sums = vec![[0.0; 2]; count];
         let mut frames = 0;
         loop {

@@ -1,7 +1,7 @@
 //! `vpc-panda`: the bridge as a process.
 
+use std::fmt::Display;
 use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,7 +9,6 @@ use std::time::{Duration, Instant};
 
 use clap::CommandFactory;
 use heap_meter::Meter;
-use scene::Scene;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
 use vpc_panda::config::{Arguments, Config, exit_code};
@@ -62,24 +61,17 @@ fn main() -> ExitCode {
             return ExitCode::from(UNAVAILABLE);
         }
     }
-    let looked_at = match (matches.get_flag("dry_run"), matches.get_flag("preflight")) {
-        (true, _) => Some(look::dry_run(&config, &stop).map_err(|error| error.to_string())),
-        (_, true) => Some(look::preflight(&config, &stop).map_err(|error| error.to_string())),
-        _ => None,
-    };
-    let looked_at = match matches.get_one::<PathBuf>("first_motion") {
-        Some(path) => {
-            let scene = match Scene::read(path) {
-                Ok(scene) => scene,
-                Err(error) => {
-                    eprintln!("vpc-panda: {error}");
-                    return ExitCode::from(exit_code(&error));
-                }
-            };
-            let found = first_motion(&config, &scene, matches.get_flag("yes"), &stop);
-            Some(found.map_err(|error| error.to_string()))
-        }
-        None => looked_at,
+    let words = |error: &dyn Display| error.to_string();
+    let is_asked = |flag: &str| matches.get_flag(flag);
+    let looked_at = if is_asked("dry_run") {
+        Some(look::dry_run(&config, &stop).map_err(|error| words(&error)))
+    } else if is_asked("preflight") {
+        Some(look::preflight(&config, &stop).map_err(|error| words(&error)))
+    } else if is_asked("first_motion") {
+        let found = first_motion(&config, is_asked("yes"), &stop);
+        Some(found.map_err(|error| words(&error)))
+    } else {
+        None
     };
     match looked_at {
         None => run(config, &stop),

@@ -91,7 +91,10 @@ struct Cell {
 fn bridge(cable: &Cable, place: &Place) -> Command {
     let mut bridge = cable.end("vpc-panda");
     bridge.args(["--robot", "panda:127.0.0.1", "--hand-eye"]);
-    bridge.arg(root().join("ipc/panda/hand-eye.toml"));
+    bridge
+        .arg(root().join("ipc/panda/hand-eye.toml"))
+        .arg("--scene");
+    bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
     bridge.arg("--domain").arg(place.domain());
     bridge.stdout(Stdio::null()).stderr(Stdio::piped());
     bridge

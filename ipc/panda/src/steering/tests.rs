@@ -12,6 +12,7 @@ const NS: u64 = 1_000_000;
 const BOUNDS: Bounds = Bounds {
     linear: 0.1,
     angular: 0.5,
+    axes: [1.0; 6],
     joint_margin: 0.1,
     joint_speed: 0.3,
     workspace: Workspace {

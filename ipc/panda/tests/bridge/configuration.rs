@@ -1,99 +1,76 @@
 //! What is wrong in a configuration is named, with what is allowed.
 
+use std::collections::BTreeMap;
 use std::process::Command;
 
-use testkit::{Place, ended, root};
+use testkit::{Ended, Place, ended, root};
 
-fn said(arguments: &[&str]) -> (Option<i32>, String) {
+/// Runs the bridge with what it needs, and these flags in the place of some.
+fn said(place: &Place, flags: &[(&'static str, &str)]) -> Ended {
+    let file = |path: &str| root().join(path).display().to_string();
+    let mut all = BTreeMap::from([
+        ("--robot", "panda:127.0.0.254".to_owned()),
+        ("--hand-eye", file("ipc/panda/hand-eye.toml")),
+        ("--scene", file("ipc/scene/scenes/paper-robot.toml")),
+        ("--domain", place.domain().display().to_string()),
+    ]);
+    all.extend(
+        flags
+            .iter()
+            .map(|(flag, value)| (*flag, (*value).to_owned())),
+    );
+    all.retain(|_, value| !value.is_empty());
     let mut bridge = Command::new(env!("CARGO_BIN_EXE_vpc-panda"));
-    let ended = ended(bridge.args(arguments));
-    (ended.code, ended.stderr)
+    for (flag, value) in all {
+        bridge.args([flag, &value]);
+    }
+    ended(bridge)
 }
 
 #[test]
 fn a_bad_configuration_is_refused_by_name() {
     let place = Place::new();
-    let hand_eye = root().join("ipc/panda/hand-eye.toml");
-    let hand_eye = hand_eye.to_str().unwrap();
-    let robot = "panda:127.0.0.1";
-    let file = |name: &str, text: &str| place.file(name, text).to_str().unwrap().to_owned();
-    let walls = file(
-        "walls.toml",
-        "[workspace]\nlower = [0.9, 0, 0]\nupper = [0.8, 0.1, 0.1]\n",
-    );
+    let file = |name: &str, text: &str| place.file(name, text).display().to_string();
+    let walls = "[workspace]\nlower = [0.9, 0, 0]\nupper = [0.8, 0.1, 0.1]\n";
+    let walls = file("walls.toml", walls);
     let fast = file("fast.toml", "linear = 2.0\n");
     let odd = file("odd.toml", "speed = 2.0\n");
     let broken = file("hand-eye.yaml", "camera: 1\n");
-    for (arguments, code, words) in [
-        (vec!["--hand-eye", hand_eye], 78, "robot"),
+    for (flag, value, code, words) in [
+        ("--robot", "", 78, "robot"),
         (
-            vec!["--robot", "ur5:10.0.0.2", "--hand-eye", hand_eye],
+            "--robot",
+            "ur5:10.0.0.2",
             78,
             "panda:ADDRESS or fr3:ADDRESS",
         ),
+        ("--robot", "10.0.0.2", 78, "10.0.0.2"),
+        ("--robot", "panda:", 78, "panda:ADDRESS"),
+        ("--hand-eye", "", 78, "hand_eye"),
         (
-            vec!["--robot", "10.0.0.2", "--hand-eye", hand_eye],
-            78,
-            "10.0.0.2",
-        ),
-        (vec!["--robot", robot], 78, "hand_eye"),
-        (
-            vec!["--robot", robot, "--hand-eye", "/nowhere.toml"],
+            "--hand-eye",
+            "/nowhere.toml",
             66,
             "/nowhere.toml: cannot read",
         ),
-        (
-            vec!["--robot", robot, "--hand-eye", &broken],
-            78,
-            "no hand-eye calibration",
-        ),
-        (
-            vec!["--robot", robot, "--hand-eye", hand_eye, "--config", &walls],
-            78,
-            "workspace.lower[0] = 0.9",
-        ),
-        (
-            vec!["--robot", robot, "--hand-eye", hand_eye, "--config", &fast],
-            78,
-            "linear = 2",
-        ),
-        (
-            vec!["--robot", robot, "--hand-eye", hand_eye, "--config", &odd],
-            78,
-            "speed",
-        ),
-        (
-            vec![
-                "--robot",
-                robot,
-                "--hand-eye",
-                hand_eye,
-                "--interface",
-                "torque",
-            ],
-            64,
-            "joint, cartesian",
-        ),
+        ("--hand-eye", &broken, 78, "no hand-eye calibration"),
+        ("--scene", "", 78, "scene"),
+        ("--scene", "/nowhere.toml", 66, "/nowhere.toml: cannot read"),
+        ("--config", &walls, 78, "workspace.lower[0] = 0.9"),
+        ("--config", &fast, 78, "linear = 2"),
+        ("--config", &odd, 78, "speed"),
+        ("--interface", "torque", 64, "joint, cartesian"),
     ] {
-        let (found, text) = said(&arguments);
-        assert_eq!(found, Some(code), "{arguments:?}: {text}");
-        assert!(text.contains(words), "{arguments:?}: {text}");
+        let said = said(&place, &[(flag, value)]);
+        assert_eq!(said.code, Some(code), "{flag} {value}: {said:?}");
+        assert!(said.stderr.contains(words), "{flag} {value}: {said:?}");
     }
 }
 
 #[test]
 fn a_robot_that_does_not_answer_is_named() {
     let place = Place::new();
-    let hand_eye = root().join("ipc/panda/hand-eye.toml");
-    let domain = place.domain();
-    let (code, text) = said(&[
-        "--robot",
-        "fr3:127.0.0.254",
-        "--hand-eye",
-        hand_eye.to_str().unwrap(),
-        "--domain",
-        domain.to_str().unwrap(),
-    ]);
-    assert_eq!(code, Some(69), "{text}");
-    assert!(text.contains("robot 127.0.0.254: "), "{text}");
+    let said = said(&place, &[("--robot", "fr3:127.0.0.254")]);
+    assert_eq!(said.code, Some(69), "{said:?}");
+    assert!(said.stderr.contains("robot 127.0.0.254: "), "{said:?}");
 }

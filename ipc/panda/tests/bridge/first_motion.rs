@@ -8,9 +8,7 @@ use crate::Robot;
 
 fn first_motion(robot: &Robot, hand_eye: &Path) -> Ended {
     let mut bridge = robot.bridge_with("panda", hand_eye);
-    bridge.arg("--first-motion");
-    bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
-    ended(bridge.arg("--yes"))
+    ended(bridge.args(["--first-motion", "--yes"]))
 }
 
 /// What is wrong in the world, or in the hand-eye file, and what is to be said of it.
@@ -76,7 +74,6 @@ fn nothing_moves_without_a_yes() {
     let robot = Robot::start(10, "");
     let mut bridge = robot.bridge("fr3");
     bridge.arg("--first-motion");
-    bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
     let said = ended(bridge.stdin(std::process::Stdio::null()));
     assert_eq!(said.code, Some(69), "{said:?}");
     assert!(said.stderr.contains("not confirmed; nothing moved"));

@@ -54,7 +54,8 @@ impl Robot {
     fn bridge_with(&self, robot: &str, hand_eye: &Path) -> Command {
         let mut bridge = Command::new(env!("CARGO_BIN_EXE_vpc-panda"));
         bridge.args(["--robot", &format!("{robot}:{}", self.address)]);
-        bridge.arg("--hand-eye").arg(hand_eye);
+        bridge.arg("--hand-eye").arg(hand_eye).arg("--scene");
+        bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
         bridge.arg("--domain").arg(self.place.domain());
         bridge
     }
