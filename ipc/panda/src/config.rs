@@ -17,9 +17,10 @@ use crate::hand_eye::{self, Frame, HandEye};
 /// Drives a Franka Panda or FR3 by what vpcd commands.
 ///
 /// Connects to the robot's interface, carries out vpc/twist within its own limits, and tells
-/// vpc/robot. The arm stands when no command is in force. Exit codes: 0 stopped by SIGTERM with an
-/// arm that stands, 64 usage, 66 a file is missing, 69 the robot or the shared memory cannot be
-/// used, 78 configuration.
+/// vpc/robot. The arm stands when no command is in force. Exit codes: 0 stopped by SIGTERM with a
+/// robot that is idle, or all is well; 1 the robot was not idle then, a check failed, or a mistake was
+/// found; 64 usage, 66 a file is missing, 69 the robot or the shared memory cannot be used, 70 a
+/// defect, 78 configuration.
 #[derive(Parser, Debug)]
 #[command(name = "vpc-panda", version)]
 pub struct Arguments {

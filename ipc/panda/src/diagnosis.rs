@@ -6,10 +6,13 @@
 //! and with images that are mirrored.
 
 use std::f64::consts::FRAC_PI_2;
+use std::ops::Range;
 
 use nalgebra::{Rotation3, SMatrix, SVector, Translation3, Vector3};
 use panda::{Mount, Pose};
 use scene::{Camera, Scene};
+
+use crate::hand_eye::{Frame, HandEye};
 
 /// A small move of the robot, between two rests.
 #[derive(Clone, Debug)]
@@ -18,6 +21,73 @@ pub struct Move {
     pub flange: [Pose; 2],
     /// The features, before and after, px.
     pub image: [Vec<[f64; 2]>; 2],
+}
+
+impl Move {
+    /// The largest motion of a coordinate in the image, px.
+    pub fn length_px(&self) -> f64 {
+        let [before, after] = &self.image;
+        let pairs = before.iter().flatten().zip(after.iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+}
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Advice {
+    /// What explains the moves best.
+    pub findings: Findings,
+    /// The likely mistakes, each with what to change; none where all is well.
+    pub mistakes: Vec<String>,
+}
+
+/// Names the likely mistakes. A file that is right, but about the other frame or the other way
+/// round, is told from a wrong one. `None` where no pose of the pattern fits an image.
+pub fn advise(
+    scene: &Scene,
+    hand_eye: &HandEye,
+    flange_from_ee: &Pose,
+    moves: &[Move],
+) -> Option<Advice> {
+    let findings = explain(scene, &hand_eye.mount(flange_from_ee), moves)?;
+    let mistakes = findings.mistakes();
+    let HandEye { frame, camera } = *hand_eye;
+    let (other, name) = match frame {
+        Frame::Flange => (Frame::Ee, "ee"),
+        Frame::Ee => (Frame::Flange, "flange"),
+    };
+    let inverse = camera.inverse();
+    for (frame, camera, words) in [
+        (
+            other,
+            camera,
+            format!(
+                "axes: the hand-eye file is about the other frame: hand_eye_frame = \"{name}\""
+            ),
+        ),
+        (
+            frame,
+            inverse,
+            "axes: the hand-eye file holds the inverse, the robot in the camera".to_owned(),
+        ),
+        (
+            other,
+            inverse,
+            format!(
+                "axes: the hand-eye file holds the inverse, about the other frame: hand_eye_frame = \"{name}\""
+            ),
+        ),
+    ] {
+        let is_right = |hand_eye: HandEye| {
+            let found = explain(scene, &hand_eye.mount(flange_from_ee), moves);
+            found.is_some_and(|found| found.mistakes().is_empty())
+        };
+        if !mistakes.is_empty() && is_right(HandEye { frame, camera }) {
+            let mistakes = vec![words];
+            return Some(Advice { findings, mistakes });
+        }
+    }
+    Some(Advice { findings, mistakes })
 }
 
 /// How the image differs from a right one.
@@ -66,6 +136,8 @@ const REFINED: usize = 4;
 const BELIEVED: f64 = 0.4;
 /// Factor by which errors of equal explanations differ, by noise.
 const ALIKE: f64 = 1.2;
+/// Difference of errors that is none, px.
+const ROUNDING_PX: f64 = 0.03;
 
 /// Finds what explains the moves best; `None` where no pose of the pattern fits an image.
 pub fn explain(scene: &Scene, mount: &Mount, moves: &[Move]) -> Option<Findings> {
@@ -118,6 +190,17 @@ impl Findings {
     /// The likely mistakes, each with what to change; none where all is well.
     pub fn mistakes(&self) -> Vec<String> {
         let mut mistakes = Vec::new();
+        // The settings as they are explain the image: what would explain its noise as well is none.
+        if self.before_px < EXPLAINED_PX.max(NOISE * self.after_px).min(UNEXPLAINED_PX) {
+            return mistakes;
+        }
+        if self.after_px > UNEXPLAINED_PX {
+            mistakes.push(format!(
+                "unknown: {:.1} px remain unexplained; do the features belong to this camera, and to an object that lies still?",
+                self.after_px
+            ));
+            return mistakes;
+        }
         match self.flip {
             Flip::None => (),
             Flip::U => mistakes.push(
@@ -139,15 +222,17 @@ impl Findings {
             axis.x, axis.y, axis.z
         );
         if angle > FAR_TURN {
+            // The rest is told no better than that.
             mistakes.push(format!(
-                "axes: the camera is turned by {words} from where the hand-eye file has it. Its frame is x right, y down, z forward; a file with the inverse, or about another frame (hand_eye_frame), does this, too"
+                "axes: the camera is turned by {words} from where the hand-eye file has it. Its frame is x right, y down, z forward"
             ));
+            return mistakes;
         } else if angle > TURN {
             mistakes.push(format!(
                 "hand-eye: the camera is turned by {words} from where the file has it: calibrate again"
             ));
         }
-        if self.shift.norm() > SHIFT && angle <= FAR_TURN {
+        if self.shift.norm() > SHIFT {
             let [x, y, z]: [f64; 3] = (self.shift * 100.0).into();
             mistakes.push(format!(
                 "hand-eye: the camera is ({x:.1} {y:.1} {z:.1}) cm from where the file has it, along its axes: calibrate again"
@@ -165,12 +250,6 @@ impl Findings {
                 self.size
             ));
         }
-        if self.after_px > UNEXPLAINED_PX {
-            mistakes.push(format!(
-                "unknown: {:.1} px remain unexplained; do the features belong to this camera, and to an object that lies still?",
-                self.after_px
-            ));
-        }
         mistakes
     }
 }
@@ -178,11 +257,14 @@ impl Findings {
 /// From which on something is a mistake: rad, m, logarithms, px. The law stands errors of this
 /// size; the moves show them with their noise.
 const TURN: f64 = 0.06;
-const FAR_TURN: f64 = 0.8;
+const FAR_TURN: f64 = 0.6;
 const SHIFT: f64 = 0.03;
 const FOCAL: f64 = 0.05;
 const SIZE: f64 = 0.10;
 const UNEXPLAINED_PX: f64 = 2.0;
+const EXPLAINED_PX: f64 = 0.25;
+/// Factor by which noise makes an error larger than the best explanation of it.
+const NOISE: f64 = 1.5;
 
 /// The mistakes at which the moves are judged.
 #[derive(Clone, Copy, Debug)]
@@ -287,30 +369,51 @@ impl Judge<'_> {
             })
             .collect();
         beginnings.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let least = |fits: Vec<Fit>| fits.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
         let refined = beginnings.into_iter().take(REFINED);
-        let fits = refined.filter_map(|(_, at)| self.refine(at));
-        fits.min_by(|a, b| a.rms.total_cmp(&b.rms))
+        let all = least(
+            refined
+                .filter_map(|(_, at)| self.refine(at, 0..8))
+                .collect(),
+        )?;
+        // A few small moves hardly tell focal length from distance: one cause, where it is enough.
+        let nothing = Turned::nothing();
+        let causes = [0..3, 3..6, 6..7, 7..8].into_iter();
+        let one = least(
+            causes
+                .filter_map(|cause| self.refine(nothing, cause))
+                .collect(),
+        );
+        let is_enough = |one: &Fit| one.rms < (ALIKE * all.rms).max(all.rms + ROUNDING_PX);
+        Some(one.filter(is_enough).unwrap_or(all))
     }
 
-    fn refine(&self, mut at: Turned) -> Option<Fit> {
+    /// The best fit near `at` by some of the parameters.
+    fn refine(&self, mut at: Turned, by: Range<usize>) -> Option<Fit> {
         let mut rms = self.rms(&at)?;
         let mut damping = 1e-3;
         for _ in 0..ITERATIONS {
             let here = self.residuals(&at)?;
             let mut columns = Vec::new();
             for k in 0..8 {
-                let mut by = Parameters::zeros();
-                by[k] = STEP;
-                let there = self.residuals(&at.after(&by))?;
+                let mut step = Parameters::zeros();
+                step[k] = STEP;
+                let there = self.residuals(&at.after(&step))?;
                 let slope = there.iter().zip(&here).map(|(a, b)| (a - b) / STEP);
                 columns.push(slope.collect::<Vec<_>>());
             }
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let mut square = SMatrix::<f64, 8, 8>::from_fn(|i, j| dot(&columns[i], &columns[j]));
-            let right = Parameters::from_fn(|i, _| -dot(&columns[i], &here));
+            let mut right = Parameters::from_fn(|i, _| -dot(&columns[i], &here));
             for k in 0..8 {
                 square[(k, k)] *= 1.0 + damping;
                 square[(k, k)] += 1e-9;
+            }
+            for k in (0..8).filter(|k| !by.contains(k)) {
+                square.row_mut(k).fill(0.0);
+                square.column_mut(k).fill(0.0);
+                square[(k, k)] = 1.0;
+                right[k] = 0.0;
             }
             let step = square.cholesky()?.solve(&right);
             let next = at.after(&step);

@@ -4,13 +4,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
-use ipc::{Action, Domain, Request, RobotPorts, Subscriber, TwistCommand, now_ns};
+use ipc::{Action, Domain, MOST_OBEYED_NS, Request, RobotPorts, Subscriber, TwistCommand, now_ns};
 use panda::{Joints, Model, Twist};
 use rtrb::Producer;
 use rustix::mm::{MlockAllFlags, mlockall};
 
 use crate::config::{Config, Interface};
-use crate::robot::{self, Motion};
+use crate::robot::{self, Doing, Motion};
 use crate::steering::{Limited, Output, Steering};
 
 /// What happened, for the log.
@@ -30,8 +30,10 @@ pub enum Event {
     Recovered,
     /// They are not.
     NotRecovered(String),
-    /// A command of lockstep or from the future came, which no robot obeys.
+    /// A command of lockstep came, which no robot obeys.
     NotObeyed,
+    /// A twist was in force when the motion began: it is not obeyed before it was zero, or ended.
+    Waits,
     /// What limits the motion changed.
     Limited(Limited),
     /// A motion is over.
@@ -54,6 +56,9 @@ pub struct Report {
 
 /// Answers of the first second.
 const WARM_UP: u64 = 1000;
+/// Oldest request that counts, and time between two tries to begin a motion, ns.
+const OLDEST_NS: u64 = 1_000_000_000;
+const RETRY_NS: u64 = 1_000_000_000;
 
 /// Why the bridge ends by itself.
 #[derive(Debug, thiserror::Error)]
@@ -78,6 +83,14 @@ pub enum DriveError {
     /// A state could not be published.
     #[error(transparent)]
     Publish(#[from] ipc::PublishError),
+    /// A signal ended it, and the robot is not idle.
+    #[error("stopped, but the robot is in mode {mode}, with the errors {errors}")]
+    NotIdle {
+        /// Its mode.
+        mode: String,
+        /// Its errors.
+        errors: String,
+    },
 }
 
 /// Drives the robot until `stop`; it stands then.
@@ -110,16 +123,27 @@ pub fn drive(
         requests: domain.subscriber(usize::MAX)?,
         command: TwistCommand::default(),
         refused: None,
+        // By then it has heard what is in force.
+        retry_ns: now_ns() + MOST_OBEYED_NS,
         tell: &mut told,
     };
     loop {
         let state = robot.read_once().map_err(failed)?;
-        bridge.publish(&state, None)?;
+        bridge.publish(&state, bridge.doing())?;
         if stop.load(Ordering::Relaxed) {
-            return Ok(());
+            return match state.robot_mode {
+                Mode::Idle if state.dq_d == [0.0; 7] => Ok(()),
+                // It still brakes, or its finish is on the way.
+                Mode::Idle | Mode::Move => continue,
+                mode => Err(DriveError::NotIdle {
+                    mode: format!("{mode:?}"),
+                    errors: state.current_errors.to_string(),
+                }),
+            };
         }
+        bridge.take_newest()?;
         bridge.take_requests(&robot, &state)?;
-        if state.robot_mode == Mode::Idle {
+        if state.robot_mode == Mode::Idle && now_ns() >= bridge.retry_ns {
             match bridge.carry_out(&robot, &state) {
                 Ok(()) => (),
                 Err(End::Robot(source)) => return Err(failed(source)),
@@ -130,7 +154,7 @@ pub fn drive(
 }
 
 /// Asks for what the loop needs; it works without, and late.
-fn enter_real_time(priority: i32, tell: &mut dyn FnMut(Event)) {
+pub(crate) fn enter_real_time(priority: i32, tell: &mut dyn FnMut(Event)) {
     if let Err(why) = franka::realtime::set_current_thread_scheduler_priority(priority) {
         tell(Event::Lacks(format!("SCHED_FIFO {priority}: {why}")));
     }
@@ -159,32 +183,64 @@ struct Bridge<'a> {
     requests: Subscriber<Request>,
     /// The newest command.
     command: TwistCommand,
-    /// Why no motion could begin when it was last tried.
+    /// Why no motion could begin when it was last tried, and when to try again, ns.
     refused: Option<String>,
+    retry_ns: u64,
     tell: &'a mut dyn FnMut(Event),
 }
 
 impl Bridge<'_> {
-    fn publish(&mut self, state: &Told, limited: Option<Limited>) -> Result<(), DriveError> {
+    fn publish(&mut self, state: &Told, doing: Doing) -> Result<(), DriveError> {
         let mount = self.config.mount(&robot::pose(&state.F_T_EE));
-        let told = robot::told(state, &mount, limited, now_ns());
+        let told = robot::told(state, &mount, doing, now_ns());
         self.ports.robot.publish(&told)?;
         Ok(())
     }
 
-    /// It never recovers by itself.
-    fn take_requests(&mut self, robot: &franka::Robot, state: &Told) -> Result<(), DriveError> {
+    /// What it is about while no motion runs.
+    fn doing(&self) -> Doing {
+        match self.refused {
+            Some(_) => Doing::Refused,
+            None => Doing::Waits,
+        }
+    }
+
+    /// Whether somebody asks for a recovery. One that was asked for before, in another situation, does
+    /// not count.
+    fn is_asked(&mut self) -> Result<bool, DriveError> {
         let mut is_asked = false;
         while let Some(request) = self.requests.oldest()? {
-            is_asked |= request.action() == Some(Action::Recover);
+            let age_ns = now_ns().saturating_sub(request.stamp.published_ns);
+            is_asked |= request.action() == Some(Action::Recover) && age_ns < OLDEST_NS;
         }
-        if is_asked && state.robot_mode == Mode::Reflex {
-            (self.tell)(match robot.automatic_error_recovery() {
+        Ok(is_asked)
+    }
+
+    /// It never recovers by itself.
+    fn take_requests(&mut self, robot: &franka::Robot, state: &Told) -> Result<(), DriveError> {
+        if !self.is_asked()? {
+            return Ok(());
+        }
+        self.retry_ns = 0;
+        let outcome = match (state.robot_mode, &self.refused) {
+            (Mode::Reflex, _) => match robot.automatic_error_recovery() {
                 Ok(()) => Event::Recovered,
                 Err(why) => Event::NotRecovered(why.to_string()),
-            });
-        }
+            },
+            (_, Some(why)) => Event::NotRecovered(why.clone()),
+            (mode, None) => Event::NotRecovered(format!("the robot is in mode {mode:?}")),
+        };
+        (self.tell)(outcome);
         Ok(())
+    }
+
+    /// No motion can begin now.
+    fn refuse(&mut self, why: String) {
+        self.retry_ns = now_ns() + RETRY_NS;
+        if self.refused.as_ref() != Some(&why) {
+            (self.tell)(Event::Refused(why.clone()));
+            self.refused = Some(why);
+        }
     }
 
     /// A motion, from rest to rest.
@@ -197,17 +253,17 @@ impl Bridge<'_> {
         let mut steering = match Steering::new(mount, *bounds, *interface, self.model, &measured) {
             Ok(steering) => steering,
             Err(why) => {
-                let why = why.to_string();
-                if self.refused.as_ref() != Some(&why) {
-                    (self.tell)(Event::Refused(why.clone()));
-                    self.refused = Some(why);
-                }
+                self.refuse(why.to_string());
                 return Ok(());
             }
         };
         let mut motion = match Motion::begin(robot, *interface) {
             Ok(motion) => motion,
-            Err(why) => return self.ended(why),
+            Err(why @ (FrankaError::Control(_) | FrankaError::Command(_))) => {
+                self.refuse(why.to_string());
+                return Ok(());
+            }
+            Err(gone) => return Err(End::Robot(gone)),
         };
         self.refused = None;
         (self.tell)(Event::Moves);
@@ -217,6 +273,8 @@ impl Bridge<'_> {
         };
         let ended = self.answer_all(&mut motion, &mut steering, &mut report);
         (self.tell)(Event::Over(report));
+        // What was asked for during the motion was not asked of what comes now.
+        let _ = self.is_asked()?;
         match ended {
             Err(End::Robot(why)) => self.ended(why),
             ended => ended,
@@ -232,6 +290,11 @@ impl Bridge<'_> {
     ) -> Result<(), End> {
         let interface = &self.config.interface;
         let (mut limited, mut time, mut calls) = (Limited::default(), None, 0);
+        let is_zero = |command: &TwistCommand| command.in_force(now_ns()) == [0.0; 6];
+        let mut waits = !is_zero(&self.command);
+        if waits {
+            (self.tell)(Event::Waits);
+        }
         loop {
             let state = motion.state().map_err(End::Robot)?;
             let passed = time.replace(state.time.as_millis());
@@ -249,7 +312,8 @@ impl Bridge<'_> {
             self.take_newest()?;
             let (measured, now) = (robot::measured(&state), now_ns());
             let is_over = self.stop.load(Ordering::Relaxed);
-            let output = match is_over {
+            waits &= !is_zero(&self.command);
+            let output = match is_over || waits {
                 true => steering.brake(&measured, now),
                 false => steering.step(&self.command, &measured, now),
             };
@@ -258,7 +322,7 @@ impl Bridge<'_> {
             }
             motion.answer(&output, false).map_err(End::Robot)?;
             // After the command, which the robot waits for.
-            self.publish(&state, Some(steering.limited()))?;
+            self.publish(&state, Doing::Moves(steering.limited()))?;
             let was = std::mem::replace(&mut limited, steering.limited());
             if was != limited {
                 (self.tell)(Event::Limited(limited));

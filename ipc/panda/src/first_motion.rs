@@ -11,10 +11,10 @@ use ipc::{Domain, Features, MOST_OBEYED_NS, RobotPorts, Subscriber, TwistCommand
 use panda::Pose;
 
 use crate::config::{Config, Interface};
-use crate::diagnosis::{Move, explain};
-use crate::drive::DriveError;
+use crate::diagnosis::{Move, advise};
+use crate::drive::{DriveError, enter_real_time};
 use crate::look;
-use crate::robot::{self, Motion};
+use crate::robot::{self, Doing, Motion};
 use crate::steering::{Output, Steering};
 
 /// Length of a move along an axis, m, and about one, rad.
@@ -24,11 +24,11 @@ const SHARE: f64 = 0.1;
 /// Rest before frames count, and then frames for a mean: longer than any camera's latency.
 const REST_NS: u64 = 600_000_000;
 const FRAMES: usize = 10;
-/// Longest wait for that many frames, ns.
+/// Longest wait for that many frames, and for the next frame, ns.
 const PATIENCE_NS: u64 = 3_000_000_000;
-
-/// More states than a socket keeps.
-const BACKLOG: usize = 1000;
+const BLIND_NS: u64 = 500_000_000;
+/// The camera's axes.
+const NAMES: [&str; 6] = ["vx", "vy", "vz", "wx", "wy", "wz"];
 
 /// Why there are no findings.
 #[derive(Debug, thiserror::Error)]
@@ -57,6 +57,9 @@ pub enum FirstMotionError {
     /// A signal came.
     #[error("stopped; the arm stands")]
     Stopped,
+    /// A defect.
+    #[error("a defect; the robot stops by itself without commands")]
+    Panic,
 }
 
 impl From<ipc::ReceiveError> for FirstMotionError {
@@ -79,7 +82,6 @@ pub fn first_motion(
         source: Box::new(source),
     };
     let robot = robot::connect(config).map_err(failed)?;
-    let _ = franka::realtime::set_current_thread_scheduler_priority(config.priority);
     let state = robot.read_once().map_err(failed)?;
     print!("{}", look::frames(config, config.model, &state));
     let bounds = &config.bounds;
@@ -102,47 +104,78 @@ pub fn first_motion(
     if !is_confirmed && !confirmed() {
         return Err(FirstMotionError::NotConfirmed);
     }
-    // States have piled up during the question.
-    let mut state = state;
-    for _ in 0..BACKLOG {
-        state = robot.read_once().map_err(failed)?;
-    }
+    // The first state that is read may be as old as the question.
+    robot.read_once().map_err(failed)?;
+    let state = robot.read_once().map_err(failed)?;
     if state.robot_mode != Mode::Idle {
         return Err(FirstMotionError::Mode(format!("{:?}", state.robot_mode)));
     }
+    // A thread of its own is in real time; what is printed and thought is not.
+    let moves = std::thread::scope(|scope| {
+        let moving = scope.spawn(|| carry_out(config, &robot, &state, stop));
+        moving.join().unwrap_or(Err(FirstMotionError::Panic))
+    })?;
+    for (name, most) in NAMES.into_iter().zip(moves.iter().map(Move::length_px)) {
+        println!("  {name}: the image moved by {most:.1} px");
+    }
+    let flange_from_ee = robot::pose(&state.F_T_EE);
+    let advice = advise(&config.scene, &config.hand_eye, &flange_from_ee, &moves);
+    let advice = advice.ok_or(FirstMotionError::NoPose)?;
+    println!(
+        "The image moved as predicted to {:.2} px; with the best explanation, to {:.2} px.",
+        advice.findings.before_px, advice.findings.after_px
+    );
+    for mistake in &advice.mistakes {
+        println!("LIKELY MISTAKE  {mistake}");
+    }
+    match advice.mistakes.is_empty() {
+        true => println!("All is as it should be. Start vpc-panda and vpcd, then: vpcctl arm"),
+        false => println!("Do not arm. Mend this, then try again."),
+    }
+    Ok(advice.mistakes.is_empty())
+}
+
+/// All moves, from rest to rest.
+fn carry_out(
+    config: &Config,
+    robot: &franka::Robot,
+    state: &Told,
+    stop: &AtomicBool,
+) -> Result<Vec<Move>, FirstMotionError> {
+    let mut lacks = Vec::new();
+    enter_real_time(config.priority, &mut |event| lacks.push(event));
     let domain = Domain::join(&config.domain).map_err(DriveError::from)?;
     // The robot's place: no other bridge is at work.
     let ports = RobotPorts::open(&domain).map_err(DriveError::from)?;
-    let measured = robot::measured(&state);
+    let measured = robot::measured(state);
     let mount = config.mount(&measured.flange_from_ee);
-    let steering = Steering::new(mount, *bounds, config.interface, config.model, &measured)?;
-    let motion = Motion::begin(&robot, config.interface).map_err(failed)?;
+    let Config {
+        bounds,
+        interface,
+        model,
+        ..
+    } = config;
+    let steering = Steering::new(mount, *bounds, *interface, *model, &measured)?;
+    let begun = Motion::begin(robot, *interface);
+    let motion = begun.map_err(|source| DriveError::Robot {
+        address: config.robot.clone(),
+        source: Box::new(source),
+    });
     let mut stage = Stage {
         config,
         stop,
         features: domain.subscriber(1).map_err(DriveError::from)?,
+        newest: None,
         ports,
         steering,
-        motion,
+        motion: motion.map_err(FirstMotionError::Drive)?,
     };
     let moves = stage.moves();
-    let ended = stage.come_to_rest();
-    let moves = moves?;
-    ended?;
-    let findings = explain(&config.scene, &mount, &moves).ok_or(FirstMotionError::NoPose)?;
-    println!(
-        "The image moved as predicted to {:.2} px; with the best explanation, to {:.2} px.",
-        findings.before_px, findings.after_px
-    );
-    let mistakes = findings.mistakes();
-    for mistake in &mistakes {
-        println!("LIKELY MISTAKE  {mistake}");
+    // A robot that stopped by itself has ended the motion.
+    if !matches!(moves, Err(FirstMotionError::Drive(_))) {
+        stage.come_to_rest()?;
     }
-    match mistakes.is_empty() {
-        true => println!("All is as it should be. Start vpc-panda and vpcd, then: vpcctl arm"),
-        false => println!("Do not arm. Mend this, then try again."),
-    }
-    Ok(mistakes.is_empty())
+    moves
 }
 
 /// Asks on the terminal.
@@ -158,6 +191,8 @@ struct Stage<'a> {
     config: &'a Config,
     stop: &'a AtomicBool,
     features: Subscriber<Features>,
+    /// The newest frame, and when it came, ns.
+    newest: Option<(u64, Features)>,
     ports: RobotPorts,
     steering: Steering,
     motion: Motion<'a>,
@@ -165,9 +200,8 @@ struct Stage<'a> {
 
 impl Stage<'_> {
     fn moves(&mut self) -> Result<Vec<Move>, FirstMotionError> {
-        let names = ["vx", "vy", "vz", "wx", "wy", "wz"];
         let mut moves = Vec::new();
-        for (axis, name) in names.into_iter().enumerate() {
+        for axis in 0..NAMES.len() {
             let bounds = &self.config.bounds;
             let speed = SHARE
                 * if axis < 3 {
@@ -182,9 +216,6 @@ impl Stage<'_> {
             self.go(twist, seconds)?;
             let after = self.look()?;
             self.go(twist.map(|v| -v), seconds)?;
-            let pairs = before.1.iter().flatten().zip(after.1.iter().flatten());
-            let most = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            println!("  {name}: the image moved by {most:.1} px");
             moves.push(Move {
                 flange: [before.0, after.0],
                 image: [before.1, after.1],
@@ -216,8 +247,9 @@ impl Stage<'_> {
         self.motion.answer(&output, false).map_err(failed)?;
         let limited = self.steering.limited();
         let mount = self.config.mount(&measured.flange_from_ee);
-        let told = robot::told(&state, &mount, Some(limited), now);
+        let told = robot::told(&state, &mount, Doing::Moves(limited), now);
         self.ports.robot.publish(&told).map_err(DriveError::from)?;
+        self.watch(now)?;
         if limited.by_workspace {
             return Err(FirstMotionError::Limited("a wall of the workspace is near"));
         }
@@ -225,6 +257,27 @@ impl Stage<'_> {
             return Err(FirstMotionError::Limited("a joint is near its margin"));
         }
         Ok(state)
+    }
+
+    /// All points are to stay in sight.
+    fn watch(&mut self, now: u64) -> Result<(), FirstMotionError> {
+        let count = self.config.scene.pattern.len();
+        let since = self.newest.as_ref().map_or(now, |(came, _)| *came);
+        let Some(frame) = self.features.latest()? else {
+            return match now > since + BLIND_NS {
+                true => Err(FirstMotionError::Features("no more frames come".to_owned())),
+                false => Ok(()),
+            };
+        };
+        if usize::try_from(frame.count) != Ok(count) || !frame.all_visible() {
+            let found = format!(
+                "{} of {count} points, visible {:#b}",
+                frame.count, frame.visible
+            );
+            return Err(FirstMotionError::Features(found));
+        }
+        self.newest = Some((now, frame.message));
+        Ok(())
     }
 
     fn go(&mut self, twist: [f64; 6], seconds: f64) -> Result<(), FirstMotionError> {
@@ -240,24 +293,22 @@ impl Stage<'_> {
         let begin = now_ns();
         let count = self.config.scene.pattern.len();
         let mut sums = vec![[0.0; 2]; count];
-        let mut frames = 0;
+        let (mut frames, mut last) = (0, 0);
         loop {
             let state = self.step([0.0; 6])?;
             let now = now_ns();
-            if let Some(newest) = self.features.latest()? {
-                if usize::try_from(newest.count) != Ok(count) || !newest.all_visible() {
-                    let found = format!(
-                        "{} of {count} points, visible {:#b}",
-                        newest.count, newest.visible
-                    );
-                    return Err(FirstMotionError::Features(found));
-                }
-                if newest.stamp.data_ns > begin + REST_NS / 2 && now > begin + REST_NS {
-                    frames += 1;
-                    for (sum, point) in sums.iter_mut().zip(newest.points.chunks_exact(2)) {
-                        sum[0] += point[0] / FRAMES as f64;
-                        sum[1] += point[1] / FRAMES as f64;
-                    }
+            let counts = |came: u64, frame: &Features| {
+                came > begin + REST_NS && frame.stamp.data_ns > begin + REST_NS / 2
+            };
+            if let Some((came, frame)) = &self.newest
+                && *came > last
+                && counts(*came, frame)
+            {
+                last = *came;
+                frames += 1;
+                for (sum, point) in sums.iter_mut().zip(frame.points.chunks_exact(2)) {
+                    sum[0] += point[0] / FRAMES as f64;
+                    sum[1] += point[1] / FRAMES as f64;
                 }
             }
             if frames == FRAMES {

@@ -12,8 +12,8 @@ use heap_meter::Meter;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
 use vpc_panda::config::{Arguments, Config, exit_code};
-use vpc_panda::drive::{Event, drive};
-use vpc_panda::first_motion::first_motion;
+use vpc_panda::drive::{DriveError, Event, drive};
+use vpc_panda::first_motion::{FirstMotionError, first_motion};
 use vpc_panda::look;
 
 // Counts what the loop allocates, which is nothing.
@@ -21,6 +21,7 @@ use vpc_panda::look;
 static METER: Meter = Meter;
 
 const USAGE: u8 = 64;
+const ATTENTION: u8 = 1;
 const UNAVAILABLE: u8 = 69;
 const SOFTWARE: u8 = 70;
 
@@ -56,7 +57,10 @@ fn main() -> ExitCode {
     };
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
-        if let Err(error) = signal_hook::flag::register(signal, Arc::clone(&stop)) {
+        // The second one ends the process where it is, and the robot stops by itself.
+        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
+        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
+        if let Err(error) = first {
             eprintln!("vpc-panda: signal {signal}: {error}");
             return ExitCode::from(UNAVAILABLE);
         }
@@ -68,8 +72,13 @@ fn main() -> ExitCode {
     } else if is_asked("preflight") {
         Some(look::preflight(&config, &stop).map_err(|error| words(&error)))
     } else if is_asked("first_motion") {
-        let found = first_motion(&config, is_asked("yes"), &stop);
-        Some(found.map_err(|error| words(&error)))
+        match first_motion(&config, is_asked("yes"), &stop) {
+            Err(error @ (FirstMotionError::NotConfirmed | FirstMotionError::Stopped)) => {
+                eprintln!("vpc-panda: {error}");
+                return ExitCode::from(ATTENTION);
+            }
+            found => Some(found.map_err(|error| words(&error))),
+        }
     } else {
         None
     };
@@ -111,6 +120,10 @@ fn run(config: Config, stop: &Arc<AtomicBool>) -> ExitCode {
         Ok(Ok(())) => {
             tracing::info!("stopped; the arm stands");
             ExitCode::SUCCESS
+        }
+        Ok(Err(error @ DriveError::NotIdle { .. })) => {
+            eprintln!("vpc-panda: {error}");
+            ExitCode::from(ATTENTION)
         }
         Ok(Err(error)) => {
             eprintln!("vpc-panda: {error}");
@@ -155,6 +168,9 @@ impl Log {
             Event::Stopped(why) => {
                 tracing::error!("the robot stopped: {why}; clear it with: vpcctl recover");
             }
+            Event::Waits => tracing::warn!(
+                "a twist is in force already: it is not carried out before it was zero, or ended"
+            ),
             Event::Recovered => tracing::info!("the robot's errors are cleared"),
             Event::NotRecovered(why) => tracing::error!("the robot's errors stand: {why}"),
             Event::NotObeyed if is_due(&mut self.not_obeyed) => {

@@ -22,10 +22,16 @@ pub fn connect(config: &Config) -> FrankaResult<franka::Robot> {
         Model::Panda => FciVersion::V5,
         Model::Fr3 => FciVersion::V10,
     };
-    // Priorities are the bridge's own business.
     let options = RobotOptions::new(RealtimeConfig::Ignore);
     let options = options.with_version(VersionPolicy::Exact(version));
-    franka::Robot::with_options(&config.robot, options)
+    // It takes the highest real-time priority for the thread that connects: one that ends here.
+    std::thread::scope(|scope| {
+        let connecting = scope.spawn(|| franka::Robot::with_options(&config.robot, options));
+        connecting.join().unwrap_or_else(|_| {
+            let why = "the client library panicked".to_owned();
+            Err(franka::FrankaError::Network(why))
+        })
+    })
 }
 
 /// A transformation, column by column.
@@ -56,17 +62,31 @@ pub fn measured(state: &Told) -> Measured {
     }
 }
 
-/// The state for `vpc/robot`. `limited` is that of the motion; none where none runs.
-pub fn told(state: &Told, mount: &Mount, limited: Option<Limited>, data_ns: u64) -> RobotState {
+/// What a robot is about, beyond its state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Doing {
+    /// A motion runs, with these limits.
+    Moves(Limited),
+    /// None runs yet.
+    Waits,
+    /// None can begin.
+    Refused,
+}
+
+/// The state for `vpc/robot`.
+pub fn told(state: &Told, mount: &Mount, doing: Doing, data_ns: u64) -> RobotState {
     let mut told = RobotState::free_camera([0.0; 3], [0.0; 3], data_ns);
-    let mode = match (state.robot_mode, limited) {
-        (Mode::Move, Some(limited)) if limited.is_stale => RobotMode::Stale,
-        (Mode::Move, Some(_)) => RobotMode::Moving,
-        (Mode::Idle | Mode::Move, _) => RobotMode::Idle,
+    let mode = match (state.robot_mode, doing) {
+        (Mode::Move, Doing::Moves(limited)) if limited.is_stale => RobotMode::Stale,
+        (Mode::Move, Doing::Moves(_)) => RobotMode::Moving,
+        (Mode::Idle, Doing::Waits) | (Mode::Move, _) => RobotMode::Idle,
         _ => RobotMode::Fault,
     };
     told.mode = mode.code();
-    let limited = limited.unwrap_or_default();
+    let limited = match doing {
+        Doing::Moves(limited) => limited,
+        _ => Limited::default(),
+    };
     let is_limited = limited.is_cut || limited.by_workspace || limited.by_joint;
     for (fault, is_raised) in [
         (RobotFaults::REFLEX, state.robot_mode == Mode::Reflex),

@@ -152,24 +152,32 @@ impl Steering {
 
     /// How much of this motion the workspace and the joints allow, 0 to 1.
     fn share(&mut self, wanted: &Twist, measured: &Measured) -> f64 {
-        let mut share = self.room(wanted, measured);
+        let share = self.room(wanted, measured);
         self.limited.by_workspace = share < 1.0;
         let q = &measured.desired.q;
         let dq = joint_velocities(&Chain::new(measured.flange_from_ee), q, wanted);
+        let joints = self.joint_room(&dq, q);
+        self.limited.by_joint = joints < 1.0;
+        share.min(joints)
+    }
+
+    /// How much of these joint velocities the margins and `joint_speed` allow, 0 to 1.
+    fn joint_room(&self, dq: &Joints, q: &Joints) -> f64 {
         let margin = self.bounds.joint_margin;
-        for (k, bound) in self.limits.joints.iter().enumerate() {
+        let share = |k: usize| {
+            let bound = &self.limits.joints[k];
             let (least, most) = bound.velocities(q[k]);
             let (room, fastest) = match dq[k] > 0.0 {
                 true => (bound.upper - margin - q[k], most),
                 false => (q[k] - bound.lower - margin, -least),
             };
             let allowed = nearing(room, NEARING_JOINT).min(self.bounds.joint_speed * fastest);
-            if dq[k].abs() > allowed {
-                share = share.min(allowed / dq[k].abs());
-                self.limited.by_joint = true;
-            }
-        }
-        share
+            allowed / dq[k].abs().max(allowed)
+        };
+        (0..JOINTS)
+            .map(share)
+            .filter(|x| x.is_finite())
+            .fold(1.0, f64::min)
     }
 
     /// How much of this motion the workspace allows, 0 to 1.
@@ -202,6 +210,8 @@ impl Steering {
         // Who stands moves no elbow, either.
         let is_standing = twist.amax() < AT_REST;
         let wanted = self.ik.follow(desired, &twist, !is_standing);
+        // With the elbow's part.
+        let wanted = wanted * self.joint_room(&wanted, &desired.q);
         let towards = |target: &Joints| {
             Joints::from_fn(|k, _| {
                 let bound = &self.limits.joints[k];
@@ -218,11 +228,18 @@ impl Steering {
         // effector as told: near a singularity, with a wall ahead.
         let exceeded = self.limits.joints(desired, &desired.after(&next));
         let chain = Chain::new(measured.flange_from_ee);
-        let moves = chain.posture(&desired.q).jacobian * next;
-        match exceeded == Exceeded::default() && self.room(&moves, measured) > WALL_SHARE {
-            true => next,
-            false => towards(&Joints::zeros()),
+        let jacobian = chain.posture(&desired.q).jacobian;
+        let is_clear = self.room(&(jacobian * next), measured) > WALL_SHARE;
+        if exceeded == Exceeded::default() && is_clear {
+            return next;
         }
+        let braking = towards(&Joints::zeros());
+        // The ramp goes on from there.
+        self.shaped = Echo {
+            twist: jacobian * braking,
+            acceleration: Twist::zeros(),
+        };
+        braking
     }
 }
 

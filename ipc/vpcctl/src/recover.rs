@@ -10,6 +10,8 @@ use crate::exit::{Exit, Failure};
 use crate::presence;
 use crate::request::plain;
 
+/// A robot tells its state within this time.
+const HEARD: Duration = Duration::from_secs(1);
 /// Between two looks.
 const PAUSE: Duration = Duration::from_millis(10);
 
@@ -30,7 +32,8 @@ pub fn recover(directory: &Path, timeout: Duration) -> Result<(String, Exit), Fa
         }
     };
     let mut newest = None;
-    while newest.is_none() && Instant::now() < end {
+    let heard = Instant::now() + timeout.min(HEARD);
+    while newest.is_none() && Instant::now() < heard {
         newest = states.latest()?;
         std::thread::sleep(PAUSE);
     }
@@ -38,7 +41,7 @@ pub fn recover(directory: &Path, timeout: Duration) -> Result<(String, Exit), Fa
         let message = format!(
             "domain {}: nothing on vpc/robot within {} s; is a bridge at work?",
             directory.display(),
-            timeout.as_secs_f64()
+            timeout.min(HEARD).as_secs_f64()
         );
         return Err(Failure::new(Exit::NoAnswer, message));
     };

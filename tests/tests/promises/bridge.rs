@@ -109,7 +109,7 @@ impl Cell {
         robot.arg(scenes.join("paper-robot.toml")).arg("--starts");
         robot.arg(scenes.join("paper-robot-starts.csv"));
         robot.arg("--domain").arg(place.domain());
-        let robot = Running::start(robot.stdout(Stdio::null()).stderr(Stdio::piped()));
+        let robot = Running::start(robot.stdout(Stdio::piped()).stderr(Stdio::piped()));
         let domain = Domain::join(&place.domain()).unwrap();
         let mut observer = Observer::open(&domain).unwrap();
         eventually("a frame", || observer.features.latest().unwrap());
@@ -179,12 +179,13 @@ fn strike(fault: Fault) -> anyhow::Result<u64> {
     std::thread::sleep(LOOKS);
     let frames = cell.frames();
     let (_, last) = frames.last().unwrap();
-    let is_moving = |(_, points): &&(u64, [f64; 8])| distance(points, last) > STANDS_PX;
-    let moving = frames.iter().rfind(is_moving);
-    let moved_until = moving.map_or(struck_ns, |(exposed, _)| (*exposed).max(struck_ns));
-    // Between two frames nobody looks.
+    // The first frame of those in which it stands.
+    let is_moving = |(_, points): &(u64, [f64; 8])| distance(points, last) > STANDS_PX;
+    let moving = frames.iter().rposition(is_moving);
+    let (stands_ns, _) = frames[moving.map_or(0, |k| k + 1)];
+    // It stood for up to a frame before.
     let bar = STANDS_NS + PERIOD_NS + WAKE_NS;
-    let took = in_time("it stands", struck_ns, moved_until, bar)?;
+    let took = in_time("it stands", struck_ns, stands_ns.max(struck_ns), bar)?;
 
     // Whether the robot stopped itself, as the real one would.
     match fault {
@@ -199,7 +200,7 @@ fn strike(fault: Fault) -> anyhow::Result<u64> {
             let said = bridge.ended();
             assert_eq!(said.code, Some(0), "{said:?}");
             let said = robot.terminated();
-            assert!(!said.stderr.contains("reflex"), "{said:?}");
+            assert!(said.stdout.contains("\"reflexes\":0"), "{said:?}");
         }
         Fault::BridgeKilled => {
             // Another one finds the error, and does not clear it unasked.
@@ -260,7 +261,9 @@ fn whatever_dies_or_hangs_the_arm_stands_within_150_ms() {
     ] {
         let took = fairly("a fault about the bridge", || strike(fault));
         let took = took / 1_000_000;
-        tell(format!("bridge, {fault:?}: the arm stands after {took} ms"));
+        tell(format!(
+            "bridge, {fault:?}: the arm is seen to stand after {took} ms, in frames 33 ms apart"
+        ));
     }
 }
 

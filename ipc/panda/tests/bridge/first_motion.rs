@@ -1,8 +1,11 @@
 //! `--first-motion`, with each mistake made on purpose.
 
 use std::path::Path;
+use std::process::Stdio;
+use std::time::Duration;
 
-use testkit::{Ended, ended, root};
+use rustix::process::Signal;
+use testkit::{Ended, Running, ended, root};
 
 use crate::Robot;
 
@@ -12,7 +15,7 @@ fn first_motion(robot: &Robot, hand_eye: &Path) -> Ended {
 }
 
 /// What is wrong in the world, or in the hand-eye file, and what is to be said of it.
-const MISTAKES: [(&str, Option<&str>, &[&str]); 7] = [
+const MISTAKES: [(&str, Option<&str>, &[&str]); 8] = [
     ("", None, &[]),
     ("focal = 0.15", None, &["focal length"]),
     ("depth = 0.25", None, &["pattern"]),
@@ -26,16 +29,21 @@ const MISTAKES: [(&str, Option<&str>, &[&str]); 7] = [
         None,
         &["hand-eye", "cm from where"],
     ),
-    // The camera is mounted by a quarter turn, and its inverse.
+    // By a quarter turn; the inverse; and what is right about the end effector.
     (
         "",
         Some("translation = [0.05, -0.05, 0.04]\nrotation_deg = [0, 0, 135]"),
-        &["axes"],
+        &["axes", "turned by"],
     ),
     (
         "",
         Some("translation = [0.0, 0.07, -0.04]\nrotation_deg = [0, 0, -45]"),
-        &["axes"],
+        &["axes", "the inverse"],
+    ),
+    (
+        "",
+        Some("translation = [0.07, 0.0, -0.0634]\nrotation_deg = [0, 0, 90]"),
+        &["axes", "hand_eye_frame = \"ee\""],
     ),
 ];
 
@@ -75,8 +83,25 @@ fn nothing_moves_without_a_yes() {
     let mut bridge = robot.bridge("fr3");
     bridge.arg("--first-motion");
     let said = ended(bridge.stdin(std::process::Stdio::null()));
-    assert_eq!(said.code, Some(69), "{said:?}");
+    assert_eq!(said.code, Some(1), "{said:?}");
     assert!(said.stderr.contains("not confirmed; nothing moved"));
     assert!(said.stdout.contains("F_T_EE") && said.stdout.contains("workspace"));
     assert!(robot.report().contains("\"joint_velocity\":0.0"));
+}
+
+#[test]
+fn a_reflex_in_the_middle_ends_it_and_is_named() {
+    let robot = Robot::start(5, "");
+    let mut bridge = robot.bridge("panda");
+    bridge.args(["--first-motion", "--yes"]);
+    let bridge = Running::start(bridge.stdout(Stdio::piped()).stderr(Stdio::piped()));
+    std::thread::sleep(Duration::from_secs(3));
+    bridge.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_millis(100));
+    bridge.signal(Signal::CONT);
+    let said = bridge.ended();
+    assert_eq!(said.code, Some(69), "{said:?}");
+    let name = "communication_constraints_violation";
+    assert!(said.stderr.contains(name), "{said:?}");
+    assert!(!said.stdout.contains("vpcctl arm"), "{said:?}");
 }

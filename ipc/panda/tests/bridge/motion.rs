@@ -1,9 +1,14 @@
 //! The bridge at work: it looks without moving, carries out twists without allocating, and ends with
 //! an arm that stands.
 
+use std::process::Stdio;
 use std::time::Duration;
 
-use ipc::{Domain, Publisher, RobotMode, RobotState, Subscriber, TwistCommand, TwistState, now_ns};
+use ipc::{
+    Action, Domain, Publisher, Request, RobotMode, RobotState, Subscriber, TwistCommand,
+    TwistState, now_ns,
+};
+use rustix::process::Signal;
 use testkit::{Running, ended, eventually};
 
 use crate::Robot;
@@ -71,6 +76,8 @@ fn twists_are_carried_out_without_an_allocation_and_sigterm_brings_the_arm_to_re
                 .unwrap();
             std::thread::sleep(Duration::from_millis(33));
         };
+        // The arm stands until it hears of a zero twist.
+        (0..20).for_each(|_| say(&TwistCommand::zero(TwistState::Stopped)));
         (0..90).for_each(|_| say(&command));
         let told = states.latest().unwrap().unwrap();
         assert_eq!(told.mode(), Some(RobotMode::Moving), "{told:?}");
@@ -93,4 +100,96 @@ fn twists_are_carried_out_without_an_allocation_and_sigterm_brings_the_arm_to_re
             assert!(report.contains(words), "{interface}: {report}");
         }
     }
+}
+
+/// A bridge, and who commands it.
+struct Bench {
+    bridge: Running,
+    twists: Publisher<TwistCommand>,
+    states: Subscriber<RobotState>,
+    requests: Publisher<Request>,
+    command: TwistCommand,
+}
+
+impl Bench {
+    /// Commands go out from before the bridge begins.
+    fn new(robot: &Robot, twist: [f64; 6]) -> Self {
+        let domain = Domain::join(&robot.place.domain()).unwrap();
+        let mut bridge = robot.bridge("panda");
+        let bridge = Running::start(bridge.stderr(Stdio::piped()));
+        let mut bench = Self {
+            bridge,
+            twists: domain.publisher().unwrap(),
+            states: domain.subscriber(1).unwrap(),
+            requests: domain.publisher().unwrap(),
+            command: TwistCommand::zero(TwistState::Moving),
+        };
+        bench.command.twist = twist;
+        bench
+    }
+
+    /// The newest state after so many frames with this command.
+    fn after(&mut self, frames: u32) -> RobotState {
+        for _ in 0..frames {
+            self.command.valid_until_ns = now_ns() + 100_000_000;
+            self.twists.publish(&self.command).unwrap();
+            std::thread::sleep(Duration::from_millis(33));
+        }
+        eventually("a state", || self.states.latest().unwrap()).message
+    }
+
+    fn ask(&mut self, action: Action) {
+        self.requests.publish(&Request::new(7, action)).unwrap();
+    }
+
+    /// The bridge hangs for so long that the robot stops itself.
+    fn hang(&self) {
+        self.bridge.signal(Signal::STOP);
+        std::thread::sleep(Duration::from_millis(100));
+        self.bridge.signal(Signal::CONT);
+    }
+}
+
+const WAY: [f64; 6] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.02];
+
+#[test]
+fn what_is_in_force_when_a_motion_begins_is_not_obeyed_before_it_was_zero() {
+    let robot = Robot::start(5, "");
+    let mut bench = Bench::new(&robot, WAY);
+    let told = bench.after(60);
+    assert_eq!(told.mode(), Some(RobotMode::Stale));
+    assert!(told.dq.iter().all(|v| v.abs() < 1e-6), "{told:?}");
+    bench.command.twist = [0.0; 6];
+    bench.after(5);
+    bench.command.twist = WAY;
+    let told = bench.after(30);
+    assert!(told.dq[6].abs() > 0.005, "{told:?}");
+}
+
+#[test]
+fn a_recovery_counts_only_where_it_is_asked_for_after_the_reflex() {
+    let robot = Robot::start(5, "");
+    let mut bench = Bench::new(&robot, [0.0; 6]);
+    bench.after(30);
+    bench.command.twist = WAY;
+    bench.after(10);
+    // In the motion, long before, and right before.
+    bench.ask(Action::Recover);
+    bench.after(45);
+    bench.ask(Action::Recover);
+    bench.hang();
+    let told = bench.after(60);
+    assert_eq!(told.mode(), Some(RobotMode::Fault), "{told:?}");
+    bench.ask(Action::Recover);
+    let told = bench.after(60);
+    // The command stood all the time: it is not obeyed.
+    assert_eq!(told.mode(), Some(RobotMode::Stale), "{told:?}");
+    assert!(told.dq[6].abs() < 1e-6, "{told:?}");
+
+    // SIGTERM at a robot with errors is no clean end.
+    bench.hang();
+    assert_eq!(bench.after(30).mode(), Some(RobotMode::Fault));
+    let said = bench.bridge.terminated();
+    assert_eq!(said.code, Some(1), "{said:?}");
+    assert!(said.stderr.contains("mode Reflex"), "{said:?}");
 }
