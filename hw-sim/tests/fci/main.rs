@@ -1,6 +1,9 @@
 //! The vendor's interface, judged by the vendor's own library (libfranka 0.9.2, as `panda-python`
 //! has it): it takes `hw-sim --fci` for a Panda. `panda.py` acts and sees, the tests here judge.
+//! [`fr3`] has the judges of version 10, [`franka_rs`] a client of another team.
 
+mod fr3;
+mod franka_rs;
 mod robot;
 
 use std::io::{Read, Write};

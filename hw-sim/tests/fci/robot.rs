@@ -9,11 +9,30 @@ use serde_json::Value;
 use testkit::python::{Environment, script};
 use testkit::{Ended, Place, Running};
 
-/// The vendor's library, as PyPI has it.
-const LIBFRANKA: Environment = Environment {
-    name: "python-panda",
-    requirements: &[],
-    packages: &["panda-python==1.1.1"],
+/// A library of the vendor's in Python, and the program here that uses it.
+#[derive(Debug)]
+pub struct Library {
+    environment: Environment,
+    program: &'static str,
+}
+
+/// libfranka 0.9.2, which speaks version 5.
+pub const OF_PANDA: Library = Library {
+    environment: Environment {
+        name: "python-panda",
+        requirements: &[],
+        packages: &["panda-python==1.1.1"],
+    },
+    program: "panda.py",
+};
+/// libfranka 0.21, which speaks version 10.
+pub const OF_FR3: Library = Library {
+    environment: Environment {
+        name: "python-fr3",
+        requirements: &[],
+        packages: &["pylibfranka==0.21.3"],
+    },
+    program: "fr3.py",
 };
 /// The port that clients connect to.
 pub const PORT: u16 = 1337;
@@ -22,23 +41,43 @@ pub const PORT: u16 = 1337;
 pub struct Robot {
     running: Running,
     address: Ipv4Addr,
-    python: PathBuf,
+    /// Python and the program of its clients there.
+    client: Option<(PathBuf, &'static str)>,
     place: Place,
 }
 
 impl Robot {
-    /// A robot that waits for clients. `None`, after [`testkit::not_run`], where the vendor's
-    /// library cannot be had.
+    /// A Panda that waits for clients of its library. `None`, after [`testkit::not_run`], where
+    /// that cannot be had.
     pub fn start(test: &str) -> Option<Self> {
-        let python = LIBFRANKA.python(test)?;
+        Self::judged_by(&OF_PANDA, 5, test)
+    }
+
+    /// A robot of this version of the interface that waits for clients of a library. `None`, after
+    /// [`testkit::not_run`], where that cannot be had.
+    pub fn judged_by(library: &Library, version: u16, test: &str) -> Option<Self> {
+        let python = library.environment.python(test)?;
+        Some(Self {
+            client: Some((python, library.program)),
+            ..Self::of_version(version)
+        })
+    }
+
+    /// A robot of this version of the interface.
+    pub fn of_version(version: u16) -> Self {
         let (address, place) = (own_address(), Place::new());
         let scenes = testkit::root().join("ipc/scene/scenes");
+        let scene = std::fs::read_to_string(scenes.join("paper-robot.toml")).unwrap();
+        // Clients here move the arm as they like, and not for its camera's sake.
+        let scene = scene.replace("violation_px = 15.0", "violation_px = 1e4");
         let mut command = Command::new(env!("CARGO_BIN_EXE_hw-sim"));
         command
-            .args(["--robot", "panda", "--fci-version", "5", "--fci"])
+            .args(["--robot", "panda", "--fci-version"])
+            .arg(version.to_string())
+            .arg("--fci")
             .arg(format!("{address}:{PORT}"))
             .arg("--scene")
-            .arg(scenes.join("paper-robot.toml"))
+            .arg(place.file("scene.toml", scene))
             .arg("--starts")
             .arg(scenes.join("paper-robot-starts.csv"))
             .arg("--domain")
@@ -47,12 +86,12 @@ impl Robot {
             .stderr(Stdio::piped());
         let mut running = Running::start(command);
         running.line("features go out");
-        Some(Self {
+        Self {
             running,
             address,
-            python,
+            client: None,
             place,
-        })
+        }
     }
 
     /// Where it listens.
@@ -60,10 +99,11 @@ impl Robot {
         self.address
     }
 
-    /// Starts a client with one case of `panda.py`.
+    /// Starts a client with one case of its program.
     pub fn client(&self, case: &str) -> Running {
-        let program = testkit::root().join("hw-sim/tests/fci/panda.py");
-        let mut command = script(&self.python, &program);
+        let (python, program) = self.client.as_ref().expect("a robot of clients in Python");
+        let program = testkit::root().join("hw-sim/tests/fci").join(program);
+        let mut command = script(python, &program);
         command
             .arg(self.address.to_string())
             .arg(case)
@@ -72,7 +112,7 @@ impl Robot {
         Running::start(command)
     }
 
-    /// What a client saw in one case of `panda.py`.
+    /// What a client saw in one case of its program.
     pub fn seen(&self, case: &str) -> Value {
         seen(self.client(case))
     }
@@ -107,10 +147,10 @@ pub fn seen(client: Running) -> Value {
 }
 
 /// A loopback address that no other test of this machine has, as all clients of the vendor's connect
-/// to one port: 127, then twenty bits of the process, then four of the test.
+/// to one port: 127, then 19 bits of the process, then five of the test.
 fn own_address() -> Ipv4Addr {
     static TAKEN: AtomicU32 = AtomicU32::new(0);
     let test = 1 + TAKEN.fetch_add(1, Ordering::Relaxed);
-    assert!(test < 15, "more robots than addresses");
-    Ipv4Addr::from(127 << 24 | (std::process::id() & 0xf_ffff) << 4 | test)
+    assert!(test < 31, "more robots than addresses");
+    Ipv4Addr::from(127 << 24 | (std::process::id() & 0x7_ffff) << 5 | test)
 }
