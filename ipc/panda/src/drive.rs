@@ -4,7 +4,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
-use ipc::{Action, Domain, MOST_OBEYED_NS, Request, RobotPorts, Subscriber, TwistCommand, now_ns};
+use ipc::{
+    Action, Domain, MOST_OBEYED_NS, ReceiveError, Request, RobotPorts, Subscriber, TwistCommand,
+    now_ns,
+};
 use panda::{Joints, Model, Twist};
 use rtrb::Producer;
 use rustix::mm::{MlockAllFlags, mlockall};
@@ -30,8 +33,8 @@ pub enum Event {
     Recovered,
     /// They are not.
     NotRecovered(String),
-    /// A command of lockstep came, which no robot obeys.
-    NotObeyed,
+    /// A command came that no robot obeys: of lockstep, or one that is refused.
+    NotObeyed(&'static str),
     /// A twist was in force when the motion began: it is not obeyed before it was zero, or ended.
     Waits,
     /// What limits the motion changed.
@@ -209,9 +212,16 @@ impl Bridge<'_> {
     /// not count.
     fn is_asked(&mut self) -> Result<bool, DriveError> {
         let mut is_asked = false;
-        while let Some(request) = self.requests.oldest()? {
-            let age_ns = now_ns().saturating_sub(request.stamp.published_ns);
-            is_asked |= request.action() == Some(Action::Recover) && age_ns < OLDEST_NS;
+        loop {
+            match self.requests.oldest() {
+                Ok(Some(request)) => {
+                    let age_ns = now_ns().saturating_sub(request.stamp.published_ns);
+                    is_asked |= request.action() == Some(Action::Recover) && age_ns < OLDEST_NS;
+                }
+                Ok(None) => break,
+                Err(ReceiveError::Invalid { .. }) => (),
+                Err(error) => return Err(error.into()),
+            }
         }
         Ok(is_asked)
     }
@@ -331,11 +341,20 @@ impl Bridge<'_> {
     }
 
     fn take_newest(&mut self) -> Result<(), DriveError> {
-        if let Some(newest) = self.ports.twist.latest()? {
-            self.command = newest.message;
-            if self.command.in_force_until_ns() == 0 {
-                (self.tell)(Event::NotObeyed);
+        match self.ports.twist.latest() {
+            Ok(None) => (),
+            Ok(Some(newest)) => {
+                self.command = newest.message;
+                if self.command.in_force_until_ns() == 0 {
+                    (self.tell)(Event::NotObeyed("it is of a controller in lockstep"));
+                }
             }
+            // The arm stands until a good one comes.
+            Err(ReceiveError::Invalid { .. }) => {
+                self.command = TwistCommand::default();
+                (self.tell)(Event::NotObeyed("a field is out of its range"));
+            }
+            Err(error) => return Err(error.into()),
         }
         Ok(())
     }

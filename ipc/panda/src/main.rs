@@ -173,8 +173,8 @@ impl Log {
             ),
             Event::Recovered => tracing::info!("the robot's errors are cleared"),
             Event::NotRecovered(why) => tracing::error!("the robot's errors stand: {why}"),
-            Event::NotObeyed if is_due(&mut self.not_obeyed) => {
-                tracing::warn!("not obeyed: vpc/twist is of a controller in lockstep");
+            Event::NotObeyed(why) if is_due(&mut self.not_obeyed) => {
+                tracing::warn!("vpc/twist is not obeyed: {why}");
             }
             Event::Limited(limited) if is_due(&mut self.limited) => {
                 for (is_so, what) in [
@@ -187,7 +187,7 @@ impl Log {
                     }
                 }
             }
-            Event::NotObeyed | Event::Limited(_) => (),
+            Event::NotObeyed(_) | Event::Limited(_) => (),
         }
     }
 }

@@ -25,6 +25,8 @@ const JOINT_SHARE: f64 = 0.8;
 /// Share of the present motion below which a wall is too near for it. On the way to a wall the ramps
 /// lag behind by less.
 const WALL_SHARE: f64 = 0.5;
+/// Distance below which two twists are the same, m/s and rad/s: states of version 10 have 32 bits.
+const SAME: f64 = 1e-6;
 /// Speed below which everything stands, m/s and rad/s.
 const AT_REST: f64 = 1e-5;
 
@@ -71,8 +73,10 @@ pub struct Steering {
     limits: &'static Limits,
     interface: Interface,
     shaper: Shaper,
-    /// On the joint interface: what the shaper was at. The robot echoes joints there.
+    /// What the shaper was at.
     shaped: Echo,
+    /// The twist before that.
+    before: Twist,
     ik: VelocityIk,
     limited: Limited,
 }
@@ -105,6 +109,7 @@ impl Steering {
                 twist: Twist::zeros(),
                 acceleration: Twist::zeros(),
             },
+            before: Twist::zeros(),
             ik: VelocityIk::new(chain, limits, &measured.desired.q),
             limited: Limited::default(),
         })
@@ -131,9 +136,35 @@ impl Steering {
         self.shaper
             .aim(&(wanted * share), command.in_force_until_ns());
         match self.interface {
-            Interface::Cartesian => Output::Cartesian(self.shaper.step(&measured.echo, now_ns)),
+            Interface::Cartesian => {
+                let from = self.commanded(&measured.echo);
+                Output::Cartesian(self.shape(&from, now_ns))
+            }
             Interface::Joint => Output::Joint(self.joints(measured, now_ns)),
         }
+    }
+
+    /// What the robot was last commanded. Its echo tells when a command was lost; otherwise our own
+    /// record is better: an echo may be a state late, or lack the acceleration. Where it says what
+    /// came before, the last command may also be lost after one without acceleration; the mistake
+    /// is then the ramps' jerk twice, for one state.
+    fn commanded(&self, echo: &Echo) -> Echo {
+        let is = |twist: &Twist| (echo.twist - twist).amax() < SAME;
+        match is(&self.shaped.twist) || is(&self.before) {
+            true => self.shaped,
+            false => *echo,
+        }
+    }
+
+    /// A step of the shaper from there.
+    fn shape(&mut self, from: &Echo, now_ns: u64) -> Twist {
+        let twist = self.shaper.step(from, now_ns);
+        self.before = self.shaped.twist;
+        self.shaped = Echo {
+            twist,
+            acceleration: (twist - from.twist) / PERIOD,
+        };
+        twist
     }
 
     /// What brings the robot to rest, whatever is commanded.
@@ -202,11 +233,9 @@ impl Steering {
     /// bounds.
     fn joints(&mut self, measured: &Measured, now_ns: u64) -> Joints {
         let desired = &measured.desired;
-        let twist = self.shaper.step(&self.shaped, now_ns);
-        self.shaped = Echo {
-            twist,
-            acceleration: (twist - self.shaped.twist) / PERIOD,
-        };
+        // The robot echoes joints here.
+        let shaped = self.shaped;
+        let twist = self.shape(&shaped, now_ns);
         // Who stands moves no elbow, either.
         let is_standing = twist.amax() < AT_REST;
         let wanted = self.ik.follow(desired, &twist, !is_standing);

@@ -90,7 +90,12 @@ impl Bench {
     /// A millisecond; where it is `lost`, the robot hears nothing.
     fn step(&mut self, lost: bool) {
         let state = measured(self.robot.state());
-        let output = self.steering.step(&self.command, &state, self.ms * NS);
+        self.answer(&state, lost);
+    }
+
+    /// The same, where the robot says this of itself.
+    fn answer(&mut self, state: &Measured, lost: bool) {
+        let output = self.steering.step(&self.command, state, self.ms * NS);
         let command = Command {
             id: self.robot.state().id,
             motion: match output {
@@ -216,6 +221,30 @@ fn a_command_that_ends_stops_the_arm_within_its_ramp_and_the_elbow_with_it() {
         if interface == Interface::Joint {
             assert!((bench.robot.state().q_d - stand).amax() < 1e-5);
         }
+    }
+}
+
+#[test]
+fn an_echo_that_is_late_or_without_acceleration_makes_no_ramp_longer() {
+    let target = [0.0, 0.0, 0.05, 0.0, 0.0, 0.25];
+    for (is_late, has_acceleration) in [(false, true), (false, false), (true, true), (true, false)]
+    {
+        let mut bench = Bench::new(Interface::Cartesian, Model::Fr3, BOUNDS);
+        let mut last = measured(bench.robot.state()).echo;
+        // 0.25 rad/s at 1.2 rad/s^2, and the beginning and the end of that.
+        for _ in 0..230 {
+            bench.aim(target);
+            let mut state = measured(bench.robot.state());
+            let echo = state.echo;
+            state.echo = if is_late { last } else { echo };
+            if !has_acceleration {
+                state.echo.acceleration = Twist::zeros();
+            }
+            last = echo;
+            bench.answer(&state, false);
+        }
+        let apart = (bench.camera() - Twist::from(target)).norm();
+        assert!(apart < 1e-4, "{is_late} {has_acceleration}: {apart}");
     }
 }
 
