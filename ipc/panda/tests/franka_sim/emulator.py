@@ -1,0 +1,40 @@
+"""franka-sim at an address of its own, with all that it can check; SIGTERM ends it.
+
+    emulator.py ADDRESS
+
+Its own command line binds every address, and begins with a straight elbow.
+"""
+
+import logging
+import os
+import pathlib
+import signal
+import sys
+
+os.environ["FR3_MJCF"] = str(pathlib.Path(__file__).with_name("fr3.xml"))
+
+import franka_sim.mujoco_franka_sim as mujoco_franka_sim
+import numpy
+from franka_sim import FrankaSimServer
+
+# The posture in which robots of the vendor's are delivered, rad.
+READY = [0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398]
+
+
+def main():
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    mujoco_franka_sim.ARM_INITIAL_Q = numpy.array(READY)
+    server = FrankaSimServer(
+        host=sys.argv[1],
+        enable_gripper=False,
+        enforce_comm_constraints=True,
+        enforce_motion_limits=True,
+    )
+    try:
+        server.start()
+    finally:
+        server.stop()
+
+
+main()
