@@ -23,6 +23,11 @@ READY = [0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398]
 
 def main():
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        # Below the bridge's 85: who sends states late, or takes commands late, counts them as lost.
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
+    except PermissionError:
+        pass
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     mujoco_franka_sim.ARM_INITIAL_Q = numpy.array(READY)
     server = FrankaSimServer(

@@ -30,6 +30,12 @@ const WORKSPACE: &str = "[workspace]\nlower = [0.25, -0.2, 0.35]\nupper = [0.5, 
 /// Greatest speeds of the camera: the defaults of `vpc-panda`. m/s, rad/s.
 const CAPS: [f64; 2] = [0.05, 0.25];
 
+/// What the bridge says where the emulator, which is in Python, did not run for 20 ms or more.
+const STALLS: [&str; 2] = [
+    "UDP receive: Timeout",
+    "[\"communication_constraints_violation\"]",
+];
+
 /// What one run showed.
 #[derive(Debug, Default)]
 struct Seen {
@@ -40,6 +46,8 @@ struct Seen {
     /// joints did, as a share of the caps.
     told_apart: f64,
     moved_apart: f64,
+    /// The joints where the latter was, rad.
+    there: [f64; 7],
     /// Greatest way of a joint from where it began, rad.
     way: f64,
     /// Share of commands that came in time, over the last hundred: the worst.
@@ -110,8 +118,11 @@ impl Bench {
         eventually("a state", || self.controller.robot.latest().unwrap()).message
     }
 
-    /// Commands at random for so long. `None` where the bridge lost the emulator.
-    fn drive(&mut self, length: Duration, random: &mut ChaCha8Rng) -> Option<Seen> {
+    /// Commands at random for so long.
+    ///
+    /// # Errors
+    /// The bridge's log, where the bridge or the motion ended.
+    fn drive(&mut self, length: Duration, random: &mut ChaCha8Rng) -> Result<Seen, String> {
         let mut seen = Seen {
             least_rate: 1.0,
             ..Seen::default()
@@ -119,10 +130,14 @@ impl Bench {
         let first = self.state();
         let begin = Instant::now();
         let (mut command, mut since, mut undisturbed) = (Twist::zeros(), begin, begin);
-        let (mut frame, mut due, mut silent_until) = (0, begin, begin);
+        let (mut frame, mut legs) = (0, 0);
+        let (mut due, mut silent_until) = (begin, begin);
         while begin.elapsed() < length {
             if since.elapsed() > LEG {
-                (command, since) = (leg(random), Instant::now());
+                // There and back, so that the arm stays where it can move.
+                legs += 1;
+                command = if legs % 2 == 0 { -command } else { leg(random) };
+                since = Instant::now();
             }
             frame += 1;
             let twist = match (frame % 200, random.random::<f64>()) {
@@ -143,9 +158,13 @@ impl Bench {
             due += FRAME;
             std::thread::sleep(due.saturating_duration_since(Instant::now()));
             if !self.bridge.is_running() {
-                return None;
+                return Err(self.bridge.stderr());
             }
             let state = self.state();
+            if state.mode() == Some(RobotMode::Fault) {
+                self.bridge.line("the robot stopped");
+                return Err(self.bridge.stderr());
+            }
             if Instant::now() < silent_until || twist.is_some_and(|twist| twist != command) {
                 undisturbed = Instant::now();
             }
@@ -156,7 +175,7 @@ impl Bench {
                 seen.judge(&state, &command, &self.mount);
             }
         }
-        Some(seen)
+        Ok(seen)
     }
 
     /// SIGTERM in motion: the arm stands then.
@@ -185,7 +204,6 @@ impl Bench {
 impl Seen {
     /// Counts a state. Returns whether something limits the arm.
     fn take(&mut self, state: &RobotState, first: &RobotState) -> bool {
-        assert_ne!(state.mode(), Some(RobotMode::Fault), "{state:?}");
         let is_stale = state.mode() != Some(RobotMode::Moving);
         let is_limited = state.faults().any(RobotFaults::COMMAND_LIMITED);
         self.states += 1;
@@ -206,29 +224,34 @@ impl Seen {
         };
         self.steady += 1;
         self.told_apart = self.told_apart.max(apart(Twist::from(state.twist)));
-        let moved = camera(mount, &state.q, &state.dq);
-        self.moved_apart = self.moved_apart.max(apart(moved));
+        let moved = apart(camera(mount, &state.q, &state.dq));
+        if moved > self.moved_apart {
+            (self.moved_apart, self.there) = (moved, state.q);
+        }
     }
 }
 
 /// Drives the arm by one interface; `None` where franka-sim cannot be had.
 fn judged(test: &str, interface: &str) -> Option<Seen> {
     let _turn = testkit::turn();
-    let seconds = repeats(&format!("{test}: seconds"), 20, 300) as u64;
+    let seconds = repeats(&format!("{test}: seconds"), 20, 120) as u64;
     let mut random = ChaCha8Rng::seed_from_u64(5);
     for _ in 0..2 {
         let mut bench = Bench::start(test, interface)?;
-        if let Some(seen) = bench.drive(Duration::from_secs(seconds), &mut random) {
-            tell(format_args!("{test}: {seen:?}"));
-            bench.stop();
-            return Some(seen);
+        match bench.drive(Duration::from_secs(seconds), &mut random) {
+            Ok(seen) => {
+                tell(format_args!("{test}: {seen:?}"));
+                bench.stop();
+                return Some(seen);
+            }
+            // The machine stood still, and with it an emulator that is not of real time.
+            Err(log) if STALLS.iter().any(|words| log.contains(words)) => {
+                tell(format_args!("{test}: once more, after: {log}"));
+            }
+            Err(log) => panic!("{test}: {log}"),
         }
-        // The machine stood still, and with it an emulator that is not of real time.
-        let Ended { code, stderr, .. } = bench.bridge.ended();
-        assert!(stderr.contains("Timeout"), "{code:?} {stderr}");
-        tell(format_args!("{test}: once more, after: {stderr}"));
     }
-    panic!("{test}: the emulator was lost twice");
+    panic!("{test}: lost twice");
 }
 
 #[test]
