@@ -93,6 +93,8 @@ impl Bench {
             .arg("--config")
             .arg(place.file("vpc-panda.toml", WORKSPACE))
             .args(["--robot", &format!("fr3:{}", emulator.address())])
+            .arg("--scene")
+            .arg(testkit::scene_file())
             .arg("--hand-eye")
             .arg(&hand_eye)
             .args(["--interface", interface])
