@@ -5,7 +5,7 @@
             print(vpc_client.Hold(cycle.hold).words, cycle.step_ns)
 """
 
-from .dead_man import twist_in_force
+from .dead_man import in_force_until_ns, twist_in_force
 from .domain import Domain, default_directory
 from .errors import BadArgument, BadDomain, BadMessage, NoAnswer, OtherContract, Refused, Taken, VpcError
 from .messages import (
@@ -79,6 +79,7 @@ __all__ = [
     "TwistState",
     "VpcError",
     "default_directory",
+    "in_force_until_ns",
     "now_ns",
     "stop",
     "twist_in_force",

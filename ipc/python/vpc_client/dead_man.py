@@ -12,6 +12,14 @@ FUTURE_NS = 1_000_000
 FOR_EVER = 2**64 - 1
 
 
+def in_force_until_ns(newest: TwistCommand | None) -> int:
+    """Until when a robot in real time obeys a command, CLOCK_MONOTONIC, ns: while it is valid, but no longer than 100 ms after it
+    was published. 0 for a command of lockstep, and for None."""
+    if newest is None or newest.valid_until_ns == FOR_EVER:
+        return 0
+    return min(newest.valid_until_ns, newest.stamp.published_ns + MOST_OBEYED_NS)
+
+
 def twist_in_force(newest: TwistCommand | None, now_ns: int | None = None) -> list[float]:
     """The dead man of every robot in real time: what the newest command lets it do at this instant (CLOCK_MONOTONIC, ns; None:
     now). Camera velocity in the camera frame, m/s and rad/s. Zero once the command is no longer valid, is older than 100 ms
@@ -19,9 +27,7 @@ def twist_in_force(newest: TwistCommand | None, now_ns: int | None = None) -> li
     cycle of the robot."""
     now = present_ns() if now_ns is None else now_ns
     still = [0.0] * 6
-    if newest is None or newest.valid_until_ns == FOR_EVER:
+    if newest is None or now >= in_force_until_ns(newest) or now < newest.stamp.published_ns - FUTURE_NS:
         return still
-    sent = newest.stamp.published_ns
     twist = list(newest.twist)
-    in_force = sent - FUTURE_NS <= now < min(newest.valid_until_ns, sent + MOST_OBEYED_NS)
-    return twist if in_force and all(math.isfinite(v) for v in twist) else still
+    return twist if all(math.isfinite(v) for v in twist) else still
