@@ -6,8 +6,8 @@
     python3 ipc/python/robot_bridge.py ur 192.168.1.10 --hand-eye hand-eye.toml \\
         --lower 0.2 -0.4 0.1 --upper 0.7 0.4 0.6 --dry-run
 
---dry-run prints frames and what would be sent, and moves nothing. Leave it out to drive the arm. SIGTERM and SIGINT bring
-it to rest (exit code 0).
+--dry-run prints frames and what would be sent, and moves nothing. Leave it out to drive the arm. SIGTERM and SIGINT
+bring it to rest (exit code 0).
 
 NOT RUN ON A ROBOT: it was tested against stand-ins with the signatures and units of ur-rtde 1.6.5 and xarm-python-sdk
 1.18. Begin with --dry-run, then --linear 0.005 --angular 0.02, and a hand on the emergency stop. Watch the turns of an
@@ -73,8 +73,8 @@ class Measured:
 
 
 class UniversalRobot:
-    """`speedL(xd, acceleration, time)`: tool velocity along base axes. A thread of ur-rtde's script on the robot repeats it
-    until the next one, even if we are dead: the script's watchdog must be on. `time` is how long one repetition takes, not
+    """`speedL(xd, acceleration, time)`: tool velocity along base axes. A thread of ur-rtde's script on the robot repeats
+    it until the next one, even if we are dead: the script's watchdog must be on. `time` is what one repetition takes, not
     how long the velocity holds. The next velocity waits for it; with 0 it waits until this one is reached."""
 
     PERIOD_S = 1.0 / 125.0
@@ -130,8 +130,8 @@ class UniversalRobot:
 
 
 class XArm:
-    """`vc_set_cartesian_velocity`: mm/s and rad/s along base axes, in mode 5. The robot stops by itself after `duration`. It
-    reports no velocity of its tool: that is measured here, over the last WINDOW poses."""
+    """`vc_set_cartesian_velocity`: mm/s and rad/s along base axes, in mode 5. The robot stops itself after `duration`.
+    It reports no velocity of its tool: that is measured here, over the last WINDOW poses."""
 
     PERIOD_S = 1.0 / 50.0
     WINDOW = 4
@@ -163,12 +163,13 @@ class XArm:
     def measured(self):
         arm = self.arm
         code, pose = arm.get_position(is_radian=True)
+        at = time.monotonic()
         angles_code, q = arm.get_servo_angle(is_radian=True)
         code = code or angles_code or self.code
         reasons = {
             "not connected": not arm.connected,
             f"error_code {arm.error_code}": arm.error_code != 0,
-            f"state {arm.state}; allowed: 0 to 2": arm.state >= 3,
+            f"state {arm.state}; allowed: 0 to 2": self.is_started and arm.state >= 3,
             f"mode {arm.mode}; allowed: 5": self.is_started and arm.mode != 5,
             f"a call returned {code}": code != 0,
         }
@@ -178,7 +179,7 @@ class XArm:
         here = Pose(np.array(pose[:3]) / 1000.0, rotation_rpy(*pose[3:6]))
         offset = arm.tcp_offset
         tool = Pose(np.array(offset[:3]) / 1000.0, rotation_rpy(*offset[3:6]))
-        self.poses.append((time.monotonic(), here))
+        self.poses.append((at, here))
         dq = arm.realtime_joint_speeds
         return Measured(here, tool, self._velocity(), q[: arm.axis], dq[: arm.axis], fault)
 
@@ -206,8 +207,8 @@ ROBOTS = {"ur": UniversalRobot, "xarm": XArm}
 
 
 class Bridge:
-    """From vpc/twist to what the tool is sent, and from the robot to vpc/robot. Whatever is beyond a limit slows the camera
-    down; it never turns it elsewhere."""
+    """From vpc/twist to what the tool is sent, and from the robot to vpc/robot. Whatever is beyond a limit slows the
+    camera down; it never turns it elsewhere."""
 
     def __init__(self, domain, flange_from_camera, arguments):
         self.mount, self.limits = flange_from_camera, arguments
@@ -231,7 +232,7 @@ class Bridge:
         return allowed
 
     def ramp(self, wanted):
-        """The next velocity on the way to `wanted`. All axes take one share of their way: the camera keeps its direction."""
+        """The next velocity on the way to `wanted`. All axes take one share: the camera keeps its direction."""
         now = time.monotonic()
         # A late cycle is no reason for a jump.
         period, self.sent_at = min(now - self.sent_at, 0.04), now
@@ -312,8 +313,8 @@ def read_hand_eye(path):
             raise BadArgument(f"{path}: {error}; allowed: TOML") from None
     for key in ("translation", "rotation_deg"):
         value = table.get(key)
-        is_vector = isinstance(value, list) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)
-        if not is_vector or not all(map(math.isfinite, value)):
+        numbers = [v for v in value if isinstance(v, (int, float)) and math.isfinite(v)] if isinstance(value, list) else []
+        if len(numbers) != 3 or len(value) != 3:
             raise BadArgument(f"{path}: {key} = {value}; allowed: three finite numbers")
     return Pose(np.array(table["translation"], dtype=float), rotation(np.radians(table["rotation_deg"])))
 

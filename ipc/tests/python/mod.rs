@@ -2,6 +2,8 @@
 //! messages both ways, its camera driven to the goal, its logger's tables, its package installed.
 //! Needs Python 3.11 and, the first time, the network.
 
+mod bridge;
+
 use std::fmt::Write as _;
 use std::mem::offset_of;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-"""Stands in for ur-rtde's module: the calls that robot_bridge.py makes, with the names, defaults and results of 1.6.5."""
+"""Stands in for ur-rtde's module: the calls of robot_bridge.py, with the names, defaults and results of 1.6.5."""
 
 import time
 

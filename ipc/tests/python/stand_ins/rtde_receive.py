@@ -1,10 +1,12 @@
-"""Stands in for ur-rtde's module: the calls that robot_bridge.py makes, with the names, defaults and results of 1.6.5."""
+"""Stands in for ur-rtde's module: the calls of robot_bridge.py, with the names, defaults and results of 1.6.5."""
 
 import stand_in
 
 
 class RTDEReceiveInterface:
-    def __init__(self, hostname, frequency=-1.0, variables=[], verbose=False, use_upper_range_registers=False, rt_priority=0):
+    def __init__(
+        self, hostname, frequency=-1.0, variables=(), verbose=False, use_upper_range_registers=False, rt_priority=0
+    ):
         self.arm = stand_in.arm(hostname)
 
     def getActualTCPPose(self):

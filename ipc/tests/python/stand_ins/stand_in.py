@@ -1,5 +1,5 @@
-"""An arm whose tool carries out every velocity exactly and at once. In place of a robot's address it takes a path: it appends
-its commands there as JSON lines, with the tool's place before each, and it is at fault while PATH.fault exists."""
+"""An arm whose tool carries out every velocity exactly and at once. In place of a robot's address it takes a path: it
+appends its commands there as JSON lines, with the tool's place before each, and is at fault while PATH.fault exists."""
 
 import json
 import os
@@ -46,7 +46,6 @@ class Arm:
         self.place, self.turn = np.array(PLACE), from_rpy(*RPY)
         # Of the tool along base axes, m/s and rad/s, until this instant.
         self.twist, self.until, self.at = np.zeros(6), np.inf, time.monotonic()
-        self.has_stopped = False
 
     def advance(self):
         now = time.monotonic()
@@ -58,9 +57,8 @@ class Arm:
             self.twist = np.zeros(6)
 
     def fault(self):
-        """Remains until this process ends: nothing here clears it."""
-        self.has_stopped |= os.path.exists(self.path + ".fault")
-        return self.has_stopped
+        """Removing the file is what somebody does at the robot who clears the fault."""
+        return os.path.exists(self.path + ".fault")
 
     def move(self, twist, until=np.inf):
         self.advance()
