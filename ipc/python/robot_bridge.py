@@ -73,9 +73,9 @@ class Measured:
 
 
 class UniversalRobot:
-    """`speedL(xd, acceleration, time)`: tool velocity along base axes. A thread of ur-rtde's script on the robot repeats
-    it until the next one, even if we are dead: the script's watchdog must be on. `time` is what one repetition takes, not
-    how long the velocity holds. The next velocity waits for it; with 0 it waits until this one is reached."""
+    """`speedL(xd, acceleration, time)`: tool velocity along base axes. ur-rtde's script on the robot repeats it until the
+    next one, even if we are dead: the script's watchdog must be on. `time` is what one repetition takes, not how long the
+    velocity holds. The next velocity waits for it; with 0 it waits until this one is reached."""
 
     PERIOD_S = 1.0 / 125.0
 
@@ -313,8 +313,8 @@ def read_hand_eye(path):
             raise BadArgument(f"{path}: {error}; allowed: TOML") from None
     for key in ("translation", "rotation_deg"):
         value = table.get(key)
-        numbers = [v for v in value if isinstance(v, (int, float)) and math.isfinite(v)] if isinstance(value, list) else []
-        if len(numbers) != 3 or len(value) != 3:
+        numbers = value if isinstance(value, list) and len(value) == 3 else [None]
+        if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in numbers):
             raise BadArgument(f"{path}: {key} = {value}; allowed: three finite numbers")
     return Pose(np.array(table["translation"], dtype=float), rotation(np.radians(table["rotation_deg"])))
 

@@ -1,4 +1,5 @@
-"""Judges a stand-in's log: `judge.py LOG HAND_EYE VX VY VZ WX WY WZ`, the twist along camera axes that the robot was to follow."""
+"""Judges a stand-in's log: `judge.py LOG HAND_EYE VX VY VZ WX WY WZ`, the twist along camera axes that it was
+to follow."""
 
 import json
 import sys

@@ -1,5 +1,5 @@
-"""Stands in for xarm-python-sdk's module: the calls that robot_bridge.py makes, with the names, defaults, units and results of
-1.18. An xArm 7."""
+"""Stands in for xarm-python-sdk's module: the calls of robot_bridge.py, with the names, defaults, units and results of 1.18.
+An xArm 7."""
 
 import math
 import time
