@@ -57,6 +57,8 @@ pub struct Report {
     pub allocations: u64,
 }
 
+/// Speed of a joint below which it stands, rad/s.
+const AT_REST: f64 = 1e-3;
 /// Answers of the first second.
 const WARM_UP: u64 = 1000;
 /// Oldest request that counts, and time between two tries to begin a motion, ns.
@@ -110,18 +112,16 @@ pub fn drive(
         source: Box::new(source),
     };
     let robot = robot::connect(config).map_err(failed)?;
-    let model = config.model;
     let mut told = |event| {
         // A full queue loses what nobody has read for long.
         let _ = events.push(event);
     };
-    told(Event::Connected(model));
+    told(Event::Connected(config.model));
     enter_real_time(config.priority, &mut told);
     let domain = Domain::join(&config.domain)?;
     let mut bridge = Bridge {
         config,
         stop,
-        model,
         ports: RobotPorts::open(&domain)?,
         requests: domain.subscriber(usize::MAX)?,
         command: TwistCommand::default(),
@@ -135,7 +135,7 @@ pub fn drive(
         bridge.publish(&state, bridge.doing())?;
         if stop.load(Ordering::Relaxed) {
             return match state.robot_mode {
-                Mode::Idle if state.dq_d == [0.0; 7] => Ok(()),
+                Mode::Idle if state.dq_d.iter().all(|dq| dq.abs() < AT_REST) => Ok(()),
                 // It still brakes, or its finish is on the way.
                 Mode::Idle | Mode::Move => continue,
                 mode => Err(DriveError::NotIdle {
@@ -181,7 +181,6 @@ impl<T: Into<DriveError>> From<T> for End {
 struct Bridge<'a> {
     config: &'a Config,
     stop: &'a AtomicBool,
-    model: Model,
     ports: RobotPorts,
     requests: Subscriber<Request>,
     /// The newest command.
@@ -258,9 +257,12 @@ impl Bridge<'_> {
         let measured = robot::measured(state);
         let mount = self.config.mount(&measured.flange_from_ee);
         let Config {
-            bounds, interface, ..
+            bounds,
+            interface,
+            model,
+            ..
         } = self.config;
-        let mut steering = match Steering::new(mount, *bounds, *interface, self.model, &measured) {
+        let mut steering = match Steering::new(mount, *bounds, *interface, *model, &measured) {
             Ok(steering) => steering,
             Err(why) => {
                 self.refuse(why.to_string());
