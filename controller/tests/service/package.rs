@@ -167,7 +167,12 @@ fn state(machine: &Machine) -> String {
 }
 
 fn neither_enables_nor_starts_it(machine: &Machine) {
-    for (unit, enabled) in [("vpcd", "disabled"), ("hw-sim", "static")] {
+    let units = [
+        ("vpcd", "disabled"),
+        ("hw-sim", "static"),
+        ("vpc-panda", "static"),
+    ];
+    for (unit, enabled) in units {
         let said = machine.run(&format!("systemctl is-enabled {unit}")).1;
         assert_eq!(said, enabled, "{unit}");
         let said = machine.run(&format!("systemctl is-active {unit}")).1;
