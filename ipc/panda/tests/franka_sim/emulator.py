@@ -1,6 +1,6 @@
 """franka-sim at an address of its own, with all that it can check; SIGTERM ends it.
 
-    emulator.py ADDRESS
+    emulator.py ADDRESS Q1 ... Q7
 
 Its own command line binds every address, and begins with a straight elbow.
 """
@@ -17,9 +17,6 @@ import franka_sim.mujoco_franka_sim as mujoco_franka_sim
 import numpy
 from franka_sim import FrankaSimServer
 
-# The posture in which robots of the vendor's are delivered, rad.
-READY = [0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398]
-
 
 def main():
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
@@ -29,7 +26,7 @@ def main():
     except PermissionError:
         pass
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    mujoco_franka_sim.ARM_INITIAL_Q = numpy.array(READY)
+    mujoco_franka_sim.ARM_INITIAL_Q = numpy.array([float(q) for q in sys.argv[2:9]])
     server = FrankaSimServer(
         host=sys.argv[1],
         enable_gripper=False,

@@ -23,12 +23,18 @@ impl Emulator {
     /// A robot that waits for a client. `None`, after [`testkit::not_run`], where franka-sim cannot
     /// be had.
     pub fn start(test: &str) -> Option<Self> {
+        Self::start_at(test, &panda::READY)
+    }
+
+    /// The same with these joints, rad.
+    pub fn start_at(test: &str, q: &[f64; 7]) -> Option<Self> {
         let python = FRANKA_SIM.python(test)?;
         let address = own_address();
         let program = testkit::root().join("ipc/panda/tests/franka_sim/emulator.py");
         let mut command = script(&python, &program);
         command
             .arg(address.to_string())
+            .args(q.map(|q| q.to_string()))
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
         let mut running = Running::start(command);
@@ -49,10 +55,9 @@ impl Emulator {
 }
 
 /// A loopback address that no other test of this machine has, as clients connect to one port: 127,
-/// then twenty bits of the process, then four of the test.
+/// then eighteen bits of the process, then six of the robot.
 fn own_address() -> Ipv4Addr {
     static TAKEN: AtomicU32 = AtomicU32::new(0);
     let test = 1 + TAKEN.fetch_add(1, Ordering::Relaxed);
-    assert!(test < 15, "more robots than addresses");
-    Ipv4Addr::from(127 << 24 | (std::process::id() & 0xf_ffff) << 4 | test)
+    Ipv4Addr::from(127 << 24 | (std::process::id() & 0x3_ffff) << 6 | (test % 64))
 }

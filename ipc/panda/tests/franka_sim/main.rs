@@ -2,6 +2,7 @@
 //! command against the vendor's limits, counts lost ones, and moves an arm in MuJoCo.
 
 mod emulator;
+mod servo;
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
