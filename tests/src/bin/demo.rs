@@ -176,7 +176,7 @@ impl<'a> Demo<'a> {
             println!("  {file:<16} {what}");
         }
         println!(
-            "Next: `cargo table --help` compares strategies over 100 starts; README.md, \"The daemon\"."
+            "Next: `cargo table --help` compares strategies over 100 starts; README.md, \"Run it\"."
         );
     }
 
