@@ -2,10 +2,9 @@
 //! declaration.
 
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use clap::parser::ValueSource;
-use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use clap::{ArgMatches, Args, Parser, ValueEnum};
 use fci::Version;
 use panda::Model;
 use scene::{Pose, Scene, read_starts};
@@ -237,43 +236,15 @@ pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Keys>()
 }
 
-/// Returns the sysexits code of an error: 66 if a file cannot be read, else 78.
-pub fn exit_code(error: &FileError) -> u8 {
-    if matches!(error, FileError::Read { .. }) {
-        66
-    } else {
-        78
-    }
-}
-
 impl Config {
     /// Reads the file that the command line names, lays the flags over it, and checks the whole.
     ///
     /// # Errors
     /// [`FileError`] names the file or flag, key, value and what is allowed.
     pub fn load(matches: &ArgMatches) -> Result<Self, FileError> {
-        let command_line = |error: &dyn ToString| FileError::Syntax {
-            path: toml_schema::COMMAND_LINE.to_owned(),
-            message: error.to_string(),
-        };
-        let arguments =
-            Arguments::from_arg_matches(matches).map_err(|error| command_line(&error))?;
-        let flags = toml::Table::try_from(&arguments.keys).map_err(|error| command_line(&error))?;
-        let mut document = Document::read(arguments.config.as_deref())?;
-        let directory = arguments.config.as_deref().and_then(Path::parent);
-        document.relative_to(directory.unwrap_or(Path::new("")), &["scene", "starts"]);
-        for argument in Arguments::command().get_arguments() {
-            let (key, flag) = (
-                argument.get_id().as_str(),
-                argument.get_long().unwrap_or_default(),
-            );
-            // A flag that was not given has its default, which must not win over the file.
-            if let Some(value) = flags.get(key)
-                && matches.value_source(key) == Some(ValueSource::CommandLine)
-            {
-                document.set(key, &format!("--{flag}"), Some(value.clone()));
-            }
-        }
+        let arguments: Arguments = toml_schema::arguments(matches)?;
+        let (file, paths) = (arguments.config.as_deref(), ["scene", "starts"]);
+        let document = Document::with_flags::<Arguments>(file, &paths, &arguments.keys, matches)?;
         let keys: Keys = document.check()?;
         Self::of(&document, keys, &arguments)
     }
@@ -348,6 +319,8 @@ impl Config {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
 
     fn load(text: &str) -> Result<Config, String> {

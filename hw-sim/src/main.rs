@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::CommandFactory;
-use hw_sim::config::{Arguments, Clock, Config, exit_code};
+use hw_sim::config::{Arguments, Clock, Config};
 use hw_sim::emulator::{self, Tally};
 use hw_sim::outcome::Outcome;
 use hw_sim::rig::RigError;
@@ -28,7 +28,7 @@ fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => {
             eprintln!("hw-sim: {error}");
-            return ExitCode::from(exit_code(&error));
+            return ExitCode::from(error.exit_code());
         }
     };
     let stop = Arc::new(AtomicBool::new(false));

@@ -133,8 +133,8 @@ impl Rig {
         }
     }
 
-    /// Whether the object is where it belongs. A client keeps the robot to itself, so that nothing is
-    /// released then.
+    /// Whether the object is where it belongs. A client keeps the robot to itself, so that nothing
+    /// is released then.
     fn is_done(&self) -> bool {
         match self.arm.has_clients() {
             true => !self.phase().obeys_controller(),

@@ -18,9 +18,9 @@
 //! schemas of recordings are made from it.
 //!
 //! A process joins a [`Domain`], a directory that separates experiments on one machine, and opens
-//! the ports of its role: [`CameraPorts`], [`RobotPorts`], [`ControllerPorts`], [`RecorderPort`], [`OperatorPorts`]
-//! or [`Observer`]. Peers may be absent, late, killed and restarted in any order. Complete
-//! programs: `examples/camera.rs`, `examples/observer.rs`.
+//! the ports of its role: [`CameraPorts`], [`RobotPorts`], [`ControllerPorts`], [`RecorderPort`],
+//! [`OperatorPorts`] or [`Observer`]. Peers may be absent, late, killed and restarted in any order.
+//! Complete programs: `examples/camera.rs`, `examples/observer.rs`.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {

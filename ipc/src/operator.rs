@@ -24,7 +24,8 @@ codes! {
         Strategy = 4 => "strategy",
         /// Write out the flight record.
         Record = 5 => "record",
-        /// Clear the robot's errors: asked of its bridge, not of the controller, which answers done.
+        /// Clear the robot's errors: asked of its bridge, not of the controller, which answers
+        /// done.
         Recover = 6 => "recover",
     }
 }

@@ -1,5 +1,6 @@
 //! `cargo table -- --robot fci`: strategies on the same starts with `vpcd`, `vpc-panda` and
-//! `hw-sim --fci` as processes, in real time, with the law's settings of `controller/vpcd-robot.toml`.
+//! `hw-sim --fci` as processes, in real time, with the law's settings of
+//! `controller/vpcd-robot.toml`.
 
 use std::fs;
 use std::net::TcpStream;

@@ -82,8 +82,8 @@ impl VelocityIk {
         self.advance(&q, &posture.jacobian, &wanted, true)
     }
 
-    /// As [`Self::step`], with no pose to be drawn to; where the elbow is not free, it comes to rest
-    /// wherever it is.
+    /// As [`Self::step`], with no pose to be drawn to; where the elbow is not free, it comes to
+    /// rest wherever it is.
     pub fn follow(&mut self, from: &Setpoint, twist: &Twist, is_elbow_free: bool) -> Joints {
         let q = middle(from);
         let jacobian = self.chain.posture(&q).jacobian;
@@ -136,8 +136,8 @@ impl VelocityIk {
     }
 }
 
-/// The joints in the middle of the period that begins at `from`: with their Jacobian a step is exact
-/// to second order.
+/// The joints in the middle of the period that begins at `from`: with their Jacobian a step is
+/// exact to second order.
 fn middle(from: &Setpoint) -> Joints {
     from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD)
 }

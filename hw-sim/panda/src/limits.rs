@@ -231,8 +231,8 @@ impl Limits {
     }
 
     /// What the step of the joints from one setpoint to the next, a period later, exceeds. A
-    /// position counts as exceeded as soon as the joint, braking at [`BRAKING`] of its bounds, could
-    /// no longer stop in front of it.
+    /// position counts as exceeded as soon as the joint, braking at [`BRAKING`] of its bounds,
+    /// could no longer stop in front of it.
     pub fn joints(&self, from: &Setpoint, next: &Setpoint) -> Exceeded {
         let jerk = (next.ddq - from.ddq) / PERIOD;
         let any = |over: &dyn Fn(usize, &JointBounds) -> bool| {

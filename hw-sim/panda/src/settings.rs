@@ -29,8 +29,8 @@ impl Walls {
 pub struct RobotSettings {
     /// Which robot; a Panda by default.
     pub model: Model,
-    /// F_T_NE, the nominal end effector in the flange, as it is set at the desk; the flange itself by
-    /// default.
+    /// F_T_NE, the nominal end effector in the flange, as it is set at the desk; the flange itself
+    /// by default.
     pub flange_from_ne: Pose,
     /// NE_T_EE, the end effector in the nominal one, as a client sets it (`setEE`); the nominal one
     /// itself by default.

@@ -7,13 +7,11 @@ message; null is none.
 """
 
 import gc
-import json
 import math
-import os
 import struct
-import sys
 
 import pylibfranka as lf
+from judge import judge
 
 # Maker of commands, numbers in one, the axis that moves, and the state's echo and its derivative.
 CARTESIAN = (lf.CartesianVelocities, 6, 2, "O_dP_EE_c", "O_ddP_EE_c")
@@ -155,22 +153,4 @@ def taper(robot):
 
 CASES = [handshake, waves, reflex, taper]
 
-
-def main():
-    address, case = sys.argv[1:]
-    # A collection in the middle of a motion takes milliseconds.
-    gc.disable()
-    try:
-        # As libfranka does where it enforces real time: below the robot's own 70.
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
-    except PermissionError:
-        pass
-    found = {}
-    robots = []
-    found["connection"] = attempt(lambda: robots.append(lf.Robot(address, lf.RealtimeConfig.kIgnore)))
-    for robot in robots:
-        found |= {case.__name__: case for case in CASES}[case](robot)
-    print(json.dumps(found))
-
-
-main()
+judge(lambda address: lf.Robot(address, lf.RealtimeConfig.kIgnore), attempt, CASES)

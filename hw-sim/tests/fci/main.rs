@@ -18,8 +18,8 @@ use robot::{PORT, Robot, seen};
 
 /// Lost commands in a row after which a motion ends.
 const ABORT: u64 = 20;
-/// How far the motion of `panda.py` goes before it comes back: its top speed times 4/3 / pi, which is
-/// the mean of a cubed sine over its half second, and 1 s. m or rad.
+/// How far the motion of `panda.py` goes before it comes back: its top speed times 4/3 / pi, which
+/// is the mean of a cubed sine over its half second, and 1 s. m or rad.
 const WAY: f64 = 0.05 * 4.0 / 3.0 / std::f64::consts::PI;
 
 fn number(value: &Value) -> f64 {
@@ -55,8 +55,8 @@ fn assert_moved(what: &str, motion: &Value) {
     assert_echoed(motion);
 }
 
-/// Every state echoes the command, or what the robot puts in the place of a lost one; the command, if
-/// none was lost.
+/// Every state echoes the command, or what the robot puts in the place of a lost one; the command,
+/// if none was lost.
 fn assert_echoed(motion: &Value) {
     let echo = &motion["echo"];
     assert_eq!((&echo["other"], &echo["denied"]), (&json!(0), &json!(0)));

@@ -6,15 +6,13 @@ The last line is one JSON object; the test judges it. A line `moving MS` says th
 swing, and the robot's time. Exceptions of the library stand in it by their message; null is none.
 """
 
-import gc
 import json
 import math
-import os
 import re
-import sys
 import time
 
 import panda_py
+from judge import judge
 from panda_py import libfranka as lf
 
 # What stock calls of the vendor's library have, and what switches them off.
@@ -232,22 +230,4 @@ def end_effector(robot):
 
 CASES = [handshake, waves, joints, reflex, finish_in_motion, one_wave, refusals, end_effector]
 
-
-def main():
-    address, case = sys.argv[1:]
-    # A collection in the middle of a motion takes milliseconds.
-    gc.disable()
-    try:
-        # As libfranka does where it enforces real time: below the robot's own 70.
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
-    except PermissionError:
-        pass
-    found = {}
-    robots = []
-    found["connection"] = attempt(lambda: robots.append(lf.Robot(address, lf.RealtimeConfig.kIgnore)))
-    for robot in robots:
-        found |= {case.__name__: case for case in CASES}[case](robot)
-    print(json.dumps(found))
-
-
-main()
+judge(lambda address: lf.Robot(address, lf.RealtimeConfig.kIgnore), attempt, CASES)

@@ -146,8 +146,8 @@ pub fn seen(client: Running) -> Value {
     serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line} {stderr}"))
 }
 
-/// A loopback address that no other test of this machine has, as all clients of the vendor's connect
-/// to one port: 127, then 19 bits of the process, then five of the test.
+/// A loopback address that no other test of this machine has, as all clients of the vendor's
+/// connect to one port: 127, then 19 bits of the process, then five of the test.
 fn own_address() -> Ipv4Addr {
     static TAKEN: AtomicU32 = AtomicU32::new(0);
     let test = 1 + TAKEN.fetch_add(1, Ordering::Relaxed);

@@ -1,9 +1,8 @@
 //! Configuration of the bridge: a file, then flags, then checks.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use clap::parser::ValueSource;
-use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use clap::{ArgMatches, Args, Parser, ValueEnum};
 use nalgebra::Vector3;
 use panda::{Model, Mount, Twist};
 use scene::Scene;
@@ -18,9 +17,9 @@ use crate::hand_eye::{self, Frame, HandEye};
 ///
 /// Connects to the robot's interface, carries out vpc/twist within its own limits, and tells
 /// vpc/robot. The arm stands when no command is in force. Exit codes: 0 stopped by SIGTERM with a
-/// robot that is idle, or all is well; 1 the robot was not idle then, a check failed, or a mistake was
-/// found; 64 usage, 66 a file is missing, 69 the robot or the shared memory cannot be used, 70 a
-/// defect, 78 configuration.
+/// robot that is idle, or all is well; 1 the robot was not idle then, a check failed, or a mistake
+/// was found; 64 usage, 66 a file is missing, 69 the robot or the shared memory cannot be used, 70
+/// a defect, 78 configuration.
 #[derive(Parser, Debug)]
 #[command(name = "vpc-panda", version)]
 pub struct Arguments {
@@ -45,7 +44,8 @@ pub struct Arguments {
     pub yes: bool,
 }
 
-/// The paths of scene and hand-eye file are relative to the file. Some keys have a flag, which wins.
+/// The paths of scene and hand-eye file are relative to the file. Some keys have a flag, which
+/// wins.
 #[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "vpc-panda", extend("required" = ["robot", "scene", "hand_eye"]))]
@@ -191,26 +191,9 @@ impl Config {
     /// # Errors
     /// [`FileError`] names the file or flag, key, value and what is allowed.
     pub fn load(matches: &ArgMatches) -> Result<Self, FileError> {
-        let command_line = |error: &dyn ToString| FileError::Syntax {
-            path: toml_schema::COMMAND_LINE.to_owned(),
-            message: error.to_string(),
-        };
-        let arguments =
-            Arguments::from_arg_matches(matches).map_err(|error| command_line(&error))?;
-        let flags = toml::Table::try_from(&arguments.keys).map_err(|error| command_line(&error))?;
-        let mut document = Document::read(arguments.config.as_deref())?;
-        let directory = arguments.config.as_deref().and_then(Path::parent);
-        document.relative_to(directory.unwrap_or(Path::new("")), &["hand_eye", "scene"]);
-        for argument in Arguments::command().get_arguments() {
-            let key = argument.get_id().as_str();
-            let flag = argument.get_long().unwrap_or_default();
-            // A flag that was not given has its default, which must not win over the file.
-            if let Some(value) = flags.get(key)
-                && matches.value_source(key) == Some(ValueSource::CommandLine)
-            {
-                document.set(key, &format!("--{flag}"), Some(value.clone()));
-            }
-        }
+        let arguments: Arguments = toml_schema::arguments(matches)?;
+        let (file, paths) = (arguments.config.as_deref(), ["scene", "hand_eye"]);
+        let document = Document::with_flags::<Arguments>(file, &paths, &arguments.keys, matches)?;
         let keys: Keys = document.check()?;
         Self::of(&document, keys)
     }
@@ -261,12 +244,4 @@ impl Config {
 /// Returns the JSON Schema of a configuration file.
 pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Keys>()
-}
-
-/// Returns the sysexits code of an error: 66 if a file cannot be read, else 78.
-pub fn exit_code(error: &FileError) -> u8 {
-    match error {
-        FileError::Read { .. } => 66,
-        _ => 78,
-    }
 }

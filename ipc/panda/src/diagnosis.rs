@@ -51,6 +51,9 @@ pub fn advise(
 ) -> Option<Advice> {
     let findings = explain(scene, &hand_eye.mount(flange_from_ee), moves)?;
     let mistakes = findings.mistakes();
+    if mistakes.is_empty() {
+        return Some(Advice { findings, mistakes });
+    }
     let HandEye { frame, camera } = *hand_eye;
     let (other, name) = match frame {
         Frame::Flange => (Frame::Ee, "ee"),
@@ -82,7 +85,7 @@ pub fn advise(
             let found = explain(scene, &hand_eye.mount(flange_from_ee), moves);
             found.is_some_and(|found| found.mistakes().is_empty())
         };
-        if !mistakes.is_empty() && is_right(HandEye { frame, camera }) {
+        if is_right(HandEye { frame, camera }) {
             let mistakes = vec![words];
             return Some(Advice { findings, mistakes });
         }
@@ -155,7 +158,8 @@ pub fn explain(scene: &Scene, mount: &Mount, moves: &[Move]) -> Option<Findings>
         .filter_map(|flip| Some((flip, judge(flip).fit()?)))
         .collect();
     others.retain(|(_, fit)| fit.rms < BELIEVED * best.1.rms);
-    // Mirrored one way and turned by half a turn is mirrored the other way: the lesser turn is meant.
+    // Mirrored one way and turned by half a turn is mirrored the other way: the lesser turn is
+    // meant.
     let least = others
         .iter()
         .map(|(_, fit)| fit.rms)

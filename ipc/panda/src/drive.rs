@@ -8,11 +8,11 @@ use ipc::{
     Action, Domain, MOST_OBEYED_NS, ReceiveError, Request, RobotPorts, Subscriber, TwistCommand,
     now_ns,
 };
-use panda::{Joints, Model, Twist};
+use panda::Model;
 use rtrb::Producer;
 use rustix::mm::{MlockAllFlags, mlockall};
 
-use crate::config::{Config, Interface};
+use crate::config::Config;
 use crate::robot::{self, Doing, Motion};
 use crate::steering::{Limited, Output, Steering};
 
@@ -98,6 +98,16 @@ pub enum DriveError {
     },
 }
 
+impl DriveError {
+    /// Names the robot in what its interface says.
+    pub(crate) fn robot(config: &Config) -> impl Fn(FrankaError) -> Self {
+        |source| Self::Robot {
+            address: config.robot.clone(),
+            source: Box::new(source),
+        }
+    }
+}
+
 /// Drives the robot until `stop`; it stands then.
 ///
 /// # Errors
@@ -107,11 +117,8 @@ pub fn drive(
     stop: &AtomicBool,
     events: &mut Producer<Event>,
 ) -> Result<(), DriveError> {
-    let failed = |source: FrankaError| DriveError::Robot {
-        address: config.robot.clone(),
-        source: Box::new(source),
-    };
-    let robot = robot::connect(config).map_err(failed)?;
+    let failed = DriveError::robot(config);
+    let robot = robot::connect(config).map_err(&failed)?;
     let mut told = |event| {
         // A full queue loses what nobody has read for long.
         let _ = events.push(event);
@@ -131,7 +138,7 @@ pub fn drive(
         tell: &mut told,
     };
     loop {
-        let state = robot.read_once().map_err(failed)?;
+        let state = robot.read_once().map_err(&failed)?;
         bridge.publish(&state, bridge.doing())?;
         if stop.load(Ordering::Relaxed) {
             return match state.robot_mode {
@@ -207,8 +214,8 @@ impl Bridge<'_> {
         }
     }
 
-    /// Whether somebody asks for a recovery. One that was asked for before, in another situation, does
-    /// not count.
+    /// Whether somebody asks for a recovery. One that was asked for before, in another situation,
+    /// does not count.
     fn is_asked(&mut self) -> Result<bool, DriveError> {
         let mut is_asked = false;
         loop {
@@ -330,7 +337,9 @@ impl Bridge<'_> {
                 false => steering.step(&self.command, &measured, now),
             };
             if is_over && steering.is_at_rest(&measured) {
-                return motion.answer(&still(*interface), true).map_err(End::Robot);
+                return motion
+                    .answer(&Output::still(*interface), true)
+                    .map_err(End::Robot);
             }
             motion.answer(&output, false).map_err(End::Robot)?;
             // After the command, which the robot waits for.
@@ -370,12 +379,5 @@ impl Bridge<'_> {
             }
             gone => Err(End::Robot(gone)),
         }
-    }
-}
-
-fn still(interface: Interface) -> Output {
-    match interface {
-        Interface::Joint => Output::Joint(Joints::zeros()),
-        Interface::Cartesian => Output::Cartesian(Twist::zeros()),
     }
 }

@@ -1,18 +1,18 @@
-//! `--first-motion`: the first time that a camera and a robot meet. Each axis of the camera is moved
-//! by a little and back, at a tenth of the speed, and the image is compared with what it should
-//! show.
+//! `--first-motion`: the first time that a camera and a robot meet. Each axis of the camera is
+//! moved by a little and back, at a tenth of the speed, and the image is compared with what it
+//! should show.
 
 use std::io::{BufRead, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
+use franka::{RobotMode as Mode, RobotState as Told};
 use ipc::{Domain, Features, MOST_OBEYED_NS, RobotPorts, Subscriber, TwistCommand, now_ns};
 use panda::Pose;
 
-use crate::config::{Config, Interface};
+use crate::config::Config;
 use crate::diagnosis::{Move, advise};
-use crate::drive::{DriveError, enter_real_time};
+use crate::drive::{DriveError, Event, enter_real_time};
 use crate::look;
 use crate::robot::{self, Doing, Motion};
 use crate::steering::{Output, Steering};
@@ -77,13 +77,10 @@ pub fn first_motion(
     is_confirmed: bool,
     stop: &AtomicBool,
 ) -> Result<bool, FirstMotionError> {
-    let failed = |source: FrankaError| DriveError::Robot {
-        address: config.robot.clone(),
-        source: Box::new(source),
-    };
-    let robot = robot::connect(config).map_err(failed)?;
-    let state = robot.read_once().map_err(failed)?;
-    print!("{}", look::frames(config, config.model, &state));
+    let failed = DriveError::robot(config);
+    let robot = robot::connect(config).map_err(&failed)?;
+    let state = robot.read_once().map_err(&failed)?;
+    print!("{}", look::frames(config, &state));
     let bounds = &config.bounds;
     println!(
         "  limits     {} m/s, {} rad/s; workspace {:?} to {:?} m; joint margin {} rad",
@@ -105,8 +102,8 @@ pub fn first_motion(
         return Err(FirstMotionError::NotConfirmed);
     }
     // The first state that is read may be as old as the question.
-    robot.read_once().map_err(failed)?;
-    let state = robot.read_once().map_err(failed)?;
+    robot.read_once().map_err(&failed)?;
+    let state = robot.read_once().map_err(&failed)?;
     if state.robot_mode != Mode::Idle {
         return Err(FirstMotionError::Mode(format!("{:?}", state.robot_mode)));
     }
@@ -142,8 +139,12 @@ fn carry_out(
     state: &Told,
     stop: &AtomicBool,
 ) -> Result<Vec<Move>, FirstMotionError> {
-    let mut lacks = Vec::new();
-    enter_real_time(config.priority, &mut |event| lacks.push(event));
+    // Nothing moves yet: a terminal that waits does no harm.
+    enter_real_time(config.priority, &mut |event| {
+        if let Event::Lacks(what) = event {
+            eprintln!("vpc-panda: DEGRADED, not real time: {what}");
+        }
+    });
     let domain = Domain::join(&config.domain).map_err(DriveError::from)?;
     // The robot's place: no other bridge is at work.
     let ports = RobotPorts::open(&domain).map_err(DriveError::from)?;
@@ -156,11 +157,7 @@ fn carry_out(
         ..
     } = config;
     let steering = Steering::new(mount, *bounds, *interface, *model, &measured)?;
-    let begun = Motion::begin(robot, *interface);
-    let motion = begun.map_err(|source| DriveError::Robot {
-        address: config.robot.clone(),
-        source: Box::new(source),
-    });
+    let motion = Motion::begin(robot, *interface).map_err(DriveError::robot(config))?;
     let mut stage = Stage {
         config,
         stop,
@@ -168,7 +165,7 @@ fn carry_out(
         newest: None,
         ports,
         steering,
-        motion: motion.map_err(FirstMotionError::Drive)?,
+        motion,
     };
     let moves = stage.moves();
     // A robot that stopped by itself has ended the motion.
@@ -226,15 +223,11 @@ impl Stage<'_> {
 
     /// One of the robot's milliseconds, with this twist of the camera.
     fn step(&mut self, twist: [f64; 6]) -> Result<Told, FirstMotionError> {
-        let address = &self.config.robot;
-        let failed = |source: FrankaError| DriveError::Robot {
-            address: address.clone(),
-            source: Box::new(source),
-        };
+        let failed = DriveError::robot(self.config);
         if self.stop.load(Ordering::Relaxed) {
             return Err(FirstMotionError::Stopped);
         }
-        let state = self.motion.state().map_err(failed)?;
+        let state = self.motion.state().map_err(&failed)?;
         let now = now_ns();
         let mut command = TwistCommand {
             twist,
@@ -244,7 +237,7 @@ impl Stage<'_> {
         command.stamp.published_ns = now;
         let measured = robot::measured(&state);
         let output = self.steering.step(&command, &measured, now);
-        self.motion.answer(&output, false).map_err(failed)?;
+        self.motion.answer(&output, false).map_err(&failed)?;
         let limited = self.steering.limited();
         let mount = self.config.mount(&measured.flange_from_ee);
         let told = robot::told(&state, &mount, Doing::Moves(limited), now);
@@ -324,24 +317,17 @@ impl Stage<'_> {
 
     /// Ends the motion, however it went.
     fn come_to_rest(mut self) -> Result<(), FirstMotionError> {
-        let address = &self.config.robot;
-        let failed = |source: FrankaError| DriveError::Robot {
-            address: address.clone(),
-            source: Box::new(source),
-        };
+        let failed = DriveError::robot(self.config);
         loop {
-            let state = self.motion.state().map_err(failed)?;
+            let state = self.motion.state().map_err(&failed)?;
             let measured = robot::measured(&state);
             let output = self.steering.brake(&measured, now_ns());
             if self.steering.is_at_rest(&measured) {
-                let still = match self.config.interface {
-                    Interface::Joint => Output::Joint(panda::Joints::zeros()),
-                    Interface::Cartesian => Output::Cartesian(panda::Twist::zeros()),
-                };
-                self.motion.answer(&still, true).map_err(failed)?;
+                let still = Output::still(self.config.interface);
+                self.motion.answer(&still, true).map_err(&failed)?;
                 return Ok(());
             }
-            self.motion.answer(&output, false).map_err(failed)?;
+            self.motion.answer(&output, false).map_err(&failed)?;
         }
     }
 }

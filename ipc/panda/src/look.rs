@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
 use ipc::{Domain, RobotPorts, TwistCommand, now_ns};
-use panda::{Model, Pose};
+use panda::Pose;
 
-use crate::config::{Config, Interface};
+use crate::config::Config;
 use crate::drive::DriveError;
 use crate::robot::{self, Motion};
 use crate::steering::{Output, Steering};
@@ -23,31 +23,28 @@ const MOST_MS: f64 = 1.3;
 /// Least share of commands that the robot gets in time.
 const LEAST_RATE: f64 = 0.98;
 
-fn failed(config: &Config) -> impl Fn(FrankaError) -> DriveError + use<> {
-    let address = config.robot.clone();
-    move |source| DriveError::Robot {
-        address: address.clone(),
-        source: Box::new(source),
-    }
-}
-
 /// Connects, reads, and prints frames and what would be sent; moves nothing. Whether a motion could
 /// begin.
 ///
 /// # Errors
 /// [`DriveError`]: the robot or the shared memory cannot be used.
 pub fn dry_run(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
-    let failed = failed(config);
+    let failed = DriveError::robot(config);
     let robot = robot::connect(config).map_err(&failed)?;
-    let model = config.model;
     let state = robot.read_once().map_err(&failed)?;
-    print!("{}", frames(config, model, &state));
+    print!("{}", frames(config, &state));
     let domain = Domain::join(&config.domain)?;
     // Its place is taken as when it works: two bridges are one too many.
     let mut ports = RobotPorts::open(&domain)?;
     let measured = robot::measured(&state);
     let mount = config.mount(&measured.flange_from_ee);
-    let steering = Steering::new(mount, config.bounds, config.interface, model, &measured);
+    let steering = Steering::new(
+        mount,
+        config.bounds,
+        config.interface,
+        config.model,
+        &measured,
+    );
     let mut steering = match steering {
         Ok(steering) => steering,
         Err(why) => {
@@ -81,7 +78,7 @@ pub fn dry_run(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
 /// # Errors
 /// [`DriveError`]: the robot cannot be used.
 pub fn preflight(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
-    let failed = failed(config);
+    let failed = DriveError::robot(config);
     let mut is_good = true;
     let mut check = |is_met: bool, what: &str, found: String| {
         is_good &= is_met;
@@ -127,16 +124,13 @@ pub fn preflight(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError>
         check(rate > LEAST_RATE, "commands in time", found);
     }
     println!("      filter: none on our side");
-    print!("{}", frames(config, config.model, &state));
+    print!("{}", frames(config, &state));
     Ok(is_good)
 }
 
 /// The least success rate while the arm is held where it is.
 fn rate(config: &Config, robot: &franka::Robot, stop: &AtomicBool) -> Result<f64, FrankaError> {
-    let still = match config.interface {
-        Interface::Joint => Output::Joint(panda::Joints::zeros()),
-        Interface::Cartesian => Output::Cartesian(panda::Twist::zeros()),
-    };
+    let still = Output::still(config.interface);
     let mut motion = Motion::begin(robot, config.interface)?;
     let mut least: f64 = 1.0;
     for count in 0..STATES {
@@ -156,7 +150,7 @@ fn rate(config: &Config, robot: &franka::Robot, stop: &AtomicBool) -> Result<f64
 }
 
 /// The robot's frames and load as it has them set, and where the camera is by them.
-pub(crate) fn frames(config: &Config, model: Model, state: &Told) -> String {
+pub(crate) fn frames(config: &Config, state: &Told) -> String {
     let flange_from_ee = robot::pose(&state.F_T_EE);
     let base_from_ee = robot::pose(&state.O_T_EE);
     let mount = config.mount(&flange_from_ee);
@@ -169,7 +163,7 @@ pub(crate) fn frames(config: &Config, model: Model, state: &Told) -> String {
         ("F_T_camera", mount.flange_from_camera),
         ("O_T_camera", mount.camera(&base_from_flange)),
     ];
-    let mut text = format!("robot {model} at {}\n", config.robot);
+    let mut text = format!("robot {} at {}\n", config.model, config.robot);
     for (name, pose) in rows {
         text += &format!("  {name:<10} {}\n", words(&pose));
     }

@@ -4,14 +4,14 @@ use std::fmt::Display;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use clap::CommandFactory;
 use heap_meter::Meter;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
-use vpc_panda::config::{Arguments, Config, exit_code};
+use vpc_panda::config::{Arguments, Config};
 use vpc_panda::drive::{DriveError, Event, drive};
 use vpc_panda::first_motion::{FirstMotionError, first_motion};
 use vpc_panda::look;
@@ -52,7 +52,7 @@ fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => {
             eprintln!("vpc-panda: {error}");
-            return ExitCode::from(exit_code(&error));
+            return ExitCode::from(error.exit_code());
         }
     };
     let stop = Arc::new(AtomicBool::new(false));
@@ -131,7 +131,6 @@ fn run(config: Config, stop: &Arc<AtomicBool>) -> ExitCode {
         }
         Err(_) => {
             eprintln!("vpc-panda: a defect; the robot stops by itself without commands");
-            stop.store(true, Ordering::Relaxed);
             ExitCode::from(SOFTWARE)
         }
     }

@@ -22,8 +22,8 @@ const NEARING: f64 = 0.1;
 const NEARING_JOINT: f64 = 0.5;
 /// Share of the joints' bounds on acceleration and jerk that their ramps take.
 const JOINT_SHARE: f64 = 0.8;
-/// Share of the present motion below which a wall is too near for it. On the way to a wall the ramps
-/// lag behind by less.
+/// Share of the present motion below which a wall is too near for it. On the way to a wall the
+/// ramps lag behind by less.
 const WALL_SHARE: f64 = 0.5;
 /// Distance below which two twists are the same, m/s and rad/s: states of version 10 have 32 bits.
 const SAME: f64 = 1e-6;
@@ -50,6 +50,16 @@ pub enum Output {
     Joint(Joints),
     /// Velocity of the end effector's origin along base axes, m/s and rad/s.
     Cartesian(Twist),
+}
+
+impl Output {
+    /// Standing still.
+    pub fn still(interface: Interface) -> Self {
+        match interface {
+            Interface::Joint => Self::Joint(Joints::zeros()),
+            Interface::Cartesian => Self::Cartesian(Twist::zeros()),
+        }
+    }
 }
 
 /// What limited the last millisecond.
@@ -203,12 +213,9 @@ impl Steering {
                 false => (q[k] - bound.lower - margin, -least),
             };
             let allowed = nearing(room, NEARING_JOINT).min(self.bounds.joint_speed * fastest);
-            allowed / dq[k].abs().max(allowed)
+            part(dq[k], allowed)
         };
-        (0..JOINTS)
-            .map(share)
-            .filter(|x| x.is_finite())
-            .fold(1.0, f64::min)
+        (0..JOINTS).map(share).fold(1.0, f64::min)
     }
 
     /// How much of this motion the workspace allows, 0 to 1.
@@ -220,13 +227,9 @@ impl Steering {
                 true => walls.upper[k] - at[k],
                 false => at[k] - walls.lower[k],
             };
-            let allowed = nearing(room, NEARING);
-            allowed / twist[k].abs().max(allowed)
+            part(twist[k], nearing(room, NEARING))
         };
-        (0..3)
-            .map(share)
-            .filter(|x| x.is_finite())
-            .fold(1.0, f64::min)
+        (0..3).map(share).fold(1.0, f64::min)
     }
 
     /// Joint velocities along the shaped motion, each on a ramp of its own within the robot's
@@ -277,6 +280,14 @@ const _: () = assert!(JOINT_SHARE < BRAKING);
 /// The greatest speed from which `room` is enough to come to rest.
 fn nearing(room: f64, deceleration: f64) -> f64 {
     (2.0 * deceleration * room.max(0.0)).sqrt()
+}
+
+/// The part of this speed that is allowed, 0 to 1.
+fn part(speed: f64, allowed: f64) -> f64 {
+    match speed.abs() > allowed {
+        true => allowed / speed.abs(),
+        false => 1.0,
+    }
 }
 
 /// Why the bridge does not begin a motion.

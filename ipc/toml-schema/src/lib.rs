@@ -22,11 +22,15 @@
 #![forbid(unsafe_code)]
 
 mod document;
+#[cfg(feature = "flags")]
+mod flags;
 mod judge;
 mod reference;
 mod schema;
 
 pub use document::{COMMAND_LINE, Document, FileError, read_text};
+#[cfg(feature = "flags")]
+pub use flags::arguments;
 pub use judge::{Refusal, check};
 pub use reference::reference;
 pub use schema::{schema, schema_file};

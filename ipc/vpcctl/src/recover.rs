@@ -1,5 +1,5 @@
-//! `recover`: asks the robot's bridge to clear the robot's errors. A bridge never does so by itself.
-//! What counts is what the robot then tells.
+//! `recover`: asks the robot's bridge to clear the robot's errors. A bridge never does so by
+//! itself. What counts is what the robot then tells.
 
 use std::path::Path;
 use std::time::{Duration, Instant};

@@ -1,6 +1,7 @@
-//! `vpcd`, `vpc-panda` and the robot behind the vendor's interface: whichever process dies or hangs,
-//! and with the cable pulled, the arm stands within 150 ms, as the camera sees, or the robot stops
-//! itself as the real one would; 200 ms where `vpcd` is asked to end, and brakes. Nothing moves in lockstep, and a reflex stays until somebody asks.
+//! `vpcd`, `vpc-panda` and the robot behind the vendor's interface: whichever process dies or
+//! hangs, and with the cable pulled, the arm stands within 150 ms, as the camera sees, or the robot
+//! stops itself as the real one would; 200 ms where `vpcd` is asked to end, and brakes. Nothing
+//! moves in lockstep, and a reflex stays until somebody asks.
 
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};

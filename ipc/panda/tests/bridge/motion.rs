@@ -1,5 +1,5 @@
-//! The bridge at work: it looks without moving, carries out twists without allocating, and ends with
-//! an arm that stands.
+//! The bridge at work: it looks without moving, carries out twists without allocating, and ends
+//! with an arm that stands.
 
 use std::process::Stdio;
 use std::time::Duration;
@@ -112,7 +112,8 @@ struct Bench {
 }
 
 impl Bench {
-    /// Commands go out from before the bridge begins.
+    /// The bridge listens for 100 ms before its motion begins: the first commands are heard by
+    /// then.
     fn new(robot: &Robot, twist: [f64; 6]) -> Self {
         let domain = Domain::join(&robot.place.domain()).unwrap();
         let mut bridge = robot.bridge("panda");

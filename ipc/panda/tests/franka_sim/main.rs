@@ -1,5 +1,5 @@
-//! An emulator of the FR3's interface by another team, franka-sim, judges `vpc-panda`: it holds each
-//! command against the vendor's limits, counts lost ones, and moves an arm in MuJoCo.
+//! An emulator of the FR3's interface by another team, franka-sim, judges `vpc-panda`: it holds
+//! each command against the vendor's limits, counts lost ones, and moves an arm in MuJoCo.
 
 mod emulator;
 mod servo;

@@ -1,5 +1,5 @@
-//! `recover`, against a bridge that clears its robot's errors when it is asked, one that cannot, and
-//! none.
+//! `recover`, against a bridge that clears its robot's errors when it is asked, one that cannot,
+//! and none.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
