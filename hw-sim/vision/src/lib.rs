@@ -1,6 +1,7 @@
 //! Renders the emulated camera's picture, and finds the markers in it.
 //!
-//! * [`Renderer`]: pose of the object in the camera frame -> grey [`Image`] with round markers, the
+//! * [`Renderer`]: pose of the object in the camera frame -> grey [`Image`] with AprilTags
+//!   ([`Renderer::with_tags`]) or round markers, the
 //!   grasped object in front of them, the blurred spot on the lens and pixel noise.
 //! * [`Detector`]: image -> one [`Sighting`] a marker: visible or not, and where, px.
 //! * [`Transit`]: frames exposed -> frames delivered, late, with jitter, and some never.
@@ -41,6 +42,7 @@ mod renderer;
 mod search;
 mod sensor;
 mod spot;
+mod tag;
 mod texture;
 mod truth;
 
@@ -50,4 +52,5 @@ pub use image::Image;
 pub use latency::{Delivered, Latency, Transit};
 pub use look::{Look, SpotLook};
 pub use renderer::Renderer;
+pub use tag::Tag;
 pub use truth::{Truth, truth};

@@ -28,8 +28,10 @@ impl Kind {
 pub struct Look {
     /// Radius of the discs on the plane of the pattern, m; above 0, at most 1.
     pub marker_radius_m: f64,
-    /// Level of the discs.
+    /// Level of the discs, and of what is white of a tag.
     pub marker_level: f64,
+    /// Level of what is black of a tag.
+    pub black_level: f64,
     /// Level of the box that carries them.
     pub box_level: f64,
     /// Level of what lies around the box.
@@ -66,6 +68,7 @@ impl Default for Look {
         Self {
             marker_radius_m: 0.006,
             marker_level: 215.0,
+            black_level: 22.0,
             box_level: 98.0,
             table_level: 58.0,
             object_level: 40.0,

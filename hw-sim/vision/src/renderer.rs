@@ -13,6 +13,7 @@ use crate::optics::Optics;
 use crate::plane::Plane;
 use crate::sensor::Sensor;
 use crate::spot::Spot;
+use crate::tag::Tag;
 use crate::texture::Texture;
 
 /// An occlusion, ready to be drawn.
@@ -40,6 +41,16 @@ impl Renderer {
     /// which blurs and dims what lies behind; every other one is an object before the camera, which
     /// hides it.
     pub fn new(scene: &Scene, look: &Look) -> Self {
+        Self::of_plane(scene, look, Plane::new(scene, look))
+    }
+
+    /// A renderer of a scene with these tags on the plane z = 0 of its object: the pattern's, or a
+    /// board's.
+    pub fn with_tags(scene: &Scene, look: &Look, tags: &[Tag]) -> Self {
+        Self::of_plane(scene, look, Plane::with_tags(look, tags))
+    }
+
+    fn of_plane(scene: &Scene, look: &Look, plane: Plane) -> Self {
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
         let mut random = ChaCha8Rng::seed_from_u64(look.seed);
         let texture = Texture::new(&mut random);
@@ -57,7 +68,7 @@ impl Renderer {
         Self {
             camera: scene.camera,
             texture,
-            plane: Plane::new(scene, look),
+            plane,
             layers,
             optics: Optics::new(&scene.camera, look.vignette),
             sensor: Sensor::new(look.noise, random),
@@ -83,6 +94,7 @@ impl Renderer {
     pub fn render_rolling(&mut self, first: &Pose, last: &Pose) -> &Image {
         let maps = [first, last].map(|pose| Homography::of_pose(&self.camera, pose));
         let (width, height) = (self.image.width(), self.image.height());
+        self.plane.aim(&maps, [width, height]);
         for row in 0..height {
             let share = row as f64 / (height - 1) as f64;
             let map = maps[0].between(&maps[1], share);
@@ -264,5 +276,60 @@ mod tests {
         let centroid = sums.map(|x| x / sum);
         let apart = (centroid[0] - u).hypot(centroid[1] - v);
         assert!(apart < 0.05, "{centroid:?}, ({u}, {v})");
+    }
+
+    #[test]
+    fn a_tag_between_pixels_is_drawn_to_a_hundredth_of_a_pixel() {
+        let mut scene = robot();
+        scene.occlusions.clear();
+        let size = 0.024;
+        for (number, [du, dv]) in [(0, [0.0, 0.0]), (7, [0.23, 0.41]), (35, [0.5, -0.37])] {
+            let tag = crate::Tag {
+                number,
+                center: [0.0; 2],
+                size,
+            };
+            let look = Look {
+                table_level: 215.0,
+                box_level: 215.0,
+                ..plain()
+            };
+            let mut renderer = Renderer::with_tags(&scene, &look, &[tag]);
+            let mut pose = scene.goal;
+            let depth = 0.35;
+            pose.translation = [du * depth / 615.0, dv * depth / 615.0, depth];
+            let image = renderer.render(&pose).clone();
+            // The first moment of what is dark, against that of the black modules.
+            let (mut sum, mut sums) = (0.0, [0.0; 2]);
+            for (k, level) in image.pixels().iter().enumerate() {
+                let at = [(k % 640) as f64, (k / 640) as f64];
+                // The white border ends 26 px from the centre.
+                if (at[0] - 320.0).abs().max((at[1] - 240.0).abs()) > 24.0 {
+                    continue;
+                }
+                let dark = 215.0 - f64::from(*level);
+                sum += dark;
+                sums = [sums[0] + dark * at[0], sums[1] + dark * at[1]];
+            }
+            let (mut count, mut cells) = (0.0, [0.0; 2]);
+            for (row, bits) in tag.rows().iter().enumerate() {
+                for column in (0..10).filter(|column| bits >> column & 1 == 0) {
+                    count += 1.0;
+                    cells = [
+                        cells[0] + f64::from(column) - 4.5,
+                        cells[1] + row as f64 - 4.5,
+                    ];
+                }
+            }
+            let module = tag.module() * 615.0 / depth;
+            let black = 215.0 - look.black_level;
+            let area = sum / (black * count * module * module);
+            assert!((area - 1.0).abs() < 2e-3, "{area}");
+            for (k, middle) in [320.0 + du, 240.0 + dv].into_iter().enumerate() {
+                let expected = middle + module * cells[k] / count;
+                let off = sums[k] / sum - expected;
+                assert!(off.abs() < 0.01, "tag {number}, axis {k}: {off}");
+            }
+        }
     }
 }

@@ -1,0 +1,120 @@
+//! Rendered AprilTags, read by OpenCV's ArUco detector: numbers, order of corners, places.
+
+use std::fs::File;
+use std::path::Path;
+
+use scene::{Pose, Scene};
+use testkit::python::{Environment, run, script};
+use testkit::{Place, root};
+use vision::{Image, Look, Renderer, Tag};
+
+const OPENCV: Environment = Environment {
+    name: "python-opencv",
+    requirements: &[],
+    packages: &["numpy", "opencv-python-headless>=4.10,<6"],
+};
+
+fn write(path: &Path, image: &Image) {
+    let size = [image.width(), image.height()].map(|side| side as u32);
+    let mut encoder = png::Encoder::new(File::create(path).unwrap(), size[0], size[1]);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(image.pixels()).unwrap();
+}
+
+/// Where the camera sees a point of the plane z = 0, px.
+fn project(scene: &Scene, pose: &Pose, [x, y]: [f64; 2]) -> [f64; 2] {
+    let camera = &scene.camera;
+    let turn = nalgebra::Rotation3::new(nalgebra::Vector3::from(pose.rotation));
+    let at = turn * nalgebra::Vector3::new(x, y, 0.0) + nalgebra::Vector3::from(pose.translation);
+    [
+        camera.cx + camera.fx * at.x / at.z,
+        camera.cy + camera.fy * at.y / at.z,
+    ]
+}
+
+/// Tags found in an image: number and corners.
+fn found(line: &str) -> Vec<(usize, [[f64; 2]; 4])> {
+    let words: Vec<f64> = line
+        .split_whitespace()
+        .map(|word| word.parse().unwrap())
+        .collect();
+    words
+        .chunks_exact(9)
+        .map(|tag| {
+            (
+                tag[0] as usize,
+                std::array::from_fn(|k| [tag[1 + 2 * k], tag[2 + 2 * k]]),
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn opencv_reads_every_tag_of_a_board_where_it_is_drawn_upright() {
+    let Some(python) = OPENCV.python("rendered tags") else {
+        return;
+    };
+    let place = Place::new();
+    let mut scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+    scene.occlusions.clear();
+    let board = Tag::board(6, 4, 0.02, 0.026);
+    let boards = [
+        board.clone(),
+        // The family's other numbers.
+        board
+            .iter()
+            .map(|tag| Tag {
+                number: tag.number + 12,
+                ..*tag
+            })
+            .collect(),
+    ];
+    let pose = |k: usize| Pose {
+        translation: [0.002 * k as f64, 0.001 * k as f64, 0.3 + 0.01 * k as f64],
+        rotation: [0.05 * k as f64, 0.2 - 0.06 * k as f64, 0.3 * k as f64],
+    };
+    let mut command = script(&python, &root().join("hw-sim/vision/tests/aruco.py"));
+    for k in 0..8 {
+        let mut renderer = Renderer::with_tags(&scene, &Look::default(), &boards[k % 2]);
+        let path = place.path(&format!("{k}.png"));
+        write(&path, renderer.render(&pose(k)));
+        command.arg(path);
+    }
+    let printed = run(&mut command).unwrap();
+    let (mut squares, mut centers, mut mean, mut count) = (0.0, 0.0, [0.0; 2], 0.0);
+    for (k, line) in printed.lines().enumerate() {
+        let tags = found(line);
+        assert_eq!(tags.len(), 24, "image {k}: {line}");
+        for (number, corners) in tags {
+            let tag = boards[k % 2]
+                .iter()
+                .find(|tag| tag.number == number)
+                .unwrap();
+            // OpenCV's tags are turned by half a turn against AprilTag's.
+            let mut truth = tag
+                .corners()
+                .map(|corner| project(&scene, &pose(k), corner));
+            truth.rotate_left(2);
+            let mut off = [0.0; 2];
+            for (corner, truth) in corners.iter().zip(truth) {
+                let apart = [corner[0] - truth[0], corner[1] - truth[1]];
+                assert!(
+                    apart[0].hypot(apart[1]) < 0.8,
+                    "image {k}, tag {number}: {apart:?}"
+                );
+                squares += apart[0].powi(2) + apart[1].powi(2);
+                off = [off[0] + apart[0] / 4.0, off[1] + apart[1] / 4.0];
+            }
+            mean = [mean[0] + off[0], mean[1] + off[1]];
+            centers += off[0].powi(2) + off[1].powi(2);
+            count += 1.0;
+        }
+    }
+    let [corner, center] = [squares / (4.0 * count), centers / count].map(f64::sqrt);
+    let mean = mean.map(|x| x / count);
+    println!("OpenCV: corners {corner:.3} px RMS, centres {center:.3} px RMS, mean {mean:.3?}");
+    assert!(corner < 0.4 && center < 0.1, "{corner} {center}");
+    assert!(mean.iter().all(|x| x.abs() < 0.02), "{mean:?}");
+}
