@@ -115,7 +115,12 @@ impl<'a> YamlNode<'a> {
 
     /// Returns the error for this value.
     pub fn refuse(&self, allowed: &str) -> FileError {
-        FileError::value(self.path, &self.key, words(self.value), allowed)
+        self.refuse_as(words(self.value), allowed)
+    }
+
+    /// Returns the error for this value, said in other words.
+    pub fn refuse_as(&self, found: impl ToString, allowed: &str) -> FileError {
+        FileError::value(self.path, &self.key, found, allowed)
     }
 
     fn full(&self, key: &str) -> String {
