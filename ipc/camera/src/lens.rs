@@ -7,48 +7,19 @@
 mod distortion;
 mod file;
 
+use scene::Camera;
 use toml_schema::FileError;
 
 pub use distortion::Distortion;
 pub use file::read;
 
-/// A pinhole camera: the mapping between the plane at z = 1 and pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pinhole {
+/// The calibration of a real camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lens {
     /// Focal lengths along u and v, px.
     pub focal: [f64; 2],
     /// Principal point, px.
     pub centre: [f64; 2],
-}
-
-impl From<&scene::Camera> for Pinhole {
-    fn from(camera: &scene::Camera) -> Self {
-        Self {
-            focal: [camera.fx, camera.fy],
-            centre: [camera.cx, camera.cy],
-        }
-    }
-}
-
-impl Pinhole {
-    /// The pixel of a point on the plane.
-    pub fn pixel(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
-        [fx * x + cx, fy * y + cy]
-    }
-
-    /// The point on the plane that is seen at a pixel.
-    pub fn point(&self, [u, v]: [f64; 2]) -> [f64; 2] {
-        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
-        [(u - cx) / fx, (v - cy) / fy]
-    }
-}
-
-/// The calibration of a real camera.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lens {
-    /// The camera without its distortion.
-    pub pinhole: Pinhole,
     /// Width and height of the images that it was calibrated with, px.
     pub size: [u32; 2],
     /// How it distorts.
@@ -58,26 +29,44 @@ pub struct Lens {
 }
 
 impl Lens {
+    /// The lens of a camera that is the scene's: without distortion.
+    pub fn pinhole(camera: &Camera) -> Self {
+        Self {
+            focal: [camera.fx, camera.fy],
+            centre: [camera.cx, camera.cy],
+            // Whole numbers, as scenes are checked.
+            size: [camera.width, camera.height].map(|side| side as u32),
+            distortion: Distortion::perspective([0.0; 8]),
+            file: "[camera] of the scene".to_owned(),
+        }
+    }
+
     /// The point on the plane at z = 1 that is seen at a pixel of the real camera; `None` if the
     /// model has no inverse there.
-    pub fn undistort(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
-        self.distortion.unbend(self.pinhole.point(pixel))
+    pub fn normalize(&self, [u, v]: [f64; 2]) -> Option<[f64; 2]> {
+        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
+        self.distortion.unbend([(u - cx) / fx, (v - cy) / fy])
     }
 
     /// The pixel of the real camera that sees a point on the plane at z = 1; `None` if the model
     /// does not reach as far. The pixel may be outside of the image.
-    pub fn distort(&self, point: [f64; 2]) -> Option<[f64; 2]> {
-        Some(self.pinhole.pixel(self.distortion.bend(point)?))
+    pub fn project(&self, point: [f64; 2]) -> Option<[f64; 2]> {
+        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
+        let [x, y] = self.distortion.bend(point)?;
+        Some([fx * x + cx, fy * y + cy])
     }
 
-    /// From a pixel of the real camera to that of the scene's.
-    pub fn to_scene(&self, pixel: [f64; 2], scene: &Pinhole) -> Option<[f64; 2]> {
-        Some(scene.pixel(self.undistort(pixel)?))
+    /// The pixel of the scene's camera that sees what the real one sees at `pixel`; `None` if the
+    /// model has no inverse there.
+    pub fn undistort(&self, pixel: [f64; 2], scene: &Camera) -> Option<[f64; 2]> {
+        let [x, y] = self.normalize(pixel)?;
+        Some([scene.fx * x + scene.cx, scene.fy * y + scene.cy])
     }
 
-    /// From a pixel of the scene's camera to that of the real one.
-    pub fn from_scene(&self, pixel: [f64; 2], scene: &Pinhole) -> Option<[f64; 2]> {
-        self.distort(scene.point(pixel))
+    /// The pixel of the real camera that sees what the scene's one sees at `pixel`; `None` if the
+    /// model does not reach as far.
+    pub fn distort(&self, [u, v]: [f64; 2], scene: &Camera) -> Option<[f64; 2]> {
+        self.project([(u - scene.cx) / scene.fx, (v - scene.cy) / scene.fy])
     }
 
     /// Checks that images have the size that the calibration is for.
@@ -104,10 +93,8 @@ mod tests {
 
     fn lens() -> Lens {
         Lens {
-            pinhole: Pinhole {
-                focal: [600.0, 610.0],
-                centre: [330.0, 235.0],
-            },
+            focal: [600.0, 610.0],
+            centre: [330.0, 235.0],
             size: [640, 480],
             distortion: Distortion::perspective([-0.3, 0.1, 1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]),
             file: "cal.toml".to_owned(),
@@ -116,19 +103,27 @@ mod tests {
 
     #[test]
     fn a_pixel_of_the_lens_is_carried_to_the_camera_of_the_scene() {
-        let scene = Pinhole {
-            focal: [800.0, 800.0],
-            centre: [320.0, 240.0],
+        let scene = Camera {
+            width: 640.0,
+            height: 480.0,
+            fx: 800.0,
+            fy: 800.0,
+            cx: 320.0,
+            cy: 240.0,
+            rate_hz: 30.0,
         };
         // The axis of the lens is the axis of the scene's camera.
-        assert_eq!(lens().to_scene([330.0, 235.0], &scene), Some(scene.centre));
+        let axis = lens().undistort([330.0, 235.0], &scene);
+        assert_eq!(axis, Some([320.0, 240.0]));
         // Near the axis, there is no distortion, and the focal lengths are those of the scene.
-        let near = lens().to_scene([336.0, 235.0], &scene).unwrap();
+        let near = lens().undistort([336.0, 235.0], &scene).unwrap();
         assert!((near[0] - 328.0).abs() < 0.01 && (near[1] - 240.0).abs() < 0.01);
         for pixel in [[0.0, 0.0], [639.0, 479.0], [320.0, 10.0]] {
-            let there = lens().to_scene(pixel, &scene).unwrap();
-            let back = lens().from_scene(there, &scene).unwrap();
+            let there = lens().undistort(pixel, &scene).unwrap();
+            let back = lens().distort(there, &scene).unwrap();
             assert!((back[0] - pixel[0]).hypot(back[1] - pixel[1]) < 1e-6);
+            let same = Lens::pinhole(&scene).undistort(pixel, &scene).unwrap();
+            assert!((same[0] - pixel[0]).hypot(same[1] - pixel[1]) < 1e-9);
         }
     }
 

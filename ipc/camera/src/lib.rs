@@ -5,4 +5,3 @@
 
 pub mod grey;
 pub mod lens;
-pub mod source;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 use testkit::python::{Environment, run, script};
-use vpc_camera::lens::{self, Pinhole};
+use vpc_camera::lens;
 
 /// How far a pixel may be from OpenCV's, px.
 const BAR: f64 = 1e-4;
@@ -41,18 +41,23 @@ fn pixels_are_where_opencv_has_them() {
     let said = run(script(&python, &program).arg(directory.path())).unwrap();
     let judged: BTreeMap<String, Judgement> = serde_json::from_str(&said).unwrap();
     assert_eq!(judged.len(), 5);
-    let scene = Pinhole {
-        focal: [800.0, 790.0],
-        centre: [320.0, 240.0],
+    let scene = scene::Camera {
+        width: 640.0,
+        height: 480.0,
+        fx: 800.0,
+        fy: 790.0,
+        cx: 320.0,
+        cy: 240.0,
+        rate_hz: 30.0,
     };
     for (name, judgement) in judged {
         let path = directory.path().join(format!("{name}.yaml"));
         let lens = lens::read(&path).unwrap();
         let mut worst = [0.0_f64; 2];
         for (index, &pixel) in judgement.pixels.iter().enumerate() {
-            let there = lens.to_scene(pixel, &scene).unwrap();
+            let there = lens.undistort(pixel, &scene).unwrap();
             worst[0] = worst[0].max(far(there, judgement.scene[index]));
-            let seen = lens.distort(judgement.points[index]).unwrap();
+            let seen = lens.project(judgement.points[index]).unwrap();
             worst[1] = worst[1].max(far(seen, judgement.projected[index]));
         }
         let (pixels, unsound) = (judgement.pixels.len(), judgement.unsound);

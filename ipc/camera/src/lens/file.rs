@@ -16,7 +16,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use toml_schema::{Document, FileError, YamlFile, YamlNode, read_text};
 
-use super::{Distortion, Lens, Pinhole};
+use super::{Distortion, Lens};
 
 /// Focal lengths, px: those of a scene's camera.
 const FOCAL: std::ops::RangeInclusive<f64> = 10.0..=1e5;
@@ -73,10 +73,8 @@ impl Numbers {
             }
         }
         Ok(Lens {
-            pinhole: Pinhole {
-                focal: self.focal,
-                centre: self.centre,
-            },
+            focal: self.focal,
+            centre: self.centre,
             // Checked above.
             size: self.size.map(|side| side as u32),
             distortion: self.distortion,
@@ -307,8 +305,8 @@ mod tests {
     fn every_tool_gives_the_same_lens() {
         let toml = read_as("a.toml", TOML).unwrap();
         assert_eq!(toml.size, [640, 480]);
-        assert_eq!(toml.pinhole.focal, [600.0, 601.5]);
-        assert_eq!(toml.pinhole.centre, [320.25, 239.0]);
+        assert_eq!(toml.focal, [600.0, 601.5]);
+        assert_eq!(toml.centre, [320.25, 239.0]);
         let model = [-0.25, 0.08, 1e-3, -2e-3, 0.0, 0.0, 0.0, 0.0];
         assert_eq!(toml.distortion, Distortion::perspective(model));
         let upper = MESSAGE.replace("\nd:", "\nD:").replace("\nk:", "\nK:");
