@@ -1,5 +1,7 @@
 //! The task: the scene as the law sees it, with what follows from it by projection.
 
+use core::f64::consts::FRAC_1_SQRT_2;
+
 use nalgebra::Vector3;
 use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
 
@@ -42,6 +44,8 @@ pub struct Task {
     /// Time for which the way of the first command is looked at, s: a step, or a period and a stop
     /// from the limits. A command that is clear for so long is followed by one that brakes and is.
     pub reach: f64,
+    /// Half the diagonal of a marker's square at a depth of 1 m, px m; 0 where markers are points.
+    pub half_diagonal: f64,
     /// The bounding box of each obstacle, px.
     boxes: heapless::Vec<[[f64; 2]; 2], { MAX_ALL_PARTS + MAX_AREAS }>,
 }
@@ -121,8 +125,15 @@ impl Task {
             period: scene.sampling_time(),
             ts: scene.sampling_time(),
             reach: scene.sampling_time(),
+            half_diagonal: scene.camera.fx.max(scene.camera.fy) * scene.marker_size * FRAC_1_SQRT_2,
             boxes,
         })
+    }
+
+    /// Half the diagonal of a marker at a depth, m, in the image, px: how far its edge may be from
+    /// its point. 0 where markers are points.
+    pub fn marker_px(&self, depth: f64) -> f64 {
+        self.half_diagonal / depth
     }
 
     /// Time that a stop from a velocity takes, s, where all components end together.

@@ -10,8 +10,9 @@ use toml_schema::{Document, FileError};
 use crate::model::*;
 
 /// What controller, builder and emulator must agree on. A memory belongs to the scene it was built
-/// for; only `success`, `starts`, the limits of acceleration, the names of occlusions and the
-/// weights of `cost` may change under it. All keys but `occlusion` and those limits are required.
+/// for; only `success`, `starts`, the limits of acceleration, the size of the markers, the names of
+/// occlusions and the weights of `cost` may change under it. All keys but `occlusion`,
+/// `marker_size` and those limits are required.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Scene")]
@@ -40,6 +41,11 @@ struct Pattern {
     #[schemars(length(min = MIN_POINTS, max = MAX_POINTS), inner(inner(range(min = -10, max = 10))))]
     #[schemars(extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
+    /// Side of the square round each point that must stay in sight: that of a tag with its white
+    /// border, or the diameter of a disc. 0: only the points themselves.
+    #[serde(default)]
+    #[schemars(range(min = 0, max = 1), extend("x-unit" = "m"))]
+    marker_size: f64,
 }
 
 /// An occlusion is the union of its parts and its mask.
@@ -130,6 +136,7 @@ impl Checker<'_> {
         self.limits(&tables.limits)?;
         let scene = Scene {
             camera,
+            marker_size: tables.pattern.marker_size,
             pattern: self.pattern(tables.pattern.points)?,
             goal: tables.goal,
             limits: tables.limits,
@@ -288,6 +295,17 @@ mod tests {
         assert_eq!((sim.camera.width, sim.parts().count()), (1024.0, 6));
         let robot = Scene::parse(crate::PAPER_ROBOT, "robot").unwrap();
         assert_eq!((robot.camera.height, robot.limits.linear), (480.0, 0.01));
+        assert_eq!([sim, robot].map(|scene| scene.marker_size), [0.0; 2]);
+    }
+
+    #[test]
+    fn the_scene_of_the_tags_is_the_papers_with_markers_that_have_a_size() {
+        let tags = Scene::parse(crate::TAGS_ROBOT, "tags").unwrap();
+        assert_eq!(tags.marker_size, 0.03);
+        let mut points = tags.clone();
+        points.marker_size = 0.0;
+        assert_eq!(points, Scene::parse(crate::PAPER_ROBOT, "robot").unwrap());
+        assert_eq!(tags.fingerprint(), points.fingerprint());
     }
 
     #[test]
@@ -329,6 +347,11 @@ mod tests {
                 "[0.15, -0.15, 0.1]",
                 ["pattern.points[1][2]", "0.1", "planar"],
             ),
+            (
+                "[pattern]",
+                "[pattern]\nmarker_size = 30",
+                ["pattern.marker_size", "30", "0 to 1 m"],
+            ),
         ] {
             let message = edited(from, to);
             assert!(message.starts_with("s.toml: "), "{message}");
@@ -369,5 +392,6 @@ mod tests {
             base,
             with("[limits]", "[limits]\nlinear_acceleration = 1.0")
         );
+        assert_eq!(base, with("[pattern]", "[pattern]\nmarker_size = 0.03"));
     }
 }

@@ -7,9 +7,9 @@ use sha2::{Digest, Sha256};
 use crate::{Occlusion, Part, Scene};
 
 /// SHA-256 of what makes two tasks the same for a memory: camera, pattern, goal, limits and
-/// occlusions. The weights of the cost, the success criteria and the region of starts shape the
-/// trajectories but do not forbid their use, so they are left out, and so are the names of
-/// occlusions.
+/// occlusions. The weights of the cost, the success criteria, the region of starts and the size of
+/// the markers shape the trajectories but do not forbid their use, so they are left out, and so are
+/// the names of occlusions.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Fingerprint([u8; 32]);
 

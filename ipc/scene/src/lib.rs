@@ -60,3 +60,11 @@ pub const PAPER_ROBOT: &str = include_str!("../scenes/paper-robot.toml");
 
 /// The text of `scenes/paper-robot-starts.csv`: 100 fixed starts for [`PAPER_ROBOT`].
 pub const PAPER_ROBOT_STARTS: &str = include_str!("../scenes/paper-robot-starts.csv");
+
+/// The text of `scenes/tags-robot.toml`: [`PAPER_ROBOT`] with tags, whose size is given, instead of
+/// points.
+pub const TAGS_ROBOT: &str = include_str!("../scenes/tags-robot.toml");
+
+/// The text of `scenes/tags-robot-starts.csv`: 100 starts for [`TAGS_ROBOT`], drawn by `vpc-memory
+/// starts --seed 15`.
+pub const TAGS_ROBOT_STARTS: &str = include_str!("../scenes/tags-robot-starts.csv");

@@ -28,6 +28,9 @@ pub struct Scene {
     /// Points of the pattern in the object frame, m, in the order in which features are stacked;
     /// all on z = 0.
     pub pattern: Vec<[f64; 3], MAX_POINTS>,
+    /// Side of the square round each point that must stay in sight, m, in the plane of the pattern;
+    /// 0: only the points themselves.
+    pub marker_size: f64,
     /// The object in the camera frame at the goal.
     pub goal: Pose,
     /// Limits of the camera velocity.
@@ -181,7 +184,8 @@ table! {
         /// Greatest roll about the optical axis; applied second.
         #[key(range(min = 0, max = PI), extend("x-unit" = "rad"))]
         pub roll_max: f64,
-        /// Least distance of every point from the image border and from every occlusion.
+        /// Least distance of every point, or of its marker's edge where markers have a size, from
+        /// the image border and from every occlusion.
         #[key(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
         pub clearance_px: f64,
         /// Least mean distance of the points from their goals.

@@ -101,6 +101,12 @@ mod tests {
                 .len(),
             100
         );
+        assert_eq!(
+            parse_starts(crate::TAGS_ROBOT_STARTS, "tags")
+                .unwrap()
+                .len(),
+            100
+        );
     }
 
     #[test]

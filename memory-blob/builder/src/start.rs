@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
 use vpc::features::signed_area;
-use vpc::{Points, Task, constraint};
+use vpc::{Points, Task, constraint, task};
 
 use crate::clearance;
 use crate::mixture::Mixture;
@@ -42,15 +42,16 @@ pub fn draw(scene: &Scene, rng: &mut ChaCha8Rng) -> Pose {
     }
 }
 
-/// The features of a start, where it meets the scene's conditions: every point clear of border and
-/// occlusions, and far enough from the goal.
+/// The features of a start, where it meets the scene's conditions: every point with its marker
+/// clear of border and occlusions, and far enough from the goal.
 pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Points> {
     let region = &scene.starts;
     let points = task.features_at(pose)?;
-    let clear = points.iter().all(|&pixel| {
+    let markers = task::placed(&task.pattern, pose).map(|x| task.marker_px(x.z));
+    let clear = points.iter().zip(markers).all(|(&pixel, marker_px)| {
         let distance = clearance::of_pixel(scene, pixel);
-        distance > 0.0
-            && distance.min(constraint::border_clearance(task, pixel)) >= region.clearance_px
+        let least = distance.min(constraint::border_clearance(task, pixel));
+        distance > 0.0 && least >= region.clearance_px + marker_px
     });
     let mean: f64 = points
         .iter()
@@ -168,8 +169,52 @@ mod tests {
     }
 
     #[test]
+    fn the_fixed_starts_of_the_tags_are_those_of_their_seed() {
+        let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
+        let task = Task::new(&scene).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(15);
+        for start in scene::parse_starts(scene::TAGS_ROBOT_STARTS, "tags").unwrap() {
+            let drawn = coordinates(&valid(&scene, &task, None, &mut rng).unwrap());
+            let pairs = coordinates(&start).into_iter().zip(drawn);
+            assert!(pairs.into_iter().all(|(x, y)| (x - y).abs() < 1e-12));
+        }
+    }
+
+    #[test]
+    fn no_corner_of_a_marker_is_nearer_than_a_start_may_be() {
+        let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
+        let task = Task::new(&scene).unwrap();
+        let half = 0.5 * scene.marker_size;
+        let mut least = f64::INFINITY;
+        for start in scene::parse_starts(scene::TAGS_ROBOT_STARTS, "tags").unwrap() {
+            for [x, y, _] in scene.pattern.iter().copied() {
+                for (a, b) in [(-half, -half), (half, -half), (half, half), (-half, half)] {
+                    let corner = [[x + a, y + b, 0.0]];
+                    let corner = task::placed(&corner, &start).next().unwrap();
+                    let pixel = vpc::camera::project(&scene.camera, corner.into()).unwrap();
+                    let border = constraint::border_clearance(&task, pixel);
+                    least = least.min(clearance::of_pixel(&scene, pixel).min(border));
+                }
+            }
+        }
+        // A tilted marker beside the optical axis reaches a little further than its half diagonal.
+        assert!((11.0..15.5).contains(&least), "{least}");
+    }
+
+    #[test]
     fn a_start_is_valid_from_the_scenes_clearance_of_an_occlusion_on() {
-        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        starts_beside_the_spot(0.0, [-10.0, 0.1, 19.9, 20.1]);
+    }
+
+    #[test]
+    fn the_clearance_of_a_start_is_that_of_its_markers_edge() {
+        // A square of 0.01 m, 1.2 m away, has a half diagonal of 4.71 px.
+        starts_beside_the_spot(0.01, [0.1, 20.1, 24.6, 24.8]);
+    }
+
+    fn starts_beside_the_spot(marker_size: f64, distances: [f64; 4]) {
+        let mut scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        scene.marker_size = marker_size;
         let task = Task::new(&scene).unwrap();
         // One corner beside the spot on the right, a circle about (850, 560) of radius 75 px; the
         // others in the open.
@@ -185,9 +230,6 @@ mod tests {
             };
             features_if_valid(&scene, &task, &pose).is_some()
         };
-        assert_eq!(
-            [-10.0, 0.1, 19.9, 20.1].map(beside),
-            [false, false, false, true]
-        );
+        assert_eq!(distances.map(beside), [false, false, false, true]);
     }
 }

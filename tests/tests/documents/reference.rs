@@ -79,6 +79,7 @@ fn subjects() -> [Subject; 4] {
             shipped: &[
                 "ipc/scene/scenes/paper-sim.toml",
                 "ipc/scene/scenes/paper-robot.toml",
+                "ipc/scene/scenes/tags-robot.toml",
             ],
         },
         Subject {
