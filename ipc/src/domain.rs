@@ -15,7 +15,7 @@ use iceoryx2::service::ipc::Service;
 use crate::error::{JoinError, JoinReason, OpenError};
 use crate::guard::{Guard, Place, Startup};
 use crate::message::Message;
-use crate::service::{self, Factory, OpenService};
+use crate::service::{self, OpenService};
 
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
@@ -123,16 +123,16 @@ impl Shared {
         })
     }
 
-    /// Opens a port of the service that carries `T`. If iceoryx2 refuses, removes what killed
+    /// Opens a port of the service `F` that carries `T`. If iceoryx2 refuses, removes what killed
     /// participants left and tries again.
-    pub(crate) fn open<T: Message, P>(
+    pub(crate) fn open<T: Message, F: OpenService, P>(
         &self,
         _startup: &Startup,
-        create: impl Fn(&Factory<T>) -> Result<P, OpenError>,
+        create: impl Fn(&F) -> Result<P, OpenError>,
     ) -> Result<P, OpenError> {
         let mut services = self.services.iter();
-        let factory = services
-            .find_map(|service| (service.as_ref() as &dyn Any).downcast_ref::<Factory<T>>());
+        let factory =
+            services.find_map(|service| (service.as_ref() as &dyn Any).downcast_ref::<F>());
         let factory = factory.ok_or_else(|| OpenError::Port {
             service: T::SERVICE,
             reason: "no service of the contract".to_owned(),

@@ -94,6 +94,28 @@ pub struct PublishError {
     pub reason: SendError,
 }
 
+/// Why no memory was loaned for an image.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum LoanError {
+    /// The header describes no image.
+    #[error(transparent)]
+    Header(#[from] Invalid),
+    /// The publisher was opened for smaller images.
+    #[error("{service}: an image of {bytes} bytes; allowed: {most}, for which the port was opened")]
+    TooLarge {
+        service: &'static str,
+        bytes: usize,
+        most: usize,
+    },
+    /// iceoryx2 has no memory: an image is loaned already, or subscribers hold too many.
+    #[error("{service}: no memory for an image: {reason}")]
+    Transport {
+        service: &'static str,
+        reason: iceoryx2::port::LoanError,
+    },
+}
+
 /// Why nothing could be received.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]

@@ -11,6 +11,7 @@
 //! | `vpc/snapshots` | [`Snapshot`] | controller | recorders |
 //! | `vpc/requests` | [`Request`] | operators | controller |
 //! | `vpc/replies` | [`Reply`] | controller | operators |
+//! | `vpc/image` | bytes under an [`ImageHeader`] | camera | programs that find features, views |
 //!
 //! Layouts, quality of service and the lockstep protocol: `CONTRACT.md` beside this crate. Tour and
 //! decisions: `README.md`. The fields of a message are listed once, in its file; [`Wire::FIELDS`]
@@ -19,7 +20,8 @@
 //!
 //! A process joins a [`Domain`], a directory that separates experiments on one machine, and opens
 //! the ports of its role: [`CameraPorts`], [`RobotPorts`], [`ControllerPorts`], [`RecorderPort`],
-//! [`OperatorPorts`] or [`Observer`]. Peers may be absent, late, killed and restarted in any order.
+//! [`OperatorPorts`] or [`Observer`]. Images go by [`ImagePublisher`] and [`ImageSubscriber`] and
+//! are never copied; [`ImagePorts`] is a camera that sends nothing else. Peers may be absent, late, killed and restarted in any order.
 //! Complete programs: `examples/camera.rs`, `examples/observer.rs`.
 //!
 //! ```
@@ -59,6 +61,7 @@ mod error;
 mod features;
 mod field;
 mod guard;
+mod image;
 mod message;
 mod operator;
 mod port;
@@ -76,15 +79,22 @@ pub use cycle::{
     PATH_PLACES, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
 };
 pub use domain::{Domain, default_directory, shared_memory_prefix};
-pub use error::{AskError, JoinError, JoinReason, OpenError, PublishError, ReceiveError};
+pub use error::{
+    AskError, JoinError, JoinReason, LoanError, OpenError, PublishError, ReceiveError,
+};
 pub use features::Features;
 pub use field::{Field, FieldType, Kind, Meaning, Stamp, Struct, Values, ValuesMut, Wire};
 pub use guard::WRITABLE_BY_OTHERS;
-pub use message::{Invalid, Message, Qos};
+pub use image::{
+    Encoding, Image, ImageHeader, ImagePublisher, ImageSubscriber, LoanedImage, MOST_IMAGE_BYTES,
+};
+pub use message::{Invalid, Message, Payload, Qos};
 pub use operator::{Action, Outcome, Reply, Request};
 pub use port::{Order, Publisher, Received, Sent, Subscriber};
 pub use robot::{RobotFaults, RobotMode, RobotState};
-pub use role::{CameraPorts, ControllerPorts, Observer, OperatorPorts, RecorderPort, RobotPorts};
+pub use role::{
+    CameraPorts, ControllerPorts, ImagePorts, Observer, OperatorPorts, RecorderPort, RobotPorts,
+};
 pub use service::{MAX_NODES, SERVICES, Service};
 pub use snapshot::Snapshot;
 pub use stop::{Asked, STOP_FILE, StopError, StopFile, stop};

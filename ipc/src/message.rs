@@ -18,6 +18,29 @@ pub struct Qos {
     pub publishers: usize,
 }
 
+/// What a service carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Payload {
+    /// The message.
+    Message,
+    /// A slice of bytes. The message is its user header.
+    Bytes {
+        /// Alignment of the first byte, in bytes.
+        alignment: usize,
+    },
+}
+
+impl Payload {
+    /// Samples that a subscriber may borrow at a time. A message is copied at once. Of slices a
+    /// program has one at hand, and takes two more while it looks for the newest.
+    pub const fn borrowed(self) -> usize {
+        match self {
+            Self::Message => 1,
+            Self::Bytes { .. } => 3,
+        }
+    }
+}
+
 /// A message of the contract. Only this crate implements it.
 pub trait Message: Wire + Debug {
     /// Name of the service that carries it.
@@ -28,6 +51,8 @@ pub trait Message: Wire + Debug {
     const PUBLISHER: &'static str;
     /// Quality of service.
     const QOS: Qos;
+    /// What its service carries.
+    const PAYLOAD: Payload;
 
     /// The head.
     fn stamp(&self) -> &Stamp;
@@ -54,6 +79,8 @@ pub struct Invalid {
     /// Index within the field.
     pub index: usize,
     pub found: f64,
+    /// The least and the greatest value, where other fields decide it.
+    pub limits: Option<(f64, f64)>,
 }
 
 impl core::error::Error for Invalid {}
@@ -65,11 +92,21 @@ impl fmt::Display for Invalid {
             write!(f, "[{}]", self.index)?;
         }
         write!(f, " = {}; allowed: ", self.found)?;
+        match self.limits {
+            Some((least, most)) if least == most => return write!(f, "{least}"),
+            Some((least, f64::INFINITY)) => return write!(f, "{least} or more"),
+            Some((least, most)) => return write!(f, "{least} to {most}"),
+            None => (),
+        }
         match self.field.meaning {
             Meaning::Range(least, most) => write!(f, "{least} to {most}"),
             Meaning::Finite | Meaning::FinitePairs => f.write_str("finite numbers"),
-            Meaning::Code(_) | Meaning::AnyCode(_) | Meaning::Bits(_) => {
-                f.write_str("the codes of CONTRACT.md")
+            Meaning::Code(table) | Meaning::AnyCode(table) | Meaning::Bits(table) => {
+                for (k, name) in table.names.iter().enumerate() {
+                    let comma = if k == 0 { "" } else { ", " };
+                    write!(f, "{comma}{} {}", name.number, name.text)?;
+                }
+                Ok(())
             }
             // A sequence number.
             Meaning::Any => f.write_str("1 and more"),
@@ -79,22 +116,31 @@ impl fmt::Display for Invalid {
 
 /// Checks head and fields by their [`Meaning`]; `AnyCode` only if `every_code`.
 pub(crate) fn check<T: Message>(message: &T, every_code: bool) -> Result<(), Invalid> {
-    let refuse = |field, index, found| Invalid {
+    if message.stamp().sequence == 0 {
+        return Err(refuse::<T>(&Stamp::FIELDS[0], 0, 0.0));
+    }
+    check_fields(message, every_code)
+}
+
+fn refuse<T: Message>(field: &'static Field, index: usize, found: f64) -> Invalid {
+    Invalid {
         service: T::SERVICE,
         field,
         index,
         found,
-    };
-    if message.stamp().sequence == 0 {
-        return Err(refuse(&Stamp::FIELDS[0], 0, 0.0));
+        limits: None,
     }
+}
+
+/// Checks the fields behind the head.
+pub(crate) fn check_fields<T: Message>(message: &T, every_code: bool) -> Result<(), Invalid> {
     let mut count = 0;
     for (field, values) in message.fields() {
         match (field.meaning, values) {
             (Meaning::AnyCode(_), _) if !every_code => (),
             (meaning, Values::U32(&[found])) => {
                 if !meaning.allows(found) {
-                    return Err(refuse(field, 0, f64::from(found)));
+                    return Err(refuse::<T>(field, 0, f64::from(found)));
                 }
                 if matches!(meaning, Meaning::Range(..)) {
                     count = found as usize;
@@ -107,7 +153,7 @@ pub(crate) fn check<T: Message>(message: &T, every_code: bool) -> Result<(), Inv
                 };
                 let mut used = numbers.iter().enumerate().take(used);
                 if let Some((index, found)) = used.find(|(_, x)| !x.is_finite()) {
-                    return Err(refuse(field, index, *found));
+                    return Err(refuse::<T>(field, index, *found));
                 }
             }
             _ => (),
@@ -117,10 +163,10 @@ pub(crate) fn check<T: Message>(message: &T, every_code: bool) -> Result<(), Inv
 }
 
 /// Declares a message: a struct on the wire (see `wire!`), then its service, publisher and quality
-/// of service.
+/// of service; for the header of a slice also `[Payload::Bytes { .. }]`.
 macro_rules! message {
     ($(#[doc = $doc:literal])+ $name:ident: $type_name:tt { $($fields:tt)+ }
-     $service:literal from $publisher:literal: $qos:expr) => {
+     $service:literal $([$payload:expr])? from $publisher:literal: $qos:expr) => {
         $crate::field::wire! {
             $(#[doc = $doc])+
             #[doc = concat!("\nService `", $service, "`.")]
@@ -132,6 +178,8 @@ macro_rules! message {
             const TOPIC: &'static str = concat!("/", $service);
             const PUBLISHER: &'static str = $publisher;
             const QOS: $crate::message::Qos = $qos;
+            const PAYLOAD: $crate::message::Payload =
+                $crate::message::message!(@payload $($payload)?);
 
             fn stamp(&self) -> &$crate::field::Stamp {
                 &self.stamp
@@ -142,5 +190,7 @@ macro_rules! message {
             }
         }
     };
+    (@payload) => { $crate::message::Payload::Message };
+    (@payload $payload:expr) => { $payload };
 }
 pub(crate) use message;

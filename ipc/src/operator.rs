@@ -173,7 +173,8 @@ mod tests {
         let message = request.check_codes().unwrap_err().to_string();
         assert_eq!(
             message,
-            "vpc/requests: action = 99; allowed: the codes of CONTRACT.md"
+            "vpc/requests: action = 99; allowed: 0 status, 1 arm, 2 disarm, 3 stop, 4 strategy, \
+             5 record, 6 recover"
         );
         request.stamp.sequence = 0;
         let message = request.check().unwrap_err().to_string();

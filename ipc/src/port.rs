@@ -12,7 +12,7 @@ use crate::domain::Domain;
 use crate::error::{OpenError, PublishError, ReceiveError};
 use crate::field::Stamp;
 use crate::guard::Place;
-use crate::message::Message;
+use crate::message::{Message, Payload};
 use crate::service::Factory;
 
 impl Domain {
@@ -22,12 +22,15 @@ impl Domain {
     /// [`OpenError::Taken`] if the service has all the publishers that it takes, even if they are
     /// stopped.
     pub fn publisher<T: Message>(&self) -> Result<Publisher<T>, OpenError> {
+        const { assert!(matches!(T::PAYLOAD, Payload::Message)) };
         let startup = self.shared.startup()?;
         let place = self.shared.place::<T>(&startup)?;
-        let port = self.shared.open(&startup, |factory: &Factory<T>| {
-            let port = factory.publisher_builder().max_loaned_samples(1).create();
-            port.map_err(|error| refused(T::SERVICE, error))
-        })?;
+        let port = self
+            .shared
+            .open::<T, _, _>(&startup, |factory: &Factory<T>| {
+                let port = factory.publisher_builder().max_loaned_samples(1).create();
+                port.map_err(|error| refused(T::SERVICE, error))
+            })?;
         Ok(Publisher {
             port,
             sequence: 0,
@@ -41,18 +44,15 @@ impl Domain {
     /// # Errors
     /// [`OpenError::Full`] if the service has all the subscribers that it takes.
     pub fn subscriber<T: Message>(&self, buffer: usize) -> Result<Subscriber<T>, OpenError> {
-        let (service, most) = (T::SERVICE, T::QOS.subscribers);
+        const { assert!(matches!(T::PAYLOAD, Payload::Message)) };
         let buffer = buffer.clamp(1, T::QOS.buffer);
         let startup = self.shared.startup()?;
-        let port = self.shared.open(&startup, |factory: &Factory<T>| {
-            let port = factory.subscriber_builder().buffer_size(buffer).create();
-            port.map_err(|error| match error {
-                SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
-                    OpenError::Full { service, most }
-                }
-                _ => refused(service, error),
-            })
-        })?;
+        let port = self
+            .shared
+            .open::<T, _, _>(&startup, |factory: &Factory<T>| {
+                let port = factory.subscriber_builder().buffer_size(buffer).create();
+                port.map_err(no_subscriber::<T>)
+            })?;
         Ok(Subscriber {
             port,
             buffer,
@@ -62,7 +62,15 @@ impl Domain {
     }
 }
 
-fn refused(service: &'static str, reason: impl ToString) -> OpenError {
+pub(crate) fn no_subscriber<T: Message>(error: SubscriberCreateError) -> OpenError {
+    let (service, most) = (T::SERVICE, T::QOS.subscribers);
+    match error {
+        SubscriberCreateError::ExceedsMaxSupportedSubscribers => OpenError::Full { service, most },
+        _ => refused(service, error),
+    }
+}
+
+pub(crate) fn refused(service: &'static str, reason: impl ToString) -> OpenError {
     let reason = reason.to_string();
     OpenError::Port { service, reason }
 }
@@ -142,7 +150,7 @@ impl<T: Message> Publisher<T> {
     }
 }
 
-fn not_delivered<T: Message>(reason: SendError) -> PublishError {
+pub(crate) fn not_delivered<T: Message>(reason: SendError) -> PublishError {
     PublishError {
         service: T::SERVICE,
         reason,
@@ -258,7 +266,7 @@ impl<T: Message> Subscriber<T> {
     }
 }
 
-fn no_connection<T: Message>(reason: iceoryx2::port::ReceiveError) -> ReceiveError {
+pub(crate) fn no_connection<T: Message>(reason: iceoryx2::port::ReceiveError) -> ReceiveError {
     ReceiveError::Transport {
         service: T::SERVICE,
         reason,

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use crate::domain::Domain;
 use crate::error::{AskError, OpenError, ReceiveError};
+use crate::image::ImagePublisher;
 use crate::port::{Publisher, Received, Sent, Subscriber};
 use crate::{CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCommand};
 
@@ -135,30 +136,81 @@ impl CameraPorts {
         sent: &Sent,
         patience: Duration,
     ) -> Result<Option<Received<TwistCommand>>, ReceiveError> {
-        let patience = u64::try_from(patience.as_nanos()).unwrap_or(u64::MAX);
-        let end = crate::now_ns().saturating_add(patience);
-        let mut polls = 0;
-        loop {
-            for _ in 0..COMMANDS {
-                match self.twist.oldest()? {
-                    Some(twist) if twist.answers(sent.sequence, sent.published_ns) => {
-                        return Ok(Some(twist));
-                    }
-                    Some(_) => (),
-                    None => break,
+        // A failure to connect shows with the next message; until then, patience decides.
+        answer(&mut self.twist, sent, patience, || {
+            let _ = self.features.refresh();
+        })
+    }
+}
+
+/// A camera that sends images, in which another process finds the features; in lockstep it also
+/// waits for the answers to these.
+#[derive(Debug)]
+pub struct ImagePorts {
+    /// Commands, as in [`CameraPorts`].
+    pub twist: Subscriber<TwistCommand>,
+    /// What the camera sees.
+    pub images: ImagePublisher,
+}
+
+impl ImagePorts {
+    /// Opens the ports, for images of at most `most` bytes.
+    ///
+    /// # Errors
+    /// As [`Domain::image_publisher`], or [`OpenError::Full`] if others have all slots of twists.
+    pub fn open(domain: &Domain, most: usize) -> Result<Self, OpenError> {
+        Ok(Self {
+            twist: domain.subscriber(COMMANDS)?,
+            images: domain.image_publisher(most)?,
+        })
+    }
+
+    /// Lockstep: waits for the answer to the features that were found in the image `sent` and have
+    /// its numbers, as [`CameraPorts::wait_for_answer`] does.
+    ///
+    /// # Errors
+    /// [`ReceiveError`].
+    pub fn wait_for_answer(
+        &mut self,
+        sent: &Sent,
+        patience: Duration,
+    ) -> Result<Option<Received<TwistCommand>>, ReceiveError> {
+        answer(&mut self.twist, sent, patience, || {
+            let _ = self.images.refresh();
+        })
+    }
+}
+
+/// Waits for the command that answers `sent`. Calls `refresh` while it waits, so that who comes
+/// late gets the message by history.
+fn answer(
+    twist: &mut Subscriber<TwistCommand>,
+    sent: &Sent,
+    patience: Duration,
+    mut refresh: impl FnMut(),
+) -> Result<Option<Received<TwistCommand>>, ReceiveError> {
+    let patience = u64::try_from(patience.as_nanos()).unwrap_or(u64::MAX);
+    let end = crate::now_ns().saturating_add(patience);
+    let mut polls = 0;
+    loop {
+        for _ in 0..COMMANDS {
+            match twist.oldest()? {
+                Some(twist) if twist.answers(sent.sequence, sent.published_ns) => {
+                    return Ok(Some(twist));
                 }
+                Some(_) => (),
+                None => break,
             }
-            if crate::now_ns() >= end {
-                return Ok(None);
-            }
-            if polls < YIELDS {
-                polls += 1;
-                std::thread::yield_now();
-            } else {
-                // A failure to connect shows with the next message; until then, patience decides.
-                let _ = self.features.refresh();
-                std::thread::sleep(POLL);
-            }
+        }
+        if crate::now_ns() >= end {
+            return Ok(None);
+        }
+        if polls < YIELDS {
+            polls += 1;
+            std::thread::yield_now();
+        } else {
+            refresh();
+            std::thread::sleep(POLL);
         }
     }
 }

@@ -2,6 +2,7 @@
 //! each that links iceoryx2 costs up to a minute of build. Peers that are killed are this same
 //! executable, started again.
 
+mod images;
 mod killed;
 mod python;
 
@@ -101,6 +102,8 @@ fn play_a_peer() {
                 std::thread::sleep(Duration::from_micros(50));
             }
         }
+        "images" => images::send(&domain),
+        "image echo" => images::echo(&domain),
         other => panic!("no role {other}"),
     }
 }

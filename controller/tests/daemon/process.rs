@@ -332,7 +332,7 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
         "operator: arm: refused: no good features",
         "operator: arm: done",
         "operator: strategy: refused: no memory of motion",
-        "operator: request refused: vpc/requests: action = 99; allowed: the codes of CONTRACT.md",
+        "operator: request refused: vpc/requests: action = 99; allowed: 0 status, 1 arm",
         "operator: request refused: vpc/requests: strategy = 77",
         "operator: stop: done",
         "disarmed: operator",

@@ -250,6 +250,18 @@ enum vpc_outcome {
     VPC_OUTCOME_LATE = 9,
 };
 
+// How a pixel is stored.
+enum vpc_encoding {
+    // One byte: grey.
+    VPC_ENCODING_MONO8 = 0,
+    // Three bytes: blue, green, red.
+    VPC_ENCODING_BGR8 = 1,
+    // Three bytes: red, green, blue.
+    VPC_ENCODING_RGB8 = 2,
+    // Two bytes: luma of each pixel, then one chroma of both of a pair (Y0 U Y1 V; YUY2).
+    VPC_ENCODING_YUYV = 3,
+};
+
 // What is wrong with the robot.
 enum vpc_robot_faults {
     // A command was no longer valid when the next one was due.
@@ -529,6 +541,26 @@ typedef struct {
     // Its neighbours (knn), else zero.
     uint32_t neighbours;
 } vpc_reply;
+
+// Header of an image. The image itself is a slice of `stride * height` bytes, top row first.
+// Service `vpc/image`.
+typedef struct {
+    // Head; sequence counts the camera's frames, lost ones too; data_ns is the middle of the
+    // exposure.
+    vpc_stamp stamp;
+    // Begin of the exposure; 0 if unknown. Unit: ns.
+    uint64_t exposure_begin_ns;
+    // Length of the exposure; 0 if unknown. Unit: ns.
+    uint64_t exposure_ns;
+    // Pixels in a row. 1 to 8192. Unit: px.
+    uint32_t width;
+    // Rows. 1 to 8192. Unit: px.
+    uint32_t height;
+    // Bytes from one row to the next; no fewer than a row has.
+    uint32_t stride;
+    // How a pixel is stored. Code: vpc_encoding.
+    uint32_t encoding;
+} vpc_image_header;
 
 
 // Result of every function that can fail: 0 done, above 0 no answer but no error either, below 0
@@ -858,3 +890,11 @@ static_assert(offsetof(vpc_reply, state) == 48, "vpc_reply.state");
 static_assert(offsetof(vpc_reply, hold) == 52, "vpc_reply.hold");
 static_assert(offsetof(vpc_reply, strategy) == 56, "vpc_reply.strategy");
 static_assert(offsetof(vpc_reply, neighbours) == 60, "vpc_reply.neighbours");
+static_assert(sizeof(vpc_image_header) == 56, "vpc_image_header");
+static_assert(offsetof(vpc_image_header, stamp) == 0, "vpc_image_header.stamp");
+static_assert(offsetof(vpc_image_header, exposure_begin_ns) == 24, "vpc_image_header.exposure_begin_ns");
+static_assert(offsetof(vpc_image_header, exposure_ns) == 32, "vpc_image_header.exposure_ns");
+static_assert(offsetof(vpc_image_header, width) == 40, "vpc_image_header.width");
+static_assert(offsetof(vpc_image_header, height) == 44, "vpc_image_header.height");
+static_assert(offsetof(vpc_image_header, stride) == 48, "vpc_image_header.stride");
+static_assert(offsetof(vpc_image_header, encoding) == 52, "vpc_image_header.encoding");

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import os
 import shutil
@@ -223,15 +224,19 @@ class Domain:
 
     def _service(self, name: str) -> Any:
         service = SERVICES[name]
+        builder = self._node.service_builder(iox2.ServiceName.new(name))
+        if service.alignment is None:
+            builder = builder.publish_subscribe(service.message)
+        else:
+            builder = builder.publish_subscribe(iox2.Slice[ctypes.c_uint8]).user_header(service.message)
+            builder = builder.payload_alignment(iox2.Alignment.new(service.alignment))
         builder = (
-            self._node.service_builder(iox2.ServiceName.new(name))
-            .publish_subscribe(service.message)
-            .max_publishers(service.publishers + SPARE)
+            builder.max_publishers(service.publishers + SPARE)
             .max_subscribers(service.subscribers)
             .max_nodes(32)
             .history_size(service.history)
             .subscriber_max_buffer_size(service.buffer)
-            .subscriber_max_borrowed_samples(1)
+            .subscriber_max_borrowed_samples(service.borrowed)
             .enable_safe_overflow(True)
         )
         try:

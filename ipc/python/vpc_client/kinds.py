@@ -31,10 +31,13 @@ class Message(ctypes.Structure):
 
 
 class Service(NamedTuple):
-    """A service and its queues; the same for everybody who opens it."""
+    """A service and its queues; the same for everybody who opens it. Where `alignment` is given, it carries slices of
+    bytes that are aligned so, and `message` is their user header."""
 
     message: type[Message]
     history: int
     buffer: int
     subscribers: int
     publishers: int
+    borrowed: int = 1
+    alignment: int | None = None

@@ -244,6 +244,19 @@ class Outcome(Code):
     LATE = 9, "refused: it waited for more than a second"
 
 
+class Encoding(Code):
+    """How a pixel is stored."""
+
+    # One byte: grey.
+    MONO8 = 0, "mono8"
+    # Three bytes: blue, green, red.
+    BGR8 = 1, "bgr8"
+    # Three bytes: red, green, blue.
+    RGB8 = 2, "rgb8"
+    # Two bytes: luma of each pixel, then one chroma of both of a pair (Y0 U Y1 V; YUY2).
+    YUYV = 3, "yuyv"
+
+
 class RobotFaults(enum.IntFlag):
     """What is wrong with the robot."""
 
@@ -585,6 +598,33 @@ class Reply(Message):
         return "vpc/Reply/2"
 
 
+class ImageHeader(Message):
+    """Header of an image. The image itself is a slice of `stride * height` bytes, top row first.
+    Service `vpc/image`."""
+
+    _fields_ = [
+        # Head; `sequence` counts the camera's frames, lost ones too; `data_ns` is the middle of the
+        # exposure.
+        ("stamp", Stamp),
+        # Begin of the exposure; 0 if unknown. Unit: ns.
+        ("exposure_begin_ns", ctypes.c_uint64),
+        # Length of the exposure; 0 if unknown. Unit: ns.
+        ("exposure_ns", ctypes.c_uint64),
+        # Pixels in a row. 1 to 8192. Unit: px.
+        ("width", ctypes.c_uint32),
+        # Rows. 1 to 8192. Unit: px.
+        ("height", ctypes.c_uint32),
+        # Bytes from one row to the next; no fewer than a row has.
+        ("stride", ctypes.c_uint32),
+        # How a pixel is stored. Code: `Encoding`.
+        ("encoding", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "vpc/ImageHeader/1"
+
+
 # What is checked of each field: a class of codes, the least and the greatest of a count, or that numbers are
 # finite: as many pairs as a field says, or all ("").
 CHECKS: dict[type, dict[str, Any]] = {
@@ -638,6 +678,11 @@ CHECKS: dict[type, dict[str, Any]] = {
         "hold": Hold,
         "strategy": StrategyCode,
     },
+    ImageHeader: {
+        "width": (1, 8192),
+        "height": (1, 8192),
+        "encoding": Encoding,
+    },
 }
 
 SERVICES = {
@@ -648,4 +693,5 @@ SERVICES = {
     "vpc/snapshots": Service(Snapshot, 1, 16, 4, 1),
     "vpc/requests": Service(Request, 0, 16, 8, 8),
     "vpc/replies": Service(Reply, 0, 256, 16, 1),
+    "vpc/image": Service(ImageHeader, 1, 2, 4, 1, borrowed=3, alignment=64),
 }

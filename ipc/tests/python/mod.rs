@@ -11,8 +11,8 @@ use std::process::{Command, Stdio};
 
 use ipc::{
     Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Observer, Outcome,
-    Qos, RecorderPort, Reply, RobotMode, RobotState, Stamp, StrategyCode, Struct, TwistCommand,
-    TwistState,
+    Payload, Qos, RecorderPort, Reply, RobotMode, RobotState, Stamp, StrategyCode, Struct,
+    TwistCommand, TwistState,
 };
 
 use testkit::python::{Environment, run};
@@ -52,9 +52,14 @@ fn layouts_agree(python: &Path) {
             publishers,
         } = service.qos;
         let (name, type_name) = (service.name, service.message.type_name);
+        let borrowed = service.payload.borrowed();
+        let alignment = match service.payload {
+            Payload::Message => "None".to_owned(),
+            Payload::Bytes { alignment } => alignment.to_string(),
+        };
         let _ = writeln!(
             ours,
-            "{name} {type_name} {history} {buffer} {subscribers} {publishers}"
+            "{name} {type_name} {history} {buffer} {subscribers} {publishers} {borrowed} {alignment}"
         );
     }
     layout(&mut ours, &Struct::of::<Stamp>());

@@ -3,23 +3,30 @@
 use std::fmt::Write as _;
 
 use anyhow::Context;
-use ipc::SERVICES;
+use ipc::{Payload, SERVICES};
 
 use crate::doc::{self, structs, tables};
 
 fn services() -> String {
     let mut text = "\
-| Service | Payload type name | Bytes | `history_size` | `subscriber_max_buffer_size` | `max_subscribers` | Publishers | Who publishes |
-|---|---|---|---|---|---|---|---|
+| Service | Payload type name | User header type name | Bytes of payload | Its alignment | `history_size` | `subscriber_max_buffer_size` | `max_subscribers` | Publishers | `subscriber_max_borrowed_samples` | Who publishes |
+|---|---|---|---|---|---|---|---|---|---|---|
 "
     .to_owned();
     for service in SERVICES {
         let (name, message) = (service.name, service.message);
         let (type_name, size) = (message.type_name, message.size);
+        let payload = match service.payload {
+            Payload::Message => format!("`{type_name}` | none | {size} | 8"),
+            Payload::Bytes { alignment } => {
+                format!("`u8`, a slice | `{type_name}` | as the header says | {alignment}")
+            }
+        };
         let (queues, publisher) = (doc::queues(service.qos, " | "), service.publisher);
+        let borrowed = service.payload.borrowed();
         let _ = writeln!(
             text,
-            "| `{name}` | `{type_name}` | {size} | {queues} | {publisher} |"
+            "| `{name}` | {payload} | {queues} | {borrowed} | {publisher} |"
         );
     }
     text

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use ipc::{Field, Meaning, SERVICES, Struct, Table};
+use ipc::{Field, Meaning, Payload, SERVICES, Struct, Table};
 
 use crate::doc::{self, constant, structs, tables, wrapped};
 
@@ -105,9 +105,16 @@ pub fn make() -> String {
     text += "}\n\nSERVICES = {\n";
     for service in SERVICES {
         let (message, queues) = (service.message.name, doc::queues(service.qos, ", "));
+        let slice = match service.payload {
+            Payload::Message => String::new(),
+            Payload::Bytes { alignment } => {
+                let borrowed = service.payload.borrowed();
+                format!(", borrowed={borrowed}, alignment={alignment}")
+            }
+        };
         let _ = writeln!(
             text,
-            "    \"{}\": Service({message}, {queues}),",
+            "    \"{}\": Service({message}, {queues}{slice}),",
             service.name
         );
     }
