@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vision::{Latency, Transit};
 
-use crate::camera::{Points, project};
+use crate::camera::{Points, outlines, project};
 use crate::occlusion;
 pub use crate::picture::EyeError;
 use crate::picture::{Exposure, FrameRenderer, Seen};
@@ -21,7 +21,8 @@ use crate::pose::{RigidPose, seen_after, to_scene};
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// True projections with pixel noise; a marker whose centre is covered is hidden.
+    /// True projections with pixel noise; a marker is hidden where its centre, or any part of its
+    /// edge, is covered or outside the image.
     #[default]
     Ideal,
     /// A detector's, from a rendered picture.
@@ -192,6 +193,10 @@ impl Eye {
         for (i, &pixel) in points.iter().enumerate() {
             visible |= u32::from(self.is_in_sight(pixel)) << i;
         }
+        for (i, outline) in outlines(&self.real, object).enumerate() {
+            let is_whole = outline.is_some_and(|edge| edge.iter().all(|&p| self.is_in_sight(p)));
+            visible &= !(u32::from(!is_whole) << i);
+        }
         let mut measured = points;
         if let Some(noise) = self.noise {
             let random = &mut self.random;
@@ -274,6 +279,40 @@ mod tests {
             };
             let seen = shots(&settings, false, &object);
             assert!(!seen.is_empty() && seen.iter().all(|shot| shot.visible & 2 == 0));
+        }
+    }
+
+    #[test]
+    fn a_marker_is_hidden_as_soon_as_a_corner_or_an_edge_of_it_is_covered() {
+        let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
+        let settings = EyeSettings::default();
+        // At the goal, side by side with the spot, a circle about (320, 222) px of radius 38 px,
+        // turned: half a side is 26.4 px and half a diagonal 37.3.
+        let visible = |roll: f64, beside: f64| {
+            let mut scene = scene.clone();
+            scene.goal.rotation = [0.0, 0.0, roll];
+            // The pattern turns about its middle, (320, 222.4) px.
+            let object = from_scene(&scene.goal);
+            let [u, v] = project(&scene, &object).unwrap()[0];
+            scene.occlusions[0].parts[0].center = [u + 38.0 + beside, v];
+            let mut eye = Eye::new(&scene, &scene, &scene.goal, &settings, false).unwrap();
+            eye.ideal(&object).1 & 1 == 1
+        };
+        let eighth = std::f64::consts::FRAC_PI_4;
+        assert_eq!(
+            [26.1, 26.7].map(|beside| visible(0.0, beside)),
+            [false, true]
+        );
+        assert_eq!(
+            [37.0, 37.6].map(|beside| visible(eighth, beside)),
+            [false, true]
+        );
+        // Outside of the image, which begins at u = 0.
+        let mut object = from_scene(&scene.goal);
+        let mut eye = Eye::new(&scene, &scene, &scene.goal, &settings, false).unwrap();
+        for (left, expected) in [(26.1, 0b0110), (26.7, 0b1111)] {
+            object.translation.x = (left - 320.0) * 0.35 / 615.0 + 0.06;
+            assert_eq!(eye.ideal(&object).1, expected);
         }
     }
 

@@ -140,6 +140,9 @@ pub struct RobotFlags {
     /// Clearance that the law keeps from every border, px; 0 in the paper.
     #[arg(long, value_name = "PX", default_value_t = 0.0)]
     pub margin: f64,
+    /// The law takes the markers for points: it does not know the scene's marker_size.
+    #[arg(long)]
+    pub ignore_marker_size: bool,
     /// Send the 30 Hz commands to the robot without shaping them to 1 kHz.
     #[arg(long)]
     pub unshaped: bool,

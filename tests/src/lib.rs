@@ -12,6 +12,7 @@ pub mod robot_table;
 pub mod row;
 pub mod run;
 pub mod simulated;
+pub mod source;
 pub mod spec;
 
 /// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo

@@ -1,13 +1,10 @@
 //! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
 //! paper's Table I.
 
-use std::convert::Infallible;
-use std::fmt;
 use std::fs;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
@@ -21,13 +18,14 @@ use ipc::ClockMode;
 use memory_blob::MemoryFile;
 use scene::{Pose, Scene, read_starts};
 use serde::Serialize;
-use system_tests::children::{self, Children, attended};
+use system_tests::children::{Children, attended};
 use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, RobotFlags};
 use system_tests::pictures::{self, Draw};
 use system_tests::row::{self, Row};
 use system_tests::run::{Caches, flawed, time};
 use system_tests::simulated::Simulated;
+use system_tests::source::{Product, Source};
 use system_tests::{arguments, robot_table};
 use vpc::Task;
 
@@ -88,40 +86,6 @@ const PAPERS_MEMORY: Source = Source::Made {
     count: 900,
     seed: 1,
 };
-
-/// Where starts or a memory come from.
-#[derive(Clone, Debug, PartialEq)]
-enum Source {
-    File(PathBuf),
-    /// Made by `vpc-memory`: starts, or trajectories.
-    Made {
-        count: u32,
-        seed: u64,
-    },
-}
-
-impl FromStr for Source {
-    type Err = Infallible;
-
-    fn from_str(text: &str) -> Result<Self, Infallible> {
-        let made = text.split_once('@').and_then(|(count, seed)| {
-            Some(Self::Made {
-                count: count.parse().ok()?,
-                seed: seed.parse().ok()?,
-            })
-        });
-        Ok(made.unwrap_or_else(|| Self::File(text.into())))
-    }
-}
-
-impl fmt::Display for Source {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::File(path) => path.display().fmt(f),
-            Self::Made { count, seed } => write!(f, "{count}@{seed}"),
-        }
-    }
-}
 
 /// What carries the camera.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -200,7 +164,7 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     }
     let mut scene = Scene::read(&cli.scene)?;
     let fingerprint = scene.fingerprint();
-    let starts = made(children, cli, &cli.starts, "starts", |path| {
+    let starts = made(children, cli, &cli.starts, Product::Starts, |path| {
         Ok(read_starts(path)?)
     })?;
     let mut strategies = cli.common.strategies.iter();
@@ -212,7 +176,7 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     scene.camera.rate_hz = cli.common.rate.unwrap_or(scene.camera.rate_hz);
     for source in sources {
         let open = |path: &Path| Ok(MemoryFile::open(path, Some(fingerprint.bytes()))?);
-        let open = |source| made(children, cli, source, "build", open);
+        let open = |source| made(children, cli, source, Product::Memory, open);
         let memory = source.map(open).transpose()?.map(Arc::new);
         if cli.memory.len() > 1 {
             println!("memory {}", source.map_or(String::new(), Source::to_string));
@@ -395,38 +359,18 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// Reads a file; one that is to be made is made by `vpc-memory` in a temporary directory, which is
-/// removed once it is read.
+/// Reads a file; one that is to be made is made in a temporary directory, which is removed once it
+/// is read.
 fn made<T>(
     children: &Children,
     cli: &Cli,
     source: &Source,
-    command: &str,
+    product: Product,
     read: impl Fn(&Path) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    let (count, seed) = match source {
-        Source::File(path) => return read(path),
-        Source::Made { count, seed } => (count.to_string(), seed.to_string()),
-    };
-    let programs = children.build(&["vpc-memory"])?;
     let directory = std::env::temp_dir().join(format!("vpc-table-{}", std::process::id()));
     let _place = children.place(directory.clone());
-    fs::create_dir_all(&directory).with_context(|| directory.display().to_string())?;
-    let path = directory.join(command);
-    let number = match command {
-        "build" => "--trajectories",
-        _ => "--count",
-    };
-    let mut maker = children::command(programs.join("vpc-memory"));
-    maker.arg(command).arg(&cli.scene).arg("-o").arg(&path);
-    maker.args([number, &count, "--seed", &seed]);
-    // Standard output is the table's.
-    maker.stdout(std::process::Stdio::piped());
-    let (status, said) = children.start("vpc-memory", maker)?.output()?;
-    if !status.success() {
-        bail!("vpc-memory {command} made nothing: {said}");
-    }
-    read(&path)
+    read(&source.file(children, &cli.scene, product, &directory)?)
 }
 
 fn bar(total: usize) -> ProgressBar {
@@ -446,15 +390,6 @@ mod tests {
         let line = format!("table --scene s --starts s {flags}");
         let parsed = parse(line.split_whitespace().map(Into::into));
         parsed.err().map(|error| error.to_string())
-    }
-
-    #[test]
-    fn starts_and_memories_are_files_or_made_by_a_seed() {
-        let source = |text: &str| text.parse::<Source>().unwrap();
-        assert_eq!(source("50@3"), Source::Made { count: 50, seed: 3 });
-        for file in ["starts.csv", "me@home/5.csv", "50@", "@3", "50"] {
-            assert_eq!(source(file), Source::File(file.into()));
-        }
     }
 
     #[test]
