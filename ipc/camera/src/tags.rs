@@ -10,9 +10,6 @@ use crate::grey::Grey;
 use crate::registration::{project, register};
 use crate::template::Template;
 
-/// Tags of the family: their numbers are below.
-pub const NUMBERS: u32 = 587;
-
 /// A tag that is seen whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tag {
@@ -23,6 +20,18 @@ pub struct Tag {
     pub corners: [[f64; 2]; 4],
     /// Where the diagonals meet, px.
     pub centre: [f64; 2],
+}
+
+impl Tag {
+    /// The tag in an image of which this one is the part that begins there, px.
+    pub fn shifted(&self, [u, v]: [f64; 2]) -> Self {
+        let shift = |p: [f64; 2]| [p[0] + u, p[1] + v];
+        Self {
+            number: self.number,
+            corners: self.corners.map(shift),
+            centre: shift(self.centre),
+        }
+    }
 }
 
 /// Finds tags in images of one size.

@@ -52,7 +52,8 @@ impl Edge {
 pub(crate) struct Cell {
     /// Its centre, in tag coordinates.
     pub at: [f64; 2],
-    pub is_white: bool,
+    #[cfg(test)]
+    is_white: bool,
     /// Column and row, with the margin.
     place: [usize; 2],
 }
@@ -98,6 +99,7 @@ impl Template {
             let ring = depth[0].min(depth[1]);
             (ring < 2).then(|| Cell {
                 at: place.map(centre),
+                #[cfg(test)]
                 is_white: ring == 0,
                 place,
             })
