@@ -125,8 +125,11 @@ impl ImageHeader {
         self.width as usize * pixel
     }
 
-    /// Checks the header of an image of so many bytes.
-    fn check_image(&self, bytes: usize) -> Result<(), Invalid> {
+    /// Checks the header of an image of so many bytes, as its subscribers do.
+    ///
+    /// # Errors
+    /// [`Invalid`] names the first field that is wrong.
+    pub fn check_image(&self, bytes: usize) -> Result<(), Invalid> {
         self.check()?;
         let expected = self.bytes()?;
         if bytes != expected {
