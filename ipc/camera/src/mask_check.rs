@@ -1,12 +1,13 @@
 //! Does the mask agree with what the camera sees? Tags that vanish where nothing hides them, and
 //! tags that are seen where the mask says that they cannot be.
 
+mod shape;
+
 use std::collections::BTreeMap;
 use std::fmt;
 
-use scene::{Occlusion, Scene};
-
-use crate::distance;
+use scene::Scene;
+use shape::Shape;
 
 /// Points along a side of a tag that are measured.
 const ALONG: usize = 8;
@@ -23,6 +24,11 @@ pub struct Place {
 }
 
 impl Place {
+    /// Whether every coordinate is a number.
+    fn is_finite(&self) -> bool {
+        self.points().flatten().all(f64::is_finite)
+    }
+
     /// Centre, corners and points of the sides.
     fn points(&self) -> impl Iterator<Item = [f64; 2]> {
         let corners = self.corners;
@@ -111,51 +117,6 @@ impl fmt::Display for Warning {
     }
 }
 
-/// An occlusion with the distance of each pixel's centre from its border, px, negative inside.
-struct Shape {
-    name: String,
-    distances: Vec<f32>,
-}
-
-impl Shape {
-    fn of(occlusion: &Occlusion, width: usize, height: usize) -> Self {
-        let covers = |k: usize| {
-            let (column, row) = (k % width, k / width);
-            let of_part = |part: &scene::Part| {
-                let term = |k: usize, x: usize| {
-                    ((x as f64 - part.center[k]).abs() / part.half[k]).powf(part.p)
-                };
-                term(0, column) + term(1, row) < 1.0
-            };
-            occlusion.parts.iter().any(of_part)
-                || occlusion
-                    .mask
-                    .is_some_and(|mask| mask.is_forbidden(column, row))
-        };
-        let inside: Vec<bool> = (0..width * height).map(covers).collect();
-        let outside: Vec<bool> = inside.iter().map(|is| !is).collect();
-        let to_inside = distance::to_set(&inside, width);
-        let to_outside = distance::to_set(&outside, width);
-        // A border runs half a pixel from the centres on both of its sides.
-        let signed = |(to_inside, to_outside): (&f32, &f32)| match *to_inside > 0.0 {
-            true => to_inside - 0.5,
-            false => 0.5 - to_outside,
-        };
-        Self {
-            name: occlusion.name.as_str().to_owned(),
-            distances: to_inside.iter().zip(&to_outside).map(signed).collect(),
-        }
-    }
-
-    /// The distance of a point in the image, px, to a pixel.
-    fn distance(&self, point: [f64; 2], [width, height]: [usize; 2]) -> f64 {
-        // The casts saturate, also where the point is not a number.
-        let [column, row] = point.map(|x| x.round() as usize);
-        let pixel = row.min(height - 1) * width + column.min(width - 1);
-        f64::from(self.distances[pixel])
-    }
-}
-
 /// What one tag did to the mask in the last frames.
 #[derive(Clone, Copy, Debug, Default)]
 struct Streak {
@@ -222,7 +183,7 @@ impl MaskCheck {
         };
         self.streaks.retain(|number, _| is_known(number));
         for place in seen {
-            let depth = self.depth(place);
+            let depth = self.depth(place).filter(|_| place.is_finite());
             let streak = self.streaks.entry(place.number).or_default();
             streak.vanished = 0;
             streak.seen = if depth.is_some() {
@@ -282,7 +243,7 @@ impl MaskCheck {
         let [right, bottom] = self.size.map(|side| side as f64 - 1.0);
         let inside = |[u, v]: [f64; 2]| u.min(v).min(right - u).min(bottom - v);
         let in_image = place.points().map(inside).fold(f64::INFINITY, f64::min);
-        if in_image <= self.settings.clear_px {
+        if in_image <= self.settings.clear_px || !place.is_finite() {
             return None;
         }
         let distances = self.shapes.iter().enumerate().map(|(k, shape)| {
@@ -433,6 +394,8 @@ mod tests {
         }
         watch(&mut check, 50, &others()[..1], &[vanishing]);
         watch(&mut check, 50, &[], &[vanishing]);
+        // Nor does a place that nobody knows.
+        watch(&mut check, 50, &others(), &[tag(0, f64::NAN, 222.0)]);
         assert_eq!(check.counts(), Counts::default());
     }
 
