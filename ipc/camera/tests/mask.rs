@@ -2,8 +2,12 @@
 
 use std::fs::{self, File};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use clap::Parser;
+use ipc::{Domain, Encoding, ImageHeader};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Occlusion, Pose, Scene};
@@ -292,4 +296,49 @@ fn the_command_writes_a_scene_that_loads_and_overwrites_nothing() {
     );
     fs::write(images.join("100.png"), "no image").unwrap();
     assert!(said(&["--force"]).unwrap_err().contains("100.png: "));
+}
+
+#[test]
+fn the_command_takes_images_from_shared_memory() {
+    let place = tempfile::tempdir().unwrap();
+    let directory = place.path().join("domain");
+    let given = place.path().join("given.toml");
+    fs::write(&given, scene::TAGS_ROBOT).unwrap();
+    let words = {
+        let [scene, output] =
+            [given.as_path(), place.path()].map(|path| path.to_str().unwrap().to_owned());
+        let domain = directory.to_str().unwrap().to_owned();
+        let mut words = ["mask", "--frames", "shm", "--count", "40", "--every", "0"]
+            .map(str::to_owned)
+            .to_vec();
+        words.extend(["--scene".to_owned(), scene, "-o".to_owned(), output]);
+        words.extend(["--domain".to_owned(), domain]);
+        words
+    };
+    let is_done = Arc::new(AtomicBool::new(false));
+    let camera = std::thread::spawn({
+        let is_done = Arc::clone(&is_done);
+        move || {
+            let domain = Domain::join(&directory).unwrap();
+            let mut images = domain.image_publisher(640 * 480).unwrap();
+            while !is_done.load(Ordering::Relaxed) {
+                render(&scene(), &look(4), way(4, 1.0), |image| {
+                    let header = ImageHeader::new(640, 480, Encoding::Mono8, ipc::now_ns());
+                    let mut loaned = images.loan(&header).unwrap();
+                    loaned.copy_from_slice(image.pixels());
+                    images.publish(loaned).unwrap();
+                    // A frame of 100 Hz, of which most are taken.
+                    std::thread::sleep(Duration::from_millis(10));
+                });
+            }
+        }
+    });
+    let said = run(&Program::parse_from(words).arguments);
+    is_done.store(true, Ordering::Relaxed);
+    camera.join().unwrap();
+    let said = said.unwrap();
+    print!("{said}");
+    assert!(said.starts_with("40 images of 640x480 px"), "{said}");
+    let written = Scene::read(&place.path().join("scene.toml")).unwrap();
+    assert!(written.masks().next().unwrap().is_forbidden(320, 222));
 }
