@@ -98,7 +98,7 @@ pub struct Keys {
     /// What carries the camera.
     #[arg(long, value_enum, default_value_t)]
     pub robot: Body,
-    /// Panda: where features come from.
+    /// Panda: what the camera sends: features, or images for vpc-camera.
     #[arg(long, value_enum, default_value_t)]
     pub camera: Sight,
     /// Panda: time from the middle of an exposure to its delivery, ms.
@@ -270,6 +270,17 @@ impl Config {
         if keys.jitter_ms > keys.latency_ms {
             let allowed = format!("0 to {} ms, the latency", keys.latency_ms);
             return Err(document.refuse("jitter_ms", keys.jitter_ms, allowed));
+        }
+        if keys.camera == Sight::Rendered {
+            let refuse = |allowed: &str| document.refuse("camera", "rendered", allowed.to_owned());
+            if keys.robot != Body::Panda {
+                return Err(refuse("ideal; rendered with robot = \"panda\""));
+            }
+            if scene.marker_size <= 0.0 {
+                return Err(refuse(
+                    "ideal; rendered where the scene gives pattern.marker_size",
+                ));
+            }
         }
         if keys.robot == Body::Panda && keys.delay_frames > 0 {
             let allowed = "0 with robot = \"panda\", whose camera has latency_ms";

@@ -119,6 +119,7 @@ impl Cell for FreeCell {
             stamp_ns: frame.exposure_ns,
             visible: (1 << frame.points.len()) - 1,
             points: frame.points,
+            image: None,
         });
         let object = self.camera.pose;
         let exposed = Some(Exposed { points, object });

@@ -93,7 +93,7 @@ impl Rig {
         let is_grasped = |occlusion: &scene::Occlusion| occlusion.name.contains("grasped");
         Ok(Self {
             arm: Arm::new(scene, start, &settings.arm)?,
-            eye: Eye::new(&real, scene, start, &settings.eye, settings.is_live)?,
+            eye: Eye::new(&real, &settings.eye, settings.is_live)?,
             progress: Progress::new(scene),
             sequence: Sequence::new(settings.sequence),
             grasped: scene.occlusions.iter().position(is_grasped),

@@ -1,7 +1,6 @@
 //! Flags of `cargo table`.
 
 use clap::{Args, FromArgMatches};
-use hw_sim::eye::Sight;
 use vpc::{Model, Settings};
 
 use crate::spec::Spec;
@@ -114,9 +113,6 @@ pub struct RobotFlags {
     /// Largest deviation of this delay to either side, ms.
     #[arg(long, value_name = "MS", default_value_t = 0.0)]
     pub jitter_ms: f64,
-    /// Where the features come from.
-    #[arg(long, value_enum, default_value = "ideal")]
-    pub camera: Sight,
     /// Relative error of the focal lengths: the true ones are 1 + E times as large.
     #[arg(
         long,

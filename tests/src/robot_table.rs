@@ -88,7 +88,6 @@ fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> Rig
     if flags.unshaped {
         settings.arm.shaping = Shaping::Off;
     }
-    settings.eye.sight = flags.camera;
     settings.eye.noise_px = common.noise;
     settings.eye.seed = seed;
     settings.eye.latency.latency_ns = (flags.delay_ms * 1e6).round() as u64;

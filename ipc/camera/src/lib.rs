@@ -5,5 +5,6 @@
 
 pub mod distance;
 pub mod grey;
+pub mod lens;
 pub mod mask;
 pub mod mask_check;

@@ -16,6 +16,8 @@ use anyhow::{Context, bail};
 use clap::Args;
 use scene::Scene;
 
+use crate::lens::{self, Lens};
+
 pub use frames::Frames;
 pub use learned::{LEAST_IMAGES, LearnError, Learned, Settings, learn};
 pub use region::{Region, StillArea};
@@ -29,13 +31,16 @@ const SCENE: &str = "scene.toml";
 #[derive(Args, Debug)]
 pub struct Arguments {
     /// Folder of PNG images, or `shm` for the images on `vpc/image`; while they are taken, the
-    /// camera moves and what hides the view does not. Without lens distortion, as the scene's
-    /// camera has none.
+    /// camera moves and what hides the view does not.
     #[arg(long, value_name = "DIR|shm")]
     frames: String,
     /// The scene that gets the mask instead of its occlusions (TOML).
     #[arg(long)]
     scene: PathBuf,
+    /// Calibration of the camera that took the images; without it, they are taken to be those of
+    /// the scene's camera, without distortion.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// Folder for mask.png and scene.toml.
     #[arg(short, long)]
     output: PathBuf,
@@ -100,13 +105,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<String> {
         folder => source::read_folder(Path::new(folder))?,
     };
     let (width, height) = (frames.width(), frames.height());
-    let camera = [scene.camera.width, scene.camera.height].map(|side| side as usize);
-    if [width, height] != camera {
-        let [wide, high] = camera;
-        bail!(
-            "the images are of {width}x{height} px; allowed: {wide}x{high}, as the scene's camera"
-        );
-    }
+    let camera = &scene.camera;
+    let lens = match &arguments.calibration {
+        Some(file) => lens::read(file)?,
+        None => Lens::pinhole(camera),
+    };
+    lens.check_size([width, height].map(|side| side as u32))?;
     let settings = Settings {
         grow_px: arguments.grow,
         least_px: arguments.least,
@@ -115,10 +119,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let learned = learn(&frames, &settings)?;
     fs::create_dir_all(&arguments.output)
         .with_context(|| arguments.output.display().to_string())?;
-    scene::write_mask(&mask_file, width as u32, height as u32, |column, row| {
-        learned.mask.holds(row as usize * width + column as usize)
-    })
-    .with_context(|| format!("{}: cannot write", mask_file.display()))?;
+    // What the real camera does not see is free: the image's border is the law's.
+    let is_covered = |column: u32, row: u32| {
+        let pixel = lens.distort([f64::from(column), f64::from(row)], camera);
+        pixel.is_some_and(|[u, v]| learned.mask.covers([u, v]))
+    };
+    let size = [camera.width, camera.height].map(|side| side as u32);
+    scene::write_mask(&mask_file, size[0], size[1], is_covered)
+        .with_context(|| format!("{}: cannot write", mask_file.display()))?;
     let text = fs::read_to_string(&arguments.scene)
         .with_context(|| arguments.scene.display().to_string())?;
     fs::write(&scene_file, scene::with_mask(&text, MASK))

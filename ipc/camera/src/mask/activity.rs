@@ -16,7 +16,7 @@ const STILLEST: f64 = 0.005;
 /// ... found in so many rounds; ...
 const ROUNDS: usize = 6;
 /// ... they must get below this variance, in variances of the noise.
-const QUIET: f32 = 1.7;
+const QUIET: f32 = 1.5;
 /// Median of the magnitude of a standard normal number.
 const MEDIAN: f32 = 0.6745;
 
@@ -42,18 +42,28 @@ impl Activity {
     /// deviation, levels).
     pub fn of(frames: &Frames, noise: Option<f64>) -> Self {
         let blurs = FINE.map(Blur::gaussian);
-        let noise = match noise {
-            Some(deviation) => (deviation * deviation) as f32,
-            None => noise_variance(frames),
+        let given = noise.map(|deviation| (deviation * deviation) as f32);
+        let deviations = match given {
+            Some(_) => Vec::new(),
+            None => noise_deviations(frames),
         };
-        let noise = noise.max(ROUNDING);
+        let noise_at = |gains: &[f32]| {
+            let scaled = deviations
+                .iter()
+                .map(|(k, deviation)| deviation / gains[*k]);
+            let estimated = || median(scaled.collect()).powi(2);
+            given.unwrap_or_else(estimated).max(ROUNDING)
+        };
+        let gains = gains(frames, noise_at(&vec![1.0; frames.count()]));
+        // In levels of the mean exposure, as all that follows.
+        let noise = noise_at(&gains);
         let mut activity = Self {
             level: Plane::new(frames.width(), frames.height()),
             fine: Plane::new(frames.width(), frames.height()),
             energy: Plane::new(frames.width(), frames.height()),
             noise,
             fine_noise: noise * difference_gain(&blurs),
-            gains: gains(frames, noise),
+            gains,
             blurs,
         };
         activity.measure(frames);
@@ -145,11 +155,12 @@ fn difference_gain(blurs: &[Blur; 2]) -> f32 {
     squares.sum()
 }
 
-/// Variance of the pixels' noise: the median over pixels of what the mask [1 -2 1; -2 4 -2; 1 -2 1]
-/// leaves, which smooth surfaces and straight edges do not touch; the median over some images.
+/// Standard deviation of the pixels' noise in some images, and which: the median over pixels of
+/// what the mask [1 -2 1; -2 4 -2; 1 -2 1] leaves, which smooth surfaces and straight edges do not
+/// touch.
 ///
 /// Source: J. Immerkaer, "Fast noise variance estimation" (1996), with a median for the mean.
-fn noise_variance(frames: &Frames) -> f32 {
+fn noise_deviations(frames: &Frames) -> Vec<(usize, f32)> {
     const IMAGES: usize = 8;
     let (width, height) = (frames.width(), frames.height());
     let step = frames.count().div_ceil(IMAGES).max(1);
@@ -162,10 +173,9 @@ fn noise_variance(frames: &Frames) -> f32 {
         let inner = (1..height - 1).flat_map(|row| (1..width - 1).map(move |u| row * width + u));
         let left = inner
             .map(|at| (second(at - width) - 2.0 * second(at) + second(at + width)).abs() / 6.0);
-        median(left.collect()) / MEDIAN
+        (index, median(left.collect()) / MEDIAN)
     };
-    let deviation = median((0..frames.count()).step_by(step).map(of_image).collect());
-    deviation * deviation
+    (0..frames.count()).step_by(step).map(of_image).collect()
 }
 
 fn median(mut values: Vec<f32>) -> f32 {

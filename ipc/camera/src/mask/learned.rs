@@ -10,7 +10,7 @@ use super::region::{Region, StillArea};
 /// Fewest images.
 pub const LEAST_IMAGES: usize = 30;
 /// A pixel is still if its variance is at most this many times that of noise.
-const STILL: f32 = 1.7;
+const STILL: f32 = 1.5;
 /// Radii of the discs that must fit into what is still, px: by the level, and by the fine
 /// structure, whose windows are larger.
 const OPEN_LEVEL: f64 = 2.0;

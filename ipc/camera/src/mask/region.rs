@@ -39,6 +39,14 @@ impl Region {
         self.pixels[index]
     }
 
+    /// Whether it holds the pixel about a point (u, v), px; `false` outside of the image.
+    pub fn covers(&self, point: [f64; 2]) -> bool {
+        let [column, row] = point.map(f64::round);
+        let height = (self.pixels.len() / self.width) as f64;
+        let is_inside = (0.0..self.width as f64).contains(&column) && (0.0..height).contains(&row);
+        is_inside && self.pixels[row as usize * self.width + column as usize]
+    }
+
     /// How many pixels it has.
     pub fn count(&self) -> usize {
         self.pixels.iter().filter(|is| **is).count()
