@@ -5,11 +5,14 @@
 
 mod blur;
 pub mod config;
+pub mod distance;
 #[cfg(test)]
 mod drawn;
 pub mod finder;
 pub mod grey;
 pub mod lens;
+pub mod mask;
+pub mod mask_check;
 pub mod metrics;
 pub mod plane;
 pub mod priority;
