@@ -5,3 +5,4 @@
 
 pub mod grey;
 pub mod lens;
+pub mod source;
