@@ -98,7 +98,7 @@ pub struct Keys {
     /// What carries the camera.
     #[arg(long, value_enum, default_value_t)]
     pub robot: Body,
-    /// Panda: where features come from.
+    /// Panda: what the camera sends: features, or images for vpc-camera.
     #[arg(long, value_enum, default_value_t)]
     pub camera: Sight,
     /// Panda: time from the middle of an exposure to its delivery, ms.
@@ -271,6 +271,17 @@ impl Config {
             let allowed = format!("0 to {} ms, the latency", keys.latency_ms);
             return Err(document.refuse("jitter_ms", keys.jitter_ms, allowed));
         }
+        if keys.camera == Sight::Rendered {
+            let refuse = |allowed: &str| document.refuse("camera", "rendered", allowed.to_owned());
+            if keys.robot != Body::Panda {
+                return Err(refuse("ideal; rendered with robot = \"panda\""));
+            }
+            if scene.marker_size <= 0.0 {
+                return Err(refuse(
+                    "ideal; rendered where the scene gives pattern.marker_size",
+                ));
+            }
+        }
         if keys.robot == Body::Panda && keys.delay_frames > 0 {
             let allowed = "0 with robot = \"panda\", whose camera has latency_ms";
             return Err(document.refuse("delay_frames", keys.delay_frames, allowed));
@@ -420,6 +431,14 @@ mod tests {
             (
                 "[truth]\nhand_eye_m = [0.0, nan, 0.0]",
                 ["truth.hand_eye_m", "NaN", "-0.2 to 0.2"],
+            ),
+            (
+                "robot = \"panda\"\ncamera = \"rendered\"",
+                ["camera = rendered", "ideal", "pattern.marker_size"],
+            ),
+            (
+                "camera = \"rendered\"",
+                ["camera = rendered", "ideal", "robot = \"panda\""],
             ),
             (
                 "robot = \"panda\"\ndelay_frames = 3",

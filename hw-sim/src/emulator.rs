@@ -5,9 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use ipc::{
-    CameraPorts, Domain, Features, Publisher, RobotState, Stamp, TwistCommand, TwistState, now_ns,
-};
+use ipc::{Domain, Publisher, RobotState, Stamp, TwistCommand, TwistState, now_ns};
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use scene::Pose;
 
@@ -17,6 +15,7 @@ use crate::eye::Shot;
 use crate::free::FreeCell;
 use crate::lateness::Lateness;
 use crate::outcome::Outcome;
+use crate::port::Ports;
 use crate::pose::to_scene;
 use crate::priority;
 use crate::recording::{Record, Recorder};
@@ -85,7 +84,7 @@ pub fn run(
 struct Session<'a> {
     config: &'a Config,
     stop: &'a AtomicBool,
-    ports: CameraPorts,
+    ports: Ports,
     /// None where a client of the vendor's interface tells the states.
     robot: Option<Publisher<RobotState>>,
     recorder: Option<Recorder>,
@@ -107,7 +106,7 @@ impl<'a> Session<'a> {
             Recorder::create(path, &config.scene, &config.scene_file)
                 .with_context(|| format!("{}: cannot record", path.display()))
         };
-        let ports = CameraPorts::open(domain)?;
+        let ports = Ports::open(domain, &config.scene, config.rig.eye.sight)?;
         let robot = match config.rig.arm.fci {
             Some(_) => None,
             None => Some(domain.publisher()?),
@@ -162,7 +161,8 @@ impl<'a> Session<'a> {
     fn announce(&self) {
         if self.is_live() {
             eprintln!(
-                "hw-sim: features go out in domain {}; the run begins when vpcd is armed",
+                "hw-sim: {} go out in domain {}; the run begins when vpcd is armed",
+                self.ports.what(),
                 self.config.domain.display()
             );
             if self.config.robot == Body::Panda {
@@ -222,8 +222,8 @@ impl<'a> Session<'a> {
         let due_ns = cell.due_ns();
         let now_ns = if self.is_live() {
             sleep_until(due_ns, self.stop);
-            while let Some(newer) = self.ports.twist.oldest()? {
-                self.obey(cell, newer.message);
+            while let Some(newer) = self.ports.command()? {
+                self.obey(cell, newer);
             }
             now_ns()
         } else {
@@ -251,12 +251,7 @@ impl<'a> Session<'a> {
 
     /// Publishes a frame; in lockstep, waits for its answer and obeys it.
     fn publish(&mut self, cell: &mut dyn Cell, shot: &Shot, now_ns: u64) -> anyhow::Result<()> {
-        let mut features = Features::new(&shot.points, shot.stamp_ns);
-        features.visible = shot.visible;
-        if self.config.robot == Body::Panda {
-            features.exposure_ns = self.config.rig.eye.exposure_ns;
-        }
-        features.stamp = Stamp {
+        let stamp = Stamp {
             sequence: shot.number,
             published_ns: if self.is_live() {
                 ipc::now_ns()
@@ -265,18 +260,26 @@ impl<'a> Session<'a> {
             },
             data_ns: shot.stamp_ns,
         };
-        let sent = self.ports.features.publish_verbatim(&features)?;
-        self.measured = Some(shot.points.to_vec());
+        let exposure_ns = match self.config.robot {
+            Body::Panda => self.config.rig.eye.exposure_ns,
+            Body::Free => 0,
+        };
+        let sent = self.ports.send(shot, stamp, exposure_ns)?;
+        self.measured = shot.image.is_none().then(|| shot.points.to_vec());
         if !self.is_live() {
-            let Some(answer) = self.ports.wait_for_answer(&sent, PATIENCE)? else {
+            let Some(answer) = self.ports.answer(&sent, PATIENCE)? else {
                 bail!(
-                    "lockstep: nobody answered features {} within {} s; is vpcd running with --clock lockstep in domain {}?",
+                    "lockstep: nobody answered frame {} within {} s; {} running with --clock lockstep in domain {}?",
                     sent.sequence,
                     PATIENCE.as_secs(),
+                    match shot.image {
+                        Some(_) => "are vpc-camera and vpcd",
+                        None => "is vpcd",
+                    },
                     self.config.domain.display()
                 );
             };
-            let mut command = answer.message;
+            let mut command = answer;
             command.stamp.published_ns = now_ns;
             self.obey(cell, command);
         }

@@ -4,35 +4,35 @@ use clap::ValueEnum;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
-use scene::{Pose, Scene};
+use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use vision::{Latency, Transit};
+use vision::{Image, Latency, Transit};
 
 use crate::camera::{Points, outlines, project};
 use crate::occlusion;
 pub use crate::picture::EyeError;
-use crate::picture::{Exposure, FrameRenderer, Seen};
+use crate::picture::{Exposure, FrameRenderer};
 use crate::pose::{RigidPose, seen_after, to_scene};
 
-/// Where features come from.
+/// What the camera sends.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// True projections with pixel noise; a marker is hidden where its centre, or any part of its
-    /// edge, is covered or outside the image.
+    /// Features: true projections with pixel noise; a marker is hidden where its centre, or any
+    /// part of its edge, is covered or outside the image.
     #[default]
     Ideal,
-    /// A detector's, from a rendered picture.
+    /// Rendered images of tags, in which `vpc-camera` finds the features.
     Rendered,
 }
 
 /// Properties of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EyeSettings {
-    /// Where features come from.
+    /// What it sends.
     pub sight: Sight,
     /// From the middle of the exposure to the delivery.
     pub latency: Latency,
@@ -66,18 +66,23 @@ pub struct Shot {
     pub number: u64,
     /// Middle of the exposure, ns.
     pub stamp_ns: u64,
-    /// Markers, px; those that are hidden are where they are believed.
+    /// Markers, px; with an image the true ones, which nobody is told.
     pub points: Points,
-    /// Bit i: marker i was measured.
+    /// Bit i: marker i is in sight.
     pub visible: u32,
+    /// The image that is sent instead.
+    pub image: Option<Image>,
 }
 
 impl Shot {
-    /// Whether every marker was measured.
+    /// Whether every marker is in sight.
     pub fn is_whole(&self) -> bool {
         self.visible.count_ones() as usize == self.points.len()
     }
 }
+
+/// A frame under way: its number, and its markers with a bit for each in sight.
+type Exposed = (u64, Points, u32);
 
 /// The camera.
 #[derive(Debug)]
@@ -87,7 +92,7 @@ pub struct Eye {
     noise: Option<Normal<f64>>,
     random: ChaCha8Rng,
     readout_ns: u64,
-    transit: Transit<(u64, Option<Seen>)>,
+    transit: Transit<Exposed>,
     /// Of rendered frames.
     renderer: Option<FrameRenderer>,
     is_live: bool,
@@ -95,21 +100,14 @@ pub struct Eye {
 }
 
 impl Eye {
-    /// A camera that looks at the scene as it is, `real`, with a detector that knows it as it is
-    /// `believed`, from the pose of the object at the start. Where it `is_live`, a frame that is
-    /// not drawn in time comes later; otherwise the caller waits for it.
+    /// A camera that looks at the scene as it is. Where it `is_live`, a frame that is not drawn in
+    /// time comes later; otherwise the caller waits for it.
     ///
     /// # Errors
-    /// [`EyeError`] where there is no thread for the picture.
-    pub fn new(
-        real: &Scene,
-        believed: &Scene,
-        start: &Pose,
-        settings: &EyeSettings,
-        is_live: bool,
-    ) -> Result<Self, EyeError> {
+    /// [`EyeError`] where there is nothing to draw, or no thread for it.
+    pub fn new(real: &Scene, settings: &EyeSettings, is_live: bool) -> Result<Self, EyeError> {
         let is_rendered = settings.sight == Sight::Rendered;
-        let renderer = || FrameRenderer::new(real, believed, start, settings.seed);
+        let renderer = || FrameRenderer::new(real, settings.seed);
         Ok(Self {
             real: real.clone(),
             shown: vec![true; real.occlusions.len()],
@@ -142,12 +140,14 @@ impl Eye {
         stamp_ns: u64,
     ) -> Result<(), EyeError> {
         self.frames += 1;
-        let Some(renderer) = &self.renderer else {
-            let seen = self.ideal(object);
-            self.transit.expose((self.frames, Some(seen)), stamp_ns);
-            return Ok(());
-        };
-        if self.transit.expose((self.frames, None), stamp_ns) {
+        let (mut points, visible) = self.true_features(object);
+        if self.renderer.is_none() {
+            self.add_noise(&mut points);
+        }
+        let is_delivered = self
+            .transit
+            .expose((self.frames, points, visible), stamp_ns);
+        if let Some(renderer) = self.renderer.as_ref().filter(|_| is_delivered) {
             let half = 0.5e-9 * self.readout_ns as f64;
             let rows = [-half, half].map(|dt| to_scene(&seen_after(object, twist, dt)));
             let shown = self.shown.clone();
@@ -164,26 +164,27 @@ impl Eye {
         if self.transit.next_due_ns().is_none_or(|due| due > now_ns) {
             return Ok(None);
         }
-        let rendered = match &self.renderer {
+        let image = match &self.renderer {
             None => None,
             Some(renderer) => match renderer.next(!self.is_live)? {
                 None => return Ok(None),
-                seen => seen,
+                image => image,
             },
         };
-        let Some(frame) = self.transit.deliver(now_ns) else {
-            return Ok(None);
-        };
-        let (number, seen) = frame.payload;
-        Ok(seen.or(rendered).map(|(points, visible)| Shot {
-            number,
-            stamp_ns: frame.stamp_ns,
-            points,
-            visible,
+        Ok(self.transit.deliver(now_ns).map(|frame| {
+            let (number, points, visible) = frame.payload;
+            Shot {
+                number,
+                stamp_ns: frame.stamp_ns,
+                points,
+                visible,
+                image,
+            }
         }))
     }
 
-    fn ideal(&mut self, object: &RigidPose) -> Seen {
+    /// Where the markers are, px, and which of them are in sight.
+    fn true_features(&self, object: &RigidPose) -> (Points, u32) {
         // A point behind the camera is not to be seen; where it is not seen does not matter.
         let Ok(points) = project(&self.real, object) else {
             let middle = [self.real.camera.cx, self.real.camera.cy];
@@ -197,13 +198,15 @@ impl Eye {
             let is_whole = outline.is_some_and(|edge| edge.iter().all(|&p| self.is_in_sight(p)));
             visible &= !(u32::from(!is_whole) << i);
         }
-        let mut measured = points;
+        (points, visible)
+    }
+
+    fn add_noise(&mut self, points: &mut Points) {
         if let Some(noise) = self.noise {
             let random = &mut self.random;
-            let numbers = measured.iter_mut().flatten();
+            let numbers = points.iter_mut().flatten();
             numbers.for_each(|x| *x += noise.sample(random));
         }
-        (measured, visible)
     }
 
     fn is_in_sight(&self, pixel: [f64; 2]) -> bool {
@@ -220,6 +223,8 @@ impl Eye {
 
 #[cfg(test)]
 mod tests {
+    use scene::Pose;
+
     use super::*;
     use crate::pose::from_scene;
 
@@ -227,9 +232,8 @@ mod tests {
         Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
     }
 
-    fn shots(settings: &EyeSettings, is_live: bool, object: &Pose) -> Vec<Shot> {
-        let scene = robot_scene();
-        let mut eye = Eye::new(&scene, &scene, object, settings, is_live).unwrap();
+    fn shots(scene: &Scene, settings: &EyeSettings, is_live: bool, object: &Pose) -> Vec<Shot> {
+        let mut eye = Eye::new(scene, settings, is_live).unwrap();
         let mut shots = Vec::new();
         let object = from_scene(object);
         for ms in 0..600_u64 {
@@ -250,36 +254,41 @@ mod tests {
 
     #[test]
     fn pictures_drawn_beside_the_robot_are_those_drawn_by_the_caller() {
+        let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
         let settings = EyeSettings {
             sight: Sight::Rendered,
             ..EyeSettings::default()
         };
-        let goal = robot_scene().goal;
-        let here = shots(&settings, false, &goal);
+        let here = shots(&scene, &settings, false, &scene.goal);
         assert_eq!(here.len(), 13);
-        assert!(here.iter().all(Shot::is_whole));
-        let ideal = project(&robot_scene(), &from_scene(&goal)).unwrap();
-        let apart = |shot: &Shot| {
-            let pairs = shot.points.iter().flatten().zip(ideal.iter().flatten());
-            pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+        let levels = |shot: &Shot| {
+            let pixels = shot.image.as_ref().unwrap().pixels();
+            [pixels.iter().min().copied(), pixels.iter().max().copied()]
         };
-        assert!(here.iter().all(|shot| apart(shot) < 0.3));
-        assert_eq!(here, shots(&settings, true, &goal));
+        assert!(
+            here.iter()
+                .all(|shot| levels(shot)[0] < Some(50) && levels(shot)[1] > Some(150))
+        );
+        assert_eq!(here, shots(&scene, &settings, true, &scene.goal));
     }
 
     #[test]
-    fn a_marker_under_the_spot_is_hidden_from_both_sights() {
+    fn a_scene_of_points_cannot_be_drawn() {
+        let settings = EyeSettings {
+            sight: Sight::Rendered,
+            ..EyeSettings::default()
+        };
+        let error = Eye::new(&robot_scene(), &settings, false).unwrap_err();
+        assert!(error.to_string().contains("pattern.marker_size"), "{error}");
+    }
+
+    #[test]
+    fn a_marker_under_the_spot_is_hidden() {
         // The second marker right under the spot's centre, (320, 222) px.
         let mut object = robot_scene().goal;
         object.translation = [-0.06, 0.045 - 0.35 * 18.0 / 615.0, 0.35];
-        for sight in [Sight::Ideal, Sight::Rendered] {
-            let settings = EyeSettings {
-                sight,
-                ..EyeSettings::default()
-            };
-            let seen = shots(&settings, false, &object);
-            assert!(!seen.is_empty() && seen.iter().all(|shot| shot.visible & 2 == 0));
-        }
+        let seen = shots(&robot_scene(), &EyeSettings::default(), false, &object);
+        assert!(!seen.is_empty() && seen.iter().all(|shot| shot.visible & 2 == 0));
     }
 
     #[test]
@@ -295,8 +304,8 @@ mod tests {
             let object = from_scene(&scene.goal);
             let [u, v] = project(&scene, &object).unwrap()[0];
             scene.occlusions[0].parts[0].center = [u + 38.0 + beside, v];
-            let mut eye = Eye::new(&scene, &scene, &scene.goal, &settings, false).unwrap();
-            eye.ideal(&object).1 & 1 == 1
+            let eye = Eye::new(&scene, &settings, false).unwrap();
+            eye.true_features(&object).1 & 1 == 1
         };
         let eighth = std::f64::consts::FRAC_PI_4;
         assert_eq!(
@@ -309,10 +318,10 @@ mod tests {
         );
         // Outside of the image, which begins at u = 0.
         let mut object = from_scene(&scene.goal);
-        let mut eye = Eye::new(&scene, &scene, &scene.goal, &settings, false).unwrap();
+        let eye = Eye::new(&scene, &settings, false).unwrap();
         for (left, expected) in [(26.1, 0b0110), (26.7, 0b1111)] {
             object.translation.x = (left - 320.0) * 0.35 / 615.0 + 0.06;
-            assert_eq!(eye.ideal(&object).1, expected);
+            assert_eq!(eye.true_features(&object).1, expected);
         }
     }
 
@@ -327,7 +336,7 @@ mod tests {
             ..EyeSettings::default()
         };
         let goal = robot_scene().goal;
-        let seen = shots(&settings, false, &goal);
+        let seen = shots(&robot_scene(), &settings, false, &goal);
         assert!((1..13).contains(&seen.len()));
         assert!(
             seen.windows(2)

@@ -4,7 +4,7 @@
 use ipc::RobotState;
 use scene::{Pose, Scene};
 
-use crate::camera::{FreeCamera, Points};
+use crate::camera::{FreeCamera, Points, outlines};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{EyeError, Shot};
 use crate::progress::Progress;
@@ -56,14 +56,16 @@ impl FreeCell {
             if self.time_limit_s.is_finite()
                 && let Ok(points) = self.camera.features()
             {
-                self.progress.judge_between(&points);
+                let outlines = outlines(&self.scene, &self.camera.pose);
+                self.progress.judge_between(&points, outlines);
             }
         }
         self.now_ns = to_ns.max(self.now_ns);
     }
 
     fn judge(&mut self, points: &Points) {
-        let end = self.progress.judge(points);
+        let outlines = outlines(&self.scene, &self.camera.pose);
+        let end = self.progress.judge(points, outlines);
         let is_late = self.progress.time_s >= self.time_limit_s;
         if let Some(end) = end.or(is_late.then_some(End::TimeOut))
             && self.time_limit_s.is_finite()
@@ -117,6 +119,7 @@ impl Cell for FreeCell {
             stamp_ns: frame.exposure_ns,
             visible: (1 << frame.points.len()) - 1,
             points: frame.points,
+            image: None,
         });
         let object = self.camera.pose;
         let exposed = Some(Exposed { points, object });

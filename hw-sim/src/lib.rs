@@ -18,6 +18,7 @@ pub mod lateness;
 pub mod occlusion;
 pub mod outcome;
 mod picture;
+mod port;
 pub mod pose;
 mod priority;
 pub mod progress;

@@ -30,6 +30,10 @@ pub struct Outcome {
     pub least_clearance_px: f64,
     /// The same between the frames.
     pub least_between_px: f64,
+    /// Where markers have a size: least signed distance of any marker's edge at all these instants,
+    /// px; negative where a marker was partly hidden, which is no violation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub least_edge_px: Option<f64>,
     /// The depth from which on being inside is a violation, px: `success.violation_px` of the
     /// scene.
     pub violation_px: f64,
@@ -70,6 +74,7 @@ impl Outcome {
             error_px: rounded(progress.error_px),
             least_clearance_px: rounded(progress.referee.least_clearance()),
             least_between_px: rounded(progress.referee.least_between()),
+            least_edge_px: progress.referee.least_edge().map(rounded),
             violation_px,
             violation,
             step: None,
@@ -101,11 +106,18 @@ impl Outcome {
 
     fn clearance(&self) -> String {
         let (least, allowed) = (self.least_clearance_px, self.violation_px);
-        if least < 0.0 {
+        let points = if least < 0.0 {
             let depth = -least;
             format!("at most {depth:.1} px deep in an occlusion; the scene allows {allowed} px")
         } else {
             format!("{least:.1} px from occlusions and border, or more")
+        };
+        match self.least_edge_px {
+            None => points,
+            Some(edge) if edge < 0.0 => {
+                format!("{points}; markers were up to {:.1} px hidden", -edge)
+            }
+            Some(edge) => format!("{points}; the markers' edges {edge:.1} px"),
         }
     }
 }
@@ -119,14 +131,15 @@ fn rounded(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Points;
+    use crate::camera::{Points, outlines, project};
+    use crate::pose::from_scene;
     use scene::Scene;
 
     fn outcome(point: [f64; 2], end: Option<End>) -> Outcome {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let mut progress = Progress::new(&scene);
         let points: Points = [point].into_iter().collect();
-        progress.judge(&points);
+        progress.judge(&points, outlines(&scene, &from_scene(&scene.goal)));
         (progress.time_s, progress.end) = (1.43, end);
         Outcome::new(0, &progress, scene.success.violation_px)
     }
@@ -143,6 +156,28 @@ mod tests {
             clear.ends_with("20.0 px from occlusions and border, or more"),
             "{clear}"
         );
+    }
+
+    #[test]
+    fn where_markers_have_a_size_their_edges_are_told_too() {
+        let mut scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
+        let mut sentence = |up: f64| {
+            scene.occlusions[1].parts[0].center[1] -= up;
+            let mut progress = Progress::new(&scene);
+            let goal = from_scene(&scene.goal);
+            let points = project(&scene, &goal).unwrap();
+            progress.end = progress.judge(&points, outlines(&scene, &goal));
+            Outcome::new(0, &progress, scene.success.violation_px).sentence()
+        };
+        // Between the lower points and the grasped object, which begins at v = 385, are 83.5 px; its
+        // corners are a little rounded.
+        let clear = sentence(0.0);
+        let words = "85.6 px from occlusions and border, or more; the markers' edges 56.8 px";
+        assert!(clear.ends_with(words), "{clear}");
+        let hidden = sentence(60.0);
+        assert!(hidden.contains("; 26.3 px from"), "{hidden}");
+        let words = "; markers were up to 2.5 px hidden";
+        assert!(hidden.ends_with(words), "{hidden}");
     }
 
     #[test]

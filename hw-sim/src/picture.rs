@@ -1,19 +1,17 @@
-//! Rendered frames: drawn and searched for markers by a thread, beside the robot's millisecond.
+//! Rendered frames: drawn by a thread, beside the robot's millisecond.
 
 use std::sync::mpsc::{self, TryRecvError};
 use std::thread;
 
 use scene::{Pose, Scene};
-use vision::{Detector, DetectorSettings, Look, Renderer, SizeError};
-
-use crate::camera::Points;
+use vision::{Image, Look, Renderer};
 
 /// Why a camera cannot be, or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum EyeError {
-    /// The detector.
-    #[error(transparent)]
-    Detector(#[from] SizeError),
+    /// Points have nothing to draw.
+    #[error("the scene's markers have no size to be drawn with: it gives no pattern.marker_size")]
+    NoSize,
     /// No thread for the picture.
     #[error("no thread for the camera's picture: {0}")]
     Thread(std::io::Error),
@@ -30,73 +28,59 @@ pub(crate) struct Exposure {
     pub shown: Vec<bool>,
 }
 
-/// Markers, px, and a bit for each that was measured.
-pub(crate) type Seen = (Points, u32);
-
 /// Draws frames in the order in which they were exposed. The thread ends with it.
 #[derive(Debug)]
 pub(crate) struct FrameRenderer {
     exposures: mpsc::Sender<Exposure>,
-    seen: mpsc::Receiver<Result<Seen, EyeError>>,
+    images: mpsc::Receiver<Image>,
 }
 
 impl FrameRenderer {
-    /// Draws the scene as it is, `real`; its detector knows the scene as it is `believed`, and
-    /// where the object is at the start.
-    pub fn new(real: &Scene, believed: &Scene, start: &Pose, seed: u64) -> Result<Self, EyeError> {
+    /// Draws the scene as it is, with a tag at each point of its pattern.
+    pub fn new(real: &Scene, seed: u64) -> Result<Self, EyeError> {
+        if real.marker_size <= 0.0 {
+            return Err(EyeError::NoSize);
+        }
         let look = Look {
             seed,
             ..Look::default()
         };
         let mut renderer = Renderer::new(real, &look);
-        let mut detector = Detector::new(believed, &DetectorSettings::default());
-        detector.expect(start);
         let (exposures, to_do) = mpsc::channel::<Exposure>();
-        let (done, seen) = mpsc::channel();
+        let (done, images) = mpsc::channel();
         let work = move || {
             while let Ok(exposure) = to_do.recv() {
-                if done
-                    .send(see(&mut renderer, &mut detector, &exposure))
-                    .is_err()
-                {
+                if done.send(draw(&mut renderer, &exposure)).is_err() {
                     break;
                 }
             }
         };
         let thread = thread::Builder::new().name("picture".into());
         thread.spawn(work).map_err(EyeError::Thread)?;
-        Ok(Self { exposures, seen })
+        Ok(Self { exposures, images })
     }
 
     pub fn expose(&self, exposure: Exposure) -> Result<(), EyeError> {
         self.exposures.send(exposure).map_err(|_| EyeError::Ended)
     }
 
-    /// What the next frame shows; waits for it, or gives `None` where it is not ready.
-    pub fn next(&self, waits: bool) -> Result<Option<Seen>, EyeError> {
-        let seen = if waits {
-            self.seen.recv().map_err(|_| TryRecvError::Disconnected)
-        } else {
-            self.seen.try_recv()
-        };
-        match seen {
-            Ok(seen) => seen.map(Some),
+    /// The next frame; waits for it, or gives `None` where it is not ready.
+    pub fn next(&self, waits: bool) -> Result<Option<Image>, EyeError> {
+        if waits {
+            return self.images.recv().map(Some).map_err(|_| EyeError::Ended);
+        }
+        match self.images.try_recv() {
+            Ok(image) => Ok(Some(image)),
             Err(TryRecvError::Empty) => Ok(None),
             Err(TryRecvError::Disconnected) => Err(EyeError::Ended),
         }
     }
 }
 
-fn see(
-    renderer: &mut Renderer,
-    detector: &mut Detector,
-    exposure: &Exposure,
-) -> Result<Seen, EyeError> {
+fn draw(renderer: &mut Renderer, exposure: &Exposure) -> Image {
     for (occlusion, &shown) in exposure.shown.iter().enumerate() {
         renderer.show(occlusion, shown);
     }
     let [first, last] = &exposure.rows;
-    let sightings = detector.detect(renderer.render_rolling(first, last))?;
-    let points = sightings.iter().map(|marker| marker.pixel).collect();
-    Ok((points, detector.visible()))
+    renderer.render_rolling(first, last).clone()
 }

@@ -2,7 +2,7 @@
 
 use scene::Scene;
 
-use crate::camera::Points;
+use crate::camera::{Outline, Points};
 use crate::referee::{End, Referee};
 
 /// A run so far.
@@ -60,8 +60,14 @@ impl Progress {
         self.time_s = now_ns.saturating_sub(begun) as f64 * 1e-9;
     }
 
-    /// Has the referee judge the true features; returns its judgement.
-    pub fn judge(&mut self, points: &Points) -> Option<End> {
+    /// Has the referee judge the true features, and measure the true edges of the markers; returns
+    /// its judgement.
+    pub fn judge(
+        &mut self,
+        points: &Points,
+        outlines: impl Iterator<Item = Option<Outline>>,
+    ) -> Option<End> {
+        self.referee.measure_edges(outlines);
         self.error_px = self.referee.error(points);
         let end = self.referee.judge(points);
         if end == Some(End::Arrived) {
@@ -70,8 +76,13 @@ impl Progress {
         end
     }
 
-    /// Has the referee judge the true features between two frames: a violation ends the run.
-    pub fn judge_between(&mut self, points: &Points) {
+    /// The same between two frames: a violation ends the run.
+    pub fn judge_between(
+        &mut self,
+        points: &Points,
+        outlines: impl Iterator<Item = Option<Outline>>,
+    ) {
+        self.referee.measure_edges(outlines);
         if let Some(end) = self.referee.judge_between(points) {
             self.finish(end);
         }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use scene::{Name, Scene};
 
-use crate::camera::{Points, project};
+use crate::camera::{Outline, Points, project};
 use crate::occlusion;
 use crate::pose::from_scene;
 
@@ -14,7 +14,8 @@ pub enum End {
     /// At the goal: every component of s - s* is within the scene's convergence. A robot has
     /// released the object there and backed away.
     Arrived,
-    /// A point is deeper in an occlusion, or farther outside the image, than the scene allows.
+    /// A point is deeper in an occlusion, or farther outside the image, than the scene allows. As
+    /// in the paper, points count: a marker that is partly hidden is no violation.
     Violation(Violation),
     /// The time is up.
     TimeOut,
@@ -55,6 +56,7 @@ pub struct Referee {
     goal: Points,
     least_clearance: f64,
     least_between: f64,
+    least_edge: f64,
 }
 
 impl Referee {
@@ -66,6 +68,7 @@ impl Referee {
             goal: project(scene, &from_scene(&scene.goal)).unwrap_or_default(),
             least_clearance: f64::INFINITY,
             least_between: f64::INFINITY,
+            least_edge: f64::INFINITY,
         }
     }
 
@@ -83,6 +86,12 @@ impl Referee {
     /// The same at the instants between frames.
     pub fn least_between(&self) -> f64 {
         self.least_between
+    }
+
+    /// Least signed distance of any part of a marker's edge from an occlusion or the image border at
+    /// any instant, px; negative where a marker was partly hidden. `None` where markers are points.
+    pub fn least_edge(&self) -> Option<f64> {
+        (self.scene.marker_size > 0.0).then_some(self.least_edge)
     }
 
     /// Largest component of s - s*, px.
@@ -105,6 +114,19 @@ impl Referee {
         let (least, violation) = self.deepest(points, self.least_between);
         self.least_between = least;
         violation
+    }
+
+    /// Measures how clear the true [edges of the markers](crate::camera::outlines) are.
+    pub fn measure_edges(&mut self, outlines: impl Iterator<Item = Option<Outline>>) {
+        for outline in outlines {
+            let edge = outline.iter().flatten();
+            self.least_edge = edge.fold(self.least_edge, |least, &pixel| {
+                least.min(self.clearance(pixel, least).0)
+            });
+            if outline.is_none() {
+                self.least_edge = f64::NEG_INFINITY;
+            }
+        }
     }
 
     /// The least clearance of some points and of `least`, and the first point that is too deep.
@@ -156,6 +178,7 @@ impl Referee {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::outlines;
 
     fn referee() -> Referee {
         Referee::new(&Scene::parse(scene::PAPER_SIM, "sim").unwrap())
@@ -173,6 +196,30 @@ mod tests {
         let goal = referee.goal().to_vec();
         assert_eq!(referee.judge(&goal), Some(End::Arrived));
         assert_eq!(referee.judge(&goal_with([714.1, 712.0])), None);
+    }
+
+    #[test]
+    fn the_edge_of_a_marker_is_measured_and_a_marker_that_is_partly_hidden_is_no_violation() {
+        let mut scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
+        let goal = from_scene(&scene.goal);
+        let edge = |scene: &Scene| {
+            let mut referee = Referee::new(scene);
+            referee.measure_edges(outlines(scene, &goal));
+            let points = project(scene, &goal).unwrap();
+            (referee.least_edge(), referee.judge(&points))
+        };
+        // The lower tags end at v = 240 + 615 * (-0.01 + 0.045 + 0.015) / 0.35; the grasped object,
+        // nearly a rectangle, begins at v = 385.
+        let lower = 240.0 + 615.0 * 0.05 / 0.35;
+        let (least, end) = edge(&scene);
+        assert!((least.unwrap() - (385.0 - lower)).abs() < 0.5, "{least:?}");
+        assert_eq!(end, Some(End::Arrived));
+        scene.occlusions[1].parts[0].center[1] -= 65.0;
+        let (least, end) = edge(&scene);
+        assert!((least.unwrap() - (320.0 - lower)).abs() < 0.5, "{least:?}");
+        assert_eq!(end, Some(End::Arrived));
+        scene.marker_size = 0.0;
+        assert_eq!(edge(&scene).0, None);
     }
 
     #[test]

@@ -6,10 +6,11 @@ use ipc::RobotState;
 use panda::Mode;
 use scene::{Pose, Scene};
 
-use crate::camera::{Points, project};
+use crate::camera::{Points, outlines, project};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{Eye, EyeError, EyeSettings};
 use crate::outcome::Outcome;
+use crate::pose::RigidPose;
 use crate::progress::Progress;
 use crate::recording::ArmRecord;
 use crate::referee::{End, INSTANTS};
@@ -92,7 +93,7 @@ impl Rig {
         let is_grasped = |occlusion: &scene::Occlusion| occlusion.name.contains("grasped");
         Ok(Self {
             arm: Arm::new(scene, start, &settings.arm)?,
-            eye: Eye::new(&real, scene, start, &settings.eye, settings.is_live)?,
+            eye: Eye::new(&real, &settings.eye, settings.is_live)?,
             progress: Progress::new(scene),
             sequence: Sequence::new(settings.sequence),
             grasped: scene.occlusions.iter().position(is_grasped),
@@ -142,10 +143,13 @@ impl Rig {
         }
     }
 
-    fn judge(&mut self, points: &Points) {
+    fn judge(&mut self, points: &Points, object: &RigidPose) {
         if !self.phase().obeys_controller() {
             self.progress.error_px = self.progress.referee.error(points);
-        } else if let Some(end @ End::Violation(_)) = self.progress.judge(points) {
+            return;
+        }
+        let judgement = self.progress.judge(points, outlines(&self.real, object));
+        if let Some(end @ End::Violation(_)) = judgement {
             self.progress.finish(end);
         }
     }
@@ -192,7 +196,7 @@ impl Cell for Rig {
             self.eye.expose(&object, &self.arm.camera_twist(), now_ns)?;
             match project(&self.real, &object) {
                 Ok(points) => {
-                    self.judge(&points);
+                    self.judge(&points, &object);
                     seen.exposed = Some(Exposed { points, object });
                 }
                 Err(_) => self.progress.finish(End::LostSight),
@@ -226,8 +230,12 @@ impl Cell for Rig {
         self.progress.tick(self.now_ns());
         let between = (1000.0 / (self.scene.camera.rate_hz * f64::from(INSTANTS))) as u64;
         if self.steps.is_multiple_of(between.max(1)) && self.phase().obeys_controller() {
-            match project(&self.real, &self.arm.object()) {
-                Ok(points) => self.progress.judge_between(&points),
+            let object = self.arm.object();
+            match project(&self.real, &object) {
+                Ok(points) => {
+                    let outlines = outlines(&self.real, &object);
+                    self.progress.judge_between(&points, outlines);
+                }
                 Err(_) => self.progress.finish(End::LostSight),
             }
         }

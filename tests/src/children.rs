@@ -151,18 +151,31 @@ impl Children {
     /// # Errors
     /// Cargo cannot be run, or fails.
     pub fn build(&self, programs: &[&str]) -> anyhow::Result<PathBuf> {
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let mut build = command(cargo);
         // No package is named, so that features are those of `cargo build`, and nothing is built
         // twice.
-        build.current_dir(root()).arg("build");
-        build.args(programs.iter().flat_map(|program| ["--bin", program]));
+        self.cargo_build(programs.iter().flat_map(|program| ["--bin", program]))
+            .with_context(|| format!("cargo build of {}", programs.join(", ")))
+    }
+
+    /// Builds a package that is no default member of the workspace, in the same place.
+    ///
+    /// # Errors
+    /// As [`Children::build`].
+    pub fn build_package(&self, package: &str) -> anyhow::Result<PathBuf> {
+        self.cargo_build(["--package", package].into_iter())
+            .with_context(|| format!("cargo build of {package}"))
+    }
+
+    fn cargo_build<'a>(&self, what: impl Iterator<Item = &'a str>) -> anyhow::Result<PathBuf> {
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let mut build = command(cargo);
+        build.current_dir(root()).arg("build").args(what);
         if !cfg!(debug_assertions) {
             build.arg("--release");
         }
         let (status, _) = self.start("cargo", build)?.output()?;
         if !status.success() {
-            bail!("cargo build of {} failed", programs.join(", "));
+            bail!("{status}");
         }
         let program = std::env::current_exe()?;
         let directory = program.parent().context("no directory of binaries")?;
@@ -206,6 +219,11 @@ pub struct Running<'a> {
 }
 
 impl Running<'_> {
+    /// Whether it has ended by itself.
+    pub fn has_ended(&self) -> bool {
+        has_ended(Pid::from_child(&self.child), Instant::now())
+    }
+
     /// Waits for its end: how it ended, and its standard output where that is piped.
     ///
     /// # Errors

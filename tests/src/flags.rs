@@ -1,7 +1,6 @@
 //! Flags of `cargo table`.
 
 use clap::{Args, FromArgMatches};
-use hw_sim::eye::Sight;
 use vpc::{Model, Settings};
 
 use crate::spec::Spec;
@@ -114,9 +113,6 @@ pub struct RobotFlags {
     /// Largest deviation of this delay to either side, ms.
     #[arg(long, value_name = "MS", default_value_t = 0.0)]
     pub jitter_ms: f64,
-    /// Where the features come from.
-    #[arg(long, value_enum, default_value = "ideal")]
-    pub camera: Sight,
     /// Relative error of the focal lengths: the true ones are 1 + E times as large.
     #[arg(
         long,
@@ -140,6 +136,9 @@ pub struct RobotFlags {
     /// Clearance that the law keeps from every border, px; 0 in the paper.
     #[arg(long, value_name = "PX", default_value_t = 0.0)]
     pub margin: f64,
+    /// The law takes the markers for points: it does not know the scene's marker_size.
+    #[arg(long)]
+    pub ignore_marker_size: bool,
     /// Send the 30 Hz commands to the robot without shaping them to 1 kHz.
     #[arg(long)]
     pub unshaped: bool,

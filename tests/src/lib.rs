@@ -6,6 +6,8 @@
 pub mod children;
 pub mod fci_table;
 pub mod flags;
+pub mod flaw;
+pub mod laboratory;
 pub mod pictures;
 pub mod robot;
 pub mod robot_table;

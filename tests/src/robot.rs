@@ -31,6 +31,10 @@ pub struct RobotRun {
     pub arrived_s: Option<f64>,
     /// Least distance of a point from an occlusion or the border, px.
     pub least_clearance_px: f64,
+    /// Where markers have a size: least distance of any marker's edge, px; negative where one was
+    /// partly hidden.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub least_edge_px: Option<f64>,
     /// True s - s* at the end, largest component, px.
     pub error_px: f64,
     /// Frames with a hidden marker.
@@ -165,6 +169,7 @@ pub fn run(
         time_s: rig.progress().time_s,
         arrived_s: rig.progress().arrived_s,
         least_clearance_px: rig.progress().referee.least_clearance(),
+        least_edge_px: rig.progress().referee.least_edge(),
         error_px: rig.progress().error_px,
         hidden,
         cost: cost / cycles.max(1.0),

@@ -47,6 +47,8 @@ pub struct RobotRow {
     pub arrived_s: Option<f64>,
     /// Mean running cost over Np.
     pub cost: f64,
+    /// Where markers have a size: the least clearance of any marker's edge, px.
+    pub least_edge_px: Option<f64>,
     /// Largest shares of the joints' limits in any run: speed, acceleration, jerk.
     pub joint_shares: [f64; 3],
 }
@@ -86,7 +88,6 @@ fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> Rig
     if flags.unshaped {
         settings.arm.shaping = Shaping::Off;
     }
-    settings.eye.sight = flags.camera;
     settings.eye.noise_px = common.noise;
     settings.eye.seed = seed;
     settings.eye.latency.latency_ns = (flags.delay_ms * 1e6).round() as u64;
@@ -115,11 +116,15 @@ pub fn table(
     let threads = rayon::ThreadPoolBuilder::new().stack_size(16 << 20);
     let threads = threads.build()?;
     let mut all = Vec::new();
+    let mut believed = scene.clone();
+    if flags.ignore_marker_size {
+        believed.marker_size = 0.0;
+    }
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
             let memory = memory.cloned();
-            let mut daemon = Simulated::new(scene, memory, settings, ClockMode::Fixed)?;
+            let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
             let cell = cell(scene, flags, common, start);
             let run = run(scene, &cell, &mut daemon, &starts[start]);
             tick();
@@ -154,6 +159,10 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
         discontinuities: runs.iter().map(|run| run.arm.discontinuities).sum(),
         arrived_s: (!good.is_empty()).then(|| good.iter().sum::<f64>() / good.len() as f64),
         cost: runs.iter().map(|run| run.cost).sum::<f64>() / count,
+        least_edge_px: runs
+            .iter()
+            .filter_map(|run| run.least_edge_px)
+            .min_by(f64::total_cmp),
         joint_shares: [
             most(|run| run.arm.joint_velocity),
             most(|run| run.arm.joint_acceleration),
@@ -166,13 +175,13 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
 pub fn markdown(rows: &[RobotRow]) -> String {
     let mut text = String::from(
         "| strategy | success (%) | violation | marker lost | time out | faults | reflexes | limit violations | discontinuities | \
-         arrival (s) | cost l/Np | joint speed, acceleration, jerk (% of limit) |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
+         arrival (s) | cost l/Np | least clearance of an edge (px) | joint speed, acceleration, jerk (% of limit) |\n\
+         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
     );
     for row in rows {
         let [speed, push, snap] = row.joint_shares.map(|share| 100.0 * share);
         text += &format!(
-            "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {} | {:.4} | {speed:.0}, {push:.0}, {snap:.0} |\n",
+            "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {} | {:.4} | {} | {speed:.0}, {push:.0}, {snap:.0} |\n",
             row.strategy,
             100.0 * row.success_rate,
             row.violations,
@@ -184,6 +193,8 @@ pub fn markdown(rows: &[RobotRow]) -> String {
             row.discontinuities,
             row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}")),
             row.cost,
+            row.least_edge_px
+                .map_or("-".to_owned(), |px| format!("{px:.1}")),
         );
     }
     text

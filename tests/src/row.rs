@@ -135,7 +135,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// The 95 % interval of a rate (Wilson).
-fn wilson(successes: usize, count: usize) -> [f64; 2] {
+pub(crate) fn wilson(successes: usize, count: usize) -> [f64; 2] {
     const Z: f64 = 1.96;
     let n = count.max(1) as f64;
     let rate = successes as f64 / n;

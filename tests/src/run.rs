@@ -5,6 +5,7 @@ use std::fmt;
 use std::time::Instant;
 
 use controller::input::Inputs;
+use hw_sim::camera::outlines;
 use hw_sim::cost::running_cost;
 use hw_sim::referee::INSTANTS;
 use hw_sim::sensor::{Flaws, Sensor};
@@ -35,6 +36,9 @@ pub struct Run {
     pub least_clearance_px: f64,
     /// The same at the instants between frames.
     pub least_between_px: f64,
+    /// Where markers have a size: least clearance of any marker's edge at all these instants, px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub least_edge_px: Option<f64>,
     /// Time of each decision until the run was decided, us: filled by [`time`].
     #[serde(skip)]
     pub cycles_us: Vec<f64>,
@@ -112,6 +116,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         change: None,
         least_clearance_px: f64::INFINITY,
         least_between_px: f64::INFINITY,
+        least_edge_px: None,
         cycles_us: Vec::new(),
         slack_us: Vec::new(),
         simulated: 0,
@@ -124,6 +129,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
     let mut standing = [0.0; 6];
     let mut changes = Vec::new();
     'run: for k in 0..periods {
+        referee.measure_edges(outlines(scene, &camera.pose));
         let seen = camera.features().map_err(|_| Reason::LostSight);
         let seen = seen.and_then(|features| match referee.judge(&features) {
             Some(End::Violation(_)) => Err(Reason::Violation),
@@ -175,6 +181,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         standing = twist;
         for _ in 1..INSTANTS {
             camera.advance(&twist, ts / f64::from(INSTANTS));
+            referee.measure_edges(outlines(scene, &camera.pose));
             let reason = match camera.features() {
                 Ok(features) => referee.judge_between(&features).map(|_| Reason::Violation),
                 Err(_) => Some(Reason::LostSight),
@@ -189,6 +196,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
     }
     run.least_clearance_px = referee.least_clearance();
     run.least_between_px = referee.least_between();
+    run.least_edge_px = referee.least_edge();
     run.cost = cost / cycles.max(1.0);
     run.change = (!changes.is_empty()).then(|| changes.iter().sum::<f64>() / changes.len() as f64);
     run

@@ -86,6 +86,7 @@ impl Truth {
         real.camera.cx += self.center_px[0];
         real.camera.cy += self.center_px[1];
         let lengths = real.pattern.iter_mut().flatten();
+        let lengths = lengths.chain([&mut real.marker_size]);
         for length in lengths.chain(&mut real.goal.translation) {
             *length *= 1.0 + self.depth;
         }

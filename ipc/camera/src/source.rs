@@ -1,7 +1,12 @@
 //! Where images come from.
 
-pub mod replay;
-pub mod v4l2;
+mod replay;
+mod shm;
+mod v4l2;
+
+pub use replay::Replay;
+pub use shm::SharedMemory;
+pub use v4l2::{Camera, Request, Shutter};
 
 use std::io;
 use std::sync::atomic::AtomicBool;
@@ -23,16 +28,24 @@ pub struct Frame<'a> {
     pub image: Grey<'a>,
 }
 
+/// What a source has.
+#[derive(Debug)]
+pub enum Next<'a> {
+    /// A new frame.
+    Frame(Frame<'a>),
+    /// None yet.
+    Nothing,
+    /// There will be none any more, or a stop was asked for.
+    End,
+}
+
 /// A camera, or what stands for one.
 pub trait Source {
-    /// Width and height of its images, px.
-    fn size(&self) -> [u32; 2];
-
-    /// Waits for the next frame. `None` at the end, or soon after `stop` is set.
+    /// Waits for the next frame, or for a while.
     ///
     /// # Errors
     /// [`SourceError`]: there will be no more frames.
-    fn next(&mut self, stop: &AtomicBool) -> Result<Option<Frame<'_>>, SourceError>;
+    fn next(&mut self, stop: &AtomicBool) -> Result<Next<'_>, SourceError>;
 }
 
 /// A source cannot be opened, or gives no more frames.
@@ -50,6 +63,12 @@ pub enum SourceError {
         found: String,
         allowed: String,
     },
+    /// The shared memory.
+    #[error(transparent)]
+    Open(#[from] ipc::OpenError),
+    /// The shared memory fails.
+    #[error(transparent)]
+    Receive(#[from] ipc::ReceiveError),
 }
 
 impl SourceError {

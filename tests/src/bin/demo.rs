@@ -9,7 +9,6 @@ use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
-use hw_sim::eye::Sight;
 use hw_sim::recording;
 use ipc::ClockMode;
 use memory_blob::MemoryFile;
@@ -243,7 +242,6 @@ impl<'a> Demo<'a> {
     fn compare_on_robot(&self) -> anyhow::Result<Vec<(Spec, system_tests::robot::RobotRun)>> {
         let flags = RobotFlags {
             only: Some(self.start),
-            camera: Sight::Rendered,
             ..defaults()
         };
         let strategies =

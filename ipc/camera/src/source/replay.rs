@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use self::picture::Picture;
 use self::y4m::Video;
-use super::{Frame, Source, SourceError};
+use super::{Frame, Next, Source, SourceError};
 use crate::grey::Grey;
 
 /// How long to sleep before looking at the stop flag again.
@@ -106,11 +106,22 @@ impl Replay {
 }
 
 impl Source for Replay {
-    fn size(&self) -> [u32; 2] {
+    fn next(&mut self, stop: &AtomicBool) -> Result<Next<'_>, SourceError> {
+        Ok(self.next(stop)?.map_or(Next::End, Next::Frame))
+    }
+}
+
+impl Replay {
+    /// Width and height of the images, px.
+    pub fn size(&self) -> [u32; 2] {
         self.size
     }
 
-    fn next(&mut self, stop: &AtomicBool) -> Result<Option<Frame<'_>>, SourceError> {
+    /// Waits for the next frame. `None` at the end, or soon after `stop` is set.
+    ///
+    /// # Errors
+    /// [`SourceError`]: an image cannot be read, or has another size.
+    pub fn next(&mut self, stop: &AtomicBool) -> Result<Option<Frame<'_>>, SourceError> {
         // Decoded before it is due, so that its stamp is not of the time before decoding.
         if self.next.is_none() {
             self.next = self.images.next()?;

@@ -15,9 +15,10 @@ use rustix::io::Errno;
 
 use self::abi::{fourcc, fourcc_name};
 use self::device::Device;
-pub use self::stamp::{Shutter, StampedAt, Timing};
+pub use self::stamp::Shutter;
+use self::stamp::Timing;
 use self::stream::Stream;
-use super::{Frame, Source, SourceError};
+use super::{Next, Source, SourceError};
 
 /// Share by which the camera's rate may differ from the one asked for.
 const RATE: f64 = 0.01;
@@ -127,12 +128,8 @@ impl Camera {
 }
 
 impl Source for Camera {
-    fn size(&self) -> [u32; 2] {
-        self.0.size
-    }
-
-    fn next(&mut self, stop: &AtomicBool) -> Result<Option<Frame<'_>>, SourceError> {
-        self.0.next(stop)
+    fn next(&mut self, stop: &AtomicBool) -> Result<Next<'_>, SourceError> {
+        Ok(self.0.next(stop)?.map_or(Next::End, Next::Frame))
     }
 }
 

@@ -1,9 +1,16 @@
 //! From a driver's stamp to the middle of the exposure.
 
+use clap::ValueEnum;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use super::abi::{TIMESTAMP_MASK, TIMESTAMP_MONOTONIC, TSTAMP_SRC_MASK, TSTAMP_SRC_SOE};
 
 /// Which rows are exposed when.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
+#[serde(rename_all = "lowercase")]
 pub enum Shutter {
     /// All at once; they are read one after another when the exposure has ended.
     #[default]

@@ -1,0 +1,164 @@
+//! `cargo laboratory`: the paper's robot experiment with rendered images, tags and the errors of a
+//! laboratory.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, bail};
+use clap::Parser;
+use system_tests::arguments;
+use system_tests::children::{Children, attended};
+use system_tests::flaw::{self, Flaw};
+use system_tests::laboratory::{self, Row, Setup};
+use system_tests::source::{Product, Source};
+use toml::{Table, Value};
+
+/// Runs `hw-sim` with a Panda and a rendered camera, `vpc-camera` and `vpcd` as processes in
+/// lockstep, from many starts, with errors between what is and what the programs are told.
+///
+/// The first row has no errors, the second one all of them at once.
+#[derive(Parser)]
+#[command(name = "laboratory", version)]
+struct Cli {
+    /// Scene file (TOML) whose markers have a size.
+    #[arg(long, default_value = "ipc/scene/scenes/tags-robot.toml")]
+    scene: PathBuf,
+    /// Start poses: a file, or COUNT@SEED: so many that `vpc-memory starts` draws by this seed.
+    #[arg(long, default_value = "100@1501")]
+    starts: Source,
+    /// Memory of motion: a file, or COUNT@SEED: of so many trajectories, built by this seed.
+    #[arg(long, default_value = "50@1")]
+    memory: Source,
+    /// The errors at level 1.
+    #[arg(long, default_value = "tests/laboratory.toml")]
+    flaws: PathBuf,
+    /// Level of the row with all errors.
+    #[arg(long, default_value_t = 1.0)]
+    level: f64,
+    /// Adds rows of each error alone at these levels, such as 1,2,3.
+    #[arg(long, value_delimiter = ',')]
+    each: Vec<f64>,
+    /// Only the errors of these names.
+    #[arg(long, value_delimiter = ',')]
+    only: Vec<String>,
+    /// Times the scene's limits of speed.
+    #[arg(long, default_value_t = 1.0)]
+    speed: f64,
+    /// A key of `[law]` that goes over controller/vpcd-robot.toml, such as margin_px=6; may be given
+    /// several times.
+    #[arg(long, value_name = "KEY=VALUE")]
+    law: Vec<String>,
+    /// Seed of the first laboratory.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Laboratories at work at a time, 1 to 4.
+    #[arg(long, default_value_t = 2)]
+    jobs: usize,
+    /// Write the rows to this file (JSON).
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    attended("laboratory", |children| {
+        let cli = Cli::parse_from(arguments());
+        run(children, &cli)?;
+        Ok(ExitCode::SUCCESS)
+    })
+}
+
+fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
+    let flaws = chosen(flaw::read(&cli.flaws)?, &cli.only)?;
+    let place = laboratory::place();
+    let _place = children.place(place.clone());
+    fs::create_dir_all(&place)?;
+    let scene = faster(&cli.scene, cli.speed, &place)?;
+    let programs = children.build(&["vpcd", "hw-sim", "vpc-memory"])?;
+    children.build_package("vpc-camera")?;
+    let starts = cli.starts.file(children, &scene, Product::Starts, &place)?;
+    let memory = cli.memory.file(children, &scene, Product::Memory, &place)?;
+    let starts = fs::read_to_string(&starts).with_context(|| starts.display().to_string())?;
+    let mut lines = starts.lines().filter(|line| !line.trim().is_empty());
+    let head = lines.next().context("a file of starts without a line")?;
+    let starts: Vec<String> = lines.map(str::to_owned).collect();
+    let law = law(&cli.law)?;
+    let setup = Setup {
+        children,
+        programs: &programs,
+        place: &place,
+        scene: &scene,
+        starts: &starts,
+        head,
+        memory: &memory,
+        law: &law,
+        seed: cli.seed,
+        jobs: cli.jobs,
+    };
+    let mut rows = Vec::new();
+    let mut add = |name: &str, levels: &[(&Flaw, f64)]| -> anyhow::Result<()> {
+        let row = laboratory::row(&setup, name, levels)?;
+        eprintln!("{name}: {} of {} arrived", row.arrived, row.runs);
+        rows.push(row);
+        Ok(())
+    };
+    add("none", &[])?;
+    let all: Vec<(&Flaw, f64)> = flaws.iter().map(|flaw| (flaw, cli.level)).collect();
+    add(&format!("all, level {}", cli.level), &all)?;
+    for flaw in &flaws {
+        for &level in &cli.each {
+            add(&format!("{}, level {level}", flaw.name), &[(flaw, level)])?;
+        }
+    }
+    tell(&flaws, &rows, cli.json.as_deref())
+}
+
+/// The errors of these names, or all.
+fn chosen(mut flaws: Vec<Flaw>, only: &[String]) -> anyhow::Result<Vec<Flaw>> {
+    for name in only {
+        if !flaws.iter().any(|flaw| flaw.name == *name) {
+            let names: Vec<&str> = flaws.iter().map(|flaw| flaw.name.as_str()).collect();
+            bail!("--only {name}; allowed: {}", names.join(", "));
+        }
+    }
+    flaws.retain(|flaw| only.is_empty() || only.contains(&flaw.name));
+    Ok(flaws)
+}
+
+/// The scene with other limits of speed, in a directory; its masks stay where they are.
+fn faster(scene: &Path, factor: f64, place: &Path) -> anyhow::Result<PathBuf> {
+    if factor == 1.0 {
+        return Ok(scene.to_owned());
+    }
+    let mut keys: Table = toml::from_str(&fs::read_to_string(scene)?)?;
+    let limits = keys.get_mut("limits").and_then(Value::as_table_mut);
+    let limits = limits.with_context(|| format!("{}: no [limits]", scene.display()))?;
+    for key in ["linear", "angular"] {
+        let value = limits.get(key).and_then(Value::as_float);
+        let value = value.with_context(|| format!("{}: limits.{key}", scene.display()))?;
+        limits.insert(key.to_owned(), (value * factor).into());
+    }
+    let path = place.join("scene.toml");
+    fs::write(&path, toml::to_string(&keys)?)?;
+    Ok(path)
+}
+
+/// Keys of the law, from KEY=VALUE.
+fn law(words: &[String]) -> anyhow::Result<Table> {
+    let text = words.join("\n");
+    toml::from_str(&text).with_context(|| format!("--law {}", words.join(" --law ")))
+}
+
+fn tell(flaws: &[Flaw], rows: &[Row], json: Option<&Path>) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", laboratory::markdown(rows))?;
+    for flaw in flaws {
+        writeln!(out, "{} at level 1: {}", flaw.name, flaw.what)?;
+    }
+    if let Some(path) = json {
+        fs::write(path, serde_json::to_vec_pretty(rows)?)
+            .with_context(|| path.display().to_string())?;
+    }
+    Ok(())
+}
