@@ -7,8 +7,6 @@
 mod blur;
 pub mod config;
 pub mod distance;
-#[cfg(all(test, feature = "detector"))]
-mod drawn;
 #[cfg(feature = "detector")]
 pub mod finder;
 pub mod grey;
