@@ -79,6 +79,8 @@ pub struct ArmReport {
     pub limit_violations: u64,
     pub discontinuities: u64,
     pub joint_velocity: f64,
+    pub errors: Vec<String>,
+    pub joint_room: f64,
 }
 
 /// A row: many runs with the same errors.
@@ -100,8 +102,8 @@ pub struct Row {
     pub joint_speed: f64,
     /// Least clearance of a point in any run, px.
     pub least_clearance_px: f64,
-    /// Runs that did not arrive: their starts, verdicts, and for what `vpcd` held the camera most
-    /// often.
+    /// Runs that did not arrive: their starts, verdicts, the robot's errors, and for what `vpcd` held
+    /// the camera most often.
     pub failed: Vec<(usize, String)>,
 }
 
@@ -182,12 +184,15 @@ impl Row {
     }
 }
 
-/// The verdict, and for what the camera was held most often.
+/// The verdict, the robot's errors, and for what the camera was held most often.
 fn why(run: &Run) -> String {
+    let errors = run.arm.errors.iter().cloned();
     let most = run.holds.iter().max_by_key(|(_, cycles)| **cycles);
-    match most {
-        Some((hold, cycles)) => format!("{}: {hold}, {cycles} cycles", run.verdict),
-        None => run.verdict.clone(),
+    let most = most.map(|(hold, cycles)| format!("{hold}, {cycles} cycles"));
+    let reasons: Vec<String> = errors.chain(most).collect();
+    match reasons.is_empty() {
+        true => run.verdict.clone(),
+        false => format!("{}: {}", run.verdict, reasons.join("; ")),
     }
 }
 
