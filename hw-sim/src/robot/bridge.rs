@@ -16,7 +16,7 @@ use crate::standing::Standing;
 const JOINT_SPEED: f64 = 0.3;
 /// Distance that joints keep from the ends of their ranges, rad, with room for what the robot does
 /// with its elbow, and the deceleration with which they near it, rad/s^2.
-const JOINT_MARGIN: f64 = 0.3;
+const JOINT_MARGIN: f64 = 0.15;
 const NEARING: f64 = 0.5;
 
 /// Turns camera twists into robot commands. It knows the calibration that a real bridge would be
@@ -195,7 +195,7 @@ mod tests {
             let most = scene.limits.velocity();
             let twist = most.map(|most| most * random.random_range(-1.0..1.0));
             let mut arm = Arm::new(&scene, start, &ArmSettings::default()).unwrap();
-            for ms in 0..12_000 {
+            for ms in 0..8_000 {
                 if ms % 33 == 0 {
                     arm.bridge.command(&twist, (ms + 100) * MS);
                 }
