@@ -44,7 +44,7 @@ pub struct Setup<'a> {
     pub head: &'a str,
     /// The file of the memory.
     pub memory: &'a Path,
-    /// Keys of `[law]` that go over `controller/vpcd-robot.toml`.
+    /// Keys of `[law]` that go over `controller/vpcd-tags.toml`.
     pub law: &'a Table,
     /// Of the first laboratory; the others count on.
     pub seed: u64,
@@ -308,11 +308,11 @@ impl Laboratory<'_> {
         camera.insert("calibration".to_owned(), "calibration.toml".into());
         self.write("vpc-camera.toml", &camera)?;
 
-        let mut daemon = shipped("controller/vpcd-robot.toml")?;
+        let mut daemon = shipped("controller/vpcd-tags.toml")?;
         daemon.insert("scene".to_owned(), path(scene)?);
         daemon.insert("memory".to_owned(), path(memory)?);
         let law = daemon.get_mut("law").and_then(Value::as_table_mut);
-        let law = law.context("vpcd-robot.toml without [law]")?;
+        let law = law.context("vpcd-tags.toml without [law]")?;
         law.extend(self.setup.law.clone());
         self.write("vpcd.toml", &daemon)
     }
