@@ -13,10 +13,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use ipc::{CycleRecord, Domain, Hold, Subscriber};
+use scene::Scene;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::children::{self, Children, Running};
+use crate::film::Film;
 use crate::flaw::Flaw;
 use crate::row::wilson;
 
@@ -27,6 +29,8 @@ const LABORATORIES: usize = 4;
 const PATIENCE: Duration = Duration::from_secs(300);
 /// Between two looks at a laboratory.
 const LOOK: Duration = Duration::from_millis(20);
+/// ... that is filmed.
+const SHORT_LOOK: Duration = Duration::from_millis(2);
 
 /// What all rows have in common.
 pub struct Setup<'a> {
@@ -50,6 +54,8 @@ pub struct Setup<'a> {
     pub seed: u64,
     /// Laboratories at work at a time.
     pub jobs: usize,
+    /// Where the film of the first laboratory goes, without its ending.
+    pub film: Option<&'a Path>,
 }
 
 /// Flaws with their levels.
@@ -213,14 +219,22 @@ impl Laboratory<'_> {
         let domain = self.place.join("domain");
         fs::create_dir_all(&domain)?;
         self.configure()?;
-        let mut holds = Holds::open(&Domain::join(&domain)?)?;
+        let joined = Domain::join(&domain)?;
+        let mut holds = Holds::open(&joined)?;
+        let film = self.setup.film.filter(|_| self.number == self.setup.seed);
+        let film = film
+            .map(|path| anyhow::Ok((path, Film::open(&joined, Scene::read(self.setup.scene)?)?)));
+        let mut film = film.transpose()?;
         let daemon = self.begin("vpcd")?;
         let camera = self.begin("vpc-camera")?;
         let hw_sim = self.begin("hw-sim")?;
         let (mut runs, mut news) = (Vec::new(), Instant::now());
         while runs.len() < self.starts.len() {
-            thread::sleep(LOOK);
+            thread::sleep(if film.is_some() { SHORT_LOOK } else { LOOK });
             holds.look()?;
+            if let Some((_, film)) = &mut film {
+                film.look()?;
+            }
             let told = fs::read_to_string(self.place.join("hw-sim.out"))?;
             let lines = told.split_inclusive('\n').filter(|x| x.ends_with('\n'));
             let lines: Vec<&str> = lines.collect();
@@ -238,6 +252,9 @@ impl Laboratory<'_> {
         }
         holds.look()?;
         drop((hw_sim, camera, daemon));
+        if let Some((path, film)) = film {
+            film.write(path)?;
+        }
         for (run, holds) in runs.iter_mut().zip(holds.runs) {
             let Run { holds: told, .. } = run;
             *told = holds;
