@@ -1,0 +1,17 @@
+//! Calibrates a camera on a robot's wrist.
+#![forbid(unsafe_code)]
+#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod board;
+pub mod camera;
+pub mod hand_eye;
+pub mod intrinsics;
+pub mod layout;
+pub mod motion;
+pub mod pose;
+pub mod robot_poses;
+pub mod scale;
+pub mod target;
+pub mod verdict;
+pub mod view;

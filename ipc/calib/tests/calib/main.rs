@@ -1,0 +1,5 @@
+//! The calibrations against known truth.
+
+mod hand_eye;
+mod intrinsics;
+mod synthetic;
