@@ -2,4 +2,5 @@
 
 mod hand_eye;
 mod intrinsics;
+mod latency;
 mod synthetic;
