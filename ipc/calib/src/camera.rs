@@ -4,6 +4,7 @@ use vision_calibration_core::{
     BrownConrady5, CameraParams, FxFyCxCy, Iso3, PinholeCamera, Pt2, Pt3, Vec3,
     make_pinhole_camera, pinhole_camera_params,
 };
+use vpc_camera::lens::Lens;
 
 /// A pinhole camera whose lens distorts as Brown and Conrady say; the centre of the first pixel is
 /// (0, 0). The same model as OpenCV's with five coefficients, and ROS's `plumb_bob`.
@@ -20,6 +21,16 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// The pinhole of a lens: for views that are straightened.
+    pub fn pinhole(lens: &Lens) -> Self {
+        Self {
+            size: lens.size,
+            focal: lens.focal,
+            center: lens.centre,
+            distortion: [0.0; 5],
+        }
+    }
+
     /// As the library has it.
     pub(crate) fn model(&self) -> PinholeCamera {
         let [[fx, fy], [cx, cy]] = [self.focal, self.center];

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use vision_calibration_core::{CorrespondenceView, Pt2, Pt3};
+use vpc_camera::lens::Lens;
 
 use crate::target::{Corners, Target};
 
@@ -33,6 +34,23 @@ impl View {
         }
         self.tags
             .retain(|tag| counts[&tag.number] == 1 && target.corners(tag.number).is_some());
+    }
+
+    /// Moves corners to where a pinhole with the lens's focal lengths and principal point sees them;
+    /// drops tags of which it sees no corner.
+    pub fn straighten(&mut self, lens: &Lens) {
+        let pixel = |[x, y]: [f64; 2]| {
+            let ([fx, fy], [cx, cy]) = (lens.focal, lens.centre);
+            [fx * x + cx, fy * y + cy]
+        };
+        self.tags.retain_mut(|tag| {
+            let straight = tag.corners.map(|corner| lens.normalize(corner).map(pixel));
+            let [Some(a), Some(b), Some(c), Some(d)] = straight else {
+                return false;
+            };
+            tag.corners = [a, b, c, d];
+            true
+        });
     }
 
     /// Corners on the target, m, with those in the image, px.

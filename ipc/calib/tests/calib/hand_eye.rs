@@ -8,7 +8,7 @@ use vpc_calib::target::Target;
 use crate::synthetic::{CAMERA, Chance};
 
 /// The camera in the flange.
-fn mount() -> Iso3 {
+pub fn mount() -> Iso3 {
     Iso3::new(
         Vec3::new(0.0495, -0.0495, 0.04),
         Vec3::new(0.05, -0.03, 0.8),
@@ -16,12 +16,12 @@ fn mount() -> Iso3 {
 }
 
 /// The board in the base.
-fn place() -> Iso3 {
+pub fn place() -> Iso3 {
     Iso3::new(Vec3::new(0.5, 0.05, 0.0), Vec3::new(3.1, 0.0, 0.1))
 }
 
 /// Poses at which the camera sees the board; the robot misses by so much along and about each axis.
-fn pairs(chance: &mut Chance, count: usize, tilt_deg: f64, robot: [f64; 2]) -> Vec<Pair> {
+pub fn pairs(chance: &mut Chance, count: usize, tilt_deg: f64, robot: [f64; 2]) -> Vec<Pair> {
     let mut pairs = Vec::new();
     while pairs.len() < count {
         let pose = chance.pose(tilt_deg);
@@ -47,7 +47,7 @@ fn found(pairs: &[Pair]) -> Result<HandEye, HandEyeError> {
 }
 
 /// A Panda's repeatability, m and deg.
-const PANDA: [f64; 2] = [1e-4, 0.02];
+pub const PANDA: [f64; 2] = [1e-4, 0.02];
 
 #[test]
 fn the_mounting_is_found_and_its_uncertainty_is_true() {

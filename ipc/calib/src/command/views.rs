@@ -1,0 +1,153 @@
+//! Views, from a folder or as they come.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use crate::arguments::LiveArguments;
+use crate::command::Failure;
+use crate::detector::Detector;
+use crate::live::{self, News};
+use crate::picture::{self, Picture};
+use crate::robot_poses;
+use crate::still::Still;
+use crate::target::Target;
+use crate::view::View;
+
+/// Views of images of one size.
+pub struct Views {
+    /// Each view, with the joints of the arm where they were taken with one.
+    pub views: Vec<(View, Option<[f64; 7]>)>,
+    /// Width and height of the images, px.
+    pub size: [u32; 2],
+}
+
+/// The images of a folder.
+pub fn of_folder(folder: &Path) -> Result<Views, Failure> {
+    let mut detector = Detector::new()?;
+    let mut views = Vec::new();
+    let mut first: Option<(PathBuf, [u32; 2])> = None;
+    for path in picture::folder(folder)? {
+        let picture = Picture::read(&path)?;
+        let (known, size) = first.get_or_insert_with(|| (path.clone(), picture.size));
+        if *size != picture.size {
+            return Err(Failure::new(
+                78,
+                format!(
+                    "{}: {}x{} px; allowed: {}x{} px, as {}: all images from one camera, at one size",
+                    path.display(),
+                    picture.size[0],
+                    picture.size[1],
+                    size[0],
+                    size[1],
+                    known.display()
+                ),
+            ));
+        }
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let Some(grey) = picture.grey() else { continue };
+        let view = detector.view(&name, &grey)?;
+        eprintln!("{name}: {} tags", view.tags.len());
+        views.push((view, None));
+    }
+    let size = first.map_or([0; 2], |(_, size)| size);
+    Ok(Views { views, size })
+}
+
+/// Takes a view whenever nothing moves, until there are enough or `stop` is set.
+pub fn of_camera(
+    arguments: &LiveArguments,
+    target: &Target,
+    wants_robot: bool,
+    stop: &AtomicBool,
+) -> Result<Views, Failure> {
+    let mut detector = Detector::new()?;
+    let mut folder = Folder::new(arguments.save.as_deref())?;
+    let mut taken = Views {
+        views: Vec::new(),
+        size: [0; 2],
+    };
+    let mut still: Option<Still> = None;
+    let mut joints = None;
+    let mut failed = None;
+    let wanted = arguments.views as usize;
+    eprintln!(
+        "show the board in another way each time, and keep still for a second: {wanted} views"
+    );
+    let domain = arguments
+        .domain
+        .clone()
+        .unwrap_or_else(ipc::default_directory);
+    live::watch(&domain, stop, |news| {
+        let (picture, stamp) = match news {
+            News::Robot(sample) => {
+                joints = Some(sample.q);
+                if let Some(still) = &mut still {
+                    still.arm(&robot_poses::flange(sample.q));
+                }
+                return true;
+            }
+            News::Image(picture, stamp) => (picture, stamp),
+        };
+        let name = format!("{:03}.png", taken.views.len());
+        let seen = picture.grey().map(|grey| detector.view(&name, &grey));
+        let Some(Ok(mut view)) = seen else {
+            return true;
+        };
+        view.keep_known(target);
+        taken.size = picture.size;
+        let still = still.get_or_insert_with(|| Still::new(picture.size[0]));
+        let is_ready = joints.is_some() || !wants_robot;
+        if still.take(stamp, &view) && is_ready {
+            eprintln!("taken {}: {} tags", still.count(), view.tags.len());
+            if let Err(error) = folder.add(&name, picture, joints.as_ref()) {
+                failed = Some(error);
+                return false;
+            }
+            taken.views.push((view, joints));
+        }
+        taken.views.len() < wanted
+    })?;
+    match failed {
+        Some(error) => Err(error),
+        None if wants_robot && joints.is_none() => Err(Failure::new(
+            69,
+            "no joints on vpc/robot; is the bridge at work?",
+        )),
+        None => Ok(taken),
+    }
+}
+
+/// Where views are saved to.
+struct Folder {
+    path: Option<PathBuf>,
+    poses: String,
+}
+
+impl Folder {
+    fn new(path: Option<&Path>) -> Result<Self, Failure> {
+        if let Some(path) = path {
+            std::fs::create_dir(path)
+                .map_err(|error| Failure::new(73, format!("{}: {error}", path.display())))?;
+        }
+        Ok(Self {
+            path: path.map(Path::to_owned),
+            poses: robot_poses::HEADER.to_owned(),
+        })
+    }
+
+    fn add(&mut self, name: &str, picture: &Picture, q: Option<&[f64; 7]>) -> Result<(), Failure> {
+        let Some(folder) = &self.path else {
+            return Ok(());
+        };
+        picture
+            .write(&folder.join(name))
+            .map_err(|error| Failure::new(73, error))?;
+        if let Some(q) = q {
+            self.poses += &robot_poses::line(name, q);
+            let path = folder.join("poses.csv");
+            std::fs::write(&path, &self.poses)
+                .map_err(|error| Failure::new(73, format!("{}: {error}", path.display())))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,61 @@
+//! The printed board is the board: its tags are found where the file says.
+
+use resvg::tiny_skia::{Pixmap, Transform};
+use resvg::usvg;
+use vpc_calib::board::Board;
+use vpc_calib::detector::Detector;
+use vpc_calib::picture::Picture;
+use vpc_calib::sheet;
+use vpc_calib::target::Target;
+
+/// Dots a mm.
+const DOTS: f64 = 6.0;
+
+fn printed(board: &Board) -> Picture {
+    let svg = sheet::svg(board).unwrap();
+    let tree = usvg::Tree::from_str(&svg, &usvg::Options::default()).unwrap();
+    // CSS has 96 px an inch.
+    let scale = (DOTS * 25.4 / 96.0) as f32;
+    let size = tree.size().to_int_size().scale_by(scale).unwrap();
+    let mut pixmap = Pixmap::new(size.width(), size.height()).unwrap();
+    resvg::render(
+        &tree,
+        Transform::from_scale(scale, scale),
+        &mut pixmap.as_mut(),
+    );
+    Picture {
+        size: [size.width(), size.height()],
+        pixels: pixmap.pixels().iter().map(|pixel| pixel.green()).collect(),
+    }
+}
+
+#[test]
+fn a_printed_board_has_its_tags_where_the_file_says() {
+    let small = Board {
+        columns: 9,
+        rows: 14,
+        tag_size: 0.016,
+        gap: 0.004,
+        first: 440,
+    };
+    for (board, page) in [(Board::default(), [297.0, 210.0]), (small, [210.0, 297.0])] {
+        let picture = printed(&board);
+        let mut view = Detector::new()
+            .unwrap()
+            .view("sheet", &picture.grey().unwrap())
+            .unwrap();
+        let target = Target::from(&board);
+        assert_eq!(view.tags.len(), target.len());
+        view.keep_known(&target);
+        assert_eq!(view.tags.len(), target.len());
+        for ([x, y], [u, v]) in view.pairs(&target) {
+            // The centre of the first pixel is (0, 0).
+            let mm = [
+                (u + 0.5) / DOTS - 0.5 * page[0],
+                (v + 0.5) / DOTS - 0.5 * page[1],
+            ];
+            let off = (mm[0] - 1e3 * x).hypot(mm[1] - 1e3 * y);
+            assert!(off < 0.02, "{off} mm at {x} {y}");
+        }
+    }
+}
