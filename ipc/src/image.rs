@@ -70,7 +70,7 @@ message! {
     // A history of one: who finds the features may come after the image that a lockstep camera waits
     // on. The first byte is aligned for vector instructions.
     "vpc/image" [Payload::Bytes { alignment: 64 }] from "camera":
-        Qos { history: 1, buffer: 2, subscribers: 4, publishers: 1 }
+        Qos { history: 1, buffer: 2, subscribers: 8, publishers: 1 }
 }
 
 /// Stands for the slice in errors.
@@ -125,8 +125,11 @@ impl ImageHeader {
         self.width as usize * pixel
     }
 
-    /// Checks the header of an image of so many bytes.
-    fn check_image(&self, bytes: usize) -> Result<(), Invalid> {
+    /// Checks the header of an image of so many bytes, as its subscribers do.
+    ///
+    /// # Errors
+    /// [`Invalid`] names the first field that is wrong.
+    pub fn check_image(&self, bytes: usize) -> Result<(), Invalid> {
         self.check()?;
         let expected = self.bytes()?;
         if bytes != expected {

@@ -6,7 +6,9 @@ use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::thread::ThreadId;
 
-use ipc::{AskError, Invalid, JoinError, OpenError, PublishError, ReceiveError, StopError};
+use ipc::{
+    AskError, Invalid, JoinError, LoanError, OpenError, PublishError, ReceiveError, StopError,
+};
 
 use crate::status::Status;
 
@@ -66,6 +68,16 @@ impl From<OpenError> for Fault {
         let status = match error {
             OpenError::Taken { .. } | OpenError::Full { .. } => Status::Taken,
             _ => Status::Open,
+        };
+        Self::new(status, error.to_string())
+    }
+}
+
+impl From<LoanError> for Fault {
+    fn from(error: LoanError) -> Self {
+        let status = match error {
+            LoanError::Header(_) | LoanError::TooLarge { .. } => Status::Argument,
+            LoanError::Transport { .. } => Status::Publish,
         };
         Self::new(status, error.to_string())
     }

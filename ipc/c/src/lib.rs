@@ -11,6 +11,7 @@
 pub mod boundary;
 pub mod camera;
 pub mod domain;
+pub mod image;
 pub mod names;
 pub mod observer;
 pub mod operator;

@@ -2,7 +2,7 @@
 
 use std::ffi::c_char;
 
-use ipc::{Hold, Outcome, SolverStatus, StrategyCode, Table, TwistState};
+use ipc::{Encoding, Hold, Outcome, SolverStatus, StrategyCode, Table, TwistState};
 
 fn name(table: &Table, code: u32) -> *const c_char {
     table
@@ -34,6 +34,12 @@ pub extern "C" fn vpc_outcome_name(code: u32) -> *const c_char {
 #[unsafe(no_mangle)]
 pub extern "C" fn vpc_strategy_name(code: u32) -> *const c_char {
     name(&StrategyCode::TABLE, code)
+}
+
+/// The name of a vpc_encoding.
+#[unsafe(no_mangle)]
+pub extern "C" fn vpc_encoding_name(code: u32) -> *const c_char {
+    name(&Encoding::TABLE, code)
 }
 
 /// The name of a vpc_solver.

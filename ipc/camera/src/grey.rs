@@ -12,14 +12,6 @@ pub struct Grey<'a> {
 }
 
 impl<'a> Grey<'a> {
-    /// An image without pixels.
-    pub const NONE: Self = Self {
-        pixels: &[],
-        width: 0,
-        height: 0,
-        stride: 0,
-    };
-
     /// An image of `width` x `height` px whose rows begin `stride` bytes apart; `None` if `pixels`
     /// are too few, or a row is longer than the stride.
     pub fn new(pixels: &'a [u8], width: usize, height: usize, stride: usize) -> Option<Self> {

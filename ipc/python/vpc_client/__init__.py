@@ -8,6 +8,7 @@
 from .dead_man import in_force_until_ns, twist_in_force
 from .domain import Domain, default_directory
 from .errors import BadArgument, BadDomain, BadMessage, NoAnswer, OtherContract, Refused, Taken, VpcError
+from .images import Image, ImagePublisher, ImageSubscriber, LoanedImage
 from .messages import (
     MAX_POINTS,
     SERVICES,
@@ -15,8 +16,10 @@ from .messages import (
     ClockMode,
     CycleFlags,
     CycleRecord,
+    Encoding,
     Features,
     Hold,
+    ImageHeader,
     InputCode,
     Outcome,
     PhaseCode,
@@ -51,9 +54,15 @@ __all__ = [
     "CycleFlags",
     "CycleRecord",
     "Domain",
+    "Encoding",
     "Features",
     "Hold",
+    "Image",
+    "ImageHeader",
+    "ImagePublisher",
+    "ImageSubscriber",
     "InputCode",
+    "LoanedImage",
     "NoAnswer",
     "OperatorPorts",
     "OtherContract",

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import iceoryx2 as iox2
 
 from .errors import BadArgument, BadDomain, NoAnswer, OtherContract, Taken
+from .images import MOST_BYTES, ImagePublisher, ImageSubscriber
 from .messages import SERVICES
 from .ports import CameraPorts, OperatorPorts, Port, Publisher, Subscriber, free
 
@@ -80,42 +81,21 @@ class Domain:
 
     def publisher(self, service: str) -> Publisher:
         """Opens a publisher of a service; raises Taken where it has all it takes, even if they are stopped."""
-
-        def create() -> Publisher:
-            place = self._place(service)
-            if place is None:
-                most = SERVICES[service].publishers
-                raise Taken(
-                    f"{service}: another publisher is at work in domain {self.directory}; allowed: {most} (stop the other, or"
-                    " use another domain)"
-                )
-            try:
-                port = self._create(lambda: self._services[service].publisher_builder().max_loaned_samples(1).create())
-            except BaseException as error:
-                free(place, os.getpid())
-                if isinstance(error, iox2.PublisherCreateError):
-                    raise Taken(f"{service}: iceoryx2 refused the publisher: {error}") from error
-                raise
-            return self._keep(Publisher(service, port, place))
-
-        return self._port(service, create)
+        return self._port(service, lambda: Publisher(service, *self._publishing(service)))
 
     def subscribe(self, service: str, buffer: int | None = None) -> Subscriber:
         """Opens a subscriber that keeps the newest `buffer` messages [as many as the service allows]."""
+        return self._port(service, lambda: Subscriber(service, self._subscribing(service, buffer)))
 
-        def create() -> Subscriber:
-            most = SERVICES[service].buffer
-            size = most if buffer is None else buffer
-            if not 1 <= size <= most:
-                raise BadArgument(f"{service}: buffer = {size}; allowed: 1 to {most}")
-            try:
-                port = self._create(lambda: self._services[service].subscriber_builder().buffer_size(size).create())
-            except iox2.SubscriberCreateError as error:
-                most = SERVICES[service].subscribers
-                raise Taken(f"{service}: no subscriber ({error}); allowed: {most}") from error
-            return self._keep(Subscriber(service, port))
+    def image_publisher(self, most: int) -> ImagePublisher:
+        """Opens the publisher of images of at most `most` bytes; raises Taken while another camera sends images."""
+        if not 1 <= most <= MOST_BYTES:
+            raise BadArgument(f"vpc/image: images of {most} bytes; allowed: 1 to {MOST_BYTES}")
+        return self._port("vpc/image", lambda: ImagePublisher(*self._publishing("vpc/image", most), most), True)
 
-        return self._port(service, create)
+    def image_subscriber(self) -> ImageSubscriber:
+        """Opens a subscriber of images."""
+        return self._port("vpc/image", lambda: ImageSubscriber("vpc/image", self._subscribing("vpc/image")), True)
 
     def camera(self) -> CameraPorts:
         """Opens the ports of a camera; raises Taken while another camera is at work."""
@@ -137,7 +117,7 @@ class Domain:
                 free(place, os.getpid())
             return place is None
 
-        return self._port("vpc/replies", probe)
+        return self._exclusively(probe)
 
     def wait_for_controller(self, patience_s: float = PATIENCE_S) -> None:
         """Waits until a controller is in the domain; raises NoAnswer where none comes in time."""
@@ -283,10 +263,49 @@ class Domain:
                 return
             time.sleep(0.005)
 
-    def _port(self, service: str, create: Callable[[], T]) -> T:
-        if service not in SERVICES:
-            raise BadArgument(f"service {service}; allowed: {', '.join(SERVICES)}")
-        return self._exclusively(create)
+    def _port(self, service: str, create: Callable[[], P], slices: bool = False) -> P:
+        """Opens a port that keeps its domain; of a service that carries `slices`, or messages."""
+        allowed = [name for name, known in SERVICES.items() if slices or known.alignment is None]
+        if service not in allowed:
+            raise BadArgument(f"service {service}; allowed: {', '.join(allowed)}; image_publisher and image_subscriber")
+        port = self._exclusively(create)
+        port.domain = self
+        self._ports.add(port)
+        return port
+
+    def _publishing(self, service: str, slice_len: int | None = None) -> tuple[Any, int]:
+        """A publisher of iceoryx2, and its place."""
+        place = self._place(service)
+        if place is None:
+            most = SERVICES[service].publishers
+            raise Taken(
+                f"{service}: another publisher is at work in domain {self.directory}; allowed: {most} (stop the other, or"
+                " use another domain)"
+            )
+
+        def create() -> Any:
+            builder = self._services[service].publisher_builder().max_loaned_samples(1)
+            return (builder if slice_len is None else builder.initial_max_slice_len(slice_len)).create()
+
+        try:
+            return self._create(create), place
+        except BaseException as error:
+            free(place, os.getpid())
+            if isinstance(error, iox2.PublisherCreateError):
+                raise Taken(f"{service}: iceoryx2 refused the publisher: {error}") from error
+            raise
+
+    def _subscribing(self, service: str, buffer: int | None = None) -> Any:
+        """A subscriber of iceoryx2."""
+        most = SERVICES[service].buffer
+        size = most if buffer is None else buffer
+        if not 1 <= size <= most:
+            raise BadArgument(f"{service}: buffer = {size}; allowed: 1 to {most}")
+        try:
+            return self._create(lambda: self._services[service].subscriber_builder().buffer_size(size).create())
+        except iox2.SubscriberCreateError as error:
+            most = SERVICES[service].subscribers
+            raise Taken(f"{service}: no subscriber ({error}); allowed: {most}") from error
 
     def _or_close(self, service: str, other: Port) -> Publisher:
         """A publisher; where there is none, `other` is closed as well."""
@@ -304,11 +323,6 @@ class Domain:
             self._remove_unborn()
             iox2.Node.try_cleanup_dead_nodes(iox2.ServiceType.Ipc, self._node.config)
             return create()
-
-    def _keep(self, port: P) -> P:
-        port.domain = self
-        self._ports.add(port)
-        return port
 
 
 def _fnv1a(text: str) -> int:

@@ -38,10 +38,10 @@ POLL_S = 20e-6
 SLOW_POLL_S = 1e-3
 
 
-def check(service: str, message: Any) -> None:
-    """Raises BadMessage where a message breaks the contract."""
+def check(service: str, message: Any, sequenced: bool = True) -> None:
+    """Raises BadMessage where a message breaks the contract; one that is not `sequenced` has no number yet."""
     kind = type(message)
-    if message.stamp.sequence == 0:
+    if sequenced and message.stamp.sequence == 0:
         raise BadMessage(f"{service}: sequence = 0; allowed: 1 and more")
     for field, rule in CHECKS[kind].items():
         value = getattr(message, field)
@@ -109,8 +109,11 @@ class Port(_Closes):
     def close(self) -> None:
         """Closes the port; the second time it does nothing."""
         if self._open is not None:
-            self._open.delete()
+            self._delete()
             self._open = None
+
+    def _delete(self) -> None:
+        self._open.delete()
 
 
 def free(place: int, process: int) -> None:
@@ -121,8 +124,8 @@ def free(place: int, process: int) -> None:
     os.close(place)
 
 
-class Publisher(Port):
-    """Publishes the messages of one service."""
+class PublishingPort(Port):
+    """A publisher of one service, with its place among them."""
 
     sequence = 0
 
@@ -138,6 +141,19 @@ class Publisher(Port):
             super().close()
             self._free_place()
 
+    def refresh(self) -> None:
+        """Connects to subscribers that came since, and hands them the history of the service. Publishing does it, too;
+        call it while you wait for an answer."""
+        self._port.update_connections()
+
+    def restart(self) -> None:
+        """Counts from 1 again: for features, a new run."""
+        self.sequence = 0
+
+
+class Publisher(PublishingPort):
+    """Publishes the messages of one service."""
+
     def publish(self, message: Any) -> Sent:
         """Publishes a copy under the next sequence number.
 
@@ -152,15 +168,6 @@ class Publisher(Port):
         self._port.send_copy(stamped)
         self.sequence += 1
         return Sent(stamped.stamp.sequence, stamped.stamp.published_ns)
-
-    def refresh(self) -> None:
-        """Connects to subscribers that came since, and hands them the history of the service. Publishing does it, too;
-        call it while you wait for an answer."""
-        self._port.update_connections()
-
-    def restart(self) -> None:
-        """Counts from 1 again: for features, a new run."""
-        self.sequence = 0
 
 
 class Subscriber(Port):
@@ -238,12 +245,12 @@ class CameraPorts(_Closes):
         pairs = _pairs(points)
         message = Features()
         stamp = message.stamp
-        stamp.published_ns = _unsigned("published_ns", published_ns) or now_ns()
-        stamp.data_ns = stamp.published_ns if data_ns is None else _unsigned("data_ns", data_ns)
+        stamp.published_ns = unsigned("published_ns", published_ns) or now_ns()
+        stamp.data_ns = stamp.published_ns if data_ns is None else unsigned("data_ns", data_ns)
         message.count = len(pairs)
-        message.exposure_ns = _unsigned("exposure_ns", exposure_ns)
+        message.exposure_ns = unsigned("exposure_ns", exposure_ns)
         all_bits = (1 << len(pairs)) - 1
-        message.visible = all_bits if visible is None else _unsigned("visible", visible, all_bits)
+        message.visible = all_bits if visible is None else unsigned("visible", visible, all_bits)
         for i, (u, v) in enumerate(pairs):
             message.points[2 * i], message.points[2 * i + 1] = u, v
         return self.features.publish(message)
@@ -325,7 +332,7 @@ class OperatorPorts(_Closes):
         message = Request()
         message.id = int.from_bytes(os.urandom(8), "little")
         message.action, message.strategy = action, strategy
-        message.neighbours = _unsigned("neighbours", neighbours, 64)
+        message.neighbours = unsigned("neighbours", neighbours, 64)
         self.requests.publish(message)
         end = time.monotonic() + patience_s
         while time.monotonic() < end:
@@ -358,7 +365,7 @@ def _pairs(points: Iterable[Iterable[float]]) -> list[tuple[float, float]]:
     return pairs
 
 
-def _unsigned(name: str, value: int, most: int = 2**64 - 1) -> int:
+def unsigned(name: str, value: int, most: int = 2**64 - 1) -> int:
     """An integer from 0 to `most`, which ctypes would cut without a word."""
     if not isinstance(value, numbers.Integral) or not 0 <= value <= most:
         raise BadArgument(f"{name} = {value}; allowed: 0 to {most}")

@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use ipc::{
-    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Observer, Outcome,
-    Payload, Qos, RecorderPort, Reply, RobotMode, RobotState, Stamp, StrategyCode, Struct,
-    TwistCommand, TwistState,
+    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Encoding, Features, Hold,
+    ImageHeader, Observer, Outcome, Payload, Qos, RecorderPort, Reply, RobotMode, RobotState,
+    Stamp, StrategyCode, Struct, TwistCommand, TwistState,
 };
 
 use testkit::python::{Environment, run};
@@ -364,6 +364,87 @@ fn bad_messages_are_refused(python: &Path) {
     assert_eq!(code, Some(0));
 }
 
+/// Images both ways: what Python fills in is what Rust sees, and the other way round.
+fn images_go_both_ways(python: &Path) {
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    let mut subscriber = domain.image_subscriber().unwrap();
+    let mut peer = script(python, "tests/python/peer.py");
+    peer.arg("images").arg(place.domain());
+    let mut peer = Running::start(peer.stdout(Stdio::piped()));
+    let mut next = || eventually("an image", || subscriber.latest().unwrap());
+    let loaned = next();
+    assert_eq!(loaned.header().exposure_begin_ns, 1_000);
+    assert_eq!(loaned.header().stamp.data_ns, 1_005);
+    assert_eq!(loaned.header().encoding(), Some(Encoding::Rgb8));
+    let expected: Vec<u8> = (0..24).collect();
+    assert!(loaned.rows().eq(expected.chunks(12)));
+    // The sign to go on.
+    controller
+        .twist
+        .publish(&TwistCommand::zero(TwistState::Moving))
+        .unwrap();
+    let copied = next();
+    let ImageHeader {
+        stamp,
+        width,
+        height,
+        ..
+    } = *copied.header();
+    assert_eq!((stamp.sequence, stamp.data_ns), (3, 5));
+    assert_eq!((width, height, &copied[..]), (6, 3, &[7; 18][..]));
+
+    peer.line("watching");
+    let mut publisher = domain.image_publisher(64).unwrap();
+    let mut send = |encoding: Encoding, grey: u8, stride, code| {
+        let mut header = ImageHeader::new(5, 3, encoding, ipc::now_ns());
+        header.stride = stride;
+        let mut image = publisher.loan(&header).unwrap();
+        image.fill(200);
+        for row in image.chunks_mut(stride as usize) {
+            row[..5 * encoding.bytes_per_pixel()].fill(grey);
+        }
+        image.header_mut().encoding = code;
+        publisher.publish(image).unwrap();
+    };
+    let (mono, rgb) = (Encoding::Mono8, Encoding::Rgb8);
+    send(mono, 3, 8, mono.code());
+    peer.line("image (3, 5) (8, 1) 45");
+    send(mono, 3, 8, 9);
+    peer.line("refused vpc/image: encoding = 9; allowed: 0 to 3");
+    send(rgb, 2, 20, rgb.code());
+    peer.line("image (3, 5, 3) (20, 3, 1) 90");
+    send(Encoding::Yuyv, 4, 10, Encoding::Yuyv.code());
+    peer.line("image (3, 5, 2) (10, 2, 1) 120");
+    send(mono, 65, 5, mono.code());
+    peer.line("refused vpc/image: no image can be received");
+    let Ended { code, stdout, .. } = peer.ended();
+    assert_eq!(code, Some(0), "{stdout}");
+    let said: Vec<&str> = stdout.lines().collect();
+    let expected = [
+        "refused vpc/image: no memory for an image",
+        "refused vpc/image: data_ns = 990; allowed: 1000 to 1010",
+        "sent 1 ",
+        "refused vpc/image: this image was sent",
+        "refused vpc/image: float64 of shape (3, 3); allowed: uint8, shape (height, width),",
+        "refused vpc/image: uint8 of shape (9,); allowed: uint8",
+        "refused vpc/image: uint8 of shape (3, 3, 4); allowed: uint8",
+        "refused vpc/image: list of shape (); allowed: uint8",
+        "refused vpc/image: an image of 37 bytes; allowed: 36, for which the port was opened",
+        "refused vpc/image: another publisher is at work",
+        "refused vpc/image: this port was closed",
+        "refused service vpc/image; allowed: vpc/features, ",
+        "refused vpc/image: images of 0 bytes; allowed: 1 to 268435456",
+    ];
+    for (line, expected) in said.iter().zip(expected) {
+        assert!(line.starts_with(expected), "{line}, not {expected}");
+    }
+    assert_eq!(said.last(), Some(&"newest 5 mono8 b'AAAAAAAAAAAAAAA'"));
+    drop((loaned, copied, publisher, subscriber, controller, domain));
+    assert_eq!(Domain::segments(&place.domain()).unwrap(), 0);
+}
+
 /// logger.py hears what is published, leaves tables with it, and counts what it missed.
 fn the_logger_fills_tables(python: &Path, format: &str) {
     let place = Place::new();
@@ -492,6 +573,7 @@ fn the_client_in_python_agrees() {
         safety_agrees(&python);
         the_camera_can_be_driven(&python);
         the_referee_measures(&python);
+        images_go_both_ways(&python);
     }
 }
 

@@ -93,6 +93,77 @@ def hears(directory):
                 print(error, flush=True)
 
 
+def images(directory):
+    """Sends images, loaned and copied; then looks at images without a copy, and says what it saw and what is refused."""
+    import numpy as np
+
+    def refused(action):
+        try:
+            action()
+        except vpc_client.VpcError as error:
+            print("refused", error, flush=True)
+
+    def is_shared(array):
+        at = array.__array_interface__["data"][0]
+        with open("/proc/self/maps") as maps:
+            lines = [line.split() for line in maps]
+        mapped = [line[-1] for line in lines if int(line[0].split("-")[0], 16) <= at < int(line[0].split("-")[1], 16)]
+        return mapped[0].startswith("/dev/shm/vpc_")
+
+    with vpc_client.Domain(directory) as domain:
+        go = domain.subscribe("vpc/twist")
+        with domain.image_publisher(36) as images:
+            image = images.loan(4, 2, vpc_client.Encoding.RGB8, stride=16)
+            refused(lambda: images.loan(1, 1))
+            filled = image.array
+            assert filled.shape == (2, 4, 3) and is_shared(filled)
+            filled[:] = np.arange(24).reshape(2, 4, 3)
+            image.header.exposure_begin_ns, image.header.exposure_ns = 1_000, 10
+            image.header.stamp.data_ns = 990
+            refused(lambda: images.send(image))
+            image.header.stamp.data_ns = 1_005
+            print("sent", *images.send(image), flush=True)
+            refused(lambda: images.send(image))
+            next(go.messages(count=1))
+            images.skip()
+            images.publish(np.full((3, 12), 7, np.uint8)[:, ::2], data_ns=5)
+            for wrong in (np.ones((3, 3)), np.ones(9, np.uint8), np.ones((3, 3, 4), np.uint8), [[1]]):
+                refused(lambda: images.publish(wrong))
+            refused(lambda: images.publish(np.ones((1, 37), np.uint8)))
+            refused(lambda: domain.image_publisher(1))
+        # An array keeps the memory, also when the port is closed.
+        assert filled[1, 3, 2] == 23
+        refused(lambda: images.publish(np.ones((1, 1), np.uint8)))
+        refused(lambda: domain.publisher("vpc/image"))
+        refused(lambda: domain.image_publisher(0))
+
+        images = domain.image_subscriber()
+        print("watching", flush=True)
+        held = []
+
+        def latest():
+            while True:
+                image = images.latest()
+                if image is not None:
+                    return image
+
+        def show():
+            array = latest().array
+            assert is_shared(array) and not array.flags.writeable
+            print("image", array.shape, array.strides, array.sum(), flush=True)
+            return array
+
+        held.append(show())
+        refused(latest)
+        first = held[0].copy()
+        held += [show(), show()]
+        assert (held[0] == first).all()
+        refused(latest)
+        held.clear()
+        image = latest()
+        print("newest", image.header.stamp.sequence, vpc_client.Encoding(image.header.encoding).words, bytes(image.data))
+
+
 def safety(directory, *cases):
     """What the dead man lets a robot do; then a stop."""
     seen = []
@@ -137,5 +208,5 @@ def depths(directory):
 
 
 if __name__ == "__main__":
-    parts = (layout, exchange, refusals, hears, safety, depths)
+    parts = (layout, exchange, refusals, hears, images, safety, depths)
     {part.__name__: part for part in parts}[sys.argv[1]](*sys.argv[2:])

@@ -3,10 +3,15 @@
 use std::ffi::CStr;
 use std::ptr::{null, null_mut};
 
-use ipc::{ControllerPorts, Features, RobotState, TwistCommand, TwistState};
+use ipc::{ControllerPorts, Encoding, Features, ImageHeader, RobotState, TwistCommand, TwistState};
 use vpcclient::boundary::{Fault, enter, vpc_message};
 use vpcclient::camera::{vpc_camera_close, vpc_camera_open, vpc_camera_publish};
 use vpcclient::domain::{vpc_domain_join, vpc_domain_leave};
+use vpcclient::image::{
+    vpc_image_loan, vpc_image_newest, vpc_image_publisher_close, vpc_image_publisher_open,
+    vpc_image_release, vpc_image_send, vpc_image_skip, vpc_image_subscriber_close,
+    vpc_image_subscriber_open,
+};
 use vpcclient::names::vpc_hold_name;
 use vpcclient::operator::vpc_stop;
 use vpcclient::robot::{
@@ -128,6 +133,97 @@ fn a_robot_lives_beside_a_camera_of_another_process() {
         assert_eq!(vpc_robot_close(robot), Status::Ok);
         assert_eq!(vpc_domain_leave(domain), Status::Ok);
     }
+}
+
+#[test]
+fn images_are_written_and_read_in_shared_memory() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_str().unwrap().to_owned() + "\0";
+    let (mut domain, mut publisher, mut subscriber) = (null_mut(), null_mut(), null_mut());
+    let (mut pixels, mut seen) = (null_mut(), null());
+    let (mut header, mut missed) = (ImageHeader::default(), 9);
+    let plain = ImageHeader::new(4, 2, Encoding::Bgr8, 0);
+    // SAFETY: handles and pointers are used as the header says.
+    unsafe {
+        let joined = vpc_domain_join(path.as_ptr().cast(), &mut domain);
+        assert_eq!(joined, Status::Ok, "{}", words());
+        let opened = vpc_image_publisher_open(domain, 24, &mut publisher);
+        assert_eq!(opened, Status::Ok, "{}", words());
+        assert_eq!(
+            vpc_image_publisher_open(domain, 24, &mut null_mut()),
+            Status::Taken
+        );
+        assert_eq!(
+            vpc_image_publisher_open(domain, 0, &mut null_mut()),
+            Status::Open
+        );
+        let opened = vpc_image_subscriber_open(domain, &mut subscriber);
+        assert_eq!(opened, Status::Ok, "{}", words());
+        let mut newest = || {
+            let status = vpc_image_newest(subscriber, &mut header, &mut seen, &mut missed);
+            (status, header, missed, seen)
+        };
+        assert_eq!(newest().0, Status::Nothing);
+
+        assert_eq!(
+            vpc_image_send(publisher, &plain, null_mut()),
+            Status::Argument
+        );
+        assert!(words().contains("no image is loaned"), "{}", words());
+        let large = ImageHeader::new(4, 3, Encoding::Bgr8, 0);
+        assert_eq!(
+            vpc_image_loan(publisher, &large, &mut pixels),
+            Status::Argument
+        );
+        assert!(words().contains("36 bytes; allowed: 24"), "{}", words());
+        // Twice: the first one is given up.
+        for _ in 0..2 {
+            assert_eq!(vpc_image_loan(publisher, &plain, &mut pixels), Status::Ok);
+        }
+        for k in 0..24 {
+            pixels.add(k).write(k as u8);
+        }
+        let mut sent = plain;
+        (sent.exposure_begin_ns, sent.exposure_ns) = (1_000, 10);
+        sent.stamp.data_ns = 999;
+        assert_eq!(
+            vpc_image_send(publisher, &sent, null_mut()),
+            Status::Argument
+        );
+        assert_eq!(words(), "vpc/image: data_ns = 999; allowed: 1000 to 1010");
+        sent.stamp.data_ns = 1_005;
+        assert_eq!(vpc_image_skip(publisher), Status::Ok);
+        assert_eq!(vpc_image_send(publisher, &sent, null_mut()), Status::Ok);
+        let (status, header, missed, first) = newest();
+        assert_eq!((status, missed), (Status::Ok, 0), "{}", words());
+        assert_eq!((header.stamp.sequence, header.exposure_ns), (2, 10));
+        assert!(header.stamp.published_ns > 0);
+        let bytes = std::slice::from_raw_parts(first, 24);
+        assert!(bytes.iter().enumerate().all(|(k, byte)| *byte == k as u8));
+
+        // The next ones are written elsewhere; one that a peer sends in another language counts too.
+        for grey in 100..105 {
+            assert_eq!(vpc_image_loan(publisher, &plain, &mut pixels), Status::Ok);
+            pixels.write_bytes(grey, 24);
+            assert_eq!(vpc_image_send(publisher, &plain, null_mut()), Status::Ok);
+        }
+        assert!(bytes.iter().enumerate().all(|(k, byte)| *byte == k as u8));
+        let (status, header, missed, last) = newest();
+        assert_eq!((status, missed), (Status::Ok, 4));
+        assert_eq!(header.stamp.data_ns, header.stamp.published_ns);
+        assert_eq!(*last, 104);
+        assert_eq!(newest().0, Status::Nothing);
+        // What is held stays until it is released.
+        assert_eq!(*last, 104);
+        assert_eq!(vpc_image_release(subscriber), Status::Ok);
+        assert_eq!(vpc_image_release(subscriber), Status::Ok);
+
+        assert_eq!(vpc_image_loan(publisher, &plain, &mut pixels), Status::Ok);
+        assert_eq!(vpc_domain_leave(domain), Status::Ok);
+        assert_eq!(vpc_image_publisher_close(publisher), Status::Ok);
+        assert_eq!(vpc_image_subscriber_close(subscriber), Status::Ok);
+    }
+    assert_eq!(ipc::Domain::segments(directory.path()).unwrap(), 0);
 }
 
 #[test]

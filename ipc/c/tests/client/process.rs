@@ -7,8 +7,9 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use ipc::{
-    Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RealTime, RecorderPort, Reply,
-    RobotFaults, SERVICES, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
+    Action, ControllerPorts, CycleRecord, Domain, Encoding, Hold, ImageHeader, Outcome, RealTime,
+    RecorderPort, Reply, RobotFaults, SERVICES, Stamp, StrategyCode, Struct, TwistCommand,
+    TwistState,
 };
 use testkit::{Ended, Place, Running, eventually};
 use vpcclient::camera::Sent;
@@ -234,6 +235,63 @@ fn an_observer_in_c_hears_every_cycle() {
     );
     assert_eq!(said[4], "3 cycles, 1 missed, slowest law 13.5 us");
     assert_eq!(code, Some(0));
+}
+
+#[test]
+fn images_go_from_c_to_rust_and_back() {
+    if !compiler("images_go_from_c_to_rust_and_back") {
+        return;
+    }
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut subscriber = domain.image_subscriber().unwrap();
+    let mut command = example(&place, "image.c");
+    command.args(["send", "20"]);
+    let mut camera = Running::start(command);
+    let mut images = 0;
+    eventually("the end of the camera", || {
+        if let Some(image) = subscriber.latest().unwrap() {
+            let ImageHeader {
+                stamp,
+                exposure_begin_ns,
+                exposure_ns,
+                ..
+            } = *image.header();
+            assert_eq!(stamp.data_ns, exposure_begin_ns + exposure_ns / 2);
+            let left = 8 * (stamp.sequence as usize - 1);
+            for row in image.rows() {
+                let white = row.iter().enumerate().filter(|(_, grey)| **grey == 255);
+                assert!(white.map(|(k, _)| k).eq(left..left + 32));
+            }
+            images += 1;
+        }
+        (!camera.is_running()).then_some(())
+    });
+    let Ended { code, stdout, .. } = camera.ended();
+    assert_eq!((code, stdout.trim()), (Some(0), "20 images sent"));
+    assert!(images > 10, "{images}");
+
+    let mut publisher = domain.image_publisher(48).unwrap();
+    let mut command = example(&place, "image.c");
+    command.args(["watch", "2", "20"]);
+    let mut observer = Running::start(command);
+    observer.line("watching");
+    let mut header = ImageHeader::new(3, 4, Encoding::Rgb8, 5);
+    (header.stride, header.exposure_ns) = (12, 5_500_000);
+    let mut send = |grey, sequence| {
+        let mut image = publisher.loan(&header).unwrap();
+        image.fill(200);
+        image.chunks_mut(12).for_each(|row| row[..9].fill(grey));
+        image.header_mut().stamp.sequence = sequence;
+        publisher.publish_verbatim(image).unwrap();
+    };
+    send(7, 1);
+    observer.line("image 1: 3 x 4 rgb8, exposed for 5.5 ms, mean 7.00");
+    send(9, 4);
+    observer.line("image 4: 3 x 4 rgb8, exposed for 5.5 ms, mean 9.00");
+    let Ended { code, stdout, .. } = observer.ended();
+    assert_eq!(code, Some(0));
+    assert_eq!(stdout.lines().last(), Some("2 images, 2 missed"));
 }
 
 #[test]
