@@ -182,7 +182,8 @@ impl Config {
         if let Targets::Centres(numbers) = &targets {
             let is_double = |i: usize| numbers[..i].contains(&numbers[i]);
             if numbers.len() != points || (0..points).any(is_double) {
-                let allowed = format!("{points} different numbers, one for each point of the scene");
+                let allowed =
+                    format!("{points} different numbers, one for each point of the scene");
                 return Err(document.refuse("tags", format!("{numbers:?}"), allowed));
             }
         }
@@ -190,13 +191,8 @@ impl Config {
             None => Lens::pinhole(&scene.camera),
             Some(path) => {
                 let lens = lens::read(path)?;
-                let size = [scene.camera.width, scene.camera.height];
-                if lens.size.is_some_and(|found| found != size) {
-                    let path = path.display().to_string();
-                    let found = format!("{:?} px", lens.size.unwrap_or_default());
-                    let allowed = format!("{size:?} px, the size of the scene's images");
-                    return Err(FileError::value(&path, "size", found, allowed));
-                }
+                let size = [scene.camera.width, scene.camera.height].map(|side| side as u32);
+                lens.check_size(size)?;
                 lens
             }
         };

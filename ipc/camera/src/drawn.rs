@@ -33,9 +33,8 @@ impl Drawing {
         let offset = |i: usize| (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
         for (n, out) in self.levels.iter_mut().enumerate() {
             let (u, v) = ((n % self.width) as f64, (n / self.width) as f64);
-            let samples = (0..SAMPLES * SAMPLES).map(|k| {
-                level(u + offset(k % SAMPLES), v + offset(k / SAMPLES)).unwrap_or(*out)
-            });
+            let samples = (0..SAMPLES * SAMPLES)
+                .map(|k| level(u + offset(k % SAMPLES), v + offset(k / SAMPLES)).unwrap_or(*out));
             *out = samples.sum::<f64>() / (SAMPLES * SAMPLES) as f64;
         }
     }
@@ -52,9 +51,8 @@ impl Drawing {
         self.paint(|u, v| {
             let p = back * Vector3::new(u, v, 1.0);
             let [i, j] = [p.x / p.z, p.y / p.z].map(|x| ((x + 1.0) * 4.0).floor());
-            let is_within = |least: f64, most: f64| {
-                (least..=most).contains(&i) && (least..=most).contains(&j)
-            };
+            let is_within =
+                |least: f64, most: f64| (least..=most).contains(&i) && (least..=most).contains(&j);
             if is_within(0.0, 7.0) {
                 let bit = bits[j as usize][i as usize];
                 Some(BLACK + bit * (WHITE - BLACK))

@@ -68,7 +68,7 @@ impl Finder {
             templates,
             tracker: Tracker::new(targets.numbers().iter().copied().zip(planes)),
             scene: scene.clone(),
-            lens: *lens,
+            lens: lens.clone(),
             targets: targets.clone(),
             last: None,
             since_whole: WHOLE_EVERY,
@@ -108,8 +108,11 @@ impl Finder {
             let Some(expected) = self.tracker.expected(index, frames) else {
                 continue;
             };
-            let bent = expected.map(|p| self.lens.bend(p, &self.scene.camera));
-            let Some((place, side, coarse)) = window(image, &bent, frames) else {
+            let bent = expected.map(|p| self.lens.distort(p, &self.scene.camera));
+            let [Some(a), Some(b), Some(c), Some(d)] = bent else {
+                continue;
+            };
+            let Some((place, side, coarse)) = window(image, &[a, b, c, d], frames) else {
                 continue;
             };
             let [u, v] = place;
@@ -156,7 +159,7 @@ impl Finder {
 
     /// A tag in the image of the scene's pinhole.
     fn straight(&self, tag: &Tag) -> Option<Sighting> {
-        let straight = |p: Point| self.lens.straighten(p, &self.scene.camera);
+        let straight = |p: Point| self.lens.undistort(p, &self.scene.camera);
         let [a, b, c, d] = tag.corners.map(straight);
         Some(Sighting {
             number: tag.number,
@@ -226,7 +229,10 @@ fn window(image: &Grey, corners: &Corners, frames: u32) -> Option<([usize; 2], u
         let first = (middle - 0.5 * side as f64).round().max(0.0) as usize;
         (is_inside && side < size).then(|| first.min(size - side))
     };
-    let (u, v) = (place(left, right, image.width())?, place(top, bottom, image.height())?);
+    let (u, v) = (
+        place(left, right, image.width())?,
+        place(top, bottom, image.height())?,
+    );
     let coarse = if extent >= COARSE_PX { 2 } else { 1 };
     Some(([u, v], side, coarse))
 }

@@ -70,7 +70,9 @@ fn watch(config: Config, stop: Arc<AtomicBool>, is_printed: bool) -> ExitCode {
     let mut log = Log::new(&config, is_printed);
     let (sender, events) = mpsc::channel();
     let body = move || run(&config, &stop, &sender);
-    let worker = std::thread::Builder::new().name("camera".to_owned()).spawn(body);
+    let worker = std::thread::Builder::new()
+        .name("camera".to_owned())
+        .spawn(body);
     let worker = match worker {
         Ok(worker) => worker,
         Err(error) => {
@@ -91,7 +93,11 @@ fn watch(config: Config, stop: Arc<AtomicBool>, is_printed: bool) -> ExitCode {
         Ok(Err(error)) => {
             eprintln!("vpc-camera: {error}");
             let is_configuration = matches!(error, RunError::Size { .. });
-            ExitCode::from(if is_configuration { CONFIG } else { UNAVAILABLE })
+            ExitCode::from(if is_configuration {
+                CONFIG
+            } else {
+                UNAVAILABLE
+            })
         }
         Err(_) => {
             eprintln!("vpc-camera: a defect; without features vpcd stops the camera");
@@ -196,7 +202,11 @@ fn replace(path: &Path, text: &str) -> std::io::Result<()> {
 fn print(report: &Report) {
     let mut line = format!("{} {}", report.sequence, report.data_ns);
     for (bit, [u, v]) in report.found.points.iter().enumerate() {
-        let guessed = if report.found.visible >> bit & 1 == 0 { "?" } else { "" };
+        let guessed = if report.found.visible >> bit & 1 == 0 {
+            "?"
+        } else {
+            ""
+        };
         line += &format!(" ({u:.2}, {v:.2}){guessed}");
     }
     // Nobody reads it any more.

@@ -93,18 +93,40 @@ impl Metrics {
         for (name, help, count) in [
             ("frames_total", "Images that became features.", self.frames),
             ("lost_frames_total", "Frames that never came.", self.lost),
-            ("incomplete_frames_total", "Images in which a tag was missing.", self.incomplete),
-            ("whole_searches_total", "Images of which all was looked at.", self.whole),
+            (
+                "incomplete_frames_total",
+                "Images in which a tag was missing.",
+                self.incomplete,
+            ),
+            (
+                "whole_searches_total",
+                "Images of which all was looked at.",
+                self.whole,
+            ),
         ] {
             family("counter", name, help, &none(count));
         }
         let missing = self.numbers.iter().zip(&self.missing);
-        let missing = missing.map(|(number, count)| (format!("{{tag=\"{number}\"}}"), *count as f64));
+        let missing =
+            missing.map(|(number, count)| (format!("{{tag=\"{number}\"}}"), *count as f64));
         let missing: Vec<_> = missing.collect();
-        family("counter", "missing_tags_total", "Images in which the tag was missing.", &missing);
+        family(
+            "counter",
+            "missing_tags_total",
+            "Images in which the tag was missing.",
+            &missing,
+        );
         for (name, help, durations) in [
-            ("detection_seconds", "From an image to its features.", &self.took),
-            ("age_seconds", "From the middle of the exposure to the features.", &self.age),
+            (
+                "detection_seconds",
+                "From an image to its features.",
+                &self.took,
+            ),
+            (
+                "age_seconds",
+                "From the middle of the exposure to the features.",
+                &self.age,
+            ),
         ] {
             let quantiles = [0.5, 0.99].map(|share| {
                 let seconds = durations.quantile(share).as_secs_f64();
@@ -166,7 +188,11 @@ mod tests {
             });
         }
         let line = metrics.line();
-        for words in ["frames=200 lost=1 incomplete=50", "p50=100.00 p99=198.00", "missing_5=50"] {
+        for words in [
+            "frames=200 lost=1 incomplete=50",
+            "p50=100.00 p99=198.00",
+            "missing_5=50",
+        ] {
             assert!(line.contains(words), "{line}");
         }
         assert!(!line.contains("missing_3"), "{line}");

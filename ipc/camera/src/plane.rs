@@ -58,7 +58,9 @@ struct Frame {
 impl Frame {
     fn of(points: impl Iterator<Item = Point> + Clone) -> Option<Self> {
         let count = points.clone().count() as f64;
-        let sum = points.clone().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
+        let sum = points
+            .clone()
+            .fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
         let middle = sum.map(|x| x / count);
         let far = points.map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1]));
         let size = far.sum::<f64>() / count;

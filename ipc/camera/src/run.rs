@@ -78,9 +78,14 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
     let mut finder = Finder::new(&config.scene, &config.lens, &config.targets)?;
     // The detector's library divides its work among the threads of the pool that it is called from:
     // this one alone, as the controller and the camera want the others.
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .use_current_thread()
+        .build();
     if let Err(why) = &pool {
-        tell(Event::Lacks(format!("a thread of its own for the detector: {why}")));
+        tell(Event::Lacks(format!(
+            "a thread of its own for the detector: {why}"
+        )));
     }
     if config.realtime_priority > 0
         && let Err(why) = priority::raise(config.realtime_priority)
@@ -88,27 +93,34 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
         let wanted = config.realtime_priority;
         tell(Event::Lacks(format!("SCHED_FIFO {wanted}: {why}")));
     }
-    let expected = [config.scene.camera.width as usize, config.scene.camera.height as usize];
-    let (mut frame, mut last) = (Frame::default(), None);
+    let expected = [
+        config.scene.camera.width as usize,
+        config.scene.camera.height as usize,
+    ];
+    let mut last: Option<u64> = None;
     while !stop.load(Ordering::Relaxed) {
-        match source.next(&mut frame)? {
+        let frame = match source.next()? {
             Next::End => break,
             Next::Nothing => {
                 // A controller that came meanwhile finds the last features.
                 features.refresh()?;
                 continue;
             }
-            Next::Image => (),
-        }
+            Next::Frame(frame) => frame,
+        };
         let begin = Instant::now();
-        let grey = frame.grey().filter(|_| frame.size == expected);
-        let found = frame.size;
-        let grey = grey.ok_or(RunError::Size { found, expected })?;
-        let found = finder.find(&grey, frame.sequence)?;
+        let found = [frame.image.width(), frame.image.height()];
+        if found != expected {
+            return Err(RunError::Size { found, expected });
+        }
+        let found = finder.find(&frame.image, frame.sequence)?;
         let message = stamped(config, &frame, &found);
         features.publish_verbatim(&message)?;
         let is_real = config.clock == Clock::Fixed && message.stamp.data_ns > 0;
-        let age = message.stamp.published_ns.saturating_sub(message.stamp.data_ns);
+        let age = message
+            .stamp
+            .published_ns
+            .saturating_sub(message.stamp.data_ns);
         let step = last.and_then(|last| frame.sequence.checked_sub(last));
         last = Some(frame.sequence);
         tell(Event::Frame(Report {
@@ -133,7 +145,7 @@ fn open(config: &Config, domain: &Domain) -> Result<Box<dyn Source>, SourceError
     })
 }
 
-fn stamped(config: &Config, frame: &Frame, found: &Found) -> Features {
+fn stamped(config: &Config, frame: &Frame<'_>, found: &Found) -> Features {
     // 0 means that nobody knows it.
     let data_ns = match frame.data_ns {
         0 => 0,
@@ -145,7 +157,7 @@ fn stamped(config: &Config, frame: &Frame, found: &Found) -> Features {
     features.stamp.sequence = frame.sequence;
     features.stamp.published_ns = match config.clock {
         Clock::Fixed => ipc::now_ns(),
-        Clock::Lockstep => frame.published_ns,
+        Clock::Lockstep => frame.published_ns.unwrap_or_else(ipc::now_ns),
     };
     features
 }

@@ -4,108 +4,63 @@ mod shm;
 
 pub use shm::SharedMemory;
 
-use ipc::Encoding;
+use std::io;
 
 use crate::grey::Grey;
 
-/// An image, grey, with its times on CLOCK_MONOTONIC.
-#[derive(Clone, Debug, Default)]
-pub struct Frame {
-    /// Number of the frame; lost ones leave gaps.
+/// An image in its source's memory, with its times on CLOCK_MONOTONIC.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame<'a> {
+    /// Number of the frame, from 1; lost frames leave gaps.
     pub sequence: u64,
-    /// When it was published, ns.
-    pub published_ns: u64,
-    /// Middle of the exposure, ns.
+    /// Middle of the exposure, ns; 0 if unknown.
     pub data_ns: u64,
     /// Length of the exposure, ns; 0 if unknown.
     pub exposure_ns: u64,
-    /// Width and height, px.
-    pub size: [usize; 2],
-    /// The pixels, row by row from the top.
-    pub pixels: Vec<u8>,
-}
-
-impl Frame {
-    /// The image; `None` if there are fewer pixels than its size says.
-    pub fn grey(&self) -> Option<Grey<'_>> {
-        let [width, height] = self.size;
-        Grey::new(&self.pixels, width, height, width)
-    }
-
-    /// Takes over an image of this size by its rows.
-    pub fn fill<'a>(
-        &mut self,
-        size: [usize; 2],
-        encoding: Encoding,
-        rows: impl Iterator<Item = &'a [u8]>,
-    ) {
-        self.size = size;
-        self.pixels.clear();
-        for row in rows.take(size[1]) {
-            match encoding {
-                Encoding::Mono8 => self.pixels.extend_from_slice(row),
-                Encoding::Yuyv => self.pixels.extend(row.iter().step_by(2)),
-                Encoding::Bgr8 => self.pixels.extend(row.chunks_exact(3).map(|p| luma(p[2], p[1], p[0]))),
-                Encoding::Rgb8 => self.pixels.extend(row.chunks_exact(3).map(|p| luma(p[0], p[1], p[2]))),
-            }
-        }
-    }
-}
-
-/// Grey of a colour, by the weights of ITU-R BT.601, as OpenCV does it.
-fn luma(red: u8, green: u8, blue: u8) -> u8 {
-    let sum = 77 * u32::from(red) + 150 * u32::from(green) + 29 * u32::from(blue);
-    ((sum + 128) >> 8) as u8
+    /// When the image was sent, ns; `None` where it comes from a device or a file.
+    pub published_ns: Option<u64>,
+    /// The image.
+    pub image: Grey<'a>,
 }
 
 /// What a source has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Next {
+#[derive(Clone, Copy, Debug)]
+pub enum Next<'a> {
     /// A new image.
-    Image,
+    Frame(Frame<'a>),
     /// None yet.
     Nothing,
     /// There will be none any more.
     End,
 }
 
-/// Why there are no images.
+/// A camera, or what stands for one.
+pub trait Source {
+    /// Waits for the next frame, some 20 ms at most.
+    ///
+    /// # Errors
+    /// [`SourceError`]: there will be no more frames.
+    fn next(&mut self) -> Result<Next<'_>, SourceError>;
+}
+
+/// A source cannot be opened, or gives no more frames.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum SourceError {
-    #[error(transparent)]
-    Join(#[from] ipc::JoinError),
+    /// The operating system refused; in words.
+    #[error("{what}: {why}")]
+    System { what: String, why: io::Error },
+    /// A device, a file or its content is not what is taken.
+    #[error("{what}: {found}; allowed: {allowed}")]
+    Value {
+        what: String,
+        found: String,
+        allowed: String,
+    },
+    /// The service of images cannot be opened.
     #[error(transparent)]
     Open(#[from] ipc::OpenError),
+    /// The service of images gives none.
     #[error(transparent)]
     Receive(#[from] ipc::ReceiveError),
-}
-
-/// Something that gives images.
-pub trait Source {
-    /// Waits for the next image, for a few milliseconds at most.
-    ///
-    /// # Errors
-    /// There will be no more images.
-    fn next(&mut self, frame: &mut Frame) -> Result<Next, SourceError>;
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_encoding_becomes_grey() {
-        let mut frame = Frame::default();
-        for (encoding, row, expected) in [
-            (Encoding::Mono8, &[7, 200][..], [7, 200]),
-            (Encoding::Yuyv, &[7, 1, 200, 2], [7, 200]),
-            (Encoding::Bgr8, &[0, 0, 255, 255, 255, 255], [77, 255]),
-            (Encoding::Rgb8, &[255, 0, 0, 0, 255, 0], [77, 149]),
-        ] {
-            frame.fill([2, 1], encoding, std::iter::once(row));
-            assert_eq!(frame.pixels, expected, "{encoding:?}");
-            assert_eq!(frame.grey().unwrap().row(0), expected);
-        }
-    }
 }

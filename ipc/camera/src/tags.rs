@@ -108,7 +108,9 @@ impl TagFinder {
         self.decoder.clear();
         let mut tags = Vec::with_capacity(found.len());
         for quad in found {
-            if std::env::var_os("DBG").is_some() { println!("quad {} {}", quad.id, quad.decision_margin); }
+            if std::env::var_os("DBG").is_some() {
+                println!("quad {} {}", quad.id, quad.decision_margin);
+            }
             let Some(template) = self.templates.get(usize::from(quad.id)) else {
                 continue;
             };
@@ -181,11 +183,12 @@ mod tests {
                         let e = (tag.centre[0] - at[0]).hypot(tag.centre[1] - at[1]);
                         sum += e * e;
                         worst = worst.max(e);
-                        for (c, xy) in
-                            tag.corners
-                                .iter()
-                                .zip([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-                        {
+                        for (c, xy) in tag.corners.iter().zip([
+                            [-1.0, -1.0],
+                            [1.0, -1.0],
+                            [1.0, 1.0],
+                            [-1.0, 1.0],
+                        ]) {
                             let p = project(&h, xy);
                             corner += (c[0] - p[0]).powi(2) + (c[1] - p[1]).powi(2);
                         }
@@ -208,17 +211,35 @@ mod timing {
     fn timing() {
         for threads in [0, 1] {
             std::thread::spawn(move || {
-                let _pool = (threads == 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().unwrap());
+                let _pool = (threads == 1).then(|| {
+                    rayon::ThreadPoolBuilder::new()
+                        .num_threads(1)
+                        .use_current_thread()
+                        .build()
+                        .unwrap()
+                });
                 let t = Templates::new().unwrap();
                 let mut drawing = Drawing::new(640, 480, 120.0);
-                for (n, at) in [[200.0, 150.0], [400.0, 160.0], [390.0, 300.0], [210.0, 310.0]].into_iter().enumerate() {
+                for (n, at) in [
+                    [200.0, 150.0],
+                    [400.0, 160.0],
+                    [390.0, 300.0],
+                    [210.0, 310.0],
+                ]
+                .into_iter()
+                .enumerate()
+                {
                     drawing.tag(n, &placed(at, 42.0, 0.3, [0.1, -0.1]));
                 }
                 drawing.blur(0.7);
                 let pixels = drawing.pixels(2.0, 1);
                 let image = Grey::new(&pixels, 640, 480, 640).unwrap();
                 for (c, w) in [(1, 640), (2, 640), (1, 128), (2, 128)] {
-                    let image = if w == 640 { image } else { image.part(136..264, 86..214) };
+                    let image = if w == 640 {
+                        image
+                    } else {
+                        image.part(136..264, 86..214)
+                    };
                     let mut f = TagFinder::new(&t, image.width(), image.height(), c).unwrap();
                     let mut times = Vec::new();
                     for _ in 0..200 {
@@ -228,16 +249,27 @@ mod timing {
                         times.push(t.elapsed().as_micros());
                     }
                     times.sort();
-                    println!("threads {threads} coarse {c} width {w}: p50 {} p99 {} us", times[100], times[198]);
+                    println!(
+                        "threads {threads} coarse {c} width {w}: p50 {} p99 {} us",
+                        times[100], times[198]
+                    );
                 }
-                let (_, us) = { let mut f = TagFinder::new(&t, 640, 480, 1).unwrap(); f.image = Image::new(f.image.size(), pixels.clone()).unwrap(); f.decoder.decode_timed(&f.image).unwrap() };
+                let (_, us) = {
+                    let mut f = TagFinder::new(&t, 640, 480, 1).unwrap();
+                    f.image = Image::new(f.image.size(), pixels.clone()).unwrap();
+                    f.decoder.decode_timed(&f.image).unwrap()
+                };
                 println!("{us:?}");
                 // registration alone
                 let h = placed([200.0, 150.0], 42.3, 0.301, [0.1, -0.1]);
                 let t0 = std::time::Instant::now();
-                for _ in 0..200 { std::hint::black_box(register(&image, &t.0[0], &h).unwrap()); }
+                for _ in 0..200 {
+                    std::hint::black_box(register(&image, &t.0[0], &h).unwrap());
+                }
                 println!("register {} us", t0.elapsed().as_micros() as f64 / 200.0);
-            }).join().unwrap();
+            })
+            .join()
+            .unwrap();
         }
     }
 }
@@ -266,7 +298,12 @@ mod slide {
                         let turn = 6.3 * unit();
                         let h = placed(at, side, turn, [0.2 * unit() - 0.1, 0.2 * unit() - 0.1]);
                         let number = (587.0 * unit()) as usize;
-                        let (s, c) = if shape == "aligned" { turn } else { 6.3 * unit() }.sin_cos();
+                        let (s, c) = if shape == "aligned" {
+                            turn
+                        } else {
+                            6.3 * unit()
+                        }
+                        .sin_cos();
                         let width = 2.0 + 8.0 * unit();
                         let lateral = (unit() - 0.5) * side;
                         let mut clean = Drawing::new(W, W, 110.0);
@@ -274,10 +311,21 @@ mod slide {
                         let reach = 0.5 * side * 1.25 + 3.0;
                         let mut x = -reach * 1.3;
                         while x < reach * 1.3 {
-                            let mut d = Drawing { width: W, height: W, levels: clean.levels.clone() };
+                            let mut d = Drawing {
+                                width: W,
+                                height: W,
+                                levels: clean.levels.clone(),
+                            };
                             let covers = |u: f64, v: f64| {
-                                let (a, b) = ((u - at[0]) * c + (v - at[1]) * s, -(u - at[0]) * s + (v - at[1]) * c - lateral);
-                                match shape { "bar" => (a - x).abs() < width / 2.0, "disc" => (a - x).hypot(b) < width, _ => a < x }
+                                let (a, b) = (
+                                    (u - at[0]) * c + (v - at[1]) * s,
+                                    -(u - at[0]) * s + (v - at[1]) * c - lateral,
+                                );
+                                match shape {
+                                    "bar" => (a - x).abs() < width / 2.0,
+                                    "disc" => (a - x).hypot(b) < width,
+                                    _ => a < x,
+                                }
                             };
                             d.paint(|u, v| covers(u, v).then_some(level));
                             d.blur(0.6);
@@ -286,23 +334,36 @@ mod slide {
                             for tag in finder.find(&Grey::new(&pixels, W, W, W).unwrap()).unwrap() {
                                 assert_eq!(tag.number, number as u32);
                                 shown += 1;
-                                worst = worst.max((tag.centre[0] - at[0]).hypot(tag.centre[1] - at[1]));
-                                for (p, q) in tag.corners.iter().zip([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) {
+                                worst =
+                                    worst.max((tag.centre[0] - at[0]).hypot(tag.centre[1] - at[1]));
+                                for (p, q) in tag.corners.iter().zip([
+                                    [-1.0, -1.0],
+                                    [1.0, -1.0],
+                                    [1.0, 1.0],
+                                    [-1.0, 1.0],
+                                ]) {
                                     let q = project(&h, q);
                                     wc = wc.max((p[0] - q[0]).hypot(p[1] - q[1]));
                                 }
                                 // Black square touched?
                                 let mut any = false;
-                                for i in 0..41 { for j in 0..41 {
-                                    let p = project(&h, [i as f64 / 20.0 - 1.0, j as f64 / 20.0 - 1.0]);
-                                    any |= covers(p[0], p[1]);
-                                } }
+                                for i in 0..41 {
+                                    for j in 0..41 {
+                                        let p = project(
+                                            &h,
+                                            [i as f64 / 20.0 - 1.0, j as f64 / 20.0 - 1.0],
+                                        );
+                                        any |= covers(p[0], p[1]);
+                                    }
+                                }
                                 touched += any as u32;
                             }
                             x += 0.5;
                         }
                     }
-                    println!("side {side} {shape} level {level}: {shown} of {n} reported, {touched} of them covered a bit, centre worst {worst:.3} corner worst {wc:.3}");
+                    println!(
+                        "side {side} {shape} level {level}: {shown} of {n} reported, {touched} of them covered a bit, centre worst {worst:.3} corner worst {wc:.3}"
+                    );
                 }
             }
         }

@@ -198,7 +198,11 @@ impl Blur {
             let across = edge.black[axis].wrapping_add_signed(sign * (k - 2));
             let lines = weights.iter().enumerate().map(|(j, weight)| {
                 let along = edge.black[1 - axis] + j - REACH;
-                let (column, row) = if axis == 0 { (across, along) } else { (along, across) };
+                let (column, row) = if axis == 0 {
+                    (across, along)
+                } else {
+                    (along, across)
+                };
                 weight * template.modules[row][column]
             });
             lines.sum::<f64>()

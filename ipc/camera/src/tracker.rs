@@ -191,12 +191,7 @@ impl Tracker {
     }
 
     /// The one sighting of a tag where the plane says that it is.
-    fn near_plane(
-        &self,
-        index: usize,
-        sightings: &[Sighting],
-        h: &Homography,
-    ) -> Option<Sighting> {
+    fn near_plane(&self, index: usize, sightings: &[Sighting], h: &Homography) -> Option<Sighting> {
         let track = &self.tracks[index];
         let expected = mapped(h, &track.plane?)?;
         let is_near = |s: &&Sighting| {
@@ -269,7 +264,10 @@ fn middle(corners: &Corners) -> Point {
 
 /// The largest distance between corners.
 fn apart(a: &Corners, b: &Corners) -> f64 {
-    let far = a.iter().zip(b).map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]));
+    let far = a
+        .iter()
+        .zip(b)
+        .map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]));
     far.fold(0.0, f64::max)
 }
 
@@ -285,16 +283,25 @@ mod tests {
 
     /// A square of 24 mm about a point.
     fn square([x, y]: Point) -> Corners {
-        [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[a, b]| [x + 0.012 * a, y + 0.012 * b])
+        [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+            .map(|[a, b]| [x + 0.012 * a, y + 0.012 * b])
     }
 
-    const POINTS: [Point; 4] = [[-0.06, -0.045], [0.06, -0.045], [0.06, 0.045], [-0.06, 0.045]];
+    const POINTS: [Point; 4] = [
+        [-0.06, -0.045],
+        [0.06, -0.045],
+        [0.06, 0.045],
+        [-0.06, 0.045],
+    ];
 
     /// The pattern seen from 0.4 m, shifted and tilted.
     fn seen(number: u32, shift: Point, tilt: f64) -> Sighting {
         let project = |[x, y]: Point| {
             let z = 0.4 + tilt * x;
-            [320.0 + 615.0 * x / z + shift[0], 240.0 + 615.0 * y / z + shift[1]]
+            [
+                320.0 + 615.0 * x / z + shift[0],
+                240.0 + 615.0 * y / z + shift[1],
+            ]
         };
         let point = POINTS[number as usize];
         Sighting {

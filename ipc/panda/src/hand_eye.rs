@@ -14,10 +14,9 @@ use std::path::Path;
 use clap::ValueEnum;
 use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 use panda::{Mount, Pose};
-use saphyr::{LoadableYamlNode, Yaml};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use toml_schema::{FileError, read_text};
+use toml_schema::{FileError, YamlFile, YamlNode, read_text};
 
 /// Farthest that a camera on a wrist is from its frame, m: beyond it, units are mixed up.
 const FARTHEST: f64 = 1.0;
@@ -106,25 +105,16 @@ fn of_toml(name: &str, text: &str) -> Result<Pose, FileError> {
 }
 
 fn of_yaml(name: &str, text: &str) -> Result<Pose, FileError> {
-    let syntax = |message: String| FileError::Syntax {
-        path: name.to_owned(),
-        message,
+    let file = YamlFile::parse(text, name)?;
+    let root = file.root();
+    let numbers = |of: &YamlNode, keys: [&str; 3]| -> Result<[f64; 3], FileError> {
+        Ok([
+            of.number(keys[0])?,
+            of.number(keys[1])?,
+            of.number(keys[2])?,
+        ])
     };
-    // OpenCV writes a directive that is not YAML's.
-    let text = match text.strip_prefix("%YAML:1.0") {
-        Some(rest) => rest,
-        None => text,
-    };
-    let documents = Yaml::load_from_str(text).map_err(|error| syntax(error.to_string()))?;
-    let Some(root) = documents.first() else {
-        return Err(syntax("the file is empty".to_owned()));
-    };
-    let number = |of: &Yaml, key: &str| -> Result<f64, FileError> {
-        let value = of.as_mapping_get(key).and_then(float);
-        let value = value.filter(|value| value.is_finite());
-        value.ok_or_else(|| FileError::value(name, key, "missing or not a number", "a number"))
-    };
-    let quaternion = |at: [f64; 3], [w, x, y, z]: [f64; 4]| {
+    let quaternion = |at: [f64; 3], w: f64, [x, y, z]: [f64; 3]| {
         let turn = Quaternion::new(w, x, y, z);
         if (turn.norm() - 1.0).abs() > ORTHONORMAL {
             let length = format!("a quaternion of length {}", turn.norm());
@@ -136,47 +126,31 @@ fn of_yaml(name: &str, text: &str) -> Result<Pose, FileError> {
             turn.to_rotation_matrix(),
         ))
     };
-    let parameters = root.as_mapping_get("parameters");
-    if let Some(eye_on_hand) = parameters.and_then(|p| p.as_mapping_get("eye_on_hand"))
+    let parameters = root.find("parameters");
+    if let Some(eye_on_hand) = parameters.and_then(|all| all.find("eye_on_hand"))
         && eye_on_hand.as_bool() == Some(false)
     {
-        let allowed = "true: the camera is on the wrist";
-        return Err(FileError::value(name, "eye_on_hand", false, allowed));
+        return Err(eye_on_hand.refuse("true: the camera is on the wrist"));
     }
-    if let Some(all) = root.as_mapping_get("transformation") {
-        let at = [number(all, "x")?, number(all, "y")?, number(all, "z")?];
-        let turn = [
-            number(all, "qw")?,
-            number(all, "qx")?,
-            number(all, "qy")?,
-            number(all, "qz")?,
-        ];
-        return quaternion(at, turn);
+    if let Some(all) = root.find("transformation") {
+        let at = numbers(&all, ["x", "y", "z"])?;
+        return quaternion(at, all.number("qw")?, numbers(&all, ["qx", "qy", "qz"])?);
     }
-    if let Some(all) = root.as_mapping_get("transform") {
-        let part = |key: &str| {
-            let part = all.as_mapping_get(key);
-            part.ok_or_else(|| FileError::value(name, key, "missing", "x, y, z and, to turn, w"))
-        };
-        let (at, turn) = (part("translation")?, part("rotation")?);
-        let at = [number(at, "x")?, number(at, "y")?, number(at, "z")?];
-        let turn = [
-            number(turn, "w")?,
-            number(turn, "x")?,
-            number(turn, "y")?,
-            number(turn, "z")?,
-        ];
-        return quaternion(at, turn);
+    if let Some(all) = root.find("transform") {
+        let at = numbers(&all.get("translation", "x, y and z")?, ["x", "y", "z"])?;
+        let turn = all.get("rotation", "w, x, y and z")?;
+        return quaternion(at, turn.number("w")?, numbers(&turn, ["x", "y", "z"])?);
     }
     let matrix = |key: &str, count: usize| -> Result<Vec<f64>, FileError> {
-        let data = root.as_mapping_get(key);
-        let data = data.and_then(|matrix| matrix.as_mapping_get("data")?.as_sequence());
-        let numbers: Option<Vec<f64>> = data.and_then(|all| all.iter().map(float).collect());
-        let numbers = numbers.filter(|all| all.len() == count && all.iter().all(|x| x.is_finite()));
         let allowed = format!("a matrix of {count} numbers");
-        numbers.ok_or_else(|| FileError::value(name, key, "missing or of another size", allowed))
+        let matrix = root.get(key, &allowed)?;
+        let numbers = matrix.numbers("data")?;
+        match numbers.len() == count {
+            true => Ok(numbers),
+            false => Err(matrix.refuse(&allowed)),
+        }
     };
-    if root.as_mapping_get("R_cam2gripper").is_some() {
+    if root.find("R_cam2gripper").is_some() {
         let rows = matrix("R_cam2gripper", 9)?;
         let at = matrix("t_cam2gripper", 3)?;
         let turn = Matrix3::from_row_slice(&rows);
@@ -189,16 +163,11 @@ fn of_yaml(name: &str, text: &str) -> Result<Pose, FileError> {
         let at = Translation3::from(Vector3::from_column_slice(&at));
         return Ok(Pose::from_parts(at, turn));
     }
-    Err(syntax(
-        "no hand-eye calibration that is known; allowed: transformation or transform (easy_handeye), R_cam2gripper and t_cam2gripper (OpenCV)"
+    Err(FileError::Syntax {
+        path: name.to_owned(),
+        message: "no hand-eye calibration that is known; allowed: transformation or transform (easy_handeye), R_cam2gripper and t_cam2gripper (OpenCV)"
             .to_owned(),
-    ))
-}
-
-/// A number, also one without a fraction.
-fn float(value: &Yaml) -> Option<f64> {
-    let whole = value.as_integer().map(|whole| whole as f64);
-    value.as_floating_point().or(whole)
+    })
 }
 
 #[cfg(test)]
@@ -264,14 +233,18 @@ mod tests {
             (
                 "a.yaml",
                 &EASY.replace("eye_on_hand: true", "eye_on_hand: false"),
-                "eye_on_hand = false",
+                "parameters.eye_on_hand = false",
             ),
             (
                 "a.yaml",
                 &EASY.replace("qw: 0.70710678", "qw: 0.2"),
                 "of length 1",
             ),
-            ("a.yaml", &EASY.replace("  x: 0.05\n", ""), "x = missing"),
+            (
+                "a.yaml",
+                &EASY.replace("  x: 0.05\n", ""),
+                "transformation.x is missing",
+            ),
             ("a.yaml", &OPENCV.replace("1. ]", "2. ]"), "a rotation"),
             (
                 "a.yaml",

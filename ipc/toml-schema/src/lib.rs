@@ -27,6 +27,8 @@ mod flags;
 mod judge;
 mod reference;
 mod schema;
+#[cfg(feature = "yaml")]
+mod yaml;
 
 pub use document::{COMMAND_LINE, Document, FileError, read_text};
 #[cfg(feature = "flags")]
@@ -34,3 +36,5 @@ pub use flags::arguments;
 pub use judge::{Refusal, check};
 pub use reference::reference;
 pub use schema::{schema, schema_file};
+#[cfg(feature = "yaml")]
+pub use yaml::{YamlFile, YamlNode};

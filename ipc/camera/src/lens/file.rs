@@ -1,371 +1,461 @@
-//! Files of calibrations:
+//! Files of calibrations.
 //!
-//! - YAML of ROS: what `camera_calibration` writes, and `ros2 topic echo --once .../camera_info`.
-//! - YAML of OpenCV's `FileStorage` with the keys of its calibration sample.
-//! - YAML of Kalibr, a camchain of one camera.
-//! - TOML: `fx`, `fy`, `cx`, `cy` and `distortion`, as `opencv_camera.py` reads it; also `width`,
-//!   `height` and `model`.
+//! | format | keys |
+//! |---|---|
+//! | TOML, ours | `fx` `fy` `cx` `cy` `width` `height`, `distortion` |
+//! | YAML of ROS, a file of `camera_info_manager` | `camera_matrix`, `distortion_model`, `distortion_coefficients`, `image_width`, `image_height` |
+//! | YAML of ROS, what `ros2 topic echo --once .../camera_info` prints | `k` `d` (`K` `D`), `distortion_model`, `width`, `height` |
+//! | YAML of OpenCV's `FileStorage` | `camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, `fisheye_model` |
+//! | YAML of Kalibr, a camera chain | `cam0` |
 //!
-//! All of them have the centre of the upper left pixel at (0, 0).
+//! All of them have the centre of the first pixel at (0, 0).
 
 use std::path::Path;
 
-use saphyr::{LoadableYamlNode, Yaml};
 use schemars::JsonSchema;
 use serde::Deserialize;
-use toml_schema::{Document, FileError, read_text};
+use toml_schema::{Document, FileError, YamlFile, YamlNode, read_text};
 
 use super::{Distortion, Lens};
 
-/// What a model is called: by ROS, by Kalibr, by us.
-const RATIONAL: [&str; 4] = ["plumb_bob", "rational_polynomial", "radtan", "none"];
-const EQUIDISTANT: [&str; 3] = ["equidistant", "fisheye", "equi"];
-/// Coefficients of OpenCV's model; those after the eighth, of thin prisms and tilt, must be 0.
-const COUNTS: [usize; 6] = [0, 4, 5, 8, 12, 14];
+/// Focal lengths, px: those of a scene's camera.
+const FOCAL: std::ops::RangeInclusive<f64> = 10.0..=1e5;
+/// Most pixels in a row, and most rows: those of `vpc/image`.
+const MOST_SIDE: f64 = 8192.0;
+/// Coefficients that OpenCV's perspective model may have.
+const PERSPECTIVE: &str = "4, 5 or 8 numbers: k1, k2, p1, p2, k3, k4, k5, k6 (12 or 14 if the others are 0: no thin prism, no tilt)";
+const FISHEYE: &str = "4 numbers: k1, k2, k3, k4";
 
-/// Reads a calibration, by its end: `.yaml` or `.yml`, else TOML.
+/// Reads a file of any of the formats.
 ///
 /// # Errors
-/// [`FileError`] names the key, its value and what is allowed.
+/// The file cannot be read, has none of the formats, or is no calibration: names the key, its value
+/// and what is allowed.
 pub fn read(path: &Path) -> Result<Lens, FileError> {
     let name = path.display().to_string();
     let text = read_text(path)?;
-    let lens = match path.extension() {
-        Some(end) if end == "yaml" || end == "yml" => Reader { name: &name }.yaml(&text)?,
-        _ => of_toml(&name, &text)?,
+    let is_yaml = matches!(path.extension(), Some(end) if end == "yaml" || end == "yml");
+    let numbers = match is_yaml {
+        true => of_yaml(&name, &text)?,
+        false => of_toml(&name, &text)?,
     };
-    for (key, value, allowed) in [
-        ("fx", lens.focal[0], 10.0..1e5),
-        ("fy", lens.focal[1], 10.0..1e5),
-        ("cx", lens.centre[0], 0.0..16384.0),
-        ("cy", lens.centre[1], 0.0..16384.0),
-    ] {
-        if !allowed.contains(&value) {
-            let words = format!("{} to {} px", allowed.start, allowed.end);
-            return Err(FileError::value(&name, key, value, words));
-        }
-    }
-    Ok(lens)
+    numbers.check(name)
 }
 
-/// Intrinsics of a camera.
+/// A calibration as it stands in a file.
+struct Numbers {
+    focal: [f64; 2],
+    centre: [f64; 2],
+    size: [f64; 2],
+    distortion: Distortion,
+}
+
+impl Numbers {
+    fn check(self, file: String) -> Result<Lens, FileError> {
+        let refuse = |key: &str, found: f64, allowed: String| {
+            Err(FileError::value(&file, key, found, allowed))
+        };
+        for (key, side) in ["width", "height"].into_iter().zip(self.size) {
+            if !(1.0..=MOST_SIDE).contains(&side) || side.fract() != 0.0 {
+                return refuse(key, side, format!("whole numbers of 1 to {MOST_SIDE} px"));
+            }
+        }
+        for (key, focal) in ["fx", "fy"].into_iter().zip(self.focal) {
+            if !FOCAL.contains(&focal) {
+                let allowed = format!("{} to {} px", FOCAL.start(), FOCAL.end());
+                return refuse(key, focal, allowed);
+            }
+        }
+        for axis in 0..2 {
+            let (key, centre, side) = (["cx", "cy"][axis], self.centre[axis], self.size[axis]);
+            if !(0.0..=side).contains(&centre) {
+                return refuse(key, centre, format!("0 to {side} px: in the image"));
+            }
+        }
+        Ok(Lens {
+            focal: self.focal,
+            centre: self.centre,
+            // Checked above.
+            size: self.size.map(|side| side as u32),
+            distortion: self.distortion,
+            file,
+        })
+    }
+}
+
+/// Calibration of a camera, as `vpc-calib` writes it.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Toml {
-    /// Size of the image that it is about.
-    #[schemars(range(min = 16, max = 16384), extend("x-unit" = "px"))]
-    width: Option<u32>,
-    #[schemars(range(min = 16, max = 16384), extend("x-unit" = "px"))]
-    height: Option<u32>,
+    /// Focal length along u.
     #[schemars(range(min = 10, max = 1e5), extend("x-unit" = "px"))]
     fx: f64,
+    /// Focal length along v.
     #[schemars(range(min = 10, max = 1e5), extend("x-unit" = "px"))]
     fy: f64,
-    #[schemars(range(min = 0, max = 16384), extend("x-unit" = "px"))]
+    /// Principal point, u.
     cx: f64,
-    #[schemars(range(min = 0, max = 16384), extend("x-unit" = "px"))]
+    /// Principal point, v.
     cy: f64,
+    /// Width of the images.
+    #[schemars(range(min = 1, max = 8192), extend("x-unit" = "px"))]
+    width: u32,
+    /// Height of the images.
+    #[schemars(range(min = 1, max = 8192), extend("x-unit" = "px"))]
+    height: u32,
+    /// k1, k2, p1, p2, k3, as OpenCV has them.
     #[serde(default)]
-    #[schemars(inner(range(min = -1000, max = 1000)))]
+    #[schemars(inner(range(min = -1e6, max = 1e6)))]
     distortion: Vec<f64>,
-    model: Option<String>,
 }
 
-fn of_toml(name: &str, text: &str) -> Result<Lens, FileError> {
-    let toml: Toml = Document::parse(text, name)?.check()?;
-    let reader = Reader { name };
-    let model = toml.model.as_deref().unwrap_or("plumb_bob");
-    let size = toml.width.zip(toml.height);
-    Ok(Lens {
-        size: size.map(|(width, height)| [width.into(), height.into()]),
-        focal: [toml.fx, toml.fy],
-        centre: [toml.cx, toml.cy],
-        distortion: reader.distortion("model", model, "distortion", &toml.distortion)?,
+fn of_toml(name: &str, text: &str) -> Result<Numbers, FileError> {
+    let document = Document::parse(text, name)?;
+    let file: Toml = document.check()?;
+    let distortion = match file.distortion.as_slice() {
+        [] => Distortion::perspective([0.0; 8]),
+        numbers => perspective(numbers).ok_or_else(|| {
+            let found = format!("a list of {}", numbers.len());
+            document.refuse("distortion", found, PERSPECTIVE)
+        })?,
+    };
+    Ok(Numbers {
+        focal: [file.fx, file.fy],
+        centre: [file.cx, file.cy],
+        size: [file.width, file.height].map(f64::from),
+        distortion,
     })
 }
 
-/// Reads YAML; errors name the file.
-struct Reader<'a> {
-    name: &'a str,
-}
-
-impl Reader<'_> {
-    fn yaml(&self, text: &str) -> Result<Lens, FileError> {
-        // OpenCV writes a directive that is not YAML's.
-        let text = text.strip_prefix("%YAML:1.0").unwrap_or(text);
-        let documents = Yaml::load_from_str(text);
-        let documents = documents.map_err(|error| self.syntax(error.to_string()))?;
-        let root = documents.first();
-        let root = root.ok_or_else(|| self.syntax("the file is empty".to_owned()))?;
-        if root.as_mapping_get("cam0").is_some() {
-            return self.kalibr(root);
-        }
-        let first = |keys: [&'static str; 3]| {
-            let found = keys.iter().find_map(|key| Some((*key, root.as_mapping_get(key)?)));
-            found.ok_or_else(|| self.missing(keys[0]))
-        };
-        if let (None, None) = (
-            first(["camera_matrix", "k", "K"]).ok(),
-            first(["distortion_coefficients", "d", "D"]).ok(),
-        ) {
-            return Err(self.syntax(
-                "no calibration that is known; allowed: camera_matrix and distortion_coefficients (ROS, OpenCV), k and d \
-                 (camera_info), cam0 (Kalibr)"
-                    .to_owned(),
-            ));
-        }
-        let size = [
-            first(["image_width", "width", "Image_Width"])?,
-            first(["image_height", "height", "Image_Height"])?,
-        ];
-        let size = size.map(|(key, value)| self.number(key, value));
-        let [width, height] = size;
-        let (key, value) = first(["camera_matrix", "k", "K"])?;
-        let matrix = self.numbers(key, value)?;
-        let [fx, skew, cx, b, fy, cy, c, d, one] = matrix[..] else {
-            let found = format!("{} numbers", matrix.len());
-            return Err(self.refuse(key, found, "a matrix of 9 numbers"));
-        };
-        if [skew, b, c, d, one - 1.0] != [0.0; 5] {
-            let allowed = "[fx, 0, cx, 0, fy, cy, 0, 0, 1]: a camera without skew";
-            return Err(self.refuse(key, format!("{matrix:?}"), allowed));
-        }
-        let (key, value) = first(["distortion_coefficients", "d", "D"])?;
-        let coefficients = self.numbers(key, value)?;
-        let is_fisheye = root.as_mapping_get("fisheye_model").and_then(float);
-        let model = root.as_mapping_get("distortion_model");
-        let model = match (model, is_fisheye) {
-            (Some(model), _) => {
-                let words = model.as_str();
-                words.ok_or_else(|| self.refuse("distortion_model", "no word", known()))?
-            }
-            (None, Some(1.0)) => "fisheye",
-            (None, _) => "rational_polynomial",
-        };
-        Ok(Lens {
-            size: Some([width?, height?]),
-            focal: [fx, fy],
-            centre: [cx, cy],
-            distortion: self.distortion("distortion_model", model, key, &coefficients)?,
-        })
+fn of_yaml(name: &str, text: &str) -> Result<Numbers, FileError> {
+    let file = YamlFile::parse(text, name)?;
+    let root = file.root();
+    if let Some(camera) = root.find("cam0") {
+        return of_kalibr(&camera);
     }
-
-    fn kalibr(&self, root: &Yaml) -> Result<Lens, FileError> {
-        if root.as_mapping_get("cam1").is_some() {
-            let allowed = "one camera: leave the others out of the file";
-            return Err(self.refuse("cam1", "a second camera", allowed));
-        }
-        let camera = root.as_mapping_get("cam0");
-        let get = |key: &str| {
-            let value = camera.and_then(|camera| camera.as_mapping_get(key));
-            value.ok_or_else(|| self.missing(&format!("cam0.{key}")))
-        };
-        let word = |key: &str| Ok::<_, FileError>(get(key)?.as_str().unwrap_or("no word"));
-        let model = word("camera_model")?;
-        if model != "pinhole" {
-            return Err(self.refuse("cam0.camera_model", model, "pinhole"));
-        }
-        let numbers = |key: &str| self.numbers(&format!("cam0.{key}"), get(key)?);
-        let (intrinsics, resolution) = (numbers("intrinsics")?, numbers("resolution")?);
-        let ([fx, fy, cx, cy], [width, height]) = (&intrinsics[..], &resolution[..]) else {
-            let found = format!("{intrinsics:?} and {resolution:?}");
-            return Err(self.refuse("cam0.intrinsics", found, "4 numbers, and 2 of resolution"));
-        };
-        Ok(Lens {
-            size: Some([*width, *height]),
-            focal: [*fx, *fy],
-            centre: [*cx, *cy],
-            distortion: self.distortion(
-                "cam0.distortion_model",
-                word("distortion_model")?,
-                "cam0.distortion_coeffs",
-                &numbers("distortion_coeffs")?,
-            )?,
-        })
+    if let Some(matrix) = root.find("camera_matrix") {
+        return Ok(Numbers {
+            size: [root.number("image_width")?, root.number("image_height")?],
+            distortion: of_opencv(&root)?,
+            ..of_matrix(&matrix, &matrix.numbers("data")?)?
+        });
     }
-
-    /// The distortion of a model by its name, of coefficients in OpenCV's order.
-    fn distortion(
-        &self,
-        key_of_model: &str,
-        model: &str,
-        key: &str,
-        k: &[f64],
-    ) -> Result<Distortion, FileError> {
-        let count = |allowed: &str| {
-            let found = format!("{} coefficients", k.len());
-            Err(self.refuse(key, found, format!("{allowed} of them for {model}")))
-        };
-        if EQUIDISTANT.contains(&model) {
-            return match *k {
-                [a, b, c, d] => Ok(Distortion::Equidistant([a, b, c, d])),
-                _ => count("4"),
-            };
-        }
-        if !RATIONAL.contains(&model) {
-            return Err(self.refuse(key_of_model, model, known()));
-        }
-        let most = match model {
-            "none" => 0,
-            "plumb_bob" => 5,
-            "radtan" => 4,
-            _ => 14,
-        };
-        // A plumb_bob of all zeros may have any count: drivers write it for a camera without
-        // distortion.
-        let is_known = COUNTS.contains(&k.len()) && k.len() <= most;
-        if !is_known && k.iter().any(|k| *k != 0.0) {
-            return count(match model {
-                "none" => "0",
-                "plumb_bob" => "4 or 5",
-                "radtan" => "4",
-                _ => "4, 5, 8, 12 or 14",
+    for (k, d) in [("k", "d"), ("K", "D")] {
+        if let Some(matrix) = root.find(k) {
+            let model = root.get("distortion_model", MODELS)?;
+            let coefficients = root.get(d, PERSPECTIVE)?;
+            return Ok(Numbers {
+                size: [root.number("width")?, root.number("height")?],
+                distortion: of_model(&model, &coefficients, &root.numbers(d)?)?,
+                ..of_matrix(&matrix, &root.numbers(k)?)?
             });
         }
-        if let Some(k) = k.iter().skip(8).find(|k| **k != 0.0) {
-            let allowed = "0 from the 9th coefficient on: thin prisms and tilt are not known";
-            return Err(self.refuse(key, k, allowed));
-        }
-        let mut eight = [0.0; 8];
-        eight.iter_mut().zip(k).for_each(|(out, k)| *out = *k);
-        Ok(Distortion::Rational(eight))
     }
+    Err(FileError::Syntax {
+        path: name.to_owned(),
+        message: "no calibration of a camera that is known; allowed: camera_matrix (ROS, OpenCV), k and d (a message of ROS), cam0 (Kalibr); or a file .toml"
+            .to_owned(),
+    })
+}
 
-    /// A list of numbers, or the `data` of a matrix.
-    fn numbers(&self, key: &str, value: &Yaml) -> Result<Vec<f64>, FileError> {
-        let data = value.as_mapping_get("data").unwrap_or(value);
-        let list = data.as_sequence();
-        let list = list.ok_or_else(|| self.refuse(key, "no list", "a list of numbers"))?;
-        list.iter().map(|value| self.number(key, value)).collect()
-    }
-
-    fn number(&self, key: &str, value: &Yaml) -> Result<f64, FileError> {
-        let number = float(value).filter(|number| number.is_finite());
-        number.ok_or_else(|| self.refuse(key, format!("{value:?}"), "finite numbers"))
-    }
-
-    fn refuse(&self, key: &str, found: impl ToString, allowed: impl Into<String>) -> FileError {
-        FileError::value(self.name, key, found, allowed)
-    }
-
-    fn missing(&self, key: &str) -> FileError {
-        self.syntax(format!("{key} is missing"))
-    }
-
-    fn syntax(&self, message: String) -> FileError {
-        FileError::Syntax {
-            path: self.name.to_owned(),
-            message,
+/// Focal lengths and principal point.
+fn of_matrix(node: &YamlNode, numbers: &[f64]) -> Result<Numbers, FileError> {
+    match *numbers {
+        [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0] => Ok(Numbers {
+            focal: [fx, fy],
+            centre: [cx, cy],
+            size: [0.0; 2],
+            distortion: Distortion::perspective([0.0; 8]),
+        }),
+        _ => {
+            let allowed = "9 numbers: fx, 0, cx, 0, fy, cy, 0, 0, 1";
+            Err(node.refuse_as(format!("{numbers:?}"), allowed))
         }
     }
 }
 
-/// The models, for messages.
-fn known() -> String {
-    [&RATIONAL[..], &EQUIDISTANT[..]].concat().join(", ")
+/// The distortion in a file of ROS, which names the model, or of OpenCV, which does not.
+fn of_opencv(root: &YamlNode) -> Result<Distortion, FileError> {
+    let coefficients = root.get("distortion_coefficients", "a matrix")?;
+    let numbers = coefficients.numbers("data")?;
+    if let Some(model) = root.find("distortion_model") {
+        return of_model(&model, &coefficients, &numbers);
+    }
+    let is_fisheye = match root.find("fisheye_model") {
+        Some(_) => root.number("fisheye_model")? != 0.0,
+        None => false,
+    };
+    let (distortion, allowed) = match is_fisheye {
+        true => (fisheye(&numbers), FISHEYE),
+        false => (perspective(&numbers), PERSPECTIVE),
+    };
+    distortion.ok_or_else(|| wrong_count(&coefficients, &numbers, allowed))
 }
 
-/// A number, also one without a fraction.
-fn float(value: &Yaml) -> Option<f64> {
-    let whole = value.as_integer().map(|whole| whole as f64);
-    value.as_floating_point().or(whole)
+const MODELS: &str = "plumb_bob, rational_polynomial, equidistant";
+const MODELS_OF_KALIBR: &str = "radtan, equi, none";
+
+/// The distortion of a model that ROS or Kalibr names.
+fn of_model(
+    model: &YamlNode,
+    coefficients: &YamlNode,
+    numbers: &[f64],
+) -> Result<Distortion, FileError> {
+    let (distortion, allowed) = match model.as_str() {
+        Some("plumb_bob") => (
+            perspective(numbers).filter(|_| numbers.len() <= 5),
+            "5 numbers: k1, k2, p1, p2, k3",
+        ),
+        Some("rational_polynomial") => (
+            perspective(numbers).filter(|_| numbers.len() >= 8),
+            "8 numbers: k1, k2, p1, p2, k3, k4, k5, k6 (12 or 14 if the others are 0)",
+        ),
+        Some("equidistant") => (fisheye(numbers), FISHEYE),
+        _ => return Err(model.refuse(MODELS)),
+    };
+    distortion.ok_or_else(|| wrong_count(coefficients, numbers, allowed))
+}
+
+fn of_kalibr(camera: &YamlNode) -> Result<Numbers, FileError> {
+    let model = camera.get("camera_model", "pinhole")?;
+    if model.as_str() != Some("pinhole") {
+        return Err(model.refuse("pinhole"));
+    }
+    let intrinsics = camera.numbers("intrinsics")?;
+    let [fx, fy, cx, cy] = *intrinsics else {
+        let node = camera.get("intrinsics", "")?;
+        return Err(node.refuse("4 numbers: fx, fy, cx, cy"));
+    };
+    let size = camera.numbers("resolution")?;
+    let [width, height] = *size else {
+        let node = camera.get("resolution", "")?;
+        return Err(node.refuse("2 numbers: width, height"));
+    };
+    let model = camera.get("distortion_model", MODELS_OF_KALIBR)?;
+    let numbers = camera.numbers("distortion_coeffs")?;
+    let (distortion, allowed) = match model.as_str() {
+        Some("radtan") => (
+            perspective(&numbers).filter(|_| numbers.len() == 4),
+            "4 numbers: k1, k2, p1, p2",
+        ),
+        Some("equi") => (fisheye(&numbers), FISHEYE),
+        Some("none") => (
+            (numbers.is_empty()).then(|| Distortion::perspective([0.0; 8])),
+            "no numbers",
+        ),
+        _ => return Err(model.refuse(MODELS_OF_KALIBR)),
+    };
+    let coefficients = camera.get("distortion_coeffs", allowed)?;
+    Ok(Numbers {
+        focal: [fx, fy],
+        centre: [cx, cy],
+        size: [width, height],
+        distortion: distortion.ok_or_else(|| wrong_count(&coefficients, &numbers, allowed))?,
+    })
+}
+
+fn wrong_count(node: &YamlNode, numbers: &[f64], allowed: &str) -> FileError {
+    node.refuse_as(format!("{numbers:?}"), allowed)
+}
+
+/// OpenCV's perspective model; `None` for another number of coefficients, or a thin prism or a tilt
+/// that is not 0.
+fn perspective(numbers: &[f64]) -> Option<Distortion> {
+    let is_known = matches!(numbers.len(), 4 | 5 | 8 | 12 | 14);
+    let (model, others) = numbers.split_at(numbers.len().min(8));
+    let mut all = [0.0; 8];
+    all[..model.len()].copy_from_slice(model);
+    (is_known && others.iter().all(|x| *x == 0.0)).then(|| Distortion::perspective(all))
+}
+
+fn fisheye(numbers: &[f64]) -> Option<Distortion> {
+    Some(Distortion::fisheye(numbers.try_into().ok()?))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const TOML: &str = "fx = 600\nfy = 601.5\ncx = 320.25\ncy = 239\nwidth = 640\nheight = 480\n\
+        distortion = [-0.25, 0.08, 1e-3, -2e-3, 0]\n";
+    const ROS: &str = "image_width: 640\nimage_height: 480\ncamera_name: wrist\n\
+        camera_matrix:\n  rows: 3\n  cols: 3\n  data: [600, 0, 320.25, 0, 601.5, 239, 0, 0, 1]\n\
+        distortion_model: plumb_bob\n\
+        distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.25, 0.08, 0.001, -0.002, 0]\n\
+        projection_matrix:\n  rows: 3\n  cols: 4\n  data: [1, 0, 2, 0, 0, 3, 4, 0, 0, 0, 1, 0]\n";
+    const MESSAGE: &str = "header:\n  frame_id: camera_link\nheight: 480\nwidth: 640\ndistortion_model: plumb_bob\n\
+        d:\n- -0.25\n- 0.08\n- 0.001\n- -0.002\n- 0.0\nk:\n- 600.0\n- 0.0\n- 320.25\n- 0.0\n- 601.5\n- 239.0\n- 0.0\n- 0.0\n- 1.0\n---\n";
+    const OPENCV: &str = "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\ncamera_matrix: !!opencv-matrix\n\
+        \x20  rows: 3\n   cols: 3\n   dt: d\n   data: [ 600., 0., 320.25, 0., 601.5,\n       239., 0., 0., 1. ]\n\
+        distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n   data: [ -0.25, 8.0e-02, 1.0e-03, -2.0e-03, 0. ]\n";
+    const KALIBR: &str = "cam0:\n  cam_overlaps: []\n  camera_model: pinhole\n\
+        \x20 distortion_coeffs: [-0.25, 0.08, 0.001, -0.002]\n  distortion_model: radtan\n\
+        \x20 intrinsics: [600, 601.5, 320.25, 239]\n  resolution: [640, 480]\n  rostopic: /image\n";
+
     fn read_as(name: &str, text: &str) -> Result<Lens, String> {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(name);
         std::fs::write(&path, text).unwrap();
-        read(&path).map_err(|error| error.to_string())
+        let mut lens = read(&path).map_err(|error| error.to_string())?;
+        lens.file = String::new();
+        Ok(lens)
     }
-
-    const ROS: &str = "image_width: 640\nimage_height: 480\ncamera_name: wrist\n\
-        camera_matrix:\n  rows: 3\n  cols: 3\n  data: [600, 0, 325.5, 0, 605.0, 236, 0, 0, 1]\n\
-        distortion_model: plumb_bob\n\
-        distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.31, 0.12, 0.0012, -0.0008, 0]\n\
-        projection_matrix:\n  rows: 3\n  cols: 4\n  data: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]\n";
-    const ECHO: &str = "header:\n  frame_id: wrist\nheight: 480\nwidth: 640\ndistortion_model: rational_polynomial\n\
-        d:\n- -0.31\n- 0.12\n- 0.0012\n- -0.0008\n- 0.0\n- 0.0\n- 0.0\n- 0.0\n\
-        k: [600.0, 0.0, 325.5, 0.0, 605.0, 236.0, 0.0, 0.0, 1.0]\n---\n";
-    const OPENCV: &str = "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\ncamera_matrix: !!opencv-matrix\n   rows: 3\n\
-        \x20  cols: 3\n   dt: d\n   data: [ 600., 0., 3.255e+02, 0., 605., 236., 0., 0., 1. ]\n\
-        distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n   data: [ -3.1e-01, 0.12, 0.0012, -0.0008, 0. ]\n";
-    const KALIBR: &str = "cam0:\n  camera_model: pinhole\n  intrinsics: [600, 605, 325.5, 236]\n  distortion_model: radtan\n\
-        \x20 distortion_coeffs: [-0.31, 0.12, 0.0012, -0.0008]\n  resolution: [640, 480]\n  rostopic: /image\n";
-    const TOML: &str = "width = 640\nheight = 480\nfx = 600\nfy = 605.0\ncx = 325.5\ncy = 236\n\
-        distortion = [-0.31, 0.12, 0.0012, -0.0008, 0.0]\n";
 
     #[test]
     fn every_tool_gives_the_same_lens() {
         let toml = read_as("a.toml", TOML).unwrap();
-        assert_eq!((toml.focal, toml.centre), ([600.0, 605.0], [325.5, 236.0]));
-        assert_eq!(toml.size, Some([640.0, 480.0]));
-        for text in [ROS, ECHO, OPENCV, KALIBR] {
-            assert_eq!(read_as("a.yaml", text), Ok(toml), "{text}");
+        assert_eq!(toml.size, [640, 480]);
+        assert_eq!(toml.focal, [600.0, 601.5]);
+        assert_eq!(toml.centre, [320.25, 239.0]);
+        let model = [-0.25, 0.08, 1e-3, -2e-3, 0.0, 0.0, 0.0, 0.0];
+        assert_eq!(toml.distortion, Distortion::perspective(model));
+        let upper = MESSAGE.replace("\nd:", "\nD:").replace("\nk:", "\nK:");
+        for text in [ROS, MESSAGE, &upper, OPENCV, KALIBR] {
+            assert_eq!(read_as("a.yaml", text).unwrap(), toml, "{text}");
         }
-        let short = TOML.replace("width = 640\nheight = 480\n", "");
-        assert_eq!(read_as("a.toml", &short).unwrap().size, None);
     }
 
     #[test]
-    fn every_fisheye_is_one() {
-        let expected = Distortion::Equidistant([0.03, -0.01, 0.004, -0.001]);
-        let four = "[0.03, -0.01, 0.004, -0.001]";
-        let ros = ROS.replace("[-0.31, 0.12, 0.0012, -0.0008, 0]", four);
-        let ros = ros.replace("plumb_bob", "equidistant");
-        let kalibr = KALIBR.replace("[-0.31, 0.12, 0.0012, -0.0008]", four);
-        let kalibr = kalibr.replace("radtan", "equidistant");
-        let opencv = OPENCV.replace("[ -3.1e-01, 0.12, 0.0012, -0.0008, 0. ]", four);
-        let opencv = opencv.replace("image_width", "fisheye_model: 1\nimage_width");
-        for text in [ros, kalibr, opencv] {
-            assert_eq!(read_as("a.yml", &text).unwrap().distortion, expected, "{text}");
-        }
-        let toml = TOML.replace("[-0.31, 0.12, 0.0012, -0.0008, 0.0]", four) + "model = \"equidistant\"";
-        assert_eq!(read_as("a.toml", &toml).unwrap().distortion, expected);
-    }
-
-    #[test]
-    fn what_is_wrong_is_named() {
-        let with = |text: &str, from: &str, to: &str| {
-            assert!(text.contains(from), "{from}");
-            text.replace(from, to)
+    fn each_model_is_read() {
+        let eight = [0.1, 0.2, 0.01, 0.02, 0.3, 0.4, 0.5, 0.6];
+        let four = [0.1, 0.2, 0.3, 0.4];
+        let (rational, fisheye) = (Distortion::perspective(eight), Distortion::fisheye(four));
+        let with = |file: &str, model: &str, numbers: &[f64]| {
+            let file = file.replace("plumb_bob", model).replace("radtan", model);
+            let old = [
+                "-0.25, 0.08, 0.001, -0.002, 0]",
+                "-0.25, 0.08, 0.001, -0.002]",
+            ];
+            let new = format!("{numbers:?}").replacen('[', "", 1);
+            let file = file.replace(old[0], &new).replace(old[1], &new);
+            read_as("a.yml", &file).unwrap().distortion
         };
-        for (text, said) in [
-            (with(ROS, "plumb_bob", "ftheta"), "distortion_model = ftheta; allowed: plumb_bob, "),
-            (with(ROS, "-0.31", ".nan"), "distortion_coefficients"),
-            (with(ROS, "-0.31, 0.12, ", ""), "3 coefficients; allowed: 4 or 5 of them for plumb_bob"),
-            (with(ROS, "plumb_bob", "equidistant"), "5 coefficients; allowed: 4 of them for equidistant"),
-            (with(ROS, "image_width: 640\n", ""), "image_width is missing"),
-            (with(ROS, ", 0, 0, 1]", ", 0, 0]"), "camera_matrix = 8 numbers; allowed: a matrix of 9"),
-            (with(ROS, "[600, 0, ", "[600, 2, "), "a camera without skew"),
-            (with(ROS, "[600,", "[-600,"), "fx = -600; allowed: 10 to 100000 px"),
-            (with(ROS, "325.5", "many"), "camera_matrix"),
-            (with(KALIBR, "pinhole", "omni"), "cam0.camera_model = omni; allowed: pinhole"),
-            (with(KALIBR, "radtan", "fov"), "cam0.distortion_model = fov"),
-            (format!("{KALIBR}cam1:\n  camera_model: pinhole\n"), "cam1 = a second camera"),
-            (with(KALIBR, "  resolution: [640, 480]\n", ""), "cam0.resolution is missing"),
-            ("camera: 3\n".to_owned(), "no calibration that is known"),
-            (String::new(), "empty"),
-            ("a: [".to_owned(), "a.yaml"),
+        assert_eq!(with(ROS, "rational_polynomial", &eight), rational);
+        let mut fourteen = eight.to_vec();
+        fourteen.resize(14, 0.0);
+        assert_eq!(with(ROS, "rational_polynomial", &fourteen), rational);
+        assert_eq!(with(ROS, "equidistant", &four), fisheye);
+        assert_eq!(with(KALIBR, "equi", &four), fisheye);
+        assert_eq!(with(KALIBR, "none", &[]), Distortion::perspective([0.0; 8]));
+        let opencv = OPENCV.replace(
+            "-0.25, 8.0e-02, 1.0e-03, -2.0e-03, 0.",
+            "0.1, 0.2, 0.3, 0.4",
+        );
+        let opencv = |flag: u32| read_as("a.yaml", &format!("{opencv}fisheye_model: {flag}\n"));
+        assert_eq!(opencv(1).unwrap().distortion, fisheye);
+        let perspective = [0.1, 0.2, 0.3, 0.4, 0.0, 0.0, 0.0, 0.0];
+        assert_eq!(
+            opencv(0).unwrap().distortion,
+            Distortion::perspective(perspective)
+        );
+    }
+
+    #[test]
+    fn what_is_no_calibration_is_refused_by_name() {
+        let toml = |from: &str, to: &str| ("a.toml", TOML.replace(from, to));
+        let yaml = |text: &str, from: &str, to: &str| ("a.yaml", text.replace(from, to));
+        for ((name, text), said) in [
+            (
+                toml("fx = 600", "fx = nan"),
+                "fx = NaN; allowed: 10 to 1e5 px",
+            ),
+            (
+                toml("fx = 600\n", ""),
+                "fx is missing; allowed: 10 to 1e5 px",
+            ),
+            (toml("fx = 600", "fz = 600"), "unknown field `fz`"),
+            (
+                toml("fx = 600", "fx = 0.6"),
+                "fx = 0.6; allowed: 10 to 1e5 px",
+            ),
+            (toml("width = 640\n", ""), "width is missing"),
+            (
+                toml("cx = 320.25", "cx = 641"),
+                "cx = 641; allowed: 0 to 640 px: in the image",
+            ),
+            (
+                toml("cy = 239", "cy = inf"),
+                "cy = inf; allowed: 0 to 480 px",
+            ),
+            (toml(", 0]", ", nan]"), "distortion[4] = NaN"),
+            (toml(", 0]", "]"), ""),
+            (
+                toml(", -2e-3, 0]", "]"),
+                "distortion = a list of 3; allowed: 4, 5 or 8 numbers",
+            ),
+            (
+                yaml(ROS, "plumb_bob", "plumb_box"),
+                "distortion_model = \"plumb_box\"; allowed: plumb_bob, rational_polynomial, equidistant",
+            ),
+            (
+                yaml(ROS, "-0.002, 0]", "-0.002, 0, 1]"),
+                "distortion_coefficients = [-0.25, 0.08, 0.001, -0.002, 0.0, 1.0]; allowed: 5 numbers: k1, k2, p1, p2, k3",
+            ),
+            (
+                yaml(ROS, "plumb_bob", "equidistant"),
+                "allowed: 4 numbers: k1, k2, k3, k4",
+            ),
+            (
+                yaml(ROS, "plumb_bob", "rational_polynomial"),
+                "allowed: 8 numbers",
+            ),
+            (
+                yaml(ROS, "image_width: 640\n", ""),
+                "image_width is missing",
+            ),
+            (
+                yaml(ROS, "image_width: 640", "image_width: 640.5"),
+                "width = 640.5; allowed: whole numbers",
+            ),
+            (
+                yaml(ROS, "[600, 0,", "[600, 0.1,"),
+                "camera_matrix = [600.0, 0.1,",
+            ),
+            (
+                yaml(ROS, "[600, 0,", "[.nan, 0,"),
+                "camera_matrix.data[0] = NaN; allowed: a number",
+            ),
+            (
+                yaml(ROS, "[600, 0,", "[0, 0,"),
+                "fx = 0; allowed: 10 to 100000 px",
+            ),
+            (
+                yaml(MESSAGE, "distortion_model: plumb_bob\n", ""),
+                "distortion_model is missing; allowed: plumb_bob",
+            ),
+            (
+                yaml(OPENCV, "distortion_coefficients", "dist"),
+                "distortion_coefficients is missing",
+            ),
+            (
+                yaml(OPENCV, "-2.0e-03, 0. ]", "-2.0e-03, 0., .Nan ]"),
+                "distortion_coefficients.data[5]",
+            ),
+            (
+                yaml(KALIBR, "camera_model: pinhole", "camera_model: omni"),
+                "cam0.camera_model = \"omni\"; allowed: pinhole",
+            ),
+            (
+                yaml(KALIBR, "radtan", "fov"),
+                "cam0.distortion_model = \"fov\"; allowed: radtan, equi, none",
+            ),
+            (yaml(KALIBR, "radtan", "none"), "allowed: no numbers"),
+            (
+                yaml(KALIBR, "[640, 480]", "[640]"),
+                "cam0.resolution = a list of 1; allowed: 2 numbers",
+            ),
+            (
+                yaml(KALIBR, "[600, 601.5,", "["),
+                "cam0.intrinsics = a list of 2; allowed: 4 numbers",
+            ),
+            (yaml(KALIBR, "cam0", "cam"), "no calibration of a camera"),
         ] {
-            let error = read_as("a.yaml", &text).unwrap_err();
-            assert!(error.contains(said), "{text}: {error}");
+            match read_as(name, &text) {
+                Err(error) => assert!(!said.is_empty() && error.contains(said), "{error}"),
+                Ok(_) => assert!(said.is_empty(), "accepted: {said}"),
+            }
         }
-        let tilted = with(OPENCV, "-0.0008, 0. ]", "-0.0008, 0., 0., 0., 0., 0., 0., 0.1, 0. ]");
-        let error = read_as("a.yaml", &tilted).unwrap_err();
-        assert!(error.contains("= 0.1; allowed: 0 from the 9th"), "{error}");
-        for (from, to, said) in [
-            ("fx = 600", "fx = nan", "fx = NaN; allowed: 10 to 1e5 px"),
-            ("fx = 600\n", "", "fx is missing"),
-            ("cy = 236", "cy = 236\nskew = 1", "skew"),
-            ("[-0.31, 0.12,", "[inf, 0.12,", "distortion[0] = inf"),
-        ] {
-            let error = read_as("a.toml", &with(TOML, from, to)).unwrap_err();
-            assert!(error.contains(said), "{error}");
-        }
-        assert!(read(Path::new("/nowhere.toml")).is_err());
+        let error = read(Path::new("/nowhere.toml")).unwrap_err();
+        assert!(error.to_string().contains("/nowhere.toml"));
     }
 }
