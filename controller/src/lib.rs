@@ -18,7 +18,7 @@
 //! | [`scene`], [`mask`](../mask/index.html), [`toml_schema`] | the scene file; painted occlusions; configuration files with a JSON Schema |
 //! | [`recording`], [`recorder`](../recorder/index.html) | recordings (MCAP); recording a domain for Foxglove |
 //! | [`vpcctl`](../vpcctl/index.html), [`figures`](../figures/index.html) | status, live views, requests; pictures |
-//! | [`hw_sim`](../hw_sim/index.html), [`panda`](../panda/index.html), [`vision`](../vision/index.html) | the emulator and its referee; the robot at 1 kHz; rendered images and their detector |
+//! | [`hw_sim`](../hw_sim/index.html), [`panda`](../panda/index.html), [`vision`](../vision/index.html) | the emulator and its referee; the robot at 1 kHz; rendered images |
 //! | [`system_tests`](../system_tests/index.html), [`testkit`](../testkit/index.html) | `demo`, `table` and the promises; what tests share |
 #![deny(unsafe_code)]
 

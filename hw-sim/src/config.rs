@@ -433,6 +433,14 @@ mod tests {
                 ["truth.hand_eye_m", "NaN", "-0.2 to 0.2"],
             ),
             (
+                "robot = \"panda\"\ncamera = \"rendered\"",
+                ["camera = rendered", "ideal", "pattern.marker_size"],
+            ),
+            (
+                "camera = \"rendered\"",
+                ["camera = rendered", "ideal", "robot = \"panda\""],
+            ),
+            (
                 "robot = \"panda\"\ndelay_frames = 3",
                 ["delay_frames", "3", "latency_ms"],
             ),

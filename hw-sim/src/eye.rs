@@ -21,11 +21,11 @@ use crate::pose::{RigidPose, seen_after, to_scene};
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// True projections with pixel noise; a marker is hidden where its centre, or any part of its
-    /// edge, is covered or outside the image.
+    /// Features: true projections with pixel noise; a marker is hidden where its centre, or any
+    /// part of its edge, is covered or outside the image.
     #[default]
     Ideal,
-    /// A detector's, from a rendered picture.
+    /// Rendered images of tags, in which `vpc-camera` finds the features.
     Rendered,
 }
 

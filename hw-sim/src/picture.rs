@@ -4,10 +4,7 @@ use std::sync::mpsc::{self, TryRecvError};
 use std::thread;
 
 use scene::{Pose, Scene};
-use vision::{Image, Look, Renderer, Tag};
-
-/// Side of a tag's black square, as a share of the marker with its white border.
-const BLACK: f64 = 0.8;
+use vision::{Image, Look, Renderer};
 
 /// Why a camera cannot be, or cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -48,8 +45,7 @@ impl FrameRenderer {
             seed,
             ..Look::default()
         };
-        let tags = Tag::of_pattern(real, BLACK * real.marker_size);
-        let mut renderer = Renderer::with_tags(real, &look, &tags);
+        let mut renderer = Renderer::new(real, &look);
         let (exposures, to_do) = mpsc::channel::<Exposure>();
         let (done, images) = mpsc::channel();
         let work = move || {

@@ -248,3 +248,73 @@ fn between_the_runs_of_a_loop_the_camera_shows_the_goal_and_then_begins_again() 
     assert!(said.contains("start 0: did not arrive in time"), "{said}");
     assert!(said.contains("start 0: stopped"), "{said}");
 }
+
+#[test]
+fn rendered_images_go_out_in_lockstep_and_twists_that_answer_them_end_the_run() {
+    let place = Place::new();
+    let scene = scene::Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
+    let goal = hw_sim::FreeCamera::new(&scene, &scene.goal)
+        .features()
+        .unwrap();
+    let starts = place.file("starts.csv", "tx,ty,tz,rx,ry,rz\n0,-0.01,0.35,0,0,0\n");
+    let config = testkit::root().join("hw-sim/hw-sim-tags.toml");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_hw-sim"));
+    command.arg("--config").arg(config);
+    command.arg("--domain").arg(place.domain());
+    command.arg("--starts").arg(starts);
+    command.args([
+        "--clock",
+        "lockstep",
+        "--dwell-s",
+        "0.1",
+        "--time-limit",
+        "3",
+    ]);
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut images = domain.image_subscriber().unwrap();
+    let mut twists: Publisher<TwistCommand> = domain.publisher().unwrap();
+    let mut running = Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
+    let (mut numbers, mut object) = (Vec::new(), Vec::<f64>::new());
+    while running.is_running() {
+        let Some(image) = images.latest().unwrap() else {
+            std::thread::sleep(Duration::from_micros(200));
+            continue;
+        };
+        let header = *image.header();
+        assert_eq!(
+            (header.width, header.height, header.exposure_ns),
+            (640, 480, 6_000_000)
+        );
+        let stamp = header.stamp;
+        let late_ms = (stamp.published_ns - stamp.data_ns) / 1_000_000;
+        assert_eq!(late_ms, 110);
+        // White modules and black ones, where the first tag is at the goal.
+        let [u, v] = goal[0].map(|x| x as usize);
+        let near = (0..400).map(|k| image[(v + k / 20 - 10) * 640 + u + k % 20 - 10]);
+        if numbers.is_empty() {
+            assert!(near.clone().max().unwrap() > 150 && near.min().unwrap() < 50);
+        }
+        // In the middle of the grasped object, until it is let go.
+        let inside = (0..4000).map(|k| f64::from(image[(420 + k / 100) * 640 + 270 + k % 100]));
+        object.push(inside.sum::<f64>() / 4000.0);
+        numbers.push(stamp.sequence);
+        let mut found = Features::new(&goal, stamp.data_ns);
+        found.stamp = stamp;
+        let twist = TwistCommand::answer(&found, [0.0; 6], TwistState::Moving);
+        twists.publish(&twist).unwrap();
+    }
+    let ended = running.ended();
+    let verdict = verdict(&ended);
+    assert_eq!(verdict["verdict"], "arrived", "{verdict}");
+    // One in a hundred is lost.
+    assert!(
+        numbers
+            .windows(2)
+            .all(|pair| (1..4).contains(&(pair[1] - pair[0])))
+    );
+    assert!(
+        (object.last().unwrap() - object[0]).abs() > 5.0,
+        "{object:?}"
+    );
+    assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+}

@@ -70,7 +70,7 @@ message! {
     // A history of one: who finds the features may come after the image that a lockstep camera waits
     // on. The first byte is aligned for vector instructions.
     "vpc/image" [Payload::Bytes { alignment: 64 }] from "camera":
-        Qos { history: 1, buffer: 2, subscribers: 4, publishers: 1 }
+        Qos { history: 1, buffer: 2, subscribers: 8, publishers: 1 }
 }
 
 /// Stands for the slice in errors.

@@ -1,4 +1,4 @@
-//! How the picture looks: grey levels, sizes, noise; and the kind of each occlusion.
+//! How the picture looks: grey levels, noise; and the kind of each occlusion.
 
 use scene::Occlusion;
 
@@ -26,10 +26,8 @@ impl Kind {
 /// How the picture looks. Levels are 0 (black) to 255 (white), before shading and noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
-    /// Radius of the discs on the plane of the pattern, m; above 0, at most 1.
-    pub marker_radius_m: f64,
-    /// Level of the discs, and of what is white of a tag.
-    pub marker_level: f64,
+    /// Level of what is white of a tag.
+    pub white_level: f64,
     /// Level of what is black of a tag.
     pub black_level: f64,
     /// Level of the box that carries them.
@@ -66,8 +64,7 @@ pub struct SpotLook {
 impl Default for Look {
     fn default() -> Self {
         Self {
-            marker_radius_m: 0.006,
-            marker_level: 215.0,
+            white_level: 215.0,
             black_level: 22.0,
             box_level: 98.0,
             table_level: 58.0,

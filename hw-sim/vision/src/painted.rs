@@ -109,7 +109,7 @@ pub(crate) mod tests {
         let directory = std::env::temp_dir().join(own);
         std::fs::create_dir_all(&directory).unwrap();
         scene::write_mask(&directory.join("mask.png"), 640, 480, is_white).unwrap();
-        let (head, _) = scene::PAPER_ROBOT.split_once("[[occlusion]]").unwrap();
+        let (head, _) = scene::TAGS_ROBOT.split_once("[[occlusion]]").unwrap();
         let text = format!("{head}[[occlusion]]\nname = \"{name}\"\nmask = \"mask.png\"\n");
         std::fs::write(directory.join("scene.toml"), text).unwrap();
         let scene = Scene::read(&directory.join("scene.toml")).unwrap();

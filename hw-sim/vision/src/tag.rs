@@ -68,6 +68,8 @@ pub struct Tag {
 impl Tag {
     /// Tags 0, 1, ... that can be drawn.
     pub const COUNT: usize = CODES.len();
+    /// Share of its side, with the white border, that the black square has.
+    pub const BLACK_SHARE: f64 = BLACK / SIDE as f64;
 
     /// A tag at each point of a scene's pattern: number i at point i.
     pub fn of_pattern(scene: &Scene, size: f64) -> Vec<Self> {
@@ -98,7 +100,7 @@ impl Tag {
 
     /// Corners with the white border, m.
     pub(crate) fn rim(&self) -> [Point; 4] {
-        self.square(0.5 * self.size * SIDE as f64 / BLACK)
+        self.square(0.5 * self.size / Self::BLACK_SHARE)
     }
 
     fn square(&self, half: f64) -> [Point; 4] {

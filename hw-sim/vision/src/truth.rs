@@ -5,9 +5,8 @@ use scene::{Camera, MAX_POINTS, Pose, Scene};
 use crate::homography::{Homography, Point};
 use crate::layer::covers;
 
-/// Rings and spokes on which a disc is sampled.
-const RINGS: usize = 8;
-const SPOKES: usize = 48;
+/// Samples along a side of a marker.
+const SAMPLES: usize = 20;
 
 /// The truth about a marker.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,17 +15,17 @@ pub struct Truth {
     pub pixel: [f64; 2],
     /// Its centre lies inside an occlusion or outside the image.
     pub occluded: bool,
-    /// Share of its disc that is covered by occlusions or lies outside the image, 0 to 1.
+    /// Share of its square that is covered by occlusions or lies outside the image, 0 to 1.
     pub covered: f64,
 }
 
-/// The truth about each marker of a scene: discs of `radius` (m) about the pattern's points, seen
+/// The truth about each marker of a scene: squares of this side (m) about the pattern's points, seen
 /// from a pose. A marker behind the camera is occluded, covered, and seen at the principal point.
 /// `shown(i)` returns whether occlusion i is there.
 pub fn truth(
     scene: &Scene,
     pose: &Pose,
-    radius: f64,
+    side: f64,
     shown: impl Fn(usize) -> bool,
 ) -> heapless::Vec<Truth, MAX_POINTS> {
     let camera = &scene.camera;
@@ -39,20 +38,15 @@ pub fn truth(
     };
     let of_point = |point: &[f64; 3]| {
         let center = [point[0], point[1]];
-        // Rings of equal areas.
-        let samples = (0..RINGS * SPOKES).map(|k| {
-            let ring = radius * (((k / SPOKES) as f64 + 0.5) / RINGS as f64).sqrt();
-            let angle = std::f64::consts::TAU * (k % SPOKES) as f64 / SPOKES as f64;
-            [
-                center[0] + ring * angle.cos(),
-                center[1] + ring * angle.sin(),
-            ]
+        let offset = |i: usize| side * ((i as f64 + 0.5) / SAMPLES as f64 - 0.5);
+        let samples = (0..SAMPLES * SAMPLES).filter(|k| {
+            let [x, y] = [offset(k % SAMPLES), offset(k / SAMPLES)];
+            hidden([center[0] + x, center[1] + y])
         });
-        let covered = samples.filter(|sample| hidden(*sample)).count();
         Truth {
             pixel: plane.apply(center).unwrap_or([camera.cx, camera.cy]),
             occluded: hidden(center),
-            covered: covered as f64 / (RINGS * SPOKES) as f64,
+            covered: samples.count() as f64 / (SAMPLES * SAMPLES) as f64,
         }
     };
     scene.pattern.iter().map(of_point).collect()
@@ -67,15 +61,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn half_a_disc_behind_a_border_is_half_covered() {
+    fn half_a_marker_behind_a_border_is_half_covered() {
         let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
         // Shift the first marker, at the goal near (214.6, 143.4) px, onto the left border of the
         // object's box.
         let mut pose = scene.goal;
         pose.translation = [0.06 + 0.35 * (200.0 - 320.0) / 615.0, 0.17, 0.35];
-        let there = truth(&scene, &pose, 0.006, |_| true)[0];
+        let there = truth(&scene, &pose, 0.012, |_| true)[0];
         assert!((there.covered - 0.5).abs() < 0.05, "{there:?}");
-        let gone = truth(&scene, &pose, 0.006, |i| i == 0)[0];
+        let gone = truth(&scene, &pose, 0.012, |i| i == 0)[0];
         assert_eq!((gone.covered, gone.occluded), (0.0, false));
     }
 
@@ -84,7 +78,7 @@ mod tests {
         let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
         let mut pose = scene.goal;
         pose.translation[2] = -0.3;
-        let all = truth(&scene, &pose, 0.006, |_| true);
+        let all = truth(&scene, &pose, 0.012, |_| true);
         assert!(
             all.iter()
                 .all(|marker| marker.occluded && marker.covered == 1.0)

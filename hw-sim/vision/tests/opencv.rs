@@ -1,9 +1,8 @@
 //! The camera client for OpenCV (`ipc/python/opencv_camera.py`) on rendered frames: its points
-//! against the truth, and what it says of a pattern that it cannot tell from itself turned.
+//! against the truth.
 
 use std::fs::File;
 use std::path::Path;
-use std::process::Command;
 
 use scene::{Pose, Scene};
 use testkit::python::{Environment, script};
@@ -22,7 +21,7 @@ const OPENCV: Environment = Environment {
 /// The client on files, as far as it goes without shared memory.
 fn camera(python: &Path, scene: &Path, arguments: &[&str]) -> Ended {
     let client = root().join("ipc/python/opencv_camera.py");
-    let mut camera: Command = script(python, &client);
+    let mut camera = script(python, &client);
     camera.arg("--scene").arg(scene).arg("--dry");
     ended(camera.args(arguments))
 }
@@ -36,8 +35,8 @@ fn write(path: &Path, image: &Image) {
     writer.write_image_data(image.pixels()).unwrap();
 }
 
-/// The object beside the goal, down behind the grasped object until its lower markers are hidden,
-/// and back.
+/// The object beside the goal, down behind the grasped object until its lower tags are hidden, and
+/// back.
 fn pose(scene: &Scene, frame: usize) -> Pose {
     let share = (std::f64::consts::PI * frame as f64 / (FRAMES - 1) as f64).sin();
     let mut pose = scene.goal;
@@ -47,8 +46,7 @@ fn pose(scene: &Scene, frame: usize) -> Pose {
     pose
 }
 
-/// A line of `--print`: frame, stamp, then "(u, v)" with a question mark where a marker is not
-/// seen.
+/// A line of `--print`: frame, stamp, then "(u, v)" with a question mark where a tag is not seen.
 fn points(line: &str) -> Vec<([f64; 2], bool)> {
     let (_, rest) = line.split_once('(').unwrap();
     let each = rest.split('(').map(|text| {
@@ -61,34 +59,31 @@ fn points(line: &str) -> Vec<([f64; 2], bool)> {
 }
 
 #[test]
-fn opencv_sees_rendered_markers_where_they_are_and_not_where_they_are_hidden() {
+fn opencv_sees_rendered_tags_where_they_are_and_not_where_they_are_hidden() {
     let Some(python) = OPENCV.python("opencv_camera.py on rendered frames") else {
         return;
     };
     let place = Place::new();
-    let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+    let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
     let mut renderer = Renderer::new(&scene, &Look::default());
     for frame in 0..FRAMES {
         let image = renderer.render(&pose(&scene, frame));
         write(&place.path(&format!("{frame:03}.png")), image);
     }
-    let file = place.file("scene.toml", scene::PAPER_ROBOT);
+    let file = place.file("scene.toml", scene::TAGS_ROBOT);
     let video = place.path("%03d.png");
-    let printed = camera(
-        &python,
-        &file,
-        &["--print", "--video", video.to_str().unwrap()],
-    )
-    .stdout;
+    let video = ["--print", "--video", video.to_str().unwrap()];
+    let printed = camera(&python, &file, &video).stdout;
 
     let lines: Vec<&str> = printed.lines().filter(|line| line.contains('(')).collect();
     assert_eq!(lines.len(), FRAMES, "{printed}");
-    let (mut squares, mut seen, mut hidden, mut worst) = (0.0, 0, 0, 0.0f64);
+    let (mut squares, mut seen, mut hidden, mut missed, mut worst) = (0.0, 0, 0, 0, 0.0f64);
     for (frame, line) in lines.into_iter().enumerate() {
-        let truths = truth(&scene, &pose(&scene, frame), 0.006, |_| true);
+        let truths = truth(&scene, &pose(&scene, frame), scene.marker_size, |_| true);
         for (truth, (pixel, visible)) in truths.iter().zip(points(line)) {
             assert!(!(truth.occluded && visible), "frame {frame}: {line}");
             hidden += usize::from(truth.occluded);
+            missed += usize::from(truth.covered == 0.0 && !visible);
             if visible {
                 let off = (pixel[0] - truth.pixel[0]).hypot(pixel[1] - truth.pixel[1]);
                 (squares, seen, worst) = (squares + off * off, seen + 1, worst.max(off));
@@ -96,39 +91,29 @@ fn opencv_sees_rendered_markers_where_they_are_and_not_where_they_are_hidden() {
         }
     }
     let rms = (squares / f64::from(seen)).sqrt();
-    println!("OpenCV: {rms:.3} px RMS, worst {worst:.2} px, {seen} markers seen, {hidden} hidden");
-    assert!(rms < 0.15 && worst < 1.0, "{rms} {worst}");
-    assert!(seen > 100 && hidden > 20, "{seen} {hidden}");
-}
+    println!(
+        "OpenCV: {rms:.3} px RMS, worst {worst:.2} px; {seen} tags seen, {hidden} hidden, {missed} missed"
+    );
+    assert!(rms < 0.15 && worst < 0.7, "{rms} {worst}");
+    assert!(
+        seen > 100 && hidden > 20 && missed < 4,
+        "{seen} {hidden} {missed}"
+    );
 
-#[test]
-fn a_square_that_is_rolled_too_far_is_said_to_be_ambiguous_with_the_remedy() {
-    let Some(python) = OPENCV.python("opencv_camera.py on a square") else {
-        return;
-    };
-    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-    let place = Place::new();
-    let file = place.file("scene.toml", scene::PAPER_SIM);
-    let mut renderer = Renderer::new(&scene, &Look::default());
-    (0..scene.occlusions.len()).for_each(|occlusion| renderer.show(occlusion, false));
-    let mut pose = scene.goal;
-    pose.rotation[2] = 20f64.to_radians();
-    let image = place.path("rolled.png");
-    write(&image, renderer.render(&pose));
-    let picture = ["--frames", "2", "--image-file", image.to_str().unwrap()];
-    let silent = camera(&python, &file, &picture);
-    assert_eq!(silent.code, Some(1), "{}", silent.stderr);
-    for words in [
-        "the pattern looks the same after 90 deg and is taken up only within 10 deg",
-        "or give --turn-max 44",
-        "frame 1: all markers are there, but which is which is not clear",
-    ] {
-        assert!(silent.stderr.contains(words), "{}", silent.stderr);
-    }
-    let found = camera(
+    // The lower two under other numbers: they are not there.
+    let other = camera(
         &python,
         &file,
-        &[&picture[..], &["--turn-max", "44"]].concat(),
+        &[&video[..], &["--tags", "0,1,7,8"]].concat(),
     );
-    assert_eq!(found.code, Some(0), "{}", found.stderr);
+    assert_eq!(other.code, Some(1), "{}", other.stderr);
+    let bits = |line: &str| points(line).iter().map(|point| point.1).collect::<Vec<_>>();
+    let first = other.stdout.lines().next().unwrap();
+    assert_eq!(bits(first), [true, true, false, false], "{first}");
+    let few = camera(&python, &file, &[&video[..], &["--tags", "0,1"]].concat());
+    assert!(
+        few.stderr.contains("--tags: 2 numbers; allowed: 4"),
+        "{}",
+        few.stderr
+    );
 }

@@ -693,5 +693,5 @@ SERVICES = {
     "vpc/snapshots": Service(Snapshot, 1, 16, 4, 1),
     "vpc/requests": Service(Request, 0, 16, 8, 8),
     "vpc/replies": Service(Reply, 0, 256, 16, 1),
-    "vpc/image": Service(ImageHeader, 1, 2, 4, 1, borrowed=3, alignment=64),
+    "vpc/image": Service(ImageHeader, 1, 2, 8, 1, borrowed=3, alignment=64),
 }

@@ -7,7 +7,8 @@ use scene::{FileError, Mask, Part, Scene};
 
 use crate::view::View;
 
-/// Image sizes of common cameras, px: without a scene, the first that holds all features seen.
+/// Image sizes of common cameras, px: without scene and images, the first that holds all features
+/// seen.
 const SIZES: [[f64; 2]; 5] = [
     [640.0, 480.0],
     [1280.0, 960.0],
@@ -65,6 +66,9 @@ impl ImagePlane {
     pub fn size(&self, view: &View) -> [f64; 2] {
         if let Some(scene) = &self.scene {
             return [scene.camera.width, scene.camera.height];
+        }
+        if let Some(image) = view.image() {
+            return [f64::from(image.width), f64::from(image.height)];
         }
         let points = || view.recent(u64::MAX).flat_map(|record| record.pairs());
         let holds = |size: &&[f64; 2]| points().all(|[u, v]| u <= size[0] && v <= size[1]);

@@ -31,7 +31,7 @@ const INDEX: &str = "<!doctype html><title>vpcctl</title><a href=\"/metrics\">me
 
 /// Type, name and help of each family. Counters of the daemon begin with it; those of the observer,
 /// and histograms, with vpcctl.
-const FAMILIES: [&str; 28] = [
+const FAMILIES: [&str; 30] = [
     "gauge vpc_up Whether cycles are coming.",
     "counter vpc_observer_missed_records_total Records of cycles that this exporter missed.",
     "counter vpc_observer_refused_messages_total Messages that broke the contract.",
@@ -60,6 +60,8 @@ const FAMILIES: [&str; 28] = [
     "gauge vpc_twist_angular_radians_per_second Camera velocity sent, camera frame.",
     "gauge vpc_robot_mode 1 for the present mode, 0 for the others.",
     "gauge vpc_robot_fault 1 where the robot reports it.",
+    "gauge vpc_image_rate_hertz Frames of the camera a second, lost ones too.",
+    "gauge vpc_image_age_seconds Since the newest image was published.",
 ];
 
 /// Watches for this time and prints the metrics.
@@ -96,7 +98,7 @@ pub fn serve(mut watcher: Watcher, address: SocketAddr) -> Result<Exit, Failure>
         address,
         routes,
         line,
-        status::keep(status, &mut watcher, LOOK),
+        status::keep(status, &mut watcher, LOOK, |_| ()),
     )
 }
 
@@ -189,6 +191,7 @@ pub fn text(view: &View, now_ns: u64) -> String {
         }
         robot(&mut out, view, now_ns);
     }
+    image(&mut out, view, now_ns);
     out.text
 }
 
@@ -254,12 +257,23 @@ fn robot(out: &mut Text, view: &View, now_ns: u64) {
     }
 }
 
+/// The camera is no part of the daemon, and may be there without it.
+fn image(out: &mut Text, view: &View, now_ns: u64) {
+    if let Some(rate) = view.image_rate_hz() {
+        out.sample("vpc_image_rate_hertz", "", rate);
+    }
+    if let Some(image) = view.image() {
+        let age_ns = now_ns.saturating_sub(image.stamp.published_ns);
+        out.sample("vpc_image_age_seconds", "", seconds(age_ns));
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use ipc::{Order, Received};
 
     use super::*;
-    use crate::view::tests::record;
+    use crate::view::tests::{images, record};
 
     fn view() -> View {
         let mut view = View::default();
@@ -301,6 +315,7 @@ mod tests {
         let mut robot = ipc::RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], 0);
         robot.stamp.published_ns = 30_000_000;
         view.robot = Some(robot);
+        images(&mut view, &[1, 2]);
         let text = text(&view, 30_000_000);
         let mut heads = std::collections::BTreeSet::new();
         let mut family = "";
@@ -332,6 +347,16 @@ mod tests {
         let text = text(&view(), 10_000_000_000);
         assert!(text.contains("\nvpc_up 0\n"), "{text}");
         assert!(!text.contains("vpc_state") && text.contains("vpc_cycle_duration_seconds_count 3"));
+    }
+
+    #[test]
+    fn images_are_told_also_without_a_daemon() {
+        let mut view = View::default();
+        assert!(!text(&view, 0).contains("vpc_image"));
+        images(&mut view, &[1, 2, 101]);
+        let text = text(&view, 4_010_000_000);
+        assert!(text.contains("\nvpc_image_rate_hertz 100\n"), "{text}");
+        assert!(text.contains("\nvpc_image_age_seconds 3\n"), "{text}");
     }
 
     #[test]

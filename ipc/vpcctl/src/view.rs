@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use ipc::{CycleRecord, Features, Hold, Order, Received, RobotState, TwistState};
+use ipc::{CycleRecord, Features, Hold, ImageHeader, Order, Received, RobotState, TwistState};
 
 use crate::latency::{Histogram, STAGES, durations};
 use crate::units::duration;
@@ -11,6 +11,10 @@ use crate::units::duration;
 const RECORDS: usize = 1024;
 /// Most changes of state kept.
 const CHANGES: usize = 16;
+/// Most headers of images kept.
+const IMAGES: usize = 256;
+/// The time that rates are measured over, ns.
+const RATE_NS: u64 = 2_000_000_000;
 /// Age from which the robot's state, and the camera's features, count as missing, ns.
 const SILENT_NS: [u64; 2] = [1_000_000_000, 500_000_000];
 
@@ -30,6 +34,7 @@ pub struct Change {
 pub struct View {
     recent: VecDeque<CycleRecord>,
     changes: VecDeque<Change>,
+    images: VecDeque<ImageHeader>,
     /// The newest cycle that used features: what a run came to, also when it is over.
     pub seen: Option<CycleRecord>,
     /// The newest state of the robot.
@@ -141,10 +146,35 @@ impl View {
 
     /// Measured rate of the cycles of the last two seconds, Hz. Cycles that were missed count.
     pub fn rate_hz(&self) -> Option<f64> {
-        let (first, last) = (self.recent(2_000_000_000).next()?, self.latest()?);
+        let (first, last) = (self.recent(RATE_NS).next()?, self.latest()?);
         let time_ns = last.stamp.data_ns.checked_sub(first.stamp.data_ns)?;
         let cycles = last.cycle.checked_sub(first.cycle)?;
         (time_ns > 0).then(|| cycles as f64 / (time_ns as f64 * 1e-9))
+    }
+
+    /// Takes in the header of an image.
+    pub fn add_image(&mut self, header: &ImageHeader, order: Order) {
+        if order == Order::Restarted {
+            self.images.clear();
+        }
+        keep(&mut self.images, *header, IMAGES);
+    }
+
+    /// The header of the newest image.
+    pub fn image(&self) -> Option<&ImageHeader> {
+        self.images.back()
+    }
+
+    /// Measured rate of the camera's frames in the last two seconds of images, Hz. Those that were
+    /// lost, or not looked at, count.
+    pub fn image_rate_hz(&self) -> Option<f64> {
+        let last = self.images.back()?.stamp;
+        let from = last.published_ns.saturating_sub(RATE_NS);
+        let mut images = self.images.iter().map(|image| image.stamp);
+        let first = images.find(|first| first.published_ns >= from)?;
+        let time_ns = last.published_ns.checked_sub(first.published_ns)?;
+        let frames = last.sequence.checked_sub(first.sequence)?;
+        (time_ns > 0).then(|| frames as f64 / (time_ns as f64 * 1e-9))
     }
 
     /// The newest state of the robot, unless it is older than a second.
@@ -232,6 +262,15 @@ pub(crate) mod tests {
         record
     }
 
+    /// Takes in images with these numbers, of a camera of 100 Hz.
+    pub fn images(view: &mut View, numbers: &[u64]) {
+        for &number in numbers {
+            let mut header = ImageHeader::new(640, 480, ipc::Encoding::Mono8, 0);
+            (header.stamp.sequence, header.stamp.published_ns) = (number, number * 10_000_000);
+            view.add_image(&header, Order::Next);
+        }
+    }
+
     fn fed(records: &[CycleRecord]) -> View {
         let mut view = View::default();
         for record in records {
@@ -249,6 +288,19 @@ pub(crate) mod tests {
         let rate = view.rate_hz().unwrap();
         assert!((rate - 100.0).abs() < 1e-9, "{rate}");
         assert_eq!(fed(&[cycle(1)]).rate_hz(), None);
+    }
+
+    #[test]
+    fn the_rate_of_images_counts_those_that_nobody_looked_at_and_begins_anew_with_a_camera() {
+        let mut view = View::default();
+        images(&mut view, &[1]);
+        assert_eq!(view.image_rate_hz(), None);
+        images(&mut view, &[2, 5, 600, 610]);
+        assert_eq!(view.image_rate_hz(), Some(100.0));
+        let mut other = *view.image().unwrap();
+        (other.stamp.sequence, other.stamp.published_ns) = (1, 0);
+        view.add_image(&other, Order::Restarted);
+        assert_eq!(view.image_rate_hz(), None);
     }
 
     #[test]

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ipc::{CycleRecord, Domain, Features, Message, OpenError, ReceiveError, Received};
-use ipc::{RobotState, Subscriber};
+use ipc::{CycleRecord, Domain, Features, Image, ImageSubscriber, Message, OpenError};
+use ipc::{ReceiveError, RobotState, Subscriber};
 
 use crate::exit::Failure;
 use crate::presence;
@@ -23,6 +23,9 @@ pub struct Watcher {
     cycles: Option<Subscriber<CycleRecord>>,
     robot: Option<Subscriber<RobotState>>,
     features: Option<Subscriber<Features>>,
+    images: Option<ImageSubscriber>,
+    /// The newest image.
+    pub image: Option<Image>,
 }
 
 impl Watcher {
@@ -37,6 +40,8 @@ impl Watcher {
             cycles: optional(&domain, CycleRecord::QOS.buffer, &mut full)?,
             robot: optional(&domain, 1, &mut full)?,
             features: optional(&domain, 1, &mut full)?,
+            images: unless_full(domain.image_subscriber(), &mut full)?,
+            image: None,
             domain,
             full,
         })
@@ -74,15 +79,21 @@ impl Watcher {
             let features = valid(result, &mut view.refused)?;
             view.features = features.map(|features| features.message).or(view.features);
         }
+        if let Some(result) = self
+            .images
+            .as_mut()
+            .and_then(|port| port.latest().transpose())
+            && let Some(image) = valid(result, &mut view.refused)?
+        {
+            view.add_image(image.header(), image.order());
+            self.image = Some(image);
+        }
         Ok(())
     }
 }
 
 /// The message, if it keeps the contract; else it is counted.
-fn valid<T>(
-    result: Result<Received<T>, ReceiveError>,
-    refused: &mut u64,
-) -> Result<Option<Received<T>>, ReceiveError> {
+fn valid<T>(result: Result<T, ReceiveError>, refused: &mut u64) -> Result<Option<T>, ReceiveError> {
     match result {
         Err(ReceiveError::Invalid { .. }) => {
             *refused += 1;
@@ -97,7 +108,14 @@ fn optional<T: Message>(
     buffer: usize,
     full: &mut Vec<&'static str>,
 ) -> Result<Option<Subscriber<T>>, OpenError> {
-    match domain.subscriber(buffer) {
+    unless_full(domain.subscriber(buffer), full)
+}
+
+fn unless_full<P>(
+    opened: Result<P, OpenError>,
+    full: &mut Vec<&'static str>,
+) -> Result<Option<P>, OpenError> {
+    match opened {
         Ok(port) => Ok(Some(port)),
         Err(OpenError::Full { service, .. }) => {
             full.push(service);

@@ -65,6 +65,10 @@ impl Feed {
             "cycles": self.news(view),
             "changes": changes.collect::<Vec<_>>(),
             "seen": seen,
+            "image": view.image().map(|image| {
+                let age_ns = now_ns.saturating_sub(image.stamp.published_ns);
+                json!([image.stamp.sequence, age_ns as f64 / 1e9])
+            }),
         });
         if self.events.is_multiple_of(SCENE) {
             self.plane.refresh();

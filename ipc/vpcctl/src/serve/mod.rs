@@ -1,6 +1,7 @@
 //! `vpcctl serve`: a live view in the browser.
 
 mod feed;
+mod picture;
 
 use std::convert::Infallible;
 use std::fs::File;
@@ -28,6 +29,7 @@ use crate::server::{self, field, is_same_origin, refusal};
 use crate::status::{self, Status};
 use crate::watcher::Watcher;
 use feed::Feed;
+use picture::Pictures;
 
 /// The page: plain JavaScript, nothing from elsewhere.
 const PAGE: &str = include_str!("page.html");
@@ -46,6 +48,7 @@ const POLL: Duration = Duration::from_millis(2);
 struct Server {
     status: Mutex<Status>,
     plane: ImagePlane,
+    pictures: Pictures,
     views: Arc<Semaphore>,
     /// `None` if the page may not command.
     token: Option<String>,
@@ -64,6 +67,7 @@ pub fn run(
     let server = Arc::new(Server {
         status: Mutex::new(Status::new(&watcher)),
         plane,
+        pictures: Pictures::default(),
         views: Arc::new(Semaphore::new(VIEWS)),
         token: control.then(token).transpose()?,
     });
@@ -74,6 +78,7 @@ pub fn run(
     let routes = Router::new()
         .route("/", get(Html(PAGE)))
         .route("/events", get(events))
+        .route("/image", get(image))
         .route(
             "/arm",
             post(|server, headers| command(server, headers, Action::Arm)),
@@ -88,12 +93,17 @@ pub fn run(
         )
         .with_state(Arc::clone(&server));
     let routes = server::for_plain_hosts(routes);
-    server::serve(
-        address,
-        routes,
-        line,
-        status::keep(&server.status, &mut watcher, EVENT),
-    )
+    let show = |watcher: &Watcher| {
+        if let Some(image) = &watcher.image {
+            server.pictures.show(image);
+        }
+    };
+    let work = status::keep(&server.status, &mut watcher, EVENT, show);
+    server::serve(address, routes, line, work)
+}
+
+async fn image(State(server): State<Arc<Server>>, headers: HeaderMap) -> Response {
+    server.pictures.answer(&headers)
 }
 
 async fn events(

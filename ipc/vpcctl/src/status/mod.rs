@@ -144,6 +144,16 @@ impl Status {
             let age_ns = now_ns.saturating_sub(robot.stamp.published_ns);
             json!({ "mode": word(robot.mode()), "faults": faults(robot), "age_ns": age_ns })
         });
+        let image = view.image().map(|image| {
+            json!({
+                "width": image.width,
+                "height": image.height,
+                "encoding": word(image.encoding()),
+                "exposure_ns": (image.exposure_ns > 0).then_some(image.exposure_ns),
+                "rate_hz": view.image_rate_hz(),
+                "age_ns": now_ns.saturating_sub(image.stamp.published_ns),
+            })
+        });
         json!({
             "domain": self.directory.display().to_string(),
             "process": self.process,
@@ -155,6 +165,7 @@ impl Status {
             "strategy": self.strategy(),
             "cycles": view.latest().map(|last| cycles(last, view, now_ns)),
             "robot": robot,
+            "image": image,
             "full": self.full,
         })
     }
@@ -184,6 +195,13 @@ impl Status {
             format!("{}, {faults}, {age} ago", word(robot.mode()))
         });
         text += &format!("robot     {}\n", robot.as_deref().unwrap_or("says nothing"));
+        if let Some(image) = self.view.image() {
+            let (width, height, encoding) = (image.width, image.height, word(image.encoding()));
+            let rate = self.view.image_rate_hz();
+            let rate = rate.map_or(String::new(), |rate| format!(", {rate:.1} Hz"));
+            let age = duration(self.now_ns.saturating_sub(image.stamp.published_ns));
+            text += &format!("image     {width} x {height} {encoding}{rate}, {age} ago\n");
+        }
         for service in &self.full {
             text += &format!("not seen  {service}: all subscribers' slots are taken\n");
         }
@@ -275,7 +293,7 @@ twist     {vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s\n"
     }
 }
 
-/// Keeps a status that others read up to date.
+/// Keeps a status that others read up to date; `then` runs after each look.
 ///
 /// # Errors
 /// As [`Watcher::poll`].
@@ -283,12 +301,14 @@ pub async fn keep(
     status: &Mutex<Status>,
     watcher: &mut Watcher,
     pause: Duration,
+    mut then: impl FnMut(&Watcher),
 ) -> Result<Infallible, Failure> {
     loop {
         status
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .update(watcher)?;
+        then(watcher);
         tokio::time::sleep(pause).await;
     }
 }

@@ -54,11 +54,16 @@ impl Server {
     /// Sends a request with these head fields; the answer, at most this many bytes of it. What a
     /// server that hangs up leaves unsent or unread is no failure.
     pub fn ask(&self, first: &str, fields: &str, most: u64) -> String {
+        String::from_utf8_lossy(&self.ask_bytes(first, fields, most)).into_owned()
+    }
+
+    /// The same, of an answer that is no text.
+    pub fn ask_bytes(&self, first: &str, fields: &str, most: u64) -> Vec<u8> {
         let mut stream = self.connect();
         let mut answer = Vec::new();
         let _ = write!(stream, "{first} HTTP/1.1\r\n{fields}\r\n");
         let _ = stream.take(most).read_to_end(&mut answer);
-        String::from_utf8_lossy(&answer).into_owned()
+        answer
     }
 
     /// Sends a request to the right host.

@@ -5,9 +5,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use ipc::{Encoding, ImageHeader};
+
 use crate::browser::Browser;
 use crate::metrics::Server;
-use crate::stand_in::StandIn;
+use crate::stand_in::{Camera, StandIn};
 use crate::{painted_scene, stderr, stdout, vpcctl};
 
 #[test]
@@ -145,8 +147,22 @@ fn a_stop_gets_through_whatever_others_do() {
         // Those beyond the places are refused, and may be dropped before they have asked.
         let _ = write!(watcher, "GET /events HTTP/1.1\r\nHost: {host}\r\n\r\n");
     }
+    let header = ImageHeader::new(1024, 1024, Encoding::Rgb8, 0);
+    let _camera = Camera::start(directory.path(), header, |_, _| [100; 3]);
     let end = AtomicBool::new(false);
     std::thread::scope(|threads| {
+        // Some that take picture after picture, and some that ask for one and never read it.
+        for _ in 0..4 {
+            threads.spawn(|| {
+                let mut idle = Vec::new();
+                while !end.load(Ordering::Relaxed) {
+                    server.try_get("/image");
+                    let mut client = server.connect();
+                    let _ = write!(client, "GET /image HTTP/1.1\r\nHost: {host}\r\n\r\n");
+                    idle.push(client);
+                }
+            });
+        }
         // Clients that drip, more than may wait, and begin anew when they are dropped.
         for _ in 0..4 {
             threads.spawn(|| {
@@ -212,6 +228,75 @@ fn commands_are_never_offered_to_the_network() {
     }
 }
 
+/// The answer to a page that has the picture with this tag: its head, and its bytes.
+fn picture(server: &Server, tag: &str) -> (String, Vec<u8>) {
+    let fields = format!("Host: {}\r\nIf-None-Match: {tag}\r\n", server.address);
+    let mut answer = server.ask_bytes("GET /image", &fields, 1 << 24);
+    let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n");
+    let bytes = answer.split_off(end.unwrap() + 4);
+    (String::from_utf8(answer).unwrap(), bytes)
+}
+
+#[test]
+fn the_newest_image_is_served_to_who_has_not_got_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let server = Server::start(directory.path(), &["serve", "--listen", "127.0.0.1:0"]);
+    let (head, bytes) = picture(&server, "none");
+    assert!(
+        head.starts_with("HTTP/1.1 204") && bytes.is_empty(),
+        "{head}"
+    );
+    assert!(server.events(1).contains("\"image\":null"));
+    let header = ImageHeader::new(1400, 700, Encoding::Bgr8, 0);
+    let camera = Camera::start(directory.path(), header, |u, v| {
+        [u as u8, v as u8, if u < 700 { 50 } else { 250 }]
+    });
+    let found = || {
+        testkit::eventually("a picture", || {
+            Some(picture(&server, "none")).filter(|(head, _)| head.starts_with("HTTP/1.1 200"))
+        })
+    };
+    let (head, bytes) = found();
+    assert!(
+        head.contains("X-Vpc-Picture: 1400 700 700 350 bgr8\r\n"),
+        "{head}"
+    );
+    assert_eq!(bytes.len(), 700 * 350 * 3);
+    // The pixel (900, 20): row 10, column 450.
+    let place = (10 * 700 + 450) * 3;
+    assert_eq!(bytes[place..place + 3], [900_u32 as u8, 20, 250]);
+    let status = stdout(&vpcctl(directory.path(), &["status", "--watch", "0.5"]));
+    assert!(status.contains("image     1400 x 700 bgr8, "), "{status}");
+    let json = stdout(&vpcctl(
+        directory.path(),
+        &["status", "--json", "--watch", "0.5"],
+    ));
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let rate = json["image"]["rate_hz"].as_f64().unwrap();
+    assert!((20.0..=100.0).contains(&rate), "{rate}");
+
+    // The last image stays, and comes once.
+    drop(camera);
+    let (head, tag) = testkit::eventually("the last picture", || {
+        let (head, _) = found();
+        let tag = head
+            .split("Etag: ")
+            .nth(1)
+            .unwrap()
+            .split('\r')
+            .next()
+            .unwrap()
+            .to_owned();
+        std::thread::sleep(Duration::from_millis(200));
+        let (head, _) = picture(&server, &tag);
+        head.starts_with("HTTP/1.1 304").then_some((head, tag))
+    });
+    assert!(!head.contains("X-Vpc-Picture"), "{head}");
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(picture(&server, &tag).0.starts_with("HTTP/1.1 304"));
+}
+
 /// The page in a real browser; `None`, and a word about it, where there is none.
 fn browse(domain: &Path, options: &[&str]) -> Option<(Server, Browser)> {
     let words = [&["serve", "--listen", "127.0.0.1:0"], options].concat();
@@ -243,6 +328,51 @@ fn a_browser_shows_the_painted_mask_where_it_is() {
     // Without --control there is nothing to press.
     browser.wait_for("getComputedStyle(document.getElementById('buttons')).display === 'none'");
     browser.keep_picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("serve-mask.png"));
+}
+
+#[test]
+fn a_browser_shows_the_image_of_the_camera_under_the_lines() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let scene = painted_scene(directory.path());
+    let Some((_server, mut browser)) =
+        browse(directory.path(), &["--scene", scene.to_str().unwrap()])
+    else {
+        return;
+    };
+    browser.wait_for("document.getElementById('state').textContent === 'disarmed'");
+    browser.wait_for("document.getElementById('camera').hidden");
+    // A red square on black, its edges between pixels 399 and 400, 599 and 600.
+    let header = ImageHeader::new(1024, 1024, Encoding::Bgr8, 0);
+    let camera = Camera::start(directory.path(), header, |u, v| {
+        let is_inside = [u, v].iter().all(|x| (400..600).contains(x));
+        [0, 0, if is_inside { 255 } else { 0 }]
+    });
+    let seen = "at = (u, v) => { const c = document.getElementById('image'), s = c.width / 1024; \
+        return c.getContext('2d').getImageData(u * s, v * s, 1, 1).data; }; \
+        isRed = (u, v) => at(u, v)[0] > 80 && at(u, v)[1] < 20 && at(u, v)[3] > 0; \
+        isBlack = (u, v) => at(u, v)[0] < 20 && at(u, v)[3] > 80; 0";
+    browser.value(seen);
+    browser.wait_for("isRed(500, 450) && isRed(405, 405) && isRed(595, 595)");
+    browser.wait_for("isBlack(390, 450) && isBlack(500, 390) && isBlack(610, 500)");
+    // The occlusion, the goal and a feature are on top of it.
+    browser.wait_for("at(140, 700)[1] > 40 && !isBlack(700, 500) && !isRed(700, 500)");
+    browser.keep_picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("serve-image.png"));
+    // Without it, where one switches it off, the page is as before.
+    browser.value("document.getElementById('live').click()");
+    browser.wait_for("at(500, 450)[3] === 0 && at(140, 700)[3] > 0");
+    browser.value("count = 0; fetch = (f => (...a) => { count++; return f(...a); })(fetch); 0");
+    browser.value("document.getElementById('live').click()");
+    browser.wait_for("isRed(500, 450)");
+    // Ten pictures a second, and none for an image that it has.
+    browser.value("count = 0; begin_ms = performance.now(); 0");
+    std::thread::sleep(Duration::from_secs(1));
+    browser.wait_for("count > 2 && count <= (performance.now() - begin_ms) / 100 + 1");
+    drop(camera);
+    browser.wait_for("document.getElementById('age').textContent.endsWith('s ago')");
+    browser.value("count = 0; 0");
+    std::thread::sleep(Duration::from_millis(500));
+    browser.wait_for("count === 0 && isRed(500, 450)");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use ipc::{Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RecorderPort, Reply};
-use ipc::{Request, SolverStatus, Stamp, StopFile, StrategyCode, TwistState};
+use ipc::{ImageHeader, Request, SolverStatus, Stamp, StopFile, StrategyCode, TwistState};
 
 /// Period of its loop.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -87,6 +87,49 @@ impl StandIn {
 }
 
 impl Drop for StandIn {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+/// A camera that sends the same image again and again, in a thread of its own.
+pub struct Camera {
+    end: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Camera {
+    /// Starts it in this domain; `pixel` gives the bytes of the pixel (u, v).
+    pub fn start<const N: usize>(
+        directory: &Path,
+        header: ImageHeader,
+        pixel: impl Fn(u32, u32) -> [u8; N],
+    ) -> Self {
+        let rows = (0..header.height).flat_map(|v| (0..header.width).map(move |u| (u, v)));
+        let bytes: Vec<u8> = rows.flat_map(|(u, v)| pixel(u, v)).collect();
+        let end = Arc::new(AtomicBool::new(false));
+        let thread = {
+            let (directory, end) = (directory.to_owned(), Arc::clone(&end));
+            std::thread::spawn(move || {
+                let domain = Domain::join(&directory).unwrap();
+                let mut publisher = domain.image_publisher(bytes.len()).unwrap();
+                while !end.load(Ordering::Relaxed) {
+                    let mut image = publisher.loan(&header).unwrap();
+                    image.copy_from_slice(&bytes);
+                    publisher.publish(image).unwrap();
+                    std::thread::sleep(PERIOD);
+                }
+            })
+        };
+        let thread = Some(thread);
+        Self { end, thread }
+    }
+}
+
+impl Drop for Camera {
     fn drop(&mut self) {
         self.end.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {

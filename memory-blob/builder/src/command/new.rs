@@ -59,11 +59,6 @@ pub struct New {
     force: bool,
 }
 
-/// Greatest roll of starts, rad, at which `opencv_camera.py` finds a pattern that looks the same
-/// after a quarter turn: it looks for turns up to 1.4 rad, and beyond this another one of those
-/// fits as well.
-const TOLD_APART: f64 = std::f64::consts::FRAC_PI_2 - 1.4;
-
 impl New {
     /// Writes the scene once it is a valid one; says what was written and what comes next.
     pub fn run(&self) -> anyhow::Result<String> {
@@ -74,17 +69,9 @@ impl New {
         let scene = Scene::parse(&text, &name)?;
         Task::new(&scene).with_context(|| name.clone())?;
         fs::write(&self.scene, text).with_context(|| format!("{name}: cannot write"))?;
-        let mut said = format!("wrote {name}; next: vpc-memory preview {name} -o preview.png\n");
-        if is_like_a_square(&template.pattern) && template.roll > TOLD_APART {
-            said += &format!(
-                "note: the pattern looks the same after a quarter turn. With equal markers, ipc/python/opencv_camera.py \
-                 finds it only within {:.0} degrees of its orientation at the goal, and starts are rolled by up to \
-                 {:.0}. Remedy: a rectangle such as --pattern 0.12x0.08, or markers that differ and a detector for them\n",
-                TOLD_APART.to_degrees(),
-                template.roll.to_degrees()
-            );
-        }
-        Ok(said)
+        Ok(format!(
+            "wrote {name}; next: vpc-memory preview {name} -o preview.png\n"
+        ))
     }
 
     fn template(&self) -> anyhow::Result<Template> {
@@ -248,19 +235,6 @@ fn one_of(
     }
 }
 
-/// Whether a pattern looks the same after a quarter turn about its middle, to a tenth of its size.
-fn is_like_a_square(pattern: &[[f64; 3]]) -> bool {
-    let mean = |k: usize| pattern.iter().map(|p| p[k]).sum::<f64>() / pattern.len() as f64;
-    let (x, y) = (mean(0), mean(1));
-    let centred: Vec<[f64; 2]> = pattern.iter().map(|p| [p[0] - x, p[1] - y]).collect();
-    let size = centred.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f64::max);
-    let is_there = |p: [f64; 2]| {
-        let mut gaps = centred.iter().map(|q| (q[0] - p[0]).hypot(q[1] - p[1]));
-        gaps.any(|gap| gap < 0.1 * size)
-    };
-    centred.iter().all(|&[x, y]| is_there([-y, x]))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -294,12 +268,5 @@ mod tests {
         assert_eq!(message, "--rate = 30,60; allowed: one number");
         let message = exactly::<1>(',')("--rate", "fast").unwrap_err().to_string();
         assert!(message.contains("--rate = fast"), "{message}");
-    }
-
-    #[test]
-    fn a_square_is_told_from_patterns_that_show_how_they_are_turned() {
-        let like = |text| is_like_a_square(&points("--pattern", text).unwrap());
-        assert!(like("0.12") && like("0.12x0.125"));
-        assert!(!like("0.12x0.08") && !like("0,0; 0.12,0; 0.12,0.12; 0.02,0.08"));
     }
 }
