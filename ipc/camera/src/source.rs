@@ -1,10 +1,10 @@
 //! Where images come from.
 
-pub mod replay;
-pub mod v4l2;
+mod shm;
+
+pub use shm::SharedMemory;
 
 use std::io;
-use std::sync::atomic::AtomicBool;
 
 use crate::grey::Grey;
 
@@ -13,58 +13,54 @@ use crate::grey::Grey;
 pub struct Frame<'a> {
     /// Number of the frame, from 1; lost frames leave gaps.
     pub sequence: u64,
-    /// Middle of the exposure, ns.
+    /// Middle of the exposure, ns; 0 if unknown.
     pub data_ns: u64,
     /// Length of the exposure, ns; 0 if unknown.
     pub exposure_ns: u64,
-    /// When a simulated camera sent the image, ns; `None` of a real one.
+    /// When the image was sent, ns; `None` where it comes from a device or a file.
     pub published_ns: Option<u64>,
     /// The image.
     pub image: Grey<'a>,
 }
 
+/// What a source has.
+#[derive(Clone, Copy, Debug)]
+pub enum Next<'a> {
+    /// A new image.
+    Frame(Frame<'a>),
+    /// None yet.
+    Nothing,
+    /// There will be none any more.
+    End,
+}
+
 /// A camera, or what stands for one.
 pub trait Source {
-    /// Width and height of its images, px.
-    fn size(&self) -> [u32; 2];
-
-    /// Waits for the next frame. `None` at the end, or soon after `stop` is set.
+    /// Waits for the next frame, some 20 ms at most.
     ///
     /// # Errors
     /// [`SourceError`]: there will be no more frames.
-    fn next(&mut self, stop: &AtomicBool) -> Result<Option<Frame<'_>>, SourceError>;
+    fn next(&mut self) -> Result<Next<'_>, SourceError>;
 }
 
 /// A source cannot be opened, or gives no more frames.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum SourceError {
     /// The operating system refused; in words.
     #[error("{what}: {why}")]
-    #[allow(missing_docs)]
     System { what: String, why: io::Error },
     /// A device, a file or its content is not what is taken.
     #[error("{what}: {found}; allowed: {allowed}")]
-    #[allow(missing_docs)]
     Value {
         what: String,
         found: String,
         allowed: String,
     },
-}
-
-impl SourceError {
-    fn value(what: impl ToString, found: impl ToString, allowed: impl ToString) -> Self {
-        Self::Value {
-            what: what.to_string(),
-            found: found.to_string(),
-            allowed: allowed.to_string(),
-        }
-    }
-
-    fn system(what: impl ToString, why: impl Into<io::Error>) -> Self {
-        Self::System {
-            what: what.to_string(),
-            why: why.into(),
-        }
-    }
+    /// The service of images cannot be opened.
+    #[error(transparent)]
+    Open(#[from] ipc::OpenError),
+    /// The service of images gives none.
+    #[error(transparent)]
+    Receive(#[from] ipc::ReceiveError),
 }

@@ -1,0 +1,214 @@
+//! `vpc-camera`: from images to features, as a process.
+
+use std::io::{IsTerminal, Write};
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use clap::CommandFactory;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tracing_subscriber::EnvFilter;
+use vpc_camera::config::{Arguments, Config};
+use vpc_camera::metrics::Metrics;
+use vpc_camera::run::{Event, Report, RunError, run};
+
+const USAGE: u8 = 64;
+const UNAVAILABLE: u8 = 69;
+const SOFTWARE: u8 = 70;
+const CONFIG: u8 = 78;
+
+/// How often the log looks.
+const LOOK: Duration = Duration::from_millis(100);
+/// Between two lines about the same thing.
+const SELDOM: Duration = Duration::from_secs(10);
+/// Between two files of metrics.
+const METRICS: Duration = Duration::from_secs(1);
+/// Silence after which the log says that no image comes.
+const SILENCE: Duration = Duration::from_secs(2);
+
+fn main() -> ExitCode {
+    let matches = match Arguments::command().try_get_matches() {
+        Ok(matches) => matches,
+        Err(error) => {
+            // Help and version are not errors.
+            let code = if error.use_stderr() { USAGE } else { 0 };
+            let _ = error.print();
+            return ExitCode::from(code);
+        }
+    };
+    let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    let log = tracing_subscriber::fmt().with_env_filter(filter);
+    log.with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .init();
+    let config = match Config::load(&matches) {
+        Ok(config) => config,
+        Err(error) => {
+            eprintln!("vpc-camera: {error}");
+            return ExitCode::from(error.exit_code());
+        }
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        // The second one ends the process where it is.
+        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
+        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
+        if let Err(error) = first {
+            eprintln!("vpc-camera: signal {signal}: {error}");
+            return ExitCode::from(UNAVAILABLE);
+        }
+    }
+    watch(config, stop, matches.get_flag("print"))
+}
+
+/// Runs the loop in a thread of its own, and tells what it does.
+fn watch(config: Config, stop: Arc<AtomicBool>, is_printed: bool) -> ExitCode {
+    let mut log = Log::new(&config, is_printed);
+    let (sender, events) = mpsc::channel();
+    let body = move || run(&config, &stop, &sender);
+    let worker = std::thread::Builder::new()
+        .name("camera".to_owned())
+        .spawn(body);
+    let worker = match worker {
+        Ok(worker) => worker,
+        Err(error) => {
+            eprintln!("vpc-camera: no thread: {error}");
+            return ExitCode::from(UNAVAILABLE);
+        }
+    };
+    loop {
+        match events.recv_timeout(LOOK) {
+            Ok(event) => log.tell(&event),
+            Err(RecvTimeoutError::Timeout) => log.look(),
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    log.end();
+    match worker.join() {
+        Ok(Ok(())) => ExitCode::SUCCESS,
+        Ok(Err(error)) => {
+            eprintln!("vpc-camera: {error}");
+            let is_configuration = matches!(error, RunError::Size { .. });
+            ExitCode::from(if is_configuration {
+                CONFIG
+            } else {
+                UNAVAILABLE
+            })
+        }
+        Err(_) => {
+            eprintln!("vpc-camera: a defect; without features vpcd stops the camera");
+            ExitCode::from(SOFTWARE)
+        }
+    }
+}
+
+/// What the program tells, each thing at most every few seconds.
+struct Log {
+    metrics: Metrics,
+    file: Option<std::path::PathBuf>,
+    is_printed: bool,
+    written: Instant,
+    summed: Instant,
+    seen: Instant,
+    is_silent: bool,
+    misplaced: Option<Instant>,
+}
+
+impl Log {
+    fn new(config: &Config, is_printed: bool) -> Self {
+        let now = Instant::now();
+        Self {
+            metrics: Metrics::new(config.targets.numbers()),
+            file: config.metrics.clone(),
+            is_printed,
+            written: now,
+            summed: now,
+            seen: now,
+            is_silent: false,
+            misplaced: None,
+        }
+    }
+
+    fn tell(&mut self, event: &Event) {
+        match event {
+            Event::Lacks(what) => tracing::warn!("DEGRADED, not real time: {what}"),
+            Event::Frame(report) => self.frame(report),
+        }
+        self.look();
+    }
+
+    fn frame(&mut self, report: &Report) {
+        if self.is_silent || self.metrics.frames == 0 {
+            tracing::info!("images are coming");
+        }
+        (self.seen, self.is_silent) = (Instant::now(), false);
+        self.metrics.add(report);
+        if self.is_printed {
+            print(report);
+        }
+        if let Some((number, px)) = report.found.misplaced
+            && self.misplaced.is_none_or(|last| last.elapsed() > SELDOM)
+        {
+            self.misplaced = Some(Instant::now());
+            tracing::warn!(
+                "tag {number} is {px:.0} px from where the scene's pattern has it, beside the others: is the pattern that of \
+                 the scene, is marker_size its size with the white border, are there other tags of these numbers?"
+            );
+        }
+    }
+
+    fn look(&mut self) {
+        if !self.is_silent && self.seen.elapsed() > SILENCE {
+            self.is_silent = true;
+            tracing::warn!("no image for {} s", SILENCE.as_secs());
+        }
+        if self.summed.elapsed() > SELDOM && self.metrics.frames > 0 {
+            self.summed = Instant::now();
+            tracing::info!("{}", self.metrics.line());
+        }
+        if self.written.elapsed() > METRICS {
+            self.write();
+        }
+    }
+
+    fn write(&mut self) {
+        self.written = Instant::now();
+        if let Some(path) = &self.file
+            && let Err(error) = replace(path, &self.metrics.text())
+        {
+            tracing::warn!("{}: {error}", path.display());
+            self.file = None;
+        }
+    }
+
+    fn end(&mut self) {
+        self.write();
+        tracing::info!("stopped: {}", self.metrics.line());
+    }
+}
+
+/// Writes a file so that who reads it finds the old text or the new one.
+fn replace(path: &Path, text: &str) -> std::io::Result<()> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".new");
+    std::fs::write(&name, text)?;
+    std::fs::rename(&name, path)
+}
+
+fn print(report: &Report) {
+    let mut line = format!("{} {}", report.sequence, report.data_ns);
+    for (bit, [u, v]) in report.found.points.iter().enumerate() {
+        let guessed = if report.found.visible >> bit & 1 == 0 {
+            "?"
+        } else {
+            ""
+        };
+        line += &format!(" ({u:.2}, {v:.2}){guessed}");
+    }
+    // Nobody reads it any more.
+    let _ = writeln!(std::io::stdout(), "{line}");
+}

@@ -1,0 +1,263 @@
+//! What a tag of family 36h11 looks like.
+//!
+//! Tag coordinates: x to the right, y down on the upright tag; its black square reaches from -1 to
+//! 1. A module is the side of a bit, 1/4.
+
+use kornia_apriltag::family::TagFamily;
+
+use crate::blur::{area_below, below};
+
+/// Modules along a side, with the black border and the white one about it.
+const SIDE: usize = 10;
+/// White modules that are taken to be about it: what a blur may reach.
+const MARGIN: usize = 3;
+/// Modules along a side with those.
+const WIDE: usize = SIDE + 2 * MARGIN;
+/// The last of the white border's.
+const LAST: usize = MARGIN + SIDE - 1;
+/// Modules on each side of one that a blur reaches.
+const REACH: usize = 2;
+/// Weights of those.
+type Weights = [f64; 2 * REACH + 1];
+/// Side of a module in tag coordinates.
+pub(crate) const MODULE: f64 = 0.25;
+/// Places along each edge of a module at which the border between black and white is measured, in
+/// modules from its middle.
+const ALONG: [f64; 2] = [-0.22, 0.22];
+
+/// A place on the border between a black and a white module.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Edge {
+    /// Where, in tag coordinates.
+    pub at: [f64; 2],
+    /// From black to white: the unit vector in tag coordinates, along x or y.
+    pub to_white: [f64; 2],
+    /// The side of the black square that it is on: left, upper, right, lower.
+    pub side: Option<usize>,
+    /// Column and row of the black module, with the margin.
+    black: [usize; 2],
+    /// Which of the places along the edge.
+    along: usize,
+}
+
+impl Edge {
+    /// The axis across the edge: 0 is x, 1 is y.
+    pub fn axis(&self) -> usize {
+        usize::from(self.to_white[0] == 0.0)
+    }
+}
+
+/// A module of the black or the white border.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cell {
+    /// Its centre, in tag coordinates.
+    pub at: [f64; 2],
+    #[cfg(test)]
+    is_white: bool,
+    /// Column and row, with the margin.
+    place: [usize; 2],
+}
+
+/// The modules of one tag.
+#[derive(Clone, Debug)]
+pub(crate) struct Template {
+    /// 1 for white, by row and column.
+    modules: [[f64; WIDE]; WIDE],
+    /// Every border between black and white.
+    pub edges: Vec<Edge>,
+    /// The modules of the black and the white border.
+    pub border: Vec<Cell>,
+}
+
+impl Template {
+    /// The template of each tag of a family whose border is eight modules wide, by number.
+    pub fn of(family: &TagFamily) -> Vec<Self> {
+        let codes = family.code_data.iter();
+        codes.map(|code| Self::new(family, *code)).collect()
+    }
+
+    fn new(family: &TagFamily, code: usize) -> Self {
+        let mut modules = [[1.0; WIDE]; WIDE];
+        let black = MARGIN + 1..MARGIN + SIDE - 1;
+        for row in &mut modules[black.clone()] {
+            row[black.clone()].fill(0.0);
+        }
+        // Bits count from the highest; their places from the corner of the black square.
+        let places = family.bit_x.iter().zip(&family.bit_y).rev();
+        for (bit, (x, y)) in places.enumerate() {
+            let (column, row) = (*x as usize + black.start, *y as usize + black.start);
+            modules[row][column] = f64::from(u8::from(code >> bit & 1 == 1));
+        }
+        let centre = |k: usize| (k as f64 - 0.5 * (WIDE - 1) as f64) * MODULE;
+        let whole = MARGIN..MARGIN + SIDE;
+        let cells = whole
+            .clone()
+            .flat_map(|j| whole.clone().map(move |i| [i, j]));
+        let border = cells.clone().filter_map(|place| {
+            // Rings from the outside: 0 is the white border, 1 the black one.
+            let depth = place.map(|k| (k - MARGIN).min(LAST - k));
+            let ring = depth[0].min(depth[1]);
+            (ring < 2).then(|| Cell {
+                at: place.map(centre),
+                #[cfg(test)]
+                is_white: ring == 0,
+                place,
+            })
+        });
+        let border = border.collect();
+        let mut edges = Vec::new();
+        for [i, j] in cells {
+            for (axis, [k, l]) in [(0, [i + 1, j]), (1, [i, j + 1])] {
+                let is_black = [modules[j][i] == 0.0, modules[l][k] == 0.0];
+                if is_black[0] == is_black[1] {
+                    continue;
+                }
+                let sign = if is_black[0] { 1.0 } else { -1.0 };
+                let side = match ([i, j][axis], [k, l][axis]) {
+                    (MARGIN, _) => Some(axis),
+                    (_, LAST) => Some(axis + 2),
+                    _ => None,
+                };
+                let middle = [0.5 * (centre(i) + centre(k)), 0.5 * (centre(j) + centre(l))];
+                for (along, offset) in ALONG.into_iter().enumerate() {
+                    let (mut at, mut to_white) = (middle, [0.0; 2]);
+                    at[1 - axis] += offset * MODULE;
+                    to_white[axis] = sign;
+                    edges.push(Edge {
+                        at,
+                        to_white,
+                        side,
+                        black: if is_black[0] { [i, j] } else { [k, l] },
+                        along,
+                    });
+                }
+            }
+        }
+        Self {
+            modules,
+            edges,
+            border,
+        }
+    }
+}
+
+/// A blur of the tag: a Gaussian along each of its axes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Blur {
+    /// Standard deviation along x and y, modules.
+    sigma: [f64; 2],
+    /// Weights of a module and its neighbours for each place along an edge, by axis.
+    along: [[Weights; ALONG.len()]; 2],
+    /// The same for the middle of a module.
+    middle: [Weights; 2],
+}
+
+impl Blur {
+    /// Of these standard deviations along x and y, modules.
+    pub fn new(sigma: [f64; 2]) -> Self {
+        // So much that nothing is divided by zero.
+        let sigma = sigma.map(|sigma| sigma.max(0.01));
+        let weights = |sigma: f64, offset: f64| -> Weights {
+            std::array::from_fn(|k| {
+                let low = k as f64 - REACH as f64 - 0.5 - offset;
+                let low_is_open = k == 0;
+                let high_is_open = k == 2 * REACH;
+                let low = if low_is_open { 0.0 } else { below(low / sigma) };
+                let high = (k as f64 - REACH as f64 + 0.5 - offset) / sigma;
+                let high = if high_is_open { 1.0 } else { below(high) };
+                high - low
+            })
+        };
+        Self {
+            sigma,
+            along: sigma.map(|sigma| ALONG.map(|offset| weights(sigma, offset))),
+            middle: sigma.map(|sigma| weights(sigma, 0.0)),
+        }
+    }
+
+    /// How white the middle of a module of the border is then: 0 to 1.
+    pub fn level(&self, template: &Template, cell: &Cell) -> f64 {
+        let [column, row] = cell.place.map(|k| k - REACH);
+        let lines = self.middle[1].iter().enumerate().map(|(j, weight)| {
+            let modules = &template.modules[row + j][column..];
+            let line = self.middle[0].iter().zip(modules);
+            weight * line.map(|(weight, level)| weight * level).sum::<f64>()
+        });
+        lines.sum()
+    }
+
+    /// The area under the level across an edge, from `reach` modules on the black side to as many on
+    /// the white one, in modules: `reach` for an edge that is far from others.
+    pub fn area(&self, template: &Template, edge: &Edge, reach: f64) -> f64 {
+        let axis = edge.axis();
+        let (sigma, weights) = (self.sigma[axis], &self.along[1 - axis][edge.along]);
+        let sign = if edge.to_white[axis] > 0.0 { 1 } else { -1 };
+        // The level of the modules across the edge, blurred along it, from black to white: the black
+        // module is number 2, the white one number 3.
+        let level = |k: isize| {
+            let across = edge.black[axis].wrapping_add_signed(sign * (k - 2));
+            let lines = weights.iter().enumerate().map(|(j, weight)| {
+                let along = edge.black[1 - axis] + j - REACH;
+                let (column, row) = if axis == 0 {
+                    (across, along)
+                } else {
+                    (along, across)
+                };
+                weight * template.modules[row][column]
+            });
+            lines.sum::<f64>()
+        };
+        let mut last = level(0);
+        let mut area = 2.0 * reach * last;
+        for k in 1..6 {
+            let next = level(k);
+            let at = k as f64 - 3.0;
+            let [above, under] = [reach, -reach].map(|x| area_below((x - at) / sigma));
+            area += (next - last) * sigma * (above - under);
+            last = next;
+        }
+        area
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn templates() -> Vec<Template> {
+        Template::of(&TagFamily::tag36_h11().unwrap())
+    }
+
+    #[test]
+    fn a_tag_has_its_outline_and_the_edges_of_its_bits() {
+        let templates = templates();
+        assert_eq!(templates.len(), 587);
+        for template in &templates {
+            let white = template.border.iter().filter(|cell| cell.is_white).count();
+            assert_eq!((white, template.border.len()), (36, 64));
+            let outline: Vec<&Edge> = template.edges.iter().filter(|e| e.side.is_some()).collect();
+            assert_eq!(outline.len(), 32 * ALONG.len());
+            for edge in outline {
+                let [x, y] = edge.at;
+                let depth = x * edge.to_white[0] + y * edge.to_white[1];
+                assert!((depth - 1.0).abs() < 1e-12, "{edge:?}");
+            }
+            assert!(template.edges.len() >= 100, "{}", template.edges.len());
+        }
+    }
+
+    #[test]
+    fn without_blur_each_edge_is_where_it_is() {
+        let blur = Blur::new([0.0; 2]);
+        for template in &templates()[..20] {
+            for edge in &template.edges {
+                let area = blur.area(template, edge, 0.5);
+                assert!((area - 0.5).abs() < 1e-3, "{edge:?}: {area}");
+            }
+            for cell in &template.border {
+                let level = blur.level(template, cell);
+                assert_eq!(level, f64::from(u8::from(cell.is_white)));
+            }
+        }
+    }
+}
