@@ -96,11 +96,6 @@ impl Board {
     }
 }
 
-/// Returns the JSON Schema of a board's file.
-pub fn schema() -> serde_json::Value {
-    toml_schema::schema::<Board>()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -13,7 +13,7 @@ use vpc_calib::target::Target;
 use vpc_calib::view::View;
 
 use crate::hand_eye::{PANDA, mount, place};
-use crate::synthetic::{CAMERA, Chance};
+use crate::synthetic::{Chance, PINHOLE};
 
 /// A camera before a board.
 pub struct Studio {
@@ -28,13 +28,11 @@ impl Studio {
         let Camera {
             focal: [fx, fy],
             center: [cx, cy],
-            distortion,
             ..
-        } = CAMERA;
+        } = PINHOLE;
         (scene.camera.fx, scene.camera.fy) = (fx, fy);
         (scene.camera.cx, scene.camera.cy) = (cx, cy);
         let look = Look {
-            distortion,
             seed,
             ..Look::default()
         };
@@ -75,10 +73,10 @@ fn corners_of_a_board_are_found_to_a_tenth_of_a_pixel() {
     for _ in 0..20 {
         let pose = chance.pose(35.0);
         let view = studio.view("a.png", &pose);
-        let whole = chance.view(&CAMERA, &board, &pose, 0.0).tags.len();
+        let whole = chance.view(&PINHOLE, &board, &pose, 0.0).tags.len();
         tags = [tags[0] + view.tags.len(), tags[1] + whole];
         for (place, [u, v]) in view.pairs(&target) {
-            let [a, b] = CAMERA.project(&pose, place).unwrap();
+            let [a, b] = PINHOLE.project(&pose, place).unwrap();
             let off = (u - a).hypot(v - b);
             (sum, count, worst) = (sum + off * off, count + 1, worst.max(off));
         }
@@ -113,13 +111,13 @@ fn rendered_images_give_the_focal_length_to_a_third_of_a_percent_and_the_mountin
             }
         }
         let views: Vec<View> = pairs.iter().map(|pair| pair.view.clone()).collect();
-        let lens = intrinsics::calibrate(&views, &target, CAMERA.size, false).unwrap();
+        let lens = intrinsics::calibrate(&views, &target, PINHOLE.size, false).unwrap();
         assert!(
             lens.verdict().is_good(),
             "{seed}: {}\n{lens}",
             lens.verdict()
         );
-        let focal = [0, 1].map(|k| (lens.camera.focal[k] / CAMERA.focal[k] - 1.0).abs());
+        let focal = [0, 1].map(|k| (lens.camera.focal[k] / PINHOLE.focal[k] - 1.0).abs());
         let found = hand_eye::calibrate(&pairs, &lens.camera, &target).unwrap();
         assert!(
             found.verdict().is_good(),

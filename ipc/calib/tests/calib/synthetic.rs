@@ -17,6 +17,12 @@ pub const CAMERA: Camera = Camera {
     distortion: [-0.28, 0.09, 0.0008, -0.0005, 0.0],
 };
 
+/// The camera of rendered images, whose lens does not distort.
+pub const PINHOLE: Camera = Camera {
+    distortion: [0.0; 5],
+    ..CAMERA
+};
+
 /// A source of chance.
 pub struct Chance {
     random: ChaCha8Rng,
