@@ -96,8 +96,10 @@ pub fn of_camera(
         view.keep_known(target);
         taken.size = picture.size;
         let still = still.get_or_insert_with(|| Still::new(picture.size[0]));
-        let is_ready = joints.is_some() || !wants_robot;
-        if still.take(stamp, &view) && is_ready {
+        if wants_robot && joints.is_none() {
+            return true;
+        }
+        if still.take(stamp, &view) {
             eprintln!("taken {}: {} tags", still.count(), view.tags.len());
             if let Err(error) = folder.add(&name, picture, joints.as_ref()) {
                 failed = Some(error);
