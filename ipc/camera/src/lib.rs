@@ -3,19 +3,30 @@
 //! Image coordinates: px, u to the right, v down; the centre of the upper left pixel is (0, 0).
 #![deny(unsafe_code)]
 
+#[cfg(feature = "detector")]
 mod blur;
 pub mod config;
-#[cfg(test)]
-mod drawn;
+pub mod distance;
+#[cfg(feature = "detector")]
 pub mod finder;
 pub mod grey;
 pub mod lens;
+pub mod mask;
+pub mod mask_check;
+#[cfg(feature = "detector")]
 pub mod metrics;
+#[cfg(feature = "detector")]
 pub mod plane;
+#[cfg(feature = "detector")]
 pub mod priority;
+#[cfg(feature = "detector")]
 mod registration;
+#[cfg(feature = "detector")]
 pub mod run;
 pub mod source;
+#[cfg(feature = "detector")]
 pub mod tags;
+#[cfg(feature = "detector")]
 mod template;
+#[cfg(feature = "detector")]
 pub mod tracker;
