@@ -1,6 +1,7 @@
 //! Live, against the emulator: hw-sim's Panda carries its camera round a pattern of tags, by twists
 //! of this test, while `vpc-calib` listens. What hw-sim's [truth] says is found out.
 
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -56,7 +57,7 @@ min_error_px = 30.0
 
 /// Who steers: towards poses of the pattern in the camera frame.
 struct Pilot {
-    domain: Domain,
+    domain: PathBuf,
     stop: Arc<AtomicBool>,
 }
 
@@ -67,8 +68,9 @@ fn pose(at: [f64; 3], turn: [f64; 3]) -> Iso3 {
 impl Pilot {
     /// Steers towards what `wanted` says of the seconds since the start, until it says `None`.
     fn steer(&self, wanted: impl Fn(f64) -> Option<Iso3>) {
-        let mut twist = self.domain.publisher::<TwistCommand>().unwrap();
-        let mut robot = self.domain.subscriber::<RobotState>(1).unwrap();
+        let domain = Domain::join(&self.domain).unwrap();
+        let mut twist = domain.publisher::<TwistCommand>().unwrap();
+        let mut robot = domain.subscriber::<RobotState>(1).unwrap();
         let start = Instant::now();
         let mut seen = None;
         while !self.stop.load(Ordering::Relaxed) {
@@ -82,7 +84,7 @@ impl Pilot {
             if let Some(seen) = seen {
                 // The object is to move so; the camera moves against it.
                 let off = wanted * seen.inverse();
-                let gain = 3.0;
+                let gain: f64 = 3.0;
                 let cap =
                     |vector: Vec3, most: f64| vector * (-gain).max(-most / vector.norm().max(1e-9));
                 let linear = cap(off.translation.vector, 0.15);
@@ -157,7 +159,7 @@ fn mounting_and_latency_of_the_emulated_robot_are_found_out_live() {
     let stop = Arc::new(AtomicBool::new(false));
     let steer = |wanted: fn(f64) -> Option<Iso3>| {
         let pilot = Pilot {
-            domain: Domain::join(&place.domain()).unwrap(),
+            domain: place.domain(),
             stop: Arc::clone(&stop),
         };
         std::thread::spawn(move || pilot.steer(wanted))

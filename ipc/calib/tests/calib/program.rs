@@ -25,6 +25,7 @@ fn said(arguments: &[&str]) -> (Option<i32>, String) {
         code,
         stdout,
         stderr,
+        ..
     } = calib(arguments);
     (code, stdout + &stderr)
 }
