@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use scene::Scene;
 use toml_schema::FileError;
 
-use crate::board::Board;
+use tag_board::Board;
 use crate::target::Target;
 
 /// Side of a tag's black square, of that of its marker, which has a white border.
@@ -42,7 +42,7 @@ pub enum Command {
 /// What is looked at.
 #[derive(Args, Clone, Debug, Default)]
 pub struct TargetArguments {
-    /// File of the board (TOML), documented in ipc/calib/board.toml; default: that one.
+    /// File of the board (TOML), documented in ipc/calib/board/board.toml; default: that one.
     #[arg(long, value_name = "FILE")]
     pub board: Option<PathBuf>,
     /// A scene instead: tags 0, 1, ... at the points of its pattern.
@@ -63,29 +63,13 @@ pub struct OutputArguments {
 
 /// Where images come from.
 #[derive(Args, Clone, Debug)]
-#[group(required = true, multiple = false)]
 pub struct ImageArguments {
-    /// A folder of images (PNG).
-    #[arg(long, value_name = "FOLDER")]
+    /// A folder of images (PNG) instead of those that come now.
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["domain", "config", "views", "save"])]
     pub images: Option<PathBuf>,
-    /// Images that come now.
-    #[arg(long, value_enum)]
-    pub source: Option<Source>,
-}
-
-/// Images that come now.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Source {
-    /// The service `vpc/image` of the domain.
-    Shm,
-}
-
-/// How images are taken that come now.
-#[derive(Args, Clone, Debug)]
-pub struct LiveArguments {
-    /// Directory of the shared memory.
-    #[arg(long, value_name = "FOLDER")]
-    pub domain: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub stream: StreamArguments,
     /// Views to take, one whenever nothing moves.
     #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(4..=200))]
     pub views: u32,
@@ -94,10 +78,21 @@ pub struct LiveArguments {
     pub save: Option<PathBuf>,
 }
 
+/// Where images and joints come from that come now.
+#[derive(Args, Clone, Debug, Default)]
+pub struct StreamArguments {
+    /// Directory of the shared memory.
+    #[arg(long, value_name = "FOLDER")]
+    pub domain: Option<PathBuf>,
+    /// Configuration of vpc-camera, to take its source instead of vpc/image: a V4L2 camera.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+}
+
 #[derive(Args, Debug)]
 #[allow(missing_docs)]
 pub struct BoardArguments {
-    /// File of the board (TOML), documented in ipc/calib/board.toml; default: that one.
+    /// File of the board (TOML), documented in ipc/calib/board/board.toml; default: that one.
     #[arg(long, value_name = "FILE")]
     pub board: Option<PathBuf>,
     #[command(flatten)]
@@ -109,8 +104,6 @@ pub struct BoardArguments {
 pub struct IntrinsicsArguments {
     #[command(flatten)]
     pub images: ImageArguments,
-    #[command(flatten)]
-    pub live: LiveArguments,
     #[command(flatten)]
     pub target: TargetArguments,
     /// Estimate k3, too, for lenses that distort strongly.
@@ -128,8 +121,6 @@ pub struct HandEyeArguments {
     /// Poses of the robot (CSV); default: poses.csv in the folder of the images.
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
-    #[command(flatten)]
-    pub live: LiveArguments,
     /// Calibration of the camera, as intrinsics writes it.
     #[arg(long, value_name = "FILE")]
     pub camera: PathBuf,
@@ -142,9 +133,8 @@ pub struct HandEyeArguments {
 #[derive(Args, Debug)]
 #[allow(missing_docs)]
 pub struct LatencyArguments {
-    /// Directory of the shared memory.
-    #[arg(long, value_name = "FOLDER")]
-    pub domain: Option<PathBuf>,
+    #[command(flatten)]
+    pub stream: StreamArguments,
     /// Time to watch; Ctrl-C ends it before.
     #[arg(long, value_name = "S", default_value_t = 20.0)]
     pub seconds: f64,

@@ -54,7 +54,10 @@ impl From<PictureError> for Failure {
 
 impl From<LiveError> for Failure {
     fn from(error: LiveError) -> Self {
-        Self::new(69, error)
+        match error {
+            LiveError::Config(error) => error.into(),
+            error => Self::new(69, error),
+        }
     }
 }
 

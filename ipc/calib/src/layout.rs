@@ -6,7 +6,7 @@
 use vision_calibration_core::Pt2;
 use vision_calibration_linear::prelude::dlt_homography;
 
-use crate::board::Board;
+use tag_board::Board;
 use crate::target::{Corners, Target};
 use crate::view::View;
 

@@ -4,7 +4,6 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod arguments;
-pub mod board;
 pub mod camera;
 pub mod command;
 pub mod detector;

@@ -1,22 +1,27 @@
-//! Images and poses that come now, over shared memory.
+//! Images and poses that come now.
 
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use ipc::{Domain, Encoding, Image, Order, ReceiveError, RobotState};
+use clap::CommandFactory;
+use ipc::{Domain, ReceiveError, RobotState};
+use toml_schema::FileError;
+use vpc_camera::config::{self, Config};
+use vpc_camera::grey::Grey;
+use vpc_camera::run;
+use vpc_camera::source::{Next, SharedMemory, Source, SourceError};
 
-use crate::picture::Picture;
+use crate::arguments::StreamArguments;
 use crate::trajectory::Sample;
 
-/// Between two looks.
-const PAUSE: Duration = Duration::from_millis(2);
+/// Between two looks for an image.
+const PAUSE: Duration = Duration::from_micros(200);
 /// Longest time without an image.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// States of the robot that wait: those of 64 ms.
 const STATES: usize = 64;
 
-/// Nothing comes, or the shared memory cannot be used.
+/// Nothing comes, or the images cannot be had.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
     /// The domain.
@@ -28,30 +33,44 @@ pub enum LiveError {
     /// A service.
     #[error(transparent)]
     Receive(#[from] ReceiveError),
+    /// The camera.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The configuration of vpc-camera.
+    #[error(transparent)]
+    Config(#[from] FileError),
+    /// The name of that file.
+    #[error(transparent)]
+    Flags(#[from] clap::Error),
     /// No camera.
-    #[error("no image on vpc/image for {} s; does a camera publish in this domain?", PATIENCE.as_secs())]
+    #[error("no image for {} s; does a camera publish on vpc/image of this domain?", PATIENCE.as_secs())]
     Silent,
 }
 
 /// What comes.
 pub enum News<'a> {
     /// Measured joints.
-    Robot(&'a Sample),
-    /// An image, and the middle of its exposure by its stamp, s.
-    Image(&'a Picture, f64),
+    Robot(Sample),
+    /// An image.
+    #[allow(missing_docs)]
+    Image {
+        image: Grey<'a>,
+        /// The middle of its exposure by its stamp, s; `None` if nobody knows it.
+        time: Option<f64>,
+    },
 }
 
-/// Hands images and joints of a domain to `take` until that returns `false`, or `stop` is set.
+/// Hands images and joints to `take` until that returns `false`, the images are over, or `stop` is
+/// set.
 ///
 /// # Errors
-/// [`LiveError`]: nothing comes, or the shared memory cannot be used.
+/// [`LiveError`].
 pub fn watch(
-    domain: &Path,
+    arguments: &StreamArguments,
     stop: &AtomicBool,
     mut take: impl FnMut(News) -> bool,
 ) -> Result<(), LiveError> {
-    let domain = Domain::join(domain)?;
-    let mut images = domain.image_subscriber()?;
+    let (domain, mut source) = open(arguments)?;
     let mut robot = domain.subscriber::<RobotState>(STATES)?;
     let mut heard = Instant::now();
     while !stop.load(Ordering::Relaxed) {
@@ -61,29 +80,43 @@ pub fn watch(
                 state => state?,
             };
             let Some(state) = state else { break };
-            if let Some(sample) = sample(&state)
-                && !take(News::Robot(&sample))
-            {
+            if sample(&state).is_some_and(|sample| !take(News::Robot(sample))) {
                 return Ok(());
             }
         }
-        let image = match images.latest() {
-            Err(ReceiveError::Invalid { .. }) => None,
-            image => image?,
+        let frame = match source.next(stop)? {
+            Next::Frame(frame) => frame,
+            Next::Nothing if heard.elapsed() > PATIENCE => return Err(LiveError::Silent),
+            Next::Nothing => continue,
+            Next::End => break,
         };
-        let image = image.filter(|image| image.order() != Order::Repeated);
-        match image.and_then(|image| Some((picture(&image)?, image.header().stamp.data_ns))) {
-            Some((picture, data_ns)) => {
-                heard = Instant::now();
-                if !take(News::Image(&picture, seconds(data_ns))) {
-                    return Ok(());
-                }
-            }
-            None if heard.elapsed() > PATIENCE => return Err(LiveError::Silent),
-            None => std::thread::sleep(PAUSE),
+        heard = Instant::now();
+        let (image, known) = (frame.image, frame.data_ns > 0);
+        let time = known.then_some(seconds(frame.data_ns));
+        if !take(News::Image { image, time }) {
+            break;
         }
     }
     Ok(())
+}
+
+/// The domain, and what gives images.
+fn open(arguments: &StreamArguments) -> Result<(Domain, Box<dyn Source>), LiveError> {
+    let StreamArguments { domain, config } = arguments;
+    let Some(config) = config else {
+        let directory = domain.clone().unwrap_or_else(ipc::default_directory);
+        let domain = Domain::join(&directory)?;
+        let source = SharedMemory::open(&domain, PAUSE)?;
+        return Ok((domain, Box::new(source)));
+    };
+    let mut words = vec!["vpc-camera".into(), "--config".into(), config.into()];
+    if let Some(domain) = domain {
+        words.extend(["--domain".into(), domain.into()] as [std::ffi::OsString; 2]);
+    }
+    let config = Config::load(&config::Arguments::command().try_get_matches_from(words)?)?;
+    let domain = Domain::join(&config.domain)?;
+    let source = run::open(&config, &domain)?;
+    Ok((domain, source))
 }
 
 /// The joints of an arm; `None` for a robot without, or of another kind.
@@ -92,30 +125,6 @@ fn sample(state: &RobotState) -> Option<Sample> {
         time: seconds(state.stamp.data_ns),
         q: state.q,
         dq: state.dq,
-    })
-}
-
-/// An image in grey.
-fn picture(image: &Image) -> Option<Picture> {
-    let header = image.header();
-    let mut pixels = Vec::with_capacity(header.width as usize * header.height as usize);
-    let colour = |p: &[u8], [red, green, blue]: [usize; 3]| {
-        // ITU-R BT.601, as OpenCV.
-        let sum = 77 * u32::from(p[red]) + 150 * u32::from(p[green]) + 29 * u32::from(p[blue]);
-        ((sum + 128) >> 8) as u8
-    };
-    let encoding = header.encoding()?;
-    for row in image.rows() {
-        match encoding {
-            Encoding::Mono8 => pixels.extend_from_slice(row),
-            Encoding::Yuyv => pixels.extend(row.iter().step_by(2)),
-            Encoding::Rgb8 => pixels.extend(row.chunks_exact(3).map(|p| colour(p, [0, 1, 2]))),
-            Encoding::Bgr8 => pixels.extend(row.chunks_exact(3).map(|p| colour(p, [2, 1, 0]))),
-        }
-    }
-    Some(Picture {
-        size: [header.width, header.height],
-        pixels,
     })
 }
 

@@ -36,6 +36,15 @@ impl PictureError {
 }
 
 impl Picture {
+    /// A copy of an image.
+    pub fn of(image: &Grey) -> Self {
+        let rows = (0..image.height()).map(|row| image.row(row));
+        Self {
+            size: [image.width(), image.height()].map(|side| side as u32),
+            pixels: rows.collect::<Vec<_>>().concat(),
+        }
+    }
+
     /// As the finder of tags takes it; `None` if it is empty.
     pub fn grey(&self) -> Option<Grey<'_>> {
         let [width, height] = self.size.map(|side| side as usize);

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use kornia_apriltag::errors::AprilTagError;
 use kornia_apriltag::family::TagFamily;
 
-use crate::board::Board;
+use tag_board::Board;
 
 /// A4, mm.
 const PAPER: [f64; 2] = [210.0, 297.0];

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use scene::Scene;
 
-use crate::board::Board;
+use tag_board::Board;
 
 /// Corners of a tag's black square: upper left, upper right, lower right, lower left.
 pub type Corners = [[f64; 2]; 4];

@@ -80,7 +80,7 @@ impl View {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::board::Board;
+    use tag_board::Board;
 
     #[test]
     fn strangers_and_doubles_are_dropped() {

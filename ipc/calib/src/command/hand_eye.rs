@@ -29,7 +29,7 @@ pub fn run(arguments: &HandEyeArguments, stop: &AtomicBool) -> Result<bool, Fail
             (taken.size, together(taken, &poses, folder)?)
         }
         None => {
-            let taken = views::of_camera(&arguments.live, &target, true, stop)?;
+            let taken = views::of_camera(&arguments.images, &target, true, stop)?;
             let pair = |(view, q): (View, Option<_>)| {
                 q.map(|q| Pair {
                     flange: robot_poses::flange(q),

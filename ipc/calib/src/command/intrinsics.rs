@@ -12,7 +12,7 @@ pub fn run(arguments: &IntrinsicsArguments, stop: &AtomicBool) -> Result<bool, F
     let (target, board) = arguments.target.read()?;
     let taken = match &arguments.images.images {
         Some(folder) => views::of_folder(folder)?,
-        None => views::of_camera(&arguments.live, &target, false, stop)?,
+        None => views::of_camera(&arguments.images, &target, false, stop)?,
     };
     let views: Vec<View> = taken.views.into_iter().map(|(view, _)| view).collect();
     if let Some(board) = &board {

@@ -7,7 +7,8 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use toml_schema::{Document, FileError};
 use vision_calibration_core::{Iso3, Vec3};
-use vpc_camera::lens;
+use vpc_camera::grey::Grey;
+use vpc_camera::lens::{self, Lens};
 
 use crate::arguments::LatencyArguments;
 use crate::camera::Camera;
@@ -27,36 +28,31 @@ pub fn run(arguments: &LatencyArguments, stop: &AtomicBool) -> Result<bool, Fail
     }
     let mut detector = Detector::new()?;
     let (mut frames, mut arm) = (Vec::<Frame>::new(), Trajectory::default());
-    let mut size = Ok(());
+    let mut failed = None;
     eprintln!(
         "wiggle the camera now, irregularly, the tags in sight: {} s",
         arguments.seconds
     );
-    let domain = arguments
-        .domain
-        .clone()
-        .unwrap_or_else(ipc::default_directory);
-    live::watch(&domain, stop, |news| match news {
-        News::Robot(sample) => {
-            arm.push(*sample);
-            true
-        }
-        News::Image(picture, time) => {
-            size = lens.check_size(picture.size);
-            if size.is_err() {
-                return false;
+    live::watch(&arguments.stream, stop, |news| {
+        let frame = match news {
+            News::Robot(sample) => {
+                arm.push(sample);
+                return true;
             }
-            let seen = picture.grey().map(|grey| detector.view("", &grey));
-            if let Some(Ok(mut view)) = seen {
-                view.straighten(&lens);
-                frames.push(Frame { time, view });
-            }
-            frames
-                .first()
-                .is_none_or(|first| time - first.time < arguments.seconds)
+            News::Image { image, time } => frame(&mut detector, &lens, &image, time),
+        };
+        match frame {
+            Ok(frame) => frames.push(frame),
+            Err(error) => failed = Some(error),
         }
+        let seconds = |first: &Frame, last: &Frame| last.time - first.time;
+        let watched = frames.first().zip(frames.last());
+        let watched = watched.map_or(0.0, |(first, last)| seconds(first, last));
+        failed.is_none() && watched < arguments.seconds
     })?;
-    size?;
+    if let Some(error) = failed {
+        return Err(error);
+    }
     if arm.span().is_none() {
         return Err(Failure::new(
             69,
@@ -79,6 +75,22 @@ pub fn run(arguments: &LatencyArguments, stop: &AtomicBool) -> Result<bool, Fail
         );
     }
     Ok(verdict.is_good())
+}
+
+/// The tags of an image, straightened.
+fn frame(
+    detector: &mut Detector,
+    lens: &Lens,
+    image: &Grey,
+    time: Option<f64>,
+) -> Result<Frame, Failure> {
+    lens.check_size([image.width(), image.height()].map(|side| side as u32))?;
+    let time = time.ok_or_else(|| {
+        Failure::new(69, "the images do not tell when they were exposed (data_ns = 0)")
+    })?;
+    let mut view = detector.view("", image)?;
+    view.straighten(lens);
+    Ok(Frame { time, view })
 }
 
 /// The camera in the flange, as vpc-panda reads it from TOML.

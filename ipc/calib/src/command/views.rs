@@ -2,8 +2,11 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
-use crate::arguments::LiveArguments;
+use vpc_camera::grey::Grey;
+
+use crate::arguments::ImageArguments;
 use crate::command::Failure;
 use crate::detector::Detector;
 use crate::live::{self, News};
@@ -14,6 +17,7 @@ use crate::target::Target;
 use crate::view::View;
 
 /// Views of images of one size.
+#[derive(Default)]
 pub struct Views {
     /// Each view, with the joints of the arm where they were taken with one.
     pub views: Vec<(View, Option<[f64; 7]>)>,
@@ -55,67 +59,78 @@ pub fn of_folder(folder: &Path) -> Result<Views, Failure> {
 
 /// Takes a view whenever nothing moves, until there are enough or `stop` is set.
 pub fn of_camera(
-    arguments: &LiveArguments,
+    arguments: &ImageArguments,
     target: &Target,
     wants_robot: bool,
     stop: &AtomicBool,
 ) -> Result<Views, Failure> {
-    let mut detector = Detector::new()?;
-    let mut folder = Folder::new(arguments.save.as_deref())?;
-    let mut taken = Views {
-        views: Vec::new(),
-        size: [0; 2],
+    let mut taker = Taker {
+        detector: Detector::new()?,
+        folder: Folder::new(arguments.save.as_deref())?,
+        still: None,
+        joints: None,
+        taken: Views::default(),
     };
-    let mut still: Option<Still> = None;
-    let mut joints = None;
-    let mut failed = None;
     let wanted = arguments.views as usize;
     eprintln!(
         "show the board in another way each time, and keep still for a second: {wanted} views"
     );
-    let domain = arguments
-        .domain
-        .clone()
-        .unwrap_or_else(ipc::default_directory);
-    live::watch(&domain, stop, |news| {
-        let (picture, stamp) = match news {
+    let begin = Instant::now();
+    let mut failed = None;
+    live::watch(&arguments.stream, stop, |news| {
+        let image = match news {
             News::Robot(sample) => {
-                joints = Some(sample.q);
-                if let Some(still) = &mut still {
-                    still.arm(&robot_poses::flange(sample.q));
-                }
+                taker.arm(sample.q);
                 return true;
             }
-            News::Image(picture, stamp) => (picture, stamp),
+            News::Image { image, .. } => image,
         };
-        let name = format!("{:03}.png", taken.views.len());
-        let seen = picture.grey().map(|grey| detector.view(&name, &grey));
-        let Some(Ok(mut view)) = seen else {
-            return true;
-        };
-        view.keep_known(target);
-        taken.size = picture.size;
-        let still = still.get_or_insert_with(|| Still::new(picture.size[0]));
-        if wants_robot && joints.is_none() {
-            return true;
+        let now = begin.elapsed().as_secs_f64();
+        if !wants_robot || taker.joints.is_some() {
+            failed = taker.look(&image, now, target).err();
         }
-        if still.take(stamp, &view) {
-            eprintln!("taken {}: {} tags", still.count(), view.tags.len());
-            if let Err(error) = folder.add(&name, picture, joints.as_ref()) {
-                failed = Some(error);
-                return false;
-            }
-            taken.views.push((view, joints));
-        }
-        taken.views.len() < wanted
+        failed.is_none() && taker.taken.views.len() < wanted
     })?;
     match failed {
         Some(error) => Err(error),
-        None if wants_robot && joints.is_none() => Err(Failure::new(
+        None if wants_robot && taker.joints.is_none() => Err(Failure::new(
             69,
             "no joints on vpc/robot; is the bridge at work?",
         )),
-        None => Ok(taken),
+        None => Ok(taker.taken),
+    }
+}
+
+/// Takes views as images come.
+struct Taker {
+    detector: Detector,
+    folder: Folder,
+    still: Option<Still>,
+    joints: Option<[f64; 7]>,
+    taken: Views,
+}
+
+impl Taker {
+    fn arm(&mut self, q: [f64; 7]) {
+        self.joints = Some(q);
+        if let Some(still) = &mut self.still {
+            still.arm(&robot_poses::flange(q));
+        }
+    }
+
+    fn look(&mut self, image: &Grey, now: f64, target: &Target) -> Result<(), Failure> {
+        let name = format!("{:03}.png", self.taken.views.len());
+        let mut view = self.detector.view(&name, image)?;
+        view.keep_known(target);
+        let size = [image.width(), image.height()].map(|side| side as u32);
+        self.taken.size = size;
+        let still = self.still.get_or_insert_with(|| Still::new(size[0]));
+        if still.take(now, &view) {
+            eprintln!("taken {}: {} tags", still.count(), view.tags.len());
+            self.folder.add(&name, image, self.joints.as_ref())?;
+            self.taken.views.push((view, self.joints));
+        }
+        Ok(())
     }
 }
 
@@ -137,11 +152,11 @@ impl Folder {
         })
     }
 
-    fn add(&mut self, name: &str, picture: &Picture, q: Option<&[f64; 7]>) -> Result<(), Failure> {
+    fn add(&mut self, name: &str, image: &Grey, q: Option<&[f64; 7]>) -> Result<(), Failure> {
         let Some(folder) = &self.path else {
             return Ok(());
         };
-        picture
+        Picture::of(image)
             .write(&folder.join(name))
             .map_err(|error| Failure::new(73, error))?;
         if let Some(q) = q {

@@ -1,6 +1,6 @@
 //! Intrinsics from noisy corners.
 
-use vpc_calib::board::Board;
+use tag_board::Board;
 use vpc_calib::intrinsics::{Intrinsics, IntrinsicsError, calibrate};
 use vpc_calib::target::Target;
 use vpc_calib::view::View;

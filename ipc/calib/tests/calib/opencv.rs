@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use testkit::python::{Environment, run, script};
 use vision_calibration_core::{Iso3, Vec3};
-use vpc_calib::board::Board;
+use tag_board::Board;
 use vpc_calib::hand_eye::Pair;
 use vpc_calib::target::Target;
 use vpc_calib::view::View;

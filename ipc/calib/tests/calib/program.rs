@@ -6,7 +6,7 @@ use std::process::Command;
 
 use testkit::{Ended, Place, ended};
 use vision_calibration_core::Iso3;
-use vpc_calib::board::Board;
+use tag_board::Board;
 use vpc_calib::picture::Picture;
 
 use crate::hand_eye::{mount, place};

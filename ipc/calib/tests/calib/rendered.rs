@@ -3,7 +3,7 @@
 use scene::Scene;
 use vision::{Look, Renderer, Tag};
 use vision_calibration_core::Iso3;
-use vpc_calib::board::Board;
+use tag_board::Board;
 use vpc_calib::camera::Camera;
 use vpc_calib::detector::Detector;
 use vpc_calib::hand_eye::{self, Pair};

@@ -2,14 +2,14 @@
 
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg;
-use vpc_calib::board::Board;
+use tag_board::Board;
 use vpc_calib::detector::Detector;
 use vpc_calib::picture::Picture;
 use vpc_calib::sheet;
 use vpc_calib::target::Target;
 
 /// Dots a mm.
-const DOTS: f64 = 6.0;
+const DOTS: f64 = 3.0;
 
 fn printed(board: &Board) -> Picture {
     let svg = sheet::svg(board).unwrap();

@@ -1,4 +1,7 @@
-//! A printed board: a grid of AprilTags of the family 36h11.
+//! A printed board: a grid of AprilTags of the family 36h11, and its file.
+#![forbid(unsafe_code)]
+#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 use std::path::Path;
 
@@ -66,7 +69,7 @@ impl Board {
         Ok(board)
     }
 
-    /// Side of a module, m.
+    /// Side of a module, m: an eighth of a black square.
     pub fn module(&self) -> f64 {
         self.tag_size / MODULES
     }
@@ -94,6 +97,11 @@ impl Board {
             (self.first + index, corner)
         })
     }
+}
+
+/// Returns the JSON Schema of a file.
+pub fn schema() -> serde_json::Value {
+    toml_schema::schema::<Board>()
 }
 
 #[cfg(test)]
