@@ -178,7 +178,7 @@ fn mounting_and_latency_of_the_emulated_robot_are_found_out_live() {
     let pilot = steer(tour);
     let mut command = calib("hand-eye");
     command
-        .args(["--source", "shm", "--views", "11", "--save"])
+        .args(["--views", "11", "--save"])
         .arg(place.path("views"));
     let said = ended(command.arg("-o").arg(&file));
     stop.store(true, Ordering::Relaxed);

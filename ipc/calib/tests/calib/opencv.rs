@@ -45,7 +45,7 @@ fn the_lens_is_opencvs_and_the_mounting_is_nearer_to_the_truth() {
     let environment = Environment {
         name: "python-opencv",
         requirements: &[],
-        packages: &["numpy", "opencv-python-headless>=4.10,<6"],
+        packages: &["numpy", "opencv-python-headless>=4.10,<5"],
     };
     let Some(python) = environment.python("calibrations beside OpenCV") else {
         return;

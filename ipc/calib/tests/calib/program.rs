@@ -206,7 +206,18 @@ fn bad_input_is_refused_with_words_and_an_exit_code() {
         66,
         "/nowhere: No such file",
     );
-    expect(said(&["intrinsics"]), 64, "--images");
+    expect(lens(&["--views", "9"]), 64, "--views");
+    let device = folder.place.file(
+        "vpc-camera.toml",
+        format!(
+            "source = \"v4l2:/dev/video99\"\nscene = {:?}\n",
+            testkit::scene_file()
+        ),
+    );
+    let live = said(&["intrinsics", "--config", text(&device)]);
+    expect(live, 69, "/dev/video99: there is no such device");
+    let nowhere = said(&["intrinsics", "--config", "/nowhere.toml"]);
+    expect(nowhere, 66, "/nowhere.toml: No such file");
     // Poses.
     let lines = folder.lines();
     let change = |number: usize, to: &dyn Fn(&str) -> String| {

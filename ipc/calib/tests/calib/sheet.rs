@@ -23,10 +23,18 @@ fn printed(board: &Board) -> Picture {
         Transform::from_scale(scale, scale),
         &mut pixmap.as_mut(),
     );
-    Picture {
-        size: [size.width(), size.height()],
-        pixels: pixmap.pixels().iter().map(|pixel| pixel.green()).collect(),
-    }
+    let pixels: Vec<u8> = pixmap.pixels().iter().map(|pixel| pixel.green()).collect();
+    let size = [size.width(), size.height()];
+    // A lens blurs; the finder expects it.
+    let pixels = blurred(&blurred(&pixels, 1), size[0] as usize);
+    Picture { size, pixels }
+}
+
+/// Each pixel with a quarter of its neighbours so many pixels before and after it.
+fn blurred(pixels: &[u8], step: usize) -> Vec<u8> {
+    let at = |k: usize| u32::from(pixels[k.min(pixels.len() - 1)]);
+    let mean = |k: usize| (at(k.saturating_sub(step)) + 2 * at(k) + at(k + step) + 2) / 4;
+    (0..pixels.len()).map(|k| mean(k) as u8).collect()
 }
 
 #[test]
