@@ -8,11 +8,14 @@ use crate::view::View;
 const MOVED_PX: f64 = 0.4;
 /// The flange stays within this, m and rad.
 const RESTS: [f64; 2] = [3e-4, 1e-3];
-/// So long, s: images may be that late.
+/// So long, s.
 const REST: f64 = 0.8;
+/// Images that are older may show the arm before it came to rest, s.
+pub const LATE: f64 = 0.5;
 /// A view is new where its corners are this far from those of every other, RMS, of the image's
-/// width; or where they have no tag in common.
+/// width; or where they have no tag in common; or where the flange is turned by so much, rad.
 const NEW: f64 = 0.04;
+const TURNED: f64 = 0.1;
 /// Fewest tags of a view that is taken.
 const TAGS: usize = 2;
 
@@ -24,7 +27,7 @@ pub struct Still {
     flange: Option<Iso3>,
     since: Option<f64>,
     last: Option<View>,
-    taken: Vec<View>,
+    taken: Vec<(View, Option<Iso3>)>,
 }
 
 impl Still {
@@ -59,12 +62,21 @@ impl Still {
             return false;
         }
         let since = *self.since.get_or_insert(time);
-        let is_new = |known: &View| distance(known, view).is_none_or(|off| off > NEW * self.width);
+        let is_new = |(known, flange): &(View, Option<Iso3>)| {
+            let ends = flange.as_ref().zip(self.flange.as_ref());
+            let turned = ends.is_some_and(|(a, b)| a.rotation.angle_to(&b.rotation) > TURNED);
+            turned || distance(known, view).is_none_or(|off| off > NEW * self.width)
+        };
         let take = time - since >= REST && self.taken.iter().all(is_new);
         if take {
-            self.taken.push(view.clone());
+            self.taken.push((view.clone(), self.flange));
         }
         take
+    }
+
+    /// An image is too old.
+    pub fn miss(&mut self) {
+        self.since = None;
     }
 
     /// How many were taken.
@@ -120,6 +132,14 @@ mod tests {
     }
 
     #[test]
+    fn after_an_old_image_the_wait_begins_anew() {
+        let mut still = Still::new(640);
+        assert!(watch(&mut still, 0.0, 8, |_| 10.0).is_empty());
+        still.miss();
+        assert_eq!(watch(&mut still, 0.8, 20, |_| 10.0), [8]);
+    }
+
+    #[test]
     fn an_arm_that_creeps_is_waited_for() {
         let mut still = Still::new(640);
         let mut place = 0.0;
@@ -129,6 +149,10 @@ mod tests {
             assert!(!still.take(0.1 * f64::from(k), &at(10.0)));
         }
         still.arm(&Iso3::translation(place + 1e-5, 0.0, 0.0));
-        assert!(!watch(&mut still, 3.0, 20, |_| 10.0).is_empty());
+        assert_eq!(watch(&mut still, 3.0, 20, |_| 10.0).len(), 1);
+        // A small board hardly changes in the image where the arm is turned.
+        let turn = Iso3::rotation(vision_calibration_core::Vec3::new(0.2, 0.0, 0.0));
+        still.arm(&turn);
+        assert_eq!(watch(&mut still, 5.0, 20, |_| 12.0).len(), 1);
     }
 }

@@ -12,7 +12,7 @@ use crate::detector::Detector;
 use crate::live::{self, News};
 use crate::picture::{self, Picture};
 use crate::robot_poses;
-use crate::still::Still;
+use crate::still::{LATE, Still};
 use crate::target::Target;
 use crate::view::View;
 
@@ -69,6 +69,8 @@ pub fn of_camera(
         folder: Folder::new(arguments.save.as_deref())?,
         still: None,
         joints: None,
+        age: None,
+        is_told: false,
         taken: Views::default(),
     };
     let wanted = arguments.views as usize;
@@ -83,7 +85,10 @@ pub fn of_camera(
                 taker.arm(sample.q);
                 return true;
             }
-            News::Image { image, .. } => image,
+            News::Image { image, time } => {
+                taker.age = time.map(|time| 1e-9 * ipc::now_ns() as f64 - time);
+                image
+            }
         };
         let now = begin.elapsed().as_secs_f64();
         if !wants_robot || taker.joints.is_some() {
@@ -107,6 +112,10 @@ struct Taker {
     folder: Folder,
     still: Option<Still>,
     joints: Option<[f64; 7]>,
+    /// Of the image, s, if its stamp tells.
+    age: Option<f64>,
+    /// Whether it was said that images are old.
+    is_told: bool,
     taken: Views,
 }
 
@@ -125,6 +134,13 @@ impl Taker {
         let size = [image.width(), image.height()].map(|side| side as u32);
         self.taken.size = size;
         let still = self.still.get_or_insert_with(|| Still::new(size[0]));
+        if let Some(age) = self.age.filter(|age| *age > LATE) {
+            if !std::mem::replace(&mut self.is_told, true) {
+                eprintln!("images are {age:.1} s old; no view is taken of any older than {LATE} s");
+            }
+            still.miss();
+            return Ok(());
+        }
         if still.take(now, &view) {
             eprintln!("taken {}: {} tags", still.count(), view.tags.len());
             self.folder.add(&name, image, self.joints.as_ref())?;

@@ -1,18 +1,29 @@
 //! Live, against the emulator: hw-sim's Panda carries its camera round a pattern of tags, by twists
-//! of this test, while `vpc-calib` listens. What hw-sim's [truth] says is found out.
+//! of this test, while `vpc-calib` listens. What hw-sim's [truth] says is found out: lens, mounting
+//! and stamps.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use hw_sim::robot::calibration::HandEye;
 use ipc::{Domain, RobotState, TwistCommand, TwistState};
 use rustix::process::Signal;
-use testkit::{Place, Running, ended, program};
+use testkit::{Place, Running, program};
 use vision_calibration_core::{Iso3, Vec3};
 
+/// The scene's focal lengths, and what is true: larger by this share, another principal point, and
+/// a lens that distorts by 6 px in the corners.
+const FOCAL: [f64; 2] = [615.0, 612.0];
+const LARGER: f64 = 0.02;
+const KEYS: &str = "robot = \"panda\"\ncamera = \"rendered\"\nlatency_ms = 45.0\nexposure_ms = 4.0\n
+[truth]\nfocal = 0.02\ncenter_px = [3.0, -2.0]\ndistortion = [-0.2, 0.05, 0.0, 0.0, 0.0]\n
+stamp_bias_ms = 12.0\nstamp_jitter_ms = 0.5\n";
+/// Longest time that a calibration takes.
+const PATIENCE: Duration = Duration::from_secs(60);
+const BIAS_MS: f64 = 12.0;
 /// By how much the camera sits and is turned otherwise, along and about its axes: m, deg.
 const MOVED: [f64; 3] = [0.006, -0.004, 0.008];
 const TURNED: [f64; 3] = [1.5, -1.0, 2.0];
@@ -59,15 +70,19 @@ min_error_px = 30.0
 struct Pilot {
     domain: PathBuf,
     stop: Arc<AtomicBool>,
+    /// Views that were taken.
+    taken: Arc<AtomicUsize>,
 }
+
+/// The pose to be at, by the time, s, and the number of views that were taken.
+type Plan = fn(f64, usize) -> Iso3;
 
 fn pose(at: [f64; 3], turn: [f64; 3]) -> Iso3 {
     Iso3::new(Vec3::from(at), Vec3::from(turn))
 }
 
 impl Pilot {
-    /// Steers towards what `wanted` says of the seconds since the start, until it says `None`.
-    fn steer(&self, wanted: impl Fn(f64) -> Option<Iso3>) {
+    fn steer(&self, plan: Plan) {
         let domain = Domain::join(&self.domain).unwrap();
         let mut twist = domain.publisher::<TwistCommand>().unwrap();
         let mut robot = domain.subscriber::<RobotState>(1).unwrap();
@@ -77,14 +92,13 @@ impl Pilot {
             if let Some(state) = robot.latest().unwrap() {
                 seen = Some(pose(state.translation, state.rotation));
             }
-            let Some(wanted) = wanted(start.elapsed().as_secs_f64()) else {
-                return;
-            };
+            let taken = self.taken.load(Ordering::Relaxed);
+            let wanted = plan(start.elapsed().as_secs_f64(), taken);
             let mut command = TwistCommand::zero(TwistState::Moving);
             if let Some(seen) = seen {
                 // The object is to move so; the camera moves against it.
                 let off = wanted * seen.inverse();
-                let gain: f64 = 3.0;
+                let gain: f64 = 6.0;
                 let cap =
                     |vector: Vec3, most: f64| vector * (-gain).max(-most / vector.norm().max(1e-9));
                 let linear = cap(off.translation.vector, 0.15);
@@ -99,27 +113,30 @@ impl Pilot {
     }
 }
 
-/// Round the pattern, five seconds a place.
-fn tour(time: f64) -> Option<Iso3> {
+/// Round the pattern: to the next place when a view was taken.
+fn tour(_: f64, taken: usize) -> Iso3 {
     let places = [
-        ([0.0, 0.0, 0.36], [0.0, 0.0, 0.0]),
-        ([0.02, 0.0, 0.36], [0.38, 0.0, 0.1]),
-        ([0.0, 0.02, 0.33], [-0.36, 0.1, 0.3]),
-        ([-0.02, 0.0, 0.38], [0.0, 0.40, -0.2]),
-        ([0.0, -0.02, 0.34], [0.1, -0.38, 0.0]),
-        ([0.02, 0.02, 0.40], [0.27, 0.27, 0.5]),
-        ([-0.02, 0.02, 0.35], [-0.27, 0.27, -0.5]),
-        ([-0.02, -0.02, 0.37], [-0.27, -0.27, 0.3]),
-        ([0.02, -0.02, 0.33], [0.27, -0.27, -0.3]),
+        ([0.0, 0.0, 0.34], [0.0, 0.0, 0.0]),
+        ([-0.09, -0.06, 0.36], [0.0, 0.0, 0.1]),
+        ([0.09, -0.06, 0.36], [0.1, 0.0, -0.1]),
+        ([0.09, 0.06, 0.36], [0.0, 0.1, 0.0]),
+        ([-0.09, 0.06, 0.36], [0.0, 0.0, 0.3]),
+        ([0.0, 0.0, 0.36], [0.40, 0.0, 0.1]),
+        ([0.0, 0.0, 0.38], [-0.2, 0.1, 0.3]),
+        ([0.0, 0.0, 0.36], [0.0, 0.42, -0.2]),
+        ([0.0, 0.0, 0.34], [0.1, -0.42, 0.0]),
+        ([0.05, 0.03, 0.38], [0.3, 0.3, 0.5]),
+        ([-0.05, 0.03, 0.36], [-0.1, 0.3, -0.3]),
+        ([-0.05, -0.03, 0.37], [-0.1, -0.3, 0.2]),
+        ([0.05, -0.03, 0.33], [0.3, -0.3, -0.3]),
         ([0.0, 0.0, 0.42], [0.1, 0.1, 0.7]),
-        ([0.01, 0.01, 0.31], [-0.1, 0.2, -0.7]),
     ];
-    let (at, turn) = places[(time / 5.0) as usize % places.len()];
-    Some(pose(at, turn))
+    let (at, turn) = places[taken % places.len()];
+    pose(at, turn)
 }
 
 /// As by hand.
-fn wiggle(time: f64) -> Option<Iso3> {
+fn wiggle(time: f64, _: usize) -> Iso3 {
     let wave =
         |amplitude: f64, hertz: f64| amplitude * (std::f64::consts::TAU * hertz * time).sin();
     let at = [
@@ -127,126 +144,119 @@ fn wiggle(time: f64) -> Option<Iso3> {
         wave(0.02, 0.61) + wave(0.01, 1.07),
         0.36 + wave(0.01, 0.53),
     ];
-    Some(pose(
-        at,
-        [wave(0.08, 0.77), wave(0.08, 0.59), wave(0.15, 0.37)],
-    ))
+    let turn = [wave(0.08, 0.77), wave(0.08, 0.59), wave(0.15, 0.37)];
+    pose(at, turn)
+}
+
+/// The emulator, and who steers it.
+struct Laboratory {
+    place: Place,
+    emulator: Running,
+}
+
+impl Laboratory {
+    fn new() -> Self {
+        let place = Place::new();
+        let scene = place.file("scene.toml", SCENE);
+        let starts = place.file("starts.csv", "tx,ty,tz,rx,ry,rz\n0,0,0.36,0,0,0\n");
+        let keys = format!(
+            "scene = {scene:?}\nstarts = {starts:?}\n{KEYS}hand_eye_m = {MOVED:?}\nhand_eye_deg = {TURNED:?}\n"
+        );
+        let config = place.file("hw-sim.toml", keys);
+        let mut emulator = Command::new(program("hw-sim"));
+        emulator.arg("--config").arg(&config);
+        emulator.arg("--domain").arg(place.domain());
+        let emulator = emulator.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut emulator = Running::start(emulator);
+        emulator.line("go out in domain");
+        Self { place, emulator }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.place.path(name)
+    }
+
+    /// What `vpc-calib` says that is good; takes so many views, steered by a plan.
+    fn calibrate(&self, words: &str, views: usize, plan: Option<Plan>) -> String {
+        let (stop, taken) = (Arc::default(), Arc::default());
+        let pilot = Pilot {
+            domain: self.place.domain(),
+            stop: Arc::clone(&stop),
+            taken: Arc::clone(&taken),
+        };
+        let pilot = plan.map(|plan| std::thread::spawn(move || pilot.steer(plan)));
+        let mut calib = Command::new(env!("CARGO_BIN_EXE_vpc-calib"));
+        calib.current_dir(self.place.directory());
+        calib.args(words.split(' '));
+        let mut calib = Running::start(calib.stdout(Stdio::piped()).stderr(Stdio::piped()));
+        for view in 1..=views {
+            calib.line(&format!("taken {view}:"));
+            taken.store(view, Ordering::Relaxed);
+        }
+        let said = calib.ended_within(PATIENCE);
+        stop.store(true, Ordering::Relaxed);
+        if let Some(pilot) = pilot {
+            pilot.join().unwrap();
+        }
+        testkit::tell(format_args!("$ vpc-calib {words}\n{}", said.stdout));
+        assert_eq!(said.code, Some(0), "{said:?}");
+        said.stdout
+    }
+}
+
+fn mounting(file: &Path) -> Iso3 {
+    let frame = vpc_panda::hand_eye::Frame::Flange;
+    let read = vpc_panda::hand_eye::read(file, frame).unwrap().camera;
+    let turn = panda::kinematics::rotation_vector(&read.rotation);
+    pose(read.translation.vector.into(), turn.into())
 }
 
 #[test]
-fn mounting_and_latency_of_the_emulated_robot_are_found_out_live() {
-    let place = Place::new();
-    let scene = place.file("scene.toml", SCENE);
-    let starts = place.file("starts.csv", "tx,ty,tz,rx,ry,rz\n0,0,0.36,0,0,0\n");
-    let keys = format!(
-        "scene = {scene:?}\nstarts = {starts:?}\nrobot = \"panda\"\ncamera = \"rendered\"\nlatency_ms = 45.0\nexposure_ms = 4.0\n\
-         [truth]\nhand_eye_m = {MOVED:?}\nhand_eye_deg = {TURNED:?}\n"
-    );
-    let config = place.file("hw-sim.toml", keys);
-    let camera = place.file(
-        "camera.toml",
-        "width = 640\nheight = 480\nfx = 615.0\nfy = 612.0\ncx = 322.0\ncy = 237.0\ndistortion = [0, 0, 0, 0, 0]\n",
-    );
-    let file = place.path("hand-eye.toml");
-    let mut emulator = Command::new(program("hw-sim"));
-    emulator
-        .arg("--config")
-        .arg(&config)
-        .arg("--domain")
-        .arg(place.domain());
-    let mut emulator = Running::start(emulator.stdout(Stdio::piped()).stderr(Stdio::piped()));
-    emulator.line("go out in domain");
-    let stop = Arc::new(AtomicBool::new(false));
-    let steer = |wanted: fn(f64) -> Option<Iso3>| {
-        let pilot = Pilot {
-            domain: place.domain(),
-            stop: Arc::clone(&stop),
-        };
-        std::thread::spawn(move || pilot.steer(wanted))
-    };
-    let calib = |command: &str| {
-        let mut calib = Command::new(env!("CARGO_BIN_EXE_vpc-calib"));
-        calib.arg(command).arg("--domain").arg(place.domain());
-        calib
-            .arg("--scene")
-            .arg(&scene)
-            .arg("--camera")
-            .arg(&camera);
-        calib
-    };
+fn lens_mounting_and_latency_of_the_emulated_robot_are_found_out_live() {
+    let laboratory = Laboratory::new();
+    let domain = laboratory.place.domain();
+    let domain = domain.display();
 
-    let pilot = steer(tour);
-    let mut command = calib("hand-eye");
-    command
-        .args(["--views", "11", "--save"])
-        .arg(place.path("views"));
-    let said = ended(command.arg("-o").arg(&file));
-    stop.store(true, Ordering::Relaxed);
-    pilot.join().unwrap();
-    testkit::tell(&said.stdout);
-    assert_eq!(said.code, Some(0), "{said:?}");
-    let error = pose(MOVED, TURNED.map(f64::to_radians));
+    laboratory.calibrate(
+        &format!("intrinsics --domain {domain} --scene scene.toml --views 14 --save views -o camera.toml"),
+        14,
+        Some(tour),
+    );
+    let lens = vpc_camera::lens::read(&laboratory.path("camera.toml")).unwrap();
+    let off = [0, 1].map(|k| 100.0 * (lens.focal[k] / FOCAL[k] / (1.0 + LARGER) - 1.0));
+    testkit::tell(format_args!("focal lengths off by {off:.3?} %"));
+    assert!(off.iter().all(|off| off.abs() < 0.3), "{off:?}");
+
+    laboratory.calibrate(
+        "hand-eye --images views --scene scene.toml --camera camera.toml -o hand-eye.toml",
+        0,
+        None,
+    );
     let believed = HandEye::default();
-    let truth = pose(
-        believed.translation,
-        believed.rotation_deg.map(f64::to_radians),
-    ) * error;
-    let read = vpc_panda::hand_eye::read(&file, vpc_panda::hand_eye::Frame::Flange)
-        .unwrap()
-        .camera;
-    let turn = panda::kinematics::rotation_vector(&read.rotation);
-    let found = pose(read.translation.vector.into(), turn.into());
-    let off = truth.inverse() * found;
-    let off = [
-        1e3 * off.translation.vector.norm(),
+    let turn = believed.rotation_deg.map(f64::to_radians);
+    let error = pose(MOVED, TURNED.map(f64::to_radians));
+    let truth = pose(believed.translation, turn) * error;
+    let off = truth.inverse() * mounting(&laboratory.path("hand-eye.toml"));
+    let (off_m, off_deg) = (
+        off.translation.vector.norm(),
         off.rotation.angle().to_degrees(),
-    ];
+    );
     testkit::tell(format_args!(
-        "mounting off by {:.2} mm, {:.3} deg",
-        off[0], off[1]
+        "mounting off by {:.2} mm, {off_deg:.3} deg",
+        1e3 * off_m
     ));
-    assert!(off[0] < 1.0 && off[1] < 0.1, "{off:?}");
+    assert!(off_m < 1e-3 && off_deg < 0.1);
 
-    // What was saved says the same.
-    let mut again = Command::new(env!("CARGO_BIN_EXE_vpc-calib"));
-    again
-        .args(["hand-eye", "--images"])
-        .arg(place.path("views"));
-    again
-        .arg("--scene")
-        .arg(&scene)
-        .arg("--camera")
-        .arg(&camera);
-    let again = ended(again);
-    assert_eq!(
-        (again.code, &again.stdout),
-        (
-            Some(0),
-            &said
-                .stdout
-                .replace(&format!("written: {}\n", file.display()), "")
-        )
+    let said = laboratory.calibrate(
+        &format!("latency --domain {domain} --seconds 15 --scene scene.toml --camera camera.toml --hand-eye hand-eye.toml"),
+        0,
+        Some(wiggle),
     );
-
-    stop.store(false, Ordering::Relaxed);
-    let pilot = steer(wiggle);
-    let mut command = calib("latency");
-    let said = ended(
-        command
-            .arg("--hand-eye")
-            .arg(&file)
-            .args(["--seconds", "12"]),
-    );
-    stop.store(true, Ordering::Relaxed);
-    pilot.join().unwrap();
-    testkit::tell(&said.stdout);
-    assert_eq!(said.code, Some(0), "{said:?}");
     let line = said
-        .stdout
         .lines()
         .find_map(|line| line.strip_prefix("stamp_offset_ms = "));
     let offset: f64 = line.unwrap().split(' ').next().unwrap().parse().unwrap();
-    // The emulator's stamps are true, however late images come.
-    assert!(offset.abs() < 2.0, "{offset}");
-    emulator.signal(Signal::TERM);
+    testkit::tell(format_args!("stamps off by {:.2} ms", offset + BIAS_MS));
+    assert!((offset + BIAS_MS).abs() < 2.0, "{offset}");
+    laboratory.emulator.signal(Signal::TERM);
 }

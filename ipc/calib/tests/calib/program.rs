@@ -217,7 +217,7 @@ fn bad_input_is_refused_with_words_and_an_exit_code() {
     let live = said(&["intrinsics", "--config", text(&device)]);
     expect(live, 69, "/dev/video99: there is no such device");
     let nowhere = said(&["intrinsics", "--config", "/nowhere.toml"]);
-    expect(nowhere, 66, "/nowhere.toml: No such file");
+    expect(nowhere, 66, "/nowhere.toml: cannot read");
     // Poses.
     let lines = folder.lines();
     let change = |number: usize, to: &dyn Fn(&str) -> String| {
