@@ -6,8 +6,8 @@ use clap::{Args, Parser, Subcommand};
 use scene::Scene;
 use toml_schema::FileError;
 
-use tag_board::Board;
 use crate::target::Target;
+use tag_board::Board;
 
 /// Side of a tag's black square, of that of its marker, which has a white border.
 const BLACK: f64 = 0.8;

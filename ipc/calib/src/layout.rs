@@ -6,9 +6,9 @@
 use vision_calibration_core::Pt2;
 use vision_calibration_linear::prelude::dlt_homography;
 
-use tag_board::Board;
 use crate::target::{Corners, Target};
 use crate::view::View;
+use tag_board::Board;
 
 /// A layout that fits so much better is the right one.
 const BETTER: f64 = 4.0;

@@ -86,7 +86,10 @@ fn frame(
 ) -> Result<Frame, Failure> {
     lens.check_size([image.width(), image.height()].map(|side| side as u32))?;
     let time = time.ok_or_else(|| {
-        Failure::new(69, "the images do not tell when they were exposed (data_ns = 0)")
+        Failure::new(
+            69,
+            "the images do not tell when they were exposed (data_ns = 0)",
+        )
     })?;
     let mut view = detector.view("", image)?;
     view.straighten(lens);

@@ -184,13 +184,7 @@ impl Model<'_> {
 
     /// The standard deviation of the shift where the misses of neighbouring images are not
     /// independent: each part of the recording counts as one observation.
-    fn clustered(
-        &self,
-        state: &State,
-        corners: &[Corner],
-        frames: usize,
-        inverse: &Normal,
-    ) -> f64 {
+    fn clustered(&self, state: &State, corners: &[Corner], frames: usize, inverse: &Normal) -> f64 {
         let mut gradients = [Gradient::zeros(); PARTS];
         for corner in corners {
             if let Some((now, by)) = self.derivative(state, corner) {

@@ -1,7 +1,7 @@
 //! Hand-eye calibration from noisy corners and a robot that misses.
 
-use vision_calibration_core::{Iso3, Vec3};
 use tag_board::Board;
+use vision_calibration_core::{Iso3, Vec3};
 use vpc_calib::hand_eye::{HandEye, HandEyeError, Pair, calibrate};
 use vpc_calib::target::Target;
 

@@ -1,7 +1,7 @@
 //! Latency from a simulated wiggle.
 
-use vision_calibration_core::{Iso3, Vec3};
 use tag_board::Board;
+use vision_calibration_core::{Iso3, Vec3};
 use vpc_calib::latency::{Frame, Latency, LatencyError, Setup, estimate};
 use vpc_calib::target::Target;
 use vpc_calib::trajectory::{Sample, Trajectory};

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
+use tag_board::Board;
 use testkit::python::{Environment, run, script};
 use vision_calibration_core::{Iso3, Vec3};
-use tag_board::Board;
 use vpc_calib::hand_eye::Pair;
 use vpc_calib::target::Target;
 use vpc_calib::view::View;

@@ -4,9 +4,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use tag_board::Board;
 use testkit::{Ended, Place, ended};
 use vision_calibration_core::Iso3;
-use tag_board::Board;
 use vpc_calib::picture::Picture;
 
 use crate::hand_eye::{mount, place};

@@ -1,9 +1,9 @@
 //! From rendered images to calibrations: the finder of tags is part of it.
 
 use scene::Scene;
+use tag_board::Board;
 use vision::{Look, Renderer, Tag};
 use vision_calibration_core::Iso3;
-use tag_board::Board;
 use vpc_calib::camera::Camera;
 use vpc_calib::detector::Detector;
 use vpc_calib::hand_eye::{self, Pair};

@@ -4,8 +4,8 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
-use vision_calibration_core::{Iso3, Vec3};
 use tag_board::Board;
+use vision_calibration_core::{Iso3, Vec3};
 use vpc_calib::camera::Camera;
 use vpc_calib::view::{Tag, View};
 
