@@ -44,7 +44,7 @@ pub struct Setup<'a> {
     pub head: &'a str,
     /// The file of the memory.
     pub memory: &'a Path,
-    /// Keys of `[law]` that go over `controller/vpcd-robot.toml`.
+    /// Keys of `[law]` that go over `controller/vpcd-tags.toml`.
     pub law: &'a Table,
     /// Of the first laboratory; the others count on.
     pub seed: u64,
@@ -79,6 +79,8 @@ pub struct ArmReport {
     pub limit_violations: u64,
     pub discontinuities: u64,
     pub joint_velocity: f64,
+    pub errors: Vec<String>,
+    pub joint_room: f64,
 }
 
 /// A row: many runs with the same errors.
@@ -100,8 +102,8 @@ pub struct Row {
     pub joint_speed: f64,
     /// Least clearance of a point in any run, px.
     pub least_clearance_px: f64,
-    /// Runs that did not arrive: their starts, verdicts, and for what `vpcd` held the camera most
-    /// often.
+    /// Runs that did not arrive: their starts, verdicts, the robot's errors, and for what `vpcd` held
+    /// the camera most often.
     pub failed: Vec<(usize, String)>,
 }
 
@@ -182,12 +184,15 @@ impl Row {
     }
 }
 
-/// The verdict, and for what the camera was held most often.
+/// The verdict, the robot's errors, and for what the camera was held most often.
 fn why(run: &Run) -> String {
+    let errors = run.arm.errors.iter().cloned();
     let most = run.holds.iter().max_by_key(|(_, cycles)| **cycles);
-    match most {
-        Some((hold, cycles)) => format!("{}: {hold}, {cycles} cycles", run.verdict),
-        None => run.verdict.clone(),
+    let most = most.map(|(hold, cycles)| format!("{hold}, {cycles} cycles"));
+    let reasons: Vec<String> = errors.chain(most).collect();
+    match reasons.is_empty() {
+        true => run.verdict.clone(),
+        false => format!("{}: {}", run.verdict, reasons.join("; ")),
     }
 }
 
@@ -303,11 +308,11 @@ impl Laboratory<'_> {
         camera.insert("calibration".to_owned(), "calibration.toml".into());
         self.write("vpc-camera.toml", &camera)?;
 
-        let mut daemon = shipped("controller/vpcd-robot.toml")?;
+        let mut daemon = shipped("controller/vpcd-tags.toml")?;
         daemon.insert("scene".to_owned(), path(scene)?);
         daemon.insert("memory".to_owned(), path(memory)?);
         let law = daemon.get_mut("law").and_then(Value::as_table_mut);
-        let law = law.context("vpcd-robot.toml without [law]")?;
+        let law = law.context("vpcd-tags.toml without [law]")?;
         law.extend(self.setup.law.clone());
         self.write("vpcd.toml", &daemon)
     }

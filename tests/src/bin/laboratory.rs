@@ -46,7 +46,7 @@ struct Cli {
     /// Times the scene's limits of speed.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
-    /// A key of `[law]` that goes over controller/vpcd-robot.toml, such as margin_px=6; may be given
+    /// A key of `[law]` that goes over controller/vpcd-tags.toml, such as margin_px=6; may be given
     /// several times.
     #[arg(long, value_name = "KEY=VALUE")]
     law: Vec<String>,
