@@ -7,7 +7,7 @@ use crate::root;
 
 const HEAD: &str = "# Configuration
 
-Every key of the five kinds of configuration files, generated from the code by `cargo xtask codegen`. Ranges include their ends. A file
+Every key of the six kinds of configuration files, generated from the code by `cargo xtask codegen`. Ranges include their ends. A file
 with an unknown key is refused; an error names file or flag, key, value and what is allowed. `vpcd --print-config` prints what
 `vpcd` would run with.
 
@@ -39,6 +39,12 @@ pub fn make() -> anyhow::Result<String> {
             "`hw-sim --config FILE`; [`hw-sim.toml`](../hw-sim/hw-sim.toml) shows the defaults.",
             hw_sim::config::schema(),
             shipped("hw-sim/hw-sim.toml")?,
+        ),
+        (
+            "vpc-camera",
+            "`vpc-camera --config FILE`; [`vpc-camera.toml`](../ipc/camera/vpc-camera.toml) shows the defaults.",
+            vpc_camera::config::schema(),
+            shipped("ipc/camera/vpc-camera.toml")?,
         ),
         (
             "vpc-panda",

@@ -52,6 +52,10 @@ const ARTEFACTS: &[Artefact] = &[
         make: |_| Ok(schema_file(hw_sim::config::schema())),
     },
     Artefact {
+        path: "ipc/camera/vpc-camera.schema.json",
+        make: |_| Ok(schema_file(vpc_camera::config::schema())),
+    },
+    Artefact {
         path: "ipc/panda/vpc-panda.schema.json",
         make: |_| Ok(schema_file(vpc_panda::config::schema())),
     },
