@@ -10,6 +10,7 @@ use smart_default::SmartDefault;
 use toml_schema::{Document, FileError};
 
 use crate::lens::{self, Lens};
+use crate::source::Shutter;
 
 /// Tags of family 36h11: their numbers are below.
 pub const NUMBERS: u32 = 587;
@@ -40,7 +41,7 @@ pub struct Arguments {
 pub struct Keys {
     /// Where images come from.
     #[arg(long)]
-    #[schemars(extend("x-allowed" = "shm: vpc/image of the domain"))]
+    #[schemars(extend("x-allowed" = "shm: vpc/image of the domain; v4l2:/dev/video0: a camera; files:PATH: a folder of .png and .pgm, or a .y4m video, at the scene's rate"))]
     pub source: Option<String>,
     /// The scene file of vpcd: its camera is the pinhole that features are for, its pattern says
     /// how many there are.
@@ -63,6 +64,17 @@ pub struct Keys {
     #[arg(long, conflicts_with = "tags")]
     #[schemars(range(max = 586), extend("x-default" = "centres of tags"))]
     pub corners_of: Option<u32>,
+    /// With v4l2: length of the exposure, where the driver does not tell it.
+    #[arg(long)]
+    #[schemars(range(min = 0, max = 1000), extend("x-unit" = "ms", "x-default" = "the driver's"))]
+    pub exposure_ms: Option<f64>,
+    /// With v4l2: which rows are exposed when.
+    #[arg(long, value_enum, default_value_t)]
+    pub shutter: Shutter,
+    /// With v4l2: from the first row's being read to the last one's.
+    #[arg(long, default_value_t = 0.0)]
+    #[schemars(range(min = 0, max = 1000), extend("x-unit" = "ms"))]
+    pub readout_ms: f64,
     /// How features are stamped.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
@@ -127,6 +139,9 @@ pub struct Config {
     pub lens: Lens,
     /// Which tags are features.
     pub targets: Targets,
+    /// Of a camera of this computer: its exposure (ns, `None` as the driver tells it), shutter and
+    /// readout (ns).
+    pub exposure: (Option<u64>, Shutter, u64),
     /// How features are stamped.
     pub clock: Clock,
     /// Directory of the shared memory.
@@ -144,6 +159,10 @@ pub struct Config {
 pub enum SourceKind {
     /// `vpc/image` of the domain.
     Shm,
+    /// A camera of this computer.
+    V4l2(PathBuf),
+    /// A folder of images, or a video.
+    Files(PathBuf),
 }
 
 impl Config {
@@ -163,7 +182,14 @@ impl Config {
         let source = keys.source.unwrap_or_default();
         let source = match source.as_str() {
             "shm" => SourceKind::Shm,
-            _ => return Err(document.refuse("source", &source, "shm".to_owned())),
+            _ => match source.split_once(':').filter(|(_, path)| !path.is_empty()) {
+                Some(("v4l2", device)) => SourceKind::V4l2(device.into()),
+                Some(("files", path)) => SourceKind::Files(path.into()),
+                _ => {
+                    let allowed = "shm, v4l2:DEVICE or files:PATH";
+                    return Err(document.refuse("source", &source, allowed.to_owned()));
+                }
+            },
         };
         let scene = Scene::read(&keys.scene.unwrap_or_default())?;
         let points = scene.pattern.len();
@@ -191,8 +217,7 @@ impl Config {
             None => Lens::pinhole(&scene.camera),
             Some(path) => {
                 let lens = lens::read(path)?;
-                let size = [scene.camera.width, scene.camera.height].map(|side| side as u32);
-                lens.check_size(size)?;
+                lens.check_size([scene.camera.width as u32, scene.camera.height as u32])?;
                 lens
             }
         };
@@ -200,6 +225,10 @@ impl Config {
             source,
             lens,
             targets,
+            exposure: {
+                let ns = |ms: f64| (1e6 * ms).round() as u64;
+                (keys.exposure_ms.map(ns), keys.shutter, ns(keys.readout_ms))
+            },
             clock: keys.clock,
             domain: keys.domain.unwrap_or_else(ipc::default_directory),
             stamp_offset_ns: (1e6 * keys.stamp_offset_ms).round() as i64,

@@ -108,8 +108,8 @@ impl Finder {
             let Some(expected) = self.tracker.expected(index, frames) else {
                 continue;
             };
-            let bent = expected.map(|p| self.lens.distort(p, &self.scene.camera));
-            let [Some(a), Some(b), Some(c), Some(d)] = bent else {
+            let [a, b, c, d] = expected.map(|p| self.lens.distort(p, &self.scene.camera));
+            let (Some(a), Some(b), Some(c), Some(d)) = (a, b, c, d) else {
                 continue;
             };
             let Some((place, side, coarse)) = window(image, &[a, b, c, d], frames) else {

@@ -3,31 +3,29 @@
 //! Image coordinates: px, u to the right, v down; the centre of the upper left pixel is (0, 0).
 #![deny(unsafe_code)]
 
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 mod blur;
 pub mod config;
-#[cfg(all(test, feature = "program"))]
+#[cfg(all(test, feature = "detector"))]
 mod drawn;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 pub mod finder;
-#[cfg(feature = "program")]
 pub mod grey;
 pub mod lens;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 pub mod metrics;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 pub mod plane;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 pub mod priority;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 mod registration;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 pub mod run;
-#[cfg(feature = "program")]
 pub mod source;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 pub mod tags;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 mod template;
-#[cfg(feature = "program")]
+#[cfg(feature = "detector")]
 pub mod tracker;

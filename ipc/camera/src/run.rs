@@ -9,7 +9,7 @@ use ipc::{Domain, Features, Publisher};
 use crate::config::{Clock, Config, SourceKind};
 use crate::finder::{Finder, Found};
 use crate::priority;
-use crate::source::{Frame, Next, SharedMemory, Source, SourceError};
+use crate::source::{Camera, Frame, Next, Replay, Request, SharedMemory, Source, SourceError};
 use crate::tags::TagError;
 
 /// Between two looks for an image: in lockstep somebody waits for the answer.
@@ -97,9 +97,9 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
         config.scene.camera.width as usize,
         config.scene.camera.height as usize,
     ];
-    let mut last: Option<u64> = None;
+    let mut last = None;
     while !stop.load(Ordering::Relaxed) {
-        let frame = match source.next()? {
+        let frame = match source.next(stop)? {
             Next::End => break,
             Next::Nothing => {
                 // A controller that came meanwhile finds the last features.
@@ -142,10 +142,24 @@ fn open(config: &Config, domain: &Domain) -> Result<Box<dyn Source>, SourceError
     };
     Ok(match &config.source {
         SourceKind::Shm => Box::new(SharedMemory::open(domain, pause)?),
+        SourceKind::V4l2(device) => {
+            let camera = &config.scene.camera;
+            let (exposure_ns, shutter, readout_ns) = config.exposure;
+            let request = Request {
+                size: [camera.width as u32, camera.height as u32],
+                rate_hz: camera.rate_hz,
+                exposure_ns,
+                shutter,
+                readout_ns,
+                latency_ns: 0,
+            };
+            Box::new(Camera::open(device, &request)?)
+        }
+        SourceKind::Files(path) => Box::new(Replay::open(path, Some(config.scene.camera.rate_hz))?),
     })
 }
 
-fn stamped(config: &Config, frame: &Frame<'_>, found: &Found) -> Features {
+fn stamped(config: &Config, frame: &Frame, found: &Found) -> Features {
     // 0 means that nobody knows it.
     let data_ns = match frame.data_ns {
         0 => 0,

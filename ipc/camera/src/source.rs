@@ -1,10 +1,15 @@
 //! Where images come from.
 
+mod replay;
 mod shm;
+mod v4l2;
 
+pub use replay::Replay;
 pub use shm::SharedMemory;
+pub use v4l2::{Camera, Request, Shutter};
 
 use std::io;
+use std::sync::atomic::AtomicBool;
 
 use crate::grey::Grey;
 
@@ -13,54 +18,72 @@ use crate::grey::Grey;
 pub struct Frame<'a> {
     /// Number of the frame, from 1; lost frames leave gaps.
     pub sequence: u64,
-    /// Middle of the exposure, ns; 0 if unknown.
+    /// Middle of the exposure, ns.
     pub data_ns: u64,
     /// Length of the exposure, ns; 0 if unknown.
     pub exposure_ns: u64,
-    /// When the image was sent, ns; `None` where it comes from a device or a file.
+    /// When a simulated camera sent the image, ns; `None` of a real one.
     pub published_ns: Option<u64>,
     /// The image.
     pub image: Grey<'a>,
 }
 
 /// What a source has.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub enum Next<'a> {
-    /// A new image.
+    /// A new frame.
     Frame(Frame<'a>),
     /// None yet.
     Nothing,
-    /// There will be none any more.
+    /// There will be none any more, or a stop was asked for.
     End,
 }
 
 /// A camera, or what stands for one.
 pub trait Source {
-    /// Waits for the next frame, some 20 ms at most.
+    /// Waits for the next frame, or for a while.
     ///
     /// # Errors
     /// [`SourceError`]: there will be no more frames.
-    fn next(&mut self) -> Result<Next<'_>, SourceError>;
+    fn next(&mut self, stop: &AtomicBool) -> Result<Next<'_>, SourceError>;
 }
 
 /// A source cannot be opened, or gives no more frames.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum SourceError {
     /// The operating system refused; in words.
     #[error("{what}: {why}")]
+    #[allow(missing_docs)]
     System { what: String, why: io::Error },
     /// A device, a file or its content is not what is taken.
     #[error("{what}: {found}; allowed: {allowed}")]
+    #[allow(missing_docs)]
     Value {
         what: String,
         found: String,
         allowed: String,
     },
-    /// The service of images cannot be opened.
+    /// The shared memory.
     #[error(transparent)]
     Open(#[from] ipc::OpenError),
-    /// The service of images gives none.
+    /// The shared memory fails.
     #[error(transparent)]
     Receive(#[from] ipc::ReceiveError),
+}
+
+impl SourceError {
+    fn value(what: impl ToString, found: impl ToString, allowed: impl ToString) -> Self {
+        Self::Value {
+            what: what.to_string(),
+            found: found.to_string(),
+            allowed: allowed.to_string(),
+        }
+    }
+
+    fn system(what: impl ToString, why: impl Into<io::Error>) -> Self {
+        Self::System {
+            what: what.to_string(),
+            why: why.into(),
+        }
+    }
 }

@@ -1,5 +1,6 @@
-//! Images from `vpc/image`.
+//! Images of another process, by `vpc/image`.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ipc::{Domain, Encoding, Image, ImageSubscriber, Order, ReceiveError};
@@ -7,8 +8,8 @@ use ipc::{Domain, Encoding, Image, ImageSubscriber, Order, ReceiveError};
 use super::{Frame, Next, Source, SourceError};
 use crate::grey::Grey;
 
-/// How long to look before the caller is told that there is nothing.
-const PATIENCE: Duration = Duration::from_millis(20);
+/// Looks before the caller is told that there is nothing.
+const LOOKS: u32 = 50;
 
 /// Images that another process publishes in a domain.
 #[derive(Debug)]
@@ -16,9 +17,9 @@ pub struct SharedMemory {
     images: ImageSubscriber,
     /// Between two looks: there is no event to wait for.
     pause: Duration,
-    /// Borrowed from the publisher until the next one.
-    image: Option<Image>,
-    /// The image in grey, where it is not.
+    /// The image that the last frame is in.
+    held: Option<Image>,
+    /// The grey levels of a colour image.
     grey: Vec<u8>,
 }
 
@@ -31,13 +32,13 @@ impl SharedMemory {
         Ok(Self {
             images: domain.image_subscriber()?,
             pause,
-            image: None,
+            held: None,
             grey: Vec::new(),
         })
     }
 
-    /// The newest image since the last call.
-    fn take(&mut self) -> Result<Option<Image>, SourceError> {
+    /// The newest image that was not seen before.
+    fn newest(&mut self) -> Result<Option<Image>, SourceError> {
         match self.images.latest() {
             Ok(image) => Ok(image.filter(|image| image.order() != Order::Repeated)),
             Err(ReceiveError::Invalid { invalid, .. }) => {
@@ -50,63 +51,62 @@ impl SharedMemory {
 }
 
 impl Source for SharedMemory {
-    fn next(&mut self) -> Result<Next<'_>, SourceError> {
-        let looks = PATIENCE.as_nanos() / self.pause.as_nanos().max(1);
-        for _ in 0..looks {
-            let Some(image) = self.take()? else {
-                std::thread::sleep(self.pause);
-                continue;
-            };
-            let image: &Image = self.image.insert(image);
-            let header = image.header();
-            let (width, height) = (header.width as usize, header.height as usize);
-            let grey = match header.encoding() {
-                Some(Encoding::Mono8) => Grey::new(image, width, height, header.stride as usize),
-                Some(encoding) => {
-                    self.grey.clear();
-                    image
-                        .rows()
-                        .for_each(|row| to_grey(encoding, row, &mut self.grey));
-                    Grey::new(&self.grey, width, height, width)
-                }
-                None => None,
-            };
-            // Headers are checked where they are received.
-            let Some(image) = grey else { break };
-            return Ok(Next::Frame(Frame {
-                sequence: header.stamp.sequence,
-                data_ns: header.stamp.data_ns,
-                exposure_ns: header.exposure_ns,
-                published_ns: Some(header.stamp.published_ns),
-                image,
-            }));
+    fn next(&mut self, stop: &AtomicBool) -> Result<Next<'_>, SourceError> {
+        self.held = None;
+        for _ in 0..LOOKS {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(Next::End);
+            }
+            self.held = self.newest()?;
+            if self.held.is_some() {
+                break;
+            }
+            std::thread::sleep(self.pause);
         }
-        Ok(Next::Nothing)
+        let Some(image) = &self.held else {
+            return Ok(Next::Nothing);
+        };
+        let header = image.header();
+        let (width, height) = (header.width as usize, header.height as usize);
+        let (pixels, stride): (&[u8], usize) = match header.encoding() {
+            Some(Encoding::Mono8) | None => (image, header.stride as usize),
+            Some(encoding) => {
+                self.grey.clear();
+                let rows = image.rows();
+                rows.for_each(|row| add_grey(&mut self.grey, row, encoding));
+                (&self.grey, width)
+            }
+        };
+        let Some(grey) = Grey::new(pixels, width, height, stride) else {
+            return Ok(Next::Nothing);
+        };
+        Ok(Next::Frame(Frame {
+            sequence: header.stamp.sequence,
+            data_ns: header.stamp.data_ns,
+            exposure_ns: header.exposure_ns,
+            published_ns: Some(header.stamp.published_ns),
+            image: grey,
+        }))
     }
 }
 
-/// Appends a row of pixels in grey.
-fn to_grey(encoding: Encoding, row: &[u8], grey: &mut Vec<u8>) {
-    let colours = row.chunks_exact(3);
+/// Adds the grey levels of a row: luma, of colours by the weights of ITU-R BT.601, as OpenCV does.
+fn add_grey(grey: &mut Vec<u8>, row: &[u8], encoding: Encoding) {
+    let luma = |red: u8, green: u8, blue: u8| {
+        let sum = 77 * u32::from(red) + 150 * u32::from(green) + 29 * u32::from(blue);
+        ((sum + 128) >> 8) as u8
+    };
     match encoding {
         Encoding::Mono8 => grey.extend_from_slice(row),
         Encoding::Yuyv => grey.extend(row.iter().step_by(2)),
-        Encoding::Bgr8 => grey.extend(colours.map(|p| luma(p[2], p[1], p[0]))),
-        Encoding::Rgb8 => grey.extend(colours.map(|p| luma(p[0], p[1], p[2]))),
+        Encoding::Rgb8 => grey.extend(row.chunks_exact(3).map(|p| luma(p[0], p[1], p[2]))),
+        Encoding::Bgr8 => grey.extend(row.chunks_exact(3).map(|p| luma(p[2], p[1], p[0]))),
     }
-}
-
-/// Grey of a colour, by the weights of ITU-R BT.601, as OpenCV does it.
-fn luma(red: u8, green: u8, blue: u8) -> u8 {
-    let sum = 77 * u32::from(red) + 150 * u32::from(green) + 29 * u32::from(blue);
-    // The weights sum to 256.
-    ((sum + 128) >> 8) as u8
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ipc::ImageHeader;
 
     #[test]
     fn every_encoding_becomes_grey() {
@@ -117,34 +117,8 @@ mod tests {
             (Encoding::Rgb8, &[255, 0, 0, 0, 255, 0], [77, 149]),
         ] {
             let mut grey = Vec::new();
-            to_grey(encoding, row, &mut grey);
+            add_grey(&mut grey, row, encoding);
             assert_eq!(grey, expected, "{encoding:?}");
-        }
-    }
-
-    #[test]
-    fn an_image_comes_once_with_its_times() {
-        let directory = tempfile::tempdir().unwrap();
-        let domain = Domain::join(&directory.path().join("domain")).unwrap();
-        let mut camera = domain.image_publisher(64).unwrap();
-        let mut source = SharedMemory::open(&domain, Duration::from_millis(1)).unwrap();
-        for (encoding, bytes) in [(Encoding::Mono8, 4), (Encoding::Yuyv, 8)] {
-            let mut header = ImageHeader::new(2, 2, encoding, 1000);
-            header.exposure_ns = 600;
-            header.exposure_begin_ns = 700;
-            let mut image = camera.loan(&header).unwrap();
-            image.copy_from_slice(&[9; 8][..bytes]);
-            let sent = camera.publish(image).unwrap();
-            let Next::Frame(frame) = source.next().unwrap() else {
-                panic!("no frame")
-            };
-            assert_eq!(
-                (frame.sequence, frame.data_ns, frame.exposure_ns),
-                (sent.sequence, 1000, 600)
-            );
-            assert_eq!(frame.published_ns, Some(sent.published_ns));
-            assert_eq!([frame.image.row(0), frame.image.row(1)], [[9, 9]; 2]);
-            assert!(matches!(source.next(), Ok(Next::Nothing)));
         }
     }
 }

@@ -1,0 +1,7 @@
+//! From rendered frames to features, in process and as processes.
+
+mod clutter;
+mod drawing;
+mod hidden;
+mod poses;
+mod process;
