@@ -4,12 +4,15 @@
 //! An occlusion that is not convex is a union of parts: being outside the union is being outside
 //! each.
 //!
+//! A marker that has a size keeps its whole edge clear: its point keeps the marker's radius more.
+//!
 //! Source: paper, Eqs. (visibility_const_a) and (visibility_const_b).
 
 use scene::Camera;
 
 use crate::clearance::Clearance;
 use crate::obstacle::Obstacle;
+use crate::prediction::Place;
 use crate::task::Task;
 
 /// What a feature must not cross.
@@ -37,6 +40,15 @@ impl Border<'_> {
                 normal: if axis == 0 { [sign, 0.0] } else { [0.0, sign] },
             },
             Self::Obstacle(obstacle) => obstacle.clearance(pixel),
+        }
+    }
+
+    /// The clearance of a point's marker: that of the point, less the radius.
+    pub fn clearance_of(self, place: Place) -> Clearance {
+        let clearance = self.clearance(place.pixel);
+        Clearance {
+            distance: clearance.distance - place.radius,
+            ..clearance
         }
     }
 }

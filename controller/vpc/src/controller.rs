@@ -65,7 +65,8 @@ pub struct Step {
     pub cost: f64,
     /// Worst violation predicted over the window, px.
     pub violation_px: f64,
-    /// Least clearance of a feature from an occlusion, px; of the features at the command's effect.
+    /// Least clearance of a marker's edge (of a feature, where markers are points) from an
+    /// occlusion, px; of the features at the command's effect.
     pub clearance_px: f64,
     /// Largest component of s - s*, px; of the features at the command's effect.
     pub error_px: f64,
@@ -265,7 +266,7 @@ impl Controller {
             self.state.previous = [0.0; MAX_VARIABLES];
         })?;
         let points = &initial.points;
-        let clearance_px = recall::clearance(&self.task, points);
+        let clearance_px = recall::clearance(&self.task, &initial);
         let mut step = Step {
             twist: [0.0; DOF],
             status: Status::Converged,

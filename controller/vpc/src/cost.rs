@@ -96,7 +96,7 @@ impl<const N: usize> Expansion<N> {
             for (point, target) in step.zip(target) {
                 for c in 0..2 {
                     let slope = &point.gradient[c];
-                    let pull = two_q * (point.pixel[c] - target[c]);
+                    let pull = two_q * (point.place.pixel[c] - target[c]);
                     for a in 0..N {
                         gradient[a] += pull * slope[a];
                         let weighted = two_q * slope[a];

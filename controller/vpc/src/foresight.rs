@@ -387,7 +387,7 @@ impl Thinker<'_> {
     /// What k-NN and the Gaussian process infer for the next period, near an occlusion.
     fn ask(&self) -> [Option<(Kind, Recall)>; 2] {
         let (task, points) = (self.law.task, &self.initial.points);
-        let is_near = recall::clearance(task, points) < self.law.settings.trigger_px;
+        let is_near = recall::clearance(task, self.initial) < self.law.settings.trigger_px;
         let memory = self.memory.filter(|_| is_near);
         let kinds = [
             (Kind::Neighbour, Strategy::Knn { k: 1 }),

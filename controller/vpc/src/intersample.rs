@@ -11,7 +11,7 @@
 
 use crate::clearance::Clearance;
 use crate::constraint::{self, Border};
-use crate::prediction::InitialState;
+use crate::prediction::{InitialState, Place};
 use crate::task::Task;
 use crate::{MAX_POINTS, Twist, work};
 
@@ -21,7 +21,7 @@ pub const SPACING_PX: f64 = 8.0;
 pub const STRETCHES_A_STEP: usize = 12;
 /// and of any.
 const MOST_STRETCHES: usize = 36;
-/// A way that comes nearer to a border than this is looked at, px.
+/// A way on which a marker's edge comes nearer to a border than this is looked at, px.
 pub(crate) const NEAR_PX: f64 = 20.0;
 /// A feature's way leaves the box about its ends by at most this share of its length.
 const BEND: f64 = 0.1;
@@ -38,8 +38,10 @@ pub(crate) struct Intersample {
     is_near: [bool; MAX_POINTS],
     /// A box about the way of each point: least and greatest (u, v), px.
     boxes: [[[f64; 2]; 2]; MAX_POINTS],
-    /// The features at each place, px; those of points that come near no border mean nothing.
-    places: [[[f64; 2]; MAX_POINTS]; MOST_STRETCHES],
+    /// The greatest radius of each point's marker, px.
+    radii: [f64; MAX_POINTS],
+    /// The points at each place; those that come near no border mean nothing.
+    places: [[Place; MAX_POINTS]; MOST_STRETCHES],
 }
 
 impl Intersample {
@@ -48,11 +50,13 @@ impl Intersample {
         count: 0,
         is_near: [false; MAX_POINTS],
         boxes: [[[0.0; 2]; 2]; MAX_POINTS],
-        places: [[[0.0; 2]; MAX_POINTS]; MOST_STRETCHES],
+        radii: [0.0; MAX_POINTS],
+        places: [[Place::NONE; MAX_POINTS]; MOST_STRETCHES],
     };
 
-    /// Follows the features under `twist` to where they are at the end of their way, with places in
-    /// between if it is dense. `false` if a point comes behind the camera.
+    /// Follows the features under `twist` to where they are at the end of their way, with markers
+    /// of such radii there, and with places in between if it is dense. `false` if a point comes
+    /// behind the camera.
     #[must_use]
     pub(crate) fn trace(
         &mut self,
@@ -60,14 +64,20 @@ impl Intersample {
         initial: &InitialState,
         twist: &Twist,
         ends: &[[f64; 2]],
+        radii: &[f64],
         is_dense: bool,
     ) -> bool {
+        // A depth hardly bends on the way: the greatest radius is that of an end.
+        let begins = initial.radii(task);
+        let radii = begins.iter().zip(radii).map(|(a, b)| a.max(*b));
+        self.radii.iter_mut().zip(radii).for_each(|(to, r)| *to = r);
         // The end of the first step has rows of its own.
         let is_longer = task.reach > task.ts;
         let mut longest = 0.0_f64;
         let ways = initial.points.iter().zip(ends);
-        let points = self.is_near.iter_mut().zip(&mut self.boxes);
-        for ((is_near, box_), (&[u, v], &[to_u, to_v])) in points.zip(ways) {
+        let boxes = self.boxes.iter_mut().zip(&self.radii);
+        let points = self.is_near.iter_mut().zip(boxes);
+        for ((is_near, (box_, radius)), (&[u, v], &[to_u, to_v])) in points.zip(ways) {
             let way = libm::hypot(to_u - u, to_v - v);
             let bend = BEND * way;
             *box_ = [
@@ -75,7 +85,7 @@ impl Intersample {
                 [u.max(to_u) + bend, v.max(to_v) + bend],
             ];
             *is_near = (is_longer || way > SPACING_PX)
-                && constraint::borders_near(task, *box_, NEAR_PX)
+                && constraint::borders_near(task, *box_, NEAR_PX + radius)
                     .next()
                     .is_some();
             if *is_near {
@@ -121,7 +131,8 @@ impl Intersample {
         near.map(|border| depth(border).max(0.0)).sum()
     }
 
-    /// The borders that the way of a point comes within `margin` px of, with their indices.
+    /// The borders that a point's marker comes within `margin` px of on its way, with their
+    /// indices.
     pub(crate) fn borders<'a>(
         &self,
         task: &'a Task,
@@ -129,17 +140,18 @@ impl Intersample {
         margin: f64,
     ) -> impl Iterator<Item = (usize, Border<'a>)> {
         let box_ = self.boxes.get(point).copied().unwrap_or_default();
-        constraint::borders_near(task, box_, margin)
+        let radius = self.radii.get(point).copied().unwrap_or_default();
+        constraint::borders_near(task, box_, margin + radius)
     }
 
-    /// The place at which a point comes nearest to a border, as a share of its way, with its
-    /// clearance; `None` for one of a way that is short or comes near no border.
+    /// The place at which a point's marker comes nearest to a border, as a share of its way, with
+    /// the marker's clearance; `None` for one of a way that is short or comes near no border.
     pub(crate) fn deepest(&self, point: usize, border: Border<'_>) -> Option<(f64, Clearance)> {
         self.is_near.get(point).filter(|is_near| **is_near)?;
         let places = self.places.iter().take(self.count).enumerate();
-        let at = |(k, place): (usize, &[[f64; 2]; MAX_POINTS])| {
+        let at = |(k, places): (usize, &[Place; MAX_POINTS])| {
             let share = (k + 1) as f64 / self.stretches as f64;
-            Some((share, border.clearance(*place.get(point)?)))
+            Some((share, border.clearance_of(*places.get(point)?)))
         };
         let places = places.filter_map(at);
         places.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
@@ -160,8 +172,8 @@ mod tests {
             let points = task.features_at(start).unwrap();
             let initial = InitialState::new(&task, Model::Pose, &points);
             for twist in [[0.5; 6], [0.1, -0.1, 0.3, 0.2, 0.1, 0.4]] {
-                let ends = initial.ends(&task, &twist).unwrap();
-                assert!(inside.trace(&task, &initial, &twist, &ends, true));
+                let (ends, radii) = initial.ends(&task, &twist).unwrap();
+                assert!(inside.trace(&task, &initial, &twist, &ends, &radii, true));
                 let near: heapless::Vec<usize, MAX_POINTS> = inside.near().collect();
                 mixed += usize::from(!near.is_empty() && near.len() < points.len());
                 for point in (0..points.len()).filter(|point| !near.contains(point)) {

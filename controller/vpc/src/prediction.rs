@@ -8,6 +8,7 @@
 //! | Ts | `task.ts` | length of a step, s |
 //! | L | `interaction` | interaction matrix, for the depth models |
 //! | X_j = exp(-Ts v_j) X_{j-1} | [`Motion`] | points in the camera frame, m, for [`Model::Pose`] |
+//! | r_j = h / Z_j | `radius` | half the diagonal of a point's marker at its depth, px |
 //!
 //! Source: paper, Eq. (model): s_j = s_{j-1} + Ts L_j v_j.
 #![expect(
@@ -25,6 +26,9 @@ use crate::task::Task;
 use crate::{
     DOF, MAX_NP, MAX_POINTS, MAX_VARIABLES, Points, Twist, camera, features, interaction, pose,
 };
+
+/// The radius of the marker of each point, px; zeros where markers are points.
+pub type Radii = Vec<f64, MAX_POINTS>;
 
 /// How features move under a camera velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -102,6 +106,15 @@ impl InitialState {
         }
     }
 
+    /// The radius of each point's [marker](Task::radius), px.
+    pub fn radii(&self, task: &Task) -> Radii {
+        let radius = |depth: f64| task.radius(depth);
+        match &self.geometry {
+            Geometry::Depths(depths) => depths.iter().copied().map(radius).collect(),
+            Geometry::Positions(points) => points.iter().map(|x| radius(x.z)).collect(),
+        }
+    }
+
     /// The features as the model explains them, px: for [`Model::Pose`] the projection of the
     /// pattern at its pose, else the measured ones themselves.
     pub fn explained(&self, task: &Task) -> Points {
@@ -144,15 +157,19 @@ impl InitialState {
         }
     }
 
-    /// Where the points are at the end of their way under `twist` ([`Task::reach`]), px; `None` if
-    /// one comes behind the camera.
-    pub(crate) fn ends(&self, task: &Task, twist: &Twist) -> Option<Points> {
+    /// Where the points are at the end of their way under `twist` ([`Task::reach`]), px, and the
+    /// radii of their markers there; `None` if one comes behind the camera.
+    pub(crate) fn ends(&self, task: &Task, twist: &Twist) -> Option<(Points, Radii)> {
         let camera = &task.camera;
         match &self.geometry {
             Geometry::Positions(points) => {
                 let motion = Motion::of_camera(twist, task.reach);
-                let ends = points.iter().map(|x| motion.apply(x));
-                ends.map(|x| camera::project(camera, x.into())).collect()
+                let (mut ends, mut radii) = (Points::new(), Radii::new());
+                for x in points.iter().map(|x| motion.apply(x)) {
+                    ends.extend([camera::project(camera, x.into())?]);
+                    radii.extend([task.radius(x.z)]);
+                }
+                Some((ends, radii))
             }
             Geometry::Depths(depths) => {
                 let ends = self.points.iter().zip(depths).map(|(&pixel, &depth)| {
@@ -161,13 +178,14 @@ impl InitialState {
                     let end = [at[0] + task.reach * rate[0], at[1] + task.reach * rate[1]];
                     camera::pixel(camera, end)
                 });
-                Some(ends.collect())
+                Some((ends.collect(), self.radii(task)))
             }
         }
     }
 
     /// Where the preview has the wanted points after a share of their way under `twist`, px, which
-    /// at its end are at `ends`. `false` if one comes behind the camera.
+    /// at its end are at `ends`, and the radii of their markers. `false` if one comes behind the
+    /// camera.
     #[must_use]
     pub(crate) fn passes(
         &self,
@@ -176,7 +194,7 @@ impl InitialState {
         share: f64,
         ends: &[[f64; 2]],
         wanted: &[bool],
-        out: &mut [[f64; 2]],
+        out: &mut [Place],
     ) -> bool {
         let motion = match &self.geometry {
             Geometry::Positions(_) => Motion::of_camera(twist, share * task.reach),
@@ -190,23 +208,30 @@ impl InitialState {
                     if x.z <= 1e-6 {
                         return false;
                     }
-                    camera::pixel(&task.camera, [x.x / x.z, x.y / x.z])
+                    Place {
+                        pixel: camera::pixel(&task.camera, [x.x / x.z, x.y / x.z]),
+                        radius: task.radius(x.z),
+                    }
                 }
-                (_, Some(a), Some(b)) => core::array::from_fn(|c| a[c] + share * (b[c] - a[c])),
+                (Geometry::Depths(depths), Some(a), Some(b)) => Place {
+                    pixel: core::array::from_fn(|c| a[c] + share * (b[c] - a[c])),
+                    radius: depths.get(i).map_or(0.0, |&depth| task.radius(depth)),
+                },
                 _ => continue,
             };
         }
         true
     }
 
-    /// Derivatives of u and v of a point after a share of its way by `twist`.
+    /// Derivatives of u and v of a point after a share of its way by `twist`, and of the radius of
+    /// its marker.
     pub(crate) fn passing_gradient(
         &self,
         task: &Task,
         twist: &Twist,
         share: f64,
         point: usize,
-    ) -> [Twist; 2] {
+    ) -> ([Twist; 2], Twist) {
         let seconds = share * task.reach;
         let focal = [task.camera.fx, task.camera.fy];
         match &self.geometry {
@@ -216,15 +241,18 @@ impl InitialState {
                 let slope = |focal: f64, along: &Twist, at: f64| {
                     core::array::from_fn(|k| focal / x.z * (along[k] - at / x.z * c[k]))
                 };
-                [slope(focal[0], &a, x.x), slope(focal[1], &b, x.y)]
+                let radius = c.map(|c| -task.radius(x.z) / x.z * c);
+                ([slope(focal[0], &a, x.x), slope(focal[1], &b, x.y)], radius)
             }
             Geometry::Depths(depths) => {
                 let at = camera::normalise(&task.camera, self.points[point]);
                 let [u, v] = interaction::of_point(at, depths[point]);
-                [
+                let pixel = [
                     u.map(|g| focal[0] * seconds * g),
                     v.map(|g| focal[1] * seconds * g),
-                ]
+                ];
+                // The depths of these models stay as they are over the window.
+                (pixel, [0.0; DOF])
             }
         }
     }
@@ -294,15 +322,37 @@ pub struct Preview<const N: usize> {
     count: usize,
     points: [[[f64; 2]; MAX_POINTS]; MAX_NP],
     gradients: [[[[f64; N]; 2]; MAX_POINTS]; MAX_NP],
+    radii: [[f64; MAX_POINTS]; MAX_NP],
+    /// Derivatives of those radii that are not zero.
+    growths: [[[f64; N]; MAX_POINTS]; MAX_NP],
 }
 
-/// A previewed point: its pixel and the derivative of each component with respect to the plan.
+/// A point with its marker.
 #[derive(Clone, Copy, Debug)]
-pub struct Previewed<'a, const N: usize> {
+pub struct Place {
     /// Where it is, px.
     pub pixel: [f64; 2],
+    /// The radius of its [marker](Task::radius), px.
+    pub radius: f64,
+}
+
+impl Place {
+    pub(crate) const NONE: Self = Self {
+        pixel: [0.0; 2],
+        radius: 0.0,
+    };
+}
+
+/// A previewed point, and the derivatives of its pixel and of its marker's radius with respect to
+/// the plan.
+#[derive(Clone, Copy, Debug)]
+pub struct Previewed<'a, const N: usize> {
+    /// Where it is.
+    pub place: Place,
     /// Derivatives of u and v.
     pub gradient: &'a [[f64; N]; 2],
+    /// Derivative of the radius; means nothing where that is zero.
+    pub growth: &'a [f64; N],
 }
 
 impl<const N: usize> Preview<N> {
@@ -316,6 +366,8 @@ impl<const N: usize> Preview<N> {
             count: 0,
             points: [[[0.0; 2]; MAX_POINTS]; MAX_NP],
             gradients: [[[[0.0; N]; 2]; MAX_POINTS]; MAX_NP],
+            radii: [[0.0; MAX_POINTS]; MAX_NP],
+            growths: [[[0.0; N]; MAX_POINTS]; MAX_NP],
         }
     }
 
@@ -337,12 +389,32 @@ impl<const N: usize> Preview<N> {
             .unwrap_or(&[])
     }
 
+    /// The radii of their markers, px.
+    pub fn radii(&self, j: usize) -> &[f64] {
+        self.radii
+            .get(j)
+            .and_then(|step| step.get(..self.count))
+            .unwrap_or(&[])
+    }
+
+    /// The previewed points of step `j` with their markers.
+    pub fn places(&self, j: usize) -> impl Iterator<Item = Place> {
+        let pairs = self.step(j).iter().zip(self.radii(j));
+        pairs.map(|(&pixel, &radius)| Place { pixel, radius })
+    }
+
     /// The previewed points of every step, with their derivatives, step by step.
     pub fn steps(&self) -> impl Iterator<Item = impl Iterator<Item = Previewed<'_, N>>> {
-        let steps = self.points.iter().zip(&self.gradients).take(self.np);
-        steps.map(|(points, gradients)| {
-            let points = points.iter().zip(gradients).take(self.count);
-            points.map(|(&pixel, gradient)| Previewed { pixel, gradient })
+        let derivatives = self.gradients.iter().zip(&self.growths);
+        let steps = (0..self.np).zip(derivatives);
+        steps.map(|(j, (gradients, growths))| {
+            let derivatives = gradients.iter().zip(growths);
+            let points = self.places(j).zip(derivatives);
+            points.map(|(place, (gradient, growth))| Previewed {
+                place,
+                gradient,
+                growth,
+            })
         })
     }
 
@@ -387,6 +459,7 @@ impl<const N: usize> Preview<N> {
     ) -> bool {
         let ts = task.ts;
         for (i, (&point, &z)) in points.iter().zip(depths).enumerate() {
+            let radius = task.radius(z);
             let mut p = camera::normalise(&task.camera, point);
             let mut gradient = [[0.0; N]; 2];
             for j in 0..self.np {
@@ -407,7 +480,9 @@ impl<const N: usize> Preview<N> {
                 }
                 p = [p[0] + ts * velocity[0], p[1] + ts * velocity[1]];
                 self.points[j][i] = camera::pixel(&task.camera, p);
+                self.radii[j][i] = radius;
                 if GRADIENTS {
+                    self.growths[j][i] = [0.0; N];
                     let [u, v] = &mut self.gradients[j][i];
                     *u = gradient[0].map(|g| task.camera.fx * g);
                     *v = gradient[1].map(|g| task.camera.fy * g);
@@ -445,6 +520,8 @@ impl<const N: usize> Preview<N> {
                 let iz = 1.0 / x.z;
                 let (a, b) = (x.x * iz, x.y * iz);
                 self.points[j][i] = camera::pixel(&task.camera, [a, b]);
+                let radius = task.half_diagonal * iz;
+                self.radii[j][i] = radius;
                 if !GRADIENTS {
                     continue;
                 }
@@ -467,6 +544,10 @@ impl<const N: usize> Preview<N> {
                 for k in 0..N {
                     u[k] = fx * (gradient[0][k] - a * gradient[2][k]);
                     v[k] = fy * (gradient[1][k] - b * gradient[2][k]);
+                }
+                if radius > 0.0 {
+                    let slope = -radius * iz;
+                    self.growths[j][i] = gradient[2].map(|g| slope * g);
                 }
             }
         }

@@ -1,5 +1,6 @@
 //! Recall: when to ask the memory, and how to use its answer.
 
+use crate::prediction::InitialState;
 use crate::settings::Settings;
 use crate::strategy::Strategy;
 use crate::task::Task;
@@ -20,7 +21,7 @@ pub struct Recall {
     pub way_point: Points,
 }
 
-/// Whether the memory is asked at a clearance of the nearest feature, px: from `trigger_px` on, and
+/// Whether the memory is asked at a [`clearance`] of the nearest feature, px: from `trigger_px` on, and
 /// then until every feature is `hysteresis` times as far away, so that the law does not fall back
 /// on the goal at the edge of the zone.
 pub fn is_near(was_near: bool, clearance_px: f64, settings: &Settings) -> bool {
@@ -28,11 +29,12 @@ pub fn is_near(was_near: bool, clearance_px: f64, settings: &Settings) -> bool {
     clearance_px < settings.trigger_px * widening
 }
 
-/// Least clearance of any feature from any occlusion, px.
-pub fn clearance(task: &Task, points: &[[f64; 2]]) -> f64 {
-    points
-        .iter()
-        .map(|&pixel| constraint::least_clearance(task, pixel))
+/// Least clearance of any marker's edge (of any feature, where markers are points) from any
+/// occlusion, px.
+pub fn clearance(task: &Task, initial: &InitialState) -> f64 {
+    let places = initial.points.iter().zip(initial.radii(task));
+    places
+        .map(|(&pixel, radius)| constraint::least_clearance(task, pixel) - radius)
         .fold(f64::INFINITY, f64::min)
 }
 

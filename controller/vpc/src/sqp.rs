@@ -10,7 +10,7 @@
 //! | V | `plan` | the variables: Nc commands, m/s and rad/s |
 //! | d | `step` | a change of V |
 //! | l(V), c(V) | [`Outcome::cost`], [`Outcome::change`] | the cost; that of changing the command |
-//! | c_i(V), margin | `Source` | clearance of a point from a border; its lower bound, px |
+//! | c_i(V), margin | `Source` | clearance of a marker's edge from a border; its lower bound, px |
 //! | m(V) = l(V) + c(V) + rho sum_i max(0, margin - c_i) | [`Outcome::merit`] | the merit |
 //! | rho | [`Progress::rho`] | the penalty weight, 1/px |
 //!
@@ -24,7 +24,7 @@ use crate::clearance::Clearance;
 use crate::constraint;
 use crate::cost::{self, Expansion};
 use crate::intersample::{Intersample, NEAR_PX};
-use crate::prediction::{Plan, Preview};
+use crate::prediction::{Place, Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
 use crate::qp::{ActiveSet, Answer, MAX_ROWS, QpStatus, Quadratic, Rows};
 use crate::{DOF, MAX_VARIABLES, Twist, work};
@@ -153,10 +153,12 @@ impl<const N: usize> Sqp<N> {
         if !self.preview.evaluate(task, initial, &plan) || !self.trace(problem, &plan) {
             return false;
         }
-        let depth = |&pixel: &[f64; 2]| constraint::violation(task, pixel, problem.margin);
-        let begins = initial.explained(task);
+        let depth = |at: Place| constraint::violation(task, at.pixel, problem.margin + at.radius);
+        let (pixels, radii) = (initial.explained(task), initial.radii(task));
+        let begins = pixels.into_iter().zip(radii);
+        let begins = begins.map(|(pixel, radius)| Place { pixel, radius });
         let (mut is_clear, mut sums, mut worst) = (true, [0.0; 2], [0.0_f64; 2]);
-        for (i, (begin, end)) in begins.iter().zip(self.preview.step(0)).enumerate() {
+        for (i, (begin, end)) in begins.zip(self.preview.places(0)).enumerate() {
             let inside = self.inside.violation(task, i, problem.margin);
             let (before, after) = (depth(begin), depth(end).max(inside));
             is_clear &= after <= before.max(slack);
@@ -171,11 +173,15 @@ impl<const N: usize> Sqp<N> {
         let (task, initial, twist) = (problem.task, problem.initial, first_command(plan));
         let is_dense = self.options.intersample;
         if task.reach == task.ts {
-            let ends = self.preview.step(0);
-            return self.inside.trace(task, initial, &twist, ends, is_dense);
+            let (ends, radii) = (self.preview.step(0), self.preview.radii(0));
+            let inside = &mut self.inside;
+            return inside.trace(task, initial, &twist, ends, radii, is_dense);
         }
-        let ends = initial.ends(task, &twist);
-        ends.is_some_and(|ends| self.inside.trace(task, initial, &twist, &ends, is_dense))
+        let Some((ends, radii)) = initial.ends(task, &twist) else {
+            return false;
+        };
+        let inside = &mut self.inside;
+        inside.trace(task, initial, &twist, &ends, &radii, is_dense)
     }
 
     /// Solves the problem from the warm start `warm` with so much work at most.
@@ -285,18 +291,30 @@ impl<const N: usize> Sqp<N> {
                 let Some((share, clearance)) = inside.deepest(i, border) else {
                     continue;
                 };
-                let slope = problem.initial.passing_gradient(task, &command, share, i);
-                let first = clearance.along(&slope);
+                let (slope, growth) = problem.initial.passing_gradient(task, &command, share, i);
+                let mut first = clearance.along(&slope);
+                if task.has_markers() {
+                    reduce(&mut first, &growth);
+                }
                 let gradient = core::array::from_fn(|k| first.get(k).copied().unwrap_or(0.0));
                 add(INSIDE, i, index, clearance, gradient);
             }
         }
         for (j, step) in preview.steps().enumerate() {
             for (i, point) in step.enumerate() {
-                let reach = reach(point.pixel, point.gradient, bounds);
-                for (index, border) in constraint::borders_near(task, reach, margin) {
-                    let clearance = border.clearance(point.pixel);
-                    add(j, i, index, clearance, clearance.along(point.gradient));
+                let place = point.place;
+                let reach = reach(place.pixel, point.gradient, bounds);
+                let mut most = margin + place.radius;
+                if task.has_markers() {
+                    most += greatest(point.growth, bounds);
+                }
+                for (index, border) in constraint::borders_near(task, reach, most) {
+                    let clearance = border.clearance_of(place);
+                    let mut gradient = clearance.along(point.gradient);
+                    if task.has_markers() {
+                        reduce(&mut gradient, point.growth);
+                    }
+                    add(j, i, index, clearance, gradient);
                 }
             }
         }
@@ -396,8 +414,8 @@ impl<const N: usize> Sqp<N> {
                 let deepest = self.inside.deepest(point, border);
                 deepest.map(|(_, clearance)| clearance)
             } else {
-                let pixel = self.preview.step(step).get(point);
-                pixel.map(|&pixel| border.clearance(pixel))
+                let place = self.preview.places(step).nth(point);
+                place.map(|place| border.clearance_of(place))
             };
             if let Some(found) = found {
                 self.rows.correct(row, found.distance - margin, step_taken);
@@ -430,8 +448,8 @@ impl<const N: usize> Sqp<N> {
         let inside = self.inside.near();
         inside.for_each(|i| count(self.inside.violation(task, i, margin)));
         for j in 0..self.preview.np() {
-            for &pixel in self.preview.step(j) {
-                count(constraint::violation(task, pixel, margin));
+            for Place { pixel, radius } in self.preview.places(j) {
+                count(constraint::violation(task, pixel, margin + radius));
             }
         }
         let is_finite = outcome.merit(1.0).is_finite();
@@ -510,6 +528,18 @@ fn reach<const N: usize>(
         }
     }
     [low, high]
+}
+
+/// The most that a linearised quantity grows by a step inside its bounds.
+fn greatest<const N: usize>(gradient: &[f64; N], bounds: &Quadratic<N>) -> f64 {
+    let most = |k: usize| (gradient[k] * bounds.lower[k]).max(gradient[k] * bounds.upper[k]);
+    (0..N).map(most).sum()
+}
+
+/// Takes what a marker grows off the gradient of its point's clearance.
+fn reduce<const N: usize>(gradient: &mut [f64; N], growth: &[f64; N]) {
+    let pairs = gradient.iter_mut().zip(growth);
+    pairs.for_each(|(gradient, growth)| *gradient -= growth);
 }
 
 /// Where rho starts. A multiplier balances the pull of the image errors on the features, so ten

@@ -7,7 +7,7 @@ use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
 use crate::obstacle::Obstacle;
-use crate::{MAX_POINTS, Twist, camera, motion};
+use crate::{MAX_POINTS, Twist, camera, constraint, motion};
 
 /// Most parts of all occlusions together.
 pub const MAX_ALL_PARTS: usize = 48;
@@ -44,7 +44,8 @@ pub struct Task {
     /// Time for which the way of the first command is looked at, s: a step, or a period and a stop
     /// from the limits. A command that is clear for so long is followed by one that brakes and is.
     pub reach: f64,
-    /// Half the diagonal of a marker's square at a depth of 1 m, px m; 0 where markers are points.
+    /// h: half the diagonal of a marker's square at a depth of 1 m, px m; 0 where markers are
+    /// points.
     pub half_diagonal: f64,
     /// The bounding box of each obstacle, px.
     boxes: heapless::Vec<[[f64; 2]; 2], { MAX_ALL_PARTS + MAX_AREAS }>,
@@ -69,6 +70,15 @@ pub enum TaskError {
     },
     #[error("goal: point {point} of the pattern is at ({:.1}, {:.1}) px, inside a mask", .pixel[0], .pixel[1])]
     GoalMasked { point: usize, pixel: [f64; 2] },
+    #[error(
+        "goal: the marker of point {point} reaches {radius:.1} px from its point, which is only {clearance:.1} px \
+         clear of occlusions and image border; allowed: a goal at which every marker is wholly in sight"
+    )]
+    GoalMarkerHidden {
+        point: usize,
+        radius: f64,
+        clearance: f64,
+    },
     #[error("occlusions: {count} parts; allowed: at most {MAX_ALL_PARTS}")]
     TooManyParts { count: usize },
 }
@@ -110,7 +120,7 @@ impl Task {
         let obstacles = parts.iter().map(Obstacle::Part);
         let obstacles = obstacles.chain(areas.iter().map(Obstacle::Area));
         let boxes = obstacles.map(Obstacle::bounding_box).collect();
-        Ok(Self {
+        let task = Self {
             camera: scene.camera,
             pattern: scene.pattern.clone(),
             goal_area: features::area(&goal),
@@ -127,13 +137,42 @@ impl Task {
             reach: scene.sampling_time(),
             half_diagonal: scene.camera.fx.max(scene.camera.fy) * scene.marker_size * FRAC_1_SQRT_2,
             boxes,
-        })
+        };
+        task.check_goal_markers()?;
+        Ok(task)
     }
 
-    /// Half the diagonal of a marker at a depth, m, in the image, px: how far its edge may be from
-    /// its point. 0 where markers are points.
-    pub fn marker_px(&self, depth: f64) -> f64 {
-        self.half_diagonal / depth
+    /// Whether the law can bring every marker to its goal: whole.
+    fn check_goal_markers(&self) -> Result<(), TaskError> {
+        let goals = self.goal.iter().zip(&self.goal_depth).enumerate();
+        for (point, (&pixel, &depth)) in goals.filter(|_| self.has_markers()) {
+            let radius = self.radius(depth);
+            let clearance = constraint::least_clearance(self, pixel)
+                .min(constraint::border_clearance(self, pixel));
+            if clearance < radius {
+                return Err(TaskError::GoalMarkerHidden {
+                    point,
+                    radius,
+                    clearance,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether markers are more than points.
+    pub fn has_markers(&self) -> bool {
+        self.half_diagonal > 0.0
+    }
+
+    /// The radius of a marker at a depth, m, in the image, px: half the diagonal of its square, so
+    /// that its edge is no further from its point. 0 where markers are points.
+    pub fn radius(&self, depth: f64) -> f64 {
+        if self.has_markers() {
+            self.half_diagonal / depth
+        } else {
+            0.0
+        }
     }
 
     /// Time that a stop from a velocity takes, s, where all components end together.
@@ -203,4 +242,48 @@ pub fn placed(pattern: &[[f64; 3]], pose: &Pose) -> impl Iterator<Item = Vector3
     pattern
         .iter()
         .map(move |&p| rotation * Vector3::from(p) + translation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tags() -> Scene {
+        Scene::parse(scene::TAGS_ROBOT, "tags").unwrap()
+    }
+
+    #[test]
+    fn a_marker_is_as_large_as_it_is_near() {
+        let task = Task::new(&tags()).unwrap();
+        let half_diagonal_px = 0.5 * core::f64::consts::SQRT_2 * 0.03 * 615.0 / 0.35;
+        assert!((task.radius(0.35) - half_diagonal_px).abs() < 1e-9);
+        assert!((task.radius(0.7) - 0.5 * half_diagonal_px).abs() < 1e-9);
+        let mut scene = tags();
+        scene.camera.fy = 2.0 * 615.0;
+        scene.goal.translation[2] = 0.7;
+        // The greater of the focal lengths counts.
+        assert!((Task::new(&scene).unwrap().radius(0.7) - half_diagonal_px).abs() < 1e-9);
+        let points = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        assert_eq!(Task::new(&points).unwrap().radius(0.0), 0.0);
+    }
+
+    #[test]
+    fn a_goal_at_which_a_marker_is_not_wholly_in_sight_is_refused() {
+        let mut scene = tags();
+        // The grasped object, 85 px below the lower points, up to 30 px below them.
+        scene.occlusions[1].parts[0].center[1] -= 55.0;
+        let refused = Task::new(&scene).unwrap_err().to_string();
+        let words = "goal: the marker of point 2 reaches 37.3 px from its point, which is only 3";
+        assert!(refused.starts_with(words), "{refused}");
+        scene.marker_size = 0.02;
+        assert!(Task::new(&scene).is_ok());
+        let mut scene = tags();
+        // The upper left point 30 px from the upper side of the image.
+        scene.goal.translation[1] = 0.045 - 210.0 * 0.35 / 615.0;
+        let refused = Task::new(&scene).unwrap_err();
+        assert!(matches!(
+            refused,
+            TaskError::GoalMarkerHidden { point: 0, .. }
+        ));
+    }
 }

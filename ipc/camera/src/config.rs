@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{ArgMatches, Args, Parser, ValueEnum};
+use clap::{ArgMatches, Args, Parser, Subcommand, ValueEnum};
 use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,6 +10,7 @@ use smart_default::SmartDefault;
 use toml_schema::{Document, FileError};
 
 use crate::lens::{self, Lens};
+use crate::mask;
 use crate::source::Shutter;
 
 /// Tags of family 36h11: their numbers are below.
@@ -21,7 +22,7 @@ pub const NUMBERS: u32 = 587;
 /// vpc/features. Exit codes: 0 stopped by SIGTERM, or the files are over; 64 usage, 66 a file is
 /// missing, 69 the source or the shared memory cannot be used, 70 a defect, 78 configuration.
 #[derive(Parser, Debug)]
-#[command(name = "vpc-camera", version)]
+#[command(name = "vpc-camera", version, args_conflicts_with_subcommands = true)]
 pub struct Arguments {
     /// Configuration file (TOML), documented in ipc/camera/vpc-camera.toml; flags win over it.
     #[arg(long)]
@@ -32,6 +33,16 @@ pub struct Arguments {
     /// Print what is published, a line a frame.
     #[arg(long)]
     pub print: bool,
+    #[command(subcommand)]
+    #[allow(missing_docs)]
+    pub command: Option<Command>,
+}
+
+/// What else the program does.
+#[derive(Subcommand, Debug)]
+pub enum Command {
+    /// Learn what hides the view from images of a camera that moves, and write a mask and a scene.
+    Mask(mask::Arguments),
 }
 
 /// The paths of scene and calibration are relative to the file. Most keys have a flag, which wins.

@@ -6,12 +6,15 @@
 #[cfg(feature = "detector")]
 mod blur;
 pub mod config;
+pub mod distance;
 #[cfg(all(test, feature = "detector"))]
 mod drawn;
 #[cfg(feature = "detector")]
 pub mod finder;
 pub mod grey;
 pub mod lens;
+pub mod mask;
+pub mod mask_check;
 #[cfg(feature = "detector")]
 pub mod metrics;
 #[cfg(feature = "detector")]

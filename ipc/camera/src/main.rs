@@ -8,13 +8,15 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use clap::CommandFactory;
+use clap::{CommandFactory, FromArgMatches};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
-use vpc_camera::config::{Arguments, Config};
+use vpc_camera::config::{Arguments, Command, Config};
+use vpc_camera::mask;
 use vpc_camera::metrics::Metrics;
 use vpc_camera::run::{Event, Report, RunError, run};
 
+const NOT_LEARNT: u8 = 1;
 const USAGE: u8 = 64;
 const UNAVAILABLE: u8 = 69;
 const SOFTWARE: u8 = 70;
@@ -45,6 +47,11 @@ fn main() -> ExitCode {
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .init();
+    if let Ok(Some(Command::Mask(arguments))) =
+        Arguments::from_arg_matches(&matches).map(|arguments| arguments.command)
+    {
+        return learn(&arguments);
+    }
     let config = match Config::load(&matches) {
         Ok(config) => config,
         Err(error) => {
@@ -63,6 +70,20 @@ fn main() -> ExitCode {
         }
     }
     watch(config, stop, matches.get_flag("print"))
+}
+
+/// Learns a mask.
+fn learn(arguments: &mask::Arguments) -> ExitCode {
+    match mask::run(arguments) {
+        Ok(words) => {
+            print!("{words}");
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("vpc-camera mask: {error:#}");
+            ExitCode::from(NOT_LEARNT)
+        }
+    }
 }
 
 /// Runs the loop in a thread of its own, and tells what it does.

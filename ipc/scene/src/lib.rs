@@ -30,6 +30,8 @@ mod file;
 mod files;
 #[cfg(feature = "file")]
 mod starts;
+#[cfg(feature = "file")]
+mod text;
 
 pub use fingerprint::Fingerprint;
 pub use mask::{Area, Field, MAX_AREAS, Mask};
@@ -46,6 +48,8 @@ pub use files::SceneFiles;
 pub use mask::write_mask;
 #[cfg(feature = "file")]
 pub use starts::{parse_starts, read_starts, starts_csv};
+#[cfg(feature = "file")]
+pub use text::with_mask;
 #[cfg(feature = "file")]
 pub use toml_schema::FileError;
 

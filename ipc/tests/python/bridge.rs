@@ -11,7 +11,7 @@ use ipc::{
 use testkit::python::{Environment, run};
 use testkit::{Ended, Place, Running, eventually};
 
-use super::{numbers, script, sources};
+use super::{numbers, sources, with_stand_ins};
 
 const ROBOTS: [&str; 2] = ["ur", "xarm"];
 const TWIST: [f64; 6] = [0.02, -0.01, 0.025, 0.05, -0.04, 0.1];
@@ -23,14 +23,6 @@ const WIDE: [f64; 6] = [0.1, -0.5, 0.05, 0.9, 0.6, 0.9];
 
 fn hand_eye() -> PathBuf {
     sources("panda/hand-eye.toml")
-}
-
-/// A script that finds the stand-ins.
-fn with_stand_ins(python: &Path, within: &str) -> Command {
-    let mut command = script(python, within);
-    let paths = [sources("python"), sources("tests/python/stand_ins")];
-    command.env("PYTHONPATH", std::env::join_paths(paths).unwrap());
-    command
 }
 
 struct Rig {

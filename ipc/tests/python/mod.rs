@@ -3,6 +3,7 @@
 //! Needs Python 3.11 and, the first time, the network.
 
 mod bridge;
+mod cameras;
 
 use std::fmt::Write as _;
 use std::mem::offset_of;
@@ -28,6 +29,14 @@ fn sources(within: &str) -> PathBuf {
 /// A script of the tree, ready to run.
 fn script(python: &Path, within: &str) -> Command {
     testkit::python::script(python, &sources(within))
+}
+
+/// A script of the tree that finds the stand-ins for libraries.
+fn with_stand_ins(python: &Path, within: &str) -> Command {
+    let mut command = script(python, within);
+    let paths = [sources("python"), sources("tests/python/stand_ins")];
+    command.env("PYTHONPATH", std::env::join_paths(paths).unwrap());
+    command
 }
 
 /// Lines for the layout of a message and of its fields, as peer.py has them.

@@ -189,6 +189,9 @@ struct Partial {
     progress: Progress,
 }
 
+/// Stack of each thread that solves, bytes: the law's workspace is large.
+const STACK: usize = 16 << 20;
+
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Build(build) => run_build(&build),
@@ -280,14 +283,14 @@ fn run_build(build: &Build) -> anyhow::Result<()> {
     let scene = Scene::read(&build.scene)?;
     let grown = settings.grown(&scene)?;
     let task = Task::new(&grown).with_context(|| build.scene.display().to_string())?;
-    if let Some(threads) = build.threads {
-        if !(1..=1024).contains(&threads) {
-            bail!("--threads = {threads}; allowed: 1 to 1024");
-        }
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build_global()?;
+    let threads = build.threads;
+    if let Some(threads) = threads.filter(|threads| !(1..=1024).contains(threads)) {
+        bail!("--threads = {threads}; allowed: 1 to 1024");
     }
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or(0)) // 0: as many as there are processors
+        .stack_size(STACK)
+        .build_global()?;
     let mut partial_path = build.output.as_os_str().to_owned();
     partial_path.push(".partial");
     let partial_path = PathBuf::from(partial_path);

@@ -52,9 +52,13 @@ impl Node {
     /// Translation in units of the mean depth plus rotation in rad: both as image motion over the
     /// focal length.
     fn distance(&self, other: &Self) -> f64 {
+        self.shift(other) + self.rotation.angle_to(&other.rotation)
+    }
+
+    /// The part of the distance that comes from the translations.
+    fn shift(&self, other: &Self) -> f64 {
         let depth = 0.5 * (self.translation.z + other.translation.z);
         (self.translation - other.translation).norm() / depth
-            + self.rotation.angle_to(&other.rotation)
     }
 
     /// The pose at `share` of the way to `other`.
@@ -76,11 +80,12 @@ struct Space<'a> {
 impl Space<'_> {
     fn features(&self, node: &Node) -> Option<Points> {
         let points = self.task.features_at(&node.pose())?;
-        points
-            .iter()
-            .all(|&pixel| {
-                constraint::border_clearance(self.task, pixel) >= self.clearance
-                    && constraint::least_clearance(self.task, pixel) >= self.clearance
+        radii(self.task, node)
+            .zip(&points)
+            .all(|(radius, &pixel)| {
+                let least = self.clearance + radius;
+                constraint::border_clearance(self.task, pixel) >= least
+                    && constraint::least_clearance(self.task, pixel) >= least
             })
             .then_some(points)
     }
@@ -99,6 +104,12 @@ impl Space<'_> {
     }
 }
 
+/// The radius of each marker, px.
+fn radii(task: &Task, node: &Node) -> impl Iterator<Item = f64> {
+    let points = task.pattern.iter();
+    points.map(|&p| task.radius((node.rotation * Vector3::from(p) + node.translation).z))
+}
+
 /// A tree of poses; each node but the root has a parent.
 struct Tree {
     nodes: Vec<(Node, usize)>,
@@ -106,13 +117,17 @@ struct Tree {
 
 impl Tree {
     fn nearest(&self, target: &Node) -> usize {
-        let by_distance = |&a: &usize, &b: &usize| {
-            self.nodes[a]
-                .0
-                .distance(target)
-                .total_cmp(&self.nodes[b].0.distance(target))
-        };
-        (0..self.nodes.len()).min_by(by_distance).unwrap_or(0)
+        let (mut nearest, mut least) = (0, f64::INFINITY);
+        for (index, (node, _)) in self.nodes.iter().enumerate() {
+            // Most are too far away by the translation alone, which costs a tenth.
+            if node.shift(target) < least {
+                let distance = node.distance(target);
+                if distance < least {
+                    (nearest, least) = (index, distance);
+                }
+            }
+        }
+        nearest
     }
 
     /// Extends the tree towards a pose once; the index of the new node, and whether it is the pose
@@ -149,10 +164,11 @@ pub fn path(scene: &Scene, task: &Task, start: &Pose, rng: &mut ChaCha8Rng) -> O
     let (root, goal) = (Node::from_pose(start), Node::from_pose(&scene.goal));
     let clear = |node: &Node| -> Option<f64> {
         let points = task.features_at(&node.pose())?;
-        points
-            .iter()
-            .map(|&p| {
-                constraint::border_clearance(task, p).min(constraint::least_clearance(task, p))
+        radii(task, node)
+            .zip(&points)
+            .map(|(radius, &p)| {
+                let border = constraint::border_clearance(task, p);
+                border.min(constraint::least_clearance(task, p)) - radius
             })
             .min_by(f64::total_cmp)
     };

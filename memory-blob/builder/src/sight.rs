@@ -3,34 +3,45 @@
 use vpc::Task;
 use vpc::obstacle::Obstacle;
 
-/// Whether every point has a straight way in the image to its place among others that cuts no
-/// occlusion deeper than `slide_px`, looked at every `every_px`.
+/// Whether every point has a straight way in the image to its place among others on which its
+/// marker, of such a radius in px, cuts no occlusion deeper than `slide_px`, looked at every
+/// `every_px`.
 pub fn is_free(
     task: &Task,
     from: &[[f64; 2]],
     to: &[[f64; 2]],
+    radii: &[f64],
     slide_px: f64,
     every_px: f64,
 ) -> bool {
-    let mut ways = from.iter().zip(to).map(|(&from, &to)| Way { from, to });
-    ways.all(|way| way.is_free(task, slide_px, every_px))
+    let ways = from.iter().zip(to).zip(radii);
+    let mut ways = ways.map(|((&from, &to), radius)| Way {
+        from,
+        to,
+        clearance: radius - slide_px,
+    });
+    ways.all(|way| way.is_free(task, every_px))
 }
 
 /// A straight way of one point, px.
 struct Way {
     from: [f64; 2],
     to: [f64; 2],
+    /// Least clearance from an occlusion, px.
+    clearance: f64,
 }
 
 impl Way {
-    /// Whether the way cuts no occlusion deeper than `slide_px`, looked at every `every_px`.
-    fn is_free(&self, task: &Task, slide_px: f64, every_px: f64) -> bool {
+    /// Whether the way is clear of the occlusions, looked at every `every_px`.
+    fn is_free(&self, task: &Task, every_px: f64) -> bool {
         task.obstacles()
-            .all(|obstacle| self.passes(obstacle, slide_px, every_px))
+            .all(|obstacle| self.passes(obstacle, every_px))
     }
 
-    fn passes(&self, obstacle: Obstacle<'_>, slide_px: f64, every_px: f64) -> bool {
+    fn passes(&self, obstacle: Obstacle<'_>, every_px: f64) -> bool {
         let [low, high] = obstacle.bounding_box();
+        let about = self.clearance.max(0.0);
+        let (low, high) = (low.map(|x| x - about), high.map(|x| x + about));
         let Some((begin, end)) = self.inside(low, high) else {
             return true;
         };
@@ -40,7 +51,7 @@ impl Way {
         (0..=count).all(|i| {
             let t = begin + (end - begin) * f64::from(i) / f64::from(count);
             let pixel = [self.from[0] + t * du, self.from[1] + t * dv];
-            obstacle.clearance(pixel).distance >= -slide_px
+            obstacle.clearance(pixel).distance >= self.clearance
         })
     }
 
@@ -77,7 +88,7 @@ mod tests {
     const EVERY_PX: f64 = 6.0;
 
     fn is_free(task: &Task, from: &[[f64; 2]], to: &[[f64; 2]]) -> bool {
-        super::is_free(task, from, to, SLIDE_PX, EVERY_PX)
+        super::is_free(task, from, to, &[0.0; 2], SLIDE_PX, EVERY_PX)
     }
 
     fn task() -> Task {
@@ -104,6 +115,22 @@ mod tests {
         let (free, blocked) = ([430.0, 190.0], [600.0, 120.0]);
         let there = [[430.0, 300.0], [600.0, 300.0]];
         assert!(!is_free(&task, &[free, blocked], &there));
+    }
+
+    #[test]
+    fn a_marker_needs_a_wider_way_than_a_point() {
+        // Past the right end of the bar at the top, which is at u = 750.
+        let task = task();
+        let passes = |u: f64, radius: f64| {
+            let (from, to) = ([u, 120.0], [u, 260.0]);
+            super::is_free(&task, &[from], &[to], &[radius], SLIDE_PX, EVERY_PX)
+        };
+        assert_eq!([755.0, 765.0, 785.0].map(|u| passes(u, 0.0)), [true; 3]);
+        assert_eq!(
+            [755.0, 765.0, 785.0].map(|u| passes(u, 30.0)),
+            [false, false, true]
+        );
+        assert!(!passes(740.0, 0.0));
     }
 
     #[test]

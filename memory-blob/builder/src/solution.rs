@@ -52,7 +52,8 @@ impl<'a> Finder<'a> {
         store: Option<&Store>,
         rng: &mut ChaCha8Rng,
     ) -> Option<Twist> {
-        let close = recall::clearance(self.task, points) < self.settings.trigger_px;
+        let initial = InitialState::new(self.task, BuildSettings::MODEL, points);
+        let close = recall::clearance(self.task, &initial) < self.settings.trigger_px;
         let recalled = store
             .filter(|_| close)
             .and_then(|store| recall::query(self.task, Strategy::Knn { k: 1 }, store, points));

@@ -47,11 +47,11 @@ pub fn draw(scene: &Scene, rng: &mut ChaCha8Rng) -> Pose {
 pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Points> {
     let region = &scene.starts;
     let points = task.features_at(pose)?;
-    let markers = task::placed(&task.pattern, pose).map(|x| task.marker_px(x.z));
-    let clear = points.iter().zip(markers).all(|(&pixel, marker_px)| {
+    let radii = task::placed(&task.pattern, pose).map(|x| task.radius(x.z));
+    let clear = points.iter().zip(radii).all(|(&pixel, radius)| {
         let distance = clearance::of_pixel(scene, pixel);
         let least = distance.min(constraint::border_clearance(task, pixel));
-        distance > 0.0 && least >= region.clearance_px + marker_px
+        distance > 0.0 && least >= region.clearance_px + radius
     });
     let mean: f64 = points
         .iter()

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use vpc::features::{self, MAX_INPUTS, largest_distance};
+use vpc::prediction::{InitialState, Radii};
 use vpc::{MotionMemory, Points, Strategy, Task, Twist, cost};
 
 use crate::settings::{BuildSettings, WayPoint};
@@ -66,6 +67,7 @@ impl Store {
     pub fn add(&mut self, task: &Task, settings: &BuildSettings, trajectory: &Trajectory) {
         let spacing = settings.sample_spacing * task.camera.width;
         let costs = costs_to_go(task, trajectory);
+        let radii: Vec<Radii> = trajectory.features.iter().map(|s| radii(task, s)).collect();
         let mut last: Option<&[[f64; 2]]> = None;
         for (j, twist) in trajectory.twists.iter().enumerate() {
             let points = &trajectory.features[j];
@@ -73,7 +75,7 @@ impl Store {
                 continue;
             }
             last = Some(points);
-            let way_point = way_point(task, settings.way_point, trajectory, j);
+            let way_point = way_point(task, settings.way_point, trajectory, &radii, j);
             let pixels = way_point.iter().flatten().copied();
             let features: Points = points.iter().copied().collect();
             self.inputs.push(task.recall_input(&features).to_vec());
@@ -117,10 +119,18 @@ fn costs_to_go(task: &Task, trajectory: &Trajectory) -> Vec<f64> {
 ///
 /// Source: paper, Sect. IV.A; the rule by distance replaces the rule by samples, which makes slow
 /// stretches crawl.
-fn way_point(task: &Task, rule: WayPoint, trajectory: &Trajectory, j: usize) -> Vec<[f64; 2]> {
+fn way_point(
+    task: &Task,
+    rule: WayPoint,
+    trajectory: &Trajectory,
+    radii: &[Radii],
+    j: usize,
+) -> Vec<[f64; 2]> {
     let ahead = match rule {
         WayPoint::Samples(count) => trajectory.features.get(j + count),
-        WayPoint::Sight(share) => return in_sight(task, share * task.camera.width, trajectory, j),
+        WayPoint::Sight(share) => {
+            return in_sight(task, share * task.camera.width, trajectory, radii, j);
+        }
     };
     ahead.map_or_else(|| task.goal.to_vec(), Clone::clone)
 }
@@ -129,14 +139,23 @@ fn way_point(task: &Task, rule: WayPoint, trajectory: &Trajectory, j: usize) -> 
 /// reach on a straight line without being stopped by an occlusion; the goal itself where the
 /// trajectory's end is in sight. A sub-goal behind an occlusion would leave the controller stuck in
 /// front of it.
-fn in_sight(task: &Task, far: f64, trajectory: &Trajectory, j: usize) -> Vec<[f64; 2]> {
+fn in_sight(
+    task: &Task,
+    far: f64,
+    trajectory: &Trajectory,
+    radii: &[Radii],
+    j: usize,
+) -> Vec<[f64; 2]> {
     let here = &trajectory.features[j];
     let last = trajectory.features.len() - 1;
     let least = LEAST_AHEAD * task.camera.width;
     let (mut seen, mut travelled) = (j, 0.0);
     for (there, pair) in trajectory.features[j..].windows(2).enumerate() {
         travelled += largest_distance(&pair[0], &pair[1]);
-        if travelled > far || (travelled > least && !is_in_sight(task, here, &pair[1])) {
+        // On the way the markers are as large as at the larger end.
+        let ends = radii[j].iter().zip(&radii[j + there + 1]);
+        let largest: Radii = ends.map(|(a, b)| a.max(*b)).collect();
+        if travelled > far || (travelled > least && !is_in_sight(task, here, &pair[1], &largest)) {
             break;
         }
         seen = j + there + 1;
@@ -148,9 +167,19 @@ fn in_sight(task: &Task, far: f64, trajectory: &Trajectory, j: usize) -> Vec<[f6
     }
 }
 
-/// Whether no occlusion stops a point on its straight way from `a` to `b`.
-fn is_in_sight(task: &Task, a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
-    sight::is_free(task, a, b, SLIDE * task.camera.width, CHECK_EVERY_PX)
+/// Whether no occlusion stops a point, with a marker of its radius, on its straight way from `a` to
+/// `b`.
+fn is_in_sight(task: &Task, a: &[[f64; 2]], b: &[[f64; 2]], radii: &[f64]) -> bool {
+    sight::is_free(task, a, b, radii, SLIDE * task.camera.width, CHECK_EVERY_PX)
+}
+
+/// The radius of the marker of each feature, px.
+fn radii(task: &Task, features: &[[f64; 2]]) -> Radii {
+    if !task.has_markers() {
+        return features.iter().map(|_| 0.0).collect();
+    }
+    let features = features.iter().copied().collect();
+    InitialState::new(task, BuildSettings::MODEL, &features).radii(task)
 }
 
 /// What inputs are divided by, so that an image motion of the whole pattern counts alike in points,

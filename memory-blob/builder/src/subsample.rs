@@ -1,5 +1,6 @@
 //! The samples that regression keeps.
 
+use vpc::prediction::InitialState;
 use vpc::{Task, recall};
 
 use crate::settings::BuildSettings;
@@ -16,11 +17,9 @@ pub fn indices(task: &Task, settings: &BuildSettings, store: &Store) -> Vec<usiz
     let reach = settings.regression.zone * settings.trigger_px;
     let points = 2 * task.goal.len();
     let in_zone = |input: &Vec<f64>| {
-        let pixels: Vec<[f64; 2]> = input[..points]
-            .chunks_exact(2)
-            .map(|p| [p[0], p[1]])
-            .collect();
-        recall::clearance(task, &pixels) < reach
+        let pixels = input[..points].chunks_exact(2).map(|p| [p[0], p[1]]);
+        let initial = InitialState::new(task, BuildSettings::MODEL, &pixels.collect());
+        recall::clearance(task, &initial) < reach
     };
     let zone: Vec<usize> = (0..store.inputs.len())
         .filter(|&i| in_zone(&store.inputs[i]))

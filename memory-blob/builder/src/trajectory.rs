@@ -70,7 +70,7 @@ pub(crate) fn run(
         let see = |x: &Vector3<f64>| camera::project(&task.camera, (*x).into());
         let points: Option<Points> = pattern.iter().map(see).collect();
         let points = points.ok_or(Failure::Violation)?;
-        if !is_visible(task, &points) {
+        if !is_visible(task, &points, &pattern) {
             return Err(Failure::Violation);
         }
         let moved = trajectory
@@ -142,10 +142,12 @@ fn follow(
     })
 }
 
-/// Whether every point is inside the image and outside the occlusions.
-fn is_visible(task: &Task, points: &Points) -> bool {
-    points.iter().all(|&pixel| {
-        constraint::least_clearance(task, pixel) > -TOLERATED_PX
-            && constraint::border_clearance(task, pixel) > -TOLERATED_PX
+/// Whether the marker of every point, which is at this place in the camera frame, is inside the
+/// image and outside the occlusions.
+fn is_visible(task: &Task, points: &Points, places: &[Vector3<f64>]) -> bool {
+    points.iter().zip(places).all(|(&pixel, x)| {
+        let least = task.radius(x.z) - TOLERATED_PX;
+        constraint::least_clearance(task, pixel) > least
+            && constraint::border_clearance(task, pixel) > least
     })
 }

@@ -43,7 +43,7 @@ impl Mask {
         if let Some(file) = &self.scene_out {
             let text = fs::read_to_string(&self.scene)
                 .with_context(|| self.scene.display().to_string())?;
-            let text = paint::with_mask(&text, &beside(file, &self.output)?);
+            let text = scene::with_mask(&text, &beside(file, &self.output)?);
             fs::write(file, text).with_context(|| format!("{}: cannot write", file.display()))?;
             said += &if scene.occlusions.is_empty() {
                 let image = self.output.display();

@@ -87,9 +87,10 @@ impl Preview {
     }
 }
 
-/// Where a feature is nearer to an occlusion than the trigger distance: rows of squares, joined
-/// along each row.
+/// Where a feature, or the edge of a marker as large as at the goal, is nearer to an occlusion than
+/// the trigger distance: rows of squares, joined along each row.
 fn zone(task: &Task, trigger: f64) -> Vec<[f64; 4]> {
+    let trigger = trigger + goal_radius(task);
     let (width, height) = (task.camera.width, task.camera.height);
     let side = (SQUARE * width.max(height)).max(1.0);
     let mut zone: Vec<[f64; 4]> = Vec::new();
@@ -110,6 +111,12 @@ fn zone(task: &Task, trigger: f64) -> Vec<[f64; 4]> {
     zone
 }
 
+/// The radius of the largest marker at the goal, px.
+fn goal_radius(task: &Task) -> f64 {
+    let radii = task.goal_depth.iter().map(|&depth| task.radius(depth));
+    radii.fold(0.0, f64::max)
+}
+
 /// The scene in words.
 fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize) -> String {
     let mut said = String::new();
@@ -122,9 +129,17 @@ fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize
         let each = task.goal.iter().map(|p| clearance(task, *p));
         each.fold(f64::INFINITY, f64::min)
     };
-    let border = least(constraint::border_clearance);
-    let occlusion = least(constraint::least_clearance);
+    let radius = goal_radius(task);
+    let border = least(constraint::border_clearance) - radius;
+    let occlusion = least(constraint::least_clearance) - radius;
     let _ = writeln!(said, "goal        {} px", places.join(" "));
+    if task.has_markers() {
+        let size = 1e3 * scene.marker_size;
+        let _ = writeln!(
+            said,
+            "markers     {size:.0} mm: at the goal the law keeps each point {radius:.0} px clear"
+        );
+    }
     let _ = write!(
         said,
         "clearance   goal {border:.0} px from the image border"
