@@ -35,7 +35,10 @@ fn bench(bencher: divan::Bencher, is_followed: bool) {
     let mut look = |finder: &mut Finder| {
         sequence += 1;
         let found = finder.find(&grey, sequence).expect("features");
-        assert_eq!((found.visible, found.is_whole), (0b1111, !is_followed || sequence == 1));
+        assert_eq!(
+            (found.visible, found.is_whole),
+            (0b1111, !is_followed || sequence == 1)
+        );
     };
     if is_followed {
         look(&mut followed);

@@ -2,9 +2,8 @@
 
 use kornia_apriltag::family::TagFamily;
 use nalgebra::{Matrix3, Vector3};
-use rand::RngExt;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 
 /// Samples along a side of a pixel.
 const SAMPLES: usize = 6;

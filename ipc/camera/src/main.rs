@@ -157,6 +157,7 @@ impl Log {
     fn tell(&mut self, event: &Event) {
         match event {
             Event::Lacks(what) => tracing::warn!("DEGRADED, not real time: {what}"),
+            Event::Mask(warning) => tracing::warn!("{warning}"),
             Event::Frame(report) => self.frame(report),
         }
         self.look();

@@ -86,9 +86,6 @@ pub(crate) fn register(
             .fold(seen, |seen, (place, edge)| {
                 seen.with(off(place), place.2, edge.side)
             });
-        if std::env::var_os("DBG").is_some() {
-            println!("spread {:.2} {seen:?} of {}", step[8], places.len());
-        }
         let is_seen = seen.is_whole(places.len());
         return (is_seen && light.is_whole(image, template, &blur, &h)?).then_some(h);
     }

@@ -22,7 +22,10 @@ fn tags(scene: &Scene) -> Vec<Tag> {
     for (n, number) in [7, 1, 12, 3, 30, 8].into_iter().enumerate() {
         tags.push(Tag {
             number,
-            center: [0.045 * (n as f64 - 2.5), if n % 2 == 0 { 0.0 } else { 0.105 }],
+            center: [
+                0.045 * (n as f64 - 2.5),
+                if n % 2 == 0 { 0.0 } else { 0.105 },
+            ],
             size: 0.02,
         });
     }
@@ -47,7 +50,10 @@ fn a_visible_feature_is_ours_whatever_lies_about_it() {
             }
         }
     }
-    println!("among others: {} found, {:.3} px at most", errors.count, errors.worst);
+    println!(
+        "among others: {} found, {:.3} px at most",
+        errors.count, errors.worst
+    );
     assert!(errors.worst < 0.5, "{errors:?}");
     assert!(errors.count > 0.95 * 8.0 * FRAMES as f64, "{errors:?}");
 }

@@ -19,7 +19,8 @@ fn covered(scene: &Scene, pose: &Pose, index: usize) -> f64 {
         let outside = !(0.0..=639.0).contains(&u) || !(0.0..=479.0).contains(&v);
         outside
             || parts.any(|part| {
-                let term = |k: usize, x: f64| ((x - part.center[k]).abs() / part.half[k]).powf(part.p);
+                let term =
+                    |k: usize, x: f64| ((x - part.center[k]).abs() / part.half[k]).powf(part.p);
                 term(0, u) + term(1, v) < 1.0
             })
     };
@@ -40,7 +41,11 @@ fn what_is_seen_is_exact_and_what_is_hidden_is_guessed() {
             // Across the image, each pass another way.
             let (t, side) = (f64::from(n) / 149.0, f64::from(pass) - 2.5);
             let pose = Pose {
-                translation: [0.2 * (t - 0.5), 0.02 * side + 0.06 * (t - 0.5) * side, 0.36 + 0.02 * side],
+                translation: [
+                    0.2 * (t - 0.5),
+                    0.02 * side + 0.06 * (t - 0.5) * side,
+                    0.36 + 0.02 * side,
+                ],
                 rotation: [0.05 * side, 0.1 * (t - 0.5), 0.2 * side],
             };
             let image = renderer.render(&pose).clone();

@@ -20,7 +20,12 @@ fn centres() -> Targets {
 
 /// Looks at each pose twice, at the jump and a frame later; the errors of the second look, and the
 /// share of tags that it found.
-fn measured(scene: &Scene, lens: &Lens, look: &Look, change: &dyn Fn(&Image) -> Image) -> (Errors, f64) {
+fn measured(
+    scene: &Scene,
+    lens: &Lens,
+    look: &Look,
+    change: &dyn Fn(&Image) -> Image,
+) -> (Errors, f64) {
     let mut finder = Finder::new(scene, lens, &centres()).unwrap();
     let mut renderer = Renderer::new(scene, look);
     let (mut errors, mut sequence) = (Errors::default(), 0);
@@ -51,7 +56,10 @@ fn features_are_within_a_tenth_of_a_pixel_of_the_truth() {
         ..pinhole.clone()
     };
     let plain = Look::default();
-    let noisy = Look { noise: 6.0, ..plain };
+    let noisy = Look {
+        noise: 6.0,
+        ..plain
+    };
     let dim = Look {
         marker_level: 110.0,
         black_level: 40.0,
@@ -63,7 +71,13 @@ fn features_are_within_a_tenth_of_a_pixel_of_the_truth() {
     let down = |image: &Image| smeared(image, 3, true);
     let bent = |image: &Image| through(&curved, &scene.camera, image);
     for (name, lens, look, change, most) in [
-        ("as rendered", &pinhole, plain, &same as &dyn Fn(&Image) -> Image, 0.05),
+        (
+            "as rendered",
+            &pinhole,
+            plain,
+            &same as &dyn Fn(&Image) -> Image,
+            0.05,
+        ),
         ("noise of 6 levels", &pinhole, noisy, &same, 0.1),
         ("contrast of 70 levels", &pinhole, dim, &same, 0.1),
         ("moved by 3 px across", &pinhole, plain, &across, 0.1),
@@ -78,7 +92,10 @@ fn features_are_within_a_tenth_of_a_pixel_of_the_truth() {
             errors.worst
         );
         assert!(share > 0.98, "{name}: {share}");
-        assert!(errors.rms() < most && errors.worst < 0.5, "{name}: {errors:?}");
+        assert!(
+            errors.rms() < most && errors.worst < 0.5,
+            "{name}: {errors:?}"
+        );
     }
 }
 
@@ -87,7 +104,10 @@ fn the_corners_of_one_tag_are_features_in_the_patterns_order() {
     // The pattern is the black square of tag 2, upright.
     let text = scene::TAGS_ROBOT;
     let points = "points = [[-0.012, -0.012, 0.0], [0.012, -0.012, 0.0], [0.012, 0.012, 0.0], [-0.012, 0.012, 0.0]]";
-    let line = text.lines().find(|line| line.starts_with("points")).unwrap();
+    let line = text
+        .lines()
+        .find(|line| line.starts_with("points"))
+        .unwrap();
     let mut corners = Scene::parse(&text.replace(line, points), "corners").unwrap();
     corners.occlusions.clear();
     let tag = vision::Tag {
@@ -109,7 +129,11 @@ fn the_corners_of_one_tag_are_features_in_the_patterns_order() {
             }
         }
     }
-    println!("corners: {:.3} px RMS, {:.3} px at most", errors.rms(), errors.worst);
+    println!(
+        "corners: {:.3} px RMS, {:.3} px at most",
+        errors.rms(),
+        errors.worst
+    );
     assert!(errors.count >= 4.0 * 39.0, "{errors:?}");
     assert!(errors.rms() < 0.1 && errors.worst < 0.5, "{errors:?}");
 }

@@ -25,9 +25,15 @@ fn a_wrong_configuration_is_refused_by_name() {
     }
     let shipped = root().join("ipc/camera/vpc-camera.toml");
     for (flags, said) in [
-        (["--tags", "1,2,3"], "tags = [1, 2, 3]; allowed: 4 different numbers"),
+        (
+            ["--tags", "1,2,3"],
+            "tags = [1, 2, 3]; allowed: 4 different numbers",
+        ),
         (["--tags", "1,2,3,1"], "allowed: 4 different numbers"),
-        (["--corners-of", "600"], "corners_of = 600; allowed: 0 to 586"),
+        (
+            ["--corners-of", "600"],
+            "corners_of = 600; allowed: 0 to 586",
+        ),
         (["--stamp-offset-ms", "-5000"], "stamp_offset_ms = -5000"),
     ] {
         let ended = testkit::ended(camera().arg("--config").arg(&shipped).args(flags));
@@ -44,7 +50,9 @@ fn from_images_to_the_goal() {
     let domain = place.domain();
     std::fs::create_dir(&domain).unwrap();
     let started = |mut command: Command| {
-        command.args(["--clock", "lockstep", "--domain"]).arg(&domain);
+        command
+            .args(["--clock", "lockstep", "--domain"])
+            .arg(&domain);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         Running::start(command)
     };
@@ -63,15 +71,32 @@ fn from_images_to_the_goal() {
     let mut robot = Command::new(program("hw-sim"));
     let tags = root().join("hw-sim/hw-sim-tags.toml");
     // A start to the left of the goal and behind it.
-    let starts = place.file("starts.csv", "tx,ty,tz,rx,ry,rz\n-0.02,-0.02,0.40,0,0,0.1\n");
+    let starts = place.file(
+        "starts.csv",
+        "tx,ty,tz,rx,ry,rz\n-0.02,-0.02,0.40,0,0,0.1\n",
+    );
     robot.arg("--config").arg(tags).arg("--starts").arg(starts);
     let ended = started(robot).ended_within(std::time::Duration::from_secs(240));
     eye.signal(Signal::TERM);
     let eye = eye.ended();
     let daemon = daemon.terminated();
-    assert_eq!(ended.code, Some(0), "{ended:?}\n{}\n{}", eye.stderr, daemon.stderr);
-    assert!(ended.stdout.contains("\"verdict\":\"arrived\""), "{ended:?}");
-    assert_eq!((eye.code, daemon.code), (Some(0), Some(0)), "{}", eye.stderr);
+    assert_eq!(
+        ended.code,
+        Some(0),
+        "{ended:?}\n{}\n{}",
+        eye.stderr,
+        daemon.stderr
+    );
+    assert!(
+        ended.stdout.contains("\"verdict\":\"arrived\""),
+        "{ended:?}"
+    );
+    assert_eq!(
+        (eye.code, daemon.code),
+        (Some(0), Some(0)),
+        "{}",
+        eye.stderr
+    );
     assert!(eye.stderr.contains("stopped: frames="), "{}", eye.stderr);
     let frames = eye.stdout.lines().count();
     assert!(frames > 100, "{frames} frames");
