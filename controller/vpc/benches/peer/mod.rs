@@ -107,7 +107,7 @@ impl Seen {
         for step in self.preview.steps() {
             for (point, target) in step.zip(&case.target) {
                 for c in 0..2 {
-                    let pull = two_q * (point.pixel[c] - target[c]);
+                    let pull = two_q * (point.place.pixel[c] - target[c]);
                     for k in 0..DOF {
                         self.gradient[k] += pull * point.gradient[c][k];
                     }
