@@ -2,6 +2,7 @@
 //! background does, and writes a mask and a scene that has it.
 
 mod activity;
+mod exposure;
 mod frames;
 mod learned;
 mod plane;

@@ -1,5 +1,6 @@
 //! What changes in a sequence of images: level and fine structure of each pixel over time.
 
+use super::exposure;
 use super::frames::Frames;
 use super::plane::{Blur, Plane, box_mean};
 
@@ -11,12 +12,6 @@ const LEVEL_HALF: usize = 1;
 const FINE_HALF: usize = 2;
 /// Least variance of noise, levels^2: that of rounding to whole levels.
 const ROUNDING: f32 = 1.0 / 12.0;
-/// The exposure is compared on this share of the pixels, those whose level changes least, ...
-const STILLEST: f64 = 0.005;
-/// ... found in so many rounds; ...
-const ROUNDS: usize = 6;
-/// ... they must get below this variance, in variances of the noise.
-const QUIET: f32 = 1.5;
 /// Median of the magnitude of a standard normal number.
 const MEDIAN: f32 = 0.6745;
 
@@ -54,7 +49,7 @@ impl Activity {
             let estimated = || median(scaled.collect()).powi(2);
             given.unwrap_or_else(estimated).max(ROUNDING)
         };
-        let gains = gains(frames, noise_at(&vec![1.0; frames.count()]));
+        let gains = exposure::gains(frames, noise_at(&vec![1.0; frames.count()]));
         // In levels of the mean exposure, as all that follows.
         let noise = noise_at(&gains);
         let mut activity = Self {
@@ -184,46 +179,6 @@ fn median(mut values: Vec<f32>) -> f32 {
         true => 0.0,
         false => *values.select_nth_unstable_by(middle, f32::total_cmp).1,
     }
-}
-
-/// How much brighter than the mean each image is, by the pixels whose level changes least beside
-/// their brightness: of something opaque, where there is any. Where these pixels do not become
-/// still, none is, and all gains are 1.
-fn gains(frames: &Frames, noise: f32) -> Vec<f32> {
-    let mut gains = vec![1.0; frames.count()];
-    let mut stillest = Vec::new();
-    for _ in 0..ROUNDS {
-        let (mean, variance) = levels(frames, &gains);
-        let change = |k: usize| (variance.values[k] - noise) / mean.values[k].max(1.0).powi(2);
-        let mut order: Vec<usize> = (0..mean.values.len()).collect();
-        let count = ((order.len() as f64 * STILLEST) as usize).clamp(1, order.len() - 1);
-        order.select_nth_unstable_by(count, |a, b| change(*a).total_cmp(&change(*b)));
-        order.truncate(count);
-        stillest = order;
-        let expected: f32 = stillest.iter().map(|k| mean.values[*k]).sum();
-        for (index, gain) in gains.iter_mut().enumerate() {
-            let pixels = frames.pixels(index);
-            let found: f32 = stillest.iter().map(|k| f32::from(pixels[*k])).sum();
-            // A black image tells nothing.
-            *gain = if found > 0.0 { found / expected } else { 1.0 };
-        }
-    }
-    let (_, variance) = levels(frames, &gains);
-    let left = median(stillest.iter().map(|k| variance.values[*k]).collect());
-    if left > QUIET * noise {
-        gains.fill(1.0);
-    }
-    gains
-}
-
-/// Mean and variance of each pixel's level.
-fn levels(frames: &Frames, gains: &[f32]) -> (Plane, Plane) {
-    let mut moments = Moments::new(frames.width(), frames.height());
-    for (index, gain) in gains.iter().enumerate() {
-        moments.add(&frames.plane(index, 1.0 / gain));
-    }
-    let variance = box_mean(&moments.variance(), LEVEL_HALF);
-    (moments.mean, variance)
 }
 
 #[cfg(test)]

@@ -13,7 +13,11 @@ fn camera() -> Command {
 fn a_wrong_configuration_is_refused_by_name() {
     let place = Place::new();
     for (text, code, said) in [
-        ("source = \"usb\"", 78, "source = usb; allowed: shm"),
+        (
+            "source = \"usb\"\nscene = \"no.toml\"",
+            78,
+            "source = usb; allowed: shm",
+        ),
         ("source = \"shm\"\nscene = \"no.toml\"", 66, "no.toml"),
         ("source = \"shm\"\ntag = [1]", 78, "tag"),
         ("scene = \"no.toml\"", 78, "source is missing"),
@@ -32,9 +36,9 @@ fn a_wrong_configuration_is_refused_by_name() {
         (["--tags", "1,2,3,1"], "allowed: 4 different numbers"),
         (
             ["--corners-of", "600"],
-            "corners_of = 600; allowed: 0 to 586",
+            "corners-of = 600; allowed: 0 to 586",
         ),
-        (["--stamp-offset-ms", "-5000"], "stamp_offset_ms = -5000"),
+        (["--stamp-offset-ms", "-5000"], "stamp-offset-ms = -5000"),
     ] {
         let ended = testkit::ended(camera().arg("--config").arg(&shipped).args(flags));
         assert_eq!(ended.code, Some(78), "{flags:?}: {ended:?}");
