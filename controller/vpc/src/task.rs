@@ -273,7 +273,8 @@ mod tests {
         // The grasped object, 85 px below the lower points, up to 30 px below them.
         scene.occlusions[1].parts[0].center[1] -= 55.0;
         let refused = Task::new(&scene).unwrap_err().to_string();
-        let words = "goal: the marker of point 2 reaches 37.3 px from its point, which is only 3";
+        let words =
+            "goal: the marker of point 2 reaches 37.3 px from its point, which is only 29.4 px";
         assert!(refused.starts_with(words), "{refused}");
         scene.marker_size = 0.02;
         assert!(Task::new(&scene).is_ok());

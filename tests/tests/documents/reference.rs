@@ -98,10 +98,11 @@ fn subjects() -> [Subject; 4] {
                     .map(|_| ())
                     .map_err(|error| error.to_string())
             },
-            relative: &["start"],
+            relative: &["start", "camera"],
             shipped: &[
                 "hw-sim/hw-sim.toml",
                 "hw-sim/hw-sim-robot.toml",
+                "hw-sim/hw-sim-tags.toml",
                 "controller/systemd/hw-sim.toml",
             ],
         },
@@ -313,9 +314,11 @@ fn validate(cases: &[Json]) {
 
 #[test]
 fn the_files_that_ship_show_every_key_with_its_default() {
+    // A scene shows what it needs; the other files are where keys are explained.
+    let is_scene = |subject: &&Subject| subject.file.ends_with("scene.schema.json");
     for subject in subjects()
         .iter()
-        .filter(|subject| subject.shipped.len() == 3)
+        .filter(|subject| !is_scene(subject) && !subject.shipped.is_empty())
     {
         let file = subject.shipped[0];
         let text = std::fs::read_to_string(root().join(file)).unwrap();

@@ -124,11 +124,6 @@ fn the_corners_of_one_tag_are_features_in_the_patterns_order() {
         let mut finder = Finder::new(&corners, &lens, &Targets::Corners(2)).unwrap();
         for k in 1..3 {
             let found = finder.find(&grey(&image), k).unwrap();
-            println!(
-                "pose {n} look {k}: {:b} {:?}",
-                found.visible,
-                truth(&corners, &pose)[0]
-            );
             if k == 2 && found.visible == 0b1111 {
                 let points = found.points.iter().zip(truth(&corners, &pose));
                 points.for_each(|(point, truth)| errors.add(*point, truth));
