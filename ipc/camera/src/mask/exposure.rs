@@ -43,7 +43,8 @@ pub fn gains(frames: &Frames, noise: f32) -> Vec<f32> {
             .collect()
     };
     let total = frames.width() * frames.height() / (BLOCK * BLOCK);
-    let least = (LEAST * total as f64).ceil() as usize;
+    // A block always follows itself.
+    let least = (LEAST * total as f64).ceil().max(2.0) as usize;
     let candidates = blocks
         .iter()
         .step_by(blocks.len().div_ceil(CANDIDATES).max(1));
@@ -93,8 +94,8 @@ mod tests {
     }
 
     /// A wave that runs through the image.
-    fn wave(u: f64, image: usize) -> f64 {
-        90.0 + 40.0 * (0.05 * u + 0.9 * (image * image) as f64).sin()
+    fn wave(u: f64, v: f64, image: usize) -> f64 {
+        90.0 + 40.0 * (0.05 * u + 0.07 * v + 0.9 * (image * image) as f64).sin()
     }
 
     #[test]
@@ -102,7 +103,7 @@ mod tests {
         // A quarter of the image keeps still.
         let frames = noisy(
             40,
-            |u, _, k| light(k) * if u < 16.0 { 50.0 + u } else { wave(u, k) },
+            |u, v, k| light(k) * if u < 16.0 { 50.0 + u } else { wave(u, v, k) },
             2.0,
         );
         let mean = (0..40).map(light).sum::<f64>() / 40.0;
@@ -117,12 +118,12 @@ mod tests {
 
     #[test]
     fn a_constant_exposure_is_exactly_constant() {
-        let still = |u: f64, k: usize| if u < 16.0 { 50.0 + u } else { wave(u, k) };
+        let still = |u: f64, v: f64, k: usize| if u < 16.0 { 50.0 + u } else { wave(u, v, k) };
         for frames in [
-            noisy(40, |u, _, k| still(u, k), 2.0),
+            noisy(40, still, 2.0),
             noisy(
                 40,
-                |u, v, k| wave(u, k) * (0.8 + 0.2 * (0.1 * v * k as f64).sin()),
+                |u, v, k| wave(u, v, k) * (0.8 + 0.2 * (0.1 * v * k as f64).sin()),
                 2.0,
             ),
         ] {
