@@ -38,6 +38,15 @@ impl Drawing {
         }
     }
 
+    /// Lays a shape over what is there; `distance` to its border in px, negative inside.
+    pub fn cover(&mut self, level: f64, distance: impl Fn(f64, f64) -> f64) {
+        for (n, out) in self.levels.iter_mut().enumerate() {
+            let (u, v) = ((n % self.width) as f64, (n / self.width) as f64);
+            let share = (0.5 - distance(u, v)).clamp(0.0, 1.0);
+            *out += share * (level - *out);
+        }
+    }
+
     /// Paints a tag with its white border; `h` takes tag coordinates to px.
     pub fn tag(&mut self, number: usize, h: &Matrix3<f64>) {
         let family = TagFamily::tag36_h11().unwrap();

@@ -137,8 +137,8 @@ mod tests {
     use super::*;
     use crate::drawn::{BLACK, Drawing, WHITE, placed};
 
-    /// Side of the images, px.
-    const SIDE: usize = 128;
+    /// Side of the images, px: the largest tag is inside it with its white border, however it is turned.
+    const SIDE: usize = 160;
 
     fn finder(coarse: usize) -> TagFinder {
         TagFinder::new(&Templates::new().unwrap(), SIDE, SIDE, coarse).unwrap()
@@ -154,7 +154,7 @@ mod tests {
     fn placement(random: &mut ChaCha8Rng, side: f64, tilt: f64) -> (usize, Matrix3<f64>) {
         let mut unit = || random.random::<f64>();
         let number = (587.0 * unit()) as usize;
-        let at = [60.0 + 8.0 * unit(), 60.0 + 8.0 * unit()];
+        let at = [76.0 + 8.0 * unit(), 76.0 + 8.0 * unit()];
         let tilt = [tilt * (2.0 * unit() - 1.0), tilt * (2.0 * unit() - 1.0)];
         (
             number,
@@ -224,14 +224,13 @@ mod tests {
         /// Paints it `x` px beyond the tag's centre.
         fn paint(&self, drawing: &mut Drawing, [u, v]: [f64; 2], x: f64) {
             let [c, s] = self.along;
-            drawing.paint(|i, j| {
+            drawing.cover(self.level, |i, j| {
                 let (a, b) = ((i - u) * c + (j - v) * s, (j - v) * c - (i - u) * s);
-                let covers = match self.shape {
-                    "bar" => (a - x).abs() < self.reach,
-                    "disc" => (a - x).hypot(b - 5.0) < self.reach,
-                    _ => a < x,
-                };
-                covers.then_some(self.level)
+                match self.shape {
+                    "bar" => (a - x).abs() - self.reach,
+                    "disc" => (a - x).hypot(b - 5.0) - self.reach,
+                    _ => a - x,
+                }
             });
         }
     }
@@ -242,8 +241,9 @@ mod tests {
     fn a_tag_that_is_partly_hidden_is_refused_or_exact() {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let mut finder = finder(1);
+        let step = if testkit::is_long() { 0.35 } else { 1.4 };
         let (mut frames, mut reported, mut worst) = (0, 0, 0.0_f64);
-        for side in [20.0, 27.0, 42.0, 60.0] {
+        for side in [20.0, 27.0, 60.0] {
             for shape in ["aligned edge", "edge", "bar", "disc"] {
                 for level in [BLACK, 60.0, 0.5 * (BLACK + WHITE), WHITE, 255.0] {
                     let (number, h) = placement(&mut random, side, 0.1);
@@ -261,7 +261,7 @@ mod tests {
                     let mut clean = Drawing::new(SIDE, SIDE, 110.0);
                     clean.tag(number, &h);
                     let end = side + 4.0;
-                    let mut x = -end;
+                    let mut x = random.random::<f64>() - end;
                     while x < end {
                         let mut drawing = Drawing {
                             levels: clean.levels.clone(),
@@ -280,7 +280,7 @@ mod tests {
                                 "{side} px, {shape}, level {level}, {x} px: {off}"
                             );
                         }
-                        x += 0.7;
+                        x += step;
                     }
                 }
             }
