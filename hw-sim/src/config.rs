@@ -15,8 +15,9 @@ use toml_schema::{Document, FileError};
 use crate::eye::Sight;
 use crate::rig::RigSettings;
 use crate::robot::bridge::Shaping;
-use crate::robot::calibration::{HandEye, Truth};
+use crate::robot::calibration::HandEye;
 use crate::robot::control_unit::FciSettings;
+use crate::robot::truth::Truth;
 use crate::sensor::Flaws;
 
 /// Emulates the camera of a scene, and what carries it, behind shared memory.
@@ -282,6 +283,11 @@ impl Config {
                 ));
             }
         }
+        if !keys.truth.lens(&scene).is_invertible() {
+            let allowed = "a lens that shows no point of the image twice";
+            let found = format!("{:?}", keys.truth.distortion);
+            return Err(document.refuse("truth.distortion", found, allowed));
+        }
         if keys.robot == Body::Panda && keys.delay_frames > 0 {
             let allowed = "0 with robot = \"panda\", whose camera has latency_ms";
             return Err(document.refuse("delay_frames", keys.delay_frames, allowed));
@@ -431,6 +437,10 @@ mod tests {
             (
                 "[truth]\nhand_eye_m = [0.0, nan, 0.0]",
                 ["truth.hand_eye_m", "NaN", "-0.2 to 0.2"],
+            ),
+            (
+                "[truth]\ndistortion = [-0.9, 0.0, 0.0, 0.0, 0.0]",
+                ["truth.distortion", "-0.9", "twice"],
             ),
             (
                 "robot = \"panda\"\ncamera = \"rendered\"",

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use ipc::{Domain, Publisher, RobotState, Stamp, TwistCommand, TwistState, now_ns};
+use panda::Joints;
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use scene::Pose;
 
@@ -98,6 +99,8 @@ struct Session<'a> {
     lateness: Lateness,
     /// Whether a disarmed controller was told of, or is not to be.
     is_told: bool,
+    /// Where the arm's last motion ended.
+    joints: Option<Joints>,
 }
 
 impl<'a> Session<'a> {
@@ -123,6 +126,7 @@ impl<'a> Session<'a> {
             measured: None,
             lateness: Lateness::default(),
             is_told: false,
+            joints: None,
         })
     }
 
@@ -151,6 +155,15 @@ impl<'a> Session<'a> {
                 if is_resting {
                     settings.sequence.dwell_ns = u64::MAX;
                 }
+                // The arm is driven there from where it stands.
+                settings.arm.joints = self.joints.and_then(|from| {
+                    let driven = settings.arm.driven(&from, start);
+                    driven
+                        .inspect_err(|error| {
+                            eprintln!("hw-sim: the arm is placed anew: {error}");
+                        })
+                        .ok()
+                });
                 Box::new(Rig::new(scene, start, &settings)?)
             }
         })
@@ -199,6 +212,7 @@ impl<'a> Session<'a> {
         if self.config.progress {
             eprintln!();
         }
+        self.joints = cell.arm().map(|arm| arm.q.into());
         // The last word, so that whoever listens learns how it ended.
         self.tell(&cell.state())
     }

@@ -7,13 +7,15 @@ use rand_distr::{Distribution, Normal};
 use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use vision::{Image, Latency, Transit};
+use vision::{Image, Latency, Lens, Transit};
 
 use crate::camera::{Points, outlines, project};
 use crate::occlusion;
 pub use crate::picture::EyeError;
 use crate::picture::{Exposure, FrameRenderer};
 use crate::pose::{RigidPose, seen_after, to_scene};
+use crate::robot::truth::Truth;
+use crate::stamps::Stamps;
 
 /// What the camera sends.
 #[derive(
@@ -64,7 +66,7 @@ impl Default for EyeSettings {
 pub struct Shot {
     /// Number of the frame, from 1; lost ones leave gaps.
     pub number: u64,
-    /// Middle of the exposure, ns.
+    /// Middle of the exposure as it is told, ns.
     pub stamp_ns: u64,
     /// Markers, px; with an image the true ones, which nobody is told.
     pub points: Points,
@@ -81,8 +83,8 @@ impl Shot {
     }
 }
 
-/// A frame under way: its number, and its markers with a bit for each in sight.
-type Exposed = (u64, Points, u32);
+/// A frame under way: its number and stamp, ns, and its markers with a bit for each in sight.
+type Exposed = (u64, u64, Points, u32);
 
 /// The camera.
 #[derive(Debug)]
@@ -91,7 +93,11 @@ pub struct Eye {
     shown: Vec<bool>,
     noise: Option<Normal<f64>>,
     random: ChaCha8Rng,
+    lens: Lens,
+    stamps: Stamps,
     readout_ns: u64,
+    /// How long an exposure blurs, s.
+    blur_s: f64,
     transit: Transit<Exposed>,
     /// Of rendered frames.
     renderer: Option<FrameRenderer>,
@@ -100,21 +106,33 @@ pub struct Eye {
 }
 
 impl Eye {
-    /// A camera that looks at the scene as it is. Where it `is_live`, a frame that is not drawn in
-    /// time comes later; otherwise the caller waits for it.
+    /// A camera that looks at the scene as it is, `real`, with the flaws of `truth`. Where it
+    /// `is_live`, a frame that is not drawn in time comes later; otherwise the caller waits for it.
     ///
     /// # Errors
     /// [`EyeError`] where there is nothing to draw, or no thread for it.
-    pub fn new(real: &Scene, settings: &EyeSettings, is_live: bool) -> Result<Self, EyeError> {
+    pub fn new(
+        real: &Scene,
+        truth: &Truth,
+        settings: &EyeSettings,
+        is_live: bool,
+    ) -> Result<Self, EyeError> {
         let is_rendered = settings.sight == Sight::Rendered;
-        let renderer = || FrameRenderer::new(real, settings.seed);
+        let renderer = || FrameRenderer::new(real, truth, settings.seed);
+        let latency = Latency {
+            burst: truth.drop_burst,
+            ..settings.latency
+        };
         Ok(Self {
             real: real.clone(),
             shown: vec![true; real.occlusions.len()],
             noise: Normal::new(0.0, settings.noise_px).ok(),
             random: ChaCha8Rng::seed_from_u64(settings.seed),
+            lens: truth.lens(real),
+            stamps: Stamps::new(truth, settings.seed),
             readout_ns: settings.readout_ns,
-            transit: Transit::new(settings.latency),
+            blur_s: 1e-9 * settings.exposure_ns as f64 * truth.motion_blur,
+            transit: Transit::new(latency),
             renderer: is_rendered.then(renderer).transpose()?,
             is_live,
             frames: 0,
@@ -142,16 +160,26 @@ impl Eye {
         self.frames += 1;
         let (mut points, visible) = self.true_features(object);
         if self.renderer.is_none() {
+            points = points
+                .iter()
+                .map(|&pixel| self.lens.distort(pixel))
+                .collect();
             self.add_noise(&mut points);
         }
+        let told_ns = self.stamps.told(stamp_ns);
         let is_delivered = self
             .transit
-            .expose((self.frames, points, visible), stamp_ns);
+            .expose((self.frames, told_ns, points, visible), stamp_ns);
         if let Some(renderer) = self.renderer.as_ref().filter(|_| is_delivered) {
-            let half = 0.5e-9 * self.readout_ns as f64;
-            let rows = [-half, half].map(|dt| to_scene(&seen_after(object, twist, dt)));
-            let shown = self.shown.clone();
-            renderer.expose(Exposure { rows, shown })?;
+            let around = |seconds: f64| {
+                let half = 0.5 * seconds;
+                [-half, half].map(|dt| to_scene(&seen_after(object, twist, dt)))
+            };
+            renderer.expose(Exposure {
+                rows: around(1e-9 * self.readout_ns as f64),
+                blur: around(self.blur_s),
+                shown: self.shown.clone(),
+            })?;
         }
         Ok(())
     }
@@ -172,10 +200,10 @@ impl Eye {
             },
         };
         Ok(self.transit.deliver(now_ns).map(|frame| {
-            let (number, points, visible) = frame.payload;
+            let (number, stamp_ns, points, visible) = frame.payload;
             Shot {
                 number,
-                stamp_ns: frame.stamp_ns,
+                stamp_ns,
                 points,
                 visible,
                 image,
@@ -211,12 +239,13 @@ impl Eye {
 
     fn is_in_sight(&self, pixel: [f64; 2]) -> bool {
         let camera = &self.real.camera;
+        let [u, v] = self.lens.distort(pixel);
         let inside = |x: f64, most: f64| (0.0..=most - 1.0).contains(&x);
         let covered = |(occlusion, shown): (&scene::Occlusion, &bool)| {
             *shown && occlusion::distance_below(occlusion, pixel, 0.0) < 0.0
         };
-        inside(pixel[0], camera.width)
-            && inside(pixel[1], camera.height)
+        inside(u, camera.width)
+            && inside(v, camera.height)
             && !self.real.occlusions.iter().zip(&self.shown).any(covered)
     }
 }
@@ -233,7 +262,7 @@ mod tests {
     }
 
     fn shots(scene: &Scene, settings: &EyeSettings, is_live: bool, object: &Pose) -> Vec<Shot> {
-        let mut eye = Eye::new(scene, settings, is_live).unwrap();
+        let mut eye = Eye::new(scene, &Truth::default(), settings, is_live).unwrap();
         let mut shots = Vec::new();
         let object = from_scene(object);
         for ms in 0..600_u64 {
@@ -278,7 +307,7 @@ mod tests {
             sight: Sight::Rendered,
             ..EyeSettings::default()
         };
-        let error = Eye::new(&robot_scene(), &settings, false).unwrap_err();
+        let error = Eye::new(&robot_scene(), &Truth::default(), &settings, false).unwrap_err();
         assert!(error.to_string().contains("pattern.marker_size"), "{error}");
     }
 
@@ -304,7 +333,7 @@ mod tests {
             let object = from_scene(&scene.goal);
             let [u, v] = project(&scene, &object).unwrap()[0];
             scene.occlusions[0].parts[0].center = [u + 38.0 + beside, v];
-            let eye = Eye::new(&scene, &settings, false).unwrap();
+            let eye = Eye::new(&scene, &Truth::default(), &settings, false).unwrap();
             eye.true_features(&object).1 & 1 == 1
         };
         let eighth = std::f64::consts::FRAC_PI_4;
@@ -318,7 +347,7 @@ mod tests {
         );
         // Outside of the image, which begins at u = 0.
         let mut object = from_scene(&scene.goal);
-        let eye = Eye::new(&scene, &settings, false).unwrap();
+        let eye = Eye::new(&scene, &Truth::default(), &settings, false).unwrap();
         for (left, expected) in [(26.1, 0b0110), (26.7, 0b1111)] {
             object.translation.x = (left - 320.0) * 0.35 / 615.0 + 0.06;
             assert_eq!(eye.true_features(&object).1, expected);
@@ -349,5 +378,83 @@ mod tests {
         let squares: Vec<f64> = pairs.map(|(a, b)| (a - b).powi(2)).collect();
         let deviation = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
         assert!((0.15..0.45).contains(&deviation), "{deviation}");
+    }
+
+    /// What a camera delivers of 3000 frames of the goal.
+    fn flawed(truth: &Truth, settings: &EyeSettings) -> Vec<Shot> {
+        let scene = robot_scene();
+        let object = from_scene(&scene.goal);
+        let mut eye = Eye::new(&truth.scene(&scene), truth, settings, false).unwrap();
+        let mut shots = Vec::new();
+        for k in 0..3000 {
+            let now_ns = 1_000_000_000 + k * 33_333_333;
+            eye.expose(&object, &[0.0; 6], now_ns).unwrap();
+            shots.extend(std::iter::from_fn(|| eye.deliver(now_ns).unwrap()));
+        }
+        shots
+    }
+
+    #[test]
+    fn ideal_features_are_bent_by_the_lens_and_wrong_in_time_and_lost_in_bursts() {
+        let truth = Truth {
+            distortion: [-0.2, 0.05, 0.001, 0.0, 0.0],
+            stamp_bias_ms: 12.0,
+            stamp_jitter_ms: 2.0,
+            drop_burst: 6.0,
+            ..Truth::default()
+        };
+        let settings = EyeSettings {
+            latency: Latency {
+                drop: 0.1,
+                ..Latency::default()
+            },
+            ..EyeSettings::default()
+        };
+        let scene = robot_scene();
+        let (real, seen) = (
+            flawed(&Truth::default(), &settings),
+            flawed(&truth, &settings),
+        );
+        let straight = project(&scene, &from_scene(&scene.goal)).unwrap();
+        assert_eq!(real[0].points, straight);
+        for (found, pixel) in seen[0].points.iter().zip(&straight) {
+            assert_eq!(*found, truth.lens(&scene).distort(*pixel));
+        }
+        let off = seen[0].points[0][0] - straight[0][0];
+        assert!((0.8..6.0).contains(&off), "{off}");
+        let errors = seen.iter().map(|shot| {
+            let true_ns = 1_000_000_000 + (shot.number - 1) * 33_333_333;
+            (shot.stamp_ns as f64 - true_ns as f64) * 1e-6
+        });
+        let mean = errors.sum::<f64>() / seen.len() as f64;
+        assert!((mean - 12.0).abs() < 0.3, "{mean}");
+        let bursts = |shots: &[Shot]| {
+            let gaps = shots
+                .windows(2)
+                .map(|pair| pair[1].number - pair[0].number - 1);
+            let gaps: Vec<u64> = gaps.filter(|gap| *gap > 0).collect();
+            gaps.iter().sum::<u64>() as f64 / gaps.len() as f64
+        };
+        assert!((1.0..1.3).contains(&bursts(&real)), "{}", bursts(&real));
+        assert!((4.0..8.0).contains(&bursts(&seen)), "{}", bursts(&seen));
+    }
+
+    #[test]
+    fn true_occlusions_hide_and_not_those_that_are_believed() {
+        // The first marker is 130 px from the spot.
+        let settings = EyeSettings::default();
+        let visible = |truth: Truth| flawed(&truth, &settings)[0].visible;
+        assert_eq!(visible(Truth::default()), 0b1111);
+        let [u, v] = project(&robot_scene(), &from_scene(&robot_scene().goal)).unwrap()[0];
+        let shifted = Truth {
+            mask_shift_px: [u - 320.0, v - 222.0],
+            ..Truth::default()
+        };
+        assert_eq!(visible(shifted), 0b1110);
+        let grown = Truth {
+            mask_growth_px: 100.0,
+            ..Truth::default()
+        };
+        assert_eq!(visible(grown) & 0b1100, 0);
     }
 }

@@ -27,6 +27,7 @@ pub mod referee;
 pub mod rig;
 pub mod robot;
 pub mod sensor;
+mod stamps;
 pub mod standing;
 
 pub use camera::{FreeCamera, Hidden, Points};

@@ -94,7 +94,10 @@ impl Outcome {
         let after = format!("after {:.1} s", self.time_s);
         let error = format!("{:.1} px from the goal", self.error_px);
         match (self.verdict, &self.violation) {
-            ("arrived", _) => format!("arrived at the goal {after}; {}", self.clearance()),
+            ("arrived", _) => {
+                let (clearance, joints) = (self.clearance(), self.joints());
+                format!("arrived at the goal {after}; {clearance}{joints}")
+            }
             ("time_out", _) => format!("did not arrive in time: {error} {after}"),
             ("lost_sight", _) => format!("lost sight of the pattern {after}"),
             ("reflex", _) => format!("the robot stopped itself {after}, {error}"),
@@ -102,6 +105,15 @@ impl Outcome {
             (_, Some(violation)) => format!("violation {after}: {violation}"),
             _ => format!("stopped {after}, {error}"),
         }
+    }
+
+    /// How much of their speed the joints used.
+    fn joints(&self) -> String {
+        let arm = self.arm.as_ref();
+        arm.map_or_else(String::new, |arm| {
+            let share = 100.0 * arm.joint_velocity;
+            format!("; joints at up to {share:.0} % of their speed limits")
+        })
     }
 
     fn clearance(&self) -> String {
@@ -152,10 +164,15 @@ mod tests {
         assert_eq!(inside.sentence(), expected);
         assert!(inside.is_success() && inside.violation.is_none());
         let clear = outcome([755.0, 560.0], Some(End::Arrived)).sentence();
-        assert!(
-            clear.ends_with("20.0 px from occlusions and border, or more"),
-            "{clear}"
-        );
+        let words = "20.0 px from occlusions and border, or more";
+        assert!(clear.ends_with(words), "{clear}");
+        let mut arm = outcome([755.0, 560.0], Some(End::Arrived));
+        arm.arm = Some(ArmReport {
+            joint_velocity: 0.614,
+            ..ArmReport::default()
+        });
+        let words = format!("{words}; joints at up to 61 % of their speed limits");
+        assert!(arm.sentence().ends_with(&words), "{}", arm.sentence());
     }
 
     #[test]

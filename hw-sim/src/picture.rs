@@ -6,6 +6,8 @@ use std::thread;
 use scene::{Pose, Scene};
 use vision::{Image, Look, Renderer};
 
+use crate::robot::truth::Truth;
+
 /// Why a camera cannot be, or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum EyeError {
@@ -22,8 +24,11 @@ pub enum EyeError {
 
 /// A frame to be drawn.
 pub(crate) struct Exposure {
-    /// The object in the camera frame while the first and the last row are exposed.
+    /// The object in the camera frame in the middle of the exposure of the first row and of the last
+    /// one.
     pub rows: [Pose; 2],
+    /// ... at the begin and at the end of a row's exposure, as far as it blurs.
+    pub blur: [Pose; 2],
     /// Whether each occlusion of the scene is there.
     pub shown: Vec<bool>,
 }
@@ -37,11 +42,15 @@ pub(crate) struct FrameRenderer {
 
 impl FrameRenderer {
     /// Draws the scene as it is, with a tag at each point of its pattern.
-    pub fn new(real: &Scene, seed: u64) -> Result<Self, EyeError> {
+    pub fn new(real: &Scene, truth: &Truth, seed: u64) -> Result<Self, EyeError> {
         if real.marker_size <= 0.0 {
             return Err(EyeError::NoSize);
         }
         let look = Look {
+            distortion: truth.distortion,
+            defocus_px: truth.defocus_px,
+            gain: truth.gain,
+            clutter: truth.clutter as usize,
             seed,
             ..Look::default()
         };
@@ -81,6 +90,7 @@ fn draw(renderer: &mut Renderer, exposure: &Exposure) -> Image {
     for (occlusion, &shown) in exposure.shown.iter().enumerate() {
         renderer.show(occlusion, shown);
     }
-    let [first, last] = &exposure.rows;
-    renderer.render_rolling(first, last).clone()
+    renderer
+        .render_moving(&exposure.rows, &exposure.blur)
+        .clone()
 }

@@ -89,12 +89,16 @@ impl Rig {
     /// # Errors
     /// [`RigError`]: the start is out of reach, or a setting out of its range.
     pub fn new(scene: &Scene, start: &Pose, settings: &RigSettings) -> Result<Self, RigError> {
-        let real = settings.arm.truth.scene(scene);
+        let truth = &settings.arm.truth;
+        let real = truth.scene(scene);
+        // True occlusions count, and the goal as it was told.
+        let mut judged = scene.clone();
+        judged.occlusions.clone_from(&real.occlusions);
         let is_grasped = |occlusion: &scene::Occlusion| occlusion.name.contains("grasped");
         Ok(Self {
             arm: Arm::new(scene, start, &settings.arm)?,
-            eye: Eye::new(&real, &settings.eye, settings.is_live)?,
-            progress: Progress::new(scene),
+            eye: Eye::new(&real, truth, &settings.eye, settings.is_live)?,
+            progress: Progress::new(&judged),
             sequence: Sequence::new(settings.sequence),
             grasped: scene.occlusions.iter().position(is_grasped),
             scene: scene.clone(),

@@ -8,3 +8,4 @@ pub mod control_unit;
 pub mod description;
 pub mod inspector;
 pub mod sequence;
+pub mod truth;

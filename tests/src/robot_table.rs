@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use hw_sim::rig::RigSettings;
 use hw_sim::robot::bridge::Shaping;
-use hw_sim::robot::calibration::Truth;
+use hw_sim::robot::truth::Truth;
 use ipc::ClockMode;
 use memory_blob::MemoryFile;
 use rand::SeedableRng;

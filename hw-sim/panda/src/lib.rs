@@ -26,7 +26,7 @@ pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Twist};
 pub use limits::{Limits, Model};
 pub use mode::{Mode, RequestError};
 pub use mount::Mount;
-pub use placement::{PlacementError, place};
+pub use placement::{DriveError, PlacementError, drive, place};
 pub use robot::Robot;
 pub use settings::{RobotError, RobotSettings, Walls};
 pub use shaper::{Echo, Shaper, ShaperError, ShaperSettings};

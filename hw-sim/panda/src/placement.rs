@@ -1,15 +1,16 @@
 //! Joint positions for a given pose, from which an experiment starts.
 //!
-//! Levenberg-Marquardt from a fixed list of postures, so that the answer is the same in every run.
-//! Of the solutions, the one furthest from the joints' limits is taken.
+//! [`place`]: Levenberg-Marquardt from a fixed list of postures, so that the answer is the same in
+//! every run. Of the solutions, the one furthest from the joints' limits is taken. [`drive`]: along a
+//! path from where the arm stands, as a robot gets there.
 
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::{Cholesky, Matrix6};
+use nalgebra::{Cholesky, Matrix6, Rotation3};
 use thiserror::Error;
 
 use crate::ik::manipulability;
-use crate::kinematics::{Chain, JOINTS, Joints, Pose, READY, difference};
+use crate::kinematics::{Chain, JOINTS, Joints, Pose, READY, difference, rotation_vector};
 use crate::limits::Limits;
 
 /// Most iterations from one posture; a good one needs about ten.
@@ -20,6 +21,11 @@ const FOUND: f64 = 1e-10;
 const STRIDE: f64 = 0.4;
 /// Room that a solution keeps from the ends of the joints' ranges, rad.
 const ROOM: f64 = 0.05;
+
+/// The longest step of a path, m and rad.
+const STEP: f64 = 0.01;
+/// Squared part of joint 3 in the free direction under which the elbow is no longer held.
+const ELBOW_FADE: f64 = 0.02;
 
 /// No joint positions were found.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
@@ -63,6 +69,90 @@ pub fn place(chain: &Chain, limits: &Limits, wanted: &Pose) -> Result<Joints, Pl
         z: wanted.translation.z,
         error: nearest,
     })
+}
+
+/// Why an arm cannot be driven to a pose.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum DriveError {
+    /// A joint would come too near to an end of its range.
+    #[error("joint {joint} would turn to {position:.2} rad, of {lower:.2} to {upper:.2}")]
+    Range {
+        /// Its number, from 1.
+        joint: usize,
+        /// Where it would be, rad.
+        position: f64,
+        /// Its range, less 0.05 rad of room at either end, rad.
+        lower: f64,
+        /// Its range, rad.
+        upper: f64,
+    },
+    /// A pose on the way is out of reach.
+    #[error("the straight way there leads out of reach")]
+    Reach,
+}
+
+/// Joint positions to which an arm at `from` comes if its end effector is driven to `wanted` along a
+/// straight line at an even rate of turn, while joint 3, the elbow, stays where it is.
+///
+/// # Errors
+/// A joint comes within 0.05 rad of an end of its range, or the way leads out of reach.
+pub fn drive(
+    chain: &Chain,
+    limits: &Limits,
+    from: &Joints,
+    wanted: &Pose,
+) -> Result<Joints, DriveError> {
+    let begin = chain.pose(from);
+    let line = wanted.translation.vector - begin.translation.vector;
+    let turn = rotation_vector(&(wanted.rotation * begin.rotation.inverse()));
+    let steps = (line.norm().max(turn.norm()) / STEP).ceil().max(1.0);
+    let mut q = *from;
+    for step in 1..=steps as usize {
+        let share = step as f64 / steps;
+        let pose = match step as f64 == steps {
+            true => *wanted,
+            false => Pose::from_parts(
+                (begin.translation.vector + line * share).into(),
+                Rotation3::new(turn * share) * begin.rotation,
+            ),
+        };
+        q = follow(chain, &q, from[2], &pose).ok_or(DriveError::Reach)?;
+        for (k, bound) in limits.joints.iter().enumerate() {
+            let (lower, upper) = (bound.lower + ROOM, bound.upper - ROOM);
+            if !(lower..=upper).contains(&q[k]) {
+                return Err(DriveError::Range {
+                    joint: k + 1,
+                    position: q[k],
+                    lower,
+                    upper,
+                });
+            }
+        }
+    }
+    Ok(q)
+}
+
+/// The joint positions near `q` at a pose near theirs, with joint 3 at `elbow` as far as it can be.
+fn follow(chain: &Chain, q: &Joints, elbow: f64, pose: &Pose) -> Option<Joints> {
+    let mut q = *q;
+    for _ in 0..ITERATIONS {
+        let posture = chain.posture(&q);
+        let error = difference(pose, &posture.pose);
+        let j = &posture.jacobian;
+        let inverse = j.transpose() * Cholesky::new(j * j.transpose())?.inverse();
+        let task = inverse * error;
+        // The motion of the joints without the end effector that turns joint 3.
+        let mut free = -inverse * j.column(2);
+        free[2] += 1.0;
+        let away = elbow - q[2] - task[2];
+        let is_held = free[2] > ELBOW_FADE;
+        if error.norm() < FOUND && (!is_held || away.abs() < 1e-6) {
+            return Some(q);
+        }
+        let step = task + free * if is_held { away / free[2] } else { 0.0 };
+        q += step * (STRIDE / step.amax().max(STRIDE));
+    }
+    None
 }
 
 /// Ready positions turned towards the goal, with several elbows and wrists.
@@ -162,5 +252,65 @@ mod tests {
         let far = Pose::from_parts(Translation3::new(1.5, 0.0, 0.5), Rotation3::identity());
         let error = place(&Chain::default(), Model::Panda.limits(), &far).unwrap_err();
         assert!(error.error > 0.3 && error.to_string().contains("1.500"));
+    }
+
+    #[test]
+    fn an_arm_is_driven_along_a_line_with_its_elbow_where_it_was() {
+        let (chain, limits) = (Chain::default(), Model::Panda.limits());
+        let down = Rotation3::new(Vector3::x() * std::f64::consts::PI);
+        let pose = |x: f64, y: f64, z: f64, turn: f64| {
+            let turn = Rotation3::new(Vector3::z() * turn);
+            Pose::from_parts(Translation3::new(x, y, z), down * turn)
+        };
+        let mut q = place(&chain, limits, &pose(0.45, 0.0, 0.4, 0.0)).unwrap();
+        q[2] += 0.3;
+        q = follow(&chain, &q, q[2], &pose(0.45, 0.0, 0.4, 0.0)).unwrap();
+        let elbow = q[2];
+        for (x, y, z, turn) in [
+            (0.55, 0.1, 0.3, 0.5),
+            (0.4, -0.15, 0.5, -0.5),
+            (0.45, 0.0, 0.4, 0.0),
+        ] {
+            let wanted = pose(x, y, z, turn);
+            let there = drive(&chain, limits, &q, &wanted).unwrap();
+            assert!(difference(&wanted, &chain.pose(&there)).norm() < 1e-9);
+            assert!((there[2] - elbow).abs() < 1e-5);
+            q = there;
+        }
+        // Back where it began, which is not where it would be placed.
+        let placed = place(&chain, limits, &pose(0.45, 0.0, 0.4, 0.0)).unwrap();
+        assert!((q - placed).amax() > 0.2);
+    }
+
+    #[test]
+    fn a_joint_that_would_leave_its_range_and_a_way_out_of_reach_are_told() {
+        let (chain, limits) = (Chain::default(), Model::Panda.limits());
+        let down = Rotation3::new(Vector3::x() * std::f64::consts::PI);
+        let pose = Pose::from_parts(Translation3::new(0.45, 0.0, 0.4), down);
+        let q = place(&chain, limits, &pose).unwrap();
+        // Half a turn from here, and half a turn more.
+        let turned = |angle: f64| {
+            let turn = Rotation3::new(Vector3::z() * angle);
+            Pose::from_parts(pose.translation, pose.rotation * turn)
+        };
+        let mut at = q;
+        let mut last = Ok(q);
+        for k in 1..=4 {
+            last = drive(&chain, limits, &at, &turned(1.5 * f64::from(k)));
+            match last {
+                Ok(there) => at = there,
+                Err(_) => break,
+            }
+        }
+        assert!(
+            matches!(last, Err(DriveError::Range { joint: 7, .. })),
+            "{last:?}"
+        );
+        let far = Pose::from_parts(Translation3::new(1.5, 0.0, 0.5), down);
+        let error = drive(&chain, limits, &q, &far).unwrap_err();
+        assert!(matches!(
+            error,
+            DriveError::Reach | DriveError::Range { .. }
+        ));
     }
 }

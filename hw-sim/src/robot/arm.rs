@@ -5,15 +5,16 @@ use std::net::SocketAddr;
 
 use nalgebra::{Matrix3, Rotation3, Translation3};
 use panda::{
-    JOINTS, MotionKind, Mount, PlacementError, Pose, RequestError, Robot, RobotError,
-    RobotSettings, ShaperError, State, place,
+    Chain, DriveError, JOINTS, Joints, MotionKind, Mount, PlacementError, Pose, RequestError,
+    Robot, RobotError, RobotSettings, ShaperError, State, drive, place,
 };
 use scene::Scene;
 
 use super::bridge::{Bridge, Shaping};
-use super::calibration::{HandEye, Truth};
+use super::calibration::HandEye;
 use super::control_unit::{ControlUnit, FciSettings};
 use super::inspector::Inspector;
+use super::truth::Truth;
 use crate::pose::{RigidPose, from_scene};
 
 /// Where the pattern lies in the robot's base: 0.5 m in front of it, 5 cm above its foot, facing
@@ -39,6 +40,31 @@ pub struct ArmSettings {
     pub robot: RobotSettings,
     /// Whether clients of the vendor's interface command it, instead of the bridge.
     pub fci: Option<FciSettings>,
+    /// Joint positions in which it stands at the start; `None`: it is placed as far from the ends of
+    /// the joints' ranges as can be.
+    pub joints: Option<Joints>,
+}
+
+impl ArmSettings {
+    /// The chain to the end effector, and where that is in the base when the camera sees the object
+    /// at `start`.
+    fn wanted(&self, start: &scene::Pose) -> (Chain, Pose) {
+        let mount = self.truth.mount(&self.hand_eye.mount());
+        let camera = base_from_object() * from_scene(&self.truth.start(start)).inverse();
+        let flange_from_ee = self.robot.flange_from_ee();
+        let wanted = mount.flange(&camera) * flange_from_ee;
+        (Chain::new(flange_from_ee), wanted)
+    }
+
+    /// The joint positions of an arm that is driven from others to where its camera sees the object
+    /// at `start`; see [`panda::drive`].
+    ///
+    /// # Errors
+    /// [`DriveError`]: it cannot get there.
+    pub fn driven(&self, from: &Joints, start: &scene::Pose) -> Result<Joints, DriveError> {
+        let (chain, wanted) = self.wanted(start);
+        drive(&chain, self.robot.model.limits(), from, &wanted)
+    }
 }
 
 impl Default for ArmSettings {
@@ -50,6 +76,7 @@ impl Default for ArmSettings {
             shaping: Shaping::default(),
             robot: RobotSettings::with_hand(),
             fci: None,
+            joints: None,
         }
     }
 }
@@ -105,17 +132,11 @@ impl Arm {
     ) -> Result<Self, ArmError> {
         let believed = settings.hand_eye.mount();
         let mount = settings.truth.mount(&believed);
-        let base_from_object = base_from_object();
-        let start = from_scene(&settings.truth.start(start));
-        let camera = base_from_object * start.inverse();
-        let flange_from_ee = settings.robot.flange_from_ee();
-        let chain = panda::Chain::new(flange_from_ee);
-        let joints = place(
-            &chain,
-            settings.robot.model.limits(),
-            &(mount.flange(&camera) * flange_from_ee),
-        )
-        .map_err(ArmError::Placement)?;
+        let placed = || {
+            let (chain, wanted) = settings.wanted(start);
+            place(&chain, settings.robot.model.limits(), &wanted).map_err(ArmError::Placement)
+        };
+        let joints = settings.joints.map_or_else(placed, Ok)?;
         let mut robot = Robot::new(settings.robot, joints)?;
         let open = |fci: FciSettings| {
             ControlUnit::open(&fci).map_err(|source| ArmError::Fci {
@@ -135,7 +156,7 @@ impl Arm {
             robot,
             bridge: Bridge::new(believed, scene.limits, settings.shaping)?,
             mount,
-            base_from_object,
+            base_from_object: base_from_object(),
         })
     }
 

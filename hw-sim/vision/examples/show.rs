@@ -2,9 +2,11 @@
 //!
 //! ```sh
 //! cargo run --release -p vision --example show -- /tmp/frame.png 0
+//! cargo run --release -p vision --example show -- --flaws /tmp/frame.png 0
 //! ```
 //! The second argument is the row of `tags-robot-starts.csv`, or six numbers tx ty tz (m) rx ry rz
-//! (rad).
+//! (rad). With `--flaws` the lens distorts, the picture is out of focus, blurred by 10 cm/s and half
+//! a radian a second in 20 ms, brighter or darker, and other tags lie about.
 
 use std::error::Error;
 use std::fs::File;
@@ -13,15 +15,28 @@ use std::io::BufWriter;
 use scene::{Pose, Scene};
 use vision::{Look, Renderer, truth};
 
+const USAGE: &str = "usage: show [--flaws] FILE.png [START | TX TY TZ RX RY RZ]";
+
 fn main() -> Result<(), Box<dyn Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let (path, numbers) = arguments
-        .split_first()
-        .ok_or("usage: show FILE.png [START]")?;
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    let has_flaws = arguments.first().is_some_and(|word| word == "--flaws");
+    if has_flaws {
+        arguments.remove(0);
+    }
+    let (path, numbers) = arguments.split_first().ok_or(USAGE)?;
     let scene = Scene::parse(scene::TAGS_ROBOT, "tags-robot.toml")?;
     let pose = pose(numbers, &scene)?;
-    let mut renderer = Renderer::new(&scene, &Look::default());
-    let image = renderer.render(&pose);
+    let mut look = Look::default();
+    let mut ends = [pose; 2];
+    if has_flaws {
+        look.distortion = [-0.25, 0.08, 0.001, -0.001, 0.0];
+        (look.defocus_px, look.gain, look.clutter) = (0.8, 0.4, 6);
+        // Within 20 ms.
+        ends[1].translation[0] += 0.002;
+        ends[1].rotation[2] += 0.01;
+    }
+    let mut renderer = Renderer::new(&scene, &look);
+    let image = renderer.render_moving(&[pose; 2], &ends);
     for (i, truth) in truth(&scene, &pose, scene.marker_size, |_| true)
         .iter()
         .enumerate()
@@ -56,6 +71,6 @@ fn pose(numbers: &[String], scene: &Scene) -> Result<Pose, Box<dyn Error>> {
             translation: [*tx, *ty, *tz],
             rotation: [*rx, *ry, *rz],
         }),
-        _ => Err("usage: show FILE.png [START | TX TY TZ RX RY RZ]".into()),
+        _ => Err(USAGE.into()),
     }
 }

@@ -13,8 +13,11 @@ pub struct Latency {
     pub latency_ns: u64,
     /// Uniform deviation of the latency to either side, ns; at most the latency.
     pub jitter_ns: u64,
-    /// Probability that a frame is lost, 0 to 1.
+    /// Share of the frames that is lost, 0 to 1.
     pub drop: f64,
+    /// Mean number of frames that are lost in a row; 0: each is lost by itself, so that it is 1 / (1
+    /// - drop). Never less than that.
+    pub burst: f64,
     /// Seed of jitter and losses.
     pub seed: u64,
 }
@@ -26,8 +29,21 @@ impl Default for Latency {
             latency_ns: 110_000_000,
             jitter_ns: 0,
             drop: 0.0,
+            burst: 0.0,
             seed: 0,
         }
+    }
+}
+
+impl Latency {
+    /// The probability that a frame is lost, by whether the one before was (Gilbert's model).
+    fn loss_after(&self, was_lost: bool) -> f64 {
+        let after_loss = (1.0 - 1.0 / self.burst.max(1.0)).max(self.drop);
+        if after_loss == self.drop || was_lost {
+            return after_loss;
+        }
+        // What makes the share that is lost in the long run what is asked for.
+        self.drop * (1.0 - after_loss) / (1.0 - self.drop)
     }
 }
 
@@ -51,6 +67,7 @@ pub struct Transit<T> {
     latency: Latency,
     under_way: VecDeque<Delivered<T>>,
     last_due_ns: u64,
+    was_lost: bool,
     random: ChaCha8Rng,
 }
 
@@ -61,6 +78,7 @@ impl<T> Transit<T> {
             latency,
             under_way: VecDeque::with_capacity(CAPACITY),
             last_due_ns: 0,
+            was_lost: false,
             random: ChaCha8Rng::seed_from_u64(latency.seed),
         }
     }
@@ -69,7 +87,8 @@ impl<T> Transit<T> {
     /// in order.
     pub fn expose(&mut self, payload: T, stamp_ns: u64) -> bool {
         // Both drawn for every frame, so that one flaw does not change the numbers of another.
-        let lost = self.random.random::<f64>() < self.latency.drop;
+        let lost = self.random.random::<f64>() < self.latency.loss_after(self.was_lost);
+        self.was_lost = lost;
         let deviation = 2.0 * self.random.random::<f64>() - 1.0;
         if lost {
             return false;
@@ -194,5 +213,28 @@ mod tests {
         assert!((20..60).contains(&lost), "{lost}");
         let same = |(a, b): (&Option<u64>, &Option<u64>)| b.is_none() || a == b;
         assert!(all.iter().zip(&some).all(same));
+    }
+
+    #[test]
+    fn bursts_have_the_length_asked_for_and_take_the_same_share() {
+        for (drop, burst, expected) in [(0.1, 5.0, 5.0), (0.3, 0.0, 1.0 / 0.7), (0.3, 2.0, 2.0)] {
+            let mut transit = transit(Latency {
+                drop,
+                burst,
+                seed: 2,
+                ..Latency::default()
+            });
+            let lost: Vec<bool> = (0..60_000)
+                .map(|k| {
+                    while transit.deliver(k * PERIOD_NS).is_some() {}
+                    !transit.expose(k, k * PERIOD_NS)
+                })
+                .collect();
+            let count = lost.iter().filter(|lost| **lost).count() as f64;
+            let bursts = lost.windows(2).filter(|pair| !pair[0] && pair[1]).count() as f64;
+            let share = count / lost.len() as f64;
+            assert!((share / drop - 1.0).abs() < 0.07, "{share}");
+            assert!((count / bursts / expected - 1.0).abs() < 0.07);
+        }
     }
 }

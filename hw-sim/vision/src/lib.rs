@@ -20,10 +20,13 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod brightness;
+mod defocus;
 mod homography;
 mod image;
 mod latency;
 mod layer;
+mod lens;
 mod look;
 mod object;
 mod optics;
@@ -39,6 +42,7 @@ mod truth;
 
 pub use image::Image;
 pub use latency::{Delivered, Latency, Transit};
+pub use lens::Lens;
 pub use look::{Look, SpotLook};
 pub use renderer::Renderer;
 pub use tag::Tag;

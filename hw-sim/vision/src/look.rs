@@ -44,7 +44,17 @@ pub struct Look {
     pub noise: f64,
     /// The spots on the lens.
     pub spot: SpotLook,
-    /// Seed of textures and noise.
+    /// Distortion of the lens, as OpenCV has it: k1 k2 p1 p2 k3. Occlusions are distorted, too:
+    /// the scene describes the pinhole's image.
+    pub distortion: [f64; 5],
+    /// Standard deviation of the blur of a picture that is out of focus, px; 0 to 20.
+    pub defocus_px: f64,
+    /// Share by which the brightness rises and falls, slowly and in steps; 0 to 1. Levels end at
+    /// 255.
+    pub gain: f64,
+    /// Other tags that lie about on the table: of other numbers, the last a copy of the first tag.
+    pub clutter: usize,
+    /// Seed of textures, noise, brightness and clutter.
     pub seed: u64,
 }
 
@@ -78,6 +88,10 @@ impl Default for Look {
                 veil: 27.0,
                 softness_px: 7.0,
             },
+            distortion: [0.0; 5],
+            defocus_px: 0.0,
+            gain: 0.0,
+            clutter: 0,
             seed: 0,
         }
     }

@@ -3,6 +3,7 @@
 use scene::Occlusion;
 
 use crate::layer::{Area, coverage, relief};
+use crate::lens::Lens;
 use crate::look::Look;
 use crate::texture::Texture;
 
@@ -17,13 +18,14 @@ pub(crate) struct Object {
 impl Object {
     pub fn new(
         occlusion: &Occlusion,
+        lens: &Lens,
         look: &Look,
         texture: &Texture,
         width: usize,
         height: usize,
     ) -> Self {
-        let area = Area::around(occlusion, 1.0, width, height);
-        let mut light = relief(occlusion, area);
+        let area = Area::around(occlusion, lens, 1.0, width, height);
+        let mut light = relief(occlusion, lens, area);
         for (i, x) in light.iter_mut().enumerate() {
             let (u, v) = (area.column + i % area.width, area.row + i / area.width);
             let grain = texture.texel(u / 5, v * 5);
@@ -32,7 +34,7 @@ impl Object {
         }
         Self {
             area,
-            coverage: coverage(occlusion, area),
+            coverage: coverage(occlusion, lens, area),
             light,
         }
     }

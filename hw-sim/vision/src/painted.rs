@@ -59,9 +59,11 @@ impl Painted {
         }
     }
 
-    /// The depth of a pixel, px; 0 outside the image.
-    pub fn depth(&self, column: usize, row: usize) -> f64 {
-        if column < self.width && row < self.height {
+    /// The depth of the pixel about a point, px; 0 outside the image.
+    pub fn depth(&self, u: f64, v: f64) -> f64 {
+        // The casts saturate.
+        let (column, row) = ((u + 0.5) as usize, (v + 0.5) as usize);
+        if u > -0.5 && v > -0.5 && column < self.width && row < self.height {
             f64::from(self.depth[row * self.width + column])
         } else {
             0.0
@@ -129,14 +131,17 @@ pub(crate) mod tests {
             (100..141).contains(&i) && (50..91).contains(&j)
         }));
         assert_eq!(painted.window(), [[100, 50], [140, 90]]);
-        assert_eq!((painted.depth(99, 70), painted.depth(100, 70)), (0.0, 0.5));
-        assert_eq!(painted.depth(120, 70), 20.5);
+        assert_eq!(
+            (painted.depth(99.0, 70.0), painted.depth(100.0, 70.0)),
+            (0.0, 0.5)
+        );
+        assert_eq!(painted.depth(120.0, 70.0), 20.5);
         assert_eq!(painted.deepest(), 20.5);
         let disc = |i: u32, j: u32| (f64::from(i) - 300.0).hypot(f64::from(j) - 200.0) < 60.0;
         let painted = Painted::new(&mask(disc));
         for (column, row) in [(300, 200), (330, 220), (290, 250)] {
             let expected = 60.0 - (f64::from(column) - 300.0).hypot(f64::from(row) - 200.0);
-            let found = painted.depth(column as usize, row as usize);
+            let found = painted.depth(f64::from(column), f64::from(row));
             assert!((found - expected).abs() < 0.8, "{found} {expected}");
         }
     }
@@ -144,7 +149,10 @@ pub(crate) mod tests {
     #[test]
     fn the_edge_of_the_image_is_no_edge_of_what_is_white_there() {
         let painted = Painted::new(&mask(|i, _| i < 30));
-        assert_eq!((painted.depth(0, 0), painted.depth(29, 479)), (29.5, 0.5));
+        assert_eq!(
+            (painted.depth(0.0, 0.0), painted.depth(29.0, 479.0)),
+            (29.5, 0.5)
+        );
     }
 
     #[test]

@@ -5,8 +5,11 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::{Camera, Pose, Scene};
 
-use crate::homography::Homography;
+use crate::brightness::Brightness;
+use crate::defocus::Defocus;
+use crate::homography::{Homography, Point};
 use crate::image::Image;
+use crate::lens::{Lens, Rays};
 use crate::look::{Kind, Look};
 use crate::object::Object;
 use crate::optics::Optics;
@@ -30,7 +33,13 @@ pub struct Renderer {
     texture: Texture,
     plane: Plane,
     layers: Vec<(Layer, bool)>,
+    lens: Lens,
+    rays: Rays,
+    /// The box of what the image shows, px of the pinhole.
+    seen: [Point; 2],
+    defocus: Option<Defocus>,
     optics: Optics,
+    brightness: Brightness,
     sensor: Sensor,
     levels: Vec<f32>,
     image: Image,
@@ -55,13 +64,15 @@ impl Renderer {
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
         let mut random = ChaCha8Rng::seed_from_u64(look.seed);
         let texture = Texture::new(&mut random);
+        let lens = Lens::new(&scene.camera, look.distortion);
+        let rays = Rays::new(&lens, width, height);
         let layers = scene
             .occlusions
             .iter()
             .map(|occlusion| match Kind::by_name(occlusion) {
-                Kind::Spot => Layer::Spot(Spot::new(occlusion, look.spot, width, height)),
+                Kind::Spot => Layer::Spot(Spot::new(occlusion, &lens, look.spot, width, height)),
                 Kind::Opaque => {
-                    Layer::Object(Object::new(occlusion, look, &texture, width, height))
+                    Layer::Object(Object::new(occlusion, &lens, look, &texture, width, height))
                 }
             })
             .map(|layer| (layer, true))
@@ -71,7 +82,12 @@ impl Renderer {
             texture,
             plane: Plane::new(look, tags),
             layers,
+            lens,
+            seen: rays.bounds(),
+            rays,
+            defocus: Defocus::new(look.defocus_px, width, height),
             optics: Optics::new(&scene.camera, look.vignette),
+            brightness: Brightness::new(look.gain, look.seed),
             sensor: Sensor::new(look.noise, random),
             levels: vec![0.0; width * height],
             image: Image::new(width, height),
@@ -93,19 +109,34 @@ impl Renderer {
 
     /// Draws a frame of a rolling shutter: the poses while the first and the last row are exposed.
     pub fn render_rolling(&mut self, first: &Pose, last: &Pose) -> &Image {
-        let maps = [first, last].map(|pose| Homography::of_pose(&self.camera, pose));
+        self.render_moving(&[*first, *last], &[*first; 2])
+    }
+
+    /// Draws a frame of a camera that moves: the poses in the middle of the exposure of the first
+    /// and of the last row, and those at the begin and at the end of the exposure of any row, whose
+    /// difference blurs the tags.
+    pub fn render_moving(&mut self, rows: &[Pose; 2], exposure: &[Pose; 2]) -> &Image {
+        let map = |pose: &Pose| Homography::of_pose(&self.camera, pose);
+        let (rows, exposure) = (rows.each_ref().map(map), exposure.each_ref().map(map));
+        let way = (exposure[1].0 - exposure[0].0) * 0.5;
+        let ends = |map: Homography| [Homography(map.0 - way), Homography(map.0 + way)];
         let (width, height) = (self.image.width(), self.image.height());
-        self.plane.aim(&maps, [width, height]);
+        let all = rows.map(ends);
+        self.plane
+            .aim(all.as_flattened(), &self.lens, self.seen, [width, height]);
         for row in 0..height {
             let share = row as f64 / (height - 1) as f64;
-            let map = maps[0].between(&maps[1], share);
+            let maps = ends(rows[0].between(&rows[1], share));
             let line = &mut self.levels[row * width..(row + 1) * width];
-            self.plane.draw(line, row, &map, &self.texture);
+            self.plane.draw(line, row, &maps, &self.rays, &self.texture);
         }
         for (layer, shown) in &self.layers {
             if let (Layer::Object(object), true) = (layer, shown) {
                 object.cover(&mut self.levels, width);
             }
+        }
+        if let Some(defocus) = &mut self.defocus {
+            defocus.blur(&mut self.levels);
         }
         self.optics.spread(&mut self.levels);
         for (layer, shown) in &mut self.layers {
@@ -113,7 +144,9 @@ impl Renderer {
                 spot.cover(&mut self.levels, width);
             }
         }
-        self.sensor.expose(&self.levels, &mut self.image);
+        let brightness = self.brightness.next();
+        self.sensor
+            .expose(&self.levels, brightness, &mut self.image);
         &self.image
     }
 
@@ -321,6 +354,190 @@ mod tests {
                 let off = sums[k] / sum - expected;
                 assert!(off.abs() < 0.01, "tag {number}, axis {k}: {off}");
             }
+        }
+    }
+
+    fn flawed(look: Look, pose: &Pose) -> Image {
+        Renderer::new(&robot(), &look).render(pose).clone()
+    }
+
+    /// Area (px^2) and centroid (px) of the black modules of a tag as a lens shows them.
+    fn black(scene: &Scene, lens: &Lens, pose: &Pose, tag: &Tag) -> (f64, Point) {
+        /// Pieces along a side of a module.
+        const PIECES: usize = 6;
+        let map = Homography::of_pose(&scene.camera, pose);
+        let step = tag.module() / PIECES as f64;
+        let [left, top] = tag.rim()[0];
+        let seen = |a: usize, b: usize| {
+            let at = [left + a as f64 * step, top + b as f64 * step];
+            lens.distort(map.apply(at).unwrap())
+        };
+        let (mut area, mut sums) = (0.0, [0.0; 2]);
+        for (row, bits) in tag.rows().iter().enumerate() {
+            for column in (0..10).filter(|column| bits >> column & 1 == 0) {
+                for piece in 0..PIECES * PIECES {
+                    let (a, b) = (
+                        column * PIECES + piece % PIECES,
+                        row * PIECES + piece / PIECES,
+                    );
+                    let corners = [
+                        seen(a, b),
+                        seen(a + 1, b),
+                        seen(a + 1, b + 1),
+                        seen(a, b + 1),
+                    ];
+                    let side = |i: usize, j: usize| [0, 1].map(|k| corners[j][k] - corners[i][k]);
+                    let (across, down) = (side(0, 2), side(1, 3));
+                    let size = 0.5 * (across[0] * down[1] - across[1] * down[0]);
+                    area += size;
+                    for k in 0..2 {
+                        sums[k] += size * corners.iter().map(|corner| corner[k]).sum::<f64>() / 4.0;
+                    }
+                }
+            }
+        }
+        (area, sums.map(|sum| sum / area))
+    }
+
+    #[test]
+    fn a_tag_in_a_distorted_picture_is_where_the_lens_shows_it() {
+        let mut scene = robot();
+        scene.occlusions.clear();
+        let tag = Tag {
+            number: 11,
+            center: [0.0; 2],
+            size: 0.024,
+        };
+        let look = Look {
+            table_level: 215.0,
+            box_level: 215.0,
+            distortion: [-0.28, 0.09, 0.002, -0.001, 0.0],
+            ..plain()
+        };
+        let lens = Lens::new(&scene.camera, look.distortion);
+        let mut renderer = Renderer::with_tags(&scene, &look, &[tag]);
+        for at in [[0.0, 0.0], [0.14, 0.1], [-0.15, -0.11], [0.15, -0.02]] {
+            let mut pose = scene.goal;
+            pose.translation = [at[0], at[1], 0.35];
+            pose.rotation = [0.2, -0.1, 0.4];
+            let image = renderer.render(&pose).clone();
+            let (area, center) = black(&scene, &lens, &pose, &tag);
+            let back = Homography::of_pose(&scene.camera, &pose).inverse().unwrap();
+            let (mut sum, mut sums) = (0.0, [0.0; 2]);
+            for (k, level) in image.pixels().iter().enumerate() {
+                let pixel = [(k % 640) as f64, (k / 640) as f64];
+                // Within the white border.
+                let at = back.apply(lens.undistort(pixel).unwrap()).unwrap();
+                if at[0].abs().max(at[1].abs()) > 4.6 * tag.module() {
+                    continue;
+                }
+                let dark = 215.0 - f64::from(*level);
+                sum += dark;
+                sums = [0, 1].map(|j| sums[j] + dark * pixel[j]);
+            }
+            let found = sums.map(|x| x / sum);
+            let apart = (found[0] - center[0]).hypot(found[1] - center[1]);
+            assert!(apart < 0.02, "{at:?}: {found:?} {center:?}");
+            assert!((sum / (193.0 * area) - 1.0).abs() < 0.01, "{at:?}");
+        }
+    }
+
+    #[test]
+    fn motion_blurs_tags_as_the_mean_of_many_instants() {
+        let pose = |share: f64| {
+            let mut pose = robot().goal;
+            pose.translation[0] += 0.004 * share;
+            pose.translation[1] -= 0.002 * share;
+            pose.rotation = [0.0, 0.01 * share, 0.02 * share];
+            pose
+        };
+        let mut renderer = Renderer::new(&robot(), &plain());
+        let ends = [pose(-0.5), pose(0.5)];
+        let blurred = renderer.render_moving(&[pose(0.0); 2], &ends).clone();
+        let mut sums = vec![0u32; 640 * 480];
+        const INSTANTS: u32 = 200;
+        for k in 0..INSTANTS {
+            let share = (f64::from(k) + 0.5) / f64::from(INSTANTS) - 0.5;
+            let image = renderer.render(&pose(share));
+            for (sum, level) in sums.iter_mut().zip(image.pixels()) {
+                *sum += u32::from(*level);
+            }
+        }
+        let sharp = renderer.render(&pose(0.0)).clone();
+        // On the first tag and round it, away from the edge of the box, which is not blurred.
+        let [u, v] = crate::truth(&robot(), &pose(0.0), 0.03, |_| true)[0].pixel;
+        let (mut worst, mut squares, mut sharper) = (0.0f64, 0.0, 0.0f64);
+        for k in 0..61 * 61 {
+            let at = [u as usize - 30 + k % 61, v as usize - 30 + k / 61];
+            let mean = f64::from(sums[at[1] * 640 + at[0]]) / f64::from(INSTANTS);
+            let off = f64::from(blurred.at(at[0], at[1])) - mean;
+            (worst, squares) = (worst.max(off.abs()), squares + off * off);
+            sharper = sharper.max((f64::from(sharp.at(at[0], at[1])) - mean).abs());
+        }
+        let rms = (squares / 3721.0).sqrt();
+        assert!(worst < 12.0 && rms < 2.0, "{worst} {rms}");
+        assert!(sharper > 60.0, "{sharper}");
+    }
+
+    #[test]
+    fn a_picture_out_of_focus_has_less_contrast_and_as_much_light() {
+        let goal = robot().goal;
+        let [sharp, blurred] = [0.0, 3.0].map(|defocus_px| {
+            flawed(
+                Look {
+                    defocus_px,
+                    ..plain()
+                },
+                &goal,
+            )
+        });
+        let sum = |image: &Image| image.pixels().iter().map(|x| f64::from(*x)).sum::<f64>();
+        assert!((sum(&blurred) / sum(&sharp) - 1.0).abs() < 2e-3);
+        let steepest = |image: &Image| {
+            let pairs = image.pixels().windows(2);
+            pairs.map(|pair| pair[0].abs_diff(pair[1])).max().unwrap()
+        };
+        assert!(steepest(&blurred) < steepest(&sharp) / 3);
+    }
+
+    #[test]
+    fn brightness_changes_from_frame_to_frame_and_ends_at_255() {
+        let look = Look {
+            gain: 0.9,
+            ..plain()
+        };
+        let mut renderer = Renderer::new(&robot(), &look);
+        let [mut least, mut most] = [f64::INFINITY, 0.0f64];
+        for _ in 0..300 {
+            let pixels = renderer.render(&robot().goal).pixels();
+            let mean = pixels.iter().map(|x| f64::from(*x)).sum::<f64>() / 307_200.0;
+            (least, most) = (least.min(mean), most.max(mean));
+            // Brighter than white on the table: the tags' white is clipped, not wrapped.
+            let white = pixels.iter().filter(|x| **x == 255).count();
+            assert!(mean < 90.0 || white > 1000, "{mean} {white}");
+        }
+        assert!(most > 1.8 * least, "{least} {most}");
+    }
+
+    #[test]
+    fn clutter_is_drawn_beside_the_box_and_changes_nothing_else() {
+        let mut far = robot().goal;
+        far.translation[2] = 0.55;
+        let without = flawed(plain(), &far);
+        let with = flawed(
+            Look {
+                clutter: 6,
+                ..plain()
+            },
+            &far,
+        );
+        let changed = |k: &usize| without.pixels()[*k] != with.pixels()[*k];
+        let count = (0..640 * 480).filter(changed).count();
+        // Six tags of 34 px, some of them under the object or outside.
+        assert!((2000..9000).contains(&count), "{count}");
+        for truth in crate::truth(&robot(), &far, 0.03, |_| true) {
+            let [u, v] = truth.pixel.map(|x| x as usize);
+            assert!((0..400).all(|k| !changed(&((v - 10 + k / 20) * 640 + u - 10 + k % 20))));
         }
     }
 }

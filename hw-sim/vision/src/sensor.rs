@@ -26,8 +26,8 @@ impl Sensor {
         }
     }
 
-    /// Exposes an image to levels of light.
-    pub fn expose(&mut self, levels: &[f32], image: &mut Image) {
+    /// Exposes an image to levels of light, this many times as bright.
+    pub fn expose(&mut self, levels: &[f32], brightness: f32, image: &mut Image) {
         let width = image.width();
         let rows = levels.chunks_exact(width);
         for (levels, pixels) in rows.zip(image.pixels_mut().chunks_exact_mut(width)) {
@@ -35,7 +35,7 @@ impl Sensor {
             let noise = self.noise[at..].iter().chain(&self.noise).cycle();
             for ((level, noise), pixel) in levels.iter().zip(noise).zip(pixels) {
                 // The cast saturates.
-                *pixel = (level + self.amount * noise + 0.5) as u8;
+                *pixel = (brightness * level + self.amount * noise + 0.5) as u8;
             }
         }
     }

@@ -1,12 +1,17 @@
 //! A tag on the plane, ready to be drawn.
 
-use crate::homography::Homography;
+use crate::homography::{Homography, Point};
+use crate::lens::{Lens, Rays};
 use crate::look::Look;
 use crate::tag::{SIDE, Tag};
 
-/// Samples of a pixel that the edge of a module crosses, and the step of their lattice (Fibonacci):
-/// along u, v and every slant their offsets are evenly spread.
-const LATTICE: [usize; 2] = [34, 21];
+/// Samples of a pixel that the edge of a module crosses: their offsets along u, along v and in time
+/// are those of a lattice (Fibonacci's along u and v), evenly spread along each and every slant.
+pub(crate) const SAMPLES: usize = 34;
+/// Its steps along v and in time.
+const LATTICE: [usize; 2] = [21, 9];
+/// Points along each side of a tag by which it is found in a picture that is distorted.
+const PLACES: usize = 8;
 
 /// A tag, ready to be drawn.
 #[derive(Clone, Debug)]
@@ -31,26 +36,36 @@ impl Sheet {
         }
     }
 
-    /// Finds where it may be seen in an image of this size while the map goes from the first to the
-    /// last.
-    pub fn aim(&mut self, maps: &[Homography], size: [usize; 2]) {
+    /// Finds where it may be seen in an image while it is seen by these maps, one after another.
+    /// `image` is the box of what the image shows, px of the pinhole.
+    pub fn aim(&mut self, maps: &[Homography], lens: &Lens, image: [Point; 2], size: [usize; 2]) {
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         let rim = self.tag.rim();
-        let corners = maps
+        let places = (0..4 * PLACES).map(|k| {
+            let (from, to) = (rim[k / PLACES], rim[(k / PLACES + 1) % 4]);
+            let share = (k % PLACES) as f64 / PLACES as f64;
+            [0, 1].map(|k| from[k] + share * (to[k] - from[k]))
+        });
+        for (map, place) in maps
             .iter()
-            .flat_map(|map| rim.map(|corner| map.apply(corner)));
-        for corner in corners {
-            // A corner behind the camera: the tag may be anywhere.
-            let [low, high] = corner.map_or([[0.0; 2], [f64::INFINITY; 2]], |at| [at; 2]);
-            for k in 0..2 {
-                least[k] = least[k].min(low[k]);
-                most[k] = most[k].max(high[k]);
+            .flat_map(|map| places.clone().map(move |x| (map, x)))
+        {
+            // A place behind the camera: the tag may be anywhere.
+            let seen = map.apply(place).map_or(image, |at| [at; 2]);
+            for at in seen {
+                // What is far outside has no place in the picture.
+                let near = [0, 1].map(|k| at[k].clamp(image[0][k], image[1][k]));
+                let pixel = lens.distort(near);
+                for k in 0..2 {
+                    least[k] = least[k].min(pixel[k]);
+                    most[k] = most[k].max(pixel[k]);
+                }
             }
         }
         // The casts saturate.
         self.window = [
-            [0, 1].map(|k| (least[k].floor() as usize).min(size[k])),
-            [0, 1].map(|k| (most[k] + 2.0).min(size[k] as f64) as usize),
+            [0, 1].map(|k| ((least[k] - 1.0).floor() as usize).min(size[k])),
+            [0, 1].map(|k| (most[k] + 3.0).min(size[k] as f64) as usize),
         ];
     }
 
@@ -64,43 +79,48 @@ impl Sheet {
         })
     }
 
-    /// Draws the pixels of a row that it covers, wholly or in part; `back` leads to the plane.
-    pub fn draw(&self, line: &mut [f32], row: usize, back: &Homography) {
+    /// Draws the pixels of a row that it covers, wholly or in part. `backs` lead to the plane, one
+    /// after another in the time of the exposure: one, or one for each sample.
+    pub fn draw(&self, line: &mut [f32], row: usize, backs: &[Homography], rays: &Rays) {
         let [[left, top], [right, bottom]] = self.window;
+        let (Some(first), Some(last)) = (backs.first(), backs.last()) else {
+            return;
+        };
         if !(top..bottom).contains(&row) || left >= right {
             return;
         }
         let (center, scale) = (self.tag.center, 1.0 / self.tag.module());
-        let modules = |u: f64, v: f64| {
-            let point = back.apply([u, v])?;
+        let modules = |back: &Homography, pixel: Point| {
+            let point = back.apply(pixel)?;
             Some([0, 1].map(|k| (point[k] - center[k]) * scale + 0.5 * SIDE as f64))
         };
-        let v = row as f64;
-        let mut before = modules(left as f64 - 1.0, v);
         for (u, pixel) in (left..right).zip(&mut line[left..right]) {
-            let here = modules(u as f64, v);
-            let (Some(from), Some(at)) = (before, here) else {
-                before = here;
+            let (at, [right, below]) = (rays.at(u, row), rays.slopes(u, row));
+            let moved = |du: f64, dv: f64| [0, 1].map(|k| at[k] + du * right[k] + dv * below[k]);
+            let (here, beside) = (modules(first, at), modules(first, moved(1.0, 0.0)));
+            let (Some(from), Some(to), Some(beside)) = (here, modules(last, at), beside) else {
                 continue;
             };
-            before = here;
-            // Half a pixel's diagonal, generously, for a plane seen at a slant.
-            let reach = 1.5 * (at[0] - from[0]).abs().max((at[1] - from[1]).abs()) + 1e-9;
-            let is_plain = at.iter().all(|x| {
+            // Half a pixel's diagonal, generously, for a plane seen at a slant; and the way that it
+            // moves during the exposure.
+            let most = |a: Point, b: Point| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+            let reach = 1.5 * most(from, beside) + most(from, to) + 1e-9;
+            let is_plain = from.iter().all(|x| {
                 let depth = x - x.floor();
                 depth > reach && depth < 1.0 - reach
             });
             if is_plain {
-                *pixel = self.level(at).unwrap_or(*pixel);
+                *pixel = self.level(from).unwrap_or(*pixel);
                 continue;
             }
-            let [count, step] = LATTICE;
-            let offset = |k: usize| (k as f64 + 0.5) / count as f64 - 0.5;
-            let samples = (0..count).map(|k| {
-                let sample = modules(u as f64 + offset(k), v + offset(k * step % count));
+            let offset = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
+            let samples = (0..SAMPLES).map(|k| {
+                let [v, time] = LATTICE.map(|step| k * step % SAMPLES);
+                let back = backs.get(time).unwrap_or(first);
+                let sample = modules(back, moved(offset(k), offset(v)));
                 sample.and_then(|at| self.level(at)).unwrap_or(*pixel)
             });
-            *pixel = samples.sum::<f32>() / count as f32;
+            *pixel = samples.sum::<f32>() / SAMPLES as f32;
         }
     }
 }

@@ -3,6 +3,7 @@
 use scene::Occlusion;
 
 use crate::layer::{Area, soft};
+use crate::lens::Lens;
 use crate::look::SpotLook;
 
 /// Number of box blurs that approximate a Gaussian.
@@ -21,15 +22,21 @@ pub(crate) struct Spot {
 }
 
 impl Spot {
-    pub fn new(occlusion: &Occlusion, look: SpotLook, width: usize, height: usize) -> Self {
+    pub fn new(
+        occlusion: &Occlusion,
+        lens: &Lens,
+        look: SpotLook,
+        width: usize,
+        height: usize,
+    ) -> Self {
         // The variance of PASSES boxes of 2r + 1 pixels is PASSES r (r + 1) / 3.
         let variance = 3.0 * look.blur_px * look.blur_px / PASSES as f64;
         let radius = (((1.0 + 4.0 * variance).sqrt() - 1.0) / 2.0).round() as usize;
-        let area = Area::around(occlusion, (PASSES * radius) as f64, width, height);
+        let area = Area::around(occlusion, lens, (PASSES * radius) as f64, width, height);
         Self {
             look,
             area,
-            action: soft(occlusion, area, look.softness_px),
+            action: soft(occlusion, lens, area, look.softness_px),
             radius,
             blurred: vec![0.0; area.width * area.height],
             line: vec![0.0; area.width.max(area.height)],
@@ -106,7 +113,13 @@ mod tests {
     fn inside_the_spot_a_bright_disc_loses_its_contrast() {
         let scene = scene::Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
         let look = crate::Look::default().spot;
-        let mut spot = Spot::new(&scene.occlusions[0], look, 640, 480);
+        let mut spot = Spot::new(
+            &scene.occlusions[0],
+            &Lens::new(&scene.camera, [0.0; 5]),
+            look,
+            640,
+            480,
+        );
         let mut levels = vec![90.0f32; 640 * 480];
         for i in 0..levels.len() {
             let (u, v) = ((i % 640) as f64, (i / 640) as f64);

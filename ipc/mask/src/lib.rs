@@ -91,6 +91,40 @@ impl Mask {
     }
 }
 
+#[cfg(feature = "file")]
+impl Mask {
+    /// The mask shifted by so many pixels to the right and down, and grown (negative: shrunk) by so
+    /// many on every side. It has pixels only, and no areas: it is not for the control law. What
+    /// leaves the image is lost.
+    #[must_use]
+    pub fn moved(&self, shift: [f64; 2], growth: f64) -> Self {
+        let (width, height) = (self.width as i64, self.height as i64);
+        let reach = growth.abs().ceil() as i64;
+        let wanted = growth >= 0.0;
+        let near: Vec<[i64; 2]> = (-reach..=reach)
+            .flat_map(|v| (-reach..=reach).map(move |u| [u, v]))
+            .filter(|[u, v]| (*u as f64).hypot(*v as f64) <= growth.abs())
+            .collect();
+        let is_white = |i: i64, j: i64| {
+            // What is white at the edge of the image is so beyond it.
+            let (i, j) = (i.clamp(0, width - 1), j.clamp(0, height - 1));
+            self.is_forbidden(i as usize, j as usize)
+        };
+        let [right, down] = shift.map(|x| x.round() as i64);
+        let pixel = |n: i64| {
+            let (i, j) = (n % width - right, n / width - down);
+            let found = near.iter().any(|[u, v]| is_white(i + u, j + v) == wanted);
+            u8::from(found == wanted)
+        };
+        let pixels: Vec<u8> = (0..width * height).map(pixel).collect();
+        Self {
+            pixels: Box::leak(pixels.into_boxed_slice()),
+            areas: &[],
+            ..*self
+        }
+    }
+}
+
 impl fmt::Debug for Mask {
     /// Without the pixels.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

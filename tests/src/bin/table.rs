@@ -11,7 +11,7 @@ use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
-use hw_sim::robot::calibration::Truth;
+use hw_sim::robot::truth::Truth;
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use ipc::ClockMode;
