@@ -25,6 +25,8 @@ pub mod priority;
 mod registration;
 #[cfg(feature = "detector")]
 pub mod run;
+#[cfg(feature = "detector")]
+pub mod sheet;
 pub mod source;
 #[cfg(feature = "detector")]
 pub mod tags;

@@ -164,7 +164,6 @@ fn open(config: &Config, domain: &Domain) -> Result<Box<dyn Source>, SourceError
                 exposure_ns,
                 shutter,
                 readout_ns,
-                latency_ns: 0,
             };
             Box::new(Camera::open(device, &request)?)
         }

@@ -42,8 +42,8 @@ struct Pattern {
     #[schemars(extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
     /// Side of the square round each point that must stay in sight: that of a tag with its white
-    /// border, or the diameter of a disc. 0: only the points themselves, as without the key, but
-    /// then vpcd warns where `law.margin_px` is 0.
+    /// border. 0: only the points themselves, as without the key, but then vpcd warns where
+    /// `law.margin_px` is 0.
     #[serde(default)]
     #[schemars(range(min = 0, max = 1), extend("x-unit" = "m"))]
     marker_size: Option<f64>,
