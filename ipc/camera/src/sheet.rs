@@ -145,8 +145,8 @@ mod tests {
     use crate::grey::Grey;
     use crate::tags::{TagFinder, Templates};
 
-    /// Pixels a millimetre.
-    const SCALE: f64 = 5.0;
+    /// Pixels a millimetre: edges lie between pixels, as a camera sees them.
+    const SCALE: f64 = 3.7;
 
     fn edited(from: &str, to: &str) -> Scene {
         let text = scene::TAGS_ROBOT.replace(from, to);
