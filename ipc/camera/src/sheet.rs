@@ -138,15 +138,42 @@ fn draw(text: &mut String, family: &TagFamily, code: usize, center: [f64; 2], si
 
 #[cfg(test)]
 mod tests {
-    use resvg::tiny_skia::{Pixmap, Transform};
-    use resvg::usvg::{Options, Tree};
-
     use super::*;
+    use crate::drawn::Drawing;
     use crate::grey::Grey;
     use crate::tags::{TagFinder, Templates};
 
     /// Pixels a millimetre: edges lie between pixels, as a camera sees them.
-    const SCALE: f64 = 3.7;
+    const SCALE: f64 = 2.3;
+
+    /// What a printer makes of the squares: the levels of an image, its width and height.
+    fn drawn(text: &str, origin: [f64; 2], size: [f64; 2]) -> (Vec<u8>, usize, usize) {
+        let mut squares = Vec::new();
+        for line in text.lines().filter(|line| line.contains("<path fill")) {
+            let number = |text: &str, key: &str| -> f64 {
+                let (_, rest) = text.split_once(key).unwrap();
+                let end = rest.find(['"', ' ', 'h', 'v']).unwrap_or(rest.len());
+                rest[..end].parse().unwrap()
+            };
+            let (square, bits) = line.split_once("<path").unwrap();
+            let of = |key| number(square, key);
+            squares.push((of("x=\""), of("y=\""), of("width=\""), 0.0));
+            for bit in bits.split('M').skip(1) {
+                squares.push((number(bit, ""), number(bit, " "), number(bit, "h"), 255.0));
+            }
+        }
+        let [width, height] = size.map(|side| (SCALE * side) as usize);
+        let mut drawing = Drawing::new(width, height, 255.0);
+        drawing.paint(|u, v| {
+            let [a, b] = [(u, origin[0]), (v, origin[1])].map(|(x, o)| (x + 0.5) / SCALE + o);
+            let is_in = |(x, y, side, _): &&(f64, f64, f64, f64)| {
+                (*x..x + side).contains(&a) && (*y..y + side).contains(&b)
+            };
+            // The last one lies above the others.
+            squares.iter().rev().find(is_in).map(|square| square.3)
+        });
+        (drawing.pixels(0.0, 1), width, height)
+    }
 
     fn edited(from: &str, to: &str) -> Scene {
         let text = scene::TAGS_ROBOT.replace(from, to);
@@ -163,17 +190,7 @@ mod tests {
         assert!(
             text.contains("width=\"180.000mm\" height=\"150.000mm\" viewBox=\"-90.000 -75.000")
         );
-        let tree = Tree::from_str(&text, &Options::default()).unwrap();
-        let (width, height) = ((180.0 * SCALE) as u32, (150.0 * SCALE) as u32);
-        let mut map = Pixmap::new(width, height).unwrap();
-        let scale = width as f32 / tree.size().width();
-        resvg::render(
-            &tree,
-            Transform::from_scale(scale, scale),
-            &mut map.as_mut(),
-        );
-        let pixels = Vec::from_iter(map.pixels().iter().map(|p| p.green()));
-        let (width, height) = (width as usize, height as usize);
+        let (pixels, width, height) = drawn(&text, [-90.0, -75.0], [180.0, 150.0]);
         let image = Grey::new(&pixels, width, height, width).unwrap();
         let mut finder = TagFinder::new(&Templates::new().unwrap(), width, height, 1).unwrap();
         let found = finder.find(&image).unwrap();
