@@ -200,6 +200,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     Recorder::check_room(&config.flight, rate_hz, room, source)?;
     if arguments.check_only {
         println!("{}", describe(&config, &loaded));
+        if let Some(warning) = loaded.warning() {
+            eprintln!("vpcd: warning: {warning}");
+        }
         return Ok(());
     }
     let period = Duration::from_nanos(pace.period_ns);
@@ -229,6 +232,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let recorder = telemetry.start(&config.domain)?;
     tracing::info!("{}", describe(&config, &loaded));
+    if let Some(warning) = loaded.warning() {
+        tracing::warn!("{warning}");
+    }
     pace.realtime = match config.realtime {
         Some(wanted) => realtime::enter(wanted),
         None => {

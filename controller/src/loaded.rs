@@ -122,6 +122,19 @@ impl LoadedController {
         &self.files
     }
 
+    /// What scene and settings together make likely to go wrong, in words.
+    pub fn warning(&self) -> Option<String> {
+        let is_guarded = self.scene().has_marker_size || self.controller.settings().margin_px > 0.0;
+        (!is_guarded).then(|| {
+            format!(
+                "{}: pattern.marker_size is not given and law.margin_px is 0: the law keeps only the markers' centres \
+                 in the image and out of occlusions, and a tag is lost before its centre is covered; allowed, but give \
+                 pattern.marker_size (0 if the features are points)",
+                self.files.path
+            )
+        })
+    }
+
     /// The memory of motion.
     pub fn memory(&self) -> Option<&MemoryFile> {
         self.memory.as_deref()

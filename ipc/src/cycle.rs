@@ -295,7 +295,8 @@ message! {
         cost: f64 = f64::NAN,
         /// Worst constraint violation predicted over the preview.
         violation_px: f64 ["px"] = f64::NAN,
-        /// Least distance of a feature from an occlusion; infinite in a scene without any.
+        /// Least distance of a marker's edge, or of a feature where markers are points, from an
+        /// occlusion; infinite in a scene without any.
         clearance_px: f64 ["px"] = f64::NAN,
         /// Largest component of s - s*.
         error_px: f64 ["px"] = f64::NAN,

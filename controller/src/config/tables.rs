@@ -82,7 +82,8 @@ pub struct Law {
     #[default = 150]
     #[schemars(range(min = 1, max = 1e5))]
     pub foresight_steps: u32,
-    /// The memory is asked when a feature comes this close to an occlusion.
+    /// The memory is asked when a feature, or the edge of a marker that has a size, comes this
+    /// close to an occlusion.
     #[default = 20.0]
     #[schemars(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
     pub trigger_px: f64,
@@ -90,7 +91,8 @@ pub struct Law {
     #[default = 2.0]
     #[schemars(range(min = 1, max = 100))]
     pub hysteresis: f64,
-    /// Clearance kept from every border.
+    /// Clearance kept from every border: of each feature, or of the edge of a marker where the scene
+    /// gives `marker_size`.
     #[schemars(range(min = 0, max = 1e3), extend("x-unit" = "px"))]
     pub margin_px: f64,
     /// Weight of the change of the command from one period to the next, as a share of R; 0 in the

@@ -40,12 +40,18 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
+        Self::of(scene::PAPER_SIM)
+    }
+
+    /// For the text of a scene.
+    fn of(scene: &str) -> Self {
         let place = Place::new();
-        let scene = scene::Scene::read(&scene_file()).unwrap();
+        let path = place.file("scene.toml", scene);
+        let scene = scene::Scene::read(&path).unwrap();
         let memory = place.path("m.vpcmem");
         write_memory(&scene, &memory, &mut ChaCha8Rng::seed_from_u64(1));
         let arguments = Arguments {
-            scene: Some(scene_file()),
+            scene: Some(path),
             memory: Some(memory),
             ..Arguments::default()
         };
@@ -334,6 +340,20 @@ fn run_a_is_run_b_is_the_replay_of_a_byte_by_byte() {
         assert_eq!(report.snapshots_restored, 1);
         assert_eq!(report.snapshots_compared, (CYCLES - 1) / snapshot::EVERY);
     }
+}
+
+#[test]
+fn a_recording_tells_how_large_the_markers_are_and_without_that_it_does_not_replay() {
+    let bench = Bench::of(scene::TAGS_ROBOT);
+    let ring = bench.fly(1000, 1000, None);
+    let path = bench.place.file("a.mcap", "");
+    let about = About::new(String::new(), bench.control().loaded());
+    file::write(&path, &about, "request", &ring, &AtomicU64::new(0)).unwrap();
+    let read = Recording::read(&path).unwrap();
+    assert_eq!(read.scene_toml(), Some(scene::TAGS_ROBOT));
+    assert_eq!(bench.replay(&read).unwrap().cycles, 1000);
+    let points = Bench::of(&scene::TAGS_ROBOT.replace("marker_size = 0.03", "marker_size = 0.0"));
+    assert!(difference(points.replay(&read)).cycle < 100);
 }
 
 #[test]

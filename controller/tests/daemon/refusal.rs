@@ -1,6 +1,6 @@
 //! Bad input: the real binary, its exit code, and the words that tell what to mend.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -67,6 +67,41 @@ fn help_explains_itself() {
         "/tmp/vpc-",
     ] {
         assert!(text.contains(word), "{text}\nlacks: {word}");
+    }
+}
+
+#[test]
+fn markers_of_unknown_size_without_a_margin_are_warned_of_at_the_start_and_by_a_check() {
+    let place = Place::new();
+    let tags = |name: &str, size: &str| {
+        let text = scene::TAGS_ROBOT.replace("marker_size = 0.03", size);
+        place.file(name, text).display().to_string()
+    };
+    let unknown = tags("unknown.toml", "");
+    let known = tags("known.toml", "marker_size = 0.03");
+    let points = tags("points.toml", "marker_size = 0.0");
+    for (scene, margin, is_warned) in [
+        (&unknown, 0.0, true),
+        (&unknown, 40.0, false),
+        (&known, 0.0, false),
+        (&points, 0.0, false),
+    ] {
+        let text = format!("scene = '{scene}'\n[law]\nmargin_px = {margin:?}\n");
+        let file = place.file("v.toml", text);
+        for flags in [&["--check-only"][..], &["--cycles", "3"]] {
+            let mut command = vpcd();
+            command.arg("--config").arg(&file).args(flags);
+            command.arg("--domain").arg(place.domain());
+            command.stdout(Stdio::null()).stderr(Stdio::piped());
+            let (code, said) = ended(command);
+            assert_eq!(code, 0, "{said}");
+            let words = "unknown.toml: pattern.marker_size is not given and law.margin_px is 0";
+            assert_eq!(
+                said.matches(words).count(),
+                usize::from(is_warned),
+                "{said}"
+            );
+        }
     }
 }
 

@@ -24,7 +24,12 @@ fn install(stage: &Stage) {
     for name in ["vpcd.toml", "hw-sim.toml"] {
         stage.put(&files.join(name), &format!("etc/vpcd/{name}"));
     }
-    for name in ["vpcd.service", "hw-sim.service", "vpc-panda.service"] {
+    for name in [
+        "vpcd.service",
+        "hw-sim.service",
+        "vpc-panda.service",
+        "vpc-camera.service",
+    ] {
         stage.put(&files.join(name), &format!("units/{name}"));
     }
     stage.put(&files.join("vpcd.sysusers"), "usr/lib/sysusers.d/vpcd.conf");

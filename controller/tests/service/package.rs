@@ -13,7 +13,14 @@ use crate::machine::{Machine, may_raise_limits};
 use crate::namespace::{is_nobody_elses, serves_the_emulator, starts_ready_and_confined};
 
 /// What the package installs into `/usr/bin`.
-const PROGRAMS: [&str; 5] = ["hw-sim", "vpc-memory", "vpc-panda", "vpcctl", "vpcd"];
+const PROGRAMS: [&str; 6] = [
+    "hw-sim",
+    "vpc-camera",
+    "vpc-memory",
+    "vpc-panda",
+    "vpcctl",
+    "vpcd",
+];
 /// The package in the machine.
 const PACKAGE: &str = "/var/cache/vpcd.deb";
 const AS_USER: &str = "runuser -u vpcd --";
@@ -171,6 +178,7 @@ fn neither_enables_nor_starts_it(machine: &Machine) {
         ("vpcd", "disabled"),
         ("hw-sim", "static"),
         ("vpc-panda", "static"),
+        ("vpc-camera", "static"),
     ];
     for (unit, enabled) in units {
         let said = machine.run(&format!("systemctl is-enabled {unit}")).1;
@@ -216,7 +224,7 @@ fn has_all_files_in_their_places(machine: &Machine, pages: &str) {
     }
     // The units name their documentation; the page is one; programs run and memories fit their
     // scenes.
-    for unit in ["vpcd", "hw-sim"] {
+    for unit in ["vpcd", "hw-sim", "vpc-panda", "vpc-camera"] {
         let named = machine.must(&format!(
             "systemctl show {unit} --value --property=Documentation"
         ));

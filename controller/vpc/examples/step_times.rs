@@ -44,7 +44,95 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             cycles.print(strategy, np);
         }
     }
+    markers()
+}
+
+/// What the size of markers costs: the scene with tags, the same measurements for a law that knows
+/// their size and one that takes them for points, in turn.
+fn markers() -> Result<(), Box<dyn std::error::Error>> {
+    let scene = Scene::parse(scene::TAGS_ROBOT, "tags-robot.toml")?;
+    let starts = scene::parse_starts(scene::TAGS_ROBOT_STARTS, "tags-robot-starts.csv")?;
+    let mut points = scene.clone();
+    points.marker_size = 0.0;
+    println!(
+        "\ntags-robot, previous | Np | cycles | tags: p50 us | p99 us | points: p50 us | p99 us | ratio of a cycle, p50"
+    );
+    for np in [3, 30] {
+        // As vpcd-robot.toml.
+        let settings = Settings {
+            strategy: Strategy::Previous,
+            np,
+            step_s: 0.4,
+            ..Settings::default()
+        };
+        let mut laws = [
+            Box::new(Controller::new(&scene, settings)?),
+            Box::new(Controller::new(&points, settings)?),
+        ];
+        let (mut times, mut ratios) = ([const { Vec::new() }; 2], Vec::new());
+        for start in starts.iter().take(STARTS) {
+            let seen = seen(&scene, &mut laws[0], start);
+            let mut medians = [const { Vec::new() }; 2];
+            let mut passes = [const { Vec::new() }; 2];
+            for _ in 0..REPLAYS {
+                for (law, passes) in laws.iter_mut().zip(&mut passes) {
+                    law.reset();
+                    passes.push(Vec::from_iter(seen.iter().map(|measurement| {
+                        let begin = Instant::now();
+                        let _ = black_box(law.step(black_box(measurement), None));
+                        begin.elapsed().as_secs_f64() * 1e6
+                    })));
+                }
+            }
+            for (passes, medians) in passes.iter().zip(&mut medians) {
+                for cycle in 0..seen.len() {
+                    let mut one = Vec::from_iter(passes.iter().map(|pass| pass[cycle]));
+                    medians.push(quantile(&mut one, 0.5));
+                }
+            }
+            ratios.extend(medians[0].iter().zip(&medians[1]).map(|(a, b)| a / b));
+            let [tags, bare] = medians;
+            times[0].extend(tags);
+            times[1].extend(bare);
+        }
+        let count = ratios.len();
+        let [tags, bare] = times
+            .each_mut()
+            .map(|t| [0.5, 0.99].map(|p| quantile(t, p)));
+        println!(
+            "                     | {np:>2} | {count:>6} | {:>12.1} | {:>6.1} | {:>14.1} | {:>6.1} | {:>.2}",
+            tags[0],
+            tags[1],
+            bare[0],
+            bare[1],
+            quantile(&mut ratios, 0.5),
+        );
+    }
     Ok(())
+}
+
+/// What an exact camera sees from a start until the law arrives or the scene's time is up.
+fn seen(scene: &Scene, law: &mut Controller, start: &Pose) -> Vec<Measurement> {
+    law.reset();
+    let mut points = placed(scene, start);
+    let mut seen = Vec::new();
+    for _ in 0..(scene.success.time_s * scene.camera.rate_hz) as usize {
+        let Some(pixels) = pixels(scene, &points) else {
+            break;
+        };
+        let measurement = Measurement::from_points(&pixels);
+        let step = law.step(&measurement, None);
+        seen.push(measurement);
+        let Some(step) = step
+            .ok()
+            .filter(|s| s.error_px > scene.success.convergence_px)
+        else {
+            break;
+        };
+        let motion = Motion::of_camera(&step.twist, scene.sampling_time());
+        points.iter_mut().for_each(|x| *x = motion.apply(x));
+    }
+    seen
 }
 
 /// The cycles of some runs.

@@ -613,6 +613,54 @@ mod tests {
     }
 
     #[test]
+    fn the_growth_of_markers_matches_finite_differences() {
+        let mut task = task();
+        task.half_diagonal = 20.0;
+        let initial = InitialState::new(&task, Model::Pose, &points(&task));
+        let plan: [f64; 18] = core::array::from_fn(|k| 0.3 * libm::sin(1.0 + k as f64));
+        let mut exact = Box::new(Preview::new(5));
+        assert!(exact.linearize(&task, &initial, &plan));
+        let mut other = Box::new(Preview::new(5));
+        let mut most: f64 = 0.0;
+        for k in 0..18 {
+            let mut radii = |h: f64| {
+                let mut moved = plan;
+                moved[k] += h;
+                assert!(other.evaluate(&task, &initial, &moved));
+                other.radii(4).to_vec()
+            };
+            let (plus, minus) = (radii(1e-6), radii(-1e-6));
+            for (i, point) in exact.steps().nth(4).unwrap().enumerate() {
+                let numeric = (plus[i] - minus[i]) / 2e-6;
+                assert!((numeric - point.growth[k]).abs() < 1e-6 * (1.0 + numeric.abs()));
+                most = most.max(numeric.abs());
+            }
+        }
+        assert!(most > 1.0, "{most}");
+        // On the way of the first command, and at its end.
+        let twist: Twist = core::array::from_fn(|k| plan[k]);
+        let mut places = [Place::NONE; 4];
+        let mut radius = |twist: &Twist| {
+            assert!(initial.passes(&task, twist, 0.4, &[], &[true; 4], &mut places));
+            places.map(|place| place.radius)
+        };
+        for k in 0..DOF {
+            let moved = |h: f64| core::array::from_fn(|i| twist[i] + if i == k { h } else { 0.0 });
+            let (plus, minus) = (radius(&moved(1e-6)), radius(&moved(-1e-6)));
+            for i in 0..4 {
+                let (_, growth) = initial.passing_gradient(&task, &twist, 0.4, i);
+                let numeric = (plus[i] - minus[i]) / 2e-6;
+                assert!((numeric - growth[k]).abs() < 1e-6 * (1.0 + numeric.abs()));
+            }
+        }
+        let (_, ends) = initial.ends(&task, &twist).unwrap();
+        assert!(exact.evaluate(&task, &initial, &plan));
+        for (a, b) in ends.iter().zip(exact.radii(0)) {
+            assert!((a - b).abs() < 1e-9);
+        }
+    }
+
+    #[test]
     fn the_pose_model_is_exact() {
         let task = task();
         let start = scene::Pose {

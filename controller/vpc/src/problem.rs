@@ -34,7 +34,7 @@ pub struct Problem<'a> {
     pub standing: Twist,
     /// and the time from one command to the next, s.
     pub interval: f64,
-    /// Extra clearance kept from every border, px.
+    /// Extra clearance kept from every border by each point with its marker, px.
     pub margin: f64,
 }
 

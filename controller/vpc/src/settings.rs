@@ -21,12 +21,13 @@ pub struct Settings {
     pub solver: SolverOptions,
     /// How features are predicted.
     pub model: Model,
-    /// The memory is asked from here on: clearance of any feature from an occlusion, px.
+    /// The memory is asked from here on: clearance of any feature, with its marker, from an
+    /// occlusion, px.
     pub trigger_px: f64,
     /// The memory is asked until every feature is this many times further away than `trigger_px`,
     /// at least 1.
     pub hysteresis: f64,
-    /// Extra clearance kept from every border, px.
+    /// Extra clearance kept from every border by each feature with its marker, px.
     pub margin_px: f64,
     /// Weight of the change of the command from one period to the next, as a share of R.
     pub change_share: f64,

@@ -436,7 +436,8 @@ typedef struct {
     double cost;
     // Worst constraint violation predicted over the preview. Unit: px.
     double violation_px;
-    // Least distance of a feature from an occlusion; infinite in a scene without any. Unit: px.
+    // Least distance of a marker's edge, or of a feature where markers are points, from an
+    // occlusion; infinite in a scene without any. Unit: px.
     double clearance_px;
     // Largest component of s - s*. Unit: px.
     double error_px;

@@ -43,6 +43,9 @@ pub struct Arguments {
 pub enum Command {
     /// Learn what hides the view from images of a camera that moves, and write a mask and a scene.
     Mask(mask::Arguments),
+    /// Draw the tags of a scene in their true size, to be printed (SVG).
+    #[cfg(feature = "detector")]
+    Tags(crate::sheet::Arguments),
 }
 
 /// The paths of scene and calibration are relative to the file. Most keys have a flag, which wins.

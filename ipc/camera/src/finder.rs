@@ -5,6 +5,7 @@ use scene::Scene;
 use crate::config::Targets;
 use crate::grey::Grey;
 use crate::lens::Lens;
+use crate::mask_check::Place;
 use crate::plane::Point;
 use crate::tags::{Tag, TagError, TagFinder, Templates};
 use crate::tracker::{Corners, Sighting, Tracker};
@@ -99,6 +100,30 @@ impl Finder {
             is_whole,
             misplaced: self.tracker.misplaced(),
         })
+    }
+
+    /// Tags of the last frame with their white borders, in the image of the scene's camera: those
+    /// that were seen, and those that others say should be.
+    pub fn places(&self) -> [Vec<Place>; 2] {
+        let mut places = [Vec::new(), Vec::new()];
+        for (index, number) in self.tracker.numbers().enumerate() {
+            let list = match (self.tracker.is_seen(index), self.tracker.is_guessed(index)) {
+                (true, _) => &mut places[0],
+                (_, true) => &mut places[1],
+                _ => continue,
+            };
+            let Some((corners, center)) = self.tracker.place(index) else {
+                continue;
+            };
+            // The white border makes it wider by a quarter.
+            let rim = |corner: Point| [0, 1].map(|k| center[k] + (corner[k] - center[k]) / BLACK);
+            list.push(Place {
+                number,
+                center,
+                corners: corners.map(rim),
+            });
+        }
+        places
     }
 
     /// Looks for each tag in a window about where it is expected.

@@ -7,6 +7,8 @@
 mod blur;
 pub mod config;
 pub mod distance;
+#[cfg(all(test, feature = "detector"))]
+mod drawn;
 #[cfg(feature = "detector")]
 pub mod finder;
 pub mod grey;
@@ -23,6 +25,8 @@ pub mod priority;
 mod registration;
 #[cfg(feature = "detector")]
 pub mod run;
+#[cfg(feature = "detector")]
+pub mod sheet;
 pub mod source;
 #[cfg(feature = "detector")]
 pub mod tags;

@@ -12,11 +12,11 @@ use clap::{CommandFactory, FromArgMatches};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
 use vpc_camera::config::{Arguments, Command, Config};
-use vpc_camera::mask;
 use vpc_camera::metrics::Metrics;
 use vpc_camera::run::{Event, Report, RunError, run};
+use vpc_camera::{mask, sheet};
 
-const NOT_LEARNT: u8 = 1;
+const NOT_WRITTEN: u8 = 1;
 const USAGE: u8 = 64;
 const UNAVAILABLE: u8 = 69;
 const SOFTWARE: u8 = 70;
@@ -47,10 +47,11 @@ fn main() -> ExitCode {
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .init();
-    if let Ok(Some(Command::Mask(arguments))) =
-        Arguments::from_arg_matches(&matches).map(|arguments| arguments.command)
-    {
-        return learn(&arguments);
+    let command = Arguments::from_arg_matches(&matches).map(|arguments| arguments.command);
+    match command {
+        Ok(Some(Command::Mask(arguments))) => return end("mask", mask::run(&arguments)),
+        Ok(Some(Command::Tags(arguments))) => return end("tags", sheet::run(&arguments)),
+        _ => {}
     }
     let config = match Config::load(&matches) {
         Ok(config) => config,
@@ -72,16 +73,16 @@ fn main() -> ExitCode {
     watch(config, stop, matches.get_flag("print"))
 }
 
-/// Learns a mask.
-fn learn(arguments: &mask::Arguments) -> ExitCode {
-    match mask::run(arguments) {
+/// Tells what a command did.
+fn end(command: &str, result: anyhow::Result<String>) -> ExitCode {
+    match result {
         Ok(words) => {
             print!("{words}");
             ExitCode::SUCCESS
         }
         Err(error) => {
-            eprintln!("vpc-camera mask: {error:#}");
-            ExitCode::from(NOT_LEARNT)
+            eprintln!("vpc-camera {command}: {error:#}");
+            ExitCode::from(NOT_WRITTEN)
         }
     }
 }
@@ -157,6 +158,7 @@ impl Log {
     fn tell(&mut self, event: &Event) {
         match event {
             Event::Lacks(what) => tracing::warn!("DEGRADED, not real time: {what}"),
+            Event::Mask(warning) => tracing::warn!("{warning}"),
             Event::Frame(report) => self.frame(report),
         }
         self.look();

@@ -22,7 +22,6 @@ use crate::lens::{self, Lens};
 pub use frames::Frames;
 pub use learned::{LEAST_IMAGES, LearnError, Learned, Settings, learn};
 pub use region::{Region, StillArea};
-pub use source::read_folder;
 
 /// The files that are written.
 const MASK: &str = "mask.png";
@@ -31,9 +30,9 @@ const SCENE: &str = "scene.toml";
 /// What to learn from, and where to.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// Folder of PNG images, or `shm` for the images on `vpc/image`; while they are taken, the
-    /// camera moves and what hides the view does not.
-    #[arg(long, value_name = "DIR|shm")]
+    /// Folder of .png and .pgm images, a .y4m video, or `shm` for the images on `vpc/image`; while
+    /// they are taken, the camera moves and what hides the view does not.
+    #[arg(long, value_name = "PATH|shm")]
     frames: String,
     /// The scene that gets the mask instead of its occlusions (TOML).
     #[arg(long)]
@@ -103,7 +102,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<String> {
             arguments.count,
             arguments.every,
         )?,
-        folder => source::read_folder(Path::new(folder))?,
+        path => source::read(Path::new(path))?,
     };
     let (width, height) = (frames.width(), frames.height());
     let camera = &scene.camera;

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::time::Duration;
 
+use crate::mask_check::Counts;
 use crate::run::Report;
 
 /// Durations that are kept for percentiles: the newest.
@@ -22,6 +23,8 @@ pub struct Metrics {
     pub whole: u64,
     /// By tag: images in which it was missing.
     missing: Vec<u64>,
+    /// How often tags contradicted the scene's occlusions.
+    mask: Counts,
     took: Durations,
     age: Durations,
 }
@@ -36,6 +39,7 @@ impl Metrics {
             incomplete: 0,
             whole: 0,
             missing: vec![0; numbers.len()],
+            mask: Counts::default(),
             took: Durations::default(),
             age: Durations::default(),
         }
@@ -53,6 +57,7 @@ impl Metrics {
             is_incomplete |= is_missing;
         }
         self.incomplete += u64::from(is_incomplete);
+        self.mask = report.mask;
         self.took.add(report.took);
         self.age.add(report.age);
     }
@@ -102,6 +107,16 @@ impl Metrics {
                 "whole_searches_total",
                 "Images of which all was looked at.",
                 self.whole,
+            ),
+            (
+                "vanished_tags_total",
+                "Tags that vanished where no occlusion of the scene hides them.",
+                self.mask.vanished,
+            ),
+            (
+                "seen_through_total",
+                "Tags that were seen where an occlusion of the scene covers them.",
+                self.mask.seen_through,
             ),
         ] {
             family("counter", name, help, &none(count));
@@ -183,6 +198,10 @@ mod tests {
                     visible: if n % 4 == 0 { 0b01 } else { 0b11 },
                     ..Found::default()
                 },
+                mask: Counts {
+                    vanished: 2,
+                    seen_through: 0,
+                },
                 took: Duration::from_millis(n),
                 age: Duration::from_millis(2 * n),
             });
@@ -199,6 +218,7 @@ mod tests {
         let text = metrics.text();
         for words in [
             "# TYPE vpc_camera_frames_total counter\nvpc_camera_frames_total 200\n",
+            "vpc_camera_vanished_tags_total 2\n",
             "vpc_camera_missing_tags_total{tag=\"5\"} 50\n",
             "vpc_camera_detection_seconds{quantile=\"0.99\"} 0.198\n",
             "vpc_camera_age_seconds{quantile=\"0.5\"} 0.2\n",

@@ -8,6 +8,7 @@ use ipc::{Domain, Features, Publisher};
 
 use crate::config::{Clock, Config, SourceKind};
 use crate::finder::{Finder, Found};
+use crate::mask_check::{Counts, MaskCheck, Settings, Warning};
 use crate::priority;
 use crate::source::{Camera, Frame, Next, Replay, Request, SharedMemory, Source, SourceError};
 use crate::tags::TagError;
@@ -48,6 +49,8 @@ pub struct Report {
     pub data_ns: u64,
     /// What it showed.
     pub found: Found,
+    /// How often tags contradicted the scene's occlusions since the start.
+    pub mask: Counts,
     /// From the image to its features.
     pub took: Duration,
     /// From the middle of the exposure to the features; 0 in lockstep.
@@ -61,6 +64,8 @@ pub enum Event {
     Frame(Report),
     /// Something of real time is missing.
     Lacks(String),
+    /// The scene's occlusions are not where the view is hidden.
+    Mask(Warning),
 }
 
 /// Publishes features until it is asked to stop, or there are no more images.
@@ -76,6 +81,7 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
     let mut features: Publisher<Features> = domain.publisher()?;
     let mut source = open(config, &domain)?;
     let mut finder = Finder::new(&config.scene, &config.lens, &config.targets)?;
+    let mut mask = MaskCheck::new(&config.scene, Settings::default());
     // The detector's library divides its work among the threads of the pool that it is called from:
     // this one alone, as the controller and the camera want the others.
     let pool = rayon::ThreadPoolBuilder::new()
@@ -121,6 +127,12 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
             .stamp
             .published_ns
             .saturating_sub(message.stamp.data_ns);
+        let took = begin.elapsed();
+        // After the features are under way.
+        let [seen, hidden] = finder.places();
+        if let Some(warning) = mask.frame(ipc::now_ns(), &seen, &hidden) {
+            tell(Event::Mask(warning));
+        }
         let step = last.and_then(|last| frame.sequence.checked_sub(last));
         last = Some(frame.sequence);
         tell(Event::Frame(Report {
@@ -128,7 +140,8 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
             lost: step.map_or(0, |step| step.saturating_sub(1)),
             data_ns: message.stamp.data_ns,
             found,
-            took: begin.elapsed(),
+            mask: mask.counts(),
+            took,
             age: Duration::from_nanos(if is_real { age } else { 0 }),
         }));
     }
@@ -155,7 +168,6 @@ pub fn open(config: &Config, domain: &Domain) -> Result<Box<dyn Source>, SourceE
                 exposure_ns,
                 shutter,
                 readout_ns,
-                latency_ns: 0,
             };
             Box::new(Camera::open(device, &request)?)
         }

@@ -48,6 +48,12 @@ pub trait Source {
     fn next(&mut self, stop: &AtomicBool) -> Result<Next<'_>, SourceError>;
 }
 
+/// The grey level of a colour: ITU-R BT.601, as OpenCV has it.
+fn luma(red: u8, green: u8, blue: u8) -> u8 {
+    let [red, green, blue] = [red, green, blue].map(u32::from);
+    ((299 * red + 587 * green + 114 * blue + 500) / 1000) as u8
+}
+
 /// A source cannot be opened, or gives no more frames.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {

@@ -39,6 +39,8 @@ struct Track {
     velocity: Point,
     /// Frames since it was seen.
     missed: u32,
+    /// Whether the tags that are seen tell where it is.
+    is_guessed: bool,
 }
 
 /// Follows the tags of a pattern.
@@ -58,6 +60,7 @@ impl Tracker {
             now: None,
             velocity: [0.0; 2],
             missed: u32::MAX,
+            is_guessed: false,
         };
         Self {
             tracks: tags.into_iter().map(track).collect(),
@@ -73,6 +76,11 @@ impl Tracker {
     /// Whether a tag, by its index, was seen in the last frame.
     pub fn is_seen(&self, index: usize) -> bool {
         self.tracks[index].missed == 0
+    }
+
+    /// Whether a tag was not seen in the last frame, but others told where it is.
+    pub fn is_guessed(&self, index: usize) -> bool {
+        self.tracks[index].is_guessed
     }
 
     /// Corners and centre of a tag in the last frame, px: measured or guessed; `None` before it was
@@ -227,6 +235,7 @@ impl Track {
                 Some((guess, (_, before))) => moved(before, middle(&guess), frames),
                 None => [0.0; 2],
             };
+            self.is_guessed = guess.is_some();
             if let Some(guess) = guess {
                 self.now = Some((guess, middle(&guess)));
             }
@@ -236,7 +245,7 @@ impl Track {
         let before = before.map(|(_, centre)| moved(centre, sighting.centre, frames));
         self.velocity = before.unwrap_or_default();
         self.now = Some((sighting.corners, sighting.centre));
-        self.missed = 0;
+        (self.missed, self.is_guessed) = (0, false);
     }
 }
 

@@ -463,7 +463,8 @@ class CycleRecord(Message):
         ("cost", ctypes.c_double),
         # Worst constraint violation predicted over the preview. Unit: px.
         ("violation_px", ctypes.c_double),
-        # Least distance of a feature from an occlusion; infinite in a scene without any. Unit: px.
+        # Least distance of a marker's edge, or of a feature where markers are points, from an
+        # occlusion; infinite in a scene without any. Unit: px.
         ("clearance_px", ctypes.c_double),
         # Largest component of s - s*. Unit: px.
         ("error_px", ctypes.c_double),

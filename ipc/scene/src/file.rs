@@ -42,10 +42,11 @@ struct Pattern {
     #[schemars(extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
     /// Side of the square round each point that must stay in sight: that of a tag with its white
-    /// border, or the diameter of a disc. 0: only the points themselves.
+    /// border. 0: only the points themselves, as without the key, but then vpcd warns where
+    /// `law.margin_px` is 0.
     #[serde(default)]
     #[schemars(range(min = 0, max = 1), extend("x-unit" = "m"))]
-    marker_size: f64,
+    marker_size: Option<f64>,
 }
 
 /// An occlusion is the union of its parts and its mask.
@@ -136,7 +137,8 @@ impl Checker<'_> {
         self.limits(&tables.limits)?;
         let scene = Scene {
             camera,
-            marker_size: tables.pattern.marker_size,
+            marker_size: tables.pattern.marker_size.unwrap_or(0.0),
+            has_marker_size: tables.pattern.marker_size.is_some(),
             pattern: self.pattern(tables.pattern.points)?,
             goal: tables.goal,
             limits: tables.limits,
@@ -295,7 +297,8 @@ mod tests {
         assert_eq!((sim.camera.width, sim.parts().count()), (1024.0, 6));
         let robot = Scene::parse(crate::PAPER_ROBOT, "robot").unwrap();
         assert_eq!((robot.camera.height, robot.limits.linear), (480.0, 0.01));
-        assert_eq!([sim, robot].map(|scene| scene.marker_size), [0.0; 2]);
+        let sizes = [sim, robot].map(|scene| (scene.marker_size, scene.has_marker_size));
+        assert_eq!(sizes, [(0.0, true); 2]);
     }
 
     #[test]
@@ -348,8 +351,8 @@ mod tests {
                 ["pattern.points[1][2]", "0.1", "planar"],
             ),
             (
-                "[pattern]",
-                "[pattern]\nmarker_size = 30",
+                "marker_size = 0.0",
+                "marker_size = 30",
                 ["pattern.marker_size", "30", "0 to 1 m"],
             ),
         ] {
@@ -364,6 +367,13 @@ mod tests {
         assert!(edited("fx = 800.0", "fx = 800.0\nskew = 0.0").contains("skew"));
         assert!(edited("fy = 800.0\n", "").contains("fy"));
         assert!(edited("fy = 800.0", "fy = \"far\"").contains("line 11"));
+    }
+
+    #[test]
+    fn markers_of_unknown_size_are_points_and_not_said_to_be() {
+        let text = crate::PAPER_SIM.replacen("marker_size = 0.0", "", 1);
+        let scene = Scene::parse(&text, "s").unwrap();
+        assert_eq!((scene.marker_size, scene.has_marker_size), (0.0, false));
     }
 
     #[test]
@@ -392,6 +402,7 @@ mod tests {
             base,
             with("[limits]", "[limits]\nlinear_acceleration = 1.0")
         );
-        assert_eq!(base, with("[pattern]", "[pattern]\nmarker_size = 0.03"));
+        assert_eq!(base, with("marker_size = 0.0", "marker_size = 0.03"));
+        assert_eq!(base, with("marker_size = 0.0", ""));
     }
 }

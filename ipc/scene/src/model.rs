@@ -31,6 +31,8 @@ pub struct Scene {
     /// Side of the square round each point that must stay in sight, m, in the plane of the pattern;
     /// 0: only the points themselves.
     pub marker_size: f64,
+    /// Whether the file gives that size: without it, 0 only means that it is unknown.
+    pub has_marker_size: bool,
     /// The object in the camera frame at the goal.
     pub goal: Pose,
     /// Limits of the camera velocity.

@@ -35,6 +35,8 @@ fn build(name: &str) {
     match name.strip_prefix("examples/") {
         Some(example) => cargo.args(["--example", example]),
         None if name.ends_with(".so") => cargo.arg("--lib"),
+        // Its package is no default member.
+        None if name == "vpc-camera" => cargo.args(["--package", name]),
         None => cargo.args(["--bin", name]),
     };
     cargo.arg("--target-dir").arg(target_directory());

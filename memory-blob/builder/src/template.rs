@@ -11,6 +11,8 @@ pub struct Template {
     pub camera: Camera,
     /// Points of the pattern in the object frame, m; on z = 0.
     pub pattern: Vec<[f64; 3]>,
+    /// Side of a marker, m, where it is known.
+    pub marker_size: Option<f64>,
     /// Translation of the object in the camera frame at the goal, m.
     pub goal: [f64; 3],
     /// Its rotation vector, rad.
@@ -63,13 +65,18 @@ impl Template {
         ];
         let points: Vec<String> = self.pattern.iter().map(list).collect();
         let time = (TIME * z / self.linear - 1e-9).max(15.0).ceil();
+        let about = "side of a marker, a tag with its white border, m; 0: points";
+        let marker_size = match self.marker_size {
+            Some(size) => format!("marker_size = {size:?}  # {about}\n"),
+            None => format!("# marker_size = 0.03  # {about}\n"),
+        };
         let mut text = format!(
             "# Written by `vpc-memory new`: every value may be edited. Units: px, m, s, rad. Poses are of the object in\n\
              # the camera frame (u and x to the right, v and y down, z forward): translation and rotation vector.\n\n\
              [camera]\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\ncx = {cx:?}\ncy = {cy:?}\n\
              rate_hz = {rate_hz:?}\n\n\
              [pattern]\n# points in the object frame, in the order in which the features are stacked; all on z = 0\n\
-             points = [{}]\n\n\
+             points = [{}]\n{marker_size}\n\
              [goal]\ntranslation = {}\nrotation = {}\n\n\
              [limits]\nlinear = {:?}   # m/s, each component of the camera velocity\n\
              angular = {:?}  # rad/s\n\
@@ -159,6 +166,7 @@ mod tests {
                 rate_hz: 30.0,
             },
             pattern: Template::rectangle(0.1, 0.06),
+            marker_size: Some(0.01),
             goal: [0.02, 0.0, 0.4],
             goal_rotation: [0.0, 0.1, 0.0],
             linear: 0.2,
@@ -178,6 +186,7 @@ mod tests {
         let scene = Scene::parse(&template.text(), "new").unwrap();
         assert_eq!(scene.camera, template.camera);
         assert_eq!(scene.pattern.to_vec(), template.pattern);
+        assert_eq!((scene.marker_size, scene.has_marker_size), (0.01, true));
         assert_eq!(scene.goal.translation, template.goal);
         assert_eq!(scene.goal.rotation, template.goal_rotation);
         assert_eq!((scene.limits.linear, scene.limits.angular), (0.2, 0.5));
@@ -193,6 +202,7 @@ mod tests {
         let template = Template {
             camera: paper.camera,
             pattern: paper.pattern.to_vec(),
+            marker_size: None,
             goal: paper.goal.translation,
             goal_rotation: paper.goal.rotation,
             linear: 0.5,
@@ -206,6 +216,7 @@ mod tests {
         };
         let scene = Scene::parse(&template.text(), "new").unwrap();
         assert_eq!(scene.cost, paper.cost);
+        assert!(!scene.has_marker_size);
         assert!((scene.starts.translation_max[0] - 0.5).abs() < 0.01);
         assert!((scene.starts.clearance_px / paper.starts.clearance_px - 1.0).abs() < 0.05);
         assert!((scene.starts.min_error_px / paper.starts.min_error_px - 1.0).abs() < 0.05);

@@ -70,6 +70,25 @@ fn from_a_painted_mask_to_a_verified_memory() {
 }
 
 #[test]
+fn a_scene_with_tags_is_drawn_and_its_starts_are_clear_of_whole_tags() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    let shapes = "--ellipse 560,400,40,30";
+    said(here, &format!("{NEW} --marker-size 0.03 {shapes}"));
+    let words = said(here, "preview own.toml -o own.png");
+    // 0.03 m times 600 px over the root of 2 times 0.4 m; the square of 0.12 m is 150 px from the
+    // upper side of the image.
+    let told = "markers     30 mm: at the goal the law keeps each point 32 px clear";
+    assert!(words.contains(told), "{words}");
+    assert!(
+        words.contains("goal 118 px from the image border"),
+        "{words}"
+    );
+    let words = complaint(here, &format!("{NEW} --marker-size 0.2 {shapes} --force"));
+    assert!(words.contains("goal: the marker of point 0"), "{words}");
+}
+
+#[test]
 fn shapes_become_a_mask_that_forbids_the_same_pixels() {
     let directory = TempDir::new().unwrap();
     let here = directory.path();
@@ -149,10 +168,10 @@ fn typed(directory: &Path, arguments: &str, answers: &str) -> (String, bool) {
 fn on_a_terminal_new_asks_for_all_that_no_flag_tells() {
     let directory = TempDir::new().unwrap();
     let here = directory.path();
-    let answers = "640x480\n600\n\n\n0.12\n0.4\n0.3,0.8\n\n\n";
+    let answers = "640x480\n600\n\n\n0.12\n\n0.4\n0.3,0.8\n\n\n";
     let (words, good) = typed(here, "new asked.toml", answers);
     assert!(good, "{words}");
-    assert_eq!(words.matches(": ").count(), 10, "{words}");
+    assert_eq!(words.matches(": ").count(), 11, "{words}");
     assert!(
         words.contains("Principal point, px (CX,CY) [320,240]: "),
         "{words}"
@@ -164,7 +183,7 @@ fn on_a_terminal_new_asks_for_all_that_no_flag_tells() {
     // What a flag tells is not asked.
     let flags =
         "new less.toml --image 640x480 --focal 600 --pattern 0.12 --goal 0.4 --box 100,100,60,20";
-    let (words, good) = typed(here, flags, "\n\n\n\n");
+    let (words, good) = typed(here, flags, "\n\n\n\n\n");
     assert!(
         good && !words.contains("Image") && !words.contains("Mask"),
         "{words}"
@@ -176,13 +195,14 @@ fn a_wrong_answer_is_told_and_asked_again() {
     let directory = TempDir::new().unwrap();
     let here = directory.path();
     let answers =
-        "640\n640x480\nabc\n600\n\n\n0.1x0.1x0.1\n0.12\n\n0.4\n0.3\n0.3,0.8\n\n\nnone.png\n";
+        "640\n640x480\nabc\n600\n\n\n0.1x0.1x0.1\n0.12\n3cm\n\n0.4\n0.3\n0.3,0.8\n\n\nnone.png\n";
     let (words, good) = typed(here, "new asked.toml", answers);
     assert!(good, "{words}");
     for told in [
         "--image = 640; allowed: 2 numbers",
         "--focal = abc; allowed: numbers",
         "--pattern = 0.1x0.1x0.1; allowed: SIDE",
+        "--marker-size = 3cm; allowed: numbers",
         "--limits = 0.3; allowed: 2 numbers",
         "--mask = none.png; allowed: a file that is there",
     ] {

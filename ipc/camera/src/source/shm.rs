@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ipc::{Domain, Encoding, Image, ImageSubscriber, Order, ReceiveError};
 
-use super::{Frame, Next, Source, SourceError};
+use super::{Frame, Next, Source, SourceError, luma};
 use crate::grey::Grey;
 
 /// Looks before the caller is told that there is nothing.
@@ -90,12 +90,8 @@ impl Source for SharedMemory {
     }
 }
 
-/// Adds the grey levels of a row: luma, of colours by the weights of ITU-R BT.601, as OpenCV does.
+/// Adds the grey levels of a row.
 fn add_grey(grey: &mut Vec<u8>, row: &[u8], encoding: Encoding) {
-    let luma = |red: u8, green: u8, blue: u8| {
-        let sum = 77 * u32::from(red) + 150 * u32::from(green) + 29 * u32::from(blue);
-        ((sum + 128) >> 8) as u8
-    };
     match encoding {
         Encoding::Mono8 => grey.extend_from_slice(row),
         Encoding::Yuyv => grey.extend(row.iter().step_by(2)),
@@ -113,8 +109,8 @@ mod tests {
         for (encoding, row, expected) in [
             (Encoding::Mono8, &[7, 200][..], [7, 200]),
             (Encoding::Yuyv, &[7, 1, 200, 2], [7, 200]),
-            (Encoding::Bgr8, &[0, 0, 255, 255, 255, 255], [77, 255]),
-            (Encoding::Rgb8, &[255, 0, 0, 0, 255, 0], [77, 149]),
+            (Encoding::Bgr8, &[0, 0, 255, 255, 255, 255], [76, 255]),
+            (Encoding::Rgb8, &[255, 0, 0, 0, 255, 0], [76, 150]),
         ] {
             let mut grey = Vec::new();
             add_grey(&mut grey, row, encoding);

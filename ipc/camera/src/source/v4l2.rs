@@ -36,8 +36,6 @@ pub struct Request {
     pub shutter: Shutter,
     /// From the first row's being read to the last one's, ns.
     pub readout_ns: u64,
-    /// By how much the stamps are late, ns: what is left after all that the driver tells.
-    pub latency_ns: u64,
 }
 
 /// How the driver stores a pixel; both have the grey level in each first byte.
@@ -108,7 +106,6 @@ impl Camera {
             exposure_ns,
             shutter: request.shutter,
             readout_ns: request.readout_ns,
-            latency_ns: request.latency_ns,
         };
         let has_arrival_stamps = about.driver == "uvcvideo" && !stamp::uvc_has_hardware_stamps();
         Ok(Self(Stream {
@@ -236,7 +233,6 @@ mod tests {
             exposure_ns: None,
             shutter: Shutter::Global,
             readout_ns: 0,
-            latency_ns: 0,
         };
         for (path, said) in [
             (

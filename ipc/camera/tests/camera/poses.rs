@@ -9,11 +9,6 @@ use vpc_camera::lens::{Distortion, Lens};
 
 use crate::drawing::{Errors, grey, open_scene, poses, smeared, through, truth};
 
-/// Frames of each kind.
-fn frames() -> usize {
-    repeats("frames of each kind", 150, 1000)
-}
-
 fn centres() -> Targets {
     Targets::Centres(vec![0, 1, 2, 3])
 }
@@ -25,11 +20,12 @@ fn measured(
     lens: &Lens,
     look: &Look,
     change: &dyn Fn(&Image) -> Image,
+    frames: usize,
 ) -> (Errors, f64) {
     let mut finder = Finder::new(scene, lens, &centres()).unwrap();
     let mut renderer = Renderer::new(scene, look);
     let (mut errors, mut sequence) = (Errors::default(), 0);
-    let poses = poses(scene, 11, 40.0).take(frames());
+    let poses = poses(scene, 11, 40.0).take(frames);
     for pose in poses {
         let image = change(renderer.render(&pose));
         sequence += 2;
@@ -41,7 +37,7 @@ fn measured(
             }
         }
     }
-    let share = errors.count / (4 * frames()) as f64;
+    let share = errors.count / (4 * frames) as f64;
     (errors, share)
 }
 
@@ -70,28 +66,32 @@ fn features_are_within_a_tenth_of_a_pixel_of_the_truth() {
     let across = |image: &Image| smeared(image, 3, false);
     let down = |image: &Image| smeared(image, 3, true);
     let bent = |image: &Image| through(&curved, &scene.camera, image);
-    for (name, lens, look, change, most) in [
+    let frames = repeats("frames of each kind", 80, 1000);
+    // A name, how images are made, errors (px RMS) and shares of tags. Of contrast and lens
+    // 0.95 would be within the scatter of a few hundred tags.
+    for (name, lens, look, change, most, least) in [
         (
             "as rendered",
             &pinhole,
             plain,
             &same as &dyn Fn(&Image) -> Image,
             0.05,
+            0.95,
         ),
-        ("noise of 6 levels", &pinhole, noisy, &same, 0.1),
-        ("contrast of 70 levels", &pinhole, dim, &same, 0.1),
-        ("moved by 3 px across", &pinhole, plain, &across, 0.1),
-        ("moved by 3 px down", &pinhole, plain, &down, 0.1),
-        ("distorted", &curved, plain, &bent, 0.1),
+        ("noise of 6 levels", &pinhole, noisy, &same, 0.1, 0.95),
+        ("contrast of 70 levels", &pinhole, dim, &same, 0.1, 0.9),
+        ("moved by 3 px across", &pinhole, plain, &across, 0.1, 0.95),
+        ("moved by 3 px down", &pinhole, plain, &down, 0.1, 0.95),
+        ("distorted", &curved, plain, &bent, 0.1, 0.9),
     ] {
-        let (errors, share) = measured(&scene, lens, &look, change);
+        let (errors, share) = measured(&scene, lens, &look, change, frames);
         println!(
             "{name}: {:.1} % found, {:.3} px RMS, {:.3} px at most",
             100.0 * share,
             errors.rms(),
             errors.worst
         );
-        assert!(share > 0.95, "{name}: {share}");
+        assert!(share > least, "{name}: {share}");
         assert!(
             errors.rms() < most && errors.worst < 0.5,
             "{name}: {errors:?}"

@@ -78,7 +78,16 @@ fn scene_file(scene: &Result<Scene, FileError>) -> Finding {
     match scene {
         Ok(scene) => {
             let (points, areas) = (scene.pattern.len(), scene.occlusions.len());
-            Finding::ok("scene", format!("{points} points, {areas} occlusions"))
+            let found = format!("{points} points, {areas} occlusions");
+            if scene.has_marker_size {
+                return Finding::ok("scene", found);
+            }
+            Finding::warn(
+                "scene",
+                format!("{found}; pattern.marker_size is not given"),
+                "give it, 0 if the features are points: else only the markers' centres are kept in sight, and a tag is \
+                 lost before its centre is covered",
+            )
         }
         Err(error) => Finding::fail("scene", error.to_string(), "correct the line that it names"),
     }
@@ -176,6 +185,15 @@ mod tests {
                 "{finding:?}"
             );
         }
+    }
+
+    #[test]
+    fn a_scene_that_does_not_tell_how_large_markers_are_is_warned_of() {
+        let verdict = |text: &str| scene_file(&Scene::parse(text, "scene.toml")).verdict;
+        assert_eq!(verdict(scene::PAPER_SIM), Verdict::Ok);
+        assert_eq!(verdict(scene::TAGS_ROBOT), Verdict::Ok);
+        let unknown = scene::TAGS_ROBOT.replace("marker_size = 0.03", "");
+        assert_eq!(verdict(&unknown), Verdict::Warn);
     }
 
     #[test]

@@ -33,6 +33,10 @@ pub struct New {
     /// semicolons.
     #[arg(long)]
     pattern: Option<String>,
+    /// Side of the square round each point that must stay in sight, m: of a tag with its white
+    /// border; 0 for points.
+    #[arg(long)]
+    marker_size: Option<String>,
     /// Where the camera shall see the pattern, m and rad: depth Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ.
     #[arg(long, allow_hyphen_values = true)]
     goal: Option<String>,
@@ -82,6 +86,10 @@ impl New {
         let [cx, cy] = CENTRE.ask(&self.centre, Some(&middle), exactly(','))?;
         let [rate_hz] = RATE.ask(&self.rate, Some("30"), exactly(','))?;
         let pattern = PATTERN.ask(&self.pattern, None, points)?;
+        let marker_size = MARKER_SIZE.ask(&self.marker_size, Some(""), |flag, text| {
+            let read = |text| exactly(',')(flag, text).map(|[size]| size);
+            (!text.is_empty()).then(|| read(text)).transpose()
+        })?;
         let poses = one_of(&[1, 3, 6], "Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ");
         let (goal, goal_rotation) = match GOAL.ask(&self.goal, None, poses)?[..] {
             [x, y, z, rx, ry, rz] => ([x, y, z], [rx, ry, rz]),
@@ -107,6 +115,7 @@ impl New {
                 rate_hz,
             },
             pattern,
+            marker_size,
             goal,
             goal_rotation,
             linear,
@@ -145,6 +154,10 @@ const RATE: Question = Question("--rate", "Frame rate, Hz");
 const PATTERN: Question = Question(
     "--pattern",
     "Pattern, m (SIDE of a square, WIDTHxHEIGHT, or points X,Y;X,Y;...)",
+);
+const MARKER_SIZE: Question = Question(
+    "--marker-size",
+    "Side of a marker with its white border, m (0 for points; empty if unknown)",
 );
 const GOAL: Question = Question("--goal", "Goal, m and rad (Z, or X,Y,Z, or X,Y,Z,RX,RY,RZ)");
 const LIMITS: Question = Question("--limits", "Limits, m/s and rad/s (LINEAR,ANGULAR)");

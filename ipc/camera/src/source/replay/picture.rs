@@ -6,7 +6,7 @@ use std::path::Path;
 
 use png::{ColorType, Decoder, Transformations};
 
-use super::super::SourceError;
+use super::super::{SourceError, luma};
 use super::is_named;
 
 /// Most pixels in a row, and most rows: those of `vpc/image`.
@@ -45,11 +45,12 @@ impl Picture {
         let mut pixels = vec![0; bytes];
         let frame = reader.next_frame(&mut pixels).map_err(refuse)?;
         pixels.truncate(frame.buffer_size());
+        let grey = |p: &[u8]| luma(p[0], p[1], p[2]);
         let pixels = match frame.color_type {
             ColorType::Grayscale => pixels,
             ColorType::GrayscaleAlpha => pixels.chunks_exact(2).map(|pixel| pixel[0]).collect(),
-            ColorType::Rgb => pixels.chunks_exact(3).map(luma).collect(),
-            ColorType::Rgba => pixels.chunks_exact(4).map(luma).collect(),
+            ColorType::Rgb => pixels.chunks_exact(3).map(grey).collect(),
+            ColorType::Rgba => pixels.chunks_exact(4).map(grey).collect(),
             ColorType::Indexed => {
                 return Err(SourceError::value(&name, "a palette", "grey or colours"));
             }
@@ -93,12 +94,6 @@ pub(super) fn check_size(name: &str, [width, height]: [u32; 2]) -> Result<(), So
     let found = format!("an image of {width}x{height} px");
     let allowed = format!("1 to {MOST_SIDE} px a side");
     Err(SourceError::value(name, found, allowed))
-}
-
-/// Rec. 601, as OpenCV's conversion to grey.
-fn luma(pixel: &[u8]) -> u8 {
-    let [red, green, blue] = [0, 1, 2].map(|k| u32::from(pixel[k]));
-    ((299 * red + 587 * green + 114 * blue + 500) / 1000) as u8
 }
 
 /// Width, height and the level of white of a binary PGM, and its pixels.

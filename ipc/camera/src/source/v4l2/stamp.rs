@@ -63,23 +63,20 @@ pub struct Timing {
     pub shutter: Shutter,
     /// From the first row's being read to the last one's, ns.
     pub readout_ns: u64,
-    /// By how much stamps are late, ns.
-    pub latency_ns: u64,
 }
 
 impl Timing {
     /// The middle of the exposure, of the middle row, ns.
     ///
-    /// With the stamp t, exposure e, readout r and latency l:
+    /// With the stamp t, exposure e and readout r:
     ///
     /// | stamp | global shutter | rolling shutter |
     /// |---|---|---|
-    /// | begin of the exposure | t + e/2 - l | t + r/2 + e/2 - l |
-    /// | begin of the readout | t - e/2 - l | t + r/2 - e/2 - l |
-    /// | end of the readout | t - r - e/2 - l | t - r/2 - e/2 - l |
+    /// | begin of the exposure | t + e/2 | t + r/2 + e/2 |
+    /// | begin of the readout | t - e/2 | t + r/2 - e/2 |
+    /// | end of the readout | t - r - e/2 | t - r/2 - e/2 |
     pub fn middle_ns(&self, stamped_at: StampedAt, stamp_ns: u64) -> u64 {
-        let [half, readout, latency] =
-            [self.exposure_ns / 2, self.readout_ns, self.latency_ns].map(i128::from);
+        let [half, readout] = [self.exposure_ns / 2, self.readout_ns].map(i128::from);
         // From the begin of the first row's readout to the end of the middle row's exposure.
         let middle_row = match self.shutter {
             Shutter::Global => 0,
@@ -90,7 +87,7 @@ impl Timing {
             StampedAt::ReadoutBegin => 0,
             StampedAt::ReadoutEnd => -readout,
         };
-        let middle = i128::from(stamp_ns) + readout_begin + middle_row - half - latency;
+        let middle = i128::from(stamp_ns) + readout_begin + middle_row - half;
         u64::try_from(middle).unwrap_or(0)
     }
 }
@@ -117,15 +114,9 @@ mod tests {
                 exposure_ns: 8 * MS,
                 shutter,
                 readout_ns: 20 * MS,
-                latency_ns: 0,
             };
             let middle_ns = timing.middle_ns(stamped_at, 1000 * MS);
             assert_eq!(middle_ns, middle_ms * MS, "{stamped_at:?} {shutter:?}");
-            let late = Timing {
-                latency_ns: 3 * MS,
-                ..timing
-            };
-            assert_eq!(late.middle_ns(stamped_at, 1000 * MS), (middle_ms - 3) * MS);
         }
     }
 

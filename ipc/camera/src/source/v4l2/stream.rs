@@ -228,7 +228,6 @@ mod tests {
                 exposure_ns: 4_000_000,
                 shutter: Shutter::Global,
                 readout_ns: 0,
-                latency_ns: 0,
             },
             has_arrival_stamps: false,
             pixels: Vec::new(),

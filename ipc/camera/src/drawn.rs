@@ -1,0 +1,116 @@
+//! Drawings of tags for the tests of this crate.
+
+use kornia_apriltag::family::TagFamily;
+use nalgebra::{Matrix3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Samples along a side of a pixel.
+const SAMPLES: usize = 6;
+/// Levels of print.
+pub const BLACK: f64 = 30.0;
+pub const WHITE: f64 = 200.0;
+
+/// An image in the making: levels of light.
+pub struct Drawing {
+    pub width: usize,
+    pub height: usize,
+    pub levels: Vec<f64>,
+}
+
+impl Drawing {
+    pub fn new(width: usize, height: usize, level: f64) -> Self {
+        Self {
+            width,
+            height,
+            levels: vec![level; width * height],
+        }
+    }
+
+    /// Paints what `level` gives at each sample, over what is there.
+    pub fn paint(&mut self, level: impl Fn(f64, f64) -> Option<f64>) {
+        let offset = |i: usize| (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
+        for (n, out) in self.levels.iter_mut().enumerate() {
+            let (u, v) = ((n % self.width) as f64, (n / self.width) as f64);
+            let samples = (0..SAMPLES * SAMPLES)
+                .map(|k| level(u + offset(k % SAMPLES), v + offset(k / SAMPLES)).unwrap_or(*out));
+            *out = samples.sum::<f64>() / (SAMPLES * SAMPLES) as f64;
+        }
+    }
+
+    /// Lays a shape over what is there; `distance` to its border in px, negative inside.
+    pub fn cover(&mut self, level: f64, distance: impl Fn(f64, f64) -> f64) {
+        for (n, out) in self.levels.iter_mut().enumerate() {
+            let (u, v) = ((n % self.width) as f64, (n / self.width) as f64);
+            let share = (0.5 - distance(u, v)).clamp(0.0, 1.0);
+            *out += share * (level - *out);
+        }
+    }
+
+    /// Paints a tag with its white border; `h` takes tag coordinates to px.
+    pub fn tag(&mut self, number: usize, h: &Matrix3<f64>) {
+        let family = TagFamily::tag36_h11().unwrap();
+        let mut bits = [[0.0; 8]; 8];
+        for (k, (x, y)) in family.bit_x.iter().zip(&family.bit_y).enumerate() {
+            let bit = family.code_data[number] >> (35 - k) & 1;
+            bits[*y as usize][*x as usize] = bit as f64;
+        }
+        let back = h.try_inverse().unwrap();
+        self.paint(|u, v| {
+            let p = back * Vector3::new(u, v, 1.0);
+            let [i, j] = [p.x / p.z, p.y / p.z].map(|x| ((x + 1.0) * 4.0).floor());
+            let is_within =
+                |least: f64, most: f64| (least..=most).contains(&i) && (least..=most).contains(&j);
+            if is_within(0.0, 7.0) {
+                let bit = bits[j as usize][i as usize];
+                Some(BLACK + bit * (WHITE - BLACK))
+            } else {
+                is_within(-1.0, 8.0).then_some(WHITE)
+            }
+        });
+    }
+
+    /// Blurs by a Gaussian of this standard deviation, px.
+    pub fn blur(&mut self, sigma: f64) {
+        let reach = (4.0 * sigma).ceil() as i64;
+        let weights = Vec::from_iter((-reach..=reach).map(|k| {
+            let x = k as f64 / sigma;
+            (-0.5 * x * x).exp()
+        }));
+        let sum: f64 = weights.iter().sum();
+        for [du, dv] in [[1, 0], [0, 1]] {
+            let (width, height) = (self.width as i64, self.height as i64);
+            let before = self.levels.clone();
+            for (n, out) in self.levels.iter_mut().enumerate() {
+                let (u, v) = (n as i64 % width, n as i64 / width);
+                let at = |k: i64| {
+                    let u = (u + k * du).clamp(0, width - 1);
+                    let v = (v + k * dv).clamp(0, height - 1);
+                    before[(v * width + u) as usize]
+                };
+                let terms = (-reach..=reach).zip(&weights).map(|(k, w)| w * at(k));
+                *out = terms.sum::<f64>() / sum;
+            }
+        }
+    }
+
+    /// The image with noise of this standard deviation, levels.
+    pub fn pixels(&self, noise: f64, seed: u64) -> Vec<u8> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut normal = || {
+            let (a, b) = (random.random::<f64>(), random.random::<f64>());
+            (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+        };
+        let levels = self.levels.iter();
+        levels.map(|x| (x + noise * normal() + 0.5) as u8).collect()
+    }
+}
+
+/// The homography of a tag about (u, v) px with a black square of `side` px, turned by `turn` rad in
+/// the image and tilted.
+pub fn placed([u, v]: [f64; 2], side: f64, turn: f64, tilt: [f64; 2]) -> Matrix3<f64> {
+    let (s, c) = turn.sin_cos();
+    let half = 0.5 * side;
+    let affine = Matrix3::new(half * c, -half * s, u, half * s, half * c, v, 0.0, 0.0, 1.0);
+    affine * Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, tilt[0], tilt[1], 1.0)
+}
