@@ -13,10 +13,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use ipc::{CycleRecord, Domain, Hold, Subscriber};
+use scene::Scene;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::children::{self, Children, Running};
+use crate::film::Film;
 use crate::flaw::Flaw;
 use crate::row::wilson;
 
@@ -27,6 +29,8 @@ const LABORATORIES: usize = 4;
 const PATIENCE: Duration = Duration::from_secs(300);
 /// Between two looks at a laboratory.
 const LOOK: Duration = Duration::from_millis(20);
+/// ... that is filmed.
+const SHORT_LOOK: Duration = Duration::from_millis(2);
 
 /// What all rows have in common.
 pub struct Setup<'a> {
@@ -44,12 +48,14 @@ pub struct Setup<'a> {
     pub head: &'a str,
     /// The file of the memory.
     pub memory: &'a Path,
-    /// Keys of `[law]` that go over `controller/vpcd-robot.toml`.
+    /// Keys of `[law]` that go over `controller/vpcd-tags.toml`.
     pub law: &'a Table,
     /// Of the first laboratory; the others count on.
     pub seed: u64,
     /// Laboratories at work at a time.
     pub jobs: usize,
+    /// Where the film of the first laboratory goes, without its ending.
+    pub film: Option<&'a Path>,
 }
 
 /// Flaws with their levels.
@@ -79,6 +85,8 @@ pub struct ArmReport {
     pub limit_violations: u64,
     pub discontinuities: u64,
     pub joint_velocity: f64,
+    pub errors: Vec<String>,
+    pub joint_room: f64,
 }
 
 /// A row: many runs with the same errors.
@@ -100,8 +108,8 @@ pub struct Row {
     pub joint_speed: f64,
     /// Least clearance of a point in any run, px.
     pub least_clearance_px: f64,
-    /// Runs that did not arrive: their starts, verdicts, and for what `vpcd` held the camera most
-    /// often.
+    /// Runs that did not arrive: their starts, verdicts, the robot's errors, and for what `vpcd` held
+    /// the camera most often.
     pub failed: Vec<(usize, String)>,
 }
 
@@ -182,12 +190,15 @@ impl Row {
     }
 }
 
-/// The verdict, and for what the camera was held most often.
+/// The verdict, the robot's errors, and for what the camera was held most often.
 fn why(run: &Run) -> String {
+    let errors = run.arm.errors.iter().cloned();
     let most = run.holds.iter().max_by_key(|(_, cycles)| **cycles);
-    match most {
-        Some((hold, cycles)) => format!("{}: {hold}, {cycles} cycles", run.verdict),
-        None => run.verdict.clone(),
+    let most = most.map(|(hold, cycles)| format!("{hold}, {cycles} cycles"));
+    let reasons: Vec<String> = errors.chain(most).collect();
+    match reasons.is_empty() {
+        true => run.verdict.clone(),
+        false => format!("{}: {}", run.verdict, reasons.join("; ")),
     }
 }
 
@@ -208,14 +219,22 @@ impl Laboratory<'_> {
         let domain = self.place.join("domain");
         fs::create_dir_all(&domain)?;
         self.configure()?;
-        let mut holds = Holds::open(&Domain::join(&domain)?)?;
+        let joined = Domain::join(&domain)?;
+        let mut holds = Holds::open(&joined)?;
+        let film = self.setup.film.filter(|_| self.number == self.setup.seed);
+        let film = film
+            .map(|path| anyhow::Ok((path, Film::open(&joined, Scene::read(self.setup.scene)?)?)));
+        let mut film = film.transpose()?;
         let daemon = self.begin("vpcd")?;
         let camera = self.begin("vpc-camera")?;
         let hw_sim = self.begin("hw-sim")?;
         let (mut runs, mut news) = (Vec::new(), Instant::now());
         while runs.len() < self.starts.len() {
-            thread::sleep(LOOK);
+            thread::sleep(if film.is_some() { SHORT_LOOK } else { LOOK });
             holds.look()?;
+            if let Some((_, film)) = &mut film {
+                film.look()?;
+            }
             let told = fs::read_to_string(self.place.join("hw-sim.out"))?;
             let lines = told.split_inclusive('\n').filter(|x| x.ends_with('\n'));
             let lines: Vec<&str> = lines.collect();
@@ -233,6 +252,9 @@ impl Laboratory<'_> {
         }
         holds.look()?;
         drop((hw_sim, camera, daemon));
+        if let Some((path, film)) = film {
+            film.write(path)?;
+        }
         for (run, holds) in runs.iter_mut().zip(holds.runs) {
             let Run { holds: told, .. } = run;
             *told = holds;
@@ -303,11 +325,11 @@ impl Laboratory<'_> {
         camera.insert("calibration".to_owned(), "calibration.toml".into());
         self.write("vpc-camera.toml", &camera)?;
 
-        let mut daemon = shipped("controller/vpcd-robot.toml")?;
+        let mut daemon = shipped("controller/vpcd-tags.toml")?;
         daemon.insert("scene".to_owned(), path(scene)?);
         daemon.insert("memory".to_owned(), path(memory)?);
         let law = daemon.get_mut("law").and_then(Value::as_table_mut);
-        let law = law.context("vpcd-robot.toml without [law]")?;
+        let law = law.context("vpcd-tags.toml without [law]")?;
         law.extend(self.setup.law.clone());
         self.write("vpcd.toml", &daemon)
     }

@@ -5,6 +5,7 @@
 
 pub mod children;
 pub mod fci_table;
+pub mod film;
 pub mod flags;
 pub mod flaw;
 pub mod laboratory;

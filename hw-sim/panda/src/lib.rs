@@ -18,6 +18,7 @@ pub mod robot;
 pub mod servo;
 pub mod settings;
 pub mod shaper;
+pub mod singularity;
 pub mod state;
 
 pub use errors::{Errors, Flag};

@@ -154,7 +154,12 @@ impl Arm {
             control_unit,
             inspector: Inspector::new(robot.state(), robot.limits()),
             robot,
-            bridge: Bridge::new(believed, scene.limits, settings.shaping)?,
+            bridge: Bridge::new(
+                believed,
+                scene.limits,
+                settings.robot.model.limits(),
+                settings.shaping,
+            )?,
             mount,
             base_from_object: base_from_object(),
         })

@@ -1,10 +1,23 @@
 //! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the end
 //! effector.
 
-use panda::{Command, Echo, Motion, Mount, Shaper, ShaperError, ShaperSettings, State, Twist};
+use panda::ik::joint_velocities;
+use panda::limits::JointBounds;
+use panda::{
+    Chain, Command, Echo, JOINTS, Motion, Mount, Shaper, ShaperError, ShaperSettings, State, Twist,
+    singularity,
+};
 use scene::Limits;
 
 use crate::standing::Standing;
+
+/// Greatest share of a joint's speed limit, as `vpc-panda.toml` has it: near the end of the arm's
+/// reach a little motion of the camera takes much of the joints'.
+const JOINT_SPEED: f64 = 0.3;
+/// Distance that joints keep from the ends of their ranges, rad, with room for what the robot does
+/// with its elbow, and the deceleration with which they near it, rad/s^2.
+const JOINT_MARGIN: f64 = 0.15;
+const NEARING: f64 = 0.5;
 
 /// Turns camera twists into robot commands. It knows the calibration that a real bridge would be
 /// given, not the truth.
@@ -12,6 +25,7 @@ use crate::standing::Standing;
 pub struct Bridge {
     mount: Mount,
     limits: Limits,
+    joints: &'static panda::Limits,
     /// `None` where the staircase goes out as it is.
     shaper: Option<Shaper>,
     standing: Standing,
@@ -22,7 +36,12 @@ impl Bridge {
     ///
     /// # Errors
     /// A bound of the shaper that is not a positive number.
-    pub fn new(mount: Mount, limits: Limits, shaping: Shaping) -> Result<Self, ShaperError> {
+    pub fn new(
+        mount: Mount,
+        limits: Limits,
+        joints: &'static panda::Limits,
+        shaping: Shaping,
+    ) -> Result<Self, ShaperError> {
         let shaper = match shaping {
             Shaping::On(settings) => Some(Shaper::new(settings)?),
             Shaping::Off => None,
@@ -30,6 +49,7 @@ impl Bridge {
         Ok(Self {
             mount,
             limits,
+            joints,
             shaper,
             standing: Standing::default(),
         })
@@ -61,7 +81,8 @@ impl Bridge {
             .to_base(&state.o_t_ee.rotation, &state.f_t_ee, &camera);
         let twist = match &mut self.shaper {
             Some(shaper) => {
-                shaper.aim(&base, self.standing.until_ns());
+                let share = joint_share(state, &base, self.joints);
+                shaper.aim(&(base * share), self.standing.until_ns());
                 shaper.step(&Echo::from(state), now_ns)
             }
             None if self.standing.is_stale(now_ns) => Twist::zeros(),
@@ -73,6 +94,35 @@ impl Bridge {
             finished: false,
         }
     }
+}
+
+/// How much of this motion of the end effector the joints allow, 0 to 1.
+fn joint_share(state: &State, twist: &Twist, limits: &panda::Limits) -> f64 {
+    let chain = Chain::new(state.f_t_ee);
+    let dq = joint_velocities(&chain, &state.q_d, twist);
+    let clear = singularity::share(
+        &chain,
+        limits,
+        &ShaperSettings::default(),
+        &state.q_d,
+        twist,
+    );
+    let share = |k: usize| {
+        let JointBounds {
+            lower,
+            upper,
+            velocity,
+            ..
+        } = limits.joints[k];
+        let room = match dq[k] > 0.0 {
+            true => upper - state.q_d[k],
+            false => state.q_d[k] - lower,
+        };
+        let stopping = (2.0 * NEARING * (room - JOINT_MARGIN).max(0.0)).sqrt();
+        let allowed = stopping.min(JOINT_SPEED * velocity);
+        (allowed / dq[k].abs()).min(1.0)
+    };
+    (0..JOINTS).map(share).fold(clear, f64::min)
 }
 
 /// Whether commands are shaped for the robot.
@@ -132,6 +182,27 @@ mod tests {
                 arm.bridge.command(&twist, (ms + 100) * MS);
             }
             arm.step(ms * MS);
+        }
+    }
+
+    #[test]
+    fn at_the_end_of_its_reach_and_of_its_joints_ranges_the_arm_slows_down() {
+        let mut scene = scene();
+        (scene.limits.linear, scene.limits.angular) = (0.1, 0.3);
+        let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(11);
+        for start in &starts[..40] {
+            let most = scene.limits.velocity();
+            let twist = most.map(|most| most * random.random_range(-1.0..1.0));
+            let mut arm = Arm::new(&scene, start, &ArmSettings::default()).unwrap();
+            for ms in 0..8_000 {
+                if ms % 33 == 0 {
+                    arm.bridge.command(&twist, (ms + 100) * MS);
+                }
+                arm.step(ms * MS);
+            }
+            let report = arm.inspector().report();
+            assert!(report.is_clean(), "{twist:?}: {:?}", report.errors);
         }
     }
 
@@ -222,7 +293,13 @@ mod tests {
     #[test]
     fn what_is_beyond_the_limits_is_cut_and_said_so() {
         let mount = crate::robot::calibration::HandEye::default().mount();
-        let mut bridge = Bridge::new(mount, scene().limits, Shaping::default()).unwrap();
+        let mut bridge = Bridge::new(
+            mount,
+            scene().limits,
+            panda::Model::Panda.limits(),
+            Shaping::default(),
+        )
+        .unwrap();
         assert!(bridge.command(&[1.0, f64::NAN, 0.0, 0.0, 0.0, 0.0], 10));
         assert_eq!(
             bridge.standing().twist_at(9),

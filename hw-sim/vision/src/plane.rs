@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::homography::{Homography, Point};
 use crate::lens::{Lens, Rays};
 use crate::look::Look;
-use crate::sheet::{SAMPLES, Sheet};
+use crate::sheet::Sheet;
 use crate::tag::Tag;
 use crate::texture::Texture;
 
@@ -27,8 +27,6 @@ pub(crate) struct Plane {
     sheets: Vec<Sheet>,
     /// Corner of the box that is least and that is greatest in x and y, m.
     outline: [Point; 2],
-    /// From the image to the plane, one after another in the time of a row's exposure.
-    backs: Vec<Homography>,
 }
 
 impl Plane {
@@ -47,7 +45,6 @@ impl Plane {
             look: *look,
             sheets: all.map(|tag| Sheet::new(tag, look)).collect(),
             outline,
-            backs: Vec::with_capacity(SAMPLES),
         }
     }
 
@@ -62,27 +59,20 @@ impl Plane {
     /// Draws a row of the image, `line`, as seen by the maps from the plane at the begin and at the
     /// end of its exposure. The ground is seen as in the middle.
     pub fn draw(
-        &mut self,
+        &self,
         line: &mut [f32],
         row: usize,
         maps: &[Homography; 2],
         rays: &Rays,
         texture: &Texture,
     ) {
-        let inverses = maps.map(|map| map.inverse());
-        let [Some(first), Some(last)] = inverses else {
+        let [Some(first), Some(last)] = maps.map(|map| map.inverse()) else {
             line.fill(self.look.table_level as f32);
             return;
         };
         self.draw_ground(line, row, &first.between(&last, 0.5), rays, texture);
-        self.backs.clear();
-        let count = if first == last { 1 } else { SAMPLES };
-        self.backs.extend((0..count).map(|k| {
-            let share = (k as f64 + 0.5) / count as f64;
-            first.between(&last, share)
-        }));
         for sheet in &self.sheets {
-            sheet.draw(line, row, &self.backs, rays);
+            sheet.draw(line, row, &[first, last], rays);
         }
     }
 

@@ -7,7 +7,7 @@ use crate::tag::{SIDE, Tag};
 
 /// Samples of a pixel that the edge of a module crosses: their offsets along u, along v and in time
 /// are those of a lattice (Fibonacci's along u and v), evenly spread along each and every slant.
-pub(crate) const SAMPLES: usize = 34;
+const SAMPLES: usize = 34;
 /// Its steps along v and in time.
 const LATTICE: [usize; 2] = [21, 9];
 /// Points along each side of a tag by which it is found in a picture that is distorted.
@@ -71,21 +71,19 @@ impl Sheet {
 
     /// The level at a point in modules from the corner of the white border; `None` beside the tag.
     fn level(&self, at: [f64; 2]) -> Option<f32> {
-        let cell = at.map(f64::floor);
         let inside = |x: f64| (0.0..SIDE as f64).contains(&x);
-        (inside(cell[0]) && inside(cell[1])).then(|| {
-            let bits = self.modules[cell[1] as usize];
-            self.levels[usize::from(bits >> cell[0] as usize & 1)]
+        // The casts cut, which is the floor of what is not negative, without a call.
+        (inside(at[0]) && inside(at[1])).then(|| {
+            let bits = self.modules[at[1] as usize];
+            self.levels[usize::from(bits >> at[0] as usize & 1)]
         })
     }
 
-    /// Draws the pixels of a row that it covers, wholly or in part. `backs` lead to the plane, one
-    /// after another in the time of the exposure: one, or one for each sample.
-    pub fn draw(&self, line: &mut [f32], row: usize, backs: &[Homography], rays: &Rays) {
+    /// Draws the pixels of a row that it covers, wholly or in part. `backs` lead to the plane at the
+    /// begin and at the end of the exposure. Within a pixel and its exposure they are taken to be
+    /// linear.
+    pub fn draw(&self, line: &mut [f32], row: usize, backs: &[Homography; 2], rays: &Rays) {
         let [[left, top], [right, bottom]] = self.window;
-        let (Some(first), Some(last)) = (backs.first(), backs.last()) else {
-            return;
-        };
         if !(top..bottom).contains(&row) || left >= right {
             return;
         }
@@ -94,31 +92,39 @@ impl Sheet {
             let point = back.apply(pixel)?;
             Some([0, 1].map(|k| (point[k] - center[k]) * scale + 0.5 * SIDE as f64))
         };
+        let [first, last] = backs;
         for (u, pixel) in (left..right).zip(&mut line[left..right]) {
             let (at, [right, below]) = (rays.at(u, row), rays.slopes(u, row));
-            let moved = |du: f64, dv: f64| [0, 1].map(|k| at[k] + du * right[k] + dv * below[k]);
-            let (here, beside) = (modules(first, at), modules(first, moved(1.0, 0.0)));
-            let (Some(from), Some(to), Some(beside)) = (here, modules(last, at), beside) else {
+            let moved = |way: Point| [0, 1].map(|k| at[k] + way[k]);
+            let places = [
+                modules(first, at),
+                modules(last, at),
+                modules(first, moved(right)),
+                modules(first, moved(below)),
+            ];
+            let [Some(from), Some(to), Some(beside), Some(under)] = places else {
                 continue;
             };
+            let way = |to: Point| [0, 1].map(|k| to[k] - from[k]);
+            let [motion, du, dv] = [to, beside, under].map(way);
             // Half a pixel's diagonal, generously, for a plane seen at a slant; and the way that it
             // moves during the exposure.
-            let most = |a: Point, b: Point| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-            let reach = 1.5 * most(from, beside) + most(from, to) + 1e-9;
+            let most = |way: Point| way[0].abs().max(way[1].abs());
+            let reach = 0.75 * (most(du) + most(dv)) + most(motion) + 1e-9;
             let is_plain = from.iter().all(|x| {
-                let depth = x - x.floor();
+                let depth = x - *x as i64 as f64;
                 depth > reach && depth < 1.0 - reach
             });
             if is_plain {
                 *pixel = self.level(from).unwrap_or(*pixel);
                 continue;
             }
-            let offset = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
+            let share = |k: usize| (k as f64 + 0.5) / SAMPLES as f64;
             let samples = (0..SAMPLES).map(|k| {
-                let [v, time] = LATTICE.map(|step| k * step % SAMPLES);
-                let back = backs.get(time).unwrap_or(first);
-                let sample = modules(back, moved(offset(k), offset(v)));
-                sample.and_then(|at| self.level(at)).unwrap_or(*pixel)
+                let [v, time] = LATTICE.map(|step| share(k * step % SAMPLES));
+                let (a, b) = (share(k) - 0.5, v - 0.5);
+                let at = [0, 1].map(|k| from[k] + a * du[k] + b * dv[k] + time * motion[k]);
+                self.level(at).unwrap_or(*pixel)
             });
             *pixel = samples.sum::<f32>() / SAMPLES as f32;
         }

@@ -148,7 +148,11 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
     Ok(())
 }
 
-fn open(config: &Config, domain: &Domain) -> Result<Box<dyn Source>, SourceError> {
+/// Opens the source of a configuration.
+///
+/// # Errors
+/// [`SourceError`]: it is not there, or not what is asked for.
+pub fn open(config: &Config, domain: &Domain) -> Result<Box<dyn Source>, SourceError> {
     let pause = match config.clock {
         Clock::Fixed => PAUSE,
         Clock::Lockstep => LOCKSTEP_PAUSE,

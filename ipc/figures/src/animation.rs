@@ -40,7 +40,7 @@ impl Animation {
         endless.map_err(|e| e.to_string())?;
         let mut before = Vec::new();
         for (index, canvas) in self.frames.iter().enumerate() {
-            let now = pixels(&canvas.svg(), 1.0)?;
+            let now = pixels(canvas, 1.0)?;
             // What has not changed is left to the frame before, which compresses well.
             let mut changed = now.data().to_vec();
             let pairs = changed.chunks_exact_mut(4).zip(before.chunks_exact(4));

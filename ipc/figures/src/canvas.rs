@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use crate::Photo;
+
 /// Colours of features, in the order of the pattern; distinguishable to the colour-blind (Okabe and
 /// Ito).
 pub(crate) const FEATURES: [&str; 8] = [
@@ -18,6 +20,7 @@ pub(crate) const LIMIT: &str = "stroke=\"#888888\" stroke-dasharray=\"5 4\"";
 pub struct Canvas {
     width: f64,
     height: f64,
+    photo: Option<Photo>,
     body: String,
 }
 
@@ -27,8 +30,23 @@ impl Canvas {
         Self {
             width,
             height,
+            photo: None,
             body: String::new(),
         }
+    }
+
+    /// A canvas of this size over a photo, px: its pixels have the photo behind the drawing, its SVG
+    /// has nothing.
+    pub(crate) fn over(photo: Photo, width: f64, height: f64) -> Self {
+        Self {
+            photo: Some(photo),
+            ..Self::new(width, height)
+        }
+    }
+
+    /// What lies behind the drawing, if it is not white.
+    pub(crate) fn photo(&self) -> Option<&Photo> {
+        self.photo.as_ref()
     }
 
     /// Width and height, px.
@@ -39,9 +57,13 @@ impl Canvas {
     /// The SVG document.
     pub fn svg(&self) -> String {
         let (w, h) = (self.width, self.height);
+        let ground = match self.photo {
+            Some(_) => String::new(),
+            None => format!("<rect width=\"{w}\" height=\"{h}\" fill=\"#ffffff\"/>"),
+        };
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}\" height=\"{h}\" viewBox=\"0 0 {w} {h}\" \
-             font-family=\"DejaVu Sans, sans-serif\">\n<rect width=\"{w}\" height=\"{h}\" fill=\"#ffffff\"/>\n{}</svg>\n",
+             font-family=\"DejaVu Sans, sans-serif\">\n{ground}\n{}</svg>\n",
             self.body
         )
     }

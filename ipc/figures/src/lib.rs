@@ -11,9 +11,11 @@ mod image_plane;
 mod joints;
 mod latency;
 mod output;
+mod photo;
 mod preview;
 mod samples;
 mod velocity;
+mod view;
 
 pub use animation::Animation;
 pub use canvas::Canvas;
@@ -23,9 +25,11 @@ pub use image_plane::ImagePlane;
 pub use joints::Joints;
 pub use latency::{Latency, Times};
 pub use output::FigureError;
+pub use photo::Photo;
 pub use preview::Preview;
 pub use samples::Samples;
 pub use velocity::Velocity;
+pub use view::View;
 
 /// Image points of one moment, px.
 pub type Points = Vec<[f64; 2]>;

@@ -35,7 +35,7 @@ impl Canvas {
         let files = [with(path, ".svg"), with(path, ".png")];
         let svg = self.svg();
         save(&files[0], svg.as_bytes())?;
-        let png = png(&svg).map_err(|reason| FigureError::Draw {
+        let png = png(self).map_err(|reason| FigureError::Draw {
             path: files[1].display().to_string(),
             reason,
         })?;
@@ -51,12 +51,14 @@ pub(crate) fn with(path: &Path, ending: &str) -> PathBuf {
     name.into()
 }
 
-fn png(svg: &str) -> Result<Vec<u8>, String> {
-    pixels(svg, SCALE)?.encode_png().map_err(|e| e.to_string())
+fn png(canvas: &Canvas) -> Result<Vec<u8>, String> {
+    pixels(canvas, SCALE)?
+        .encode_png()
+        .map_err(|e| e.to_string())
 }
 
 /// A drawing as pixels, `scale` of them for one px.
-pub(crate) fn pixels(svg: &str, scale: f32) -> Result<Pixmap, String> {
+pub(crate) fn pixels(canvas: &Canvas, scale: f32) -> Result<Pixmap, String> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(dejavu::sans::regular().to_vec());
     let options = Options {
@@ -64,9 +66,12 @@ pub(crate) fn pixels(svg: &str, scale: f32) -> Result<Pixmap, String> {
         fontdb: Arc::new(fonts),
         ..Options::default()
     };
-    let tree = Tree::from_str(svg, &options).map_err(|e| e.to_string())?;
+    let tree = Tree::from_str(&canvas.svg(), &options).map_err(|e| e.to_string())?;
     let size = tree.size().to_int_size().scale_by(scale).ok_or("no size")?;
     let mut pixels = Pixmap::new(size.width(), size.height()).ok_or("no pixels")?;
+    if let Some(photo) = canvas.photo() {
+        photo.fill(&mut pixels);
+    }
     resvg::render(
         &tree,
         Transform::from_scale(scale, scale),
@@ -104,9 +109,9 @@ mod tests {
         let bytes = fs::read(image).unwrap();
         assert_eq!(&bytes[1..4], b"PNG");
         assert_eq!(bytes[16..24], [0, 0, 0, 200, 0, 0, 0, 100]);
-        assert_eq!(bytes, png(&canvas.svg()).unwrap());
+        assert_eq!(bytes, png(&canvas).unwrap());
         // The font is there: without it the picture would be white.
-        let blank = png(&Canvas::new(100.0, 50.0).svg()).unwrap();
+        let blank = png(&Canvas::new(100.0, 50.0)).unwrap();
         assert_ne!(bytes, blank);
         fs::remove_dir_all(directory).unwrap();
     }

@@ -11,6 +11,7 @@ use panda::limits::{BRAKING, Exceeded, PERIOD, Setpoint};
 use panda::ramp::Ramp;
 use panda::{
     Chain, Echo, JOINTS, Joints, Limits, Model, Mount, Pose, Shaper, ShaperSettings, Twist,
+    singularity,
 };
 
 use crate::config::{Bounds, Interface};
@@ -69,7 +70,7 @@ pub struct Limited {
     pub is_cut: bool,
     /// A wall of the workspace is near.
     pub by_workspace: bool,
-    /// A joint is near the margin of its range, or would be too fast.
+    /// A joint is near the margin of its range, or would be too fast, or a singularity is near.
     pub by_joint: bool,
     /// No command is in force: the robot is to stand.
     pub is_stale: bool,
@@ -196,8 +197,11 @@ impl Steering {
         let share = self.room(wanted, measured);
         self.limited.by_workspace = share < 1.0;
         let q = &measured.desired.q;
-        let dq = joint_velocities(&Chain::new(measured.flange_from_ee), q, wanted);
-        let joints = self.joint_room(&dq, q);
+        let chain = Chain::new(measured.flange_from_ee);
+        let dq = joint_velocities(&chain, q, wanted);
+        let shaper = ShaperSettings::default();
+        let clear = singularity::share(&chain, self.limits, &shaper, q, wanted);
+        let joints = self.joint_room(&dq, q).min(clear);
         self.limited.by_joint = joints < 1.0;
         share.min(joints)
     }

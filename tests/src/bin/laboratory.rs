@@ -46,7 +46,7 @@ struct Cli {
     /// Times the scene's limits of speed.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
-    /// A key of `[law]` that goes over controller/vpcd-robot.toml, such as margin_px=6; may be given
+    /// A key of `[law]` that goes over controller/vpcd-tags.toml, such as margin_px=6; may be given
     /// several times.
     #[arg(long, value_name = "KEY=VALUE")]
     law: Vec<String>,
@@ -56,6 +56,9 @@ struct Cli {
     /// Laboratories at work at a time, 1 to 4.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
+    /// Write a film of the first start with all errors to this file (GIF).
+    #[arg(long)]
+    film: Option<PathBuf>,
     /// Write the rows to this file (JSON).
     #[arg(long)]
     json: Option<PathBuf>,
@@ -95,7 +98,17 @@ fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         law: &law,
         seed: cli.seed,
         jobs: cli.jobs,
+        film: None,
     };
+    let all: Vec<(&Flaw, f64)> = flaws.iter().map(|flaw| (flaw, cli.level)).collect();
+    if let Some(film) = &cli.film {
+        let filmed = Setup {
+            starts: &starts[..starts.len().min(1)],
+            film: Some(&film.with_extension("")),
+            ..setup
+        };
+        laboratory::row(&filmed, "film", &all)?;
+    }
     let mut rows = Vec::new();
     let mut add = |name: &str, levels: &[(&Flaw, f64)]| -> anyhow::Result<()> {
         let row = laboratory::row(&setup, name, levels)?;
@@ -104,7 +117,6 @@ fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         Ok(())
     };
     add("none", &[])?;
-    let all: Vec<(&Flaw, f64)> = flaws.iter().map(|flaw| (flaw, cli.level)).collect();
     add(&format!("all, level {}", cli.level), &all)?;
     for flaw in &flaws {
         for &level in &cli.each {

@@ -53,6 +53,7 @@ fn subjects() -> [Subject; 4] {
             shipped: &[
                 "controller/vpcd.toml",
                 "controller/vpcd-robot.toml",
+                "controller/vpcd-tags.toml",
                 "controller/systemd/vpcd.toml",
             ],
         },

@@ -7,7 +7,7 @@ use crate::root;
 
 const HEAD: &str = "# Configuration
 
-Every key of the six kinds of configuration files, generated from the code by `cargo xtask codegen`. Ranges include their ends. A file
+Every key of the seven kinds of configuration files, generated from the code by `cargo xtask codegen`. Ranges include their ends. A file
 with an unknown key is refused; an error names file or flag, key, value and what is allowed. `vpcd --print-config` prints what
 `vpcd` would run with.
 
@@ -45,6 +45,12 @@ pub fn make() -> anyhow::Result<String> {
             "`vpc-camera --config FILE`; [`vpc-camera.toml`](../ipc/camera/vpc-camera.toml) shows the defaults.",
             vpc_camera::config::schema(),
             shipped("ipc/camera/vpc-camera.toml")?,
+        ),
+        (
+            "The board of vpc-calib",
+            "`vpc-calib board --board FILE`; [`board.toml`](../ipc/calib/board/board.toml) shows the defaults.",
+            tag_board::schema(),
+            shipped("ipc/calib/board/board.toml")?,
         ),
         (
             "vpc-panda",

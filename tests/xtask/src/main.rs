@@ -56,6 +56,10 @@ const ARTEFACTS: &[Artefact] = &[
         make: |_| Ok(schema_file(vpc_camera::config::schema())),
     },
     Artefact {
+        path: "ipc/calib/board/board.schema.json",
+        make: |_| Ok(schema_file(tag_board::schema())),
+    },
+    Artefact {
         path: "ipc/panda/vpc-panda.schema.json",
         make: |_| Ok(schema_file(vpc_panda::config::schema())),
     },

@@ -1,0 +1,93 @@
+//! Nearness to a singularity, by what the shaper's ramps would ask of the joints there.
+
+use crate::ik::{System, joint_velocities};
+use crate::kinematics::{Chain, JOINTS, Joints, Twist};
+use crate::limits::Limits;
+use crate::shaper::ShaperSettings;
+
+/// The most of a joint's acceleration and jerk that the ramps may take; the rest is for the curvature
+/// of the way.
+const MOST: f64 = 0.7;
+/// Rate at which the rest may shrink, 1/s: so it never ends.
+const RATE: f64 = 2.0;
+/// Time over which it is foreseen, s.
+const STEP: f64 = 1e-3;
+
+/// The largest share of a joint's acceleration or jerk that the shaper's ramps may take at `q`, all
+/// axes at once.
+pub fn strain(chain: &Chain, limits: &Limits, shaper: &ShaperSettings, q: &Joints) -> f64 {
+    let jacobian = chain.posture(q).jacobian;
+    let system = System::new(&jacobian);
+    let ramps = [shaper.linear, shaper.angular];
+    let (mut accelerations, mut jerks) = (Joints::zeros(), Joints::zeros());
+    for axis in 0..6 {
+        let mut unit = Twist::zeros();
+        unit[axis] = 1.0;
+        let joints = system.solve(&unit).abs();
+        accelerations += joints * ramps[axis / 3].acceleration;
+        jerks += joints * ramps[axis / 3].jerk;
+    }
+    let share = |k: usize| {
+        let bound = &limits.joints[k];
+        (accelerations[k] / bound.acceleration).max(jerks[k] / bound.jerk)
+    };
+    (0..JOINTS).map(share).fold(0.0, f64::max)
+}
+
+/// How much of a motion of the end effector (base axes) keeps the arm clear of its singularities,
+/// where the shaper's ramps would take more than the joints may; 0 to 1. A motion out of one is never
+/// slowed. Source of the form: A. Ames et al., "Control barrier functions: theory and applications",
+/// ECC 2019.
+pub fn share(
+    chain: &Chain,
+    limits: &Limits,
+    shaper: &ShaperSettings,
+    q: &Joints,
+    twist: &Twist,
+) -> f64 {
+    let dq = joint_velocities(chain, q, twist);
+    let now = strain(chain, limits, shaper, q);
+    let growth = (strain(chain, limits, shaper, &(q + dq * STEP)) - now) / STEP;
+    let allowed = RATE * (MOST - now).max(0.0);
+    match growth > allowed {
+        true => allowed / growth,
+        false => 1.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limits::Model;
+
+    fn strained(q: [f64; 7]) -> f64 {
+        let (limits, shaper) = (Model::Panda.limits(), ShaperSettings::default());
+        strain(&Chain::default(), limits, &shaper, &Joints::from(q))
+    }
+
+    #[test]
+    fn an_arm_that_stretches_is_strained() {
+        let all = [-1.82, -1.24, -1.0, -0.83].map(|elbow| {
+            let bend = 0.5 * (elbow + 1.82);
+            strained([0.3, -0.1 + bend, 0.0, elbow, -0.1, 1.6 - bend, 0.6])
+        });
+        assert!(strained(crate::READY) < 0.35);
+        assert!(all.windows(2).all(|pair| pair[0] < pair[1]), "{all:?}");
+        assert!(all[0] < 0.5 && all[3] > 1.0, "{all:?}");
+    }
+
+    #[test]
+    fn the_way_into_a_singularity_slows_down_and_the_way_out_does_not() {
+        let (chain, limits) = (Chain::default(), Model::Panda.limits());
+        let shaper = ShaperSettings::default();
+        let up = Twist::z() * 0.1;
+        let mut q = Joints::from(crate::READY);
+        for _ in 0..30_000 {
+            let share = share(&chain, limits, &shaper, &q, &up);
+            q += joint_velocities(&chain, &q, &(up * share)) * STEP;
+        }
+        assert!((strain(&chain, limits, &shaper, &q) - MOST).abs() < 0.01);
+        assert!(share(&chain, limits, &shaper, &q, &up) < 0.05);
+        assert_eq!(share(&chain, limits, &shaper, &q, &-up), 1.0);
+    }
+}

@@ -1,0 +1,87 @@
+//! `vpc-calib hand-eye`.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use vpc_camera::lens;
+
+use crate::arguments::HandEyeArguments;
+use crate::camera::Camera;
+use crate::command::views::Views;
+use crate::command::{Failure, check_outputs, conclude, views};
+use crate::hand_eye::{self, Pair};
+use crate::robot_poses;
+use crate::view::View;
+use crate::{layout, output};
+
+pub fn run(arguments: &HandEyeArguments, stop: &AtomicBool) -> Result<bool, Failure> {
+    check_outputs(&arguments.output)?;
+    let lens = lens::read(&arguments.camera)?;
+    let (target, board) = arguments.target.read()?;
+    let (size, mut pairs) = match &arguments.images.images {
+        Some(folder) => {
+            let poses = arguments
+                .poses
+                .clone()
+                .unwrap_or_else(|| folder.join("poses.csv"));
+            let poses = robot_poses::read(&poses)?;
+            let taken = views::of_folder(folder)?;
+            (taken.size, together(taken, &poses, folder)?)
+        }
+        None => {
+            let taken = views::of_camera(&arguments.images, &target, true, stop)?;
+            let pair = |(view, q): (View, Option<_>)| {
+                q.map(|q| Pair {
+                    flange: robot_poses::flange(q),
+                    view,
+                })
+            };
+            (
+                taken.size,
+                taken.views.into_iter().filter_map(pair).collect(),
+            )
+        }
+    };
+    lens.check_size(size)?;
+    if let Some(board) = &board {
+        let views: Vec<View> = pairs.iter().map(|pair| pair.view.clone()).collect();
+        layout::check(&views, board)?;
+    }
+    for pair in &mut pairs {
+        pair.view.straighten(&lens);
+    }
+    let camera = Camera::pinhole(&lens);
+    let result = hand_eye::calibrate(&pairs, &camera, &target);
+    let result = result.map_err(Failure::not_enough)?;
+    conclude(&result, &result.verdict(), &arguments.output, |_| {
+        output::hand_eye(&result)
+    })
+}
+
+/// Images with their poses, in the order of the poses.
+fn together(
+    taken: Views,
+    poses: &[robot_poses::RobotPose],
+    folder: &Path,
+) -> Result<Vec<Pair>, Failure> {
+    let mut pairs = Vec::new();
+    for (image, flange) in poses {
+        let found = taken.views.iter().find(|(view, _)| view.name == *image);
+        let Some((view, _)) = found else {
+            let message = format!(
+                "{}: the poses name {image}, which is not there",
+                folder.display()
+            );
+            return Err(Failure::new(66, message));
+        };
+        pairs.push(Pair {
+            flange: *flange,
+            view: view.clone(),
+        });
+    }
+    let without = taken.views.len() - pairs.len();
+    if without > 0 {
+        eprintln!("{without} images without a pose are left out");
+    }
+    Ok(pairs)
+}

@@ -1,0 +1,97 @@
+//! A board as a drawing to print: SVG with sizes in mm.
+
+use std::fmt::Write;
+
+use kornia_apriltag::errors::AprilTagError;
+use kornia_apriltag::family::TagFamily;
+
+use tag_board::Board;
+
+/// A4, mm.
+const PAPER: [f64; 2] = [210.0, 297.0];
+/// Paper that a printer leaves white on each side, mm; the words stand in there.
+const MARGIN: f64 = 10.0;
+/// Modules of a black square, and of the bits in it.
+const MODULES: usize = 8;
+
+/// Draws a board in the middle of an A4 page, upright or across; of a larger page if it must be.
+///
+/// # Errors
+/// None, unless the library of tags is broken.
+pub fn svg(board: &Board) -> Result<String, AprilTagError> {
+    let family = TagFamily::tag36_h11()?;
+    let extent = board.extent().map(|side| 1e3 * side);
+    let [width, height] = page(extent, 1e3 * board.module());
+    let (size, gap) = (1e3 * board.tag_size, 1e3 * board.gap);
+    let last = board.first + board.columns * board.rows - 1;
+    let mut text = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}mm\" height=\"{height}mm\" viewBox=\"0 0 {width} {height}\">\n\
+         <rect width=\"{width}\" height=\"{height}\" fill=\"#fff\"/>\n"
+    );
+    for (number, corner) in board.tags() {
+        let corner = [0, 1].map(|k| 0.5 * [width, height][k] + 1e3 * corner[k]);
+        let code = family.code_data.get(number as usize).copied().unwrap_or(0);
+        tag(&mut text, &family, code, corner, size);
+    }
+    let words = format!(
+        "36h11, {} x {}, tags {} to {last}: tag_size = {}, gap = {} (m). Print at 100 %; this line is 100 mm:",
+        board.columns, board.rows, board.first, board.tag_size, board.gap
+    );
+    let _ = writeln!(
+        text,
+        "<text x=\"{MARGIN}\" y=\"{}\" font-family=\"sans-serif\" font-size=\"2.6\">{words}</text>\n\
+         <path d=\"M{} {}h100m-100 -1.2v2.4m100 -2.4v2.4\" stroke=\"#000\" stroke-width=\"0.2\" fill=\"none\"/>\n\
+         <!-- black squares of {size} mm, {gap} mm apart -->\n</svg>",
+        height - 6.0,
+        MARGIN,
+        height - 3.6,
+    );
+    Ok(text)
+}
+
+/// Width and height, mm.
+fn page(extent: [f64; 2], module: f64) -> [f64; 2] {
+    let needed = extent.map(|side| side + 2.0 * (MARGIN + module));
+    let fits = |page: [f64; 2]| (0..2).all(|k| needed[k] <= page[k] + 1e-9);
+    let [short, long] = PAPER;
+    let pages = [[short, long], [long, short]];
+    pages.into_iter().find(|page| fits(*page)).unwrap_or(needed)
+}
+
+/// A black square with its white bits, in one path so that no seam shows between them.
+fn tag(text: &mut String, family: &TagFamily, code: usize, [x, y]: [f64; 2], size: f64) {
+    let module = size / MODULES as f64;
+    let _ = write!(
+        text,
+        "<rect x=\"{x:.4}\" y=\"{y:.4}\" width=\"{size:.4}\" height=\"{size:.4}\"/>"
+    );
+    let _ = write!(text, "<path fill=\"#fff\" d=\"");
+    // Bits count from the highest; their places from the corner of the black square.
+    let places = family.bit_x.iter().zip(&family.bit_y).rev();
+    for (bit, (column, row)) in places.enumerate() {
+        if code >> bit & 1 == 1 {
+            let at = [
+                x + f64::from(*column) * module,
+                y + f64::from(*row) * module,
+            ];
+            let _ = write!(
+                text,
+                "M{:.4} {:.4}h{module:.4}v{module:.4}h-{module:.4}z",
+                at[0], at[1]
+            );
+        }
+    }
+    text.push_str("\"/>\n");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_are_a4_where_the_board_fits() {
+        assert_eq!(page([255.0, 180.0], 3.75), [297.0, 210.0]);
+        assert_eq!(page([100.0, 250.0], 3.75), [210.0, 297.0]);
+        assert_eq!(page([400.0, 250.0], 5.0), [430.0, 280.0]);
+    }
+}

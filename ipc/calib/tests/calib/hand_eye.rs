@@ -1,0 +1,143 @@
+//! Hand-eye calibration from noisy corners and a robot that misses.
+
+use tag_board::Board;
+use vision_calibration_core::{Iso3, Vec3};
+use vpc_calib::hand_eye::{HandEye, HandEyeError, Pair, calibrate};
+use vpc_calib::target::Target;
+
+use crate::synthetic::{CAMERA, Chance};
+
+/// The camera in the flange.
+pub fn mount() -> Iso3 {
+    Iso3::new(
+        Vec3::new(0.0495, -0.0495, 0.04),
+        Vec3::new(0.05, -0.03, 0.8),
+    )
+}
+
+/// The board in the base.
+pub fn place() -> Iso3 {
+    Iso3::new(Vec3::new(0.5, 0.05, 0.0), Vec3::new(3.1, 0.0, 0.1))
+}
+
+/// Poses at which the camera sees the board; the robot misses by so much along and about each axis.
+pub fn pairs(chance: &mut Chance, count: usize, tilt_deg: f64, robot: [f64; 2]) -> Vec<Pair> {
+    let mut pairs = Vec::new();
+    while pairs.len() < count {
+        let pose = chance.pose(tilt_deg);
+        let mut view = chance.view(&CAMERA, &Board::default(), &pose, 0.05);
+        if view.tags.len() >= 10 {
+            view.name = format!("{:02}.png", pairs.len());
+            let flange = place() * pose.inverse() * mount().inverse();
+            let miss = Iso3::new(
+                chance.vector(robot[0]),
+                chance.vector(robot[1].to_radians()),
+            );
+            pairs.push(Pair {
+                flange: flange * miss,
+                view,
+            });
+        }
+    }
+    pairs
+}
+
+fn found(pairs: &[Pair]) -> Result<HandEye, HandEyeError> {
+    calibrate(pairs, &CAMERA, &Target::from(&Board::default()))
+}
+
+/// A Panda's repeatability, m and deg.
+pub const PANDA: [f64; 2] = [1e-4, 0.02];
+
+#[test]
+fn the_mounting_is_found_and_its_uncertainty_is_true() {
+    let (mut scores, mut worst) = (Vec::new(), [0.0f64; 2]);
+    for seed in 0..testkit::repeats("hand-eye", 6, 40) as u64 {
+        let result = found(&pairs(&mut Chance::new(seed), 12, 35.0, PANDA)).unwrap();
+        let verdict = result.verdict();
+        assert!(verdict.is_good(), "{seed}: {verdict}\n{result}");
+        let off = mount().inverse() * result.camera;
+        let (moved, turned) = (off.translation.vector, off.rotation.angle().to_degrees());
+        worst = [worst[0].max(moved.norm()), worst[1].max(turned)];
+        assert!(
+            moved.norm() < 0.5e-3 && turned < 0.06,
+            "{seed}: {moved} {turned}"
+        );
+        let sigma = result.sigma.unwrap();
+        scores.extend((0..3).map(|k| moved[k] / sigma[k]));
+        let size = result.scale.unwrap();
+        assert!(
+            (size.size - 1.0).abs() < 0.002_f64.max(4.0 * size.sigma),
+            "{size:?}"
+        );
+    }
+    testkit::tell(format_args!(
+        "hand-eye off by {:.2} mm, {:.3} deg at most",
+        1e3 * worst[0],
+        worst[1]
+    ));
+    let spread = scores.iter().map(|z| z * z).sum::<f64>() / scores.len() as f64;
+    assert!((0.2..3.0).contains(&spread), "{spread}: {scores:?}");
+}
+
+#[test]
+fn motions_that_say_too_little_are_refused() {
+    let mut chance = Chance::new(1);
+    let few = pairs(&mut chance, 4, 35.0, PANDA);
+    assert_eq!(found(&few).unwrap_err(), HandEyeError::TooFew { found: 4 });
+    // Turned about the optical axis only.
+    let flat = pairs(&mut chance, 12, 1.0, PANDA);
+    let error = found(&flat).unwrap_err();
+    assert_eq!(error, HandEyeError::Axes { found: 1 });
+    let said = error.to_string();
+    assert!(
+        said.contains("about its x axis, its y axis and its z axis"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_board_of_another_size_is_told_by_the_motion() {
+    let pairs = pairs(&mut Chance::new(2), 12, 35.0, PANDA);
+    // Printed at 97 %, to fit the page.
+    let believed = Board {
+        tag_size: 0.030 / 0.97,
+        gap: 0.0075 / 0.97,
+        ..Board::default()
+    };
+    let result = calibrate(&pairs, &CAMERA, &Target::from(&believed)).unwrap();
+    let said = result.verdict().to_string();
+    assert!(
+        said.contains("the board is 3.0 % smaller than its file says"),
+        "{said}"
+    );
+}
+
+#[test]
+fn poses_that_are_not_those_of_the_images_are_refused() {
+    let mut pairs = pairs(&mut Chance::new(3), 12, 35.0, PANDA);
+    let mut flanges: Vec<Iso3> = pairs.iter().map(|pair| pair.flange).collect();
+    flanges.reverse();
+    for (pair, flange) in pairs.iter_mut().zip(&flanges) {
+        pair.flange = *flange;
+    }
+    let said = found(&pairs).unwrap_err().to_string();
+    assert!(
+        said.contains("the order of the poses is reversed"),
+        "{said}"
+    );
+}
+
+#[test]
+fn an_arm_that_moved_and_a_board_that_was_pushed_are_not_good_enough() {
+    let mut chance = Chance::new(4);
+    let shaky = found(&pairs(&mut chance, 12, 35.0, [4e-3, 0.5])).unwrap();
+    let said = shaky.verdict().to_string();
+    assert!(said.contains("did the arm stand still"), "{said}");
+    let mut pushed = pairs(&mut chance, 12, 35.0, PANDA);
+    for pair in &mut pushed[6..] {
+        pair.flange = Iso3::translation(0.02, 0.0, 0.0) * pair.flange;
+    }
+    let said = found(&pushed).unwrap().verdict().to_string();
+    assert!(said.contains("did the board"), "{said}");
+}

@@ -1,0 +1,11 @@
+//! The calibrations against known truth.
+
+mod emulator;
+mod hand_eye;
+mod intrinsics;
+mod latency;
+mod opencv;
+mod program;
+mod rendered;
+mod sheet;
+mod synthetic;

@@ -1,0 +1,280 @@
+//! The program on folders of rendered images: what it writes, what it refuses, and with which exit
+//! code.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use tag_board::Board;
+use testkit::{Ended, Place, ended};
+use vision_calibration_core::Iso3;
+use vpc_calib::picture::Picture;
+
+use crate::hand_eye::{mount, place};
+use crate::rendered::Studio;
+use crate::synthetic::{Chance, PINHOLE};
+
+fn calib(arguments: &[&str]) -> Ended {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_vpc-calib"));
+    command.args(arguments);
+    ended(command)
+}
+
+/// Exit code, and what was said.
+fn said(arguments: &[&str]) -> (Option<i32>, String) {
+    let Ended {
+        code,
+        stdout,
+        stderr,
+        ..
+    } = calib(arguments);
+    (code, stdout + &stderr)
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A folder of images of a board with the poses of the robot.
+struct Folder {
+    place: Place,
+    poses: Vec<Iso3>,
+}
+
+const HEADER: &str = "image,x,y,z,qx,qy,qz,qw\n";
+
+impl Folder {
+    fn new(seed: u64, count: usize) -> Self {
+        let (board, place) = (Board::default(), Place::new());
+        let (mut studio, mut chance) = (Studio::new(&board, seed), Chance::new(seed));
+        std::fs::create_dir(place.path("images")).unwrap();
+        let folder = Self {
+            poses: (0..count).map(|_| chance.pose(35.0)).collect(),
+            place,
+        };
+        for (number, pose) in folder.poses.iter().enumerate() {
+            studio.picture(pose).write(&folder.image(number)).unwrap();
+        }
+        folder.write_poses(&folder.lines());
+        folder
+    }
+
+    fn images(&self) -> PathBuf {
+        self.place.path("images")
+    }
+
+    fn image(&self, number: usize) -> PathBuf {
+        self.images().join(format!("{number:02}.png"))
+    }
+
+    fn lines(&self) -> Vec<String> {
+        let line = |(number, pose): (usize, &Iso3)| {
+            let flange = place() * pose.inverse() * mount().inverse();
+            let (t, q) = (flange.translation.vector, flange.rotation.coords);
+            let numbers = [t.x, t.y, t.z, q.x, q.y, q.z, q.w].map(|x| format!("{x:.7}"));
+            format!("{number:02}.png,{}\n", numbers.join(","))
+        };
+        self.poses.iter().enumerate().map(line).collect()
+    }
+
+    fn write_poses(&self, lines: &[String]) {
+        std::fs::write(
+            self.images().join("poses.csv"),
+            HEADER.to_owned() + &lines.concat(),
+        )
+        .unwrap();
+    }
+}
+
+#[test]
+fn a_folder_of_images_gives_the_files_that_the_other_programs_read() {
+    let folder = Folder::new(1, 14);
+    let (camera, ros) = (
+        folder.place.path("camera.toml"),
+        folder.place.path("wrist.yaml"),
+    );
+    let images = folder.images();
+    let arguments = [
+        "intrinsics",
+        "--images",
+        text(&images),
+        "-o",
+        text(&camera),
+        "-o",
+        text(&ros),
+    ];
+    let (code, words) = said(&arguments);
+    assert_eq!(code, Some(0), "{words}");
+    assert!(
+        words.contains("\ngood\n") && words.contains("[camera]"),
+        "{words}"
+    );
+    for path in [&camera, &ros] {
+        let lens = vpc_camera::lens::read(path).unwrap();
+        assert_eq!(lens.size, PINHOLE.size);
+        for k in 0..2 {
+            assert!(
+                (lens.focal[k] / PINHOLE.focal[k] - 1.0).abs() < 0.003,
+                "{lens:?}"
+            );
+            assert!((lens.centre[k] - PINHOLE.center[k]).abs() < 1.5, "{lens:?}");
+        }
+        // A corner of the image, where an error of the distortion shows most.
+        let pixel = [20.0, 20.0];
+        let point = lens.normalize(pixel).unwrap();
+        let seen = PINHOLE
+            .project(&Iso3::translation(0.0, 0.0, 1.0), point)
+            .unwrap();
+        assert!(
+            (seen[0] - pixel[0]).hypot(seen[1] - pixel[1]) < 2.0,
+            "{seen:?}"
+        );
+    }
+    let before = std::fs::read_to_string(&camera).unwrap();
+    let (code, words) = said(&arguments);
+    assert_eq!(code, Some(73), "{words}");
+    assert!(
+        words.contains("camera.toml: exists; --force overwrites it"),
+        "{words}"
+    );
+    assert_eq!(std::fs::read_to_string(&camera).unwrap(), before);
+    let file = folder.place.path("hand-eye.toml");
+    let arguments = [
+        "hand-eye",
+        "--images",
+        text(&images),
+        "--camera",
+        text(&camera),
+        "-o",
+        text(&file),
+    ];
+    let (code, words) = said(&arguments);
+    assert_eq!(code, Some(0), "{words}");
+    let read = vpc_panda::hand_eye::read(&file, vpc_panda::hand_eye::Frame::Flange)
+        .unwrap()
+        .camera;
+    let turn = panda::kinematics::rotation_vector(&read.rotation);
+    let read = Iso3::new(
+        <[f64; 3]>::from(read.translation.vector).into(),
+        <[f64; 3]>::from(turn).into(),
+    );
+    let off = mount().inverse() * read;
+    assert!(off.translation.vector.norm() < 1e-3, "{words}");
+    assert!(off.rotation.angle().to_degrees() < 0.1, "{words}");
+}
+
+#[test]
+fn bad_input_is_refused_with_words_and_an_exit_code() {
+    let folder = Folder::new(2, 6);
+    let images = folder.images();
+    let camera = folder.place.file(
+        "camera.toml",
+        "width = 640\nheight = 480\nfx = 615.0\nfy = 612.0\ncx = 322.3\ncy = 236.8\ndistortion = [0, 0, 0, 0, 0]\n",
+    );
+    let out = folder.place.path("out.toml");
+    let lens = |more: &[&str]| {
+        let arguments = ["intrinsics", "--images", text(&images), "-o", text(&out)];
+        said(&[&arguments[..], more].concat())
+    };
+    let hand = || {
+        said(&[
+            "hand-eye",
+            "--images",
+            text(&images),
+            "--camera",
+            text(&camera),
+            "-o",
+            text(&out),
+        ])
+    };
+    let expect = |(code, words): (Option<i32>, String), expected: i32, part: &str| {
+        assert!(words.contains(part), "{part}: {words}");
+        assert_eq!(code, Some(expected), "{words}");
+        assert!(!out.exists());
+    };
+    // Not enough, and another board.
+    expect(lens(&[]), 1, "6 views; take 8 or more");
+    let other = folder.place.file("other.toml", "columns = 5\nrows = 7\n");
+    expect(lens(&["--board", text(&other)]), 1, "columns = 7");
+    let wrong = folder.place.file("wrong.toml", "columns = 0\n");
+    expect(
+        lens(&["--board", text(&wrong)]),
+        78,
+        "columns = 0; allowed: 1 to 40",
+    );
+    expect(
+        said(&["intrinsics", "--images", "/nowhere"]),
+        66,
+        "/nowhere: No such file",
+    );
+    expect(lens(&["--views", "9"]), 64, "--views");
+    let device = folder.place.file(
+        "vpc-camera.toml",
+        format!(
+            "source = \"v4l2:/dev/video99\"\nscene = {:?}\n",
+            testkit::scene_file()
+        ),
+    );
+    let live = said(&["intrinsics", "--config", text(&device)]);
+    expect(live, 69, "/dev/video99: there is no such device");
+    let nowhere = said(&["intrinsics", "--config", "/nowhere.toml"]);
+    expect(nowhere, 66, "/nowhere.toml: cannot read");
+    // Poses.
+    let lines = folder.lines();
+    let change = |number: usize, to: &dyn Fn(&str) -> String| {
+        let mut lines = lines.clone();
+        lines[number] = to(&lines[number]);
+        folder.write_poses(&lines);
+    };
+    change(2, &|line| line.replacen(",0.", ",nan", 1));
+    expect(hand(), 78, "line 4, ");
+    change(1, &|_| "01.png,400.0,10.0,500.0,0,0,0,1\n".to_owned());
+    expect(hand(), 78, "are the units metres?");
+    change(3, &|line| line.replace("03.png", "33.png"));
+    expect(hand(), 66, "the poses name 33.png, which is not there");
+    let mut reversed = folder.lines();
+    reversed.reverse();
+    let names = lines.iter().map(|line| &line[..6]);
+    let reversed: Vec<String> = names
+        .zip(&reversed)
+        .map(|(name, line)| name.to_owned() + &line[6..])
+        .collect();
+    folder.write_poses(&reversed);
+    expect(hand(), 1, "the order of the poses is reversed");
+    folder.write_poses(&lines[..4]);
+    expect(hand(), 1, "4 poses at which the board was seen; 5 at least");
+    std::fs::remove_file(images.join("poses.csv")).unwrap();
+    expect(hand(), 66, "poses.csv");
+    // An image of another camera.
+    let small = Picture {
+        size: [32, 24],
+        pixels: vec![0; 32 * 24],
+    };
+    small.write(&images.join("zz.png")).unwrap();
+    expect(lens(&[]), 78, "zz.png: 32x24 px; allowed: 640x480 px");
+}
+
+#[test]
+fn the_board_is_drawn_and_not_drawn_over() {
+    let place = Place::new();
+    let out = place.path("board.svg");
+    let (code, words) = said(&["board", "-o", text(&out)]);
+    assert_eq!(code, Some(0), "{words}");
+    let svg = std::fs::read_to_string(&out).unwrap();
+    assert!(svg.contains("width=\"297mm\" height=\"210mm\""));
+    assert_eq!(said(&["board", "-o", text(&out)]).0, Some(73));
+    let board = place.file("board.toml", "tag_size = 0.02\ngap = 0.005\n");
+    let (code, _) = said(&[
+        "board",
+        "--board",
+        text(&board),
+        "-o",
+        text(&out),
+        "--force",
+    ]);
+    assert_eq!(code, Some(0));
+    assert!(
+        std::fs::read_to_string(&out)
+            .unwrap()
+            .contains("tag_size = 0.02")
+    );
+}
