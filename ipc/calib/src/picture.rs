@@ -142,7 +142,7 @@ mod tests {
         };
         picture.write(&path).unwrap();
         assert_eq!(Picture::read(&path).unwrap(), picture);
-        assert_eq!(folder(place.path()).unwrap(), [path.clone()]);
+        assert_eq!(folder(place.path()).unwrap(), std::slice::from_ref(&path));
         let error = picture.write(&path).unwrap_err().to_string();
         assert!(error.contains("a.png: File exists"), "{error}");
     }

@@ -53,12 +53,12 @@ impl View<'_> {
             let colour = FEATURES[i % FEATURES.len()];
             let path = self.path.iter().filter_map(|points| points.get(i));
             let style = format!("stroke=\"{colour}\" stroke-width=\"1.5\"");
-            canvas.polyline(path.clone().copied().map(at), &style);
+            canvas.polyline(path.copied().map(at), &style);
             let fill = match self.visible >> i & 1 {
                 1 => colour,
                 _ => "none",
             };
-            if let Some(&now) = path.last() {
+            if let Some(&now) = self.path.last().and_then(|points| points.get(i)) {
                 let style = format!("fill=\"{fill}\" stroke=\"#ffffff\" stroke-width=\"1.2\"");
                 canvas.circle(at(now), 4.0, &style);
             }

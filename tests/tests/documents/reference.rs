@@ -99,7 +99,7 @@ fn subjects() -> [Subject; 4] {
                     .map(|_| ())
                     .map_err(|error| error.to_string())
             },
-            relative: &["start", "camera"],
+            relative: &["start", "camera", "truth.distortion"],
             shipped: &[
                 "hw-sim/hw-sim.toml",
                 "hw-sim/hw-sim-robot.toml",

@@ -34,7 +34,7 @@ fn judged(python: &std::path::Path, pairs: &[Pair], target: &Target) -> Judgemen
         "flanges": pairs.iter().map(rows).collect::<Vec<_>>(),
     });
     let place = testkit::Place::new();
-    let file = place.file("given.json", &given.to_string());
+    let file = place.file("given.json", given.to_string());
     let program = testkit::root().join("ipc/calib/tests/calib/opencv.py");
     let said = run(script(python, &program).arg(file)).unwrap();
     serde_json::from_str(&said).unwrap()
