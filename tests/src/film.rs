@@ -14,7 +14,7 @@ const STANDS_S: [f64; 2] = [0.1, 2.0];
 /// An image of the film.
 struct Shot {
     photo: Photo,
-    /// Features of each image so far.
+    /// Places of the path so far.
     path: usize,
     visible: u32,
     foreseen: Vec<Points>,
@@ -118,6 +118,7 @@ impl Film {
     }
 }
 
+/// What `hw-sim` sends is grey.
 fn photo(image: &Image) -> Photo {
     Photo {
         width: image.header().width as usize,
