@@ -24,7 +24,7 @@ const FEEDBACK_MOST: f64 = 0.02;
 /// Rate at which joint 3 returns to its reference, 1/s.
 const ELBOW_RATE: f64 = 2.0;
 /// Squared part of joint 3 in the free direction under which the elbow is no longer held.
-const ELBOW_FADE: f64 = 0.02;
+pub(crate) const ELBOW_FADE: f64 = 0.02;
 /// Distance from the end of a joint's range at which it is pushed back, rad, and the speed at the
 /// end, rad/s.
 const MARGIN: f64 = 0.25;

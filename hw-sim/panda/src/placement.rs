@@ -9,7 +9,7 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::{Cholesky, Matrix6, Rotation3};
 use thiserror::Error;
 
-use crate::ik::manipulability;
+use crate::ik::{ELBOW_FADE, manipulability};
 use crate::kinematics::{Chain, JOINTS, Joints, Pose, READY, difference, rotation_vector};
 use crate::limits::Limits;
 
@@ -24,8 +24,6 @@ const ROOM: f64 = 0.05;
 
 /// The longest step of a path, m and rad.
 const STEP: f64 = 0.01;
-/// Squared part of joint 3 in the free direction under which the elbow is no longer held.
-const ELBOW_FADE: f64 = 0.02;
 
 /// No joint positions were found.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]

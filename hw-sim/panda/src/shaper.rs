@@ -99,6 +99,11 @@ impl Shaper {
         })
     }
 
+    /// Its bounds.
+    pub fn settings(&self) -> &ShaperSettings {
+        &self.settings
+    }
+
     /// A new command: velocity of the end effector's origin along base axes, to hold until this
     /// instant. What is not finite means standing still; what the robot's own bounds forbid is
     /// shortened.

@@ -1,6 +1,6 @@
 //! Nearness to a singularity, by what the shaper's ramps would ask of the joints there.
 
-use crate::ik::{System, joint_velocities};
+use crate::ik::System;
 use crate::kinematics::{Chain, JOINTS, Joints, Twist};
 use crate::limits::Limits;
 use crate::shaper::ShaperSettings;
@@ -34,8 +34,8 @@ pub fn strain(chain: &Chain, limits: &Limits, shaper: &ShaperSettings, q: &Joint
     (0..JOINTS).map(share).fold(0.0, f64::max)
 }
 
-/// How much of a motion of the end effector (base axes) keeps the arm clear of its singularities,
-/// where the shaper's ramps would take more than the joints may; 0 to 1. A motion out of one is never
+/// How much of a motion, joint velocities `dq`, keeps the arm clear of its singularities, where the
+/// shaper's ramps would take more than the joints may; 0 to 1. A motion out of one is never
 /// slowed. Source of the form: A. Ames et al., "Control barrier functions: theory and applications",
 /// ECC 2019.
 pub fn share(
@@ -43,9 +43,8 @@ pub fn share(
     limits: &Limits,
     shaper: &ShaperSettings,
     q: &Joints,
-    twist: &Twist,
+    dq: &Joints,
 ) -> f64 {
-    let dq = joint_velocities(chain, q, twist);
     let now = strain(chain, limits, shaper, q);
     let growth = (strain(chain, limits, shaper, &(q + dq * STEP)) - now) / STEP;
     let allowed = RATE * (MOST - now).max(0.0);
@@ -58,6 +57,7 @@ pub fn share(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ik::joint_velocities;
     use crate::limits::Model;
 
     fn strained(q: [f64; 7]) -> f64 {
@@ -83,11 +83,12 @@ mod tests {
         let up = Twist::z() * 0.1;
         let mut q = Joints::from(crate::READY);
         for _ in 0..30_000 {
-            let share = share(&chain, limits, &shaper, &q, &up);
-            q += joint_velocities(&chain, &q, &(up * share)) * STEP;
+            let dq = joint_velocities(&chain, &q, &up);
+            q += dq * share(&chain, limits, &shaper, &q, &dq) * STEP;
         }
         assert!((strain(&chain, limits, &shaper, &q) - MOST).abs() < 0.01);
-        assert!(share(&chain, limits, &shaper, &q, &up) < 0.05);
-        assert_eq!(share(&chain, limits, &shaper, &q, &-up), 1.0);
+        let dq = joint_velocities(&chain, &q, &up);
+        assert!(share(&chain, limits, &shaper, &q, &dq) < 0.05);
+        assert_eq!(share(&chain, limits, &shaper, &q, &-dq), 1.0);
     }
 }

@@ -81,7 +81,7 @@ impl Bridge {
             .to_base(&state.o_t_ee.rotation, &state.f_t_ee, &camera);
         let twist = match &mut self.shaper {
             Some(shaper) => {
-                let share = joint_share(state, &base, self.joints);
+                let share = joint_share(state, &base, self.joints, shaper.settings());
                 shaper.aim(&(base * share), self.standing.until_ns());
                 shaper.step(&Echo::from(state), now_ns)
             }
@@ -97,16 +97,15 @@ impl Bridge {
 }
 
 /// How much of this motion of the end effector the joints allow, 0 to 1.
-fn joint_share(state: &State, twist: &Twist, limits: &panda::Limits) -> f64 {
+fn joint_share(
+    state: &State,
+    twist: &Twist,
+    limits: &panda::Limits,
+    shaper: &ShaperSettings,
+) -> f64 {
     let chain = Chain::new(state.f_t_ee);
     let dq = joint_velocities(&chain, &state.q_d, twist);
-    let clear = singularity::share(
-        &chain,
-        limits,
-        &ShaperSettings::default(),
-        &state.q_d,
-        twist,
-    );
+    let clear = singularity::share(&chain, limits, shaper, &state.q_d, &dq);
     let share = |k: usize| {
         let JointBounds {
             lower,

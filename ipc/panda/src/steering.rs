@@ -199,8 +199,7 @@ impl Steering {
         let q = &measured.desired.q;
         let chain = Chain::new(measured.flange_from_ee);
         let dq = joint_velocities(&chain, q, wanted);
-        let shaper = ShaperSettings::default();
-        let clear = singularity::share(&chain, self.limits, &shaper, q, wanted);
+        let clear = singularity::share(&chain, self.limits, self.shaper.settings(), q, &dq);
         let joints = self.joint_room(&dq, q).min(clear);
         self.limited.by_joint = joints < 1.0;
         share.min(joints)
