@@ -42,9 +42,9 @@ impl Film {
     /// # Errors
     /// A service takes no more subscribers, or the scene's goal is behind the camera.
     pub fn open(domain: &Domain, scene: Scene) -> anyhow::Result<Self> {
-        let goal = hw_sim::camera::project(&scene, &hw_sim::pose::from_scene(&scene.goal));
+        let goal = hw_sim::camera::project(&scene, &hw_sim::pose::from_scene(&scene.goal))?;
         Ok(Self {
-            goal: goal.unwrap_or_default().to_vec(),
+            goal: goal.to_vec(),
             scene,
             images: domain.image_subscriber()?,
             features: domain.subscriber(usize::MAX)?,

@@ -4,13 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand};
 use scene::Scene;
+use tag_board::Board;
 use toml_schema::FileError;
+use vpc_camera::finder::BLACK;
 
 use crate::target::Target;
-use tag_board::Board;
-
-/// Side of a tag's black square, of that of its marker, which has a white border.
-const BLACK: f64 = 0.8;
 
 /// Calibrates a camera on a robot's wrist.
 ///

@@ -4,15 +4,13 @@ use std::fmt::Write;
 
 use kornia_apriltag::errors::AprilTagError;
 use kornia_apriltag::family::TagFamily;
-
 use tag_board::Board;
+use vpc_camera::sheet::tag;
 
 /// A4, mm.
 const PAPER: [f64; 2] = [210.0, 297.0];
 /// Paper that a printer leaves white on each side, mm; the words stand in there.
 const MARGIN: f64 = 10.0;
-/// Modules of a black square, and of the bits in it.
-const MODULES: usize = 8;
 
 /// Draws a board in the middle of an A4 page, upright or across; of a larger page if it must be.
 ///
@@ -56,32 +54,6 @@ fn page(extent: [f64; 2], module: f64) -> [f64; 2] {
     let [short, long] = PAPER;
     let pages = [[short, long], [long, short]];
     pages.into_iter().find(|page| fits(*page)).unwrap_or(needed)
-}
-
-/// A black square with its white bits, in one path so that no seam shows between them.
-fn tag(text: &mut String, family: &TagFamily, code: usize, [x, y]: [f64; 2], size: f64) {
-    let module = size / MODULES as f64;
-    let _ = write!(
-        text,
-        "<rect x=\"{x:.4}\" y=\"{y:.4}\" width=\"{size:.4}\" height=\"{size:.4}\"/>"
-    );
-    let _ = write!(text, "<path fill=\"#fff\" d=\"");
-    // Bits count from the highest; their places from the corner of the black square.
-    let places = family.bit_x.iter().zip(&family.bit_y).rev();
-    for (bit, (column, row)) in places.enumerate() {
-        if code >> bit & 1 == 1 {
-            let at = [
-                x + f64::from(*column) * module,
-                y + f64::from(*row) * module,
-            ];
-            let _ = write!(
-                text,
-                "M{:.4} {:.4}h{module:.4}v{module:.4}h-{module:.4}z",
-                at[0], at[1]
-            );
-        }
-    }
-    text.push_str("\"/>\n");
 }
 
 #[cfg(test)]

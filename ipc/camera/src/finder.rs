@@ -23,7 +23,7 @@ const ROOM_PX: f64 = 10.0;
 /// Tags that look at least this large may be looked for in every other pixel, px.
 const COARSE_PX: f64 = 70.0;
 /// Share of the marker, with its white border, that is black.
-const BLACK: f64 = 0.8;
+pub const BLACK: f64 = 0.8;
 
 /// What an image shows.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -101,7 +101,9 @@ pub fn svg(scene: &Scene, numbers: &[u32]) -> anyhow::Result<String> {
     for (center, number) in points.iter().zip(numbers) {
         let code = family.code_data.get(*number as usize).copied();
         let code = code.with_context(|| format!("tag {number}: the library has none"))?;
-        draw(&mut text, &family, code, *center, side * BLACK / WHOLE);
+        let black = side * BLACK / WHOLE;
+        let corner = center.map(|value| value - 0.5 * black);
+        tag(&mut text, &family, code, corner, black);
     }
     let (x, y) = (left + 5.0, top + height - 5.0);
     let _ = writeln!(
@@ -114,10 +116,10 @@ pub fn svg(scene: &Scene, numbers: &[u32]) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// A black square with its white bits, which are one path so that no seam shows between them.
-fn draw(text: &mut String, family: &TagFamily, code: usize, center: [f64; 2], side: f64) {
+/// Draws a tag into an SVG: a black square with this upper left corner and side, mm, and its white
+/// bits, which are one path so that no seam shows between them.
+pub fn tag(text: &mut String, family: &TagFamily, code: usize, [x, y]: [f64; 2], side: f64) {
     let module = side / BLACK;
-    let [x, y] = center.map(|value| value - 0.5 * side);
     let _ = write!(
         text,
         "<rect x=\"{x:.4}\" y=\"{y:.4}\" width=\"{side:.4}\" height=\"{side:.4}\"/><path fill=\"#fff\" d=\""
