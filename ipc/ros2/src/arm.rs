@@ -1,0 +1,218 @@
+//! From what the robot tells to `vpc/robot`. Pure.
+
+use std::collections::VecDeque;
+
+use ipc::{RobotFaults, RobotMode, RobotState};
+use nalgebra::{Isometry3, UnitQuaternion};
+
+use crate::config::{CommandFrame, Config, RobotKeys};
+use crate::frames::{Frames, isometry, velocity};
+use crate::message::{JointState, PoseStamped, TwistStamped};
+use crate::refusal::{Refusal, check_frame, finite};
+use crate::stamp::{Clocks, Order};
+
+/// Time over which the change of the pose is measured, ns: at 500 Hz, ten poses.
+const WINDOW_NS: u64 = 20_000_000;
+/// Poses that are kept at most.
+const POSES: usize = 64;
+
+/// What vpcd's command is at this instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Command {
+    /// None came since the start.
+    #[default]
+    None,
+    /// One is in force.
+    InForce,
+    /// The last one ended.
+    Stale,
+}
+
+/// Makes robot states.
+#[derive(Clone, Debug)]
+pub struct Arm {
+    keys: RobotKeys,
+    camera: String,
+    frames: Frames,
+    max_age_ns: u64,
+    joints: Option<(u64, [f64; 7], [f64; 7])>,
+    poses: VecDeque<(u64, Isometry3<f64>)>,
+    twists: Order,
+    joint_states: Order,
+}
+
+impl Arm {
+    /// That has heard nothing yet.
+    pub fn new(config: &Config) -> Self {
+        Self {
+            keys: config.robot.clone(),
+            camera: config.camera.frame.clone(),
+            frames: Frames::new(&config.mount),
+            max_age_ns: config.max_age_ns,
+            joints: None,
+            poses: VecDeque::new(),
+            twists: Order::default(),
+            joint_states: Order::default(),
+        }
+    }
+
+    /// Takes the joints that the configuration names; others may be in the message.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn joints(
+        &mut self,
+        message: &JointState,
+        clocks: &Clocks,
+        now_ns: u64,
+    ) -> Result<u64, Refusal> {
+        let instant = clocks.instant(&message.header.stamp, 0, now_ns)?;
+        let JointState {
+            name,
+            position,
+            velocity,
+            ..
+        } = message;
+        // Robots that do not tell velocities send none.
+        let has_velocity = !velocity.is_empty();
+        if position.len() != name.len() || has_velocity && velocity.len() != name.len() {
+            return Err(Refusal::Lengths {
+                names: name.len(),
+                positions: position.len(),
+                velocities: velocity.len(),
+            });
+        }
+        let (mut q, mut dq) = ([0.0; 7], [0.0; 7]);
+        for (k, wanted) in self.keys.joints.iter().enumerate().take(q.len()) {
+            let mut places = (0..name.len()).filter(|i| name[*i] == *wanted);
+            let Some(place) = places.next() else {
+                return Err(Refusal::Joint(wanted.clone()));
+            };
+            if places.next().is_some() {
+                return Err(Refusal::TwiceJoint(wanted.clone()));
+            }
+            q[k] = position[place];
+            dq[k] = if has_velocity { velocity[place] } else { 0.0 };
+        }
+        finite("a joint", q.iter().chain(&dq))?;
+        self.joint_states.after(instant)?;
+        self.joints = Some((instant, q, dq));
+        Ok(instant)
+    }
+
+    /// Takes the tool's pose in the base; returns the state where the robot tells its motion so.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn pose(
+        &mut self,
+        message: &PoseStamped,
+        clocks: &Clocks,
+        now_ns: u64,
+        command: Command,
+    ) -> Result<Option<RobotState>, Refusal> {
+        check_frame(&message.header.frame_id, &self.keys.base)?;
+        let instant = clocks.instant(&message.header.stamp, 0, now_ns)?;
+        let pose = isometry(&message.pose).ok_or(Refusal::NotFinite("the pose"))?;
+        if self.poses.back().is_some_and(|(last, _)| *last >= instant) {
+            return Err(crate::stamp::StampError::Order.into());
+        }
+        // After a pause the motion is measured anew.
+        let (end, max_age) = (instant, self.max_age_ns);
+        self.poses.retain(|(at, _)| end - at <= max_age);
+        self.poses.push_back((instant, pose));
+        if self.poses.len() > POSES {
+            self.poses.pop_front();
+        }
+        // The newest pose that is a window ago.
+        while self.poses.len() > 2 && instant - self.poses[1].0 >= WINDOW_NS {
+            self.poses.pop_front();
+        }
+        if self.keys.executed != crate::config::Executed::Pose {
+            return Ok(None);
+        }
+        let (begin, from) = self.poses[0];
+        if instant - begin < WINDOW_NS {
+            return Ok(None);
+        }
+        let tool = velocity(&from, &pose, 1e-9 * (instant - begin) as f64);
+        let camera = self.frames.camera(&tool, CommandFrame::Tool, None);
+        let camera = camera.unwrap_or_default();
+        // It is the mean of the window.
+        let middle = begin + (instant - begin) / 2;
+        self.state(camera, middle, command, now_ns).map(Some)
+    }
+
+    /// The state by a twist that is carried out.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn twist(
+        &mut self,
+        message: &TwistStamped,
+        clocks: &Clocks,
+        now_ns: u64,
+        command: Command,
+    ) -> Result<RobotState, Refusal> {
+        let RobotKeys { tool, base, .. } = &self.keys;
+        let found = &message.header.frame_id;
+        let frame = match found {
+            _ if *found == self.camera => CommandFrame::Camera,
+            _ if found == tool => CommandFrame::Tool,
+            _ if found == base => CommandFrame::Base,
+            _ => {
+                return Err(Refusal::Frame {
+                    found: found.clone(),
+                    allowed: format!("{}, {tool} or {base}", self.camera),
+                });
+            }
+        };
+        let instant = clocks.instant(&message.header.stamp, 0, now_ns)?;
+        let twist = message.twist.array();
+        finite("the twist", &twist)?;
+        let turn = self.base_from_tool(now_ns);
+        let camera = self.frames.camera(&twist, frame, turn.as_ref());
+        let camera = camera.ok_or_else(|| Refusal::NoPose(self.keys.pose.clone()))?;
+        self.twists.after(instant)?;
+        self.state(camera, instant, command, now_ns)
+    }
+
+    /// The tool's rotation in the base, while a fresh pose tells it.
+    pub fn base_from_tool(&self, now_ns: u64) -> Option<UnitQuaternion<f64>> {
+        let (at, pose) = self.poses.back()?;
+        (now_ns.saturating_sub(*at) <= self.max_age_ns).then_some(pose.rotation)
+    }
+
+    /// vpcd's twist in the frame that the robot is commanded in; `None` where that is not known.
+    pub fn command(&self, twist: &[f64; 6], now_ns: u64) -> Option<[f64; 6]> {
+        let turn = self.base_from_tool(now_ns);
+        self.frames
+            .out(twist, self.keys.command_frame, turn.as_ref())
+    }
+
+    fn state(
+        &self,
+        twist: [f64; 6],
+        data_ns: u64,
+        command: Command,
+        now_ns: u64,
+    ) -> Result<RobotState, Refusal> {
+        let mut state = RobotState::free_camera([0.0; 3], [0.0; 3], data_ns);
+        if !self.keys.joints.is_empty() {
+            let is_fresh = |at: u64| now_ns.saturating_sub(at) <= self.max_age_ns;
+            let joints = self.joints.filter(|(at, ..)| is_fresh(*at));
+            let missing = || Refusal::NoJoints(self.keys.joint_states.clone());
+            let (_, q, dq) = joints.ok_or_else(missing)?;
+            state.joints = self.keys.joints.len() as u32;
+            (state.q, state.dq) = (q, dq);
+        }
+        state.twist = twist;
+        let (mode, faults) = match command {
+            Command::None => (RobotMode::Idle, RobotFaults::default()),
+            Command::InForce => (RobotMode::Moving, RobotFaults::default()),
+            Command::Stale => (RobotMode::Stale, RobotFaults::STALE_COMMAND),
+        };
+        (state.mode, state.faults) = (mode.code(), faults.0);
+        Ok(state)
+    }
+}

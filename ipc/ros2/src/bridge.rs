@@ -1,0 +1,469 @@
+//! The loop: from topics to shared memory, and from `vpc/twist` to the robot.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
+use std::time::Duration;
+
+use ipc::{Domain, Features, Publisher, ReceiveError, RobotPorts, now_ns};
+use ros2_client::{Publisher as Topic, Subscription};
+use serde::de::DeserializeOwned;
+
+use crate::arm::Arm;
+use crate::config::{CommandFrame, Config, Executed, FeaturesKind, Reliability};
+use crate::eye::Eye;
+use crate::message::{
+    AprilTagDetectionArray, CameraInfo, Header, JointState, Named, PolygonStamped, PoseStamped,
+    Twist, TwistStamped,
+};
+use crate::outlet::Outlet;
+use crate::refusal::{Counts, Refusal};
+use crate::ros::{BATCH, Ros, RosError, take};
+use crate::stamp::{self, Clocks};
+
+/// Between two looks: a thirtieth of a period at 30 Hz.
+const PAUSE: Duration = Duration::from_millis(1);
+/// Between two measurements of the clocks, and two reports, ns.
+const MEASURE_NS: u64 = 10_000_000;
+const REPORT_NS: u64 = 200_000_000;
+/// Zero twists at the end, and between two of them.
+const LAST_ZEROS: u32 = 10;
+const LAST_PAUSE: Duration = Duration::from_millis(20);
+
+/// Why the loop ended.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum BridgeError {
+    #[error(transparent)]
+    Ros(#[from] RosError),
+    #[error(transparent)]
+    Join(#[from] ipc::JoinError),
+    #[error(transparent)]
+    Open(#[from] ipc::OpenError),
+    #[error(transparent)]
+    Publish(#[from] ipc::PublishError),
+    #[error(transparent)]
+    Receive(#[from] ipc::ReceiveError),
+}
+
+/// What the loop tells the rest of the program.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// The first message of a topic was taken.
+    Comes(String),
+    /// A message was refused.
+    Refused(String, Refusal),
+    /// The wall clock stepped by this, ns.
+    Step(i64),
+    /// Counts and clocks, a few times a second.
+    Report(Report),
+    /// A twist of vpcd could not be turned into the frame of the command: zero was sent.
+    NoFrame,
+    /// A twist could not be sent.
+    NotSent(String),
+    /// A command of vpcd was refused.
+    Command(ipc::Invalid),
+}
+
+/// What came and went since the start.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// Each topic that is subscribed to, and what came.
+    pub topics: Vec<(String, Counts)>,
+    /// Tags that are none of ours.
+    pub foreign_tags: u64,
+    /// Twists that were sent, and those among them that were zeros of our own.
+    pub sent: [u64; 2],
+    /// Twists that could not be sent.
+    pub not_sent: u64,
+    /// Steps of the wall clock.
+    pub steps: u64,
+    /// Monotonic less wall, ns.
+    pub offset_ns: i64,
+}
+
+/// A topic that is subscribed to.
+struct Inbox<M> {
+    topic: String,
+    subscription: Subscription<M>,
+    counts: Counts,
+}
+
+impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
+    fn open(ros: &mut Ros, topic: &str, reliability: Reliability) -> Result<Self, RosError> {
+        Ok(Self {
+            subscription: ros.subscription(topic, reliability)?,
+            topic: topic.to_owned(),
+            counts: Counts::default(),
+        })
+    }
+
+    /// Hands over what waits. `judge` returns the instant that a message is about, ns, and what
+    /// follows from it.
+    fn each<T>(
+        &mut self,
+        tell: &Sender<Event>,
+        mut judge: impl FnMut(&M, u64) -> Result<(u64, T), Refusal>,
+        mut then: impl FnMut(T) -> Result<(), BridgeError>,
+    ) -> Result<(), BridgeError> {
+        for _ in 0..BATCH {
+            let now = now_ns();
+            let judged = match take(&self.subscription) {
+                Ok(None) => break,
+                Ok(Some(message)) => judge(&message, now),
+                Err(refusal) => Err(refusal),
+            };
+            match judged {
+                Ok((instant, value)) => {
+                    if self.counts.taken == 0 {
+                        let _ = tell.send(Event::Comes(self.topic.clone()));
+                    }
+                    self.counts.taken += 1;
+                    self.counts.last_ns = now;
+                    self.counts.age_ns = now.saturating_sub(instant);
+                    then(value)?;
+                }
+                Err(refusal) => {
+                    *self.counts.refused.entry(refusal.kind()).or_default() += 1;
+                    let _ = tell.send(Event::Refused(self.topic.clone(), refusal));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The camera's side.
+struct Camera {
+    eye: Eye,
+    info: Option<Inbox<CameraInfo>>,
+    tags: Option<Inbox<AprilTagDetectionArray>>,
+    points: Option<Inbox<PolygonStamped>>,
+}
+
+/// The robot's side.
+struct Robot {
+    arm: Arm,
+    outlet: Outlet,
+    twists: Option<Inbox<TwistStamped>>,
+    poses: Option<Inbox<PoseStamped>>,
+    joints: Option<Inbox<JointState>>,
+    command: Topic<TwistStamped>,
+    frame: String,
+}
+
+/// All of ROS that the loop needs.
+pub struct Bridge {
+    clocks: Clocks,
+    camera: Option<Camera>,
+    robot: Option<Robot>,
+    report: Report,
+}
+
+/// The places in the domain: none in a preflight.
+struct Ports {
+    features: Option<Publisher<Features>>,
+    robot: Option<RobotPorts>,
+}
+
+impl Bridge {
+    /// Subscribes to topics, and offers the command.
+    ///
+    /// # Errors
+    /// [`RosError`].
+    pub fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
+        let camera = config.is_camera().then(|| Camera::open(config, ros));
+        let robot = config.is_robot().then(|| Robot::open(config, ros));
+        Ok(Self {
+            clocks: Clocks::new(stamp::measure(), config.max_age_ns),
+            camera: camera.transpose()?,
+            robot: robot.transpose()?,
+            report: Report::default(),
+        })
+    }
+
+    /// Takes the places of camera and robot in the domain, and works until `stop`.
+    ///
+    /// # Errors
+    /// [`BridgeError`]: another program has such a place, or shared memory fails.
+    pub fn run(
+        mut self,
+        config: &Config,
+        stop: &AtomicBool,
+        is_stopping: &AtomicBool,
+        tell: &Sender<Event>,
+    ) -> Result<(), BridgeError> {
+        let domain = Domain::join(&config.domain)?;
+        let mut ports = Ports {
+            features: match self.camera {
+                Some(_) => Some(domain.publisher()?),
+                None => None,
+            },
+            robot: match self.robot {
+                Some(_) => Some(RobotPorts::open(&domain)?),
+                None => None,
+            },
+        };
+        let ended = self.work(&mut ports, stop, is_stopping, tell);
+        // However it ends, the robot is told to stand.
+        if let Some(robot) = &mut self.robot {
+            for _ in 0..LAST_ZEROS {
+                robot.send([0.0; 6], &self.clocks, &mut self.report, tell);
+                std::thread::sleep(LAST_PAUSE);
+            }
+        }
+        ended
+    }
+
+    /// Only listens, until `stop`; returns what came.
+    ///
+    /// # Errors
+    /// None that is known: nothing is published.
+    pub fn listen(mut self, stop: &AtomicBool, tell: &Sender<Event>) -> Result<Report, BridgeError> {
+        let mut ports = Ports {
+            features: None,
+            robot: None,
+        };
+        let never = AtomicBool::new(false);
+        self.work(&mut ports, stop, &never, tell)?;
+        self.count();
+        Ok(self.report)
+    }
+
+    fn work(
+        &mut self,
+        ports: &mut Ports,
+        stop: &AtomicBool,
+        is_stopping: &AtomicBool,
+        tell: &Sender<Event>,
+    ) -> Result<(), BridgeError> {
+        let (mut measured_ns, mut reported_ns) = (0, 0);
+        while !stop.load(Ordering::Relaxed) {
+            let now = now_ns();
+            if now - measured_ns >= MEASURE_NS {
+                measured_ns = now;
+                if let Some(step) = self.clocks.follow(stamp::measure(), now) {
+                    let _ = tell.send(Event::Step(step));
+                }
+                // A vpcd that came meanwhile finds the last features.
+                if let Some(features) = &mut ports.features {
+                    features.refresh()?;
+                }
+            }
+            if let Some(camera) = &mut self.camera {
+                camera.look(&self.clocks, ports.features.as_mut(), tell)?;
+            }
+            if let Some(robot) = &mut self.robot {
+                robot.outlet.stop(is_stopping.load(Ordering::Relaxed));
+                robot.look(&self.clocks, ports.robot.as_mut(), tell)?;
+                if let Some(ports) = &mut ports.robot {
+                    robot.pass_on(ports, &self.clocks, &mut self.report, tell)?;
+                }
+            }
+            if now - reported_ns >= REPORT_NS {
+                reported_ns = now;
+                self.count();
+                let _ = tell.send(Event::Report(self.report.clone()));
+            }
+            std::thread::sleep(PAUSE);
+        }
+        Ok(())
+    }
+
+    fn count(&mut self) {
+        fn note<M>(topics: &mut Vec<(String, Counts)>, inbox: &Option<Inbox<M>>) {
+            let counts = inbox.iter().map(|i| (i.topic.clone(), i.counts.clone()));
+            topics.extend(counts);
+        }
+        let topics = &mut self.report.topics;
+        topics.clear();
+        if let Some(camera) = &self.camera {
+            note(topics, &camera.tags);
+            note(topics, &camera.points);
+            note(topics, &camera.info);
+            self.report.foreign_tags = camera.eye.foreign;
+        }
+        if let Some(robot) = &self.robot {
+            note(topics, &robot.twists);
+            note(topics, &robot.poses);
+            note(topics, &robot.joints);
+        }
+        self.report.steps = self.clocks.steps;
+        self.report.offset_ns = self.clocks.offset_ns();
+    }
+}
+
+impl Camera {
+    fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
+        let keys = &config.camera;
+        let (mut tags, mut points, mut info) = (None, None, None);
+        match keys.features {
+            FeaturesKind::Tags => tags = Some(Inbox::open(ros, &keys.topic, keys.reliability)?),
+            FeaturesKind::Points => points = Some(Inbox::open(ros, &keys.topic, keys.reliability)?),
+            FeaturesKind::None => (),
+        }
+        if !keys.info.is_empty() {
+            info = Some(Inbox::open(ros, &keys.info, keys.reliability)?);
+        }
+        Ok(Self {
+            eye: Eye::new(config),
+            info,
+            tags,
+            points,
+        })
+    }
+
+    fn look(
+        &mut self,
+        clocks: &Clocks,
+        mut port: Option<&mut Publisher<Features>>,
+        tell: &Sender<Event>,
+    ) -> Result<(), BridgeError> {
+        let eye = &mut self.eye;
+        if let Some(inbox) = &mut self.info {
+            inbox.each(
+                tell,
+                |message, now| eye.info(message).map(|()| (now, ())),
+                |()| Ok(()),
+            )?;
+        }
+        let mut publish = |features: Features| {
+            if let Some(port) = &mut port {
+                port.publish(&features)?;
+            }
+            Ok(())
+        };
+        let dated = |features: Features| (features.stamp.data_ns, features);
+        if let Some(inbox) = &mut self.tags {
+            let judge = |message: &_, now| eye.tags(message, clocks, now).map(dated);
+            inbox.each(tell, judge, &mut publish)?;
+        }
+        if let Some(inbox) = &mut self.points {
+            let judge = |message: &_, now| eye.points(message, clocks, now).map(dated);
+            inbox.each(tell, judge, &mut publish)?;
+        }
+        Ok(())
+    }
+}
+
+impl Robot {
+    fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
+        let keys = &config.robot;
+        // What reaches a receiver late is dropped there, not carried out in a burst.
+        let lifespan = Some(Duration::from_nanos(config.max_age_ns));
+        let mut robot = Self {
+            arm: Arm::new(config),
+            outlet: Outlet::new(config.zeros_ns),
+            twists: None,
+            poses: None,
+            joints: None,
+            command: ros.publisher(&keys.command, keys.command_reliability, lifespan)?,
+            frame: match keys.command_frame {
+                CommandFrame::Camera => config.camera.frame.clone(),
+                CommandFrame::Tool => keys.tool.clone(),
+                CommandFrame::Base => keys.base.clone(),
+            },
+        };
+        if keys.executed == Executed::Twist {
+            robot.twists = Some(Inbox::open(ros, &keys.twist, keys.reliability)?);
+        }
+        if !keys.pose.is_empty() {
+            robot.poses = Some(Inbox::open(ros, &keys.pose, keys.reliability)?);
+        }
+        if !keys.joints.is_empty() {
+            robot.joints = Some(Inbox::open(ros, &keys.joint_states, keys.reliability)?);
+        }
+        Ok(robot)
+    }
+
+    fn look(
+        &mut self,
+        clocks: &Clocks,
+        mut ports: Option<&mut RobotPorts>,
+        tell: &Sender<Event>,
+    ) -> Result<(), BridgeError> {
+        let (arm, outlet) = (&mut self.arm, &self.outlet);
+        let mut publish = |state: Option<ipc::RobotState>| {
+            if let (Some(ports), Some(state)) = (&mut ports, state) {
+                ports.robot.publish(&state)?;
+            }
+            Ok(())
+        };
+        if let Some(inbox) = &mut self.joints {
+            let judge = |message: &_, now| Ok((arm.joints(message, clocks, now)?, ()));
+            inbox.each(tell, judge, |()| Ok(()))?;
+        }
+        if let Some(inbox) = &mut self.poses {
+            let judge = |message: &_, now| {
+                let state = arm.pose(message, clocks, now, outlet.command(now))?;
+                Ok((state.map_or(now, |state| state.stamp.data_ns), state))
+            };
+            inbox.each(tell, judge, &mut publish)?;
+        }
+        if let Some(inbox) = &mut self.twists {
+            let judge = |message: &_, now| {
+                let state = arm.twist(message, clocks, now, outlet.command(now))?;
+                Ok((state.stamp.data_ns, Some(state)))
+            };
+            inbox.each(tell, judge, &mut publish)?;
+        }
+        Ok(())
+    }
+
+    /// Sends what vpcd commands, and zeros when that ends.
+    fn pass_on(
+        &mut self,
+        ports: &mut RobotPorts,
+        clocks: &Clocks,
+        report: &mut Report,
+        tell: &Sender<Event>,
+    ) -> Result<(), BridgeError> {
+        match ports.twist.latest() {
+            Ok(Some(command)) => {
+                if let Some(twist) = self.outlet.take(&command, now_ns()) {
+                    self.send(twist, clocks, report, tell);
+                }
+            }
+            Ok(None) => (),
+            Err(ReceiveError::Invalid { invalid, .. }) => {
+                self.outlet.refuse();
+                let _ = tell.send(Event::Command(invalid));
+            }
+            Err(error) => return Err(error.into()),
+        }
+        if let Some(zero) = self.outlet.look(now_ns()) {
+            report.sent[1] += 1;
+            self.send(zero, clocks, report, tell);
+        }
+        Ok(())
+    }
+
+    /// Sends a twist of the camera in the frame of the command.
+    fn send(
+        &mut self,
+        camera: [f64; 6],
+        clocks: &Clocks,
+        report: &mut Report,
+        tell: &Sender<Event>,
+    ) {
+        let now = now_ns();
+        let twist = self.arm.command(&camera, now);
+        // To stand is the same in every frame.
+        if twist.is_none() && camera != [0.0; 6] {
+            let _ = tell.send(Event::NoFrame);
+        }
+        let message = TwistStamped {
+            header: Header {
+                stamp: stamp::wall(now, clocks.offset_ns()),
+                frame_id: self.frame.clone(),
+            },
+            twist: Twist::from_array(twist.unwrap_or_default()),
+        };
+        match self.command.publish(message) {
+            Ok(()) => report.sent[0] += 1,
+            Err(why) => {
+                report.not_sent += 1;
+                let _ = tell.send(Event::NotSent(format!("{why:?}")));
+            }
+        }
+    }
+}

@@ -1,0 +1,427 @@
+//! Configuration of the gateway: a file, then flags, then checks.
+
+use std::net::IpAddr;
+use std::path::PathBuf;
+
+use clap::{ArgMatches, Args, Parser, ValueEnum};
+use scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
+use toml_schema::{Document, FileError};
+
+/// Most joints that vpc/robot has room for.
+const MOST_JOINTS: usize = 7;
+
+/// Connects ROS 2 with vpcd: tags, joints and velocities in, velocities and diagnostics out.
+///
+/// Plays the camera, the robot, or both, for the vpcd of the domain; links no ROS. Exit codes: 0
+/// stopped by SIGTERM, after zero twists; 1 the preflight found a fault; 64 usage, 66 a file is
+/// missing, 69 DDS or the shared memory cannot be used, 70 a defect, 78 configuration.
+#[derive(Parser, Debug)]
+#[command(name = "vpc-ros2", version)]
+pub struct Arguments {
+    /// Configuration file (TOML), documented in ipc/ros2/vpc-ros2.toml; flags win over it.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub keys: Keys,
+    /// Listen for three seconds, and say what comes, from whom it does not, and what is refused;
+    /// publish nothing.
+    #[arg(long)]
+    pub preflight: bool,
+}
+
+/// The path of the scene is relative to the file. Some keys have a flag, which wins.
+#[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+#[schemars(title = "vpc-ros2", extend("required" = ["scene"]))]
+pub struct Keys {
+    /// The scene file of vpcd: its camera, and how many points there are.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    pub scene: Option<PathBuf>,
+    /// Directory of the shared memory.
+    #[arg(long)]
+    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    pub domain: Option<PathBuf>,
+    /// The number that ROS calls ROS_DOMAIN_ID, which is not read from the environment.
+    #[arg(long, default_value_t = 0)]
+    #[schemars(range(max = 232))]
+    pub ros_domain_id: u16,
+    /// Addresses of the network interfaces to use, such as 127.0.0.1; none: all.
+    #[arg(long, value_delimiter = ',')]
+    pub interfaces: Vec<String>,
+    /// Name of the node, under which its services and overlays are: /vpcd/arm.
+    #[arg(long, default_value = "/vpcd")]
+    #[default = "/vpcd"]
+    #[schemars(regex(pattern = r"^(/[A-Za-z_][A-Za-z0-9_]*)+$"))]
+    pub node: String,
+    /// How requests of services are numbered, which differs by the middleware of ROS.
+    #[arg(long, value_enum, default_value_t)]
+    pub services: Services,
+    /// Oldest stamp that is taken.
+    #[arg(skip = 200.0)]
+    #[default = 200.0]
+    #[schemars(range(min = 1, max = 10000), extend("x-unit" = "ms"))]
+    pub max_age_ms: f64,
+    #[arg(skip)]
+    #[allow(missing_docs)]
+    pub camera: CameraKeys,
+    #[arg(skip)]
+    #[allow(missing_docs)]
+    pub robot: RobotKeys,
+    #[arg(skip)]
+    #[allow(missing_docs)]
+    pub mount: Mount,
+}
+
+/// Where features come from.
+#[derive(Clone, Debug, SmartDefault, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CameraKeys {
+    /// What is on `topic`; with `none` another program is the camera.
+    pub features: FeaturesKind,
+    /// apriltag_msgs/AprilTagDetectionArray or geometry_msgs/PolygonStamped.
+    #[default = "/detections"]
+    pub topic: String,
+    /// sensor_msgs/CameraInfo, checked against the scene before anything is published; empty: not
+    /// checked.
+    #[default = "/camera/camera_info"]
+    pub info: String,
+    /// Whether points are those of rectified images, as apriltag_ros takes them: then P of
+    /// CameraInfo counts, else K, and a distortion is refused.
+    #[default = true]
+    pub rectified: bool,
+    /// Greatest difference of focal lengths and principal point between CameraInfo and scene.
+    #[default = 2.0]
+    #[schemars(range(min = 0, max = 100), extend("x-unit" = "px"))]
+    pub tolerance_px: f64,
+    /// `frame_id` that messages of the camera must have: x right, y down, z forward.
+    #[default = "camera_optical_frame"]
+    #[schemars(length(min = 1))]
+    pub frame: String,
+    /// Numbers of the tags whose centres are the points of the pattern, in its order.
+    #[schemars(length(max = 8), extend("x-default" = "0, 1, ..."))]
+    pub tags: Option<Vec<u32>>,
+    /// Number of the one tag whose corners are the four points of the pattern: upper left, upper
+    /// right, lower right, lower left.
+    #[schemars(extend("x-default" = "centres of tags"))]
+    pub corners_of: Option<u32>,
+    /// Where the sender has the centre of the upper left pixel; the scene has it at (0, 0).
+    #[schemars(range(min = 0, max = 0.5), extend("x-unit" = "px", "x-default" = "0.5 for tags, as the AprilTag library has it; 0 for points"))]
+    pub pixel_centre: Option<f64>,
+    /// Added to each stamp, as vpc-calib measures it.
+    #[schemars(range(min = -1000, max = 1000), extend("x-unit" = "ms"))]
+    pub stamp_offset_ms: f64,
+    /// Reliability that is asked of the senders; best_effort takes both kinds.
+    pub reliability: Reliability,
+}
+
+/// How the robot is commanded, and what it tells.
+#[derive(Clone, Debug, SmartDefault, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RobotKeys {
+    /// How the robot tells the velocity that it carries out; with `none` another program is the
+    /// robot, and nothing is commanded.
+    pub executed: Executed,
+    /// geometry_msgs/TwistStamped that is carried out, in the camera's, tool's or base's frame.
+    #[default = "/vpcd/executed_twist"]
+    pub twist: String,
+    /// geometry_msgs/PoseStamped of the tool in the base; empty: none. Needed with `executed =
+    /// "pose"`, and for twists in the base's frame.
+    pub pose: String,
+    /// sensor_msgs/JointState.
+    #[default = "/joint_states"]
+    pub joint_states: String,
+    /// Names of the joints that are told in vpc/robot, base first; none: JointState is not read.
+    #[schemars(length(max = 7))]
+    pub joints: Vec<String>,
+    /// geometry_msgs/TwistStamped that vpcd commands; as MoveIt Servo subscribes to it.
+    #[default = "/servo_node/delta_twist_cmds"]
+    pub command: String,
+    /// Whose velocity is commanded, along whose axes.
+    pub command_frame: CommandFrame,
+    /// `frame_id` of the tool.
+    #[default = "tool0"]
+    #[schemars(length(min = 1))]
+    pub tool: String,
+    /// `frame_id` of the robot's base.
+    #[default = "base_link"]
+    #[schemars(length(min = 1))]
+    pub base: String,
+    /// How long zero twists follow when vpcd's commands stop; then silence.
+    #[default = 500.0]
+    #[schemars(range(min = 100, max = 10000), extend("x-unit" = "ms"))]
+    pub zeros_ms: f64,
+    /// Reliability that commands are offered with; reliable suits both kinds of receivers.
+    #[default(Reliability::Reliable)]
+    pub command_reliability: Reliability,
+    /// Reliability that is asked of the senders; best_effort takes both kinds.
+    pub reliability: Reliability,
+}
+
+/// The camera on the tool, as a hand-eye calibration found it; where both are the same frame, zeros.
+#[derive(Clone, Copy, Debug, PartialEq, SmartDefault, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Mount {
+    /// The camera's origin in the tool's frame.
+    #[schemars(inner(range(min = -2, max = 2)), extend("x-unit" = "m"))]
+    pub translation: [f64; 3],
+    /// The camera's rotation in it: axis times angle.
+    #[schemars(inner(range(min = -360, max = 360)), extend("x-unit" = "deg"))]
+    pub rotation_deg: [f64; 3],
+}
+
+/// Declares a choice of the configuration.
+macro_rules! choices {
+    ($($(#[doc = $doc:literal])+ $name:ident { $($(#[doc = $value_doc:literal])+ $(#[$default:ident])? $value:ident,)+ })+) => {$(
+        $(#[doc = $doc])+
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema)]
+        #[serde(rename_all = "snake_case")]
+        #[value(rename_all = "snake_case")]
+        pub enum $name {
+            $($(#[doc = $value_doc])+ $(#[$default])? $value,)+
+        }
+    )+};
+}
+
+choices! {
+    /// What features are made from.
+    FeaturesKind {
+        /// AprilTags by number: apriltag_msgs/AprilTagDetectionArray.
+        #[default]
+        Tags,
+        /// Points in the order of the pattern: geometry_msgs/PolygonStamped, px.
+        Points,
+        /// Nothing.
+        None,
+    }
+    /// How the robot tells what it carries out.
+    Executed {
+        /// By TwistStamped.
+        #[default]
+        Twist,
+        /// By the tool's pose, PoseStamped, whose change is measured.
+        Pose,
+        /// Not at all.
+        None,
+    }
+    /// Frame of the commanded twist.
+    CommandFrame {
+        /// The camera's velocity along the camera's axes.
+        #[default]
+        Camera,
+        /// The tool's velocity along the tool's axes.
+        Tool,
+        /// The tool's velocity along the base's axes.
+        Base,
+    }
+    /// Quality of service.
+    Reliability {
+        /// As sensor data.
+        #[default]
+        BestEffort,
+        /// Lost messages are sent again.
+        Reliable,
+    }
+    /// How requests of services are numbered.
+    Services {
+        /// rmw_fastrtps, the default of ROS 2, and rmw_connextdds.
+        #[default]
+        Fastdds,
+        /// rmw_cyclonedds.
+        Cyclonedds,
+    }
+}
+
+/// Which tags are features.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Targets {
+    /// The centres of these, in the pattern's order.
+    Centres(Vec<u32>),
+    /// The corners of this one.
+    Corners(u32),
+}
+
+/// A checked configuration.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The scene of vpcd.
+    pub scene: Scene,
+    /// Directory of the shared memory.
+    pub domain: PathBuf,
+    /// The number of the DDS domain.
+    pub ros_domain_id: u16,
+    /// Addresses of the network interfaces; none: all.
+    pub interfaces: Vec<IpAddr>,
+    /// Namespace and name of the node.
+    pub node: [String; 2],
+    /// How requests of services are numbered.
+    pub services: Services,
+    /// Oldest stamp that is taken, ns.
+    pub max_age_ns: u64,
+    /// The keys of the camera.
+    pub camera: CameraKeys,
+    /// Which tags are features.
+    pub targets: Targets,
+    /// Where the sender has the centre of the upper left pixel, px.
+    pub pixel_centre: f64,
+    /// Added to each of the camera's stamps, ns.
+    pub stamp_offset_ns: i64,
+    /// The keys of the robot.
+    pub robot: RobotKeys,
+    /// How long zeros follow, ns.
+    pub zeros_ns: u64,
+    /// The camera on the tool.
+    pub mount: Mount,
+}
+
+impl Config {
+    /// Reads the file that the command line names, lays the flags over it, and checks the whole.
+    ///
+    /// # Errors
+    /// [`FileError`] names the file or flag, key, value and what is allowed.
+    pub fn load(matches: &ArgMatches) -> Result<Self, FileError> {
+        let arguments: Arguments = toml_schema::arguments(matches)?;
+        let file = arguments.config.as_deref();
+        let keys = &arguments.keys;
+        let document = Document::with_flags::<Arguments>(file, &["scene"], keys, matches)?;
+        Self::of(&document, document.check()?)
+    }
+
+    fn of(document: &Document, keys: Keys) -> Result<Self, FileError> {
+        let address = |text: &String| {
+            let allowed = "addresses of this machine, such as 127.0.0.1";
+            let refuse = |_| document.refuse("interfaces", text, allowed);
+            text.parse::<IpAddr>().map_err(refuse)
+        };
+        let interfaces = keys.interfaces.iter().map(address);
+        let interfaces = interfaces.collect::<Result<_, _>>()?;
+        let (namespace, name) = keys.node.rsplit_once('/').unwrap_or_default();
+        let namespace = if namespace.is_empty() { "/" } else { namespace };
+        let scene = Scene::read(&keys.scene.unwrap_or_default())?;
+        let targets = targets(document, &keys.camera, scene.pattern.len())?;
+        let default_centre = match keys.camera.features {
+            FeaturesKind::Tags => 0.5,
+            _ => 0.0,
+        };
+        check_topics(document, &keys.camera, &keys.robot)?;
+        let ns = |ms: f64| (1e6 * ms).round();
+        Ok(Self {
+            interfaces,
+            domain: keys.domain.unwrap_or_else(ipc::default_directory),
+            ros_domain_id: keys.ros_domain_id,
+            node: [namespace.to_owned(), name.to_owned()],
+            services: keys.services,
+            max_age_ns: ns(keys.max_age_ms) as u64,
+            targets,
+            pixel_centre: keys.camera.pixel_centre.unwrap_or(default_centre),
+            stamp_offset_ns: ns(keys.camera.stamp_offset_ms) as i64,
+            zeros_ns: ns(keys.robot.zeros_ms) as u64,
+            camera: keys.camera,
+            robot: keys.robot,
+            mount: keys.mount,
+            scene,
+        })
+    }
+
+    /// Whether it is the camera of the domain.
+    pub fn is_camera(&self) -> bool {
+        self.camera.features != FeaturesKind::None
+    }
+
+    /// Whether it is the robot of the domain.
+    pub fn is_robot(&self) -> bool {
+        self.robot.executed != Executed::None
+    }
+}
+
+fn targets(
+    document: &Document,
+    keys: &CameraKeys,
+    points: usize,
+) -> Result<Targets, FileError> {
+    match keys.corners_of {
+        Some(_) if keys.tags.is_some() => {
+            let allowed = "tags or corners_of, not both";
+            Err(document.refuse("camera.corners_of", "given with tags", allowed))
+        }
+        Some(number) if points == 4 => Ok(Targets::Corners(number)),
+        Some(number) => {
+            let allowed = format!("a pattern of 4 points; the scene's has {points}");
+            Err(document.refuse("camera.corners_of", number, allowed))
+        }
+        None => {
+            let numbers = keys.tags.clone();
+            let numbers = numbers.unwrap_or_else(|| (0..points as u32).collect());
+            let is_double = |i: usize| numbers[..i].contains(&numbers[i]);
+            if numbers.len() != points || (0..points).any(is_double) {
+                let allowed =
+                    format!("{points} different numbers, one for each point of the scene");
+                return Err(document.refuse("camera.tags", format!("{numbers:?}"), allowed));
+            }
+            Ok(Targets::Centres(numbers))
+        }
+    }
+}
+
+fn check_topics(
+    document: &Document,
+    camera: &CameraKeys,
+    robot: &RobotKeys,
+) -> Result<(), FileError> {
+    let has_camera = camera.features != FeaturesKind::None;
+    let has_robot = robot.executed != Executed::None;
+    if !has_camera && !has_robot {
+        let allowed = "tags or points, unless the robot is played (robot.executed)";
+        return Err(document.refuse("camera.features", "none", allowed));
+    }
+    let joints = &robot.joints;
+    if (0..joints.len()).any(|k| joints[..k].contains(&joints[k])) {
+        let allowed = format!("at most {MOST_JOINTS} different names");
+        return Err(document.refuse("robot.joints", format!("{joints:?}"), allowed));
+    }
+    let needs_pose = robot.executed == Executed::Pose
+        || has_robot && robot.command_frame == CommandFrame::Base;
+    if needs_pose && robot.pose.is_empty() {
+        let allowed = "a topic: the pose is needed for executed = \"pose\" and command_frame = \"base\"";
+        return Err(document.refuse("robot.pose", "", allowed));
+    }
+    for (key, topic, is_optional) in [
+        ("camera.topic", &camera.topic, false),
+        ("camera.info", &camera.info, true),
+        ("robot.twist", &robot.twist, false),
+        ("robot.pose", &robot.pose, true),
+        ("robot.joint_states", &robot.joint_states, false),
+        ("robot.command", &robot.command, false),
+    ] {
+        if !(is_optional && topic.is_empty() || is_name(topic)) {
+            let allowed = "an absolute name: parts of letters, digits and single _, each behind a /";
+            return Err(document.refuse(key, topic, allowed));
+        }
+    }
+    let names = [&camera.frame, &robot.tool, &robot.base];
+    if has_robot && (names[0] == names[1] || names[0] == names[2] || names[1] == names[2]) {
+        let allowed = "three different names for camera.frame, robot.tool and robot.base";
+        return Err(document.refuse("robot.tool", names[1], allowed));
+    }
+    Ok(())
+}
+
+/// Whether ROS takes this as an absolute name.
+fn is_name(topic: &str) -> bool {
+    let is_part = |part: &str| {
+        let begins = part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
+        let is_good = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        begins && part.chars().all(is_good) && !part.contains("__")
+    };
+    let parts = topic.strip_prefix('/');
+    parts.is_some_and(|parts| parts.split('/').all(is_part))
+}
+
+/// Returns the JSON Schema of a configuration file.
+pub fn schema() -> serde_json::Value {
+    toml_schema::schema::<Keys>()
+}

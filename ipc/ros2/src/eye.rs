@@ -1,0 +1,179 @@
+//! From tags, or points in order, to features. Pure.
+
+use ipc::Features;
+use scene::Scene;
+
+use crate::camera_info;
+use crate::config::{Config, Targets};
+use crate::message::{AprilTagDetectionArray, CameraInfo, Header, ImagePoint, PolygonStamped};
+use crate::refusal::{Refusal, check_frame, finite};
+use crate::stamp::{Clocks, Order};
+
+/// Corners of a tag as the AprilTag library has them, in the order of a scene: upper left, upper
+/// right, lower right, lower left.
+const CORNERS: [usize; 4] = [3, 2, 1, 0];
+
+/// Makes features.
+#[derive(Clone, Debug)]
+pub struct Eye {
+    scene: Scene,
+    targets: Targets,
+    frame: String,
+    info_topic: String,
+    is_rectified: bool,
+    tolerance_px: f64,
+    /// Added to coordinates, px.
+    shift_px: f64,
+    stamp_offset_ns: i64,
+    order: Order,
+    /// Whether the camera is that of the scene: the last CameraInfo.
+    camera: Result<(), Refusal>,
+    /// Where each point was seen last.
+    last: Vec<Option<[f64; 2]>>,
+    /// Tags that are none of ours.
+    pub foreign: u64,
+}
+
+impl Eye {
+    /// That has seen nothing yet.
+    pub fn new(config: &Config) -> Self {
+        let info_topic = config.camera.info.clone();
+        let points = config.scene.pattern.len();
+        Self {
+            scene: config.scene.clone(),
+            targets: config.targets.clone(),
+            frame: config.camera.frame.clone(),
+            is_rectified: config.camera.rectified,
+            tolerance_px: config.camera.tolerance_px,
+            shift_px: -config.pixel_centre,
+            stamp_offset_ns: config.stamp_offset_ns,
+            order: Order::default(),
+            camera: match info_topic.is_empty() {
+                true => Ok(()),
+                false => Err(Refusal::NoInfo(info_topic.clone())),
+            },
+            info_topic,
+            last: vec![None; points],
+            foreign: 0,
+        }
+    }
+
+    /// Takes a CameraInfo, which decides whether features are published from now on.
+    ///
+    /// # Errors
+    /// [`Refusal`]: it is about another camera.
+    pub fn info(&mut self, info: &CameraInfo) -> Result<(), Refusal> {
+        self.camera = check_frame(&info.header.frame_id, &self.frame).and_then(|()| {
+            let (camera, tolerance) = (&self.scene.camera, self.tolerance_px);
+            Ok(camera_info::check(info, camera, self.is_rectified, tolerance)?)
+        });
+        self.camera.clone()
+    }
+
+    /// Whether the camera was checked, or need not be.
+    pub fn knows_camera(&self) -> bool {
+        self.camera.is_ok()
+    }
+
+    /// The topic that CameraInfo is expected on.
+    pub fn info_topic(&self) -> &str {
+        &self.info_topic
+    }
+
+    /// Features of tags. A tag that is not in sight is where it was seen last, and its bit in
+    /// `visible` is 0. Tags of other numbers are passed over, and counted.
+    ///
+    /// # Errors
+    /// [`Refusal`]; what was seen before stays.
+    pub fn tags(
+        &mut self,
+        message: &AprilTagDetectionArray,
+        clocks: &Clocks,
+        now_ns: u64,
+    ) -> Result<Features, Refusal> {
+        let data_ns = self.judge(&message.header, clocks, now_ns)?;
+        let mut seen = vec![None; self.last.len()];
+        let mut foreign = 0;
+        for tag in &message.detections {
+            let number = u32::try_from(tag.id).ok();
+            let index = match &self.targets {
+                Targets::Corners(ours) => (number == Some(*ours)).then_some(0),
+                Targets::Centres(ours) => ours.iter().position(|ours| number == Some(*ours)),
+            };
+            let Some(index) = index else {
+                foreign += 1;
+                continue;
+            };
+            if seen[index].is_some() {
+                return Err(Refusal::TwiceTag(tag.id));
+            }
+            match &self.targets {
+                Targets::Centres(_) => seen[index] = Some(self.point(&tag.centre)?),
+                Targets::Corners(_) => {
+                    for (place, corner) in seen.iter_mut().zip(CORNERS) {
+                        *place = Some(self.point(&tag.corners[corner])?);
+                    }
+                }
+            }
+        }
+        let points: Option<Vec<_>> = (0..seen.len()).map(|k| seen[k].or(self.last[k])).collect();
+        let Some(points) = points else {
+            let missing = (0..seen.len()).find(|k| seen[*k].or(self.last[*k]).is_none());
+            return Err(Refusal::NeverSeen(match &self.targets {
+                Targets::Corners(number) => *number,
+                Targets::Centres(numbers) => numbers[missing.unwrap_or_default()],
+            }));
+        };
+        self.foreign += foreign;
+        self.order.after(data_ns)?;
+        self.last = points.iter().copied().map(Some).collect();
+        let mut features = Features::new(&points, data_ns);
+        for (bit, place) in seen.iter().enumerate() {
+            if place.is_none() {
+                features.visible &= !(1 << bit);
+            }
+        }
+        Ok(features)
+    }
+
+    /// Features of points in order.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn points(
+        &mut self,
+        message: &PolygonStamped,
+        clocks: &Clocks,
+        now_ns: u64,
+    ) -> Result<Features, Refusal> {
+        let data_ns = self.judge(&message.header, clocks, now_ns)?;
+        let points = &message.polygon.points;
+        let (found, allowed) = (points.len(), self.last.len());
+        if found != allowed {
+            return Err(Refusal::Points { found, allowed });
+        }
+        let mut pairs = Vec::with_capacity(found);
+        for point in points {
+            if point.z != 0.0 {
+                return Err(Refusal::Depth(point.z));
+            }
+            let [x, y] = [point.x, point.y].map(f64::from);
+            pairs.push(self.point(&ImagePoint { x, y })?);
+        }
+        self.order.after(data_ns)?;
+        Ok(Features::new(&pairs, data_ns))
+    }
+
+    /// The instant of a message of the right camera.
+    fn judge(&self, header: &Header, clocks: &Clocks, now_ns: u64) -> Result<u64, Refusal> {
+        check_frame(&header.frame_id, &self.frame)?;
+        self.camera.clone()?;
+        Ok(clocks.instant(&header.stamp, self.stamp_offset_ns, now_ns)?)
+    }
+
+    fn point(&self, point: &ImagePoint) -> Result<[f64; 2], Refusal> {
+        let pair = [point.x + self.shift_px, point.y + self.shift_px];
+        finite("a coordinate", &pair)?;
+        Ok(pair)
+    }
+}

@@ -1,0 +1,285 @@
+//! `vpc-ros2`: the gateway as a process.
+
+use std::collections::BTreeMap;
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use clap::CommandFactory;
+use ipc::{CycleRecord, Domain, Subscriber, now_ns};
+use ros2_client::Publisher;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tracing_subscriber::EnvFilter;
+use vpc_ros2::bridge::{Bridge, BridgeError, Event, Report};
+use vpc_ros2::config::{Arguments, Config, Reliability};
+use vpc_ros2::diagnostics;
+use vpc_ros2::message::DiagnosticArray;
+use vpc_ros2::overlay::Overlay;
+use vpc_ros2::ros::Ros;
+use vpc_ros2::services::{Desk, Services};
+use vpc_ros2::stamp;
+
+const ATTENTION: u8 = 1;
+const USAGE: u8 = 64;
+const UNAVAILABLE: u8 = 69;
+const SOFTWARE: u8 = 70;
+
+/// How often the log looks.
+const LOOK: Duration = Duration::from_millis(50);
+/// Between two looks for requests of services.
+const DESK: Duration = Duration::from_millis(2);
+/// Between two lines about the same thing.
+const SELDOM: Duration = Duration::from_secs(10);
+/// Between two diagnostics, and two drawings.
+const DIAGNOSTICS: Duration = Duration::from_secs(1);
+const DRAWING: Duration = Duration::from_millis(90);
+/// How long a preflight listens.
+const LISTEN: Duration = Duration::from_secs(3);
+
+fn main() -> ExitCode {
+    let matches = match Arguments::command().try_get_matches() {
+        Ok(matches) => matches,
+        Err(error) => {
+            // Help and version are not errors.
+            let code = if error.use_stderr() { USAGE } else { 0 };
+            let _ = error.print();
+            return ExitCode::from(code);
+        }
+    };
+    // What the DDS library has to tell is for its developers.
+    let words = "info,rustdds=off,ros2_client=off";
+    let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new(words));
+    let log = tracing_subscriber::fmt().with_env_filter(filter);
+    log.with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .init();
+    let config = match Config::load(&matches) {
+        Ok(config) => config,
+        Err(error) => {
+            eprintln!("vpc-ros2: {error}");
+            return ExitCode::from(error.exit_code());
+        }
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        // The second one ends the process where it is.
+        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
+        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
+        if let Err(error) = first {
+            eprintln!("vpc-ros2: signal {signal}: {error}");
+            return ExitCode::from(UNAVAILABLE);
+        }
+    }
+    let ended = match matches.get_flag("preflight") {
+        true => preflight(&config, &stop),
+        false => run(&config, &stop),
+    };
+    ended.unwrap_or_else(|error| {
+        eprintln!("vpc-ros2: {error}");
+        ExitCode::from(UNAVAILABLE)
+    })
+}
+
+fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
+    let mut ros = Ros::join(config)?;
+    let bridge = Bridge::open(config, &mut ros)?;
+    let services = Services::open(&mut ros)?;
+    let diagnostics = ros.publisher("/diagnostics", Reliability::Reliable, None)?;
+    let overlay = Overlay::open(&mut ros, &config.scene, &config.camera.frame)?;
+    let name = ros.name().to_owned();
+    tracing::info!(
+        "{name} in ROS domain {}, vpcd's domain {}",
+        config.ros_domain_id,
+        config.domain.display()
+    );
+    let domain = Domain::join(&config.domain)?;
+    let onlooker = Onlooker {
+        cycles: domain.subscriber(usize::MAX)?,
+        cycle: None,
+        diagnostics,
+        overlay,
+        name,
+        domain: config.domain.display().to_string(),
+        before: Report::default(),
+        told: Instant::now(),
+        drawn: Instant::now(),
+    };
+    let is_stopping = AtomicBool::new(false);
+    let is_over = AtomicBool::new(false);
+    let (sender, events) = mpsc::channel();
+    std::thread::scope(|scope| {
+        let (is_over, is_stopping) = (&is_over, &is_stopping);
+        let bridge = scope.spawn(move || {
+            // Events end with it, however it ends.
+            bridge.run(config, stop, is_stopping, &sender)
+        });
+        let desk = scope.spawn(move || serve(config, &services, is_stopping, is_over));
+        onlooker.watch(&events);
+        is_over.store(true, Ordering::Relaxed);
+        let ended = bridge.join();
+        if let Ok(Err(error)) = desk.join() {
+            tracing::error!("no services: {error}");
+        }
+        match ended {
+            Ok(result) => result.map(|()| ExitCode::SUCCESS),
+            Err(_) => {
+                eprintln!("vpc-ros2: a defect; robots stop by their own time-out");
+                Ok(ExitCode::from(SOFTWARE))
+            }
+        }
+    })
+}
+
+fn serve(
+    config: &Config,
+    services: &Services,
+    is_stopping: &AtomicBool,
+    is_over: &AtomicBool,
+) -> Result<(), BridgeError> {
+    let domain = Domain::join(&config.domain)?;
+    let mut desk = Desk::open(services, &domain, config.domain.clone(), is_stopping)?;
+    while !is_over.load(Ordering::Relaxed) {
+        desk.look();
+        std::thread::sleep(DESK);
+    }
+    Ok(())
+}
+
+/// What is told of: to the log, to /diagnostics, and over the image.
+struct Onlooker {
+    cycles: Subscriber<CycleRecord>,
+    /// vpcd's last, and when it came, ns.
+    cycle: Option<(CycleRecord, u64)>,
+    diagnostics: Publisher<DiagnosticArray>,
+    overlay: Overlay,
+    name: String,
+    domain: String,
+    /// The report of the last diagnostics.
+    before: Report,
+    told: Instant,
+    drawn: Instant,
+}
+
+impl Onlooker {
+    /// Until the loop ends.
+    fn watch(mut self, events: &Receiver<Event>) {
+        let mut log = Log::default();
+        let mut report = Report::default();
+        loop {
+            match events.recv_timeout(LOOK) {
+                Ok(Event::Report(newest)) => report = newest,
+                Ok(event) => log.tell(&event),
+                Err(RecvTimeoutError::Timeout) => (),
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            self.look(&report);
+        }
+        tracing::info!(
+            "stopped: {} twists sent, {} of them zeros of its own",
+            report.sent[0],
+            report.sent[1]
+        );
+    }
+
+    fn look(&mut self, report: &Report) {
+        // A record that breaks the contract is none.
+        if let Ok(Some(cycle)) = self.cycles.latest() {
+            self.cycle = Some((cycle.message, now_ns()));
+            if self.drawn.elapsed() >= DRAWING {
+                self.drawn = Instant::now();
+                let at = cycle.stamp.data_ns.saturating_sub(cycle.features_age_ns);
+                self.overlay.draw(&cycle, stamp::wall(at, report.offset_ns));
+            }
+        }
+        if self.told.elapsed() < DIAGNOSTICS {
+            return;
+        }
+        self.told = Instant::now();
+        let now = now_ns();
+        let cycle = self.cycle.as_ref().map(|(cycle, came)| (cycle, *came));
+        let stamp = stamp::wall(now, report.offset_ns);
+        let (name, domain, before) = (&self.name, &self.domain, &self.before);
+        let array = diagnostics::array(name, domain, cycle, report, before, now, stamp);
+        // Nobody waits for it.
+        let _ = self.diagnostics.publish(array);
+        self.before = report.clone();
+    }
+}
+
+/// What the program tells, each thing at most every few seconds.
+#[derive(Default)]
+struct Log(BTreeMap<(String, &'static str), Instant>);
+
+impl Log {
+    fn tell(&mut self, event: &Event) {
+        let about = match event {
+            Event::Refused(topic, refusal) => (topic.clone(), refusal.kind()),
+            Event::NoFrame => (String::new(), "frame"),
+            Event::NotSent(_) => (String::new(), "not sent"),
+            Event::Command(_) => (String::new(), "command"),
+            Event::Comes(topic) => return tracing::info!("{topic}: messages are coming"),
+            Event::Step(ns) => {
+                return tracing::warn!("the wall clock stepped by {:.1} ms", -1e-6 * *ns as f64);
+            }
+            Event::Report(_) => return,
+        };
+        let last = self.0.get(&about);
+        if last.is_some_and(|last| last.elapsed() < SELDOM) {
+            return;
+        }
+        self.0.insert(about, Instant::now());
+        match event {
+            Event::Refused(topic, refusal) => tracing::warn!("{topic}: refused: {refusal}"),
+            Event::NoFrame => tracing::warn!(
+                "zero is sent: the tool's pose is missing, by which twists are turned into the base's frame"
+            ),
+            Event::NotSent(why) => tracing::warn!("a twist could not be sent: {why}"),
+            Event::Command(invalid) => tracing::warn!("a command of vpcd is refused: {invalid}"),
+            _ => (),
+        }
+    }
+}
+
+/// Listens, and says what comes.
+fn preflight(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
+    let mut ros = Ros::join(config)?;
+    let bridge = Bridge::open(config, &mut ros)?;
+    let (sender, events) = mpsc::channel();
+    let report = std::thread::scope(|scope| {
+        let bridge = scope.spawn(|| bridge.listen(stop, &sender));
+        std::thread::sleep(LISTEN);
+        stop.store(true, Ordering::Relaxed);
+        bridge.join()
+    });
+    let Ok(report) = report else {
+        eprintln!("vpc-ros2: a defect");
+        return Ok(ExitCode::from(SOFTWARE));
+    };
+    let reasons: BTreeMap<String, String> = events
+        .try_iter()
+        .filter_map(|event| match event {
+            Event::Refused(topic, refusal) => Some((topic, refusal.to_string())),
+            _ => None,
+        })
+        .collect();
+    let mut is_good = true;
+    for (topic, counts) in &report?.topics {
+        let refused: u64 = counts.refused.values().sum();
+        let (word, words) = match (counts.taken, reasons.get(topic)) {
+            (0, None) => ("FAIL", "nothing came: name, ROS domain, interfaces, reliability?".to_owned()),
+            (0, Some(why)) => ("FAIL", format!("{refused} refused: {why}")),
+            (taken, None) => {
+                let age = 1e-6 * counts.age_ns as f64;
+                ("ok", format!("{taken} taken, the last {age:.1} ms old"))
+            }
+            (taken, Some(why)) => ("warn", format!("{taken} taken, {refused} refused: {why}")),
+        };
+        is_good &= word != "FAIL";
+        println!("{word:<5} {topic}: {words}");
+    }
+    Ok(ExitCode::from(if is_good { 0 } else { ATTENTION }))
+}
