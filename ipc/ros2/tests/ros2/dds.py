@@ -68,6 +68,16 @@ struct(
 struct("std_srvs", "Trigger_Request", client=t.uint64, number=t.int64, structure_needs_at_least_one_member=u8)
 struct("std_srvs", "Trigger_Response", client=t.uint64, number=t.int64, success=bool, message=str)
 
+
+
+class Garbage(IdlStruct, typename="apriltag_msgs.msg.dds_.AprilTagDetectionArray_"):
+    """Not what its name says: a frame_id and a sequence that claim to be 4 GB long."""
+
+    numbers: t.array[u32, 24]
+
+
+Garbage = dataclasses.dataclass(Garbage)
+
 CDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
 
@@ -129,6 +139,12 @@ class Graph:
             return AprilTagDetection("tag36h11", number, 0, 0.0, 60.0, ImagePoint(u, v), corners, [0.0] * 9)
 
         self.tags.write(AprilTagDetectionArray(header(head), [tag(*each) for each in tags]))
+
+    def raw(self):
+        writer = DataWriter(self.participant, Topic(self.participant, "rt/detections", Garbage), Qos(RELIABLE, CDR1))
+        for number in (0, 7, 2**31, 2**32 - 1):
+            time.sleep(0.3)
+            writer.write(Garbage([number] * 24))
 
     def ready(self, name):
         trigger = self.triggers[name]

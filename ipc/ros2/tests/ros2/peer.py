@@ -173,8 +173,13 @@ class Peer:
             speed = float(np.abs(self.twist).max())
             error = self.referee.error(self.world.camera.pixels())
             self.answer({**self.counts, "silent_s": heard, "speed": speed, "error_px": error, **self.graph.told()})
+        elif word == "flood":
+            for _ in range(5):
+                self.graph.send(rest)
+            self.tick()
+            self.answer({})
         elif word == "raw":
-            self.graph.raw(rest)
+            self.graph.raw()
             self.answer({})
         else:
             raise SystemExit(f"peer: {line}")

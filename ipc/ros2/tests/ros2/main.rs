@@ -1,0 +1,9 @@
+//! `vpc-ros2` beside DDS implementations and a client library that nobody here wrote, which play
+//! camera and robot.
+
+mod bench;
+mod dead_man;
+mod program;
+mod refusals;
+mod restarts;
+mod starts;

@@ -1,0 +1,105 @@
+//! Runs from starts of the paper's scene, judged by a referee of the peer's own.
+
+use rustix::process::Signal;
+use serde_json::{Value, json};
+use testkit::tell;
+
+use crate::bench::{Bench, Via};
+
+/// Drives from the first starts; what the peer was told in the end.
+fn arrive(bench: &mut Bench, starts: usize) -> Value {
+    let mut seconds = Vec::new();
+    for start in 0..starts {
+        let run = bench.peer.run(start);
+        assert_eq!(run["arrived"], json!(true), "start {start}: {run}");
+        seconds.push(run["seconds"].as_f64().unwrap());
+    }
+    let status = bench.peer.status();
+    let mean = seconds.iter().sum::<f64>() / seconds.len() as f64;
+    let via = bench.plan.via;
+    tell(format_args!(
+        "{via:?}: {starts} of {starts} starts arrive, after {mean:.2} s; twists {}, late {}",
+        status["twists"], status["late"]
+    ));
+    // Nothing came late or in a frame of which nobody spoke, and both kinds of receivers heard it.
+    assert_eq!(
+        (&status["late"], &status["wrong_frame"]),
+        (&json!(0), &json!(0))
+    );
+    let heard = |key: &str| status[key].as_u64().unwrap();
+    assert!(heard("twists") > 100 && heard("best_effort_twists") > 100);
+    let matched = status["matched"].as_object().unwrap();
+    assert!(matched.values().all(|is| *is == json!(true)), "{matched:?}");
+    status
+}
+
+/// What is told beside the motion, of a camera that is at the goal.
+fn check_told(bench: &mut Bench) {
+    let vpcd = bench.diagnosed("vpcd", |status| status["message"] == "arrived");
+    assert_eq!(vpcd["level"], json!(0));
+    let cycle: u64 = vpcd["values"]["cycle"].as_str().unwrap().parse().unwrap();
+    assert!(cycle > 100, "{vpcd}");
+    let gateway = bench.diagnosed("gateway", |status| status["level"] == json!(0));
+    assert_eq!(gateway["message"], "messages are coming");
+    assert_eq!(gateway["values"]["twists not sent"], "0");
+    let overlay = bench.peer.status()["overlay"].clone();
+    let points = |word: &str| {
+        let places = overlay[word].as_array().unwrap().iter();
+        let place = |p: &Value| [p[0].as_f64().unwrap(), p[1].as_f64().unwrap()];
+        places.map(place).collect::<Vec<_>>()
+    };
+    // The scene's goal, from the corner of the first pixel.
+    let goal = points("goal");
+    let (corner, opposite) = ([312.5, 312.5], [712.5, 712.5]);
+    assert_eq!((goal[0], goal[2]), (corner, opposite));
+    for (seen, goal) in points("seen").iter().zip(&goal) {
+        let error = (seen[0] - goal[0]).abs().max((seen[1] - goal[1]).abs());
+        assert!(error < 2.0, "{seen:?}, {goal:?}");
+    }
+    assert_eq!(points("seen").len(), 4);
+}
+
+#[test]
+fn twenty_starts_arrive_beside_cyclonedds_with_tags() {
+    let Some(mut bench) = Bench::new("twenty starts", Via::Dds, 141, false) else {
+        return;
+    };
+    arrive(&mut bench, 20);
+    check_told(&mut bench);
+    // Stopped, it says so, and moves no more.
+    let stopped = bench.peer.ask("call stop");
+    assert_eq!(
+        (&stopped["success"], &stopped["message"]),
+        (&json!(true), &json!("stopped"))
+    );
+    bench.diagnosed("vpcd", |status| status["message"] == "disarmed: operator");
+    let disarmed = bench.peer.ask("call disarm");
+    assert_eq!(disarmed["success"], json!(true), "{disarmed}");
+}
+
+#[test]
+fn starts_arrive_by_base_axes_and_the_pose_of_a_tool_that_is_not_the_camera() {
+    let Some(mut bench) = Bench::new("base axes", Via::Dds, 142, true) else {
+        return;
+    };
+    arrive(&mut bench, 5);
+}
+
+#[test]
+fn starts_arrive_beside_rclpy_and_fast_dds_with_a_polygon() {
+    let Some(mut bench) = Bench::new("rclpy", Via::Rcl, 143, false) else {
+        return;
+    };
+    let status = arrive(&mut bench, 5);
+    check_told(&mut bench);
+    // The graph of ROS 2 knows the node and who commands.
+    let names = |key: &str| status[key].as_array().unwrap().clone();
+    assert!(names("nodes").contains(&json!("/vpcd")), "{status}");
+    assert_eq!(names("commanders"), [json!("vpcd")]);
+    bench.gateway.signal(Signal::KILL);
+    bench.restart_gateway();
+    let run = bench.peer.run(6);
+    assert_eq!(run["arrived"], json!(true), "{run}");
+    let stopped = bench.peer.ask("call stop");
+    assert_eq!(stopped["message"], "stopped");
+}
