@@ -29,6 +29,7 @@ fn install(stage: &Stage) {
         "hw-sim.service",
         "vpc-panda.service",
         "vpc-camera.service",
+        "vpc-ros2.service",
     ] {
         stage.put(&files.join(name), &format!("units/{name}"));
     }

@@ -13,11 +13,12 @@ use crate::machine::{Machine, may_raise_limits};
 use crate::namespace::{is_nobody_elses, serves_the_emulator, starts_ready_and_confined};
 
 /// What the package installs into `/usr/bin`.
-const PROGRAMS: [&str; 6] = [
+const PROGRAMS: [&str; 7] = [
     "hw-sim",
     "vpc-camera",
     "vpc-memory",
     "vpc-panda",
+    "vpc-ros2",
     "vpcctl",
     "vpcd",
 ];
@@ -179,6 +180,7 @@ fn neither_enables_nor_starts_it(machine: &Machine) {
         ("hw-sim", "static"),
         ("vpc-panda", "static"),
         ("vpc-camera", "static"),
+        ("vpc-ros2", "static"),
     ];
     for (unit, enabled) in units {
         let said = machine.run(&format!("systemctl is-enabled {unit}")).1;
@@ -224,7 +226,7 @@ fn has_all_files_in_their_places(machine: &Machine, pages: &str) {
     }
     // The units name their documentation; the page is one; programs run and memories fit their
     // scenes.
-    for unit in ["vpcd", "hw-sim", "vpc-panda", "vpc-camera"] {
+    for unit in ["vpcd", "hw-sim", "vpc-panda", "vpc-camera", "vpc-ros2"] {
         let named = machine.must(&format!(
             "systemctl show {unit} --value --property=Documentation"
         ));

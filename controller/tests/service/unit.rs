@@ -49,6 +49,7 @@ fn systemd_finds_nothing_wrong_with_the_units() {
         "hw-sim.service",
         "vpc-panda.service",
         "vpc-camera.service",
+        "vpc-ros2.service",
     ] {
         // The others name the first.
         placed(&place, "vpcd.service", &installed("vpcd.service"));
@@ -74,6 +75,7 @@ fn the_units_are_as_exposed_as_they_must_be_and_no_more() {
         ("hw-sim", 7),
         ("vpc-panda", 15),
         ("vpc-camera", 10),
+        ("vpc-ros2", 15),
     ] {
         let name = &format!("{name}.service");
         let unit = placed(&place, name, &installed(name));
@@ -101,7 +103,7 @@ fn what_a_restart_does_not_mend_is_not_restarted() {
 
 #[test]
 fn all_units_share_user_and_directory_and_leave_it_to_each_other() {
-    let units = ["vpcd", "hw-sim", "vpc-panda", "vpc-camera"]
+    let units = ["vpcd", "hw-sim", "vpc-panda", "vpc-camera", "vpc-ros2"]
         .map(|name| installed(&format!("{name}.service")));
     for (directive, value) in [
         ("User", "vpcd"),

@@ -218,7 +218,11 @@ impl Bridge {
     ///
     /// # Errors
     /// None that is known: nothing is published.
-    pub fn listen(mut self, stop: &AtomicBool, tell: &Sender<Event>) -> Result<Report, BridgeError> {
+    pub fn listen(
+        mut self,
+        stop: &AtomicBool,
+        tell: &Sender<Event>,
+    ) -> Result<Report, BridgeError> {
         let mut ports = Ports {
             features: None,
             robot: None,
@@ -348,15 +352,13 @@ impl Camera {
 impl Robot {
     fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
         let keys = &config.robot;
-        // What reaches a receiver late is dropped there, not carried out in a burst.
-        let lifespan = Some(Duration::from_nanos(config.max_age_ns));
         let mut robot = Self {
             arm: Arm::new(config),
             outlet: Outlet::new(config.zeros_ns),
             twists: None,
             poses: None,
             joints: None,
-            command: ros.publisher(&keys.command, keys.command_reliability, lifespan)?,
+            command: ros.publisher(&keys.command, keys.command_reliability)?,
             frame: match keys.command_frame {
                 CommandFrame::Camera => config.camera.frame.clone(),
                 CommandFrame::Tool => keys.tool.clone(),

@@ -21,7 +21,9 @@ pub enum Misfit {
         "distortion {model} {d:?}, while the scene has a pinhole; give points of rectified images (image_rect), and rectified = true"
     )]
     Distorted { model: String, d: Vec<f64> },
-    #[error("it is skewed, or the second of a stereo pair: {matrix}[{index}] = {found}; allowed: 0")]
+    #[error(
+        "it is skewed, or the second of a stereo pair: {matrix}[{index}] = {found}; allowed: 0"
+    )]
     Skewed {
         matrix: char,
         index: usize,

@@ -338,11 +338,7 @@ impl Config {
     }
 }
 
-fn targets(
-    document: &Document,
-    keys: &CameraKeys,
-    points: usize,
-) -> Result<Targets, FileError> {
+fn targets(document: &Document, keys: &CameraKeys, points: usize) -> Result<Targets, FileError> {
     match keys.corners_of {
         Some(_) if keys.tags.is_some() => {
             let allowed = "tags or corners_of, not both";
@@ -383,10 +379,11 @@ fn check_topics(
         let allowed = format!("at most {MOST_JOINTS} different names");
         return Err(document.refuse("robot.joints", format!("{joints:?}"), allowed));
     }
-    let needs_pose = robot.executed == Executed::Pose
-        || has_robot && robot.command_frame == CommandFrame::Base;
+    let needs_pose =
+        robot.executed == Executed::Pose || has_robot && robot.command_frame == CommandFrame::Base;
     if needs_pose && robot.pose.is_empty() {
-        let allowed = "a topic: the pose is needed for executed = \"pose\" and command_frame = \"base\"";
+        let allowed =
+            "a topic: the pose is needed for executed = \"pose\" and command_frame = \"base\"";
         return Err(document.refuse("robot.pose", "", allowed));
     }
     for (key, topic, is_optional) in [
@@ -398,7 +395,8 @@ fn check_topics(
         ("robot.command", &robot.command, false),
     ] {
         if !(is_optional && topic.is_empty() || is_name(topic)) {
-            let allowed = "an absolute name: parts of letters, digits and single _, each behind a /";
+            let allowed =
+                "an absolute name: parts of letters, digits and single _, each behind a /";
             return Err(document.refuse(key, topic, allowed));
         }
     }

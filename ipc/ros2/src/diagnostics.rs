@@ -107,7 +107,10 @@ fn gateway(report: &Report, before: &Report, now_ns: u64) -> DiagnosticStatus {
         ("zeros of its own".to_owned(), report.sent[1].to_string()),
         ("twists not sent".to_owned(), report.not_sent.to_string()),
         ("foreign tags".to_owned(), report.foreign_tags.to_string()),
-        ("steps of the wall clock".to_owned(), report.steps.to_string()),
+        (
+            "steps of the wall clock".to_owned(),
+            report.steps.to_string(),
+        ),
     ]);
     DiagnosticStatus {
         level: if trouble.is_empty() { OK } else { WARN },

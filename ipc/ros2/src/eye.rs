@@ -65,7 +65,12 @@ impl Eye {
     pub fn info(&mut self, info: &CameraInfo) -> Result<(), Refusal> {
         self.camera = check_frame(&info.header.frame_id, &self.frame).and_then(|()| {
             let (camera, tolerance) = (&self.scene.camera, self.tolerance_px);
-            Ok(camera_info::check(info, camera, self.is_rectified, tolerance)?)
+            Ok(camera_info::check(
+                info,
+                camera,
+                self.is_rectified,
+                tolerance,
+            )?)
         });
         self.camera.clone()
     }

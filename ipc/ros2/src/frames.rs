@@ -145,10 +145,18 @@ mod tests {
             UnitQuaternion::from_scaled_axis(w * seconds) * start.rotation,
         );
         let camera = |tool: &Isometry3<f64>| tool * frames.tool_from_camera;
-        near(&velocity(&camera(&start), &camera(&end), seconds), &TWIST, 1e-5);
+        near(
+            &velocity(&camera(&start), &camera(&end), seconds),
+            &TWIST,
+            1e-5,
+        );
         // And so told by the tool's pose.
         let tool = velocity(&start, &end, seconds);
-        near(&frames.camera(&tool, CommandFrame::Tool, None).unwrap(), &TWIST, 1e-5);
+        near(
+            &frames.camera(&tool, CommandFrame::Tool, None).unwrap(),
+            &TWIST,
+            1e-5,
+        );
     }
 
     #[test]

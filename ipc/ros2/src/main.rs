@@ -88,7 +88,7 @@ fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
     let mut ros = Ros::join(config)?;
     let bridge = Bridge::open(config, &mut ros)?;
     let services = Services::open(&mut ros)?;
-    let diagnostics = ros.publisher("/diagnostics", Reliability::Reliable, None)?;
+    let diagnostics = ros.publisher("/diagnostics", Reliability::Reliable)?;
     let overlay = Overlay::open(&mut ros, &config.scene, &config.camera.frame)?;
     let name = ros.name().to_owned();
     tracing::info!(
@@ -270,7 +270,10 @@ fn preflight(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError
     for (topic, counts) in &report?.topics {
         let refused: u64 = counts.refused.values().sum();
         let (word, words) = match (counts.taken, reasons.get(topic)) {
-            (0, None) => ("FAIL", "nothing came: name, ROS domain, interfaces, reliability?".to_owned()),
+            (0, None) => (
+                "FAIL",
+                "nothing came: name, ROS domain, interfaces, reliability?".to_owned(),
+            ),
             (0, Some(why)) => ("FAIL", format!("{refused} refused: {why}")),
             (taken, None) => {
                 let age = 1e-6 * counts.age_ns as f64;

@@ -34,7 +34,7 @@ impl Overlay {
         let name = ros.name().to_owned();
         let mut open = |topic: &str| {
             let topic = format!("{name}/overlay/{topic}");
-            ros.publisher(&topic, Reliability::Reliable, None)
+            ros.publisher(&topic, Reliability::Reliable)
         };
         Ok(Self {
             publishers: [open("seen")?, open("goal")?, open("foreseen")?],
@@ -69,7 +69,9 @@ impl Overlay {
         [r, g, b]: [f32; 3],
         pairs: Vec<[f64; 2]>,
     ) -> ImageMarker {
-        let shifted = pairs.iter().filter(|pair| pair.iter().all(|x| x.is_finite()));
+        let shifted = pairs
+            .iter()
+            .filter(|pair| pair.iter().all(|x| x.is_finite()));
         let points = shifted.map(|[u, v]| Point {
             x: u + CORNER_PX,
             y: v + CORNER_PX,

@@ -31,7 +31,9 @@ pub enum Refusal {
     Joint(String),
     #[error("joint {0:?} is there twice")]
     TwiceJoint(String),
-    #[error("{names} names, {positions} positions, {velocities} velocities; allowed: as many of each")]
+    #[error(
+        "{names} names, {positions} positions, {velocities} velocities; allowed: as many of each"
+    )]
     Lengths {
         names: usize,
         positions: usize,
@@ -55,7 +57,8 @@ impl Refusal {
             Self::NeverSeen(_) => "incomplete",
             Self::Points { .. } | Self::Lengths { .. } => "wrong length",
             Self::NotFinite(_) | Self::Depth(_) => "bad number",
-            Self::NoInfo(_) | Self::Camera(_) => "other camera",
+            Self::NoInfo(_) => "no CameraInfo",
+            Self::Camera(_) => "other camera",
             Self::Joint(_) | Self::NoJoints(_) => "joints missing",
             Self::NoPose(_) => "pose missing",
             Self::Unreadable(_) => "unreadable",

@@ -1,12 +1,10 @@
 //! The node in the graph of ROS 2, and its quality of service.
 
-use std::time::Duration;
-
 use ros2_client::dds::rustdds::{DomainParticipantBuilder, Topic};
 use ros2_client::qos::{History, WhenFull};
 use ros2_client::{
-    Context, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile,
-    Server, ServiceMapping, ServiceTypeName, Subscription,
+    Context, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile, Server,
+    ServiceMapping, ServiceTypeName, Subscription,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -82,7 +80,7 @@ impl Ros {
         &self.name
     }
 
-    /// Offers a topic. With `lifespan`, receivers drop what reaches them later.
+    /// Offers a topic.
     ///
     /// # Errors
     /// [`RosError`].
@@ -90,9 +88,8 @@ impl Ros {
         &mut self,
         topic: &str,
         reliability: Reliability,
-        lifespan: Option<Duration>,
     ) -> Result<Publisher<M>, RosError> {
-        let qos = qos(reliability, 1).lifespan(lifespan);
+        let qos = qos(reliability, 1);
         let topic = self.topic::<M>(topic, &qos)?;
         let publisher = self.node.create_publisher(&topic, Some(qos));
         publisher.map_err(failed(M::TYPE))
@@ -127,11 +124,7 @@ impl Ros {
         server.map_err(failed(name))
     }
 
-    fn topic<M: Named>(
-        &self,
-        topic: &str,
-        qos: &QosProfile,
-    ) -> Result<Topic, RosError> {
+    fn topic<M: Named>(&self, topic: &str, qos: &QosProfile) -> Result<Topic, RosError> {
         let name = Name::parse(topic).map_err(failed(topic))?;
         let type_name = MessageTypeName::new(M::PACKAGE, M::TYPE);
         let made = self.node.create_topic(&name, type_name, qos);
@@ -159,4 +152,3 @@ pub fn take<M: DeserializeOwned + 'static>(
     let taken = taken.map_err(|why| Refusal::Unreadable(format!("{why:?}")))?;
     Ok(taken.map(|(message, _)| message))
 }
-

@@ -7,7 +7,7 @@ use crate::root;
 
 const HEAD: &str = "# Configuration
 
-Every key of the seven kinds of configuration files, generated from the code by `cargo xtask codegen`. Ranges include their ends. A file
+Every key of the eight kinds of configuration files, generated from the code by `cargo xtask codegen`. Ranges include their ends. A file
 with an unknown key is refused; an error names file or flag, key, value and what is allowed. `vpcd --print-config` prints what
 `vpcd` would run with.
 
@@ -57,6 +57,12 @@ pub fn make() -> anyhow::Result<String> {
             "`vpc-panda --config FILE`; [`vpc-panda.toml`](../ipc/panda/vpc-panda.toml) shows the defaults.",
             vpc_panda::config::schema(),
             shipped("ipc/panda/vpc-panda.toml")?,
+        ),
+        (
+            "vpc-ros2",
+            "`vpc-ros2 --config FILE`; [`vpc-ros2.toml`](../ipc/ros2/vpc-ros2.toml) shows the defaults.",
+            vpc_ros2::config::schema(),
+            shipped("ipc/ros2/vpc-ros2.toml")?,
         ),
         (
             "vpc-memory build",

@@ -64,6 +64,10 @@ const ARTEFACTS: &[Artefact] = &[
         make: |_| Ok(schema_file(vpc_panda::config::schema())),
     },
     Artefact {
+        path: "ipc/ros2/vpc-ros2.schema.json",
+        make: |_| Ok(schema_file(vpc_ros2::config::schema())),
+    },
+    Artefact {
         path: "memory-blob/builder/memory.schema.json",
         make: |_| Ok(schema_file(memory_builder::settings::schema())),
     },

@@ -156,6 +156,11 @@ class Graph:
     def reply(self, name):
         return self.triggers[name].reply()
 
+    def state(self):
+        """Of vpcd, as /diagnostics has it."""
+        self.told()
+        return self.last.get("/vpcd: vpcd", {}).get("message", "")
+
     def told(self):
         for value in values(self.diagnostics):
             for status in value.status:

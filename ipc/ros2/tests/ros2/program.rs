@@ -6,9 +6,12 @@ use testkit::{Place, Running, ended, program, root, scene_file};
 
 fn gateway(place: &Place, keys: &str) -> Command {
     let scene = scene_file();
-    let text = format!("scene = {scene:?}\nros_domain_id = 147\ninterfaces = [\"127.0.0.1\"]\n{keys}");
+    let text =
+        format!("scene = {scene:?}\nros_domain_id = 147\ninterfaces = [\"127.0.0.1\"]\n{keys}");
     let mut command = Command::new(program("vpc-ros2"));
-    command.arg("--config").arg(place.file("vpc-ros2.toml", text));
+    command
+        .arg("--config")
+        .arg(place.file("vpc-ros2.toml", text));
     command.arg("--domain").arg(place.domain());
     command
 }
@@ -17,7 +20,10 @@ fn gateway(place: &Place, keys: &str) -> Command {
 fn the_file_that_ships_shows_the_defaults_and_is_valid() {
     let file = root().join("ipc/ros2/vpc-ros2.toml");
     let mut command = Command::new(program("vpc-ros2"));
-    command.arg("--config").arg(file).args(["--preflight", "--ros-domain-id", "147"]);
+    command
+        .arg("--config")
+        .arg(file)
+        .args(["--preflight", "--ros-domain-id", "147"]);
     let ended = ended(command);
     assert_eq!(ended.code, Some(1), "{}", ended.stderr);
     for topic in ["/detections", "/camera/camera_info", "/vpcd/executed_twist"] {
@@ -30,11 +36,26 @@ fn the_file_that_ships_shows_the_defaults_and_is_valid() {
 fn keys_that_do_not_go_together_are_refused_with_what_is_allowed() {
     let place = Place::new();
     for (keys, words) in [
-        ("[camera]\ntags = [1, 2]", "camera.tags = [1, 2]; allowed: 4 different numbers"),
-        ("[camera]\ntopic = \"detections\"", "camera.topic = detections; allowed: an absolute name"),
-        ("[camera]\nfeatures = \"none\"\n[robot]\nexecuted = \"none\"", "unless the robot is played"),
-        ("[robot]\ncommand_frame = \"base\"", "robot.pose = ; allowed: a topic"),
-        ("[robot]\njoints = [\"a\", \"a\"]", "at most 7 different names"),
+        (
+            "[camera]\ntags = [1, 2]",
+            "camera.tags = [1, 2]; allowed: 4 different numbers",
+        ),
+        (
+            "[camera]\ntopic = \"detections\"",
+            "camera.topic = detections; allowed: an absolute name",
+        ),
+        (
+            "[camera]\nfeatures = \"none\"\n[robot]\nexecuted = \"none\"",
+            "unless the robot is played",
+        ),
+        (
+            "[robot]\ncommand_frame = \"base\"",
+            "robot.pose = ; allowed: a topic",
+        ),
+        (
+            "[robot]\njoints = [\"a\", \"a\"]",
+            "at most 7 different names",
+        ),
         ("[robot]\ntool = \"base_link\"", "three different names"),
         ("[robot]\nspeed = 1.0", "speed"),
         ("[camera]\nmax_age_ms = 1.0", "max_age_ms"),
@@ -60,7 +81,9 @@ fn a_second_camera_of_the_domain_is_refused() {
     let second = ended(gateway(&place, ""));
     assert_eq!(second.code, Some(69), "{}", second.stderr);
     assert!(
-        second.stderr.contains("vpc/features: another publisher is at work"),
+        second
+            .stderr
+            .contains("vpc/features: another publisher is at work"),
         "{}",
         second.stderr
     );

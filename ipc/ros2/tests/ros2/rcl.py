@@ -89,6 +89,10 @@ class Graph:
         call = self.calls[name]
         return (call.result().success, call.result().message) if call.done() else None
 
+    def state(self):
+        """Of vpcd, as /diagnostics has it."""
+        return self.last.get("/vpcd: vpcd", {}).get("message", "")
+
     def told(self):
         commands = self.node.get_publishers_info_by_topic("/servo_node/delta_twist_cmds")
         nodes = [f"{namespace.rstrip('/')}/{name}" for name, namespace in self.node.get_node_names_and_namespaces()]

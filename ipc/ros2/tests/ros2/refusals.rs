@@ -19,19 +19,78 @@ fn bad_messages_are_refused_and_named() {
     };
     bench.diagnosed("gateway", |status| status["level"] == json!(0));
     for (fault, topic, kind, words) in [
-        (json!({"camera_stamp_ms": -500}), TAGS, "stamp too old", "ms old; allowed: 200 ms"),
-        (json!({"camera_stamp_ms": 50}), TAGS, "stamp in the future", "synchronized"),
-        (json!({"robot_stamp_ms": -500}), TWIST, "stamp too old", "ms old; allowed: 200 ms"),
-        (json!({"camera": {"fx": 900.0}}), INFO, "other camera", "fx = 900.000; the scene has 800.000"),
-        (json!({"camera": {"width": 640}}), INFO, "other camera", "images of [640, 1024] px"),
-        (json!({"camera": {"fx": 900.0}}), TAGS, "other camera", "the camera is not the scene's"),
-        (json!({"camera_frame": "map"}), TAGS, "other frame_id", "\"map\"; allowed: camera_optical_frame"),
-        (json!({"robot_frame": "map"}), TWIST, "other frame_id", "camera_optical_frame, tool0 or base_link"),
-        (json!({"nan": 2}), TAGS, "bad number", "a coordinate is not finite"),
-        (json!({"twice": 1}), TAGS, "name twice", "tag 1 is there twice"),
-        (json!({"joint_names": ["a", "b", "c", "d"]}), JOINTS, "joints missing", "joint \"shoulder\" is not in it"),
-        (json!({"joint_names": ["shoulder"]}), JOINTS, "wrong length", "1 names, 4 positions"),
-        (json!({"joint_names": ["a", "b", "c", "d"]}), TWIST, "joints missing", "no fresh JointState on /joint_states"),
+        (
+            json!({"camera_stamp_ms": -500}),
+            TAGS,
+            "stamp too old",
+            "its stamp is 5",
+        ),
+        (
+            json!({"camera_stamp_ms": 50}),
+            TAGS,
+            "stamp in the future",
+            "its stamp is 4",
+        ),
+        (
+            json!({"robot_stamp_ms": -500}),
+            TWIST,
+            "stamp too old",
+            "its stamp is 5",
+        ),
+        (
+            json!({"camera": {"fx": 900.0}}),
+            INFO,
+            "other camera",
+            "the camera is not the scene's: fx = 900.000 px; the scene has 800.000",
+        ),
+        (
+            json!({"camera": {"width": 640}}),
+            TAGS,
+            "other camera",
+            "the camera is not the scene's: images of [640, 1024] px",
+        ),
+        (
+            json!({"camera_frame": "map"}),
+            TAGS,
+            "other frame_id",
+            "frame_id = \"map\"; allowed: camera_optical_frame",
+        ),
+        (
+            json!({"robot_frame": "map"}),
+            TWIST,
+            "other frame_id",
+            "frame_id = \"map\"; allowed: camera_optical_frame, tool0 or base_link",
+        ),
+        (
+            json!({"nan": 2}),
+            TAGS,
+            "bad number",
+            "a coordinate is not finite",
+        ),
+        (
+            json!({"twice": 1}),
+            TAGS,
+            "name twice",
+            "tag 1 is there twice",
+        ),
+        (
+            json!({"joint_names": ["a", "b", "c", "d"]}),
+            JOINTS,
+            "joints missing",
+            "joint \"shoulder\" is not in it",
+        ),
+        (
+            json!({"joint_names": ["shoulder"]}),
+            JOINTS,
+            "wrong length",
+            "1 names, 4 positions",
+        ),
+        (
+            json!({"joint_names": ["a", "b", "c", "d"]}),
+            TWIST,
+            "joints missing",
+            "no fresh JointState on /joint_states",
+        ),
     ] {
         bench.peer.ask(&format!("fault {fault}"));
         let key = format!("{topic}, refused: {kind}");
@@ -40,8 +99,7 @@ fn bad_messages_are_refused_and_named() {
         });
         let message = status["message"].as_str().unwrap();
         assert!(message.contains(topic), "{fault}: {message}");
-        let line = bench.gateway.line(words);
-        assert!(line.contains(&format!("{topic}: refused: ")), "{fault}: {line}");
+        let line = bench.gateway.line(&format!("{topic}: refused: {words}"));
         tell(line.trim_start_matches(|c: char| c != '/'));
         bench.peer.ask("fault {}");
         bench.diagnosed("gateway", |status| status["level"] == json!(0));
@@ -55,9 +113,15 @@ fn bad_messages_are_refused_and_named() {
     bench.peer.ask("fault {}");
     bench.peer.arm();
     bench.peer.ask(r#"fault {"hidden": 2}"#);
+    let hidden = [
+        "braking: hidden point",
+        "holding: hidden point",
+        "disarmed: features lost",
+    ];
     bench.diagnosed("vpcd", |status| {
-        status["message"].as_str().is_some_and(|words| words.ends_with("hidden point"))
+        hidden.iter().any(|words| status["message"] == *words)
     });
+    bench.diagnosed("gateway", |status| status["level"] == json!(0));
 
     // Bytes that are no message: the program lives, and works on.
     bench.peer.ask("fault {}");
