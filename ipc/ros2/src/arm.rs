@@ -216,3 +216,115 @@ impl Arm {
         Ok(state)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::of_keys;
+    use crate::message::{Header, Point, Pose, Quaternion, Twist};
+    use crate::stamp::wall;
+
+    const NOW: u64 = 10_000_000_000;
+    const MS: u64 = 1_000_000;
+
+    fn header(frame: &str, at_ns: u64) -> Header {
+        Header {
+            stamp: wall(at_ns, 0),
+            frame_id: frame.to_owned(),
+        }
+    }
+
+    fn clocks() -> Clocks {
+        Clocks::new(0, 200 * MS)
+    }
+
+    fn pose(arm: &mut Arm, at_ns: u64, x: f64) -> Result<Option<RobotState>, Refusal> {
+        let (y, z, w) = (0.2, 0.3, 1.0);
+        let message = PoseStamped {
+            header: header("base_link", at_ns),
+            pose: Pose {
+                position: Point { x, y, z },
+                orientation: Quaternion {
+                    w,
+                    ..Quaternion::default()
+                },
+            },
+        };
+        arm.pose(&message, &clocks(), at_ns, Command::InForce)
+    }
+
+    #[test]
+    fn the_change_of_the_pose_over_a_window_is_the_twist_and_a_pause_begins_anew() {
+        let keys = "[robot]\nexecuted = \"pose\"\npose = \"/pose\"";
+        let mut arm = Arm::new(&of_keys(keys));
+        let mut told = Vec::new();
+        for k in 0..20 {
+            told.extend(pose(&mut arm, NOW + 2 * MS * k, 1e-4 * k as f64).unwrap());
+        }
+        // From the eleventh on, 2 ms apart: 0.1 mm each.
+        assert_eq!(told.len(), 10);
+        for state in &told {
+            assert!((state.twist[0] - 0.05).abs() < 1e-9, "{:?}", state.twist);
+            assert!(state.twist[1..].iter().all(|v| v.abs() < 1e-9));
+        }
+        assert_eq!(told[0].stamp.data_ns, NOW + 10 * MS);
+        assert_eq!(told[0].mode(), Some(RobotMode::Moving));
+        let again = pose(&mut arm, NOW + 38 * MS, 0.0).unwrap_err();
+        assert_eq!(again.kind(), "out of order");
+        assert_eq!(pose(&mut arm, NOW + 400 * MS, 0.5), Ok(None));
+    }
+
+    #[test]
+    fn a_twist_along_base_axes_needs_a_fresh_pose() {
+        let mut arm = Arm::new(&of_keys("[robot]\npose = \"/pose\""));
+        let twist = |arm: &mut Arm, frame: &str, at_ns| {
+            let message = TwistStamped {
+                header: header(frame, at_ns),
+                twist: Twist::from_array([0.1, 0.0, 0.0, 0.0, 0.0, 0.2]),
+            };
+            arm.twist(&message, &clocks(), at_ns, Command::Stale)
+        };
+        let missing = twist(&mut arm, "base_link", NOW).unwrap_err();
+        assert_eq!(missing.kind(), "pose missing");
+        pose(&mut arm, NOW, 0.0).unwrap();
+        let state = twist(&mut arm, "base_link", NOW + 100 * MS).unwrap();
+        assert_eq!(state.twist, [0.1, 0.0, 0.0, 0.0, 0.0, 0.2]);
+        assert_eq!(state.mode(), Some(RobotMode::Stale));
+        assert!(twist(&mut arm, "base_link", NOW + 201 * MS).is_err());
+        let other = twist(&mut arm, "world", NOW + 202 * MS).unwrap_err();
+        assert_eq!(other.kind(), "other frame_id");
+        // Without joints in the configuration none are told.
+        assert_eq!(state.joints, 0);
+    }
+
+    #[test]
+    fn joints_are_told_by_name() {
+        let mut arm = Arm::new(&of_keys("[robot]\njoints = [\"b\", \"a\"]"));
+        let message = JointState {
+            header: header("", NOW),
+            name: ["a", "finger", "b"].map(str::to_owned).into(),
+            position: vec![1.0, 9.0, 2.0],
+            velocity: vec![0.1, 0.9, 0.2],
+            effort: vec![],
+        };
+        arm.joints(&message, &clocks(), NOW).unwrap();
+        let state = arm.state([0.0; 6], NOW, Command::None, NOW).unwrap();
+        assert_eq!(
+            (state.joints, &state.q[..2], &state.dq[..2]),
+            (2, &[2.0, 1.0][..], &[0.2, 0.1][..])
+        );
+        let late = arm.state([0.0; 6], NOW, Command::None, NOW + 201 * MS);
+        assert_eq!(late.unwrap_err().kind(), "joints missing");
+        let refused = |change: fn(&mut JointState)| {
+            let mut message = message.clone();
+            change(&mut message);
+            let refusal = arm.clone().joints(&message, &clocks(), NOW);
+            refusal.unwrap_err().kind()
+        };
+        assert_eq!(refused(|m| m.name[2] = "a".to_owned()), "joints missing");
+        assert_eq!(refused(|m| m.name[1] = "a".to_owned()), "name twice");
+        assert_eq!(refused(|m| m.position[0] = f64::NAN), "bad number");
+        assert_eq!(refused(|m| m.velocity.truncate(1)), "wrong length");
+        assert_eq!(refused(|_| ()), "out of order");
+    }
+}

@@ -423,3 +423,15 @@ fn is_name(topic: &str) -> bool {
 pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Keys>()
 }
+
+/// A configuration of `paper-sim` with these keys behind the scene's.
+#[cfg(all(test, feature = "dds"))]
+pub(crate) fn of_keys(keys: &str) -> Config {
+    let scene = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../scene/scenes/paper-sim.toml"
+    );
+    let text = format!("scene = {scene:?}\n{keys}");
+    let document = Document::parse(&text, "test.toml").unwrap();
+    Config::of(&document, document.check().unwrap()).unwrap()
+}

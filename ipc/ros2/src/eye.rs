@@ -182,3 +182,135 @@ impl Eye {
         Ok(pair)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::of_keys;
+    use crate::message::{AprilTagDetection, Point32, Polygon};
+    use crate::stamp::wall;
+
+    const NOW: u64 = 10_000_000_000;
+    const OFFSET: i64 = -1_700_000_000_000_000_000;
+
+    fn header(at_ns: u64) -> Header {
+        Header {
+            stamp: wall(at_ns, OFFSET),
+            frame_id: "camera_optical_frame".to_owned(),
+        }
+    }
+
+    fn clocks() -> Clocks {
+        Clocks::new(OFFSET, 200_000_000)
+    }
+
+    /// An eye that needs no CameraInfo.
+    fn eye(keys: &str) -> Eye {
+        Eye::new(&of_keys(&format!("[camera]\ninfo = \"\"\n{keys}")))
+    }
+
+    fn tag(id: i32) -> AprilTagDetection {
+        let at = |x: f64, y: f64| ImagePoint {
+            x: 100.5 + 10.0 * f64::from(id) + x,
+            y: 200.5 + y,
+        };
+        AprilTagDetection {
+            id,
+            centre: at(0.0, 0.0),
+            // As the library has them: lower left first, against the clock.
+            corners: [at(-5.0, 5.0), at(5.0, 5.0), at(5.0, -5.0), at(-5.0, -5.0)],
+            ..AprilTagDetection::default()
+        }
+    }
+
+    fn see(eye: &mut Eye, at_ns: u64, ids: &[i32]) -> Result<Features, Refusal> {
+        let message = AprilTagDetectionArray {
+            header: header(at_ns),
+            detections: ids.iter().copied().map(tag).collect(),
+        };
+        eye.tags(&message, &clocks(), NOW)
+    }
+
+    #[test]
+    fn centres_are_in_the_patterns_order_from_the_centre_of_the_first_pixel() {
+        let mut eye = eye("tags = [3, 0, 1, 2]");
+        let features = see(&mut eye, NOW - 1000, &[0, 1, 17, 2, 3]).unwrap();
+        let seen: Vec<_> = features.pairs().map(|[u, _]| u).collect();
+        assert_eq!(seen, [130.0, 100.0, 110.0, 120.0]);
+        assert!(features.pairs().all(|[_, v]| v == 200.0));
+        assert_eq!((features.stamp.data_ns, eye.foreign), (NOW - 1000, 1));
+    }
+
+    #[test]
+    fn the_corners_of_a_tag_are_upper_left_upper_right_lower_right_lower_left() {
+        let mut eye = eye("corners_of = 2");
+        let features = see(&mut eye, NOW - 1000, &[1, 2]).unwrap();
+        let corners = [
+            [115.0, 195.0],
+            [125.0, 195.0],
+            [125.0, 205.0],
+            [115.0, 205.0],
+        ];
+        assert!(features.pairs().eq(corners));
+    }
+
+    #[test]
+    fn a_tag_out_of_sight_is_where_it_was_and_not_visible() {
+        let mut eye = eye("");
+        let never = see(&mut eye, NOW - 3000, &[0, 1, 2]);
+        assert_eq!(never, Err(Refusal::NeverSeen(3)));
+        let all = see(&mut eye, NOW - 2000, &[0, 1, 2, 3]).unwrap();
+        let some = see(&mut eye, NOW - 1000, &[0, 2]).unwrap();
+        assert_eq!((all.visible, some.visible), (0b1111, 0b0101));
+        assert_eq!(all.points, some.points);
+        // What is refused changes nothing.
+        assert_eq!(see(&mut eye, NOW, &[2, 2]), Err(Refusal::TwiceTag(2)));
+        let again = see(&mut eye, NOW - 1000, &[0, 1, 2, 3]).unwrap_err();
+        assert_eq!(again.kind(), "out of order");
+    }
+
+    #[test]
+    fn without_the_scenes_camera_nothing_is_seen() {
+        let mut eye = Eye::new(&of_keys(""));
+        let refused = see(&mut eye, NOW, &[0, 1, 2, 3]).unwrap_err();
+        assert_eq!(refused.kind(), "no CameraInfo");
+        let mut info = CameraInfo {
+            header: header(NOW),
+            width: 1024,
+            height: 1024,
+            p: [
+                800.0, 0.0, 512.0, 0.0, 0.0, 800.0, 512.0, 0.0, 0.0, 0.0, 1.0, 0.0,
+            ],
+            ..CameraInfo::default()
+        };
+        assert_eq!(eye.info(&info), Ok(()));
+        assert!(see(&mut eye, NOW - 1, &[0, 1, 2, 3]).is_ok());
+        info.p[0] = 600.0;
+        assert!(eye.info(&info).is_err());
+        let refused = see(&mut eye, NOW, &[0, 1, 2, 3]).unwrap_err();
+        assert_eq!(refused.kind(), "other camera");
+    }
+
+    #[test]
+    fn points_are_counted_flat_and_finite() {
+        let point = |x: f32| Point32 { x, y: 7.0, z: 0.0 };
+        let see = |points: Vec<Point32>| {
+            let header = header(NOW);
+            let polygon = Polygon { points };
+            let message = PolygonStamped { header, polygon };
+            eye("features = \"points\"").points(&message, &clocks(), NOW)
+        };
+        let features = see((1..=4).map(|x| point(x as f32)).collect()).unwrap();
+        assert!(features.pairs().eq((1..=4).map(|x| [f64::from(x), 7.0])));
+        let (found, allowed) = (3, 4);
+        assert_eq!(
+            see(vec![point(1.0); 3]),
+            Err(Refusal::Points { found, allowed })
+        );
+        let mut points = vec![point(1.0); 4];
+        points[2].x = f32::INFINITY;
+        assert_eq!(see(points.clone()), Err(Refusal::NotFinite("a coordinate")));
+        points[1].z = 0.5;
+        assert_eq!(see(points), Err(Refusal::Depth(0.5)));
+    }
+}
