@@ -12,6 +12,8 @@ use toml_schema::{Document, FileError};
 
 /// Most joints that vpc/robot has room for.
 const MOST_JOINTS: usize = 7;
+/// What is allowed as a name in the graph of ROS.
+const NAME: &str = "an absolute name: parts of letters, digits and single _, each behind a /";
 
 /// Connects ROS 2 with vpcd: tags, joints and velocities in, velocities and diagnostics out.
 ///
@@ -52,11 +54,12 @@ pub struct Keys {
     pub ros_domain_id: u16,
     /// Addresses of the network interfaces to use, such as 127.0.0.1; none: all.
     #[arg(long, value_delimiter = ',')]
+    #[schemars(extend("x-allowed" = "addresses of this machine"))]
     pub interfaces: Vec<String>,
     /// Name of the node, under which its services and overlays are: /vpcd/arm.
     #[arg(long, default_value = "/vpcd")]
     #[default = "/vpcd"]
-    #[schemars(regex(pattern = r"^(/[A-Za-z_][A-Za-z0-9_]*)+$"))]
+    #[schemars(extend("x-allowed" = "an absolute name"))]
     pub node: String,
     /// How requests of services are numbered, which differs by the middleware of ROS.
     #[arg(long, value_enum, default_value_t)]
@@ -103,11 +106,11 @@ pub struct CameraKeys {
     #[schemars(length(min = 1))]
     pub frame: String,
     /// Numbers of the tags whose centres are the points of the pattern, in its order.
-    #[schemars(length(max = 8), extend("x-default" = "0, 1, ..."))]
+    #[schemars(length(max = 8), inner(range(max = 65535)), extend("x-default" = "0, 1, ..."))]
     pub tags: Option<Vec<u32>>,
     /// Number of the one tag whose corners are the four points of the pattern: upper left, upper
     /// right, lower right, lower left.
-    #[schemars(extend("x-default" = "centres of tags"))]
+    #[schemars(range(max = 65535), extend("x-default" = "centres of tags"))]
     pub corners_of: Option<u32>,
     /// Where the sender has the centre of the upper left pixel; the scene has it at (0, 0).
     #[schemars(range(min = 0, max = 0.5), extend("x-unit" = "px", "x-default" = "0.5 for tags, as the AprilTag library has it; 0 for points"))]
@@ -136,7 +139,7 @@ pub struct RobotKeys {
     #[default = "/joint_states"]
     pub joint_states: String,
     /// Names of the joints that are told in vpc/robot, base first; none: JointState is not read.
-    #[schemars(length(max = 7))]
+    #[schemars(length(max = 7), extend("x-allowed" = "at most 7 names"))]
     pub joints: Vec<String>,
     /// geometry_msgs/TwistStamped that vpcd commands; as MoveIt Servo subscribes to it.
     #[default = "/servo_node/delta_twist_cmds"]
@@ -299,6 +302,9 @@ impl Config {
         };
         let interfaces = keys.interfaces.iter().map(address);
         let interfaces = interfaces.collect::<Result<_, _>>()?;
+        if !is_name(&keys.node) {
+            return Err(document.refuse("node", &keys.node, NAME));
+        }
         let (namespace, name) = keys.node.rsplit_once('/').unwrap_or_default();
         let namespace = if namespace.is_empty() { "/" } else { namespace };
         let scene = Scene::read(&keys.scene.unwrap_or_default())?;
@@ -395,9 +401,7 @@ fn check_topics(
         ("robot.command", &robot.command, false),
     ] {
         if !(is_optional && topic.is_empty() || is_name(topic)) {
-            let allowed =
-                "an absolute name: parts of letters, digits and single _, each behind a /";
-            return Err(document.refuse(key, topic, allowed));
+            return Err(document.refuse(key, topic, NAME));
         }
     }
     let names = [&camera.frame, &robot.tool, &robot.base];

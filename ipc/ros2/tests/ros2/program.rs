@@ -57,6 +57,7 @@ fn keys_that_do_not_go_together_are_refused_with_what_is_allowed() {
             "at most 7 different names",
         ),
         ("[robot]\ntool = \"base_link\"", "three different names"),
+        ("node = \"vpcd\"", "node = vpcd; allowed: an absolute name"),
         ("[robot]\nspeed = 1.0", "speed"),
         ("[camera]\nmax_age_ms = 1.0", "max_age_ms"),
     ] {
