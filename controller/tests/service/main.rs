@@ -2,6 +2,7 @@
 //! systemd in a namespace. This executable does not link iceoryx2: it meets the daemon as a
 //! process.
 
+mod arms;
 mod fixture;
 mod instance;
 mod machine;

@@ -9,9 +9,10 @@ use rustix::process::Signal;
 
 use crate::fixture::{Frozen, eventually, not_run, root, spin, thread};
 use crate::machine::{Machine, Stage, may_raise_limits, status};
+use crate::unit::units;
 
 /// The files of the package where it would install them.
-fn install(stage: &Stage) {
+pub fn install(stage: &Stage) {
     let files = root().join("controller/systemd");
     let vpcd = Path::new(env!("CARGO_BIN_EXE_vpcd"));
     stage.put(vpcd, "usr/bin/vpcd");
@@ -24,14 +25,8 @@ fn install(stage: &Stage) {
     for name in ["vpcd.toml", "hw-sim.toml"] {
         stage.put(&files.join(name), &format!("etc/vpcd/{name}"));
     }
-    for name in [
-        "vpcd.service",
-        "hw-sim.service",
-        "vpc-panda.service",
-        "vpc-camera.service",
-        "vpc-ros2.service",
-    ] {
-        stage.put(&files.join(name), &format!("units/{name}"));
+    for name in units() {
+        stage.put(&files.join(&name), &format!("units/{name}"));
     }
     stage.put(&files.join("vpcd.sysusers"), "usr/lib/sysusers.d/vpcd.conf");
     stage.put(&files.join("vpcd.tmpfile"), "usr/lib/tmpfiles.d/vpcd.conf");

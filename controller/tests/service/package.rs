@@ -8,6 +8,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
+use crate::arms::configure;
 use crate::fixture::{Place, are_installed, eventually, not_run, root};
 use crate::machine::{Machine, may_raise_limits};
 use crate::namespace::{is_nobody_elses, serves_the_emulator, starts_ready_and_confined};
@@ -138,7 +139,8 @@ fn a_debian_installs_starts_upgrades_removes_and_purges_it() {
     answers_its_user_alone(&machine);
     serves_the_emulator(&machine);
     an_upgrade_keeps_configuration_and_motion(&machine);
-    a_removal_stops_both_and_keeps_the_configuration(&machine);
+    an_arm_of_several_has_its_own_service(&machine);
+    a_removal_stops_all_and_keeps_the_configuration(&machine);
     a_later_installation_finds_things_as_they_were(&machine);
     a_purge_leaves_nothing_but_the_user(&machine);
 }
@@ -321,12 +323,20 @@ fn starts_to_move(machine: &Machine) {
     });
 }
 
-fn a_removal_stops_both_and_keeps_the_configuration(machine: &Machine) {
+fn an_arm_of_several_has_its_own_service(machine: &Machine) {
+    configure(machine, "left");
+    machine.must("systemctl start vpcd@left");
+    machine.must(&format!(
+        "{AS_USER} vpcctl --domain /run/vpcd-left status --watch 0.2; test $? = 5"
+    ));
+}
+
+fn a_removal_stops_all_and_keeps_the_configuration(machine: &Machine) {
     starts_to_move(machine);
     machine.must("dpkg --remove vpcd");
     assert_eq!(state(machine), "deinstall ok config-files");
-    let (_, active) = machine.run("systemctl is-active vpcd hw-sim");
-    assert_eq!(active, "inactive\ninactive");
+    let (_, active) = machine.run("systemctl is-active vpcd hw-sim vpcd@left");
+    assert_eq!(active, "inactive\ninactive\ninactive");
     let log = machine.must("journalctl --no-pager --output=cat --unit=vpcd");
     let last = log.lines().rfind(|line| line.starts_with("vpcd.service: "));
     let last = last.unwrap();
@@ -365,7 +375,7 @@ fn a_purge_leaves_nothing_but_the_user(machine: &Machine) {
     machine.must("dpkg --purge vpcd");
     let (is_known, _) = machine.run("dpkg-query --show vpcd");
     assert!(!is_known, "dpkg still knows it");
-    let more = "/etc/vpcd /usr/share/vpcd /usr/share/doc/vpcd /run/vpcd /var/log/vpcd /dev/shm/vpc_left \
+    let more = "/etc/vpcd /usr/share/vpcd /usr/share/doc/vpcd /run/vpcd* /var/log/vpcd /dev/shm/vpc_left \
                 /etc/systemd/system/*/vpcd.* /etc/systemd/system/vpcd.* \
                 /var/lib/systemd/deb-systemd-helper-*/*vpcd*";
     for path in files.lines().chain(more.split_whitespace()) {

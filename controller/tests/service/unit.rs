@@ -12,6 +12,15 @@ fn installed(name: &str) -> String {
     std::fs::read_to_string(path).unwrap()
 }
 
+/// The names of all units, templates too.
+pub fn units() -> Vec<String> {
+    let entries = std::fs::read_dir(root().join("controller/systemd")).unwrap();
+    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let units: Vec<_> = names.filter(|name| name.ends_with(".service")).collect();
+    assert!(units.len() >= 8, "{units:?}");
+    units
+}
+
 /// Values of a directive.
 fn values<'a>(unit: &'a str, directive: &str) -> Vec<&'a str> {
     let lines = unit.lines().filter_map(|line| line.split_once('='));
@@ -44,16 +53,13 @@ fn analyze(arguments: &[&str], unit: &Path) -> Option<(bool, String)> {
 #[test]
 fn systemd_finds_nothing_wrong_with_the_units() {
     let place = Place::new();
-    for name in [
-        "vpcd.service",
-        "hw-sim.service",
-        "vpc-panda.service",
-        "vpc-camera.service",
-        "vpc-ros2.service",
-    ] {
-        // The others name the first.
-        placed(&place, "vpcd.service", &installed("vpcd.service"));
-        let unit = placed(&place, name, &installed(name));
+    for name in units() {
+        // The others name these.
+        for daemon in ["vpcd.service", "vpcd@.service"] {
+            placed(&place, daemon, &installed(daemon));
+        }
+        let instance = name.replace('@', "@left");
+        let unit = placed(&place, &instance, &installed(&name));
         let Some((is_right, text)) = analyze(&["verify", "--man=no"], &unit) else {
             return;
         };
@@ -143,7 +149,7 @@ fn the_default_configuration_runs_as_installed_and_fits_the_unit() {
         String::from_utf8_lossy(&output.stderr)
     );
     assert!(
-        said.contains("strategy gpr") && said.contains("domain /run/vpcd"),
+        said.contains("strategy foresight") && said.contains("domain /run/vpcd"),
         "{said}"
     );
     // The priority is permitted.

@@ -2,22 +2,20 @@
 //! effector.
 
 use panda::ik::joint_velocities;
-use panda::limits::JointBounds;
 use panda::{
-    Chain, Command, Echo, JOINTS, Motion, Mount, Shaper, ShaperError, ShaperSettings, State, Twist,
-    singularity,
+    Chain, Command, Echo, Motion, Mount, Reserve, Shaper, ShaperError, ShaperSettings, State,
+    Twist, singularity,
 };
 use scene::Limits;
 
 use crate::standing::Standing;
 
-/// Greatest share of a joint's speed limit, as `vpc-panda.toml` has it: near the end of the arm's
-/// reach a little motion of the camera takes much of the joints'.
-const JOINT_SPEED: f64 = 0.3;
-/// Distance that joints keep from the ends of their ranges, rad, with room for what the robot does
-/// with its elbow, and the deceleration with which they near it, rad/s^2.
-const JOINT_MARGIN: f64 = 0.15;
-const NEARING: f64 = 0.5;
+/// As `vpc-panda.toml` has it, with a wider margin for what the robot does with its elbow. Near the end of
+/// the arm's reach a little motion of the camera takes much of the joints' speed.
+const RESERVE: Reserve = Reserve {
+    margin: 0.15,
+    speed: 0.3,
+};
 
 /// Turns camera twists into robot commands. It knows the calibration that a real bridge would be
 /// given, not the truth.
@@ -106,22 +104,7 @@ fn joint_share(
     let chain = Chain::new(state.f_t_ee);
     let dq = joint_velocities(&chain, &state.q_d, twist);
     let clear = singularity::share(&chain, limits, shaper, &state.q_d, &dq);
-    let share = |k: usize| {
-        let JointBounds {
-            lower,
-            upper,
-            velocity,
-            ..
-        } = limits.joints[k];
-        let room = match dq[k] > 0.0 {
-            true => upper - state.q_d[k],
-            false => state.q_d[k] - lower,
-        };
-        let stopping = (2.0 * NEARING * (room - JOINT_MARGIN).max(0.0)).sqrt();
-        let allowed = stopping.min(JOINT_SPEED * velocity);
-        (allowed / dq[k].abs()).min(1.0)
-    };
-    (0..JOINTS).map(share).fold(clear, f64::min)
+    clear.min(RESERVE.share(limits, &state.q_d, &dq))
 }
 
 /// Whether commands are shaped for the robot.

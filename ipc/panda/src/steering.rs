@@ -9,8 +9,9 @@ use nalgebra::Vector3;
 use panda::ik::{VelocityIk, joint_velocities};
 use panda::limits::{BRAKING, Exceeded, PERIOD, Setpoint};
 use panda::ramp::Ramp;
+use panda::reserve::{nearing, part};
 use panda::{
-    Chain, Echo, JOINTS, Joints, Limits, Model, Mount, Pose, Shaper, ShaperSettings, Twist,
+    Chain, Echo, Joints, Limits, Model, Mount, Pose, Reserve, Shaper, ShaperSettings, Twist,
     singularity,
 };
 
@@ -19,8 +20,6 @@ use crate::config::{Bounds, Interface};
 /// Deceleration, m/s^2, with which the end effector nears a wall of its workspace: a fifth of the
 /// shaper's.
 const NEARING: f64 = 0.1;
-/// The same of a joint that nears the margin of its range, rad/s^2.
-const NEARING_JOINT: f64 = 0.5;
 /// Share of the joints' bounds on acceleration and jerk that their ramps take.
 const JOINT_SHARE: f64 = 0.8;
 /// Share of the present motion below which a wall is too near for it. On the way to a wall the
@@ -200,25 +199,16 @@ impl Steering {
         let chain = Chain::new(measured.flange_from_ee);
         let dq = joint_velocities(&chain, q, wanted);
         let clear = singularity::share(&chain, self.limits, self.shaper.settings(), q, &dq);
-        let joints = self.joint_room(&dq, q).min(clear);
+        let joints = self.reserve().share(self.limits, q, &dq).min(clear);
         self.limited.by_joint = joints < 1.0;
         share.min(joints)
     }
 
-    /// How much of these joint velocities the margins and `joint_speed` allow, 0 to 1.
-    fn joint_room(&self, dq: &Joints, q: &Joints) -> f64 {
-        let margin = self.bounds.joint_margin;
-        let share = |k: usize| {
-            let bound = &self.limits.joints[k];
-            let (least, most) = bound.velocities(q[k]);
-            let (room, fastest) = match dq[k] > 0.0 {
-                true => (bound.upper - margin - q[k], most),
-                false => (q[k] - bound.lower - margin, -least),
-            };
-            let allowed = nearing(room, NEARING_JOINT).min(self.bounds.joint_speed * fastest);
-            part(dq[k], allowed)
-        };
-        (0..JOINTS).map(share).fold(1.0, f64::min)
+    fn reserve(&self) -> Reserve {
+        Reserve {
+            margin: self.bounds.joint_margin,
+            speed: self.bounds.joint_speed,
+        }
     }
 
     /// How much of this motion the workspace allows, 0 to 1.
@@ -246,7 +236,7 @@ impl Steering {
         let is_standing = twist.amax() < AT_REST;
         let wanted = self.ik.follow(desired, &twist, !is_standing);
         // With the elbow's part.
-        let wanted = wanted * self.joint_room(&wanted, &desired.q);
+        let wanted = wanted * self.reserve().share(self.limits, &desired.q, &wanted);
         let towards = |target: &Joints| {
             Joints::from_fn(|k, _| {
                 let bound = &self.limits.joints[k];
@@ -279,19 +269,6 @@ impl Steering {
 }
 
 const _: () = assert!(JOINT_SHARE < BRAKING);
-
-/// The greatest speed from which `room` is enough to come to rest.
-fn nearing(room: f64, deceleration: f64) -> f64 {
-    (2.0 * deceleration * room.max(0.0)).sqrt()
-}
-
-/// The part of this speed that is allowed, 0 to 1.
-fn part(speed: f64, allowed: f64) -> f64 {
-    match speed.abs() > allowed {
-        true => allowed / speed.abs(),
-        false => 1.0,
-    }
-}
 
 /// Why the bridge does not begin a motion.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -343,8 +320,7 @@ fn check(bounds: &Bounds, limits: &Limits, measured: &Measured) -> Result<(), St
             });
         }
     }
-    for k in 0..JOINTS {
-        let bound = &limits.joints[k];
+    for (k, bound) in limits.joints.iter().enumerate() {
         let margin = bounds.joint_margin;
         let (lower, upper) = (bound.lower + margin, bound.upper - margin);
         let value = measured.desired.q[k];

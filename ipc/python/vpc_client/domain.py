@@ -83,7 +83,7 @@ class Domain:
         """Opens a publisher of a service; raises Taken where it has all it takes, even if they are stopped."""
         return self._port(service, lambda: Publisher(service, *self._publishing(service)))
 
-    def subscribe(self, service: str, buffer: int | None = None) -> Subscriber:
+    def subscribe(self, service: str, buffer: int | None = None) -> Subscriber[Any]:
         """Opens a subscriber that keeps the newest `buffer` messages [as many as the service allows]."""
         return self._port(service, lambda: Subscriber(service, self._subscribing(service, buffer)))
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import iceoryx2 as iox2
 
 from .errors import BadArgument, BadMessage
 from .messages import SERVICES, Encoding, ImageHeader
 from .ports import Port, PublishingPort, Sent, check, now_ns, unsigned
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 SERVICE = "vpc/image"
 # Bytes of a pixel, by its encoding.
@@ -49,7 +53,7 @@ class _Pixels:
     def __len__(self) -> int:
         return len(self._bytes)
 
-    def _array(self, view: memoryview) -> Any:
+    def _array(self, view: memoryview) -> npt.NDArray[np.uint8]:
         import numpy as np
 
         header, pixel = self.header, BYTES_PER_PIXEL[Encoding(self.header.encoding)]
@@ -69,7 +73,7 @@ class Image(_Pixels):
         return memoryview(self._bytes).cast("B").toreadonly()
 
     @property
-    def array(self) -> Any:
+    def array(self) -> npt.NDArray[np.uint8]:
         """The image as a read-only array without a copy: (height, width) in mono8, (height, width, 3) in bgr8 and rgb8,
         (height, width, 2) in yuyv."""
         return self._array(self.data)
@@ -83,7 +87,7 @@ class LoanedImage(_Pixels):
         self._sample: Any = sample
 
     @property
-    def array(self) -> Any:
+    def array(self) -> npt.NDArray[np.uint8]:
         """The image to be filled in, shaped as `Image.array`. Do not write to it after the image is sent."""
         return self._array(memoryview(self._bytes).cast("B"))
 
@@ -130,7 +134,7 @@ class ImagePublisher(PublishingPort):
 
     def publish(
         self,
-        pixels: Any,
+        pixels: npt.NDArray[np.uint8],
         encoding: Encoding | None = None,
         data_ns: int = 0,
         exposure_begin_ns: int = 0,

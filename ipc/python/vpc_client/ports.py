@@ -10,7 +10,7 @@ import time
 import weakref
 from collections.abc import Iterable, Iterator
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast
 
 from .errors import BadArgument, BadMessage, NoAnswer, Refused
 from .messages import (
@@ -71,6 +71,7 @@ class Sent(NamedTuple):
 
 
 S = TypeVar("S", bound="_Closes")
+M = TypeVar("M")
 
 
 class _Closes:
@@ -170,23 +171,23 @@ class Publisher(PublishingPort):
         return Sent(stamped.stamp.sequence, stamped.stamp.published_ns)
 
 
-class Subscriber(Port):
+class Subscriber(Port, Generic[M]):
     """Receives the messages of one service."""
 
-    def receive(self) -> Any:
+    def receive(self) -> M | None:
         """The oldest message that waits, as a copy; None where there is none.
 
         Raises BadMessage where it breaks the contract; the next one may be good."""
         sample = self._port.receive()
         if sample is None:
             return None
-        message = SERVICES[self.service].message.from_buffer_copy(sample.payload().contents)
+        message: Any = SERVICES[self.service].message.from_buffer_copy(sample.payload().contents)
         # Back to shared memory: one sample may be borrowed at a time.
         del sample
         check(self.service, message)
-        return message
+        return cast("M", message)
 
-    def latest(self) -> Any:
+    def latest(self) -> M | None:
         """The newest message since the last call, None where there is none; those before it are thrown away."""
         newest = None
         for _ in range(SERVICES[self.service].buffer + 1):
@@ -198,7 +199,7 @@ class Subscriber(Port):
 
     def messages(
         self, seconds: float | None = None, count: int | None = None, poll_s: float = SLOW_POLL_S
-    ) -> Iterator[Any]:
+    ) -> Iterator[M]:
         """Every message as it comes, for so many seconds or messages [for ever]."""
         end = math.inf if seconds is None else time.monotonic() + seconds
         left = math.inf if count is None else count
@@ -212,14 +213,14 @@ class Subscriber(Port):
             else:
                 time.sleep(poll_s)
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[M]:
         return self.messages()
 
 
 class CameraPorts(_Closes):
     """Publishes features, receives twists."""
 
-    def __init__(self, twist: Subscriber, features: Publisher) -> None:
+    def __init__(self, twist: Subscriber[TwistCommand], features: Publisher) -> None:
         self.twist, self.features = twist, features
 
     def __repr__(self) -> str:
@@ -266,7 +267,7 @@ class CameraPorts(_Closes):
             command = self.twist.receive()
             if command is not None:
                 if (command.features_sequence, command.features_published_ns) == sent:
-                    return command  # type: ignore[no-any-return]
+                    return command
                 continue
             if time.monotonic() > end:
                 raise NoAnswer(
@@ -282,7 +283,7 @@ class OperatorPorts(_Closes):
     """Asks the controller. Each method returns the Reply, and raises Refused or NoAnswer; where no controller is in the
     domain, at once."""
 
-    def __init__(self, replies: Subscriber, requests: Publisher, domain: Domain) -> None:
+    def __init__(self, replies: Subscriber[Reply], requests: Publisher, domain: Domain) -> None:
         self.replies, self.requests, self._domain = replies, requests, domain
 
     def __repr__(self) -> str:
@@ -339,7 +340,7 @@ class OperatorPorts(_Closes):
             reply = self.replies.receive()
             if reply is not None:
                 if reply.id == message.id:
-                    return reply  # type: ignore[no-any-return]
+                    return reply
                 continue
             self.requests.refresh()
             time.sleep(SLOW_POLL_S)

@@ -3,6 +3,7 @@
 //! - [`Place`]: a temporary directory with a domain in it.
 //! - [`program`], [`Running`], [`ended`]: programs of this workspace as processes.
 //! - [`eventually`]: waits for a condition.
+//! - [`c`]: programs in C.
 //! - [`python`]: virtual environments for tests in Python.
 //! - [`not_run`]: what a test calls if the machine lacks something.
 //!
@@ -12,6 +13,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod c;
 mod place;
 mod process;
 mod program;

@@ -41,7 +41,7 @@ impl Environment {
             "ipc/python/requirements-logger.txt",
             "ipc/python/requirements-parquet.txt",
         ],
-        packages: &["setuptools>=71", "pillow"],
+        packages: &["hatchling>=1.25", "mypy>=2,<3", "pillow"],
     };
 
     /// The interpreter. `None`, after [`not_run`], where the machine has no Python 3.11 or no

@@ -5,6 +5,7 @@
 mod bridge;
 mod cameras;
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::mem::offset_of;
 use std::path::{Path, PathBuf};
@@ -536,42 +537,61 @@ fn the_referee_measures(python: &Path) {
     assert_eq!(said.lines().collect::<Vec<_>>(), expected);
 }
 
-/// The package installs from a copy of the tree, and works away from it.
+/// Every file below a directory.
+fn files(directory: &Path) -> BTreeSet<PathBuf> {
+    let entries = std::fs::read_dir(directory).unwrap();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    paths
+        .flat_map(|path| match path.is_dir() {
+            true => files(&path),
+            false => BTreeSet::from([path]),
+        })
+        .filter(|path| !path.iter().any(|name| name == "__pycache__"))
+        .collect()
+}
+
+/// The package makes a wheel without a trace in the tree. A user's program passes `mypy --strict`
+/// against what is installed, and runs away from the tree.
 fn the_package_installs(python: &Path) {
-    let place = tempfile::tempdir().unwrap();
-    let copy = place.path().join("copy");
-    std::fs::create_dir_all(copy.join("vpc_client")).unwrap();
-    let from = sources("python");
-    for name in ["pyproject.toml", "README.md"] {
-        std::fs::copy(from.join(name), copy.join(name)).unwrap();
-    }
-    for entry in std::fs::read_dir(from.join("vpc_client")).unwrap() {
-        let entry = entry.unwrap();
-        if entry.file_type().unwrap().is_file() {
-            let to = copy.join("vpc_client").join(entry.file_name());
-            std::fs::copy(entry.path(), to).unwrap();
-        }
-    }
-    let installed = place.path().join("installed");
-    let mut pip = Command::new(python);
-    pip.args(["-m", "pip", "install", "--quiet", "--no-deps", "--target"]);
-    pip.arg(&installed).arg("--no-build-isolation").arg(&copy);
-    run(pip.arg("--disable-pip-version-check")).unwrap();
-    let mut use_it = Command::new(python);
-    use_it
-        .env("PYTHONPATH", &installed)
-        .current_dir(place.path());
-    use_it.args([
-        "-c",
-        "import vpc_client as v, importlib.metadata as m; \
-                        print(v.__file__, m.requires('vpc-client')[0], len(v.SERVICES))",
-    ]);
-    let said = run(&mut use_it).unwrap();
-    let end = format!("iceoryx2==0.9.3 {}", ipc::SERVICES.len());
-    assert!(
-        said.starts_with(installed.to_str().unwrap()) && said.trim().ends_with(&end),
-        "{said}"
-    );
+    let place = Place::new();
+    let (tree, installed) = (sources("python"), place.path("installed"));
+    let in_python = |arguments: &[&str]| {
+        let mut command = Command::new(python);
+        command.args(arguments).env("PYTHONPATH", &installed);
+        command.env("MYPYPATH", &installed);
+        command.env("PYTHONDONTWRITEBYTECODE", "1");
+        command.current_dir(place.path("."));
+        command
+    };
+    let before = files(&tree);
+    let mut pip = in_python(&["-m", "pip", "install", "--quiet", "--no-deps"]);
+    pip.args(["--no-build-isolation", "--disable-pip-version-check"]);
+    run(pip.arg("--target").arg(&installed).arg(&tree)).unwrap();
+    assert_eq!(files(&tree), before, "left in the tree");
+
+    let mut requires = in_python(&["-c"]);
+    requires.arg("import importlib.metadata as m; print(m.requires('vpc-client')[0])");
+    assert_eq!(run(&mut requires).unwrap().trim(), "iceoryx2==0.9.3");
+
+    let consumer = sources("tests/python/consumer.py");
+    let mypy = || {
+        let mut mypy = in_python(&["-m", "mypy", "--strict", "--cache-dir=mypy"]);
+        mypy.arg("--config-file").arg(tree.join("pyproject.toml"));
+        mypy
+    };
+    let mut both = mypy();
+    both.arg(&consumer).arg(installed.join("vpc_client"));
+    let checked = Ended::from(both.output().unwrap());
+    assert_eq!(checked.code, Some(0), "{checked:?}");
+    // It does check: bytes are no pixels.
+    let wrong = std::fs::read_to_string(&consumer).unwrap();
+    let wrong = wrong.replace("images.publish(frame(7))", "images.publish(b\"7\")");
+    let checked = Ended::from(mypy().arg(place.file("wrong.py", wrong)).output().unwrap());
+    assert!(checked.stdout.contains("[arg-type]"), "{checked:?}");
+
+    let mut use_it = in_python(&[]);
+    let said = run(use_it.arg(&consumer).arg(place.domain())).unwrap();
+    assert!(said.starts_with(installed.to_str().unwrap()), "{said}");
 }
 
 #[test]

@@ -127,18 +127,9 @@ fn the_camera_in_c_arrives() {
         return;
     }
     let library = program("libvpcclient.so");
-    let libraries = library.parent().unwrap();
     let place = Place::new();
-    let camera = place.path("camera");
-    let mut cc = Command::new("cc");
-    cc.args(["-std=c11", "-I"])
-        .arg(root().join("ipc/c/include"));
-    cc.arg(root().join("ipc/c/examples/camera.c"))
-        .arg("-o")
-        .arg(&camera);
-    cc.arg("-L").arg(libraries).args(["-lvpcclient", "-lm"]);
-    cc.arg(format!("-Wl,-rpath,{}", libraries.display()));
-    assert!(cc.status().unwrap().success());
+    let source = root().join("ipc/c/examples/camera.c");
+    let camera = testkit::c::compiled(&place, &source, &library);
     let daemon = daemon(&place, "gpr");
     let starts = read_starts(&starts_file()).unwrap();
     let first = &starts[0];

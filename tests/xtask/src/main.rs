@@ -7,6 +7,7 @@ mod configuration;
 mod contract;
 mod doc;
 mod python;
+mod units;
 
 use std::path::{Path, PathBuf};
 
@@ -70,6 +71,26 @@ const ARTEFACTS: &[Artefact] = &[
     Artefact {
         path: "memory-blob/builder/memory.schema.json",
         make: |_| Ok(schema_file(memory_builder::settings::schema())),
+    },
+    Artefact {
+        path: "controller/systemd/vpcd@.service",
+        make: |_| units::template("vpcd"),
+    },
+    Artefact {
+        path: "controller/systemd/hw-sim@.service",
+        make: |_| units::template("hw-sim"),
+    },
+    Artefact {
+        path: "controller/systemd/vpc-camera@.service",
+        make: |_| units::template("vpc-camera"),
+    },
+    Artefact {
+        path: "controller/systemd/vpc-panda@.service",
+        make: |_| units::template("vpc-panda"),
+    },
+    Artefact {
+        path: "controller/systemd/vpc-ros2@.service",
+        make: |_| units::template("vpc-ros2"),
     },
 ];
 

@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 use std::mem::offset_of;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use ipc::{
@@ -17,23 +17,18 @@ use vpcclient::camera::Sent;
 /// Steps in which the camera is driven to its goal.
 const STEPS: u32 = 30;
 
-/// Compiles a source as the README says; warnings are errors. With `VPC_LONG=1` it runs under
+/// The shared library, beside this executable.
+pub fn library() -> PathBuf {
+    let tests = std::env::current_exe().unwrap();
+    tests.with_file_name("libvpcclient.so")
+}
+
+/// Compiles a source; warnings are errors. With `VPC_LONG=1` it runs under
 /// valgrind, which checks each access to memory, those of the library too.
 fn compiled(place: &Place, source: &Path) -> Command {
-    let program = place.path("program");
-    // The shared library is beside this executable.
-    let tests = std::env::current_exe().unwrap();
-    let libraries = tests.parent().unwrap();
-    let library = libraries.join("libvpcclient.so");
+    let library = library();
     assert!(library.exists(), "{} is missing", library.display());
-    let mut cc = Command::new("cc");
-    cc.args(["-std=c11", "-pedantic", "-Wall", "-Wextra", "-Werror", "-I"]);
-    cc.arg(testkit::root().join("ipc/c/include"));
-    cc.arg(source).arg("-o").arg(&program);
-    cc.arg("-L").arg(libraries).arg("-lvpcclient").arg("-lm");
-    cc.arg(format!("-Wl,-rpath,{}", libraries.display()));
-    let status = cc.status().unwrap();
-    assert!(status.success(), "{} does not compile", source.display());
+    let program = testkit::c::compiled(place, source, &library);
     let is_checked =
         testkit::is_long() && testkit::are_installed("C programs under valgrind", &["valgrind"]);
     let mut command = match is_checked {
@@ -163,40 +158,44 @@ fn a_camera_in_c_closes_the_loop() {
         ),
     ] {
         let place = Place::new();
-        let domain = Domain::join(&place.domain()).unwrap();
-        let mut controller = ControllerPorts::open(&domain).unwrap();
-        let mut command = example(&place, "camera.c");
-        command
-            .arg((STEPS + 1).to_string())
-            .args(start.map(|x| x.to_string()));
-        let mut camera = Running::start(command);
-        let mut answered = 0;
-        eventually("the end of the camera", || {
-            if let Some(features) = controller.features.latest().unwrap() {
-                // An answer to something else first: the camera must pass over it.
-                let other = Stamp {
-                    published_ns: features.stamp.published_ns - 1,
-                    ..features.stamp
-                };
-                let wrong = TwistCommand::answer_to(&other, [9.0; 6], TwistState::Holding);
-                controller.twist.publish(&wrong).unwrap();
-                let answer = TwistCommand::answer(&features, twist, TwistState::Moving);
-                controller.twist.publish(&answer).unwrap();
-                answered += 1;
-            }
-            (!camera.is_running()).then_some(())
-        });
-        let Ended {
-            code, stdout: text, ..
-        } = camera.ended();
-        let arrived = text.strip_prefix(&format!("{answered} steps, final error "));
-        let arrived = arrived.unwrap_or_else(|| panic!("{answered} answers: {text}"));
-        let error: f64 = arrived.split(' ').next().unwrap().parse().unwrap();
-        // It stops where it is within 2 px, which is at most two steps early.
-        assert!(code == Some(0) && error <= 2.0, "{text}");
-        assert!((STEPS - 2..=STEPS).contains(&answered), "{text}");
-        assert!(text.trim().ends_with("controller moving"), "{text}");
+        closes_the_loop(&place, example(&place, "camera.c"), start, twist);
     }
+}
+
+/// `camera.c` starts `start` away from its goal, which a constant twist reaches in [`STEPS`].
+pub fn closes_the_loop(place: &Place, mut camera: Command, start: [f64; 6], twist: [f64; 6]) {
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut controller = ControllerPorts::open(&domain).unwrap();
+    camera
+        .arg((STEPS + 1).to_string())
+        .args(start.map(|x| x.to_string()));
+    let mut camera = Running::start(camera);
+    let mut answered = 0;
+    eventually("the end of the camera", || {
+        if let Some(features) = controller.features.latest().unwrap() {
+            // An answer to something else first: the camera must pass over it.
+            let other = Stamp {
+                published_ns: features.stamp.published_ns - 1,
+                ..features.stamp
+            };
+            let wrong = TwistCommand::answer_to(&other, [9.0; 6], TwistState::Holding);
+            controller.twist.publish(&wrong).unwrap();
+            let answer = TwistCommand::answer(&features, twist, TwistState::Moving);
+            controller.twist.publish(&answer).unwrap();
+            answered += 1;
+        }
+        (!camera.is_running()).then_some(())
+    });
+    let Ended {
+        code, stdout: text, ..
+    } = camera.ended();
+    let arrived = text.strip_prefix(&format!("{answered} steps, final error "));
+    let arrived = arrived.unwrap_or_else(|| panic!("{answered} answers: {text}"));
+    let error: f64 = arrived.split(' ').next().unwrap().parse().unwrap();
+    // It stops where it is within 2 px, which is at most two steps early.
+    assert!(code == Some(0) && error <= 2.0, "{text}");
+    assert!((STEPS - 2..=STEPS).contains(&answered), "{text}");
+    assert!(text.trim().ends_with("controller moving"), "{text}");
 }
 
 #[test]

@@ -4,6 +4,7 @@ mod browser;
 mod check_bridge;
 mod doctor;
 mod metrics;
+mod monitoring;
 mod recordings;
 mod recover;
 mod requests;

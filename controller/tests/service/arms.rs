@@ -1,0 +1,104 @@
+//! Several arms on one machine: an instance of each unit for each, under a real systemd (root only).
+
+use crate::fixture::{eventually, not_run, root};
+use crate::machine::Machine;
+use crate::namespace::install;
+
+const ARMS: [&str; 3] = ["left", "middle", "right"];
+
+/// Configures an arm as `controller/systemd/README.md` has it.
+pub fn configure(machine: &Machine, arm: &str) {
+    let readme = root().join("controller/systemd/README.md");
+    let readme = std::fs::read_to_string(readme).unwrap();
+    let (_, section) = readme.split_once("## Several arms").unwrap();
+    let (_, block) = section.split_once("```sh\n").unwrap();
+    let (lines, _) = block.split_once("sudo systemctl start").unwrap();
+    assert!(lines.lines().count() == 2, "{lines}");
+    machine.must(&lines.replace("sudo ", "").replace("left", arm));
+}
+
+fn control(machine: &Machine, arm: &str, command: &str) -> (bool, String) {
+    machine.run(&format!(
+        "runuser -u vpcd -- vpcctl --domain /run/vpcd-{arm} {command}"
+    ))
+}
+
+fn verdict(machine: &Machine, arm: &str) -> Option<bool> {
+    let log = machine.must(&format!(
+        "journalctl --no-pager --output=cat --unit=hw-sim@{arm}"
+    ));
+    let line = log.lines().rfind(|line| line.contains(r#""verdict":"#))?;
+    Some(line.contains(r#""verdict":"arrived""#))
+}
+
+#[test]
+fn three_arms_work_at_once_and_a_stop_or_a_crash_of_one_is_its_own() {
+    let Some(machine) = Machine::boot("three arms", install) else {
+        return;
+    };
+    if !machine
+        .run("test -x /usr/bin/hw-sim -a -x /usr/bin/vpcctl")
+        .0
+    {
+        return not_run(
+            "three arms",
+            "hw-sim and vpcctl are not built (cargo build)",
+        );
+    }
+    machine.must("systemd-sysusers vpcd.conf && systemd-tmpfiles --create vpcd.conf");
+    // Each begins elsewhere.
+    for (arm, start) in ARMS.iter().zip([0, 3, 7]) {
+        configure(&machine, arm);
+        let file = format!("/etc/vpcd/{arm}/hw-sim.toml");
+        machine.must(&format!("sed -i 's/^start = .*/start = {start}/' {file}"));
+    }
+    let all = |unit: &str| ARMS.map(|arm| format!("{unit}@{arm}")).join(" ");
+    machine.must(&format!("systemctl start {}", all("vpcd")));
+    for arm in ARMS {
+        let found = machine.must(&format!(
+            "stat -c '%a %U' /run/vpcd-{arm} /var/log/vpcd/{arm}"
+        ));
+        assert_eq!(found, "700 vpcd\n700 vpcd");
+    }
+
+    // All move at the same time, and arrive.
+    machine.must(&format!("systemctl start {}", all("hw-sim")));
+    for arm in ARMS {
+        eventually("arming", || control(&machine, arm, "arm").0.then_some(()));
+    }
+    for arm in ARMS {
+        let is_arrived = eventually("a verdict", || verdict(&machine, arm));
+        assert!(is_arrived, "{arm}");
+    }
+
+    // Both start again and move; one of them is stopped, the third one's daemon is killed.
+    machine.must("systemctl start hw-sim@left hw-sim@middle");
+    for arm in ["left", "middle"] {
+        eventually("arming", || control(&machine, arm, "arm").0.then_some(()));
+    }
+    let (is_stopped, said) = control(&machine, "left", "stop");
+    assert!(is_stopped, "{said}");
+    machine.must("systemctl kill --signal=KILL vpcd@right");
+    let show = |arm: &str, property: &str| {
+        machine.must(&format!(
+            "systemctl show vpcd@{arm} --value --property={property}"
+        ))
+    };
+    eventually("a restart", || {
+        (show("right", "NRestarts") == "1" && show("right", "ActiveState") == "active")
+            .then_some(())
+    });
+    // The middle one arrives as if nothing had been.
+    eventually("the end of its run", || {
+        let state = machine.run("systemctl is-active hw-sim@middle").1;
+        (state == "inactive").then_some(())
+    });
+    assert_eq!(verdict(&machine, "middle"), Some(true));
+    assert_eq!(show("left", "NRestarts"), "0");
+    assert_eq!(show("middle", "NRestarts"), "0");
+    let (_, said) = control(&machine, "left", "status --watch 0.1");
+    assert!(said.contains("disarmed"), "{said}");
+
+    machine.must(&format!("systemctl stop {} {}", all("hw-sim"), all("vpcd")));
+    assert_eq!(machine.run("ls /dev/shm").1, "", "shared memory is left");
+}
