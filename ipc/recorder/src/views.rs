@@ -9,7 +9,7 @@ use ipc::{
     TwistState,
 };
 use nalgebra::Isometry3;
-use recording::{Recorded, WriteError};
+use recording::{Recorded, Sink, WriteError};
 
 use crate::annotation::{BLUE, CLEAR, GREY, RED, circle, lines, text};
 use crate::scenery::CAMERA;
@@ -22,7 +22,7 @@ const OBJECT: &str = "object";
 pub trait Viewed: Recorded {
     /// Writes the views of it.
     #[doc(hidden)]
-    fn view(&self, _to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, _to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         Ok(())
     }
 }
@@ -32,7 +32,7 @@ impl Viewed for TwistCommand {}
 impl Viewed for Snapshot {}
 
 impl Viewed for Features {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         const TOPIC: &str = "/camera/features";
         if !to.is_due(TOPIC, self.stamp.published_ns) {
             return Ok(());
@@ -52,7 +52,7 @@ impl Viewed for Features {
 }
 
 impl Viewed for RobotState {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         if !to.is_due("/tf", self.stamp.published_ns) {
             return Ok(());
         }
@@ -76,7 +76,7 @@ impl Viewed for RobotState {
 }
 
 impl Viewed for CycleRecord {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         const TOPIC: &str = "/camera/way_point";
         let published_ns = self.stamp.published_ns;
         if to.is_due(TOPIC, published_ns) {
@@ -111,7 +111,7 @@ impl Viewed for CycleRecord {
 }
 
 impl Viewed for Request {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         let action = self.action().map(|action| action.to_string());
         let text = format!(
             "request {:016x}: {}",
@@ -123,7 +123,7 @@ impl Viewed for Request {
 }
 
 impl Viewed for Reply {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         let outcome = self.outcome().map(|outcome| outcome.to_string());
         let text = format!(
             "reply to {:016x}: {}",
