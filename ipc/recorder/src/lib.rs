@@ -18,6 +18,7 @@ mod report;
 mod scenery;
 mod view_writer;
 mod views;
+mod world;
 
 pub use ledger::{Account, Ledger, Notice};
 pub use plot::{PlotError, plot};

@@ -202,7 +202,9 @@ fn raw(image: &Image) -> RawImage {
         width: header.width,
         height: header.height,
         // The contract has the same names.
-        encoding: header.encoding().map_or_else(String::new, |encoding| encoding.to_string()),
+        encoding: header
+            .encoding()
+            .map_or_else(String::new, |encoding| encoding.to_string()),
         step: header.stride,
         data: image.to_vec().into(),
         ..RawImage::default()
@@ -248,7 +250,8 @@ impl Sink for Channels {
                 .schema(Schema::new(schema.0, schema.1, schema.2))
                 .build_raw();
             // Fails only without an encoding.
-            self.open.extend(channel.ok().map(|channel| (topic, channel)));
+            self.open
+                .extend(channel.ok().map(|channel| (topic, channel)));
         }
         if let Some(channel) = self.open.get(topic).filter(|channel| channel.has_sinks()) {
             channel.log_with_meta(&data(), PartialMetadata::with_log_time(wall_ns));

@@ -2,6 +2,7 @@
 //! Foxglove draws.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use foxglove::messages::log::Level;
 use ipc::Order;
@@ -12,6 +13,7 @@ use crate::ledger::{Ledger, Notice};
 use crate::scenery::{IMAGE, calibration, image, scenery};
 use crate::view_writer::ViewWriter;
 use crate::views::Viewed;
+use crate::world::{frustum, pattern};
 
 /// Name of the metadata record with the counts, at the end of the file.
 const LEDGER: &str = "vpc.ledger";
@@ -104,7 +106,11 @@ impl<S: Sink> Recorder<S> {
         to.put("/camera/calibration", 1, wall_ns, || {
             calibration(scene, wall_ns)
         })?;
-        to.put("/camera/scene", 1, wall_ns, || scenery(scene, wall_ns))
+        to.put("/camera/scene", 1, wall_ns, || scenery(scene, wall_ns))?;
+        to.put("/world/pattern", 1, wall_ns, || pattern(scene, wall_ns))?;
+        to.put("/world/frustum", 1, wall_ns, || frustum(scene, wall_ns))?;
+        to.scene = Some(Arc::new(scene.clone()));
+        Ok(())
     }
 
     /// Draws the image plane, where there is no image of a camera.
@@ -116,8 +122,7 @@ impl<S: Sink> Recorder<S> {
         scene: &Scene,
         wall_ns: u64,
     ) -> Result<(), WriteError> {
-        self.writer
-            .put(IMAGE, 1, wall_ns, || image(scene, wall_ns))
+        self.writer.put(IMAGE, 1, wall_ns, || image(scene, wall_ns))
     }
 
     /// Writes a message with its views; one that is the one before again is passed over.

@@ -1,11 +1,14 @@
 //! Messages with views beside them: what Foxglove draws, and a log.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use foxglove::messages::{Log, Timestamp, log::Level};
 use foxglove::{Encode, Schema};
 use ipc::Stamp;
+use nalgebra::Isometry3;
 use recording::{Encoding, Sink, WriteError};
+use scene::Scene;
 
 use crate::annotation::time;
 
@@ -18,6 +21,10 @@ pub struct ViewWriter<S> {
     pub(crate) sink: S,
     /// State and hold of the last cycle.
     pub(crate) situation: Option<[u32; 2]>,
+    /// The scene, once it is known.
+    pub(crate) scene: Option<Arc<Scene>>,
+    /// The camera in the arm's flange, where it is known.
+    pub(crate) flange_from_camera: Option<Isometry3<f64>>,
     drawn_ns: HashMap<&'static str, u64>,
     logged: u64,
 }
@@ -28,6 +35,8 @@ impl<S: Sink> ViewWriter<S> {
         Self {
             sink,
             situation: None,
+            scene: None,
+            flange_from_camera: None,
             drawn_ns: HashMap::new(),
             logged: 0,
         }

@@ -72,7 +72,10 @@ fn write_reals(text: &mut String, non_finite: &mut Vec<String>, field: &Field, n
 
 /// Key of the name of a code or of a sum of bits; `None` where the numbers have no names.
 pub(crate) fn name_key(field: &Field) -> Option<String> {
-    field.meaning.table().map(|_| format!("{}_name", field.name))
+    field
+        .meaning
+        .table()
+        .map(|_| format!("{}_name", field.name))
 }
 
 /// The name of a code, or the names of all bits; "unknown" where the table has none.

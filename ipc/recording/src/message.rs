@@ -208,7 +208,10 @@ mod tests {
         for key in json.as_object().unwrap().keys() {
             assert!(schema["properties"].get(key).is_some(), "{key}");
         }
-        let unknown = CycleRecord { hold: 999, ..record };
+        let unknown = CycleRecord {
+            hold: 999,
+            ..record
+        };
         assert!(unknown.to_json().contains("\"hold_name\":\"unknown\""));
     }
 
