@@ -22,6 +22,8 @@ const LEDGER: &str = "vpc.ledger";
 pub struct Recorder<S = RecordingFile> {
     pub(crate) writer: ViewWriter<S>,
     ledger: Ledger,
+    /// Least time between two messages of a topic that are passed on, ns; of a recording 0.
+    apart_ns: u64,
 }
 
 impl Recorder {
@@ -32,7 +34,7 @@ impl Recorder {
     pub fn create(path: &Path, force: bool) -> Result<Self, WriteError> {
         let mut file = RecordingFile::create(path, force)?;
         file.flush()?;
-        Ok(Self::new(file))
+        Ok(Self::new(file, 0))
     }
 
     /// Attaches a scene with its masks, and draws it; once for a recording.
@@ -84,11 +86,12 @@ impl Recorder {
 }
 
 impl<S: Sink> Recorder<S> {
-    /// Messages and views into this sink.
-    pub(crate) fn new(sink: S) -> Self {
+    /// Messages and views into this sink; of each topic, messages at least `apart_ns` apart.
+    pub(crate) fn new(sink: S, apart_ns: u64) -> Self {
         Self {
             writer: ViewWriter::new(sink),
             ledger: Ledger::default(),
+            apart_ns,
         }
     }
 
@@ -145,7 +148,13 @@ impl<S: Sink> Recorder<S> {
             self.writer
                 .log(Level::Warning, "recorder", text, published_ns)?;
         }
-        self.writer.sink.write(message)?;
+        let published_ns = message.stamp().published_ns;
+        if self
+            .writer
+            .is_due_after(self.apart_ns, T::TOPIC, published_ns)
+        {
+            self.writer.sink.write(message)?;
+        }
         message.view(&mut self.writer)?;
         Ok(notice)
     }
