@@ -16,6 +16,7 @@ use foxglove::websocket::{ChannelView, Client, ServerListener};
 use foxglove::{ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema};
 use ipc::{CycleRecord, Domain, Image, ImageSubscriber, JoinError, Message, OpenError};
 use ipc::{Order, ReceiveError};
+use panda::Mount;
 use recording::{Encoding, Sink, WallClock, WriteError};
 use scene::{Scene, SceneFiles};
 
@@ -41,6 +42,8 @@ pub struct LiveOptions {
     pub domain: PathBuf,
     /// The scene to draw; `None`: the one that the daemon leaves in the domain.
     pub scene: Option<SceneFiles>,
+    /// The camera on the arm, where it is known.
+    pub mount: Option<Mount>,
     /// Address to listen at; port 0 takes a free one. Nobody is asked who they are.
     pub address: SocketAddr,
 }
@@ -115,6 +118,7 @@ pub fn serve(
         open: HashMap::new(),
     };
     let mut live = Recorder::new(channels, APART_NS);
+    live.writer.mount = options.mount;
     let mut scene = options.scene.as_ref().map(|files| files.scene.clone());
     // Lives of the daemon whose scene was read.
     let mut lives = 0;

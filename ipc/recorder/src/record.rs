@@ -10,6 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use ipc::{CycleRecord, Domain, JoinError, Message, OpenError, ReceiveError};
+use panda::Mount;
 use recording::{RecordingFile, WriteError};
 use scene::SceneFiles;
 
@@ -37,6 +38,8 @@ pub struct Options {
     pub duration: Option<Duration>,
     /// The scene to draw and keep; `None`: the one that the daemon leaves in the domain.
     pub scene: Option<SceneFiles>,
+    /// The camera on the arm, where it is known.
+    pub mount: Option<Mount>,
 }
 
 /// Why a recording ended early or did not begin.
@@ -69,7 +72,8 @@ pub fn record(
     tell: impl FnMut(&Notice) + Send,
 ) -> Result<Ledger, RecordError> {
     // The file first: if it is refused, nothing has happened in the domain.
-    let recorder = Recorder::create(&options.output, options.force)?;
+    let mut recorder = Recorder::create(&options.output, options.force)?;
+    recorder.writer.mount = options.mount;
     let domain = Domain::join(&options.domain)?;
     let mut ports = ports::all(&domain)?;
     let (items, queue) = sync_channel(QUEUE);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use foxglove::messages::{Log, Timestamp, log::Level};
 use foxglove::{Encode, Schema};
 use ipc::Stamp;
-use nalgebra::Isometry3;
+use panda::Mount;
 use recording::{Encoding, Sink, WriteError};
 use scene::Scene;
 
@@ -23,8 +23,8 @@ pub struct ViewWriter<S> {
     pub(crate) situation: Option<[u32; 2]>,
     /// The scene, once it is known.
     pub(crate) scene: Option<Arc<Scene>>,
-    /// The camera in the arm's flange, where it is known.
-    pub(crate) flange_from_camera: Option<Isometry3<f64>>,
+    /// The camera on the arm's flange, where it is known.
+    pub(crate) mount: Option<Mount>,
     drawn_ns: HashMap<&'static str, u64>,
     logged: u64,
 }
@@ -36,7 +36,7 @@ impl<S: Sink> ViewWriter<S> {
             sink,
             situation: None,
             scene: None,
-            flange_from_camera: None,
+            mount: None,
             drawn_ns: HashMap::new(),
             logged: 0,
         }

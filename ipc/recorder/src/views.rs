@@ -8,12 +8,13 @@ use ipc::{
     TwistCommand, TwistState,
 };
 use nalgebra::Isometry3;
+use panda::Mount;
 use recording::{Recorded, Sink, WriteError};
 
 use crate::annotation::{BLUE, CLEAR, GREY, RED, circle, lines, text};
 use crate::scenery::CAMERA;
 use crate::view_writer::ViewWriter;
-use crate::world::{BASE, FLANGE, OBJECT, arm, base_from_flange, foreseen, pose};
+use crate::world::{BASE, FLANGE, OBJECT, arm, base_from_flange, foreseen, isometry, pose};
 
 /// A message that Foxglove is to show somehow.
 pub trait Viewed: Recorded {
@@ -68,8 +69,9 @@ impl Viewed for RobotState {
             return Ok(());
         }
         // From the object over the camera to the base, so that each frame has one parent.
-        if let Some(mount) = to.flange_from_camera {
-            transform(to, &self.stamp, [CAMERA, FLANGE], &mount.inverse())?;
+        if let Some(Mount { flange_from_camera }) = to.mount {
+            let flange = isometry(&flange_from_camera).inverse();
+            transform(to, &self.stamp, [CAMERA, FLANGE], &flange)?;
         }
         transform(
             to,

@@ -104,8 +104,12 @@ pub(crate) fn arm(q: [f64; panda::JOINTS], at: Option<Timestamp>) -> SceneUpdate
 
 /// The flange in the base at these joint positions.
 pub(crate) fn base_from_flange(q: [f64; panda::JOINTS]) -> Isometry3<f64> {
-    let flange = Chain::default().flange(&Joints::from(q));
-    Isometry3::from_parts(flange.translation, flange.rotation.into())
+    isometry(&Chain::default().flange(&Joints::from(q)))
+}
+
+/// The same pose with a quaternion.
+pub(crate) fn isometry(pose: &panda::Pose) -> Isometry3<f64> {
+    Isometry3::from_parts(pose.translation, pose.rotation.into())
 }
 
 /// The eight edges of what the camera sees, two ends each, in the camera frame.

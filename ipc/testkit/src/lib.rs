@@ -3,7 +3,7 @@
 //! - [`Place`]: a temporary directory with a domain in it.
 //! - [`program`], [`Running`], [`ended`]: programs of this workspace as processes.
 //! - [`eventually`]: waits for a condition.
-//! - [`python`]: virtual environments for tests in Python.
+//! - [`python`]: virtual environments for tests in Python; [`node`]: packages of npm.
 //! - [`not_run`]: what a test calls if the machine lacks something.
 //!
 //! Environment variables: `VPC_STRICT=1` turns every "NOT RUN" into a failure, unless its reason
@@ -12,6 +12,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod node;
 mod place;
 mod process;
 mod program;

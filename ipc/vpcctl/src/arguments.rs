@@ -161,6 +161,11 @@ pub struct ServeArguments {
     #[arg(long)]
     pub control: bool,
 
+    /// Hand-eye calibration of the camera on the flange: TOML, or YAML of easy_handeye or OpenCV. With
+    /// it, Foxglove shows the arm where it stands.
+    #[arg(long, value_name = "FILE", requires = "foxglove")]
+    pub hand_eye: Option<PathBuf>,
+
     /// Serve Foxglove instead of the page, at this address or at 127.0.0.1:8765: the topics of
     /// `record`, and the camera's images. Clients only watch.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765",

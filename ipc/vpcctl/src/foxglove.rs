@@ -11,6 +11,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use crate::arguments::ServeArguments;
 use crate::exit::{Exit, Failure};
 use crate::output;
+use crate::record;
 use crate::server;
 
 /// Serves until a signal comes.
@@ -27,6 +28,11 @@ pub fn run(domain: &Path, arguments: &ServeArguments) -> Result<Exit, Failure> {
         .as_deref()
         .map(SceneFiles::read)
         .transpose()?;
+    let mount = arguments
+        .hand_eye
+        .as_deref()
+        .map(record::mount)
+        .transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
@@ -34,6 +40,7 @@ pub fn run(domain: &Path, arguments: &ServeArguments) -> Result<Exit, Failure> {
     let options = LiveOptions {
         domain: domain.to_owned(),
         scene,
+        mount,
         address,
     };
     if !address.ip().is_loopback() {

@@ -1,5 +1,5 @@
 // Foxglove's own client of its WebSocket; messages are read by the schemas that the server advertises, and by nothing else.
-// Subscribes to every channel and prints a line of JSON for each event, until standard input ends.
+// Subscribes to every channel and prints a line of JSON for each event, until SIGTERM.
 //
 //     client.cjs URL          reads all
 //     client.cjs URL deaf     subscribes, and then reads nothing more
@@ -58,8 +58,4 @@ client.on("message", ({ subscriptionId, timestamp, data }) => {
   const bytes = new Uint8Array(data.buffer, data.byteOffset, data.byteLength);
   say({ event: "message", topic, time: timestamp, value: read(bytes) });
 });
-process.stdin.resume();
-process.stdin.on("end", () => {
-  client.close();
-  setTimeout(() => process.exit(0), 1000);
-});
+process.on("SIGTERM", () => client.close());
