@@ -107,7 +107,6 @@ impl Drop for EndOnDrop<'_> {
 struct Stage {
     place: Place,
     url: String,
-    _server: Running,
 }
 
 impl Stage {
@@ -195,11 +194,7 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
     let mut server = Running::start(server);
     let line = server.line("Foxglove: open a connection to ws://127.0.0.1:");
     let url = line.rsplit(' ').next().unwrap().to_owned();
-    let stage = Stage {
-        place,
-        url,
-        _server: server,
-    };
+    let stage = Stage { place, url };
     // Before the daemon; one that never reads; one that ends and comes back.
     let Some(mut early) = stage.client(&[]) else {
         return;
@@ -265,6 +260,11 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
     assert_eq!(image["data"]["sum"], sum);
     // 15 a second, of 100.
     assert!((20..60).contains(&images.len()), "{}", images.len());
+    // It ends at once beside a client that does not read.
+    let ended = server.terminated();
+    assert_eq!(ended.code, Some(0));
+    let told = "/vpc/cycles: the publisher started again";
+    assert!(ended.stderr.contains(told), "{}", ended.stderr);
     drop(deaf);
 }
 
