@@ -6,7 +6,7 @@ use std::io::{ErrorKind, Read};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, WriteError};
+use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, Sink, WriteError};
 use scene::SceneFiles;
 use sha2::{Digest, Sha256};
 

@@ -10,7 +10,7 @@ use ipc::{
 };
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use recording::{Recording, RecordingFile};
+use recording::{Recording, RecordingFile, Sink};
 use rustix::process::Signal;
 use scene::Scene;
 use serde_json::Value;

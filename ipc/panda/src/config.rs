@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use toml_schema::{Document, FileError};
 
-use crate::hand_eye::{self, Frame, HandEye};
+use hand_eye::{Frame, HandEye};
 
 /// Drives a Franka Panda or FR3 by what vpcd commands.
 ///

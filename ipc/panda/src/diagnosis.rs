@@ -12,7 +12,7 @@ use nalgebra::{Rotation3, SMatrix, SVector, Translation3, Vector3};
 use panda::{Mount, Pose};
 use scene::{Camera, Scene};
 
-use crate::hand_eye::{Frame, HandEye};
+use hand_eye::{Frame, HandEye};
 
 /// A small move of the robot, between two rests.
 #[derive(Clone, Debug)]

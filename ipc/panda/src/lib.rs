@@ -7,7 +7,6 @@ pub mod config;
 pub mod diagnosis;
 pub mod drive;
 pub mod first_motion;
-pub mod hand_eye;
 pub mod look;
 pub mod robot;
 pub mod steering;

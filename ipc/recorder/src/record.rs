@@ -9,16 +9,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
-use ipc::{
-    CycleRecord, Domain, Features, JoinError, Message, OpenError, ReceiveError, Reply, Request,
-    RobotState, Snapshot, Subscriber, TwistCommand,
-};
+use ipc::{CycleRecord, Domain, JoinError, Message, OpenError, ReceiveError};
+use panda::Mount;
+use recording::{RecordingFile, WriteError};
+use scene::SceneFiles;
 
 use crate::ledger::{Ledger, Notice};
+use crate::ports::{self, Item, Source};
 use crate::recorder::Recorder;
-use crate::views::Viewed;
-use recording::WriteError;
-use scene::SceneFiles;
 
 /// Sleep between two looks at the queues. The shortest holds 64 messages, so 30,000 a second.
 const PAUSE: Duration = Duration::from_millis(2);
@@ -26,8 +24,6 @@ const PAUSE: Duration = Duration::from_millis(2);
 const FLUSH: Duration = Duration::from_secs(1);
 /// Messages between the two threads: minutes at 30 Hz, half a second in lockstep.
 const QUEUE: usize = 1 << 14;
-/// Failures to receive in a row, on one port, after which recording ends.
-const MOST_FAILURES: u32 = 1_000;
 
 /// What to record, and where to.
 #[derive(Clone, Debug)]
@@ -42,6 +38,8 @@ pub struct Options {
     pub duration: Option<Duration>,
     /// The scene to draw and keep; `None`: the one that the daemon leaves in the domain.
     pub scene: Option<SceneFiles>,
+    /// The camera on the arm, where it is known.
+    pub mount: Option<Mount>,
 }
 
 /// Why a recording ended early or did not begin.
@@ -63,9 +61,6 @@ pub enum RecordError {
     Panicked,
 }
 
-/// What the writing thread is to do with a message.
-type Item = Box<dyn FnOnce(&mut Recorder) -> Result<Option<Notice>, WriteError> + Send>;
-
 /// Records until `stop` is set or the duration is over. At the daemon's first cycle it takes what
 /// the daemon left in the domain: configuration, and scene. `tell` is called from another thread.
 ///
@@ -77,9 +72,10 @@ pub fn record(
     tell: impl FnMut(&Notice) + Send,
 ) -> Result<Ledger, RecordError> {
     // The file first: if it is refused, nothing has happened in the domain.
-    let recorder = Recorder::create(&options.output, options.force)?;
+    let mut recorder = Recorder::create(&options.output, options.force)?;
+    recorder.writer.mount = options.mount;
     let domain = Domain::join(&options.domain)?;
-    let mut ports = ports(&domain)?;
+    let mut ports = ports::all(&domain)?;
     let (items, queue) = sync_channel(QUEUE);
     std::thread::scope(|threads| {
         let writer = std::thread::Builder::new()
@@ -98,80 +94,18 @@ pub fn record(
     })
 }
 
-/// A port of any type of message.
-trait Source {
-    fn drain(&mut self, items: &SyncSender<Item>) -> Result<(), ReceiveError>;
-}
-
-/// Ports for all that a domain publishes, causes before effects: a finished recording has no answer
-/// without its question.
-fn ports(domain: &Domain) -> Result<[Box<dyn Source>; 7], OpenError> {
-    Ok([
-        Port::<Features>::open(domain)?,
-        Port::<Request>::open(domain)?,
-        Port::<RobotState>::open(domain)?,
-        Port::<TwistCommand>::open(domain)?,
-        Port::<Snapshot>::open(domain)?,
-        Port::<CycleRecord>::open(domain)?,
-        Port::<Reply>::open(domain)?,
-    ])
-}
-
-struct Port<T: Viewed> {
-    subscriber: Subscriber<T>,
-    /// Failures in a row.
-    failures: u32,
-}
-
-impl<T: Viewed + Send> Port<T> {
-    fn open(domain: &Domain) -> Result<Box<dyn Source>, OpenError> {
-        Ok(Box::new(Self {
-            subscriber: domain.subscriber(T::QOS.buffer)?,
-            failures: 0,
-        }))
-    }
-}
-
-impl<T: Viewed + Send> Source for Port<T> {
-    /// Takes what waits, at most one queue full. Blocks where the writer does not keep up.
-    fn drain(&mut self, items: &SyncSender<Item>) -> Result<(), ReceiveError> {
-        for _ in 0..T::QOS.buffer {
-            let item: Item = match self.subscriber.oldest() {
-                Ok(None) => {
-                    self.failures = 0;
-                    return Ok(());
-                }
-                Ok(Some(m)) => Box::new(move |to| to.take(&m.message, m.order)),
-                Err(ReceiveError::Invalid { invalid, .. }) => {
-                    Box::new(move |to| to.refuse(T::TOPIC, invalid.to_string()).map(Some))
-                }
-                Err(error) => {
-                    self.failures += 1;
-                    return match self.failures < MOST_FAILURES {
-                        true => Ok(()),
-                        false => Err(error),
-                    };
-                }
-            };
-            // The writer has ended: its reason is reported after this.
-            if items.send(item).is_err() {
-                return Ok(());
-            }
-        }
-        Ok(())
-    }
-}
-
 /// Takes messages off the queues until `is_over`, and once more.
 fn forward(
-    ports: &mut [Box<dyn Source>],
-    items: SyncSender<Item>,
+    ports: &mut [Box<dyn Source<RecordingFile>>],
+    items: SyncSender<Item<RecordingFile>>,
     is_over: impl Fn() -> bool,
 ) -> Result<(), ReceiveError> {
     loop {
         let is_last = is_over();
         for port in &mut *ports {
-            port.drain(&items)?;
+            // Blocks where the writer does not keep up. Where it has ended, its reason is reported
+            // after this.
+            port.drain(&mut |item| items.send(item).is_ok())?;
         }
         if is_last {
             return Ok(());
@@ -184,7 +118,7 @@ fn forward(
 fn write(
     mut recorder: Recorder,
     options: &Options,
-    queue: &Receiver<Item>,
+    queue: &Receiver<Item<RecordingFile>>,
     mut tell: impl FnMut(&Notice),
 ) -> Result<Ledger, WriteError> {
     let begun = Instant::now();

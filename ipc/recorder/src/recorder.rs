@@ -1,24 +1,29 @@
-//! A recording with views: all that is published, what was lost of it, and what Foxglove draws.
+//! Messages with views, into a file or live: all that is published, what was lost of it, and what
+//! Foxglove draws.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use foxglove::messages::log::Level;
 use ipc::Order;
-use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, WriteError};
-use scene::SceneFiles;
+use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, Sink, WriteError};
+use scene::{Scene, SceneFiles};
 
 use crate::ledger::{Ledger, Notice};
-use crate::scenery::{calibration, image, scenery};
+use crate::scenery::{IMAGE, calibration, image, scenery};
 use crate::view_writer::ViewWriter;
 use crate::views::Viewed;
+use crate::world::{frustum, pattern};
 
 /// Name of the metadata record with the counts, at the end of the file.
 const LEDGER: &str = "vpc.ledger";
 
 /// Writes messages, their views and an account of what was lost.
-pub struct Recorder {
-    writer: ViewWriter,
+pub struct Recorder<S = RecordingFile> {
+    pub(crate) writer: ViewWriter<S>,
     ledger: Ledger,
+    /// Least time between two messages of a topic that are passed on, ns; of a recording 0.
+    apart_ns: u64,
 }
 
 impl Recorder {
@@ -29,15 +34,7 @@ impl Recorder {
     pub fn create(path: &Path, force: bool) -> Result<Self, WriteError> {
         let mut file = RecordingFile::create(path, force)?;
         file.flush()?;
-        Ok(Self {
-            writer: ViewWriter::new(file),
-            ledger: Ledger::default(),
-        })
-    }
-
-    /// What was counted so far.
-    pub fn ledger(&self) -> &Ledger {
-        &self.ledger
+        Ok(Self::new(file, 0))
     }
 
     /// Attaches a scene with its masks, and draws it; once for a recording.
@@ -45,7 +42,7 @@ impl Recorder {
     /// # Errors
     /// [`WriteError`].
     pub fn describe(&mut self, files: &SceneFiles) -> Result<(), WriteError> {
-        let (scene, ViewWriter { file, .. }) = (&files.scene, &mut self.writer);
+        let (scene, file) = (&files.scene, &mut self.writer.sink);
         for (name, png) in &files.masks {
             file.attach(name, png)?;
         }
@@ -55,11 +52,8 @@ impl Recorder {
             ("task", scene.fingerprint().to_string()),
         ])?;
         let wall_ns = file.clock().wall_ns;
-        let writer = &mut self.writer;
-        writer.put("/camera/image", 1, wall_ns, &image(scene, wall_ns))?;
-        let camera = calibration(scene, wall_ns);
-        writer.put("/camera/calibration", 1, wall_ns, &camera)?;
-        writer.put("/camera/scene", 1, wall_ns, &scenery(scene, wall_ns))?;
+        self.draw(scene, wall_ns)?;
+        self.draw_image_plane(scene, wall_ns)?;
         self.flush()
     }
 
@@ -68,8 +62,70 @@ impl Recorder {
     /// # Errors
     /// [`WriteError`].
     pub fn configure(&mut self, config: &str) -> Result<(), WriteError> {
-        self.writer.file.attach(CONFIG_FILE, config.as_bytes())?;
+        self.writer.sink.attach(CONFIG_FILE, config.as_bytes())?;
         self.flush()
+    }
+
+    /// Hands everything so far to the operating system.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        self.writer.sink.flush()
+    }
+
+    /// Ends the recording with its counts and its index, on the disk.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn finish(mut self) -> Result<Ledger, WriteError> {
+        self.writer.sink.metadata(LEDGER, self.ledger.to_map())?;
+        self.writer.sink.finish()?;
+        Ok(self.ledger)
+    }
+}
+
+impl<S: Sink> Recorder<S> {
+    /// Messages and views into this sink; of each topic, messages at least `apart_ns` apart.
+    pub(crate) fn new(sink: S, apart_ns: u64) -> Self {
+        Self {
+            writer: ViewWriter::new(sink),
+            ledger: Ledger::default(),
+            apart_ns,
+        }
+    }
+
+    /// What was counted so far.
+    pub fn ledger(&self) -> &Ledger {
+        &self.ledger
+    }
+
+    /// Draws what of a scene stands still.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub(crate) fn draw(&mut self, scene: &Scene, wall_ns: u64) -> Result<(), WriteError> {
+        let to = &mut self.writer;
+        to.put("/camera/calibration", 1, wall_ns, || {
+            calibration(scene, wall_ns)
+        })?;
+        to.put("/camera/scene", 1, wall_ns, || scenery(scene, wall_ns))?;
+        to.put("/world/pattern", 1, wall_ns, || pattern(scene, wall_ns))?;
+        to.put("/world/frustum", 1, wall_ns, || frustum(scene, wall_ns))?;
+        to.scene = Some(Arc::new(scene.clone()));
+        Ok(())
+    }
+
+    /// Draws the image plane, where there is no image of a camera.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub(crate) fn draw_image_plane(
+        &mut self,
+        scene: &Scene,
+        wall_ns: u64,
+    ) -> Result<(), WriteError> {
+        self.writer.put(IMAGE, 1, wall_ns, || image(scene, wall_ns))
     }
 
     /// Writes a message with its views; one that is the one before again is passed over.
@@ -92,7 +148,13 @@ impl Recorder {
             self.writer
                 .log(Level::Warning, "recorder", text, published_ns)?;
         }
-        self.writer.file.write(message)?;
+        let published_ns = message.stamp().published_ns;
+        if self
+            .writer
+            .is_due_after(self.apart_ns, T::TOPIC, published_ns)
+        {
+            self.writer.sink.write(message)?;
+        }
         message.view(&mut self.writer)?;
         Ok(notice)
     }
@@ -107,23 +169,5 @@ impl Recorder {
         self.writer
             .log(Level::Error, "recorder", text, ipc::now_ns())?;
         Ok(notice)
-    }
-
-    /// Hands everything so far to the operating system.
-    ///
-    /// # Errors
-    /// [`WriteError`].
-    pub fn flush(&mut self) -> Result<(), WriteError> {
-        self.writer.file.flush()
-    }
-
-    /// Ends the recording with its counts and its index, on the disk.
-    ///
-    /// # Errors
-    /// [`WriteError`].
-    pub fn finish(mut self) -> Result<Ledger, WriteError> {
-        self.writer.file.metadata(LEDGER, self.ledger.to_map())?;
-        self.writer.file.finish()?;
-        Ok(self.ledger)
     }
 }

@@ -9,6 +9,8 @@ use crate::annotation::{CLEAR, GREY, RED, circle, lines, time};
 
 /// Frame of the camera: x right, y down, z forward.
 pub(crate) const CAMERA: &str = "camera";
+/// Topic of the picture that is annotated.
+pub(crate) const IMAGE: &str = "/camera/image";
 /// Corners of the outline of an occlusion's part.
 const CORNERS: usize = 96;
 

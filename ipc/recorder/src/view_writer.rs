@@ -1,11 +1,14 @@
-//! A file of messages with views: what Foxglove draws, and a log.
+//! Messages with views beside them: what Foxglove draws, and a log.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use foxglove::messages::{Log, Timestamp, log::Level};
 use foxglove::{Encode, Schema};
 use ipc::Stamp;
-use recording::{Encoding, RecordingFile, WriteError};
+use panda::Mount;
+use recording::{Encoding, Sink, WriteError};
+use scene::Scene;
 
 use crate::annotation::time;
 
@@ -13,21 +16,27 @@ use crate::annotation::time;
 const APART_NS: u64 = 15_000_000;
 
 /// Writes views and an entry of the log where something happens.
-pub struct ViewWriter {
-    /// The file, for the messages themselves.
-    pub(crate) file: RecordingFile,
+pub struct ViewWriter<S> {
+    /// Where all goes, for the messages themselves.
+    pub(crate) sink: S,
     /// State and hold of the last cycle.
     pub(crate) situation: Option<[u32; 2]>,
+    /// The scene, once it is known.
+    pub(crate) scene: Option<Arc<Scene>>,
+    /// The camera on the arm's flange, where it is known.
+    pub(crate) mount: Option<Mount>,
     drawn_ns: HashMap<&'static str, u64>,
     logged: u64,
 }
 
-impl ViewWriter {
-    /// Views into this file.
-    pub(crate) fn new(file: RecordingFile) -> Self {
+impl<S: Sink> ViewWriter<S> {
+    /// Views beside the messages of this sink.
+    pub(crate) fn new(sink: S) -> Self {
         Self {
-            file,
+            sink,
             situation: None,
+            scene: None,
+            mount: None,
             drawn_ns: HashMap::new(),
             logged: 0,
         }
@@ -42,21 +51,30 @@ impl ViewWriter {
         monotonic_ns: u64,
     ) -> Result<(), WriteError> {
         self.logged += 1;
-        let wall_ns = self.file.clock().wall_of(monotonic_ns);
-        let entry = Log {
+        let wall_ns = self.sink.clock().wall_of(monotonic_ns);
+        self.put("/log", self.logged, wall_ns, || Log {
             timestamp: time(wall_ns),
             level: level.into(),
             message: text,
             name: name.to_owned(),
             ..Log::default()
-        };
-        self.put("/log", self.logged, wall_ns, &entry)
+        })
     }
 
     /// Returns whether a drawing on this topic may be made now, which then counts as its time.
     pub(crate) fn is_due(&mut self, topic: &'static str, published_ns: u64) -> bool {
+        self.is_due_after(APART_NS, topic, published_ns)
+    }
+
+    /// The same for another least time between two, ns.
+    pub(crate) fn is_due_after(
+        &mut self,
+        apart_ns: u64,
+        topic: &'static str,
+        published_ns: u64,
+    ) -> bool {
         let last = self.drawn_ns.get(topic);
-        let due = last.is_none_or(|last| published_ns.abs_diff(*last) >= APART_NS);
+        let due = last.is_none_or(|last| published_ns.abs_diff(*last) >= apart_ns);
         if due {
             self.drawn_ns.insert(topic, published_ns);
         }
@@ -70,17 +88,17 @@ impl ViewWriter {
         stamp: &Stamp,
         view: impl FnOnce(Option<Timestamp>) -> M,
     ) -> Result<(), WriteError> {
-        let wall_ns = self.file.clock().wall_of(stamp.published_ns);
-        self.put(topic, stamp.sequence, wall_ns, &view(time(wall_ns)))
+        let wall_ns = self.sink.clock().wall_of(stamp.published_ns);
+        self.put(topic, stamp.sequence, wall_ns, || view(time(wall_ns)))
     }
 
-    /// Writes a view.
+    /// Writes a view, which is made only where it is needed.
     pub(crate) fn put<M: Encode>(
         &mut self,
         topic: &'static str,
         sequence: u64,
         wall_ns: u64,
-        message: &M,
+        view: impl FnOnce() -> M,
     ) -> Result<(), WriteError> {
         let encoding = || {
             let schema = M::get_schema().unwrap_or_else(|| Schema::new("", "", &[][..]));
@@ -89,9 +107,11 @@ impl ViewWriter {
                 message: M::get_message_encoding(),
             }
         };
-        let mut data = Vec::new();
-        // Fails only where the buffer is full, and a vector grows.
-        let _ = message.encode(&mut data);
-        self.file.put(topic, encoding, sequence, wall_ns, &data)
+        self.sink.put(topic, encoding, sequence, wall_ns, || {
+            let mut data = Vec::new();
+            // Fails only where the buffer is full, and a vector grows.
+            let _ = view().encode(&mut data);
+            data
+        })
     }
 }

@@ -1,28 +1,26 @@
 //! What Foxglove draws of each message: views of its own schemas, beside the message itself.
 
 use foxglove::messages::{
-    FrameTransform, ImageAnnotations, Pose, PoseInFrame, Quaternion, Vector3, log::Level,
-    points_annotation::Type,
+    FrameTransform, ImageAnnotations, Pose, PoseInFrame, log::Level, points_annotation::Type,
 };
 use ipc::{
-    CycleRecord, Features, Hold, MAX_POINTS, Reply, Request, RobotState, Snapshot, TwistCommand,
-    TwistState,
+    CycleRecord, Features, Hold, MAX_POINTS, Reply, Request, RobotState, Snapshot, Stamp,
+    TwistCommand, TwistState,
 };
 use nalgebra::Isometry3;
-use recording::{Recorded, WriteError};
+use panda::Mount;
+use recording::{Recorded, Sink, WriteError};
 
 use crate::annotation::{BLUE, CLEAR, GREY, RED, circle, lines, text};
 use crate::scenery::CAMERA;
 use crate::view_writer::ViewWriter;
-
-/// Frame of the pattern, which stands still.
-const OBJECT: &str = "object";
+use crate::world::{BASE, FLANGE, OBJECT, arm, base_from_flange, foreseen, isometry, pose};
 
 /// A message that Foxglove is to show somehow.
 pub trait Viewed: Recorded {
     /// Writes the views of it.
     #[doc(hidden)]
-    fn view(&self, _to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, _to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         Ok(())
     }
 }
@@ -32,7 +30,7 @@ impl Viewed for TwistCommand {}
 impl Viewed for Snapshot {}
 
 impl Viewed for Features {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         const TOPIC: &str = "/camera/features";
         if !to.is_due(TOPIC, self.stamp.published_ns) {
             return Ok(());
@@ -52,31 +50,41 @@ impl Viewed for Features {
 }
 
 impl Viewed for RobotState {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         if !to.is_due("/tf", self.stamp.published_ns) {
             return Ok(());
         }
-        let (place, turn) = camera_in_object(self.translation, self.rotation);
-        to.draw("/tf", &self.stamp, |at| FrameTransform {
-            timestamp: at,
-            parent_frame_id: OBJECT.to_owned(),
-            child_frame_id: CAMERA.to_owned(),
-            translation: Some(place),
-            rotation: Some(turn),
-        })?;
-        to.draw("/camera/pose", &self.stamp, |at| PoseInFrame {
-            timestamp: at,
-            frame_id: OBJECT.to_owned(),
-            pose: Some(Pose {
-                position: Some(place),
-                orientation: Some(turn),
-            }),
-        })
+        // A bridge that does not know where the object is leaves zeros.
+        if self.translation != [0.0; 3] {
+            let object = Isometry3::new(self.translation.into(), self.rotation.into());
+            let camera = object.inverse();
+            transform(to, &self.stamp, [OBJECT, CAMERA], &camera)?;
+            to.draw("/camera/pose", &self.stamp, |at| PoseInFrame {
+                timestamp: at,
+                frame_id: OBJECT.to_owned(),
+                pose: Some(pose(&camera)),
+            })?;
+        }
+        if self.joints as usize != panda::JOINTS {
+            return Ok(());
+        }
+        // From the object over the camera to the base, so that each frame has one parent.
+        if let Some(Mount { flange_from_camera }) = to.mount {
+            let flange = isometry(&flange_from_camera).inverse();
+            transform(to, &self.stamp, [CAMERA, FLANGE], &flange)?;
+        }
+        transform(
+            to,
+            &self.stamp,
+            [FLANGE, BASE],
+            &base_from_flange(self.q).inverse(),
+        )?;
+        to.draw("/world/arm", &self.stamp, |at| arm(self.q, at))
     }
 }
 
 impl Viewed for CycleRecord {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         const TOPIC: &str = "/camera/way_point";
         let published_ns = self.stamp.published_ns;
         if to.is_due(TOPIC, published_ns) {
@@ -97,6 +105,12 @@ impl Viewed for CycleRecord {
                 }
             })?;
         }
+        const FORESEEN: &str = "/world/foreseen";
+        if let Some(scene) = to.scene.clone()
+            && to.is_due(FORESEEN, published_ns)
+        {
+            to.draw(FORESEEN, &self.stamp, |at| foreseen(&scene, self, at))?;
+        }
         let situation = [self.state, self.hold];
         if to.situation.replace(situation) == Some(situation) {
             return Ok(());
@@ -111,7 +125,7 @@ impl Viewed for CycleRecord {
 }
 
 impl Viewed for Request {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         let action = self.action().map(|action| action.to_string());
         let text = format!(
             "request {:016x}: {}",
@@ -123,7 +137,7 @@ impl Viewed for Request {
 }
 
 impl Viewed for Reply {
-    fn view(&self, to: &mut ViewWriter) -> Result<(), WriteError> {
+    fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         let outcome = self.outcome().map(|outcome| outcome.to_string());
         let text = format!(
             "reply to {:016x}: {}",
@@ -136,6 +150,28 @@ impl Viewed for Reply {
         };
         to.log(level, "vpcd", text, self.stamp.published_ns)
     }
+}
+
+/// Writes where a frame is in another.
+fn transform<S: Sink>(
+    to: &mut ViewWriter<S>,
+    stamp: &Stamp,
+    [parent, child]: [&str; 2],
+    found: &Isometry3<f64>,
+) -> Result<(), WriteError> {
+    to.draw("/tf", stamp, |at| {
+        let Pose {
+            position,
+            orientation,
+        } = pose(found);
+        FrameTransform {
+            timestamp: at,
+            parent_frame_id: parent.to_owned(),
+            child_frame_id: child.to_owned(),
+            translation: position,
+            rotation: orientation,
+        }
+    })
 }
 
 /// State, cause and error in one line.
@@ -158,45 +194,4 @@ fn caption(record: &CycleRecord) -> String {
         text += ", no way known";
     }
     text
-}
-
-/// The camera in the object frame, from the object in the camera frame (m; rotation vector, rad).
-fn camera_in_object(translation: [f64; 3], rotation: [f64; 3]) -> (Vector3, Quaternion) {
-    let camera = Isometry3::new(translation.into(), rotation.into()).inverse();
-    let (place, turn) = (camera.translation, camera.rotation);
-    let place = Vector3 {
-        x: place.x,
-        y: place.y,
-        z: place.z,
-    };
-    let turn = Quaternion {
-        x: turn.i,
-        y: turn.j,
-        z: turn.k,
-        w: turn.w,
-    };
-    (place, turn)
-}
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::Point3;
-
-    use super::*;
-
-    #[test]
-    fn the_camera_in_the_object_frame_is_the_inverse_pose() {
-        let (translation, rotation) = ([0.1, -0.2, 0.7], [0.3, -0.4, 1.1]);
-        let (place, turn) = camera_in_object(translation, rotation);
-        let object = Isometry3::new(translation.into(), rotation.into());
-        let origin = object * Point3::new(place.x, place.y, place.z);
-        assert!(origin.coords.norm() < 1e-12, "{origin}");
-        let turn = nalgebra::Quaternion::new(turn.w, turn.x, turn.y, turn.z);
-        let turn = nalgebra::UnitQuaternion::from_quaternion(turn);
-        assert!((turn * object.rotation).angle() < 1e-12);
-        // A quarter turn about the optical axis and back.
-        let (_, turn) = camera_in_object([0.0; 3], [0.0, 0.0, std::f64::consts::FRAC_PI_2]);
-        let half = std::f64::consts::FRAC_1_SQRT_2;
-        assert!((turn.z + half).abs() < 1e-12 && (turn.w - half).abs() < 1e-12);
-    }
 }

@@ -3,13 +3,14 @@
 //! JSON has finite numbers only. A number that is NaN or infinite is left out (an element of an
 //! array becomes 0), and the message's list `non_finite` has its name and value:
 //! `clearance_px=inf`, `points[3]=NaN`. Schemas then need no unions of types, which Foxglove
-//! refuses. Bytes become base64 without the zeros at their end.
+//! refuses. Bytes become base64 without the zeros at their end. Beside each code or sum of bits
+//! stands its name: `"hold":2,"hold_name":"stale features"`.
 
 use std::fmt::{Display, Write};
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use ipc::{Field, Values, ValuesMut, Wire};
+use ipc::{Field, Meaning, Values, ValuesMut, Wire};
 use serde_json::{Map, Value};
 
 /// Name of the list of numbers that JSON does not have.
@@ -40,7 +41,12 @@ pub(crate) fn write(message: &impl Wire) -> String {
                 let quoted = format!("\"{}\"", STANDARD.encode(used));
                 entry(&mut text, field.name, quoted);
             }
-            Values::U32(numbers) => put(&mut text, field, numbers),
+            Values::U32(numbers) => {
+                put(&mut text, field, numbers);
+                if let (Some(key), [number]) = (name_key(field), numbers) {
+                    entry(&mut text, &key, Value::from(name(field.meaning, *number)));
+                }
+            }
             Values::U64(numbers) => put(&mut text, field, numbers),
             Values::I64(numbers) => put(&mut text, field, numbers),
             Values::F64(numbers) => write_reals(&mut text, &mut non_finite, field, numbers),
@@ -61,6 +67,34 @@ fn write_reals(text: &mut String, non_finite: &mut Vec<String>, field: &Field, n
         let finite = numbers.iter().map(|x| if x.is_finite() { *x } else { 0.0 });
         // The shortest digits that give the same number back.
         put(text, field, finite.map(|x| format!("{x:?}")));
+    }
+}
+
+/// Key of the name of a code or of a sum of bits; `None` where the numbers have no names.
+pub(crate) fn name_key(field: &Field) -> Option<String> {
+    field
+        .meaning
+        .table()
+        .map(|_| format!("{}_name", field.name))
+}
+
+/// The name of a code, or the names of all bits; "unknown" where the table has none.
+fn name(meaning: Meaning, number: u32) -> String {
+    let known = meaning.table().map_or(&[][..], |table| table.names);
+    match meaning {
+        Meaning::Bits(_) => {
+            let set = known.iter().filter(|bit| number & bit.number != 0);
+            let set: Vec<_> = set.map(|bit| bit.text).collect();
+            match (set.is_empty(), number) {
+                (true, 0) => "none".to_owned(),
+                (true, _) => "unknown".to_owned(),
+                (false, _) => set.join(", "),
+            }
+        }
+        _ => {
+            let found = known.iter().find(|name| name.number == number);
+            found.map_or("unknown", |name| name.text).to_owned()
+        }
     }
 }
 

@@ -13,13 +13,15 @@ mod clock;
 mod field;
 mod message;
 mod reader;
+mod sink;
 mod writer;
 
 pub use clock::WallClock;
 pub use field::FieldError;
 pub use message::Recorded;
 pub use reader::{ReadError, Recording};
-pub use writer::{Encoding, RecordingFile, WriteError};
+pub use sink::{Encoding, Sink};
+pub use writer::{RecordingFile, WriteError};
 
 /// Name of the attached configuration of `vpcd`.
 pub const CONFIG_FILE: &str = "vpcd.toml";

@@ -4,6 +4,7 @@ use ipc::{Field, Kind, Meaning, Message, Stamp, Wire};
 use serde_json::{Map, Value, json};
 
 use crate::field::{self, FieldError, NON_FINITE};
+use crate::sink::Encoding;
 
 /// A message of the contract as JSON: each field under its own name, numbers exact.
 pub trait Recorded: Message {
@@ -21,6 +22,15 @@ pub trait Recorded: Message {
             "description": "Numbers that JSON does not have, as name=value",
         });
         schema
+    }
+
+    /// Its schema and encoding.
+    fn encoding() -> Encoding {
+        let schema = Self::schema().to_string().into_bytes();
+        Encoding {
+            schema: (Self::schema_name(), "jsonschema".to_owned(), schema),
+            message: "json".to_owned(),
+        }
     }
 
     /// The message as JSON.
@@ -45,8 +55,15 @@ fn schema_name<T: Wire>() -> String {
 }
 
 fn object_schema<T: Wire>() -> Value {
-    let field = |field: &Field| (field.name.to_owned(), field_schema(field));
-    let properties: Map<String, Value> = T::FIELDS.iter().map(field).collect();
+    let mut properties = Map::new();
+    for field in T::FIELDS {
+        properties.insert(field.name.to_owned(), field_schema(field));
+        if let Some(key) = field::name_key(field) {
+            let description = format!("Name of `{}`.", field.name);
+            let schema = json!({ "type": "string", "description": description });
+            properties.insert(key, schema);
+        }
+    }
     json!({
         "title": schema_name::<T>(),
         "description": plain(T::DOC),
@@ -174,6 +191,28 @@ mod tests {
         );
         assert_eq!(schema["properties"]["twist"]["maxItems"], 6);
         assert_eq!(schema["properties"]["cycle"]["type"], "integer");
+    }
+
+    #[test]
+    fn codes_and_bits_have_their_names_beside_them() {
+        let record = CycleRecord {
+            hold: ipc::Hold::Stale.code(),
+            flags: 5,
+            ..CycleRecord::default()
+        };
+        let json: Value = serde_json::from_str(&record.to_json()).unwrap();
+        assert_eq!(json["hold_name"], "stale features");
+        assert_eq!(json["flags_name"], "sent, suspended");
+        assert_eq!(json["realtime_name"], "none");
+        let schema = CycleRecord::schema();
+        for key in json.as_object().unwrap().keys() {
+            assert!(schema["properties"].get(key).is_some(), "{key}");
+        }
+        let unknown = CycleRecord {
+            hold: 999,
+            ..record
+        };
+        assert!(unknown.to_json().contains("\"hold_name\":\"unknown\""));
     }
 
     #[test]

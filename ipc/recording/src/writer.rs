@@ -10,7 +10,7 @@ use mcap::write::NoSeek;
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 
 use crate::clock::WallClock;
-use crate::message::Recorded;
+use crate::sink::{Encoding, Sink};
 
 /// Name of the metadata record at the head of the file.
 pub(crate) const ORIGIN: &str = "vpc.origin";
@@ -30,15 +30,6 @@ pub enum WriteError {
     Write { path: String, source: McapError },
 }
 
-/// How the messages of a topic are encoded.
-#[derive(Debug)]
-pub struct Encoding {
-    /// Name, encoding and data of the schema.
-    pub schema: (String, String, Vec<u8>),
-    /// Encoding of the messages.
-    pub message: String,
-}
-
 /// A recording that is being written.
 ///
 /// It is readable up to the last [`flush`](Self::flush) whatever happens to the process, and
@@ -53,7 +44,7 @@ pub struct Encoding {
 /// # let path = directory.path().join("fault.mcap");
 /// # let features = [ipc::Features::new(&[[1.0; 2]; 4], 0); 2];
 /// # let cycles = [ipc::CycleRecord::default(); 3];
-/// use recording::{CONFIG_FILE, Recording, RecordingFile, SCENE_FILE};
+/// use recording::{CONFIG_FILE, Recording, RecordingFile, SCENE_FILE, Sink};
 ///
 /// let mut file = RecordingFile::create(&path, false)?;
 /// file.origin([("cause", "fault".to_owned())])?;
@@ -124,11 +115,6 @@ impl RecordingFile {
         Ok(recording)
     }
 
-    /// The clock that stamps are translated by.
-    pub fn clock(&self) -> WallClock {
-        self.clock
-    }
-
     /// Adds to what the file says about its origin; version and clocks are there from the
     /// beginning.
     ///
@@ -179,58 +165,6 @@ impl RecordingFile {
         self.written(|mcap| mcap.attach(&attachment))
     }
 
-    /// Writes a message on the topic of its type.
-    ///
-    /// # Errors
-    /// [`WriteError`].
-    pub fn write<T: Recorded>(&mut self, message: &T) -> Result<(), WriteError> {
-        let stamp = message.stamp();
-        let encoding = || {
-            let schema = T::schema().to_string().into_bytes();
-            Encoding {
-                schema: (T::schema_name(), "jsonschema".to_owned(), schema),
-                message: "json".to_owned(),
-            }
-        };
-        let wall_ns = self.clock.wall_of(stamp.published_ns);
-        let json = message.to_json();
-        self.put(T::TOPIC, encoding, stamp.sequence, wall_ns, json.as_bytes())
-    }
-
-    /// Writes a message that is encoded already, of any topic; the first one opens its channel.
-    ///
-    /// # Errors
-    /// [`WriteError::Write`].
-    pub fn put(
-        &mut self,
-        topic: &'static str,
-        encoding: impl FnOnce() -> Encoding,
-        sequence: u64,
-        wall_ns: u64,
-        data: &[u8],
-    ) -> Result<(), WriteError> {
-        let channel_id = match self.channels.get(topic) {
-            Some(id) => *id,
-            None => {
-                let Encoding { schema, message } = encoding();
-                let id = self.written(|mcap| {
-                    let schema = mcap.add_schema(&schema.0, &schema.1, &schema.2)?;
-                    mcap.add_channel(schema, topic, &message, &BTreeMap::new())
-                })?;
-                self.channels.insert(topic, id);
-                id
-            }
-        };
-        let header = MessageHeader {
-            channel_id,
-            // The format has 32 bits; the message itself has all 64.
-            sequence: sequence as u32,
-            log_time: wall_ns,
-            publish_time: wall_ns,
-        };
-        self.written(|mcap| mcap.write_to_known_channel(&header, data))
-    }
-
     /// Hands everything so far to the operating system: from here on it survives the end of this
     /// process.
     ///
@@ -263,5 +197,41 @@ impl RecordingFile {
             path: self.path.clone(),
             source,
         })
+    }
+}
+
+impl Sink for RecordingFile {
+    fn clock(&self) -> WallClock {
+        self.clock
+    }
+
+    fn put(
+        &mut self,
+        topic: &'static str,
+        encoding: impl FnOnce() -> Encoding,
+        sequence: u64,
+        wall_ns: u64,
+        data: impl FnOnce() -> Vec<u8>,
+    ) -> Result<(), WriteError> {
+        let channel_id = match self.channels.get(topic) {
+            Some(id) => *id,
+            None => {
+                let Encoding { schema, message } = encoding();
+                let id = self.written(|mcap| {
+                    let schema = mcap.add_schema(&schema.0, &schema.1, &schema.2)?;
+                    mcap.add_channel(schema, topic, &message, &BTreeMap::new())
+                })?;
+                self.channels.insert(topic, id);
+                id
+            }
+        };
+        let header = MessageHeader {
+            channel_id,
+            // The format has 32 bits; the message itself has all 64.
+            sequence: sequence as u32,
+            log_time: wall_ns,
+            publish_time: wall_ns,
+        };
+        self.written(|mcap| mcap.write_to_known_channel(&header, &data()))
     }
 }

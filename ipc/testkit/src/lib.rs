@@ -4,7 +4,7 @@
 //! - [`program`], [`Running`], [`ended`]: programs of this workspace as processes.
 //! - [`eventually`]: waits for a condition.
 //! - [`c`]: programs in C.
-//! - [`python`]: virtual environments for tests in Python.
+//! - [`python`]: virtual environments for tests in Python; [`node`]: packages of npm.
 //! - [`not_run`]: what a test calls if the machine lacks something.
 //!
 //! Environment variables: `VPC_STRICT=1` turns every "NOT RUN" into a failure, unless its reason
@@ -14,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 pub mod c;
+pub mod node;
 mod place;
 mod process;
 mod program;

@@ -62,7 +62,7 @@ pub enum Command {
     CheckBridge(CheckBridgeArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
-    /// Serve a live view to browsers on this machine.
+    /// Serve a live view to browsers on this machine, or to Foxglove.
     Serve(ServeArguments),
     /// Print the completions for a shell.
     Completions {
@@ -160,6 +160,17 @@ pub struct ServeArguments {
     /// Let the page arm, disarm and stop, when opened at the printed address with its token.
     #[arg(long)]
     pub control: bool,
+
+    /// Hand-eye calibration of the camera on the flange: TOML, or YAML of easy_handeye or OpenCV. With
+    /// it, Foxglove shows the arm where it stands.
+    #[arg(long, value_name = "FILE", requires = "foxglove")]
+    pub hand_eye: Option<PathBuf>,
+
+    /// Serve Foxglove instead of the page, at this address or at 127.0.0.1:8765: the topics of
+    /// `record`, and the camera's images. Clients only watch.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765",
+        conflicts_with_all = ["listen", "control"])]
+    pub foxglove: Option<SocketAddr>,
 }
 
 /// The command line of a request.

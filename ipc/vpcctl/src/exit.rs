@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io;
 use std::path::Path;
 
+use recorder::live::LiveError;
 use recorder::{PlotError, RecordError};
 use recording::{ReadError, WriteError};
 use scene::FileError;
@@ -107,6 +108,10 @@ exits! {
         RecordError::Join(_) | RecordError::Open(_) | RecordError::Receive(_) => Exit::Unavailable,
         RecordError::Write(WriteError::Exists { .. }) => Exit::Usage,
         _ => Exit::Software,
+    },
+    LiveError => |error| match error {
+        LiveError::Write(_) | LiveError::Thread(_) => Exit::Software,
+        _ => Exit::Unavailable,
     },
     ReadError => |error| match error {
         ReadError::Read { .. } => Exit::NoInput,

@@ -8,6 +8,7 @@ pub mod arguments;
 pub mod check_bridge;
 pub mod doctor;
 pub mod exit;
+pub mod foxglove;
 pub mod image_plane;
 pub mod latency;
 pub mod manual;
@@ -111,6 +112,9 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Metrics(with) => {
             server::allow(with.listen, with.expose, false)?;
             return metrics::serve(Watcher::open(&directory)?, with.listen);
+        }
+        Command::Serve(with) if with.foxglove.is_some() => {
+            return foxglove::run(&directory, with);
         }
         Command::Serve(with) => {
             server::allow(with.listen, with.expose, with.control)?;

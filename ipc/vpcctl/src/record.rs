@@ -6,8 +6,10 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use clap::Args;
+use hand_eye::Frame;
+use panda::{Mount, Pose};
 use recorder::{Ledger, Options};
-use scene::SceneFiles;
+use scene::{FileError, SceneFiles};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::exit::Failure;
@@ -22,6 +24,11 @@ pub struct RecordArguments {
     /// Scene file to draw and to keep in the recording, instead of the one that vpcd runs on.
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
+
+    /// Hand-eye calibration of the camera on the flange: TOML, or YAML of easy_handeye or OpenCV. With
+    /// it, Foxglove shows the arm where it stands.
+    #[arg(long, value_name = "FILE")]
+    pub hand_eye: Option<PathBuf>,
 
     /// End after this time, 0.05 to 86400 s, instead of by Ctrl-C (SIGINT) or SIGTERM.
     #[arg(long, value_name = "SECONDS", value_parser = duration)]
@@ -50,6 +57,7 @@ pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure
         .as_deref()
         .map(SceneFiles::read)
         .transpose()?;
+    let mount = arguments.hand_eye.as_deref().map(mount).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
@@ -60,11 +68,21 @@ pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure
         force: arguments.force,
         duration: arguments.duration,
         scene,
+        mount,
     };
     let ledger = recorder::record(&options, &stop, |notice| {
         eprintln!("vpcctl: {notice}");
     })?;
     Ok(summary(&arguments.output, &ledger))
+}
+
+/// The camera in the flange, by a file.
+///
+/// # Errors
+/// [`FileError`].
+pub fn mount(file: &Path) -> Result<Mount, FileError> {
+    let hand_eye = hand_eye::read(file, Frame::Flange)?;
+    Ok(hand_eye.mount(&Pose::identity()))
 }
 
 fn summary(path: &Path, ledger: &Ledger) -> String {

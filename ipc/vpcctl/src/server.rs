@@ -64,7 +64,7 @@ pub fn allow(address: SocketAddr, expose: bool, control: bool) -> Result<(), Fai
     let message = match (address.ip().is_loopback(), control, expose) {
         (true, _, _) | (_, false, true) => return Ok(()),
         (_, true, _) => "--control: token and commands would be readable on the network; allowed: with 127.0.0.0/8 and [::1] (from afar: ssh -L 9470:127.0.0.1:9470 HOST)".to_owned(),
-        (_, false, false) => format!("--listen {address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"),
+        (_, false, false) => format!("{address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"),
     };
     Err(Failure::new(Exit::Usage, message))
 }

@@ -1,6 +1,6 @@
 //! Observers cost the loop nothing: `vpcctl watch`, `serve` with a page that reads and looks at the
-//! camera's images, `metrics` with a collector that scrapes, and `record`, all at once beside the
-//! daemon at 250 Hz. The loop makes no heap call, page fault or blocking call from wake to send, and
+//! camera's images, `serve --foxglove` with a client that reads all and one that reads nothing,
+//! `metrics` with a collector that scrapes, and `record`, all at once beside the daemon at 250 Hz. The loop makes no heap call, page fault or blocking call from wake to send, and
 //! misses no release while its processor runs (`paced`). A processor that stood still for a quarter of the period in one of
 //! four cycles shows nothing.
 //!
@@ -46,6 +46,8 @@ struct Seen {
     told: AtomicU64,
     /// Pictures that it got.
     shown: AtomicU64,
+    /// Bytes that a client of Foxglove read.
+    streamed: AtomicU64,
     /// Scrapes that found the daemon at work.
     scraped: AtomicU64,
     /// Commands in the recording.
@@ -89,10 +91,10 @@ fn watch(domain: &Path, scene: &Path) -> Running {
 /// Starts a server of `vpcctl`; with its address.
 fn server(domain: &Path, words: &[&str]) -> (Running, String) {
     let mut command = vpcctl(domain);
-    command.args(words).args(["--listen", "127.0.0.1:0"]);
+    command.args(words);
     let mut server = Running::start(command.stdout(Stdio::piped()));
-    let line = server.line("http://");
-    let (_, address) = line.split_once("http://").unwrap();
+    let line = server.line("://");
+    let (_, address) = line.split_once("://").unwrap();
     let address = address.split('/').next().unwrap().to_owned();
     (server, address)
 }
@@ -115,6 +117,43 @@ fn read_events(address: &str, seen: &Seen) {
         if line.starts_with("data: ") && line.contains("\"state\":\"moving\"") {
             seen.told.fetch_add(1, Ordering::Relaxed);
         }
+    }
+}
+
+/// A client of Foxglove's WebSocket that has subscribed to all channels.
+fn foxglove_client(address: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream
+        .set_read_timeout(Some(Duration::from_secs(2)))
+        .unwrap();
+    let head = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n\
+        Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1";
+    write!(
+        stream,
+        "GET / HTTP/1.1\r\nHost: {address}\r\n{head}\r\n\r\n"
+    )
+    .unwrap();
+    let mut answer = [0; 12];
+    stream.read_exact(&mut answer).unwrap();
+    assert_eq!(&answer, b"HTTP/1.1 101");
+    // Channels have numbers from 1; the server passes over those that it does not have.
+    let wanted = (1..=30).map(|id| format!("{{\"id\":{id},\"channelId\":{id}}}"));
+    let wanted = wanted.collect::<Vec<_>>().join(",");
+    let text = format!("{{\"op\":\"subscribe\",\"subscriptions\":[{wanted}]}}");
+    // A text frame of 16 bits of length, masked with zeros.
+    let mut frame = vec![0x81, 0xfe];
+    frame.extend((text.len() as u16).to_be_bytes());
+    frame.extend([0; 4]);
+    frame.extend(text.as_bytes());
+    stream.write_all(&frame).unwrap();
+    stream
+}
+
+/// Reads what Foxglove is sent, until its server ends.
+fn stream(address: &str, seen: &Seen) {
+    let (mut stream, mut buffer) = (foxglove_client(address), vec![0; 1 << 16]);
+    while let Ok(count @ 1..) = stream.read(&mut buffer) {
+        seen.streamed.fetch_add(count as u64, Ordering::Relaxed);
     }
 }
 
@@ -174,16 +213,32 @@ fn run(cycles: u64) -> (Laps, Seen) {
             std::thread::sleep(Duration::from_secs(1) / RATE * BEFORE);
             let record = early.unwrap_or_else(record);
             let scene = scene_file.to_str().unwrap();
-            let (serve, page) = server(&domain, &["serve", "--scene", scene]);
-            let (metrics, address) = server(&domain, &["metrics"]);
+            let (serve, page) = server(
+                &domain,
+                &["serve", "--listen", "127.0.0.1:0", "--scene", scene],
+            );
+            let foxglove = ["serve", "--foxglove", "127.0.0.1:0", "--scene", scene];
+            let (foxglove, live) = server(&domain, &foxglove);
+            let (metrics, address) = server(&domain, &["metrics", "--listen", "127.0.0.1:0"]);
             let (seen, done) = (&seen, &done);
             let camera = domain.clone();
             threads.spawn(move || send_images(&camera, done));
             let pictures = page.clone();
             threads.spawn(move || look_at_images(&pictures, seen, done));
+            let deaf = live.clone();
+            threads.spawn(move || {
+                let _deaf = foxglove_client(&deaf);
+                while !done.load(Ordering::Relaxed) {
+                    std::thread::sleep(Duration::from_millis(50));
+                }
+            });
+            threads.spawn(move || stream(&live, seen));
             threads.spawn(move || read_events(&page, seen));
             threads.spawn(move || scrape(&address, seen, done));
-            (record, [watch(&domain, scene_file), serve, metrics])
+            (
+                record,
+                [watch(&domain, scene_file), serve, foxglove, metrics],
+            )
         });
         let drawn = views[0].stdout().len() as u64;
         seen.drawn.store(drawn, Ordering::Relaxed);
@@ -202,14 +257,16 @@ fn costs_no_release(cycles: u64) -> bool {
         drawn,
         told,
         shown,
+        streamed,
         scraped,
         recorded,
     } = &seen;
-    let [drawn, told, shown, scraped, recorded] =
-        [drawn, told, shown, scraped, recorded].map(|count| count.load(Ordering::Relaxed));
+    let [drawn, told, shown, streamed, scraped, recorded] =
+        [drawn, told, shown, streamed, scraped, recorded]
+            .map(|count| count.load(Ordering::Relaxed));
     let (report, missed, disturbed) = (&laps.report, laps.missed(), laps.disturbed());
     let told_all = format!(
-        "onlookers: {missed} missed of {}, and {} while the processor stood still (in {:.1} % of the cycles); wake-up p99 {} max {} us, busy p99 {} us; drawn {drawn} bytes, {told} events, {shown} pictures, {scraped} scrapes, {recorded} commands recorded",
+        "onlookers: {missed} missed of {}, and {} while the processor stood still (in {:.1} % of the cycles); wake-up p99 {} max {} us, busy p99 {} us; drawn {drawn} bytes, {told} events, {shown} pictures, {streamed} bytes to Foxglove, {scraped} scrapes, {recorded} commands recorded",
         report.cycles,
         report.overruns - missed,
         disturbed * 100.0,
@@ -226,6 +283,8 @@ fn costs_no_release(cycles: u64) -> bool {
     // They were there, each at its pace: a view draws and tells several times a second.
     assert!(drawn > 1000 * seconds, "{told_all}");
     assert!(told.min(shown).min(scraped) > 2 * seconds, "{told_all}");
+    // A cycle has some 8 kB as JSON, and an image 300.
+    assert!(streamed > 1_000_000 * seconds, "{told_all}");
     assert!(recorded > cycles * 8 / 10, "{told_all}");
     true
 }

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use ipc::{CycleRecord, RecallCode};
 use ipc::{Values, Wire};
-use recording::{Recording, RecordingFile};
+use recording::{Recording, RecordingFile, Sink};
 use rustix::process::Signal;
 use serde_json::Value;
 

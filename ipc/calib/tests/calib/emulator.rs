@@ -209,8 +209,8 @@ impl Laboratory {
 }
 
 fn mounting(file: &Path) -> Iso3 {
-    let frame = vpc_panda::hand_eye::Frame::Flange;
-    let read = vpc_panda::hand_eye::read(file, frame).unwrap().camera;
+    let frame = hand_eye::Frame::Flange;
+    let read = hand_eye::read(file, frame).unwrap().camera;
     let turn = panda::kinematics::rotation_vector(&read.rotation);
     pose(read.translation.vector.into(), turn.into())
 }

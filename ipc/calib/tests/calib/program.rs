@@ -149,7 +149,7 @@ fn a_folder_of_images_gives_the_files_that_the_other_programs_read() {
     ];
     let (code, words) = said(&arguments);
     assert_eq!(code, Some(0), "{words}");
-    let read = vpc_panda::hand_eye::read(&file, vpc_panda::hand_eye::Frame::Flange)
+    let read = hand_eye::read(&file, hand_eye::Frame::Flange)
         .unwrap()
         .camera;
     let turn = panda::kinematics::rotation_vector(&read.rotation);

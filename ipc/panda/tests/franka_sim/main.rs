@@ -9,12 +9,12 @@ use std::time::{Duration, Instant};
 
 use emulator::Emulator;
 use franka::{RealtimeConfig, RobotMode as Mode, RobotOptions};
+use hand_eye::Frame;
 use ipc::{ControllerPorts, Domain, RobotFaults, RobotMode, RobotState, TwistCommand, TwistState};
 use panda::{Chain, Joints, Mount, Pose, Twist};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use testkit::{Ended, Place, Running, eventually, repeats, tell};
-use vpc_panda::hand_eye::Frame;
 
 /// Between two commands, as from a camera.
 const FRAME: Duration = Duration::from_nanos(33_333_333);
@@ -106,7 +106,7 @@ impl Bench {
         let mut bridge = Running::start(command);
         bridge.line("the robot follows vpc/twist");
         let domain = Domain::join(&place.domain()).unwrap();
-        let hand_eye = vpc_panda::hand_eye::read(&hand_eye, Frame::Flange).unwrap();
+        let hand_eye = hand_eye::read(&hand_eye, Frame::Flange).unwrap();
         Some(Self {
             bridge,
             controller: ControllerPorts::open(&domain).unwrap(),

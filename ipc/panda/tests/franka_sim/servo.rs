@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use hand_eye::{self, Frame};
 use hw_sim::camera::project;
 use hw_sim::pose::from_scene;
 use hw_sim::referee::Referee;
@@ -16,7 +17,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 use testkit::{Place, Running, eventually, program, repeats, root, tell};
-use vpc_panda::hand_eye::{self, Frame};
 
 use crate::STALLS;
 use crate::emulator::Emulator;

@@ -5,7 +5,7 @@ panels. Prints what it found, one line for each message, for the test to compare
     check.py schemas FILE   every message fits its schema; well-known schemas are Foxglove's own
     check.py rest FILE      what can be read of a file that was cut short: topic and count
     check.py layout FILE    a layout's panels and settings are ones that Foxglove's SDK knows
-    check.py paths FILE LAYOUT      every topic that a layout names has messages, every path in it a number in each
+    check.py paths FILE LAYOUT      every topic that a layout names has messages, every path in it a number or a word in each
 """
 
 import json
@@ -252,7 +252,7 @@ def paths(path, layout):
         heard = messages.get(topic, [])
         values = [found(message, name[len(topic) :]) for message in heard]
         if topic != name:
-            values = [value for value in values if isinstance(value, (int, float))]
+            values = [value for value in values if isinstance(value, (int, float, str))]
         print("path", name, len(heard), len(values))
 
 

@@ -29,6 +29,7 @@ pub fn options(place: &Place) -> Options {
         force: false,
         duration: None,
         scene: Some(scene()),
+        mount: None,
     }
 }
 
@@ -97,7 +98,7 @@ impl Stage {
         let mut state =
             RobotState::free_camera([any(), any(), 0.5], [any(), any(), any()], ipc::now_ns());
         state.mode = RobotMode::Moving.code();
-        state.q = std::array::from_fn(|_| any());
+        (state.joints, state.q) = (7, std::array::from_fn(|_| any()));
         state.features_sequence = features.stamp.sequence;
         let sent = self.robot.robot.publish(&state).unwrap();
         stamp(&mut state.stamp, &sent);

@@ -41,6 +41,7 @@ fn play_a_recorder() {
         force: false,
         duration: None,
         scene: Some(scene()),
+        mount: None,
     };
     // Ends by a signal, or when the file that it is told by appears.
     let stop = AtomicBool::new(false);

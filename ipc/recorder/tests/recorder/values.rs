@@ -265,6 +265,7 @@ fn others_read_the_same(
         "RawImage",
         "CameraCalibration",
         "FrameTransform",
+        "SceneUpdate",
         "PoseInFrame",
         "Log",
     ] {

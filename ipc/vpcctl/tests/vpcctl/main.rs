@@ -3,6 +3,7 @@
 mod browser;
 mod check_bridge;
 mod doctor;
+mod foxglove;
 mod metrics;
 mod monitoring;
 mod recordings;

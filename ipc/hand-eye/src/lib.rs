@@ -8,6 +8,9 @@
 //!
 //! All of them give the pose of the camera (x right, y down, z forward) in the robot's frame that
 //! the calibration was made with: the flange, or the end effector.
+#![forbid(unsafe_code)]
+#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 use std::path::Path;
 

@@ -1,0 +1,269 @@
+//! A domain live for Foxglove: its WebSocket by the vendor's SDK, with the schemas and views of a
+//! recording.
+//!
+//! Clients only read. The SDK drops the oldest messages of a client that does not keep up; nobody
+//! waits for it.
+
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use foxglove::messages::RawImage;
+use foxglove::websocket::{ChannelView, Client, ServerListener};
+use foxglove::{ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema};
+use ipc::{CycleRecord, Domain, Image, ImageSubscriber, JoinError, Message, OpenError};
+use ipc::{Order, ReceiveError};
+use panda::Mount;
+use recording::{Encoding, Sink, WallClock, WriteError};
+use scene::{Scene, SceneFiles};
+
+use crate::ledger::Notice;
+use crate::ports;
+use crate::recorder::Recorder;
+use crate::scenery::{CAMERA, IMAGE};
+
+/// Sleep between two looks at the queues: the shortest holds 64 messages, so 12,000 a second.
+const PAUSE: Duration = Duration::from_millis(5);
+/// Messages that wait for one client: of a camera's images, some ten MB.
+const BACKLOG: usize = 64;
+/// Least time between two messages of a topic, ns: of a robot's 1,000 a second every fourth, of a
+/// daemon's 250 cycles all.
+const APART_NS: u64 = 3_500_000;
+/// Least time between two images, ns: 15 a second.
+const IMAGES_APART_NS: u64 = 60_000_000;
+
+/// What to serve, and where.
+#[derive(Clone, Debug)]
+pub struct LiveOptions {
+    /// Directory of the domain.
+    pub domain: PathBuf,
+    /// The scene to draw; `None`: the one that the daemon leaves in the domain.
+    pub scene: Option<SceneFiles>,
+    /// The camera on the arm, where it is known.
+    pub mount: Option<Mount>,
+    /// Address to listen at; port 0 takes a free one. Nobody is asked who they are.
+    pub address: SocketAddr,
+}
+
+/// Why nothing was served, or no longer.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum LiveError {
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// A port failed again and again.
+    #[error(transparent)]
+    Receive(#[from] ReceiveError),
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    #[error("no thread for the server: {0}")]
+    Thread(std::io::Error),
+    #[error("{address}: {source}; allowed: a free address of this machine (port 0: any free port)")]
+    Listen {
+        address: SocketAddr,
+        source: FoxgloveError,
+    },
+}
+
+/// Serves a domain until `stop` is set; the daemon may come and go meanwhile. `begun` receives the
+/// address.
+///
+/// # Errors
+/// [`LiveError`].
+pub fn serve(
+    options: &LiveOptions,
+    stop: &AtomicBool,
+    begun: impl FnOnce(SocketAddr),
+    mut tell: impl FnMut(&Notice),
+) -> Result<(), LiveError> {
+    let domain = Domain::join(&options.domain)?;
+    let mut ports = ports::free_for_the_loop(&domain)?;
+    let mut camera = Camera {
+        images: domain.image_subscriber()?,
+        has_sent: false,
+    };
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .thread_name("foxglove")
+        .enable_all()
+        .build()
+        .map_err(LiveError::Thread)?;
+    let context = Context::new();
+    let arrivals = Arc::new(Arrivals::default());
+    let address = options.address;
+    let host = match address {
+        SocketAddr::V4(address) => address.ip().to_string(),
+        SocketAddr::V6(address) => format!("[{}]", address.ip()),
+    };
+    let server = context
+        .websocket_server()
+        .name("vpcd")
+        .bind(host, address.port())
+        .capabilities([])
+        .message_backlog_size(BACKLOG)
+        .listener(Arc::clone(&arrivals) as Arc<dyn ServerListener>);
+    let server = runtime
+        .block_on(server.start())
+        .map_err(|source| LiveError::Listen { address, source })?;
+    begun(SocketAddr::new(address.ip(), server.port()));
+
+    let channels = Channels {
+        clock: WallClock::now(),
+        context,
+        open: HashMap::new(),
+    };
+    let mut live = Recorder::new(channels, APART_NS);
+    live.writer.mount = options.mount;
+    let mut scene = options.scene.as_ref().map(|files| files.scene.clone());
+    // Lives of the daemon whose scene was read.
+    let mut lives = 0;
+    let mut written = Ok(());
+    while !stop.load(Ordering::Relaxed) {
+        for port in &mut ports {
+            port.drain(&mut |item| match item(&mut live) {
+                Ok(notice) => {
+                    notice.iter().for_each(&mut tell);
+                    true
+                }
+                Err(error) => {
+                    written = Err(error);
+                    false
+                }
+            })?;
+        }
+        std::mem::replace(&mut written, Ok(()))?;
+        camera.pass_on(&mut live)?;
+        let cycles = live.ledger().of(CycleRecord::TOPIC);
+        let is_new = cycles.recorded > 0 && lives <= cycles.restarts;
+        if is_new {
+            lives = cycles.restarts + 1;
+            if options.scene.is_none() {
+                scene = daemons(&options.domain, &mut tell);
+            }
+        }
+        // Who comes later has not received what stands still.
+        let has_arrived = arrivals.0.swap(false, Ordering::Relaxed);
+        if let Some(scene) = scene.as_ref().filter(|_| is_new || has_arrived) {
+            let wall_ns = live.writer.sink.clock.wall_of(ipc::now_ns());
+            live.draw(scene, wall_ns)?;
+            if !camera.has_sent {
+                live.draw_image_plane(scene, wall_ns)?;
+            }
+        }
+        std::thread::sleep(PAUSE);
+    }
+    // A client that does not read would not let the server end.
+    server.stop().detach_all();
+    runtime.shutdown_background();
+    Ok(())
+}
+
+/// The scene that the daemon left in its domain.
+fn daemons(domain: &std::path::Path, tell: &mut impl FnMut(&Notice)) -> Option<Scene> {
+    match SceneFiles::read(&domain.join(ipc::SCENE_FILE)) {
+        Ok(files) => Some(files.scene),
+        Err(error) => {
+            let reason = error.to_string();
+            tell(&Notice::NoScene { reason });
+            None
+        }
+    }
+}
+
+/// The camera's images, where a camera sends them.
+struct Camera {
+    images: ImageSubscriber,
+    has_sent: bool,
+}
+
+impl Camera {
+    /// Passes the newest image on, if the one before is old enough.
+    fn pass_on(&mut self, live: &mut Recorder<Channels>) -> Result<(), LiveError> {
+        let image = match self.images.latest() {
+            Ok(Some(image)) if image.order() != Order::Repeated => image,
+            // One that breaks the contract is not shown.
+            Ok(_) | Err(ReceiveError::Invalid { .. }) => return Ok(()),
+            Err(error) => return Err(error.into()),
+        };
+        self.has_sent = true;
+        let stamp = image.header().stamp;
+        let to = &mut live.writer;
+        if to.is_due_after(IMAGES_APART_NS, IMAGE, stamp.published_ns) {
+            to.draw(IMAGE, &stamp, |at| RawImage {
+                timestamp: at,
+                ..raw(&image)
+            })?;
+        }
+        Ok(())
+    }
+}
+
+fn raw(image: &Image) -> RawImage {
+    let header = image.header();
+    RawImage {
+        frame_id: CAMERA.to_owned(),
+        width: header.width,
+        height: header.height,
+        // The contract has the same names.
+        encoding: header
+            .encoding()
+            .map_or_else(String::new, |encoding| encoding.to_string()),
+        step: header.stride,
+        data: image.to_vec().into(),
+        ..RawImage::default()
+    }
+}
+
+/// Whether somebody has subscribed since the last look.
+#[derive(Debug, Default)]
+struct Arrivals(AtomicBool);
+
+impl ServerListener for Arrivals {
+    fn on_subscribe(&self, _: Client, _: ChannelView<'_>) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The channels of the server.
+pub(crate) struct Channels {
+    clock: WallClock,
+    context: Arc<Context>,
+    open: HashMap<&'static str, Arc<RawChannel>>,
+}
+
+impl Sink for Channels {
+    fn clock(&self) -> WallClock {
+        self.clock
+    }
+
+    /// Nothing is encoded where nobody has subscribed.
+    fn put(
+        &mut self,
+        topic: &'static str,
+        encoding: impl FnOnce() -> Encoding,
+        _sequence: u64,
+        wall_ns: u64,
+        data: impl FnOnce() -> Vec<u8>,
+    ) -> Result<(), WriteError> {
+        if !self.open.contains_key(topic) {
+            let Encoding { schema, message } = encoding();
+            let channel = ChannelBuilder::new(topic)
+                .context(&self.context)
+                .message_encoding(message)
+                .schema(Schema::new(schema.0, schema.1, schema.2))
+                .build_raw();
+            // Fails only without an encoding.
+            self.open
+                .extend(channel.ok().map(|channel| (topic, channel)));
+        }
+        if let Some(channel) = self.open.get(topic).filter(|channel| channel.has_sinks()) {
+            channel.log_with_meta(&data(), PartialMetadata::with_log_time(wall_ns));
+        }
+        Ok(())
+    }
+}
