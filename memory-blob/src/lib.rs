@@ -54,6 +54,8 @@ pub use contents::{Contents, Regression, WriteError};
 #[cfg(feature = "file")]
 pub use file::{MemoryFile, OpenError};
 #[cfg(feature = "file")]
+pub use replace::replace;
+#[cfg(feature = "file")]
 pub use report::Report;
 
 /// Most entries of an input x = (s, area, angle): eight points.

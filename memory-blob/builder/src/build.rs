@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use vpc::Task;
 
 use crate::mixture::Mixture;
+use crate::part::Part;
 use crate::settings::BuildSettings;
 use crate::solution::Finder;
 use crate::start::{self, NoStart};
@@ -60,14 +61,17 @@ pub enum BuildError {
     },
 }
 
-/// Collects trajectories until there are enough, or `stop` is set; calls `report` after each batch.
-/// Going on from the progress of an earlier call gives the same memory as one uninterrupted call.
+/// Collects the trajectories of a part until there are enough, or `stop` is set; calls `report`
+/// after each batch. Going on from the progress of an earlier call gives the same memory as one
+/// uninterrupted call. A part is guided by its own trajectories and failures only, so that it needs
+/// no other.
 ///
 /// # Errors
 /// [`BuildError`] where the scene leaves nothing to build.
 pub fn collect(
     scene: &Scene,
     settings: &BuildSettings,
+    part: Part,
     mut progress: Progress,
     stop: &AtomicBool,
     report: &mut dyn FnMut(&Progress),
@@ -78,11 +82,14 @@ pub fn collect(
         .trajectories
         .iter()
         .for_each(|t| store.add(&task, settings, t));
+    let wanted = part.range(settings.trajectories).len();
     let mut barren = 0;
-    while progress.trajectories.len() < settings.trajectories && !stop.load(Ordering::Relaxed) {
+    while progress.trajectories.len() < wanted && !stop.load(Ordering::Relaxed) {
         let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-        rng.set_stream(progress.batches + 1);
-        let starts = draw_starts(scene, &task, settings, &progress, &mut rng)?;
+        rng.set_stream(part.stream(progress.batches));
+        let adapting = progress.trajectories.len() as f64 >= settings.adapt_after * wanted as f64;
+        let failures = adapting.then_some(progress.failures.as_slice());
+        let starts = draw_starts(scene, &task, settings, failures, &mut rng)?;
         let seeds: Vec<u64> = starts.iter().map(|_| rng.random()).collect();
         let guide = (store.trajectories() >= settings.guide_after).then_some(&store);
         let trials: Vec<Trial> = starts
@@ -98,7 +105,7 @@ pub fn collect(
             .collect();
         let before = progress.trajectories.len();
         for (start, trial) in starts.iter().zip(trials) {
-            if progress.trajectories.len() == settings.trajectories {
+            if progress.trajectories.len() == wanted {
                 break;
             }
             progress.tried += 1;
@@ -126,19 +133,18 @@ pub fn collect(
     Ok(progress)
 }
 
-/// The starts of a batch: uniform at first; later a share of them from a mixture fitted to the
-/// failures.
+/// The starts of a batch: uniform without `failures`; with them, a share from a mixture over the
+/// latest.
 fn draw_starts(
     scene: &Scene,
     task: &Task,
     settings: &BuildSettings,
-    progress: &Progress,
+    failures: Option<&[[f64; 6]]>,
     rng: &mut ChaCha8Rng,
 ) -> Result<Vec<Pose>, NoStart> {
-    let adapting =
-        progress.trajectories.len() as f64 >= settings.adapt_after * settings.trajectories as f64;
-    let latest = progress.failures.len().saturating_sub(REMEMBERED_FAILURES);
-    let mixture = Mixture::over(&progress.failures[latest..]).filter(|_| adapting);
+    let mixture = failures.and_then(|failures| {
+        Mixture::over(&failures[failures.len().saturating_sub(REMEMBERED_FAILURES)..])
+    });
     (0..settings.batch)
         .map(|_| {
             let adapted = rng.random::<f64>() < settings.adapt_share;
