@@ -6,12 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use scene::{Pose, Scene};
+use scene::{Pose, Scene, Share};
 use serde::{Deserialize, Serialize};
 use vpc::Task;
 
 use crate::mixture::Mixture;
-use crate::part::Part;
 use crate::settings::BuildSettings;
 use crate::solution::Finder;
 use crate::start::{self, NoStart};
@@ -71,7 +70,7 @@ pub enum BuildError {
 pub fn collect(
     scene: &Scene,
     settings: &BuildSettings,
-    part: Part,
+    part: Share,
     mut progress: Progress,
     stop: &AtomicBool,
     report: &mut dyn FnMut(&Progress),
@@ -86,7 +85,7 @@ pub fn collect(
     let mut barren = 0;
     while progress.trajectories.len() < wanted && !stop.load(Ordering::Relaxed) {
         let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-        rng.set_stream(part.stream(progress.batches));
+        rng.set_stream(stream(part, progress.batches));
         let adapting = progress.trajectories.len() as f64 >= settings.adapt_after * wanted as f64;
         let failures = adapting.then_some(progress.failures.as_slice());
         let starts = draw_starts(scene, &task, settings, failures, &mut rng)?;
@@ -133,6 +132,12 @@ pub fn collect(
     Ok(progress)
 }
 
+/// The stream of random numbers of a batch: of one seed, no two parts share a stream, and the whole
+/// has those of part 0.
+fn stream(part: Share, batch: u64) -> u64 {
+    (u64::from(part.index()) << 40) + batch + 1
+}
+
 /// The starts of a batch: uniform without `failures`; with them, a share from a mixture over the
 /// latest.
 fn draw_starts(
@@ -151,4 +156,21 @@ fn draw_starts(
             start::valid(scene, task, mixture.as_ref().filter(|_| adapted), rng)
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_batches_of_any_parts_share_random_numbers() {
+        let part = |index: u32| format!("{index}/100000").parse::<Share>().unwrap();
+        let pairs = (0..100).flat_map(|index| (0..100).map(move |batch| (index, batch)));
+        let mut streams: Vec<u64> = pairs.map(|(i, batch)| stream(part(i), batch)).collect();
+        streams.sort_unstable();
+        streams.dedup();
+        assert_eq!(streams.len(), 100 * 100);
+        assert!(stream(part(99_999), 1 << 30) > stream(part(99_998), 1 << 30));
+        assert_eq!(stream(Share::default(), 5), 6);
+    }
 }

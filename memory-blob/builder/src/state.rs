@@ -9,14 +9,13 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
-use scene::SceneFiles;
+use scene::{SceneFiles, Share};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use toml_schema::FileError;
 
 use crate::build::Progress;
-use crate::part::Part;
 use crate::settings::BuildSettings;
 
 /// Begin of the first line, before the digest.
@@ -34,7 +33,7 @@ pub struct Header {
     /// SHA-256 of the scene file and its masks, 64 hexadecimal digits.
     pub scene: String,
     /// Which part it is.
-    pub part: Part,
+    pub part: Share,
     /// Successful trajectories that the part has to collect.
     pub wanted: usize,
     /// Those that it has.
@@ -103,10 +102,10 @@ pub enum StateError {
 
 impl Header {
     /// The header of a part that nothing was done of.
-    pub fn new(scene: &SceneFiles, settings: &BuildSettings, part: Part) -> Self {
+    pub fn new(scene: &SceneFiles, settings: &BuildSettings, part: Share) -> Self {
         Self {
             tool: TOOL.to_owned(),
-            scene: digest_of(scene),
+            scene: scene.digest(),
             part,
             wanted: part.range(settings.trajectories).len(),
             found: 0,
@@ -200,7 +199,7 @@ impl BuildState {
         path: &Path,
         scene: SceneFiles,
         settings: &BuildSettings,
-        part: Part,
+        part: Share,
     ) -> Result<Self, StateError> {
         let header = Header::new(&scene, settings, part);
         if !path.exists() {
@@ -290,21 +289,6 @@ fn lines(path: &Path, reader: &mut impl BufRead) -> Result<(String, Header, Vec<
     }
     let header = serde_json::from_value(header).map_err(unread)?;
     Ok((digest, header, line))
-}
-
-/// SHA-256 of a scene file and its masks.
-fn digest_of(scene: &SceneFiles) -> String {
-    let mut hash = Sha256::new();
-    let mut put = |bytes: &[u8]| {
-        hash.update((bytes.len() as u64).to_le_bytes());
-        hash.update(bytes);
-    };
-    put(scene.text.as_bytes());
-    for (name, mask) in &scene.masks {
-        put(name.as_bytes());
-        put(mask);
-    }
-    hex(hash)
 }
 
 fn hex(hash: Sha256) -> String {

@@ -6,10 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use memory_blob::Contents;
 use memory_builder::build::{Progress, collect};
 use memory_builder::memory::{self, Collection};
-use memory_builder::part::Part;
 use memory_builder::settings::BuildSettings;
 use memory_builder::state::BuildState;
-use scene::{Scene, SceneFiles};
+use scene::{Scene, SceneFiles, Share};
 use vpc::Task;
 
 fn settings() -> BuildSettings {
@@ -36,7 +35,7 @@ fn built(threads: usize) -> Progress {
         collect(
             &scene(),
             &settings(),
-            Part::default(),
+            Share::default(),
             Progress::default(),
             &never,
             &mut |_| (),
@@ -72,7 +71,7 @@ fn an_interrupted_build_goes_on_to_the_same_memory() {
     let directory = tempfile::TempDir::new().unwrap();
     let path = directory.path().join("state");
     let files = SceneFiles::parse(scene::PAPER_SIM.to_owned(), "sim", &|_| unreachable!()).unwrap();
-    let part = Part::default();
+    let part = Share::default();
     let mut progress = Progress::default();
     let mut interruptions = 0;
     while progress.trajectories.len() < settings().trajectories {

@@ -13,9 +13,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::Report;
 use memory_builder::build;
 use memory_builder::memory::{self, Collection};
-use memory_builder::part::Part;
 use memory_builder::state::BuildState;
-use scene::SceneFiles;
+use scene::{SceneFiles, Share};
 use vpc::Task;
 
 use crate::{Overrides, open};
@@ -30,7 +29,7 @@ pub struct Build {
     /// Make part I of N parts, I from 0 to N - 1, each on any machine; `vpc-memory merge` joins
     /// them. --trajectories and the seed are those of all parts.
     #[arg(long, value_name = "I/N")]
-    part: Option<Part>,
+    part: Option<Share>,
     /// Write what has been collected at least every so many seconds, so that after a kill the same
     /// command goes on from there.
     #[arg(long, value_name = "SECONDS", default_value_t = 60)]

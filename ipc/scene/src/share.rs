@@ -1,4 +1,5 @@
-//! Parts of a build: each is made by itself, by any process on any machine.
+//! Shares of a job, such as the trajectories of a memory or the runs from many starts: each is made
+//! by itself, by any process on any machine.
 
 use std::fmt;
 use std::ops::Range;
@@ -6,26 +7,26 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Most parts of a build.
-pub const MAX_PARTS: u32 = 100_000;
+/// Most parts of a job.
+const MAX_SHARES: u32 = 100_000;
 
-/// Part `index` of `count`, written `I/N` with I from 0 to N - 1: as Slurm's array tasks of
+/// Share `index` of `count`, written `I/N` with I from 0 to N - 1: as Slurm's array tasks of
 /// `--array=0-N-1` and the pods of an Indexed Job count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Part {
+pub struct Share {
     index: u32,
     count: u32,
 }
 
 /// The whole, which is part 0 of 1.
-impl Default for Part {
+impl Default for Share {
     fn default() -> Self {
         Self { index: 0, count: 1 }
     }
 }
 
-impl Part {
-    /// Number of this part, 0 to [`Part::count`] - 1.
+impl Share {
+    /// Number of this part, 0 to [`Share::count`] - 1.
     pub fn index(&self) -> u32 {
         self.index
     }
@@ -42,32 +43,26 @@ impl Part {
             |index: u32| (total as u128 * u128::from(index) / u128::from(self.count)) as usize;
         bound(self.index)..bound(self.index + 1)
     }
-
-    /// The stream of random numbers of one of this part's batches: of one seed, no two parts share
-    /// a stream, and the whole has those of part 0.
-    pub(crate) fn stream(&self, batch: u64) -> u64 {
-        (u64::from(self.index) << 40) + batch + 1
-    }
 }
 
-impl fmt::Display for Part {
+impl fmt::Display for Share {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}", self.index, self.count)
     }
 }
 
-impl FromStr for Part {
+impl FromStr for Share {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         let pair = text.split_once('/');
         let pair = pair.and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
         match pair {
-            Some((index, count)) if index < count && count <= MAX_PARTS => {
+            Some((index, count)) if index < count && count <= MAX_SHARES => {
                 Ok(Self { index, count })
             }
             _ => Err(format!(
-                "`{text}`; allowed: I/N with I from 0 to N - 1, and N from 1 to {MAX_PARTS}"
+                "`{text}`; allowed: I/N with I from 0 to N - 1, and N from 1 to {MAX_SHARES}"
             )),
         }
     }
@@ -77,7 +72,7 @@ impl FromStr for Part {
 mod tests {
     use super::*;
 
-    fn part(text: &str) -> Part {
+    fn share(text: &str) -> Share {
         text.parse().unwrap()
     }
 
@@ -85,7 +80,7 @@ mod tests {
     fn parts_cover_everything_once_and_as_evenly_as_possible() {
         for (total, count) in [(900, 4), (10, 4), (7, 7), (5, 8), (1_000_000, 999)] {
             let parts: Vec<_> = (0..count)
-                .map(|index| Part { index, count }.range(total))
+                .map(|index| Share { index, count }.range(total))
                 .collect();
             assert_eq!((parts[0].start, parts[parts.len() - 1].end), (0, total));
             assert!(parts.windows(2).all(|pair| pair[0].end == pair[1].start));
@@ -96,28 +91,10 @@ mod tests {
 
     #[test]
     fn a_part_reads_as_it_is_written_and_nothing_else_is_one() {
-        assert_eq!(part("3/4").to_string(), "3/4");
+        assert_eq!(share("3/4").to_string(), "3/4");
         for text in ["4/4", "0/0", "1", "-1/4", "a/4", "0/100001", "1/2/3", ""] {
-            let refused = text.parse::<Part>().unwrap_err();
+            let refused = text.parse::<Share>().unwrap_err();
             assert!(refused.contains("allowed: I/N"), "{refused}");
         }
-    }
-
-    #[test]
-    fn no_two_batches_of_any_parts_share_random_numbers() {
-        let mut streams: Vec<u64> = (0..100)
-            .flat_map(|index| (0..100).map(move |batch| (index, batch)))
-            .map(|(index, batch)| Part { index, count: 100 }.stream(batch))
-            .collect();
-        streams.sort_unstable();
-        streams.dedup();
-        assert_eq!(streams.len(), 100 * 100);
-        // The streams of the last part end below those that a 64-bit number can hold.
-        let last = Part {
-            index: MAX_PARTS - 1,
-            count: MAX_PARTS,
-        };
-        assert!(last.stream((1 << 40) - 2) > last.stream(0));
-        assert_eq!(Part::default().stream(5), 6);
     }
 }
