@@ -19,6 +19,8 @@ const STRATEGIES: &str = "knn:3,gpr:3";
 /// Sizes of the test.
 struct Sizes {
     trajectories: usize,
+    /// Starts that are tried at a time: a part has to take several such batches.
+    batch: usize,
     starts: usize,
 }
 
@@ -41,10 +43,12 @@ fn a_memory_and_a_table_in_parts_survive_the_kill_of_a_node() {
     let sizes = match is_long() {
         true => Sizes {
             trajectories: 900,
+            batch: 32,
             starts: 2000,
         },
         false => Sizes {
             trajectories: 120,
+            batch: 4,
             starts: 120,
         },
     };
@@ -75,9 +79,13 @@ fn a_memory_and_a_table_in_parts_survive_the_kill_of_a_node() {
     let (memory, table) = (script("memory.sbatch"), script("table.sbatch"));
     let array = format!("--array=0-{}", PARTS - 1);
     let build = ["scene.toml", "slurm.vpcmem"];
-    let flags = ["--trajectories", &trajectories, "--checkpoint-s", "0"];
+    let batch = format!("batch = {}", sizes.batch);
+    fs::write(here.join("settings.toml"), batch).unwrap();
+    let flags = format!("--settings settings.toml --trajectories {trajectories}");
+    let mut words: Vec<_> = flags.split(' ').collect();
+    words.extend(["--checkpoint-s", "0"]);
     let clock = Instant::now();
-    let parts = cluster.submit(&[&[array.as_str(), &memory], &build[..], &flags].concat());
+    let parts = cluster.submit(&[&[array.as_str(), &memory], &build[..], &words].concat());
     let after = format!("--dependency=afterok:{parts}");
     let merge = cluster.submit(
         &[
@@ -114,7 +122,7 @@ fn a_memory_and_a_table_in_parts_survive_the_kill_of_a_node() {
     };
     for part in 0..PARTS {
         run(&format!(
-            "build scene.toml --part {part}/{PARTS} -o calm-{part} --trajectories {trajectories}"
+            "build scene.toml --part {part}/{PARTS} -o calm-{part} {flags}"
         ));
     }
     run("merge calm-2 calm-0 calm-3 calm-1 -o calm.vpcmem");
@@ -123,9 +131,7 @@ fn a_memory_and_a_table_in_parts_survive_the_kill_of_a_node() {
         bytes("slurm.vpcmem") == bytes("calm.vpcmem"),
         "the kill shows in the memory"
     );
-    run(&format!(
-        "build scene.toml -o piece.vpcmem --trajectories {trajectories}"
-    ));
+    run(&format!("build scene.toml -o piece.vpcmem {flags}"));
     run(&format!(
         "starts scene.toml -o starts.csv --count {} --seed 7001",
         sizes.starts

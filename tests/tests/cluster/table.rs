@@ -8,8 +8,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 use testkit::{Ended, ended, program, root};
 
-/// Columns of the printed table that are times: the last ones.
-const TIMES: usize = 6;
+/// Cells at the end of a printed row that are times, and the one after its last bar.
+const TIMES: usize = 6 + 1;
 
 fn run(directory: &Path, line: &str) -> Ended {
     let mut command = Command::new(program("table"));
