@@ -16,9 +16,6 @@ use crate::spec::Spec;
 
 /// The program and its version.
 const TABLE: &str = concat!("table ", env!("CARGO_PKG_VERSION"));
-/// Missing parts that a message names.
-const NAMED: usize = 10;
-
 /// What runs belong to: parts of the same table have the same.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Origin {
@@ -147,51 +144,15 @@ pub fn merge(paths: &[PathBuf]) -> anyhow::Result<(Document<Row, Run>, Table)> {
     let mut parts: Vec<(&Path, Document<Row, Run>)> = Vec::new();
     for path in paths {
         let document = read(path)?;
-        if let Some((_, first)) = parts.first() {
-            let count = |of: &Document<Row, Run>| of.part.count().to_string();
-            let pair = (count(&document), count(first));
-            let parts =
-                (pair.0 != pair.1).then_some(("number of parts".to_owned(), pair.0, pair.1));
-            if let Some((key, found, expected)) =
-                document.origin.difference(&first.origin).or(parts)
-            {
-                bail!("{}: {key} is {found}; expected: {expected}", path.display());
-            }
+        if let Some((_, first)) = parts.first()
+            && let Some((key, found, expected)) = document.origin.difference(&first.origin)
+        {
+            bail!("{}: {key} is {found}; expected: {expected}", path.display());
         }
         parts.push((path, document));
     }
+    Share::check_whole(parts.iter().map(|(path, document)| (*path, document.part)))?;
     parts.sort_by_key(|(_, document)| document.part.index());
-    for pair in parts.windows(2) {
-        let [(other, _), (path, document)] = pair else {
-            continue;
-        };
-        if pair[0].1.part == document.part {
-            let (path, part, other) = (path.display(), document.part, other.display());
-            bail!("{path}: part {part} is {other} already; expected: each part once");
-        }
-    }
-    let mut indices = parts.iter().map(|(_, document)| document.part.index());
-    let count = parts.first().map_or(1, |(_, first)| first.part.count());
-    let mut next = indices.next();
-    let mut missing = Vec::new();
-    for index in 0..count {
-        if next == Some(index) {
-            next = indices.next();
-        } else {
-            missing.push(index.to_string());
-        }
-    }
-    if !missing.is_empty() {
-        let (found, more) = (parts.len(), missing.len().saturating_sub(NAMED));
-        missing.truncate(NAMED);
-        let more = if more > 0 {
-            format!(" and {more} more")
-        } else {
-            String::new()
-        };
-        let missing = missing.join(", ");
-        bail!("{found} of {count} parts; expected: all; missing: {missing}{more}");
-    }
     join(parts)
 }
 

@@ -49,7 +49,7 @@ pub use files::SceneFiles;
 #[cfg(feature = "file")]
 pub use mask::write_mask;
 #[cfg(feature = "file")]
-pub use share::Share;
+pub use share::{NotWhole, Share};
 #[cfg(feature = "file")]
 pub use starts::{parse_starts, read_starts, starts_csv};
 #[cfg(feature = "file")]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use memory_blob::Contents;
-use scene::SceneFiles;
+use scene::{NotWhole, SceneFiles, Share};
 use vpc::{Task, TaskError};
 
 use crate::memory::{self, Collection};
@@ -14,8 +14,6 @@ use toml_schema::Refusal;
 
 /// Most samples that a file may have (`FORMAT.md`).
 const MAX_SAMPLES: usize = 10_000_000;
-/// Missing parts that a message names.
-const NAMED: usize = 10;
 
 /// Why parts do not make a memory.
 #[derive(Debug, thiserror::Error)]
@@ -37,26 +35,9 @@ pub enum MergeError {
         /// Those that it should have.
         wanted: usize,
     },
-    /// A part is there twice.
-    #[error("{path}: part {part} is {other} already; expected: each part once")]
-    Twice {
-        /// The file.
-        path: String,
-        /// Which part.
-        part: String,
-        /// The other file.
-        other: String,
-    },
-    /// Parts are missing.
-    #[error("{found} of {count} parts; expected: all; missing: {missing}")]
-    Missing {
-        /// Parts that are there.
-        found: usize,
-        /// All parts.
-        count: u32,
-        /// Indices of the missing ones.
-        missing: String,
-    },
+    /// A part is missing, or there twice.
+    #[error(transparent)]
+    NotWhole(#[from] NotWhole),
     /// More samples than a file may have.
     #[error(
         "{found} samples after {part}; allowed: {MAX_SAMPLES}; fewer trajectories, or a larger sample_spacing"
@@ -111,34 +92,11 @@ impl Parts {
             }
             files.push((path.clone(), header));
         }
+        let parts = files
+            .iter()
+            .map(|(path, header)| (path.as_path(), header.part));
+        Share::check_whole(parts)?;
         files.sort_by_key(|(_, header)| header.part.index());
-        let twice = files
-            .windows(2)
-            .find(|pair| pair[0].1.part == pair[1].1.part);
-        if let Some([(other, _), (path, header)]) = twice {
-            return Err(MergeError::Twice {
-                path: path.display().to_string(),
-                part: header.part.to_string(),
-                other: other.display().to_string(),
-            });
-        }
-        let count = files.first().map_or(1, |(_, header)| header.part.count());
-        let is_there = |index: &u32| {
-            let found = files.binary_search_by_key(index, |(_, header)| header.part.index());
-            found.is_ok()
-        };
-        let missing: Vec<u32> = (0..count).filter(|index| !is_there(index)).collect();
-        if !missing.is_empty() {
-            let mut names: Vec<_> = missing.iter().take(NAMED).map(u32::to_string).collect();
-            if missing.len() > NAMED {
-                names.push(format!("and {} more", missing.len() - NAMED));
-            }
-            return Err(MergeError::Missing {
-                found: files.len(),
-                count,
-                missing: names.join(", "),
-            });
-        }
         match files.iter().find(|(_, header)| !header.is_complete()) {
             None => Ok(Self { files }),
             Some((path, header)) => Err(MergeError::Unfinished {
@@ -155,35 +113,37 @@ impl Parts {
     /// # Errors
     /// [`MergeError`] if a file is damaged or the samples are too many.
     pub fn merge(&self) -> Result<Merged, MergeError> {
-        let mut files = self.files.iter();
-        // There is a part 0, or there were none.
-        let (mut path, mut state) = match files.next() {
-            Some((path, header)) => (path, read(path, header)?),
-            None => {
-                return Err(MergeError::Missing {
-                    found: 0,
-                    count: 1,
-                    missing: "0".to_owned(),
-                });
-            }
-        };
-        let (scene, settings) = (state.scene.clone(), state.header.settings.clone());
-        let grown = settings.grown(&scene.scene)?;
-        let task = Task::new(&grown).map_err(MergeError::Task)?;
-        let mut collection = Collection::new(&task);
-        loop {
-            collection.add(&task, &settings, &state.progress);
+        let mut begun: Option<(SceneFiles, BuildSettings, Task, Collection)> = None;
+        for (path, header) in &self.files {
+            let state = read(path, header)?;
+            let (_, settings, task, collection) = match &mut begun {
+                Some(begun) => begun,
+                None => {
+                    let settings = state.header.settings;
+                    let grown = settings.grown(&state.scene.scene)?;
+                    let task = Task::new(&grown).map_err(MergeError::Task)?;
+                    let collection = Collection::new(&task);
+                    begun.insert((state.scene, settings, task, collection))
+                }
+            };
+            collection.add(task, settings, &state.progress);
             if collection.samples() > MAX_SAMPLES {
                 return Err(MergeError::Samples {
                     found: collection.samples(),
                     part: path.display().to_string(),
                 });
             }
-            let Some((next, header)) = files.next() else {
-                break;
-            };
-            (path, state) = (next, read(next, header)?);
         }
+        let Some((scene, settings, task, collection)) = begun else {
+            // No files at all, which `of` refuses.
+            let (found, count, missing) = (0, 1, "0".to_owned());
+            return Err(NotWhole::Missing {
+                found,
+                count,
+                missing,
+            }
+            .into());
+        };
         let trajectories = collection.trajectories();
         Ok(Merged {
             contents: memory::contents(&scene.scene, &task, &settings, collection)?,

@@ -134,7 +134,6 @@ impl Header {
     /// # Errors
     /// [`StateError::Foreign`] names what differs.
     pub fn belongs_to(&self, other: &Self, path: &Path) -> Result<(), StateError> {
-        let parts = |header: &Self| header.part.count().to_string();
         let pairs = [
             ("version", self.tool.clone(), other.tool.clone()),
             (
@@ -142,7 +141,6 @@ impl Header {
                 self.scene.clone(),
                 other.scene.clone(),
             ),
-            ("number of parts", parts(self), parts(other)),
         ];
         let [ours, theirs] = [self, other].map(|header| flat(&header.settings));
         let keys = theirs.keys().chain(ours.keys());

@@ -72,14 +72,19 @@ fn ask(path: &Path, queries: &[&Vec<f64>]) -> anyhow::Result<()> {
     let clock = Instant::now();
     let file = open(path)?;
     let opened = clock.elapsed().as_secs_f64();
-    let (samples, contents) = (file.view().samples(), file.contents());
+    let samples = file.view().samples();
     let scaling = samples.scaling();
     let scale = |x: &[f64]| -> [f64; N] {
         std::array::from_fn(|k| (x[k] - scaling.offset[k]) / scaling.scale[k])
     };
-    let rows: Vec<[f64; N]> = contents.x.iter().map(|x| scale(x)).collect();
-    let count = rows.len();
-    drop(contents);
+    // In the order of the file, which is that of a k-d tree.
+    let count = samples.len();
+    let mut rows: Vec<[f64; N]> = Vec::with_capacity(count);
+    let mut row = [0.0; N];
+    for index in 0..count {
+        samples.input(index, &mut row)?;
+        rows.push(scale(&row));
+    }
     let scaled: Vec<[f64; N]> = queries.iter().map(|x| scale(x)).collect();
 
     let ours = |k: usize| {
