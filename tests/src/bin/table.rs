@@ -39,25 +39,15 @@ use vpc::Task;
 #[command(name = "table", version)]
 struct Cli {
     /// Scene file (TOML).
-    #[arg(
-        long,
-        required = false,
-        required_unless_present = "merge",
-        conflicts_with = "merge"
-    )]
+    #[arg(long, required = false, required_unless_present = "merge")]
     scene: PathBuf,
     /// Start poses: a file (CSV: tx,ty,tz,rx,ry,rz), or COUNT@SEED: so many that `vpc-memory starts`
     /// draws by this seed.
-    #[arg(
-        long,
-        required = false,
-        required_unless_present = "merge",
-        conflicts_with = "merge"
-    )]
+    #[arg(long, required = false, required_unless_present = "merge")]
     starts: Source,
     /// Memory of motion: a file, or COUNT@SEED: one of so many trajectories that `vpc-memory build`
     /// makes by this seed; 900@1 if none is given. Several make a table each.
-    #[arg(long, conflicts_with = "merge")]
+    #[arg(long)]
     memory: Vec<Source>,
     #[command(flatten)]
     common: Common,
@@ -71,7 +61,7 @@ struct Cli {
     #[arg(long, value_name = "I/N", requires = "json", conflicts_with_all = ["plots", "cold"])]
     part: Option<Share>,
     /// Run nothing: print the table of these parts, written by --part and --json, in any order.
-    #[arg(long, value_name = "FILES", num_args = 1.., conflicts_with_all = ["part", "plots"])]
+    #[arg(long, value_name = "FILES", num_args = 1..)]
     merge: Vec<PathBuf>,
     /// Draw pictures into this directory.
     #[arg(long)]
@@ -149,7 +139,14 @@ fn settings(matches: &ArgMatches) -> Settings {
 /// nothing must not pass for one that does nothing.
 fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Work, clap::Error> {
     let matches = Cli::command().try_get_matches_from(arguments)?;
+    let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
     if let Some(files) = matches.get_many("merge") {
+        let command = Cli::command();
+        let mut ids = command.get_arguments().map(|flag| flag.get_id().as_str());
+        if let Some(id) = ids.find(|id| !["merge", "json"].contains(id) && given(id)) {
+            let words = format!("--{} does not go with --merge", id.replace('_', "-"));
+            return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
+        }
         let json = matches.get_one("json").cloned();
         return Ok(Work::Merge(files.cloned().collect(), json));
     }
@@ -160,7 +157,6 @@ fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Work
         (Body::Panda, "panda", RobotFlags::augment_args(none())),
         (Body::Fci, "fci", FciFlags::augment_args(none())),
     ];
-    let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
     for (_, name, flags) in bodies.iter().filter(|(body, ..)| *body != cli.robot) {
         let mut ids = flags.get_arguments().map(|flag| flag.get_id().as_str());
         if let Some(id) = ids.find(|id| given(id)) {
@@ -500,7 +496,7 @@ mod tests {
             ("--part 2/2 --json f", "allowed: I/N with I from 0 to N - 1"),
             ("--part 0/2", "--json"),
             ("--part 0/2 --json f --cold", "--cold"),
-            ("--merge a b", "--merge"),
+            ("--merge a b", "--scene does not go with --merge"),
             (
                 "--noise 1 --robot fci",
                 "--noise does not go with --robot fci",
