@@ -19,8 +19,8 @@ const STRATEGIES: &str = "knn:3,gpr:3";
 /// How far two memories may differ in success and in cost over the same starts: by so many standard
 /// errors, and by what memories in one piece differ by that were built by other seeds (`SCALING.md`).
 const Z: f64 = 3.0;
-const SUCCESS_OF_SEEDS: f64 = 0.02;
-const COST_OF_SEEDS: f64 = 3.0;
+const SUCCESS_OF_SEEDS: f64 = 0.01;
+const COST_OF_SEEDS: f64 = 2.5;
 
 /// Sizes of the test.
 struct Sizes {
