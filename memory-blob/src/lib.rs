@@ -62,5 +62,7 @@ pub use report::Report;
 pub const MAX_INPUTS: usize = 18;
 /// Most entries of an output y = (v, way point): eight points.
 pub const MAX_OUTPUTS: usize = 22;
+/// Most samples in a file.
+pub const MAX_SAMPLES: usize = 10_000_000;
 /// Most neighbours that a query averages.
 pub const MAX_NEIGHBOURS: usize = 64;

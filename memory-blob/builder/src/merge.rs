@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use memory_blob::Contents;
+use memory_blob::{Contents, MAX_SAMPLES};
 use scene::{NotWhole, SceneFiles, Share};
 use vpc::{Task, TaskError};
 
@@ -11,9 +11,6 @@ use crate::regression::NotPositiveDefinite;
 use crate::settings::BuildSettings;
 use crate::state::{BuildState, Header, StateError};
 use toml_schema::Refusal;
-
-/// Most samples that a file may have (`FORMAT.md`).
-const MAX_SAMPLES: usize = 10_000_000;
 
 /// Why parts do not make a memory.
 #[derive(Debug, thiserror::Error)]
