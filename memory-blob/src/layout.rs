@@ -8,7 +8,7 @@ use crate::gpr::OUTPUT_LANES;
 use crate::header::Header;
 use crate::samples::{BLOCK, BLOCKS_PER_GROUP};
 use crate::view::{Memory, Scaling};
-use crate::{Contents, Gpr, MAX_INPUTS, MAX_OUTPUTS, Samples};
+use crate::{Contents, Gpr, MAX_INPUTS, MAX_OUTPUTS, MAX_SAMPLES, Samples};
 
 /// The counts that fix all shapes, and the variances.
 #[derive(Clone, Copy, Debug)]
@@ -64,7 +64,7 @@ impl Layout {
         Ok(Self {
             inputs: count("inputs", 1, MAX_INPUTS)?,
             outputs: count("outputs", 1, MAX_OUTPUTS)?,
-            samples: count("samples", 1, 10_000_000)?,
+            samples: count("samples", 1, MAX_SAMPLES)?,
             gpr_samples,
             probes: probes
                 .ok_or("tensor probes.x is missing or empty; allowed: at least one probe")?,

@@ -54,11 +54,15 @@ pub use contents::{Contents, Regression, WriteError};
 #[cfg(feature = "file")]
 pub use file::{MemoryFile, OpenError};
 #[cfg(feature = "file")]
+pub use replace::replace;
+#[cfg(feature = "file")]
 pub use report::Report;
 
 /// Most entries of an input x = (s, area, angle): eight points.
 pub const MAX_INPUTS: usize = 18;
 /// Most entries of an output y = (v, way point): eight points.
 pub const MAX_OUTPUTS: usize = 22;
+/// Most samples in a file.
+pub const MAX_SAMPLES: usize = 10_000_000;
 /// Most neighbours that a query averages.
 pub const MAX_NEIGHBOURS: usize = 64;

@@ -1,5 +1,6 @@
 //! Replaces a file atomically.
 
+use std::ffi::OsString;
 use std::fs::{self, File, Permissions};
 use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
@@ -12,14 +13,18 @@ use tempfile::Builder;
 /// one is written beside it and synchronised before it is renamed, and the directory, which holds
 /// the name, is synchronised after. Of several that write the same path at once the last one
 /// stands.
-pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+///
+/// # Errors
+/// The operating system's.
+pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let directory = path
         .parent()
         .filter(|directory| !directory.as_os_str().is_empty())
         .unwrap_or(Path::new("."));
     fs::create_dir_all(directory)?;
-    // What a killed writer leaves says whose it was.
-    let mut prefix = path.file_name().unwrap_or_default().to_owned();
+    // What a killed writer leaves says whose it was, and `FILE*` does not match it.
+    let mut prefix = OsString::from(".");
+    prefix.push(path.file_name().unwrap_or_default());
     prefix.push(".");
     let mut beside = Builder::new()
         .prefix(&prefix)

@@ -12,12 +12,12 @@ use hw_sim::sensor::{Flaws, Sensor};
 use hw_sim::{End, FreeCamera, Referee};
 use ipc::{CycleRecord, Hold, SolverStatus, TwistState};
 use scene::{Pose, Scene};
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::simulated::Simulated;
 
 /// What happened in a run.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Run {
     /// Whether the goal was reached in time without a violation.
     pub success: bool,
@@ -33,20 +33,19 @@ pub struct Run {
     /// share of the limit (largest component); `None` if there were none.
     pub change: Option<f64>,
     /// Least clearance of a point from a border in a frame, px; negative inside.
+    #[serde(deserialize_with = "or_infinite")]
     pub least_clearance_px: f64,
     /// The same at the instants between frames.
+    #[serde(deserialize_with = "or_infinite")]
     pub least_between_px: f64,
     /// Where markers have a size: least clearance of any marker's edge at all these instants, px.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub least_edge_px: Option<f64>,
     /// Time of each decision until the run was decided, us: filled by [`time`].
-    #[serde(skip)]
     pub cycles_us: Vec<f64>,
     /// Time that foresight took after each of those cycles, us: filled by [`time`].
-    #[serde(skip)]
     pub slack_us: Vec<f64>,
     /// Periods that it simulated: filled by [`time`].
-    #[serde(skip)]
     pub simulated: u64,
     /// Iterations of the solver in those cycles.
     pub iterations: u64,
@@ -57,8 +56,13 @@ pub struct Run {
     pub history: Vec<Moment>,
 }
 
+/// A clearance: infinite, which JSON writes as null, where there was no frame.
+fn or_infinite<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f64::INFINITY))
+}
+
 /// Why a run failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
     /// A feature went too deep into an occlusion or out of the image.
@@ -309,9 +313,9 @@ impl fmt::Display for Caches {
     }
 }
 
-/// Time since then, us.
+/// Time since then, us: whole nanoseconds.
 fn micros(begin: Instant) -> f64 {
-    begin.elapsed().as_secs_f64() * 1e6
+    begin.elapsed().as_nanos() as f64 / 1e3
 }
 
 fn median(mut times: Vec<f64>) -> Option<f64> {

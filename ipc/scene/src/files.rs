@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::{fs, io};
 
+use sha2::{Digest, Sha256};
 use toml_schema::FileError;
 
 use crate::Scene;
@@ -60,5 +61,22 @@ impl SceneFiles {
             text,
             masks: masks.into_inner(),
         })
+    }
+
+    /// SHA-256 of the scene file and its masks, 64 hexadecimal digits. Unlike the fingerprint, which
+    /// is the task's, it changes with every byte.
+    pub fn digest(&self) -> String {
+        let mut hash = Sha256::new();
+        let mut put = |bytes: &[u8]| {
+            hash.update((bytes.len() as u64).to_le_bytes());
+            hash.update(bytes);
+        };
+        put(self.text.as_bytes());
+        for (name, mask) in &self.masks {
+            put(name.as_bytes());
+            put(mask);
+        }
+        let digest: [u8; 32] = hash.finalize().into();
+        digest.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }

@@ -3,24 +3,18 @@
 mod command;
 
 use std::fs;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::{MemoryFile, Report};
-use memory_builder::build::{self, Progress};
 use memory_builder::settings::BuildSettings;
 use memory_builder::{memory, start};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scene::Scene;
-use serde::{Deserialize, Serialize};
 use toml_schema::Document;
 use vpc::Task;
 
@@ -39,7 +33,11 @@ enum Command {
     /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from
     /// there and ends with the same file. The same seed gives the same file whatever the number of
     /// threads.
-    Build(Build),
+    Build(command::build::Build),
+    /// Join the parts that `vpc-memory build --part` made to one memory, and fit the regression.
+    ///
+    /// The order of the files makes no difference: the same parts give the same memory to the bit.
+    Merge(command::merge::Merge),
     /// Say what is in a memory.
     Inspect {
         /// The memory.
@@ -91,23 +89,9 @@ enum Command {
     },
 }
 
-#[derive(Args)]
-struct Build {
-    /// Scene file (TOML).
-    scene: PathBuf,
-    /// The memory to write.
-    #[arg(short, long)]
-    output: PathBuf,
-    /// Threads; all cores by default.
-    #[arg(long)]
-    threads: Option<usize>,
-    #[command(flatten)]
-    overrides: Overrides,
-}
-
 /// Settings: the paper's values, then those of the file, then those of the flags.
 #[derive(Args)]
-struct Overrides {
+pub(crate) struct Overrides {
     /// Settings file (TOML); `vpc-memory inspect` shows every key under provenance.
     #[arg(long)]
     settings: Option<PathBuf>,
@@ -149,7 +133,7 @@ struct Overrides {
 }
 
 impl Overrides {
-    fn settings(&self) -> anyhow::Result<BuildSettings> {
+    pub(crate) fn settings(&self) -> anyhow::Result<BuildSettings> {
         let mut document = Document::read(self.settings.as_deref())?;
         document.set("trajectories", "--trajectories", self.trajectories);
         document.set("np", "--np", self.np);
@@ -181,20 +165,10 @@ fn growth(text: &str) -> Result<(String, f64), String> {
     Ok((name.to_owned(), factor.parse().map_err(|_| allowed())?))
 }
 
-/// What a Ctrl-C leaves behind.
-#[derive(Serialize, Deserialize)]
-struct Partial {
-    task: String,
-    settings: BuildSettings,
-    progress: Progress,
-}
-
-/// Stack of each thread that solves, bytes: the law's workspace is large.
-const STACK: usize = 16 << 20;
-
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
-        Command::Build(build) => run_build(&build),
+        Command::Build(build) => build.run().map(|said| print(&said)),
+        Command::Merge(merge) => merge.run().map(|said| print(&said)),
         Command::Inspect { file } => {
             open(&file, None).map(|file| print(&Report::of(&file).to_string()))
         }
@@ -225,11 +199,11 @@ fn main() -> ExitCode {
 }
 
 /// Prints, and does not mind a reader that went away.
-fn print(text: &str) {
+pub(crate) fn print(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
 }
 
-fn open(path: &Path, scene: Option<&Scene>) -> anyhow::Result<MemoryFile> {
+pub(crate) fn open(path: &Path, scene: Option<&Scene>) -> anyhow::Result<MemoryFile> {
     let task = scene.map(Scene::fingerprint);
     Ok(MemoryFile::open(
         path,
@@ -276,109 +250,4 @@ fn run_fit(input: &Path, scene: &Path, output: &Path, overrides: &Overrides) -> 
     memory::refit(&scene, &task, &settings, &contents)?.write(output)?;
     print(&Report::of(&open(output, Some(&scene))?).to_string());
     Ok(())
-}
-
-fn run_build(build: &Build) -> anyhow::Result<()> {
-    let settings = build.overrides.settings()?;
-    let scene = Scene::read(&build.scene)?;
-    let grown = settings.grown(&scene)?;
-    let task = Task::new(&grown).with_context(|| build.scene.display().to_string())?;
-    let threads = build.threads;
-    if let Some(threads) = threads.filter(|threads| !(1..=1024).contains(threads)) {
-        bail!("--threads = {threads}; allowed: 1 to 1024");
-    }
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.unwrap_or(0)) // 0: as many as there are processors
-        .stack_size(STACK)
-        .build_global()?;
-    let mut partial_path = build.output.as_os_str().to_owned();
-    partial_path.push(".partial");
-    let partial_path = PathBuf::from(partial_path);
-    let begun = resume(&partial_path, &scene, &settings)?;
-
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop))?;
-        signal_hook::flag::register(signal, Arc::clone(&stop))?;
-    }
-    let bar = progress_bar(settings.trajectories, begun.trajectories.len());
-    let clock = Instant::now();
-    let progress = build::collect(&grown, &settings, begun, &stop, &mut |progress| {
-        bar.set_position(progress.trajectories.len() as u64);
-        let found = progress.trajectories.len() as f64;
-        bar.set_message(format!(
-            "{:.0} % of {} starts",
-            100.0 * found / progress.tried as f64,
-            progress.tried
-        ));
-    })?;
-    bar.finish_and_clear();
-    if stop.load(Ordering::Relaxed) && progress.trajectories.len() < settings.trajectories {
-        let found = progress.trajectories.len();
-        let task = scene.fingerprint().to_string();
-        let text = serde_json::to_vec(&Partial {
-            task,
-            settings,
-            progress,
-        })?;
-        fs::write(&partial_path, text).with_context(|| partial_path.display().to_string())?;
-        eprintln!(
-            "vpc-memory: stopped at {found} trajectories; the same command goes on from {}",
-            partial_path.display()
-        );
-        std::process::exit(130);
-    }
-    let collected = clock.elapsed();
-    let contents = memory::contents(&scene, &task, &settings, &progress)?;
-    contents.write(&build.output)?;
-    if partial_path.exists() {
-        fs::remove_file(&partial_path).with_context(|| partial_path.display().to_string())?;
-    }
-    let file = open(&build.output, Some(&scene))?;
-    print(&format!(
-        "{}: {} bytes; {} trajectories of {} starts in {:.1} s, regression in {:.1} s\n{}",
-        build.output.display(),
-        file.size(),
-        progress.trajectories.len(),
-        progress.tried,
-        collected.as_secs_f64(),
-        (clock.elapsed() - collected).as_secs_f64(),
-        Report::of(&file),
-    ));
-    Ok(())
-}
-
-/// The progress that an interrupted build left, where it was of the same scene and settings.
-fn resume(path: &Path, scene: &Scene, settings: &BuildSettings) -> anyhow::Result<Progress> {
-    if !path.exists() {
-        return Ok(Progress::default());
-    }
-    let text = fs::read(path).with_context(|| path.display().to_string())?;
-    let partial: Partial = serde_json::from_slice(&text).with_context(|| {
-        format!(
-            "{}: not the state of a build; remove it to begin anew",
-            path.display()
-        )
-    })?;
-    if partial.task != scene.fingerprint().to_string() || partial.settings != *settings {
-        bail!(
-            "{}: the state of a build with another scene or other settings; allowed: the same ones; remove it to begin anew",
-            path.display()
-        );
-    }
-    Ok(partial.progress)
-}
-
-fn progress_bar(total: usize, begun: usize) -> ProgressBar {
-    let bar = if std::io::stderr().is_terminal() {
-        ProgressBar::new(total as u64)
-    } else {
-        ProgressBar::hidden()
-    };
-    let style = "{bar:40.cyan/blue} {pos}/{len} trajectories, {per_sec}, ETA {eta}, {msg}";
-    bar.set_style(
-        ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar()),
-    );
-    bar.set_position(begun as u64);
-    bar
 }

@@ -8,10 +8,56 @@ use vpc::{DOF, Task};
 use crate::build::Progress;
 use crate::regression::{self, FitSettings, NotPositiveDefinite};
 use crate::settings::BuildSettings;
-use crate::store::{Store, Trajectory};
+use crate::state::TOOL;
+use crate::store::Store;
 use crate::subsample;
 
-/// The contents of the memory that some trajectories make.
+/// What the trajectories of all parts come to; the trajectories themselves are not kept.
+#[derive(Clone, Debug)]
+pub struct Collection {
+    store: Store,
+    parts: u32,
+    tried: u64,
+    causes: [u64; 4],
+    periods: usize,
+}
+
+impl Collection {
+    /// Nothing yet.
+    pub fn new(task: &Task) -> Self {
+        Self {
+            store: Store::new(task),
+            parts: 0,
+            tried: 0,
+            causes: [0; 4],
+            periods: 0,
+        }
+    }
+
+    /// Adds a part; the order of parts is that of the samples in the memory.
+    pub fn add(&mut self, task: &Task, settings: &BuildSettings, progress: &Progress) {
+        for trajectory in &progress.trajectories {
+            self.store.add(task, settings, trajectory);
+            self.periods += trajectory.twists.len();
+        }
+        self.parts += 1;
+        self.tried += progress.tried;
+        let causes = self.causes.iter_mut().zip(progress.causes);
+        causes.for_each(|(sum, count)| *sum += count);
+    }
+
+    /// Samples so far.
+    pub fn samples(&self) -> usize {
+        self.store.inputs.len()
+    }
+
+    /// Trajectories so far, and starts tried for them.
+    pub fn trajectories(&self) -> (usize, u64) {
+        (self.store.trajectories(), self.tried)
+    }
+}
+
+/// The contents of the memory that a collection makes.
 ///
 /// # Errors
 /// [`NotPositiveDefinite`] where no process fits the samples.
@@ -19,13 +65,10 @@ pub fn contents(
     scene: &Scene,
     task: &Task,
     settings: &BuildSettings,
-    progress: &Progress,
+    collection: Collection,
 ) -> Result<Contents, NotPositiveDefinite> {
-    let mut store = Store::new(task);
-    progress
-        .trajectories
-        .iter()
-        .for_each(|trajectory| store.add(task, settings, trajectory));
+    let provenance = provenance(settings, &collection);
+    let store = collection.store;
     let kept = subsample::indices(task, settings, &store);
     let regression = fit(task, settings, &store, &kept)?;
     let index = |values: &[usize]| values.iter().map(|&i| i as u32).collect();
@@ -36,7 +79,7 @@ pub fn contents(
         trajectory: index(&store.trajectory),
         step: index(&store.step),
         regression: Some(regression),
-        provenance: provenance(settings, progress, &store),
+        provenance,
         cost_to_go: store.cost_to_go,
         x: store.inputs,
         y: store.outputs,
@@ -109,20 +152,15 @@ pub fn refit(
     })
 }
 
-fn provenance(settings: &BuildSettings, progress: &Progress, store: &Store) -> Map<String, Value> {
-    let [stuck, no_solution, violation, time_out] = progress.causes;
-    let steps: usize = progress
-        .trajectories
-        .iter()
-        .map(|t: &Trajectory| t.twists.len())
-        .sum();
-    let provenance = json!({
-        "tool": concat!("vpc-memory ", env!("CARGO_PKG_VERSION")),
+fn provenance(settings: &BuildSettings, collection: &Collection) -> Map<String, Value> {
+    let [stuck, no_solution, violation, time_out] = collection.causes;
+    let mut provenance = json!({
+        "tool": TOOL,
         "settings": settings,
-        "starts_tried": progress.tried,
-        "trajectories": progress.trajectories.len(),
-        "control_periods": steps,
-        "samples": store.inputs.len(),
+        "starts_tried": collection.tried,
+        "trajectories": collection.store.trajectories(),
+        "control_periods": collection.periods,
+        "samples": collection.store.inputs.len(),
         "failed_starts": {
             "stuck": stuck,
             "no_solution": no_solution,
@@ -130,5 +168,8 @@ fn provenance(settings: &BuildSettings, progress: &Progress, store: &Store) -> M
             "time_out": time_out,
         },
     });
+    if collection.parts > 1 {
+        provenance["parts"] = json!(collection.parts);
+    }
     provenance.as_object().cloned().unwrap_or_default()
 }

@@ -20,7 +20,7 @@ pub struct BuildSettings {
     /// N_t: successful trajectories to collect; 900 in the paper, whose strategies need as many.
     /// Flag: --trajectories.
     #[default = 50]
-    #[schemars(range(min = 1, max = 100000))]
+    #[schemars(range(min = 1, max = 10000000))]
     pub trajectories: usize,
     /// Steps previewed by the solver. Flag: --np.
     #[default = 10]

@@ -3,10 +3,12 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use memory_blob::Contents;
 use memory_builder::build::{Progress, collect};
-use memory_builder::memory;
+use memory_builder::memory::{self, Collection};
 use memory_builder::settings::BuildSettings;
-use scene::Scene;
+use memory_builder::state::BuildState;
+use scene::{Scene, SceneFiles, Share};
 use vpc::Task;
 
 fn settings() -> BuildSettings {
@@ -33,12 +35,19 @@ fn built(threads: usize) -> Progress {
         collect(
             &scene(),
             &settings(),
+            Share::default(),
             Progress::default(),
             &never,
             &mut |_| (),
         )
         .unwrap()
     })
+}
+
+fn contents(task: &Task, settings: &BuildSettings, progress: &Progress) -> Contents {
+    let mut collection = Collection::new(task);
+    collection.add(task, settings, progress);
+    memory::contents(&scene(), task, settings, collection).unwrap()
 }
 
 #[test]
@@ -50,22 +59,38 @@ fn one_thread_and_three_build_the_same_memory() {
     let task = Task::new(&scene()).unwrap();
     let mut settings = settings();
     settings.regression.samples = 100;
-    let contents = |progress| memory::contents(&scene(), &task, &settings, progress).unwrap();
-    assert_eq!(contents(&one), contents(&three));
+    assert_eq!(
+        contents(&task, &settings, &one),
+        contents(&task, &settings, &three)
+    );
 }
 
 #[test]
 fn an_interrupted_build_goes_on_to_the_same_memory() {
     let whole = built(2);
+    let directory = tempfile::TempDir::new().unwrap();
+    let path = directory.path().join("state");
+    let files = SceneFiles::parse(scene::PAPER_SIM.to_owned(), "sim", &|_| unreachable!()).unwrap();
+    let part = Share::default();
     let mut progress = Progress::default();
     let mut interruptions = 0;
     while progress.trajectories.len() < settings().trajectories {
         let stop = AtomicBool::new(false);
         let mut after_a_batch = |_: &Progress| stop.store(true, Ordering::Relaxed);
-        // Through the text of the partial file, as after a Ctrl-C.
-        let text = serde_json::to_string(&progress).unwrap();
-        let resumed = serde_json::from_str(&text).unwrap();
-        progress = collect(&scene(), &settings(), resumed, &stop, &mut after_a_batch).unwrap();
+        // Through the file, as after a Ctrl-C.
+        let mut state = BuildState::resume(&path, files.clone(), &settings(), part).unwrap();
+        let resumed = std::mem::take(&mut state.progress);
+        assert_eq!(resumed, progress);
+        progress = collect(
+            &files.scene,
+            &settings(),
+            part,
+            resumed,
+            &stop,
+            &mut after_a_batch,
+        )
+        .unwrap();
+        state.save(&path, &progress).unwrap();
         interruptions += 1;
     }
     assert!(interruptions >= 2);
@@ -96,7 +121,7 @@ fn variances_are_in_the_units_of_the_outputs() {
     let mut settings = settings();
     settings.regression.variance = true;
     settings.regression.samples = 100;
-    let contents = memory::contents(&scene(), &task, &settings, &built(2)).unwrap();
+    let contents = contents(&task, &settings, &built(2));
     let process = contents.regression.as_ref().unwrap();
     let scales = &process.output_scale;
 

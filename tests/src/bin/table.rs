@@ -1,7 +1,7 @@
 //! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
 //! paper's Table I.
 
-use std::fs;
+use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -10,15 +10,16 @@ use std::sync::Arc;
 use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
-use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use hw_sim::robot::truth::Truth;
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use ipc::ClockMode;
 use memory_blob::MemoryFile;
-use scene::{Pose, Scene, read_starts};
+use scene::{Pose, Scene, SceneFiles, Share, read_starts};
 use serde::Serialize;
 use system_tests::children::{Children, attended};
+use system_tests::document::{self, Document, Origin};
 use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, RobotFlags};
 use system_tests::pictures::{self, Draw};
@@ -26,6 +27,7 @@ use system_tests::row::{self, Row};
 use system_tests::run::{Caches, flawed, time};
 use system_tests::simulated::Simulated;
 use system_tests::source::{Product, Source};
+use system_tests::spec::Spec;
 use system_tests::{arguments, robot_table};
 use vpc::Task;
 
@@ -37,11 +39,11 @@ use vpc::Task;
 #[command(name = "table", version)]
 struct Cli {
     /// Scene file (TOML).
-    #[arg(long)]
+    #[arg(long, required = false, required_unless_present = "merge")]
     scene: PathBuf,
     /// Start poses: a file (CSV: tx,ty,tz,rx,ry,rz), or COUNT@SEED: so many that `vpc-memory starts`
     /// draws by this seed.
-    #[arg(long)]
+    #[arg(long, required = false, required_unless_present = "merge")]
     starts: Source,
     /// Memory of motion: a file, or COUNT@SEED: one of so many trajectories that `vpc-memory build`
     /// makes by this seed; 900@1 if none is given. Several make a table each.
@@ -55,6 +57,12 @@ struct Cli {
     /// Write rows and runs to this file (JSON).
     #[arg(long)]
     json: Option<PathBuf>,
+    /// Run part I of N parts of the starts, I from 0 to N - 1; --merge joins what they write.
+    #[arg(long, value_name = "I/N", requires = "json", conflicts_with_all = ["plots", "cold"])]
+    part: Option<Share>,
+    /// Run nothing: print the table of these parts, written by --part and --json, in any order.
+    #[arg(long, value_name = "FILES", num_args = 1..)]
+    merge: Vec<PathBuf>,
     /// Draw pictures into this directory.
     #[arg(long)]
     plots: Option<PathBuf>,
@@ -99,27 +107,49 @@ enum Body {
     Fci,
 }
 
-/// What `--json` writes.
-#[derive(Serialize)]
-struct Document<'a, Row, Run> {
-    command: String,
-    rows: &'a [Row],
-    runs: Vec<Record<'a, Run>>,
+/// What to do.
+enum Work {
+    /// Run from starts.
+    Run(Box<Cli>, Settings),
+    /// Merge parts, and write the whole where a file is given.
+    Merge(Vec<PathBuf>, Option<PathBuf>),
 }
 
-/// One run in the document.
-#[derive(Serialize)]
-struct Record<'a, Run> {
-    start: usize,
-    strategy: String,
-    #[serde(flatten)]
-    run: &'a Run,
+/// Flags with their values.
+type Settings = BTreeMap<String, Vec<String>>;
+
+/// Flags that name files or a part of the work: they may differ between parts of one table.
+const PLACES: [&str; 7] = [
+    "scene", "starts", "memory", "json", "plots", "part", "merge",
+];
+
+/// All other flags with their values, given or by default.
+fn settings(matches: &ArgMatches) -> Settings {
+    let command = Cli::command();
+    let ids = command.get_arguments().map(|flag| flag.get_id().as_str());
+    let values = ids.filter(|id| !PLACES.contains(id)).filter_map(|id| {
+        let raw = matches.try_get_raw(id).ok().flatten()?;
+        let values = raw.map(|value| value.to_string_lossy().into_owned());
+        Some((id.to_owned(), values.collect()))
+    });
+    values.collect()
 }
 
 /// The command line, unless it holds a flag that the chosen body ignores: a margin that changes
 /// nothing must not pass for one that does nothing.
-fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
+fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Work, clap::Error> {
     let matches = Cli::command().try_get_matches_from(arguments)?;
+    let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
+    if let Some(files) = matches.get_many("merge") {
+        let command = Cli::command();
+        let mut ids = command.get_arguments().map(|flag| flag.get_id().as_str());
+        if let Some(id) = ids.find(|id| !["merge", "json"].contains(id) && given(id)) {
+            let words = format!("--{} does not go with --merge", id.replace('_', "-"));
+            return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
+        }
+        let json = matches.get_one("json").cloned();
+        return Ok(Work::Merge(files.cloned().collect(), json));
+    }
     let cli = Cli::from_arg_matches(&matches)?;
     let none = || clap::Command::new("");
     let bodies = [
@@ -127,13 +157,16 @@ fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli,
         (Body::Panda, "panda", RobotFlags::augment_args(none())),
         (Body::Fci, "fci", FciFlags::augment_args(none())),
     ];
-    let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
     for (_, name, flags) in bodies.iter().filter(|(body, ..)| *body != cli.robot) {
         let mut ids = flags.get_arguments().map(|flag| flag.get_id().as_str());
         if let Some(id) = ids.find(|id| given(id)) {
             let words = format!("--{} goes with --robot {name}", id.replace('_', "-"));
             return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
         }
+    }
+    if cli.part.is_some() && cli.robot != Body::Free {
+        let words = "--part goes with --robot free";
+        return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
     }
     let common = Common::augment_args(none());
     let mut ids = common.get_arguments().map(|flag| flag.get_id().as_str());
@@ -142,19 +175,42 @@ fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli,
             let words = format!("--{} does not go with --robot fci", id.replace('_', "-"));
             Err(Cli::command().error(ErrorKind::ArgumentConflict, words))
         }
-        None => Ok(cli),
+        None => Ok(Work::Run(Box::new(cli), settings(&matches))),
     }
 }
 
 fn main() -> ExitCode {
     attended("table", |children| {
-        let cli = parse(arguments()).unwrap_or_else(|error| error.exit());
-        table(children, &cli)?;
+        match parse(arguments()).unwrap_or_else(|error| error.exit()) {
+            Work::Run(cli, settings) => table(children, &cli, settings)?,
+            Work::Merge(files, json) => merged(&files, json.as_deref())?,
+        }
         Ok(ExitCode::SUCCESS)
     })
 }
 
-fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
+/// The table of parts.
+fn merged(files: &[PathBuf], json: Option<&Path>) -> anyhow::Result<()> {
+    let (document, all) = document::merge(files)?;
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", document.text())?;
+    say_failures(&mut out, &all, 0)?;
+    if let Some(path) = json {
+        let whole = Document {
+            command: document.command,
+            title: document.title,
+            origin: document.origin,
+            part: document.part,
+            rows: document.rows,
+            runs: document::records(&all, 0),
+        };
+        write(path, &serde_json::to_vec(&whole)?)?;
+        writeln!(out, "wrote {}", path.display())?;
+    }
+    Ok(())
+}
+
+fn table(children: &Children, cli: &Cli, settings: Settings) -> anyhow::Result<()> {
     cli.common.check()?;
     if cli.memory.len() > 1 && (cli.json.is_some() || cli.plots.is_some()) {
         bail!(
@@ -162,7 +218,8 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
             cli.memory.len()
         );
     }
-    let mut scene = Scene::read(&cli.scene)?;
+    let files = SceneFiles::read(&cli.scene)?;
+    let mut scene = files.scene.clone();
     let fingerprint = scene.fingerprint();
     let starts = made(children, cli, &cli.starts, Product::Starts, |path| {
         Ok(read_starts(path)?)
@@ -181,9 +238,11 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         if cli.memory.len() > 1 {
             println!("memory {}", source.map_or(String::new(), Source::to_string));
         }
+        let digest = memory.as_ref().map(|memory| memory.digest());
+        let origin = Origin::new(files.digest(), digest, &starts, settings.clone());
         match cli.robot {
-            Body::Free => free(cli, &scene, &starts, memory.as_ref()),
-            Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
+            Body::Free => free(cli, &scene, &starts, memory.as_ref(), origin),
+            Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref(), origin),
             Body::Fci => by_interface(children, cli, source, starts.len()),
         }?;
     }
@@ -196,6 +255,7 @@ fn free(
     scene: &Scene,
     starts: &[Pose],
     memory: Option<&Arc<MemoryFile>>,
+    origin: Origin,
 ) -> anyhow::Result<()> {
     let Common { noise, drop, .. } = cli.common;
     let CameraFlags {
@@ -209,15 +269,17 @@ fn free(
         ..Truth::default()
     };
     let believed = wrong.scene(scene);
-    let bar = bar(cli.common.strategies.len() * starts.len());
+    let part = cli.part.unwrap_or_default();
+    let chosen = part.range(starts.len());
+    let bar = bar(cli.common.strategies.len() * chosen.len());
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
     for &spec in &cli.common.strategies {
         let settings = cli.common.settings(spec);
         let memory = memory.cloned();
         let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
-        let mut runs = Vec::with_capacity(starts.len());
+        let mut runs = Vec::with_capacity(chosen.len());
         let mut caches = Caches::default();
-        for (start, pose) in starts.iter().enumerate() {
+        for (start, pose) in chosen.clone().zip(&starts[chosen.clone()]) {
             bar.set_message(format!("{spec}, start {start}"));
             let flaws = Flaws {
                 noise_px: noise,
@@ -240,8 +302,8 @@ fn free(
         }
     }
     bar.finish_and_clear();
-    let text = format!(
-        "{}, {} starts, delay {delay} frames {}, noise {noise} px, {} % of frames lost, depths wrong by {} %\n\n{}",
+    let title = format!(
+        "{}, {} starts, delay {delay} frames {}, noise {noise} px, {} % of frames lost, depths wrong by {} %",
         cli.scene.display(),
         starts.len(),
         if cli.common.no_compensation {
@@ -251,10 +313,28 @@ fn free(
         },
         100.0 * drop,
         100.0 * cli.common.depth_error,
-        row::markdown(&rows)
-    ) + &told;
+    );
+    let above = match cli.part {
+        Some(part) => format!("{title}; part {part}"),
+        None => title.clone(),
+    };
+    let text = format!("{above}\n\n{}{told}", row::markdown(&rows));
+    let document = Document {
+        command: command(),
+        title,
+        origin,
+        part,
+        rows,
+        runs: document::records(&all, chosen.start),
+    };
     let memory = memory.map(AsRef::as_ref);
-    finish(cli, scene, memory, &text, &rows, &all)
+    finish(cli, scene, memory, &text, &document, &all, chosen.start)
+}
+
+/// The command line.
+fn command() -> String {
+    let words = arguments().map(|word| word.display().to_string() + " ");
+    words.collect()
 }
 
 /// The table of the robot.
@@ -263,6 +343,7 @@ fn on_robot(
     scene: &Scene,
     starts: &[Pose],
     memory: Option<&Arc<MemoryFile>>,
+    origin: Origin,
 ) -> anyhow::Result<()> {
     let count = cli.arm.only.map_or(starts.len(), |_| 1);
     let bar = bar(cli.common.strategies.len() * count);
@@ -271,7 +352,17 @@ fn on_robot(
     bar.finish_and_clear();
     let rows = all.iter().map(|(spec, runs)| robot_table::row(*spec, runs));
     let rows: Vec<_> = rows.collect();
-    finish(cli, scene, None, &robot_table::markdown(&rows), &rows, &all)
+    let text = robot_table::markdown(&rows);
+    let first = cli.arm.only.unwrap_or(0);
+    let document = Document {
+        command: command(),
+        title: cli.scene.display().to_string(),
+        origin,
+        part: Share::default(),
+        rows,
+        runs: document::records(&all, first),
+    };
+    finish(cli, scene, None, &text, &document, &all, first)
 }
 
 /// The table of the robot behind the vendor's interface.
@@ -306,18 +397,12 @@ fn by_interface(
     Ok(())
 }
 
-/// Prints the rows and what failed, and writes what was asked for.
-fn finish<Row: Serialize, Run: Draw + Serialize>(
-    cli: &Cli,
-    scene: &Scene,
-    memory: Option<&MemoryFile>,
-    text: &str,
-    rows: &[Row],
-    all: &[(system_tests::spec::Spec, Vec<Run>)],
+/// Prints what failed, strategy by strategy; the first run is from start `first`.
+fn say_failures<Run: Draw>(
+    out: &mut impl Write,
+    all: &[(Spec, Vec<Run>)],
+    first: usize,
 ) -> anyhow::Result<()> {
-    let first = cli.arm.only.unwrap_or(0);
-    let mut out = std::io::stdout().lock();
-    writeln!(out, "{text}")?;
     for (spec, runs) in all {
         let failed = (first..).zip(runs).filter(|(_, run)| !run.is_success());
         let failed: Vec<_> = failed.map(|(start, _)| start.to_string()).collect();
@@ -325,22 +410,24 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
             writeln!(out, "{spec} failed from {}", failed.join(", "))?;
         }
     }
+    Ok(())
+}
+
+/// Prints the rows and what failed, and writes what was asked for.
+fn finish<Run: Draw + Serialize>(
+    cli: &Cli,
+    scene: &Scene,
+    memory: Option<&MemoryFile>,
+    text: &str,
+    document: &impl Serialize,
+    all: &[(Spec, Vec<Run>)],
+    first: usize,
+) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{text}")?;
+    say_failures(&mut out, all, first)?;
     if let Some(path) = &cli.json {
-        let runs = all.iter().flat_map(|(spec, runs)| {
-            (first..).zip(runs).map(move |(start, run)| Record {
-                start,
-                strategy: spec.to_string(),
-                run,
-            })
-        });
-        let document = Document {
-            command: arguments()
-                .map(|word| word.display().to_string() + " ")
-                .collect(),
-            rows,
-            runs: runs.collect(),
-        };
-        write(path, &serde_json::to_vec_pretty(&document)?)?;
+        write(path, &serde_json::to_vec(document)?)?;
         writeln!(out, "wrote {}", path.display())?;
     }
     if let Some(directory) = &cli.plots {
@@ -353,10 +440,7 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
 }
 
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    if let Some(directory) = path.parent().filter(|d| !d.as_os_str().is_empty()) {
-        fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
-    }
-    fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
+    memory_blob::replace(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
 /// Reads a file; one that is to be made is made in a temporary directory, which is removed once it
@@ -405,6 +489,14 @@ mod tests {
             ),
             ("--delay 4 --robot panda", "--delay goes with --robot free"),
             ("--jobs 4", "--jobs goes with --robot fci"),
+            (
+                "--part 0/2 --json f --robot panda",
+                "--part goes with --robot free",
+            ),
+            ("--part 2/2 --json f", "allowed: I/N with I from 0 to N - 1"),
+            ("--part 0/2", "--json"),
+            ("--part 0/2 --json f --cold", "--cold"),
+            ("--merge a b", "--scene does not go with --merge"),
             (
                 "--noise 1 --robot fci",
                 "--noise does not go with --robot fci",

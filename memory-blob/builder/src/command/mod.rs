@@ -1,5 +1,7 @@
-//! The subcommands that help with a task of one's own.
+//! Subcommands: building, merging, and those that help with a task of one's own.
 
+pub mod build;
 pub mod mask;
+pub mod merge;
 pub mod new;
 pub mod preview;

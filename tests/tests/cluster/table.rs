@@ -1,0 +1,168 @@
+//! Parts of a table are the whole.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use tempfile::TempDir;
+use testkit::{Ended, ended, program, root};
+
+/// Cells at the end of a printed row that are times, and the one after its last bar.
+const TIMES: usize = 6 + 1;
+
+fn run(directory: &Path, line: &str) -> Ended {
+    let mut command = Command::new(program("table"));
+    ended(command.args(line.split_whitespace()).current_dir(directory))
+}
+
+fn done(directory: &Path, line: &str) -> String {
+    let ended = run(directory, line);
+    assert_eq!(ended.code, Some(0), "{line}: {}", ended.stderr);
+    ended.stdout
+}
+
+fn refused(directory: &Path, line: &str) -> String {
+    let ended = run(directory, line);
+    assert_eq!(ended.code, Some(1), "{line}: {}", ended.stderr);
+    ended.stderr
+}
+
+/// A directory with 7 starts and the flags that take them, with noise, so that a start that ran with
+/// another seed would show.
+fn place() -> (TempDir, String) {
+    let place = TempDir::new().unwrap();
+    let starts = scene_file("paper-sim-starts.csv");
+    let few: Vec<_> = starts.lines().take(8).collect();
+    fs::write(place.path().join("starts.csv"), few.join("\n")).unwrap();
+    fs::write(
+        place.path().join("scene.toml"),
+        scene_file("paper-sim.toml"),
+    )
+    .unwrap();
+    let memory = root().join("memory-blob/default/paper-sim.vpcmem");
+    let flags = format!(
+        "--scene scene.toml --starts starts.csv --memory {} --strategies knn:3,previous:3 --noise 0.3 --drop 0.05 --repeats 1",
+        memory.display()
+    );
+    (place, flags)
+}
+
+fn scene_file(name: &str) -> String {
+    fs::read_to_string(root().join("ipc/scene/scenes").join(name)).unwrap()
+}
+
+/// A document less what differs from one run to the next: times, and the command line.
+fn without_times(path: &Path) -> Value {
+    let mut document: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+    document["command"] = Value::Null;
+    let lists = ["rows", "runs"].map(|list| document[list].take());
+    let lists = lists.map(|mut list| {
+        for entry in list.as_array_mut().unwrap() {
+            for time in ["cycles_us", "cycle_us", "slack_us", "simulated_us"] {
+                entry.as_object_mut().unwrap().remove(time);
+            }
+        }
+        list
+    });
+    document["lists"] = lists.to_vec().into();
+    document
+}
+
+/// A printed table less its times, and what follows it.
+fn figures(text: &str) -> Vec<String> {
+    let kept = |line: &str| -> String {
+        let cells: Vec<_> = line.split('|').collect();
+        cells[..cells.len().saturating_sub(TIMES).max(1)].join("|")
+    };
+    let lines = text.lines().filter(|line| !line.starts_with("wrote"));
+    lines.map(kept).collect()
+}
+
+#[test]
+fn merged_parts_print_and_write_what_one_run_does() {
+    let (place, flags) = place();
+    let here = place.path();
+    let whole = done(here, &format!("{flags} --json whole.json"));
+    for part in 0..3 {
+        let said = done(
+            here,
+            &format!("{flags} --part {part}/3 --json part-{part}.json"),
+        );
+        assert!(said.contains(&format!("; part {part}/3")), "{said}");
+    }
+    let merged = done(
+        here,
+        "--merge part-2.json part-0.json part-1.json --json merged.json",
+    );
+    assert_eq!(figures(&whole), figures(&merged));
+    let both = ["whole.json", "merged.json"].map(|name| without_times(&here.join(name)));
+    assert_eq!(both[0], both[1]);
+    assert_eq!(both[0]["lists"][1].as_array().unwrap().len(), 14);
+
+    // Their times, too, are those that were measured: a table that is merged from itself is itself.
+    let lines = |text: &str| -> Vec<String> {
+        let lines = text.lines().filter(|line| !line.starts_with("wrote"));
+        lines.map(str::to_owned).collect()
+    };
+    assert_eq!(lines(&whole), lines(&done(here, "--merge whole.json")));
+    let times = serde_json::from_slice::<Value>(&fs::read(here.join("merged.json")).unwrap());
+    let times = times.unwrap()["rows"][0]["cycle_us"]["p99"].as_f64();
+    assert!(times.is_some_and(|us| us > 0.0));
+}
+
+#[test]
+fn parts_that_do_not_belong_are_refused_by_name() {
+    let (place, flags) = place();
+    let here = place.path();
+    let part = |flags: &str, part: &str, name: &str| {
+        done(here, &format!("{flags} --part {part} --json {name}"));
+    };
+    part(&flags, "0/2", "a");
+    part(&flags, "1/2", "b");
+    let expect = |files: &str, words: &str| {
+        let message = refused(here, &format!("--merge {files}"));
+        assert!(
+            message.contains(words),
+            "{files}: {message}; expected: {words}"
+        );
+    };
+    expect("a", "1 of 2 parts; expected: all; missing: 1");
+    expect(
+        "b a b",
+        "b: part 1/2 is b already; expected: each part once",
+    );
+    part(&flags.replace("--noise 0.3", "--noise 0.4"), "1/2", "noisy");
+    expect("a noisy", "noisy: --noise is 0.4; expected: 0.3");
+    part(&flags, "1/3", "third");
+    expect("a third", "third: number of parts is 3; expected: 2");
+    part(&flags.replace("knn:3,", ""), "1/2", "fewer");
+    expect(
+        "a fewer",
+        "fewer: --strategies is previous:3; expected: knn:3,previous:3",
+    );
+
+    let edit = |name: &str, from: &str, to: &str| {
+        let text = fs::read_to_string(here.join("b")).unwrap();
+        assert!(text.contains(from));
+        fs::write(here.join(name), text.replacen(from, to, 1)).unwrap();
+    };
+    edit("newer", "\"version\":\"table ", "\"version\":\"table 9");
+    expect("a newer", "newer: version is table 9");
+    edit("run", "\"start\":4,", "\"start\":5,");
+    expect("a run", "run: a run is knn:3 5; expected: knn:3 4");
+    let text = fs::read(here.join("b")).unwrap();
+    fs::write(here.join("cut"), &text[..text.len() / 2]).unwrap();
+    expect("a cut", "cut: damaged");
+
+    let scene = scene_file("paper-sim.toml").replace("time_s = 15.0", "time_s = 14.0");
+    fs::write(here.join("scene.toml"), scene).unwrap();
+    part(&flags, "1/2", "scene");
+    expect("a scene", "scene: checksum of the scene is");
+    fs::write(here.join("scene.toml"), scene_file("paper-sim.toml")).unwrap();
+    let starts = scene_file("paper-sim-starts.csv");
+    let few: Vec<_> = starts.lines().take(7).collect();
+    fs::write(here.join("starts.csv"), few.join("\n")).unwrap();
+    part(&flags, "1/2", "starts");
+    expect("a starts", "starts: starts is 6 with checksum");
+}
