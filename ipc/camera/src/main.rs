@@ -1,6 +1,6 @@
 //! `vpc-camera`: from images to features, as a process.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -8,19 +8,12 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use clap::{CommandFactory, FromArgMatches};
-use signal_hook::consts::{SIGINT, SIGTERM};
-use tracing_subscriber::EnvFilter;
+use clap::FromArgMatches;
+use program::{ATTENTION, CONFIG, SOFTWARE, UNAVAILABLE};
 use vpc_camera::config::{Arguments, Command, Config};
 use vpc_camera::metrics::Metrics;
 use vpc_camera::run::{Event, Report, RunError, run};
 use vpc_camera::{mask, sheet};
-
-const NOT_WRITTEN: u8 = 1;
-const USAGE: u8 = 64;
-const UNAVAILABLE: u8 = 69;
-const SOFTWARE: u8 = 70;
-const CONFIG: u8 = 78;
 
 /// How often the log looks.
 const LOOK: Duration = Duration::from_millis(100);
@@ -32,45 +25,24 @@ const METRICS: Duration = Duration::from_secs(1);
 const SILENCE: Duration = Duration::from_secs(2);
 
 fn main() -> ExitCode {
-    let matches = match Arguments::command().try_get_matches() {
-        Ok(matches) => matches,
-        Err(error) => {
-            // Help and version are not errors.
-            let code = if error.use_stderr() { USAGE } else { 0 };
-            let _ = error.print();
-            return ExitCode::from(code);
-        }
-    };
-    let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    let log = tracing_subscriber::fmt().with_env_filter(filter);
-    log.with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_target(false)
-        .init();
+    begin().unwrap_or_else(|code| code)
+}
+
+fn begin() -> Result<ExitCode, ExitCode> {
+    let matches = program::arguments::<Arguments>()?;
+    program::log("info");
     let command = Arguments::from_arg_matches(&matches).map(|arguments| arguments.command);
     match command {
-        Ok(Some(Command::Mask(arguments))) => return end("mask", mask::run(&arguments)),
-        Ok(Some(Command::Tags(arguments))) => return end("tags", sheet::run(&arguments)),
+        Ok(Some(Command::Mask(arguments))) => return Ok(end("mask", mask::run(&arguments))),
+        Ok(Some(Command::Tags(arguments))) => return Ok(end("tags", sheet::run(&arguments))),
         _ => {}
     }
-    let config = match Config::load(&matches) {
-        Ok(config) => config,
-        Err(error) => {
-            eprintln!("vpc-camera: {error}");
-            return ExitCode::from(error.exit_code());
-        }
-    };
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends the process where it is.
-        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
-        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
-        if let Err(error) = first {
-            eprintln!("vpc-camera: signal {signal}: {error}");
-            return ExitCode::from(UNAVAILABLE);
-        }
-    }
-    watch(config, stop, matches.get_flag("print"))
+    let config = Config::load(&matches).map_err(|error| {
+        eprintln!("vpc-camera: {error}");
+        ExitCode::from(error.exit_code())
+    })?;
+    let stop = program::stop_on_signals("vpc-camera")?;
+    Ok(watch(config, stop, matches.get_flag("print")))
 }
 
 /// Tells what a command did.
@@ -82,7 +54,7 @@ fn end(command: &str, result: anyhow::Result<String>) -> ExitCode {
         }
         Err(error) => {
             eprintln!("vpc-camera {command}: {error:#}");
-            ExitCode::from(NOT_WRITTEN)
+            ExitCode::from(ATTENTION)
         }
     }
 }

@@ -1,16 +1,13 @@
 //! `vpc-panda`: the bridge as a process.
 
 use std::fmt::Display;
-use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use clap::CommandFactory;
 use heap_meter::Meter;
-use signal_hook::consts::{SIGINT, SIGTERM};
-use tracing_subscriber::EnvFilter;
+use program::{ATTENTION, SOFTWARE, UNAVAILABLE};
 use vpc_panda::config::{Arguments, Config};
 use vpc_panda::drive::{DriveError, Event, drive};
 use vpc_panda::first_motion::{FirstMotionError, first_motion};
@@ -20,11 +17,6 @@ use vpc_panda::look;
 #[global_allocator]
 static METER: Meter = Meter;
 
-const USAGE: u8 = 64;
-const ATTENTION: u8 = 1;
-const UNAVAILABLE: u8 = 69;
-const SOFTWARE: u8 = 70;
-
 /// Events that wait for the log.
 const QUEUE: usize = 256;
 /// How often the log looks.
@@ -33,38 +25,17 @@ const LOOK: Duration = Duration::from_millis(20);
 const SELDOM: Duration = Duration::from_secs(1);
 
 fn main() -> ExitCode {
-    let matches = match Arguments::command().try_get_matches() {
-        Ok(matches) => matches,
-        Err(error) => {
-            // Help and version are not errors.
-            let code = if error.use_stderr() { USAGE } else { 0 };
-            let _ = error.print();
-            return ExitCode::from(code);
-        }
-    };
-    let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    let log = tracing_subscriber::fmt().with_env_filter(filter);
-    log.with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_target(false)
-        .init();
-    let config = match Config::load(&matches) {
-        Ok(config) => config,
-        Err(error) => {
-            eprintln!("vpc-panda: {error}");
-            return ExitCode::from(error.exit_code());
-        }
-    };
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends the process where it is, and the robot stops by itself.
-        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
-        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
-        if let Err(error) = first {
-            eprintln!("vpc-panda: signal {signal}: {error}");
-            return ExitCode::from(UNAVAILABLE);
-        }
-    }
+    begin().unwrap_or_else(|code| code)
+}
+
+fn begin() -> Result<ExitCode, ExitCode> {
+    let matches = program::arguments::<Arguments>()?;
+    program::log("info");
+    let config = Config::load(&matches).map_err(|error| {
+        eprintln!("vpc-panda: {error}");
+        ExitCode::from(error.exit_code())
+    })?;
+    let stop = program::stop_on_signals("vpc-panda")?;
     let words = |error: &dyn Display| error.to_string();
     let is_asked = |flag: &str| matches.get_flag(flag);
     let looked_at = if is_asked("dry_run") {
@@ -75,21 +46,21 @@ fn main() -> ExitCode {
         match first_motion(&config, is_asked("yes"), &stop) {
             Err(error @ (FirstMotionError::NotConfirmed | FirstMotionError::Stopped)) => {
                 eprintln!("vpc-panda: {error}");
-                return ExitCode::from(ATTENTION);
+                return Ok(ExitCode::from(ATTENTION));
             }
             found => Some(found.map_err(|error| words(&error))),
         }
     } else {
         None
     };
-    match looked_at {
+    Ok(match looked_at {
         None => run(config, &stop),
         Some(Ok(is_good)) => ExitCode::from(u8::from(!is_good)),
         Some(Err(error)) => {
             eprintln!("vpc-panda: {error}");
             ExitCode::from(UNAVAILABLE)
         }
-    }
+    })
 }
 
 fn run(config: Config, stop: &Arc<AtomicBool>) -> ExitCode {

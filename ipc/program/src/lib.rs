@@ -1,0 +1,64 @@
+//! What the programs beside `vpcd` begin with: command line, log, signals; and how they end.
+
+#![forbid(unsafe_code)]
+
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::{ArgMatches, CommandFactory};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tracing_subscriber::EnvFilter;
+
+/// Done, and something wants attention: a finding, a result that was not written.
+pub const ATTENTION: u8 = 1;
+/// The command line is wrong. This code and the following ones are those of `sysexits.h`.
+pub const USAGE: u8 = 64;
+/// Something outside cannot be used: a camera, a robot, the shared memory.
+pub const UNAVAILABLE: u8 = 69;
+/// A defect of the program.
+pub const SOFTWARE: u8 = 70;
+/// The configuration is wrong.
+pub const CONFIG: u8 = 78;
+
+/// Reads the command line.
+///
+/// # Errors
+/// Help, version, or what is wrong were printed; the exit code.
+pub fn arguments<A: CommandFactory>() -> Result<ArgMatches, ExitCode> {
+    A::command().try_get_matches().map_err(|error| {
+        // Help and version are not errors.
+        let code = if error.use_stderr() { USAGE } else { 0 };
+        let _ = error.print();
+        ExitCode::from(code)
+    })
+}
+
+/// Logs to standard error. The environment's `VPC_LOG` replaces `filter`, in the words of
+/// `tracing_subscriber::EnvFilter`.
+pub fn log(filter: &str) {
+    let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new(filter));
+    let log = tracing_subscriber::fmt().with_env_filter(filter);
+    log.with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .init();
+}
+
+/// A flag that SIGINT and SIGTERM set. The second signal ends the process where it is.
+///
+/// # Errors
+/// The system refuses; that was printed under the program's `name`. The exit code.
+pub fn stop_on_signals(name: &str) -> Result<Arc<AtomicBool>, ExitCode> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
+        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
+        first.map_err(|error| {
+            eprintln!("{name}: signal {signal}: {error}");
+            ExitCode::from(UNAVAILABLE)
+        })?;
+    }
+    Ok(stop)
+}
