@@ -5,19 +5,19 @@ use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use ipc::{Domain, Features, Publisher, ReceiveError, RobotPorts, now_ns};
-use ros2_client::{Publisher as Topic, Subscription};
-use serde::de::DeserializeOwned;
+use ros2_client::Publisher as Topic;
 
 use crate::arm::Arm;
-use crate::config::{CommandFrame, Config, Executed, FeaturesKind, Reliability};
+use crate::config::{CommandFrame, Config, Executed, FeaturesKind};
 use crate::eye::Eye;
+use crate::inbox::Inbox;
 use crate::message::{
-    AprilTagDetectionArray, CameraInfo, Header, JointState, Named, PolygonStamped, PoseStamped,
-    Twist, TwistStamped,
+    AprilTagDetectionArray, CameraInfo, Header, JointState, PolygonStamped, PoseStamped, Twist,
+    TwistStamped,
 };
 use crate::outlet::Outlet;
 use crate::refusal::{Counts, Refusal};
-use crate::ros::{BATCH, Ros, RosError, take};
+use crate::ros::{Ros, RosError};
 use crate::stamp::{self, Clocks};
 
 /// Between two looks: a thirtieth of a period at 30 Hz.
@@ -79,57 +79,6 @@ pub struct Report {
     pub steps: u64,
     /// Monotonic less wall, ns.
     pub offset_ns: i64,
-}
-
-/// A topic that is subscribed to.
-struct Inbox<M> {
-    topic: String,
-    subscription: Subscription<M>,
-    counts: Counts,
-}
-
-impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
-    fn open(ros: &mut Ros, topic: &str, reliability: Reliability) -> Result<Self, RosError> {
-        Ok(Self {
-            subscription: ros.subscription(topic, reliability)?,
-            topic: topic.to_owned(),
-            counts: Counts::default(),
-        })
-    }
-
-    /// Hands over what waits. `judge` returns the instant that a message is about, ns, and what
-    /// follows from it.
-    fn each<T>(
-        &mut self,
-        tell: &Sender<Event>,
-        mut judge: impl FnMut(&M, u64) -> Result<(u64, T), Refusal>,
-        mut then: impl FnMut(T) -> Result<(), BridgeError>,
-    ) -> Result<(), BridgeError> {
-        for _ in 0..BATCH {
-            let now = now_ns();
-            let judged = match take(&self.subscription) {
-                Ok(None) => break,
-                Ok(Some(message)) => judge(&message, now),
-                Err(refusal) => Err(refusal),
-            };
-            match judged {
-                Ok((instant, value)) => {
-                    if self.counts.taken == 0 {
-                        let _ = tell.send(Event::Comes(self.topic.clone()));
-                    }
-                    self.counts.taken += 1;
-                    self.counts.last_ns = now;
-                    self.counts.age_ns = now.saturating_sub(instant);
-                    then(value)?;
-                }
-                Err(refusal) => {
-                    *self.counts.refused.entry(refusal.kind()).or_default() += 1;
-                    let _ = tell.send(Event::Refused(self.topic.clone(), refusal));
-                }
-            }
-        }
-        Ok(())
-    }
 }
 
 /// The camera's side.

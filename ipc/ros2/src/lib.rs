@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod config;
+mod keys;
 
 #[cfg(feature = "dds")]
 pub mod arm;
@@ -17,6 +18,8 @@ pub mod diagnostics;
 pub mod eye;
 #[cfg(feature = "dds")]
 pub mod frames;
+#[cfg(feature = "dds")]
+mod inbox;
 #[cfg(feature = "dds")]
 pub mod message;
 #[cfg(feature = "dds")]

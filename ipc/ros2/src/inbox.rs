@@ -1,0 +1,64 @@
+//! A topic that is subscribed to, and what became of its messages.
+
+use std::sync::mpsc::Sender;
+
+use ipc::now_ns;
+use ros2_client::Subscription;
+use serde::de::DeserializeOwned;
+
+use crate::bridge::{BridgeError, Event};
+use crate::config::Reliability;
+use crate::message::Named;
+use crate::refusal::{Counts, Refusal};
+use crate::ros::{BATCH, Ros, RosError, take};
+
+/// A topic that is subscribed to.
+pub(crate) struct Inbox<M> {
+    pub topic: String,
+    pub counts: Counts,
+    subscription: Subscription<M>,
+}
+
+impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
+    pub fn open(ros: &mut Ros, topic: &str, reliability: Reliability) -> Result<Self, RosError> {
+        Ok(Self {
+            subscription: ros.subscription(topic, reliability)?,
+            topic: topic.to_owned(),
+            counts: Counts::default(),
+        })
+    }
+
+    /// Hands over what waits. `judge` returns the instant that a message is about, ns, and what
+    /// follows from it.
+    pub fn each<T>(
+        &mut self,
+        tell: &Sender<Event>,
+        mut judge: impl FnMut(&M, u64) -> Result<(u64, T), Refusal>,
+        mut then: impl FnMut(T) -> Result<(), BridgeError>,
+    ) -> Result<(), BridgeError> {
+        for _ in 0..BATCH {
+            let now = now_ns();
+            let judged = match take(&self.subscription) {
+                Ok(None) => break,
+                Ok(Some(message)) => judge(&message, now),
+                Err(refusal) => Err(refusal),
+            };
+            match judged {
+                Ok((instant, value)) => {
+                    if self.counts.taken == 0 {
+                        let _ = tell.send(Event::Comes(self.topic.clone()));
+                    }
+                    self.counts.taken += 1;
+                    self.counts.last_ns = now;
+                    self.counts.age_ns = now.saturating_sub(instant);
+                    then(value)?;
+                }
+                Err(refusal) => {
+                    *self.counts.refused.entry(refusal.kind()).or_default() += 1;
+                    let _ = tell.send(Event::Refused(self.topic.clone(), refusal));
+                }
+            }
+        }
+        Ok(())
+    }
+}
