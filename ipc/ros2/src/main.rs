@@ -1,18 +1,14 @@
 //! `vpc-ros2`: the gateway as a process.
 
 use std::collections::BTreeMap;
-use std::io::IsTerminal;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use clap::CommandFactory;
 use ipc::{CycleRecord, Domain, Subscriber, now_ns};
+use program::{ATTENTION, SOFTWARE, UNAVAILABLE};
 use ros2_client::Publisher;
-use signal_hook::consts::{SIGINT, SIGTERM};
-use tracing_subscriber::EnvFilter;
 use vpc_ros2::bridge::{Bridge, BridgeError, Event, Report};
 use vpc_ros2::config::{Arguments, Config, Reliability};
 use vpc_ros2::diagnostics;
@@ -21,11 +17,6 @@ use vpc_ros2::overlay::Overlay;
 use vpc_ros2::ros::Ros;
 use vpc_ros2::services::{Desk, Services};
 use vpc_ros2::stamp;
-
-const ATTENTION: u8 = 1;
-const USAGE: u8 = 64;
-const UNAVAILABLE: u8 = 69;
-const SOFTWARE: u8 = 70;
 
 /// How often the log looks.
 const LOOK: Duration = Duration::from_millis(50);
@@ -40,45 +31,23 @@ const DRAWING: Duration = Duration::from_millis(90);
 const LISTEN: Duration = Duration::from_secs(3);
 
 fn main() -> ExitCode {
-    let matches = match Arguments::command().try_get_matches() {
-        Ok(matches) => matches,
-        Err(error) => {
-            // Help and version are not errors.
-            let code = if error.use_stderr() { USAGE } else { 0 };
-            let _ = error.print();
-            return ExitCode::from(code);
-        }
-    };
+    begin().unwrap_or_else(|code| code)
+}
+
+fn begin() -> Result<ExitCode, ExitCode> {
+    let matches = program::arguments::<Arguments>()?;
     // What the DDS library has to tell is for its developers.
-    let words = "info,rustdds=off,ros2_client=off";
-    let filter = EnvFilter::try_from_env("VPC_LOG").unwrap_or_else(|_| EnvFilter::new(words));
-    let log = tracing_subscriber::fmt().with_env_filter(filter);
-    log.with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_target(false)
-        .init();
-    let config = match Config::load(&matches) {
-        Ok(config) => config,
-        Err(error) => {
-            eprintln!("vpc-ros2: {error}");
-            return ExitCode::from(error.exit_code());
-        }
-    };
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends the process where it is.
-        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
-        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
-        if let Err(error) = first {
-            eprintln!("vpc-ros2: signal {signal}: {error}");
-            return ExitCode::from(UNAVAILABLE);
-        }
-    }
+    program::log("info,rustdds=off,ros2_client=off");
+    let config = Config::load(&matches).map_err(|error| {
+        eprintln!("vpc-ros2: {error}");
+        ExitCode::from(error.exit_code())
+    })?;
+    let stop = program::stop_on_signals("vpc-ros2")?;
     let ended = match matches.get_flag("preflight") {
         true => preflight(&config, &stop),
         false => run(&config, &stop),
     };
-    ended.unwrap_or_else(|error| {
+    ended.map_err(|error| {
         eprintln!("vpc-ros2: {error}");
         ExitCode::from(UNAVAILABLE)
     })
