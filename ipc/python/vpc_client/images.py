@@ -134,7 +134,7 @@ class ImagePublisher(PublishingPort):
 
     def publish(
         self,
-        pixels: npt.NDArray[np.uint8],
+        pixels: npt.NDArray[Any],
         encoding: Encoding | None = None,
         data_ns: int = 0,
         exposure_begin_ns: int = 0,

@@ -63,7 +63,7 @@ pub enum NotWhole {
         expected: u32,
     },
     /// One is there twice.
-    #[error("{path}: part {part} is {other} already; expected: each part once")]
+    #[error("{path}: part {part} is there twice, also as {other}; expected: each part once")]
     Twice {
         /// The file.
         path: String,
@@ -190,7 +190,7 @@ mod tests {
             ),
             (
                 &["0/2", "1/2", "0/2"],
-                "0/2: part 0/2 is 0/2 already; expected: each",
+                "0/2: part 0/2 is there twice, also as 0/2; expected: each",
             ),
             (&["0/2", "1/3"], "1/3: number of parts is 3; expected: 2"),
         ] {

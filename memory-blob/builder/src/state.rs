@@ -220,25 +220,26 @@ impl BuildState {
         Ok(state)
     }
 
-    /// Replaces the file at `path` by this state with new progress, atomically. A file there that is
-    /// further stays: another process works on the same part, and what it has found is what this
-    /// one would find.
+    /// Replaces the file at `path` by this state with new progress, atomically. It keeps a file of the
+    /// same part that is complete, or has more batches: another process works on the part, too.
     ///
     /// # Errors
     /// [`StateError::Io`].
     pub fn save(&mut self, path: &Path, progress: &Progress) -> Result<(), StateError> {
         (self.header.found, self.header.batches) = (progress.trajectories.len(), progress.batches);
-        let is_further = |there: Header| {
+        let bytes = self.bytes(progress);
+        let is_kept = |there: Header| {
             there.part == self.header.part
                 && there.belongs_to(&self.header, path).is_ok()
-                && there.batches > self.header.batches
+                && match (there.is_complete(), self.header.is_complete()) {
+                    (false, false) => there.batches > self.header.batches,
+                    (is_complete, _) => is_complete,
+                }
         };
-        if Header::read(path).is_ok_and(is_further) {
+        if Header::read(path).is_ok_and(is_kept) {
             return Ok(());
         }
-        let replaced = self
-            .bytes(progress)
-            .and_then(|bytes| memory_blob::replace(path, &bytes));
+        let replaced = bytes.and_then(|bytes| memory_blob::replace(path, &bytes));
         replaced.map_err(|source| unreadable(path, source))
     }
 

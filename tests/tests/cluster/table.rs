@@ -130,7 +130,7 @@ fn parts_that_do_not_belong_are_refused_by_name() {
     expect("a", "1 of 2 parts; expected: all; missing: 1");
     expect(
         "b a b",
-        "b: part 1/2 is b already; expected: each part once",
+        "b: part 1/2 is there twice, also as b; expected: each part once",
     );
     part(&flags.replace("--noise 0.3", "--noise 0.4"), "1/2", "noisy");
     expect("a noisy", "noisy: --noise is 0.4; expected: 0.3");

@@ -68,6 +68,15 @@ impl Build {
             let (count, most) = (part.count(), settings.trajectories);
             bail!("--part {part}: {count} parts; allowed: at most one a trajectory, {most}");
         }
+        let (each, guide) = (
+            part.range(settings.trajectories).len(),
+            settings.guide_after,
+        );
+        if self.part.is_some() && each <= guide {
+            eprintln!(
+                "vpc-memory: warning: {each} trajectories in part {part}: the first {guide} of each part are planned without the guidance of others; fewer parts make better trajectories"
+            );
+        }
         set_threads(self.threads)?;
         // A part is the state of a build, finished or not.
         let path = match self.part {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use anyhow::bail;
 use clap::Args;
 use memory_blob::Report;
 use memory_builder::merge::Parts;
@@ -29,6 +30,12 @@ impl Merge {
     /// # Errors
     /// Names the file, what is wrong with it, and what is expected.
     pub fn run(&self) -> anyhow::Result<String> {
+        if self.parts.contains(&self.output) {
+            bail!(
+                "--output {}: allowed: a file that is no part",
+                self.output.display()
+            );
+        }
         set_threads(self.threads)?;
         let clock = Instant::now();
         let merged = Parts::of(&self.parts)?.merge()?;
