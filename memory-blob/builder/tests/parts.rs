@@ -186,7 +186,7 @@ fn what_does_not_belong_is_missing_twice_or_damaged_is_refused_by_name() {
 
     expect(&merge("part-0 part-2"), &["2 of 3 parts", "missing: 1"]);
     let twice = merge("part-0 part-1 part-2 part-1");
-    expect(&twice, &["part-1: part 1/3 is part-1 already"]);
+    expect(&twice, &["part-1: part 1/3 is there twice, also as part-1"]);
     expect(
         &merge("part-0 scene.toml part-2"),
         &["scene.toml: not the state"],
