@@ -151,9 +151,9 @@ impl Asked {
     }
 
     /// That no controller has obeyed it for so long.
-    pub fn not_obeyed(self, after: Duration) -> StopError {
+    pub fn not_obeyed(&self, after: Duration) -> StopError {
         StopError::NotObeyed {
-            path: self.path,
+            path: self.path.clone(),
             seconds: after.as_secs_f64(),
         }
     }

@@ -13,6 +13,8 @@ use crate::stamp::{Clocks, Order};
 
 /// Time over which the change of the pose is measured, ns: at 500 Hz, ten poses.
 const WINDOW_NS: u64 = 20_000_000;
+/// Greatest age of the pose that turns twists into the base's frame, ns: the camera turns meanwhile.
+const POSE_AGE_NS: u64 = 100_000_000;
 /// Poses that are kept at most.
 const POSES: usize = 64;
 
@@ -24,6 +26,8 @@ pub enum Command {
     None,
     /// One is in force.
     InForce,
+    /// One is in force that was beyond the scene's limits.
+    Limited,
     /// The last one ended.
     Stale,
 }
@@ -180,7 +184,8 @@ impl Arm {
     /// The tool's rotation in the base, while a fresh pose tells it.
     pub fn base_from_tool(&self, now_ns: u64) -> Option<UnitQuaternion<f64>> {
         let (at, pose) = self.poses.back()?;
-        (now_ns.saturating_sub(*at) <= self.max_age_ns).then_some(pose.rotation)
+        let most = self.max_age_ns.min(POSE_AGE_NS);
+        (now_ns.saturating_sub(*at) <= most).then_some(pose.rotation)
     }
 
     /// vpcd's twist in the frame that the robot is commanded in; `None` where that is not known.
@@ -206,10 +211,13 @@ impl Arm {
             state.joints = self.keys.joints.len() as u32;
             (state.q, state.dq) = (q, dq);
         }
+        // Numbers that are too large for the change of frames.
+        finite("the camera's twist", &twist)?;
         state.twist = twist;
         let (mode, faults) = match command {
             Command::None => (RobotMode::Idle, RobotFaults::default()),
             Command::InForce => (RobotMode::Moving, RobotFaults::default()),
+            Command::Limited => (RobotMode::Moving, RobotFaults::COMMAND_LIMITED),
             Command::Stale => (RobotMode::Stale, RobotFaults::STALE_COMMAND),
         };
         (state.mode, state.faults) = (mode.code(), faults.0);

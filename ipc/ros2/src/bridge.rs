@@ -1,7 +1,7 @@
 //! The loop: from topics to shared memory, and from `vpc/twist` to the robot.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
 use ipc::{Domain, Features, Publisher, ReceiveError, RobotPorts, now_ns};
@@ -62,6 +62,8 @@ pub enum Event {
     NotSent(String),
     /// A command of vpcd was refused.
     Command(ipc::Invalid),
+    /// A service was asked for something.
+    Service(String),
 }
 
 /// What came and went since the start.
@@ -139,7 +141,7 @@ impl Bridge {
         config: &Config,
         stop: &AtomicBool,
         is_stopping: &AtomicBool,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
     ) -> Result<(), BridgeError> {
         let domain = Domain::join(&config.domain)?;
         let mut ports = Ports {
@@ -170,7 +172,7 @@ impl Bridge {
     pub fn listen(
         mut self,
         stop: &AtomicBool,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
     ) -> Result<Report, BridgeError> {
         let mut ports = Ports {
             features: None,
@@ -187,7 +189,7 @@ impl Bridge {
         ports: &mut Ports,
         stop: &AtomicBool,
         is_stopping: &AtomicBool,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
     ) -> Result<(), BridgeError> {
         let (mut measured_ns, mut reported_ns) = (0, 0);
         while !stop.load(Ordering::Relaxed) {
@@ -195,27 +197,28 @@ impl Bridge {
             if now - measured_ns >= MEASURE_NS {
                 measured_ns = now;
                 if let Some(step) = self.clocks.follow(stamp::measure(), now) {
-                    let _ = tell.send(Event::Step(step));
+                    let _ = tell.try_send(Event::Step(step));
                 }
                 // A vpcd that came meanwhile finds the last features.
                 if let Some(features) = &mut ports.features {
                     features.refresh()?;
                 }
             }
-            if let Some(camera) = &mut self.camera {
-                camera.look(&self.clocks, ports.features.as_mut(), tell)?;
-            }
             if let Some(robot) = &mut self.robot {
+                // The dead man first, whatever waits on topics.
                 robot.outlet.stop(is_stopping.load(Ordering::Relaxed));
-                robot.look(&self.clocks, ports.robot.as_mut(), tell)?;
                 if let Some(ports) = &mut ports.robot {
                     robot.pass_on(ports, &self.clocks, &mut self.report, tell)?;
                 }
+                robot.look(&self.clocks, ports.robot.as_mut(), tell)?;
+            }
+            if let Some(camera) = &mut self.camera {
+                camera.look(&self.clocks, ports.features.as_mut(), tell)?;
             }
             if now - reported_ns >= REPORT_NS {
                 reported_ns = now;
                 self.count();
-                let _ = tell.send(Event::Report(self.report.clone()));
+                let _ = tell.try_send(Event::Report(self.report.clone()));
             }
             std::thread::sleep(PAUSE);
         }
@@ -269,7 +272,7 @@ impl Camera {
         &mut self,
         clocks: &Clocks,
         mut port: Option<&mut Publisher<Features>>,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
     ) -> Result<(), BridgeError> {
         let eye = &mut self.eye;
         if let Some(inbox) = &mut self.info {
@@ -303,7 +306,7 @@ impl Robot {
         let keys = &config.robot;
         let mut robot = Self {
             arm: Arm::new(config),
-            outlet: Outlet::new(config.zeros_ns),
+            outlet: Outlet::new(config.zeros_ns, config.scene.limits.velocity()),
             twists: None,
             poses: None,
             joints: None,
@@ -330,7 +333,7 @@ impl Robot {
         &mut self,
         clocks: &Clocks,
         mut ports: Option<&mut RobotPorts>,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
     ) -> Result<(), BridgeError> {
         let (arm, outlet) = (&mut self.arm, &self.outlet);
         let mut publish = |state: Option<ipc::RobotState>| {
@@ -366,7 +369,7 @@ impl Robot {
         ports: &mut RobotPorts,
         clocks: &Clocks,
         report: &mut Report,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
     ) -> Result<(), BridgeError> {
         match ports.twist.latest() {
             Ok(Some(command)) => {
@@ -377,7 +380,7 @@ impl Robot {
             Ok(None) => (),
             Err(ReceiveError::Invalid { invalid, .. }) => {
                 self.outlet.refuse();
-                let _ = tell.send(Event::Command(invalid));
+                let _ = tell.try_send(Event::Command(invalid));
             }
             Err(error) => return Err(error.into()),
         }
@@ -394,13 +397,13 @@ impl Robot {
         camera: [f64; 6],
         clocks: &Clocks,
         report: &mut Report,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
     ) {
         let now = now_ns();
         let twist = self.arm.command(&camera, now);
         // To stand is the same in every frame.
         if twist.is_none() && camera != [0.0; 6] {
-            let _ = tell.send(Event::NoFrame);
+            let _ = tell.try_send(Event::NoFrame);
         }
         let message = TwistStamped {
             header: Header {
@@ -413,7 +416,7 @@ impl Robot {
             Ok(()) => report.sent[0] += 1,
             Err(why) => {
                 report.not_sent += 1;
-                let _ = tell.send(Event::NotSent(format!("{why:?}")));
+                let _ = tell.try_send(Event::NotSent(format!("{why:?}")));
             }
         }
     }

@@ -1,6 +1,6 @@
 //! A topic that is subscribed to, and what became of its messages.
 
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::SyncSender;
 
 use ipc::now_ns;
 use ros2_client::Subscription;
@@ -32,7 +32,7 @@ impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
     /// follows from it.
     pub fn each<T>(
         &mut self,
-        tell: &Sender<Event>,
+        tell: &SyncSender<Event>,
         mut judge: impl FnMut(&M, u64) -> Result<(u64, T), Refusal>,
         mut then: impl FnMut(T) -> Result<(), BridgeError>,
     ) -> Result<(), BridgeError> {
@@ -46,7 +46,7 @@ impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
             match judged {
                 Ok((instant, value)) => {
                     if self.counts.taken == 0 {
-                        let _ = tell.send(Event::Comes(self.topic.clone()));
+                        let _ = tell.try_send(Event::Comes(self.topic.clone()));
                     }
                     self.counts.taken += 1;
                     self.counts.last_ns = now;
@@ -55,7 +55,7 @@ impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
                 }
                 Err(refusal) => {
                     *self.counts.refused.entry(refusal.kind()).or_default() += 1;
-                    let _ = tell.send(Event::Refused(self.topic.clone(), refusal));
+                    let _ = tell.try_send(Event::Refused(self.topic.clone(), refusal));
                 }
             }
         }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
 use ipc::{CycleRecord, Domain, Subscriber, now_ns};
@@ -15,13 +15,15 @@ use vpc_ros2::diagnostics;
 use vpc_ros2::message::DiagnosticArray;
 use vpc_ros2::overlay::Overlay;
 use vpc_ros2::ros::Ros;
-use vpc_ros2::services::{Desk, Services};
+use vpc_ros2::services::{RequestServer, Services};
 use vpc_ros2::stamp;
 
+/// Events that wait for the log; more are lost.
+const EVENTS: usize = 1024;
 /// How often the log looks.
 const LOOK: Duration = Duration::from_millis(50);
 /// Between two looks for requests of services.
-const DESK: Duration = Duration::from_millis(2);
+const REQUESTS: Duration = Duration::from_millis(2);
 /// Between two lines about the same thing.
 const SELDOM: Duration = Duration::from_secs(10);
 /// Between two diagnostics, and two drawings.
@@ -79,23 +81,24 @@ fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
     };
     let is_stopping = AtomicBool::new(false);
     let is_over = AtomicBool::new(false);
-    let (sender, events) = mpsc::channel();
+    let (sender, events) = mpsc::sync_channel(EVENTS);
     std::thread::scope(|scope| {
         let (is_over, is_stopping) = (&is_over, &is_stopping);
+        let tell = sender.clone();
         let bridge = scope.spawn(move || {
-            // Events end with it, however it ends.
+            let _over = SetAtEnd(is_over);
             bridge.run(config, stop, is_stopping, &sender)
         });
-        let desk = scope.spawn(move || serve(config, &services, is_stopping, is_over));
+        let server = scope.spawn(move || {
+            // Nothing moves that the service cannot stop: with this thread the loop ends, too.
+            let _stop = SetAtEnd(stop);
+            serve(config, &services, is_stopping, is_over, tell)
+        });
+        // Until both have ended.
         onlooker.watch(&events);
-        is_over.store(true, Ordering::Relaxed);
-        let ended = bridge.join();
-        if let Ok(Err(error)) = desk.join() {
-            tracing::error!("no services: {error}");
-        }
-        match ended {
-            Ok(result) => result.map(|()| ExitCode::SUCCESS),
-            Err(_) => {
+        match (bridge.join(), server.join()) {
+            (Ok(bridge), Ok(server)) => bridge.and(server).map(|()| ExitCode::SUCCESS),
+            _ => {
                 eprintln!("vpc-ros2: a defect; robots stop by their own time-out");
                 Ok(ExitCode::from(SOFTWARE))
             }
@@ -103,17 +106,28 @@ fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
     })
 }
 
+/// Sets a flag when its thread ends, by a panic too.
+struct SetAtEnd<'a>(&'a AtomicBool);
+
+impl Drop for SetAtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 fn serve(
     config: &Config,
     services: &Services,
     is_stopping: &AtomicBool,
     is_over: &AtomicBool,
+    tell: SyncSender<Event>,
 ) -> Result<(), BridgeError> {
     let domain = Domain::join(&config.domain)?;
-    let mut desk = Desk::open(services, &domain, config.domain.clone(), is_stopping)?;
+    let directory = config.domain.clone();
+    let mut server = RequestServer::open(services, &domain, directory, is_stopping, tell)?;
     while !is_over.load(Ordering::Relaxed) {
-        desk.look();
-        std::thread::sleep(DESK);
+        server.look();
+        std::thread::sleep(REQUESTS);
     }
     Ok(())
 }
@@ -194,6 +208,7 @@ impl Log {
             Event::Step(ns) => {
                 return tracing::warn!("the wall clock stepped by {:.1} ms", -1e-6 * *ns as f64);
             }
+            Event::Service(words) => return tracing::warn!("{words}"),
             Event::Report(_) => return,
         };
         let last = self.0.get(&about);
@@ -217,7 +232,7 @@ impl Log {
 fn preflight(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
     let mut ros = Ros::join(config)?;
     let bridge = Bridge::open(config, &mut ros)?;
-    let (sender, events) = mpsc::channel();
+    let (sender, events) = mpsc::sync_channel(EVENTS);
     let report = std::thread::scope(|scope| {
         let bridge = scope.spawn(|| bridge.listen(stop, &sender));
         std::thread::sleep(LISTEN);

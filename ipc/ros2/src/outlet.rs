@@ -13,7 +13,11 @@ const ZERO_PERIOD_NS: u64 = 20_000_000;
 #[derive(Clone, Debug)]
 pub struct Outlet {
     zeros_ns: u64,
+    /// The scene's limits of the camera's velocity, m/s and rad/s.
+    limits: [f64; 6],
     command: TwistCommand,
+    /// Whether it was beyond the limits.
+    is_limited: bool,
     has_command: bool,
     /// Until when zeros follow, and when the next one is due, CLOCK_MONOTONIC, ns.
     zeros_until_ns: u64,
@@ -25,10 +29,13 @@ pub struct Outlet {
 }
 
 impl Outlet {
-    /// That has sent nothing; zeros follow for so long, ns.
-    pub fn new(zeros_ns: u64) -> Self {
+    /// One that has sent nothing; zeros follow for so long, ns. Each component of a twist is cut to
+    /// its limit, m/s and rad/s.
+    pub fn new(zeros_ns: u64, limits: [f64; 6]) -> Self {
         Self {
             zeros_ns,
+            limits,
+            is_limited: false,
             command: TwistCommand::zero(TwistState::Stopped),
             has_command: false,
             zeros_until_ns: 0,
@@ -54,7 +61,9 @@ impl Outlet {
         }
         self.was_in_force = true;
         let twist = command.in_force(now_ns);
-        Some(if self.is_stopped { [0.0; 6] } else { twist })
+        let cut = std::array::from_fn(|k| twist[k].clamp(-self.limits[k], self.limits[k]));
+        self.is_limited = cut != twist;
+        Some(if self.is_stopped { [0.0; 6] } else { cut })
     }
 
     /// A command came that is refused: it is as none, and what was in force is so no longer.
@@ -65,7 +74,7 @@ impl Outlet {
 
     /// Looks at the clock; returns a zero twist where one is due.
     pub fn look(&mut self, now_ns: u64) -> Option<[f64; 6]> {
-        if now_ns < self.command.in_force_until_ns() {
+        if now_ns < self.command.in_force_until_ns() && !self.is_stopped {
             return None;
         }
         if self.was_in_force {
@@ -84,6 +93,9 @@ impl Outlet {
     pub fn command(&self, now_ns: u64) -> Command {
         match self.has_command {
             false => Command::None,
+            true if self.is_limited && now_ns < self.command.in_force_until_ns() => {
+                Command::Limited
+            }
             true if now_ns < self.command.in_force_until_ns() => Command::InForce,
             true => Command::Stale,
         }
@@ -107,7 +119,7 @@ mod tests {
 
     #[test]
     fn each_command_goes_out_once_and_then_zeros_and_then_silence() {
-        let mut outlet = Outlet::new(500 * MS);
+        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
         assert_eq!(outlet.look(BEGIN), None);
         assert_eq!(outlet.command(BEGIN), Command::None);
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.1; 6]));
@@ -130,7 +142,7 @@ mod tests {
 
     #[test]
     fn what_robots_do_not_obey_is_not_passed_on() {
-        let mut outlet = Outlet::new(500 * MS);
+        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
         // Of lockstep, and one that was under way for too long.
         let mut lockstep = command(BEGIN, 0.1);
         lockstep.valid_until_ns = u64::MAX;
@@ -144,7 +156,7 @@ mod tests {
 
     #[test]
     fn a_refused_command_ends_the_one_before() {
-        let mut outlet = Outlet::new(500 * MS);
+        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
         let now = ipc::now_ns();
         assert_eq!(outlet.take(&command(now, 0.1), now), Some([0.1; 6]));
         outlet.refuse();
@@ -153,11 +165,24 @@ mod tests {
 
     #[test]
     fn after_a_stop_only_zeros_go_out() {
-        let mut outlet = Outlet::new(500 * MS);
+        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
+        assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.1; 6]));
+        // At once, though a command is in force.
         outlet.stop(true);
+        assert_eq!(outlet.look(BEGIN + MS), Some([0.0; 6]));
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.0; 6]));
         outlet.stop(false);
         let now = BEGIN + 30 * MS;
         assert_eq!(outlet.take(&command(now, 0.1), now), Some([0.1; 6]));
+    }
+
+    #[test]
+    fn a_twist_is_cut_to_the_limits_of_the_scene() {
+        let mut outlet = Outlet::new(500 * MS, [0.5, 0.5, 0.5, 1.0, 1.0, 1.0]);
+        let cut = [-0.5, -0.5, -0.5, -1.0, -1.0, -1.0];
+        assert_eq!(outlet.take(&command(BEGIN, -50.0), BEGIN), Some(cut));
+        assert_eq!(outlet.command(BEGIN), Command::Limited);
+        assert_eq!(outlet.take(&command(BEGIN, 0.4), BEGIN), Some([0.4; 6]));
+        assert_eq!(outlet.command(BEGIN), Command::InForce);
     }
 }

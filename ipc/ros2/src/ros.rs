@@ -16,7 +16,7 @@ use crate::refusal::Refusal;
 /// Messages that wait for the gateway, which looks every millisecond.
 const INBOX: usize = 16;
 /// Most messages of a topic that are taken at a time.
-pub const BATCH: usize = 64;
+pub const BATCH: usize = 16;
 /// Requests of a service that wait.
 const REQUESTS: usize = 10;
 

@@ -4,11 +4,13 @@
 use std::hash::{BuildHasher, RandomState};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use ipc::{Action, Asked, Domain, OperatorPorts, Outcome, Reply, Request};
 use ros2_client::RmwRequestId;
 
+use crate::bridge::Event;
 use crate::message::TriggerResponse;
 use crate::ros::{BATCH, Ros, RosError, TriggerServer};
 
@@ -49,18 +51,23 @@ struct Waiting {
 }
 
 /// Answers requests.
-pub struct Desk<'a> {
+pub struct RequestServer<'a> {
     services: &'a Services,
     directory: PathBuf,
     ports: OperatorPorts,
     ids: RandomState,
     waiting: Vec<Waiting>,
-    stops: Vec<(RmwRequestId, Asked, Instant)>,
-    /// Whether a stop is under way: nothing but zeros goes out.
+    /// Stops that wait for an answer, and until when.
+    stops: Vec<(RmwRequestId, Instant)>,
+    /// The newest stop, until a vpcd has obeyed it.
+    asked: Option<Asked>,
+    /// Nothing but zeros goes out: from a stop on, until a vpcd has obeyed it. Where it could not be
+    /// asked for, until vpcd was armed by this service.
     is_stopping: &'a AtomicBool,
+    tell: SyncSender<Event>,
 }
 
-impl<'a> Desk<'a> {
+impl<'a> RequestServer<'a> {
     /// Opens an operator's place in the domain.
     ///
     /// # Errors
@@ -70,6 +77,7 @@ impl<'a> Desk<'a> {
         domain: &Domain,
         directory: PathBuf,
         is_stopping: &'a AtomicBool,
+        tell: SyncSender<Event>,
     ) -> Result<Self, ipc::OpenError> {
         Ok(Self {
             services,
@@ -78,7 +86,9 @@ impl<'a> Desk<'a> {
             ids: RandomState::new(),
             waiting: Vec::new(),
             stops: Vec::new(),
+            asked: None,
             is_stopping,
+            tell,
         })
     }
 
@@ -99,31 +109,53 @@ impl<'a> Desk<'a> {
             };
             // Zeros go out before vpcd has read the file.
             self.is_stopping.store(true, Ordering::Relaxed);
-            tracing::warn!("stop, by a service of ROS 2");
             match Asked::in_domain(&self.directory) {
-                Ok(asked) => self.stops.push((from, asked, Instant::now() + PATIENCE)),
+                Ok(asked) => {
+                    self.asked = Some(asked);
+                    match self.stops.len() < MOST_WAITING {
+                        true => self.stops.push((from, Instant::now() + PATIENCE)),
+                        false => {
+                            let words = format!("asked for; {MOST_WAITING} others wait already");
+                            respond(&self.services.stop, from, false, words);
+                        }
+                    }
+                }
                 Err(why) => respond(&self.services.stop, from, false, why.to_string()),
             }
+            self.note("stop, by a service of ROS 2".to_owned());
         }
     }
 
     fn answer_stops(&mut self) {
+        let Some(asked) = &self.asked else {
+            return;
+        };
         let server = &self.services.stop;
-        let now = Instant::now();
-        for (from, asked, end) in std::mem::take(&mut self.stops) {
-            match asked.is_obeyed() {
-                Ok(true) => respond(server, from, true, "stopped".to_owned()),
-                Ok(false) if now < end => self.stops.push((from, asked, end)),
-                Ok(false) => {
-                    let why = asked.not_obeyed(PATIENCE).to_string();
-                    respond(server, from, false, why);
+        match asked.is_obeyed() {
+            Ok(true) => {
+                for (from, _) in self.stops.drain(..) {
+                    respond(server, from, true, "stopped".to_owned());
                 }
-                Err(why) => respond(server, from, false, why.to_string()),
+                self.asked = None;
+                self.is_stopping.store(false, Ordering::Relaxed);
+            }
+            Ok(false) => {
+                let now = Instant::now();
+                for (from, _) in self.stops.extract_if(.., |(_, end)| *end <= now) {
+                    respond(server, from, false, asked.not_obeyed(PATIENCE).to_string());
+                }
+            }
+            Err(why) => {
+                for (from, _) in self.stops.drain(..) {
+                    respond(server, from, false, why.to_string());
+                }
             }
         }
-        if self.stops.is_empty() {
-            self.is_stopping.store(false, Ordering::Relaxed);
-        }
+    }
+
+    /// For the log, which this thread does not wait for.
+    fn note(&self, words: String) {
+        let _ = self.tell.try_send(Event::Service(words));
     }
 
     fn take_asks(&mut self, server: usize) {
@@ -160,6 +192,10 @@ impl<'a> Desk<'a> {
             if let Some(place) = self.waiting.iter().position(ours) {
                 let waiting = self.waiting.remove(place);
                 let is_done = reply.outcome() == Some(Outcome::Done);
+                let is_arm = self.services.asks[waiting.server].1 == Action::Arm;
+                if is_done && is_arm && self.asked.is_none() {
+                    self.is_stopping.store(false, Ordering::Relaxed);
+                }
                 self.respond(&waiting, is_done, words(&reply));
             }
         }
@@ -176,7 +212,7 @@ impl<'a> Desk<'a> {
 
     fn respond(&self, waiting: &Waiting, success: bool, message: String) {
         let (server, action) = &self.services.asks[waiting.server];
-        tracing::info!("{action}, by a service of ROS 2: {message}");
+        self.note(format!("{action}, by a service of ROS 2: {message}"));
         respond(server, waiting.from, success, message);
     }
 }

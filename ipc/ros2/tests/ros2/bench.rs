@@ -127,9 +127,10 @@ impl Peer {
     /// From a start to its end, judged by the referee.
     pub fn run(&mut self, start: usize) -> Value {
         let mut run = Value::Null;
-        for _ in 0..TRIES {
+        for tried in 1..=TRIES {
             self.place(start);
             run = self.ask("run");
+            run["tries"] = json!(tried);
             match run["reason"].as_str() {
                 // A machine that stands still: vpcd says so, and must be armed again.
                 Some(words) if words.starts_with("disarmed") => {
