@@ -45,13 +45,15 @@ impl Overlay {
 
     /// Draws what a cycle saw and foresaw, at the time of its features.
     pub fn draw(&self, cycle: &CycleRecord, stamp: Time) {
+        let is_finite = |pair: &[f64; 2]| pair.iter().all(|x| x.is_finite());
+        let seen = cycle.pairs().filter(is_finite).collect();
         let foreseen = cycle.foreseen().flat_map(|way| {
             let way: Vec<_> = way.collect();
-            let pairs = way.windows(2).flat_map(|two| [two[0], two[1]]);
-            pairs.collect::<Vec<_>>()
+            let lines = way.windows(2).filter(|ends| ends.iter().all(is_finite));
+            lines.flatten().copied().collect::<Vec<_>>()
         });
         let drawings = [
-            (POINTS, POINT_PX, [0.1, 0.9, 0.2], cycle.pairs().collect()),
+            (POINTS, POINT_PX, [0.1, 0.9, 0.2], seen),
             (POINTS, POINT_PX, [1.0, 0.6, 0.0], self.goal.clone()),
             (LINE_LIST, LINE_PX, [0.2, 0.6, 1.0], foreseen.collect()),
         ];
@@ -69,10 +71,7 @@ impl Overlay {
         [r, g, b]: [f32; 3],
         pairs: Vec<[f64; 2]>,
     ) -> ImageMarker {
-        let shifted = pairs
-            .iter()
-            .filter(|pair| pair.iter().all(|x| x.is_finite()));
-        let points = shifted.map(|[u, v]| Point {
+        let points = pairs.iter().map(|[u, v]| Point {
             x: u + CORNER_PX,
             y: v + CORNER_PX,
             z: 0.0,
