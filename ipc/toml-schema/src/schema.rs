@@ -89,13 +89,14 @@ pub(crate) fn allowed(schema: &Value) -> String {
     };
     let items = &schema["items"];
     match (schema["type"].as_str(), items["type"].as_str()) {
-        (Some("array"), Some("number")) => {
-            format!(
-                "{} numbers, {}",
-                range("minItems", "maxItems"),
-                allowed(items)
-            )
+        (Some("array"), Some("number" | "integer")) => {
+            let numbers = format!("{} numbers, ", range("minItems", "maxItems"));
+            (numbers + &allowed(items))
+                .trim_end_matches(", ")
+                .trim_start()
+                .to_owned()
         }
+        (Some("array"), Some("string")) => format!("{} words", range("minItems", "maxItems")),
         (Some("array"), Some("array")) => {
             format!(
                 "{} lists of {}",
