@@ -9,7 +9,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use foxglove::messages::RawImage;
 use foxglove::websocket::{ChannelView, Client, ServerListener};
@@ -27,13 +27,19 @@ use crate::scenery::{CAMERA, IMAGE};
 
 /// Sleep between two looks at the queues: the shortest holds 64 messages, so 12,000 a second.
 const PAUSE: Duration = Duration::from_millis(5);
-/// Messages that wait for one client: of a camera's images, some ten MB.
+/// Messages that wait for one client, whatever their size: one that subscribed to nothing but the
+/// images and does not read holds 64 of them, which is 400 MB where an image has 6 MB. With fewer, a
+/// client that reads would lose more when it is held up for a moment.
 const BACKLOG: usize = 64;
 /// Least time between two messages of a topic, ns: of a robot's 1,000 a second every fourth, of a
 /// daemon's 250 cycles all.
 const APART_NS: u64 = 3_500_000;
-/// Least time between two images, ns: 15 a second.
+/// Least time between two images, ns: of a camera's 30 a second every second one.
 const IMAGES_APART_NS: u64 = 60_000_000;
+/// Least time between two sendings of what stands still, however many subscribe.
+const STILL_APART: Duration = Duration::from_secs(1);
+/// Time after which it is sent in any case: the full queue of a client may have dropped it.
+const STILL_AGAIN: Duration = Duration::from_secs(3);
 
 /// What to serve, and where.
 #[derive(Clone, Debug)]
@@ -122,6 +128,8 @@ pub fn serve(
     let mut scene = options.scene.as_ref().map(|files| files.scene.clone());
     // Lives of the daemon whose scene was read.
     let mut lives = 0;
+    // When what stands still was sent.
+    let mut sent: Option<Instant> = None;
     let mut written = Ok(());
     while !stop.load(Ordering::Relaxed) {
         for port in &mut ports {
@@ -147,12 +155,21 @@ pub fn serve(
             }
         }
         // Who comes later has not received what stands still.
-        let has_arrived = arrivals.0.swap(false, Ordering::Relaxed);
-        if let Some(scene) = scene.as_ref().filter(|_| is_new || has_arrived) {
-            let wall_ns = live.writer.sink.clock.wall_of(ipc::now_ns());
-            live.draw(scene, wall_ns)?;
-            if !camera.has_sent {
-                live.draw_image_plane(scene, wall_ns)?;
+        let wait = match arrivals.0.load(Ordering::Relaxed) {
+            true => STILL_APART,
+            false => STILL_AGAIN,
+        };
+        if is_new || sent.is_none_or(|sent| sent.elapsed() >= wait) {
+            sent = Some(Instant::now());
+            arrivals.0.store(false, Ordering::Relaxed);
+            // The wall clock may have been set meanwhile.
+            live.writer.sink.clock = WallClock::now();
+            if let Some(scene) = &scene {
+                let wall_ns = live.writer.sink.clock.wall_ns;
+                live.draw(scene, wall_ns)?;
+                if !camera.has_sent {
+                    live.draw_image_plane(scene, wall_ns)?;
+                }
             }
         }
         std::thread::sleep(PAUSE);
@@ -219,7 +236,7 @@ fn raw(image: &Image) -> RawImage {
     }
 }
 
-/// Whether somebody has subscribed since the last look.
+/// Whether somebody has subscribed since what stands still was sent.
 #[derive(Debug, Default)]
 struct Arrivals(AtomicBool);
 

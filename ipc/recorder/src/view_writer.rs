@@ -12,7 +12,7 @@ use scene::Scene;
 
 use crate::annotation::time;
 
-/// Least time between two drawings on one topic, ns: nobody sees more than 60 a second.
+/// Least time between two drawings on one topic, ns: nobody sees more than 66 a second.
 const APART_NS: u64 = 15_000_000;
 
 /// Writes views and an entry of the log where something happens.

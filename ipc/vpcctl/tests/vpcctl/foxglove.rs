@@ -221,6 +221,7 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
     let scene = scene::Scene::parse(scene::PAPER_ROBOT, "paper-robot.toml").unwrap();
 
     is_read_only(&received);
+    what_stands_still_comes_again(&received);
     layout_names_what_is_served(&received);
     let compared = messages_are_the_daemons(&received, &direct);
     assert!(compared > 60, "{compared} cycles");
@@ -258,7 +259,7 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
         (&"rgb8".into(), &96.into())
     );
     assert_eq!(image["data"]["sum"], sum);
-    // 15 a second, of 100.
+    // 17 a second at most, of 100.
     assert!((20..60).contains(&images.len()), "{}", images.len());
     // It ends at once beside a client that does not read.
     let ended = server.terminated();
@@ -278,6 +279,21 @@ fn is_read_only(received: &Received) {
         .iter()
         .find(|event| event["event"] != "close");
     assert_eq!(strange, None);
+}
+
+/// It comes also when nobody subscribes, and once a second where many topics are subscribed to.
+fn what_stands_still_comes_again(received: &Received) {
+    for topic in ["/world/pattern", "/camera/calibration", "/camera/image"] {
+        let times = received.of(topic).iter();
+        let times: Vec<f64> = times
+            .map(|(at, _)| 1e-9 * at.as_str().unwrap().parse::<f64>().unwrap())
+            .collect();
+        assert!(times.len() > 2, "{topic} at {times:?}");
+        for pair in times.windows(2) {
+            let apart = pair[1] - pair[0];
+            assert!((0.95..4.5).contains(&apart), "{topic} at {times:?}");
+        }
+    }
 }
 
 /// Every topic of the layout is served, every field is in its schema.
