@@ -5,8 +5,8 @@
 //! under test, looks at the clock again and again: only the machine can make it late. What a
 //! promise measured is compared with what the machine did *in that very time*.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Barrier};
 use std::thread::JoinHandle;
 
 use controller::clock::sleep_until;
@@ -34,17 +34,20 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Looks every `tick_ns`; a look that is later than `late_ns` ends a standstill.
+    /// Looks every `tick_ns`; a look that is later than `late_ns` ends a standstill. When this
+    /// returns, every thread has begun.
     ///
     /// Without the right to real time nobody has it: these threads are then as ordinary as the
     /// daemon's.
     pub fn start(processors: &[usize], tick_ns: u64, late_ns: u64) -> Self {
         let end = Arc::new(AtomicBool::new(false));
+        let begun = Arc::new(Barrier::new(processors.len() + 1));
         let look = |processor: usize| {
-            let end = Arc::clone(&end);
-            std::thread::spawn(move || look(processor, tick_ns, late_ns, &end))
+            let (end, begun) = (Arc::clone(&end), Arc::clone(&begun));
+            std::thread::spawn(move || look(processor, tick_ns, late_ns, &begun, &end))
         };
         let threads = processors.iter().copied().map(look).collect();
+        begun.wait();
         Self { end, threads }
     }
 
@@ -72,13 +75,20 @@ impl Drop for Watch {
     }
 }
 
-fn look(processor: usize, tick_ns: u64, late_ns: u64, end: &AtomicBool) -> Vec<Standstill> {
+fn look(
+    processor: usize,
+    tick_ns: u64,
+    late_ns: u64,
+    begun: &Barrier,
+    end: &AtomicBool,
+) -> Vec<Standstill> {
     // Touched before it counts: a page fault in here would look like the machine's fault.
     let mut found = vec![Standstill::default(); MOST];
     let mut count = 0;
     keep(None, processor);
     take_priority(PRIORITY);
     let mut seen_ns = now_ns();
+    begun.wait();
     let mut release_ns = seen_ns;
     while !end.load(Ordering::Relaxed) && count < MOST {
         release_ns += tick_ns;
