@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::{ArgMatches, CommandFactory};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
 
 /// Done, and something wants attention: a finding, a result that was not written.
@@ -46,19 +46,29 @@ pub fn log(filter: &str) {
         .init();
 }
 
-/// A flag that SIGINT and SIGTERM set. The second signal ends the process where it is.
+/// A flag that SIGINT and SIGTERM set, and SIGHUP unless `nohup` began the program. Repeating them
+/// changes nothing: an impatient operator must not cut short how a robot is stopped. SIGQUIT and
+/// SIGKILL end a program that does not stop.
 ///
 /// # Errors
 /// The system refuses; that was printed under the program's `name`. The exit code.
 pub fn stop_on_signals(name: &str) -> Result<Arc<AtomicBool>, ExitCode> {
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        let second = signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop));
-        let first = second.and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)));
-        first.map_err(|error| {
+    let hangup = (!is_hangup_ignored()).then_some(SIGHUP);
+    for signal in [SIGINT, SIGTERM].into_iter().chain(hangup) {
+        let registered = signal_hook::flag::register(signal, Arc::clone(&stop));
+        registered.map_err(|error| {
             eprintln!("{name}: signal {signal}: {error}");
             ExitCode::from(UNAVAILABLE)
         })?;
     }
     Ok(stop)
+}
+
+/// Whether the process was begun with SIGHUP ignored.
+fn is_hangup_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    ignored.is_some_and(|mask| mask >> (SIGHUP - 1) & 1 == 1)
 }
