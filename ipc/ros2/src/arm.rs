@@ -60,7 +60,9 @@ impl Arm {
         }
     }
 
-    /// Takes the joints that the configuration names; others may be in the message.
+    /// Takes the joints that the configuration names; others may be in the message. Returns the
+    /// instant of it, ns; `None` for a message of others alone, such as a gripper's. A velocity that
+    /// is not a number counts as 0: ros2_control tells so what the hardware does not measure.
     ///
     /// # Errors
     /// [`Refusal`].
@@ -69,14 +71,17 @@ impl Arm {
         message: &JointState,
         clocks: &Clocks,
         now_ns: u64,
-    ) -> Result<u64, Refusal> {
-        let instant = clocks.instant(&message.header.stamp, 0, now_ns)?;
+    ) -> Result<Option<u64>, Refusal> {
         let JointState {
             name,
             position,
             velocity,
             ..
         } = message;
+        if !name.iter().any(|name| self.keys.joints.contains(name)) {
+            return Ok(None);
+        }
+        let instant = clocks.instant(&message.header.stamp, 0, now_ns)?;
         // Robots that do not tell velocities send none.
         let has_velocity = !velocity.is_empty();
         if position.len() != name.len() || has_velocity && velocity.len() != name.len() {
@@ -96,12 +101,13 @@ impl Arm {
                 return Err(Refusal::TwiceJoint(wanted.clone()));
             }
             q[k] = position[place];
-            dq[k] = if has_velocity { velocity[place] } else { 0.0 };
+            let told = velocity.get(place).copied().unwrap_or_default();
+            dq[k] = if told.is_nan() { 0.0 } else { told };
         }
         finite("a joint", q.iter().chain(&dq))?;
         self.joint_states.after(instant)?;
         self.joints = Some((instant, q, dq));
-        Ok(instant)
+        Ok(Some(instant))
     }
 
     /// Takes the tool's pose in the base; returns the state where the robot tells its motion so.
@@ -329,10 +335,25 @@ mod tests {
             let refusal = arm.clone().joints(&message, &clocks(), NOW);
             refusal.unwrap_err().kind()
         };
-        assert_eq!(refused(|m| m.name[2] = "a".to_owned()), "joints missing");
+        assert_eq!(refused(|m| m.name[2] = "c".to_owned()), "joints missing");
         assert_eq!(refused(|m| m.name[1] = "a".to_owned()), "name twice");
         assert_eq!(refused(|m| m.position[0] = f64::NAN), "bad number");
         assert_eq!(refused(|m| m.velocity.truncate(1)), "wrong length");
+        assert_eq!(refused(|m| m.velocity[2] = f64::INFINITY), "bad number");
         assert_eq!(refused(|_| ()), "out of order");
+        // A gripper's, without a stamp or positions.
+        let mut other = message.clone();
+        (other.name, other.position) = (vec!["finger".to_owned()], vec![]);
+        other.header = Header::default();
+        assert_eq!(arm.joints(&other, &clocks(), NOW), Ok(None));
+        let mut unmeasured = message.clone();
+        unmeasured.header = header("", NOW + 1);
+        unmeasured.velocity[2] = f64::NAN;
+        assert_eq!(
+            arm.joints(&unmeasured, &clocks(), NOW + 1),
+            Ok(Some(NOW + 1))
+        );
+        let state = arm.state([0.0; 6], NOW, Command::None, NOW).unwrap();
+        assert_eq!(state.dq[..2], [0.0, 0.1]);
     }
 }

@@ -43,6 +43,10 @@ pub enum BridgeError {
     Publish(#[from] ipc::PublishError),
     #[error(transparent)]
     Receive(#[from] ipc::ReceiveError),
+    #[error(transparent)]
+    SetBack(#[from] stamp::SetBack),
+    #[error(transparent)]
+    Scene(#[from] crate::agreement::OtherScene),
 }
 
 /// What the loop tells the rest of the program.
@@ -58,8 +62,8 @@ pub enum Event {
     Report(Report),
     /// A twist of vpcd could not be turned into the frame of the command: zero was sent.
     NoFrame,
-    /// A twist could not be sent.
-    NotSent(String),
+    /// Something could not be sent, and why.
+    NotSent(&'static str, String),
     /// A command of vpcd was refused.
     Command(ipc::Invalid),
     /// A service was asked for something.
@@ -77,6 +81,8 @@ pub struct Report {
     pub sent: [u64; 2],
     /// Twists that could not be sent.
     pub not_sent: u64,
+    /// Whether a stop is in force: nothing but zeros is sent.
+    pub is_stopping: bool,
     /// Steps of the wall clock.
     pub steps: u64,
     /// Monotonic less wall, ns.
@@ -158,10 +164,12 @@ impl Bridge {
         // However it ends, the robot is told to stand.
         if let Some(robot) = &mut self.robot {
             for _ in 0..LAST_ZEROS {
-                robot.send([0.0; 6], &self.clocks, &mut self.report, tell);
+                robot.stand(&self.clocks, &mut self.report, tell);
                 std::thread::sleep(LAST_PAUSE);
             }
         }
+        self.count();
+        let _ = tell.try_send(Event::Report(self.report.clone()));
         ended
     }
 
@@ -196,7 +204,7 @@ impl Bridge {
             let now = now_ns();
             if now - measured_ns >= MEASURE_NS {
                 measured_ns = now;
-                if let Some(step) = self.clocks.follow(stamp::measure(), now) {
+                if let Some(step) = self.clocks.follow(stamp::measure(), now)? {
                     let _ = tell.try_send(Event::Step(step));
                 }
                 // A vpcd that came meanwhile finds the last features.
@@ -206,7 +214,8 @@ impl Bridge {
             }
             if let Some(robot) = &mut self.robot {
                 // The dead man first, whatever waits on topics.
-                robot.outlet.stop(is_stopping.load(Ordering::Relaxed));
+                self.report.is_stopping = is_stopping.load(Ordering::Relaxed);
+                robot.outlet.stop(self.report.is_stopping);
                 if let Some(ports) = &mut ports.robot {
                     robot.pass_on(ports, &self.clocks, &mut self.report, tell)?;
                 }
@@ -278,7 +287,7 @@ impl Camera {
         if let Some(inbox) = &mut self.info {
             inbox.each(
                 tell,
-                |message, now| eye.info(message).map(|()| (now, ())),
+                |message, now| eye.info(message).map(|()| Some((now, ()))),
                 |()| Ok(()),
             )?;
         }
@@ -288,7 +297,7 @@ impl Camera {
             }
             Ok(())
         };
-        let dated = |features: Features| (features.stamp.data_ns, features);
+        let dated = |features: Features| Some((features.stamp.data_ns, features));
         if let Some(inbox) = &mut self.tags {
             let judge = |message: &_, now| eye.tags(message, clocks, now).map(dated);
             inbox.each(tell, judge, &mut publish)?;
@@ -343,20 +352,24 @@ impl Robot {
             Ok(())
         };
         if let Some(inbox) = &mut self.joints {
-            let judge = |message: &_, now| Ok((arm.joints(message, clocks, now)?, ()));
+            let judge = |message: &_, now| {
+                let at_ns = arm.joints(message, clocks, now)?;
+                Ok(at_ns.map(|at_ns| (at_ns, ())))
+            };
             inbox.each(tell, judge, |()| Ok(()))?;
         }
         if let Some(inbox) = &mut self.poses {
             let judge = |message: &_, now| {
                 let state = arm.pose(message, clocks, now, outlet.command(now))?;
-                Ok((state.map_or(now, |state| state.stamp.data_ns), state))
+                let at_ns = state.map_or(now, |state| state.stamp.data_ns);
+                Ok(Some((at_ns, state)))
             };
             inbox.each(tell, judge, &mut publish)?;
         }
         if let Some(inbox) = &mut self.twists {
             let judge = |message: &_, now| {
                 let state = arm.twist(message, clocks, now, outlet.command(now))?;
-                Ok((state.stamp.data_ns, Some(state)))
+                Ok(Some((state.stamp.data_ns, Some(state))))
             };
             inbox.each(tell, judge, &mut publish)?;
         }
@@ -384,11 +397,17 @@ impl Robot {
             }
             Err(error) => return Err(error.into()),
         }
-        if let Some(zero) = self.outlet.look(now_ns()) {
-            report.sent[1] += 1;
-            self.send(zero, clocks, report, tell);
+        if self.outlet.is_zero_due(now_ns()) {
+            self.stand(clocks, report, tell);
         }
         Ok(())
+    }
+
+    /// Sends a zero that nobody commanded.
+    fn stand(&mut self, clocks: &Clocks, report: &mut Report, tell: &SyncSender<Event>) {
+        let before = report.sent[0];
+        self.send([0.0; 6], clocks, report, tell);
+        report.sent[1] += report.sent[0] - before;
     }
 
     /// Sends a twist of the camera in the frame of the command.
@@ -416,7 +435,7 @@ impl Robot {
             Ok(()) => report.sent[0] += 1,
             Err(why) => {
                 report.not_sent += 1;
-                let _ = tell.try_send(Event::NotSent(format!("{why:?}")));
+                let _ = tell.try_send(Event::NotSent("a twist", format!("{why:?}")));
             }
         }
     }

@@ -201,6 +201,10 @@ fn check_topics(
             return Err(document.refuse(key, topic, NAME));
         }
     }
+    if robot.executed == Executed::Twist && robot.twist == robot.command {
+        let allowed = "a topic of the robot: on robot.command vpcd would hear itself";
+        return Err(document.refuse("robot.twist", &robot.twist, allowed));
+    }
     let names = [&camera.frame, &robot.tool, &robot.base];
     if has_robot && (names[0] == names[1] || names[0] == names[2] || names[1] == names[2]) {
         let allowed = "three different names for camera.frame, robot.tool and robot.base";

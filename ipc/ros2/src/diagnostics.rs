@@ -95,9 +95,16 @@ fn gateway(report: &Report, before: &Report, now_ns: u64) -> DiagnosticStatus {
         told.push((format!("{topic}, taken"), counts.taken.to_string()));
         let age = format!("{:.1}", 1e-6 * counts.age_ns as f64);
         told.push((format!("{topic}, age of the last, ms"), age));
+        if counts.passed_over > 0 {
+            let others = counts.passed_over.to_string();
+            told.push((format!("{topic}, of others"), others));
+        }
         for (kind, count) in &counts.refused {
             told.push((format!("{topic}, refused: {kind}"), count.to_string()));
         }
+    }
+    if report.is_stopping {
+        trouble.push("a stop is in force: only zeros are sent".to_owned());
     }
     if report.not_sent > before.not_sent {
         trouble.push("twists could not be sent".to_owned());

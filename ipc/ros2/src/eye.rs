@@ -19,7 +19,6 @@ pub struct Eye {
     scene: Scene,
     targets: Targets,
     frame: String,
-    info_topic: String,
     is_rectified: bool,
     tolerance_px: f64,
     /// Added to coordinates, px.
@@ -37,7 +36,6 @@ pub struct Eye {
 impl Eye {
     /// That has seen nothing yet.
     pub fn new(config: &Config) -> Self {
-        let info_topic = config.camera.info.clone();
         let points = config.scene.pattern.len();
         Self {
             scene: config.scene.clone(),
@@ -48,11 +46,10 @@ impl Eye {
             shift_px: -config.pixel_centre,
             stamp_offset_ns: config.stamp_offset_ns,
             order: Order::default(),
-            camera: match info_topic.is_empty() {
-                true => Ok(()),
-                false => Err(Refusal::NoInfo(info_topic.clone())),
+            camera: match config.camera.info.as_str() {
+                "" => Ok(()),
+                topic => Err(Refusal::NoInfo(topic.to_owned())),
             },
-            info_topic,
             last: vec![None; points],
             foreign: 0,
         }
@@ -73,16 +70,6 @@ impl Eye {
             )?)
         });
         self.camera.clone()
-    }
-
-    /// Whether the camera was checked, or need not be.
-    pub fn knows_camera(&self) -> bool {
-        self.camera.is_ok()
-    }
-
-    /// The topic that CameraInfo is expected on.
-    pub fn info_topic(&self) -> &str {
-        &self.info_topic
     }
 
     /// Features of tags. A tag that is not in sight is where it was seen last, and its bit in

@@ -29,11 +29,11 @@ impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
     }
 
     /// Hands over what waits. `judge` returns the instant that a message is about, ns, and what
-    /// follows from it.
+    /// follows from it; `None` passes over a message that is of no concern.
     pub fn each<T>(
         &mut self,
         tell: &SyncSender<Event>,
-        mut judge: impl FnMut(&M, u64) -> Result<(u64, T), Refusal>,
+        mut judge: impl FnMut(&M, u64) -> Result<Option<(u64, T)>, Refusal>,
         mut then: impl FnMut(T) -> Result<(), BridgeError>,
     ) -> Result<(), BridgeError> {
         for _ in 0..BATCH {
@@ -44,7 +44,8 @@ impl<M: Named + DeserializeOwned + 'static> Inbox<M> {
                 Err(refusal) => Err(refusal),
             };
             match judged {
-                Ok((instant, value)) => {
+                Ok(None) => self.counts.passed_over += 1,
+                Ok(Some((instant, value))) => {
                     if self.counts.taken == 0 {
                         let _ = tell.try_send(Event::Comes(self.topic.clone()));
                     }

@@ -66,7 +66,8 @@ pub struct CameraKeys {
     #[default = "/camera/camera_info"]
     pub info: String,
     /// Whether points are those of rectified images, as apriltag_ros takes them: then P of
-    /// CameraInfo counts, else K, and a distortion is refused.
+    /// CameraInfo counts, else K, and a distortion is refused. `frame` and [mount] are then those of
+    /// the rectified image, which the R of a stereo pair turns.
     #[default = true]
     pub rectified: bool,
     /// Greatest difference of focal lengths and principal point between CameraInfo and scene.
@@ -130,7 +131,7 @@ pub struct RobotKeys {
     #[default = 500.0]
     #[schemars(range(min = 100, max = 10000), extend("x-unit" = "ms"))]
     pub zeros_ms: f64,
-    /// Reliability that commands are offered with; reliable suits both kinds of receivers.
+    /// Reliability that commands are offered with; reliable matches both kinds of receivers.
     #[default(Reliability::Reliable)]
     pub command_reliability: Reliability,
     /// Reliability that is asked of the senders; best_effort takes both kinds.

@@ -7,6 +7,8 @@ pub mod config;
 mod keys;
 
 #[cfg(feature = "dds")]
+pub mod agreement;
+#[cfg(feature = "dds")]
 pub mod arm;
 #[cfg(feature = "dds")]
 pub mod bridge;

@@ -7,8 +7,9 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
 use ipc::{CycleRecord, Domain, Subscriber, now_ns};
-use program::{ATTENTION, SOFTWARE, UNAVAILABLE};
+use program::{ATTENTION, CONFIG, SOFTWARE, UNAVAILABLE};
 use ros2_client::Publisher;
+use vpc_ros2::agreement::{Agreement, OtherScene};
 use vpc_ros2::bridge::{Bridge, BridgeError, Event, Report};
 use vpc_ros2::config::{Arguments, Config, Reliability};
 use vpc_ros2::diagnostics;
@@ -51,7 +52,10 @@ fn begin() -> Result<ExitCode, ExitCode> {
     };
     ended.map_err(|error| {
         eprintln!("vpc-ros2: {error}");
-        ExitCode::from(UNAVAILABLE)
+        ExitCode::from(match error {
+            BridgeError::Scene(_) => CONFIG,
+            _ => UNAVAILABLE,
+        })
     })
 }
 
@@ -71,6 +75,7 @@ fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
     let onlooker = Onlooker {
         cycles: domain.subscriber(usize::MAX)?,
         cycle: None,
+        agreement: Agreement::new(config.scene.clone(), &config.domain),
         diagnostics,
         overlay,
         name,
@@ -95,9 +100,12 @@ fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
             serve(config, &services, is_stopping, is_over, tell)
         });
         // Until both have ended.
-        onlooker.watch(&events);
+        let seen = onlooker.watch(&events, stop);
         match (bridge.join(), server.join()) {
-            (Ok(bridge), Ok(server)) => bridge.and(server).map(|()| ExitCode::SUCCESS),
+            (Ok(bridge), Ok(server)) => {
+                seen?;
+                bridge.and(server).map(|()| ExitCode::SUCCESS)
+            }
             _ => {
                 eprintln!("vpc-ros2: a defect; robots stop by their own time-out");
                 Ok(ExitCode::from(SOFTWARE))
@@ -137,6 +145,7 @@ struct Onlooker {
     cycles: Subscriber<CycleRecord>,
     /// vpcd's last, and when it came, ns.
     cycle: Option<(CycleRecord, u64)>,
+    agreement: Agreement,
     diagnostics: Publisher<DiagnosticArray>,
     overlay: Overlay,
     name: String,
@@ -148,10 +157,11 @@ struct Onlooker {
 }
 
 impl Onlooker {
-    /// Until the loop ends.
-    fn watch(mut self, events: &Receiver<Event>) {
+    /// Until the loop ends, which it is told to by `stop` where vpcd has another scene.
+    fn watch(mut self, events: &Receiver<Event>, stop: &AtomicBool) -> Result<(), OtherScene> {
         let mut log = Log::default();
         let mut report = Report::default();
+        let mut agreed = Ok(());
         loop {
             match events.recv_timeout(LOOK) {
                 Ok(Event::Report(newest)) => report = newest,
@@ -159,27 +169,32 @@ impl Onlooker {
                 Err(RecvTimeoutError::Timeout) => (),
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            self.look(&report);
+            if let Err(other) = self.look(&report, &mut log) {
+                stop.store(true, Ordering::Relaxed);
+                agreed = Err(other);
+            }
         }
         tracing::info!(
             "stopped: {} twists sent, {} of them zeros of its own",
             report.sent[0],
             report.sent[1]
         );
+        agreed
     }
 
-    fn look(&mut self, report: &Report) {
+    fn look(&mut self, report: &Report, log: &mut Log) -> Result<(), OtherScene> {
         // A record that breaks the contract is none.
         if let Ok(Some(cycle)) = self.cycles.latest() {
             self.cycle = Some((cycle.message, now_ns()));
             if self.drawn.elapsed() >= DRAWING {
                 self.drawn = Instant::now();
                 let at = cycle.stamp.data_ns.saturating_sub(cycle.features_age_ns);
-                self.overlay.draw(&cycle, stamp::wall(at, report.offset_ns));
+                let drawn = self.overlay.draw(&cycle, stamp::wall(at, report.offset_ns));
+                log.failed("a drawing", drawn);
             }
         }
         if self.told.elapsed() < DIAGNOSTICS {
-            return;
+            return Ok(());
         }
         self.told = Instant::now();
         let now = now_ns();
@@ -187,9 +202,15 @@ impl Onlooker {
         let stamp = stamp::wall(now, report.offset_ns);
         let (name, domain, before) = (&self.name, &self.domain, &self.before);
         let array = diagnostics::array(name, domain, cycle, report, before, now, stamp);
-        // Nobody waits for it.
-        let _ = self.diagnostics.publish(array);
+        let sent = self.diagnostics.publish(array);
+        log.failed("the diagnostics", sent.map_err(|why| format!("{why:?}")));
         self.before = report.clone();
+        match self.cycle {
+            Some((_, came)) if now.saturating_sub(came) < DIAGNOSTICS.as_nanos() as u64 => {
+                self.agreement.check()
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -198,11 +219,17 @@ impl Onlooker {
 struct Log(BTreeMap<(String, &'static str), Instant>);
 
 impl Log {
+    fn failed(&mut self, what: &'static str, sent: Result<(), String>) {
+        if let Err(why) = sent {
+            self.tell(&Event::NotSent(what, why));
+        }
+    }
+
     fn tell(&mut self, event: &Event) {
         let about = match event {
             Event::Refused(topic, refusal) => (topic.clone(), refusal.kind()),
             Event::NoFrame => (String::new(), "frame"),
-            Event::NotSent(_) => (String::new(), "not sent"),
+            Event::NotSent(what, _) => (String::new(), *what),
             Event::Command(_) => (String::new(), "command"),
             Event::Comes(topic) => return tracing::info!("{topic}: messages are coming"),
             Event::Step(ns) => {
@@ -221,7 +248,7 @@ impl Log {
             Event::NoFrame => tracing::warn!(
                 "zero is sent: the tool's pose is missing, by which twists are turned into the base's frame"
             ),
-            Event::NotSent(why) => tracing::warn!("a twist could not be sent: {why}"),
+            Event::NotSent(what, why) => tracing::warn!("{what} could not be sent: {why}"),
             Event::Command(invalid) => tracing::warn!("a command of vpcd is refused: {invalid}"),
             _ => (),
         }
@@ -253,7 +280,12 @@ fn preflight(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError
     let mut is_good = true;
     for (topic, counts) in &report?.topics {
         let refused: u64 = counts.refused.values().sum();
+        let others = counts.passed_over;
         let (word, words) = match (counts.taken, reasons.get(topic)) {
+            (0, None) if others > 0 => (
+                "FAIL",
+                format!("{others} messages, none of which names a joint of robot.joints"),
+            ),
             (0, None) => (
                 "FAIL",
                 "nothing came: name, ROS domain, interfaces, reliability?".to_owned(),

@@ -72,21 +72,21 @@ impl Outlet {
         self.command = ended.valid_for_ns(0);
     }
 
-    /// Looks at the clock; returns a zero twist where one is due.
-    pub fn look(&mut self, now_ns: u64) -> Option<[f64; 6]> {
+    /// Looks at the clock: whether a zero twist is due, which nobody commands.
+    pub fn is_zero_due(&mut self, now_ns: u64) -> bool {
         if now_ns < self.command.in_force_until_ns() && !self.is_stopped {
-            return None;
+            return false;
         }
         if self.was_in_force {
             self.was_in_force = false;
             self.zeros_until_ns = now_ns + self.zeros_ns;
             self.zero_ns = now_ns;
         }
-        if now_ns >= self.zeros_until_ns || now_ns < self.zero_ns {
-            return None;
+        let is_due = (self.zero_ns..self.zeros_until_ns).contains(&now_ns);
+        if is_due {
+            self.zero_ns = now_ns + ZERO_PERIOD_NS;
         }
-        self.zero_ns = now_ns + ZERO_PERIOD_NS;
-        Some([0.0; 6])
+        is_due
     }
 
     /// What vpcd's command is at this instant.
@@ -120,14 +120,13 @@ mod tests {
     #[test]
     fn each_command_goes_out_once_and_then_zeros_and_then_silence() {
         let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
-        assert_eq!(outlet.look(BEGIN), None);
+        assert!(!outlet.is_zero_due(BEGIN));
         assert_eq!(outlet.command(BEGIN), Command::None);
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.1; 6]));
         let mut sent = Vec::new();
         for ms in 0..2000 {
             let now = BEGIN + ms * MS;
-            if let Some(twist) = outlet.look(now) {
-                assert_eq!(twist, [0.0; 6]);
+            if outlet.is_zero_due(now) {
                 sent.push(ms);
             }
         }
@@ -147,7 +146,7 @@ mod tests {
         let mut lockstep = command(BEGIN, 0.1);
         lockstep.valid_until_ns = u64::MAX;
         assert_eq!(outlet.take(&lockstep, BEGIN), None);
-        assert_eq!(outlet.look(BEGIN), None);
+        assert!(!outlet.is_zero_due(BEGIN));
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN + 100 * MS), None);
         // From the future: in force later, and zero now.
         let future = command(BEGIN + 50 * MS, 0.1);
@@ -160,7 +159,7 @@ mod tests {
         let now = ipc::now_ns();
         assert_eq!(outlet.take(&command(now, 0.1), now), Some([0.1; 6]));
         outlet.refuse();
-        assert_eq!(outlet.look(now + MS), Some([0.0; 6]));
+        assert!(outlet.is_zero_due(now + MS));
     }
 
     #[test]
@@ -169,7 +168,7 @@ mod tests {
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.1; 6]));
         // At once, though a command is in force.
         outlet.stop(true);
-        assert_eq!(outlet.look(BEGIN + MS), Some([0.0; 6]));
+        assert!(outlet.is_zero_due(BEGIN + MS));
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.0; 6]));
         outlet.stop(false);
         let now = BEGIN + 30 * MS;

@@ -44,7 +44,10 @@ impl Overlay {
     }
 
     /// Draws what a cycle saw and foresaw, at the time of its features.
-    pub fn draw(&self, cycle: &CycleRecord, stamp: Time) {
+    ///
+    /// # Errors
+    /// Why a drawing could not be sent.
+    pub fn draw(&self, cycle: &CycleRecord, stamp: Time) -> Result<(), String> {
         let is_finite = |pair: &[f64; 2]| pair.iter().all(|x| x.is_finite());
         let seen = cycle.pairs().filter(is_finite).collect();
         let foreseen = cycle.foreseen().flat_map(|way| {
@@ -58,9 +61,10 @@ impl Overlay {
             (LINE_LIST, LINE_PX, [0.2, 0.6, 1.0], foreseen.collect()),
         ];
         for (publisher, (kind, scale, colour, pairs)) in self.publishers.iter().zip(drawings) {
-            // Nobody waits for a drawing.
-            let _ = publisher.publish(self.marker(&stamp, kind, scale, colour, pairs));
+            let sent = publisher.publish(self.marker(&stamp, kind, scale, colour, pairs));
+            sent.map_err(|why| format!("{why:?}"))?;
         }
+        Ok(())
     }
 
     fn marker(

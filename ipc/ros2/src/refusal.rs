@@ -93,6 +93,8 @@ pub(crate) fn check_frame(found: &str, allowed: &str) -> Result<(), Refusal> {
 pub struct Counts {
     /// Messages that were taken.
     pub taken: u64,
+    /// Messages that are of no concern.
+    pub passed_over: u64,
     /// Messages that were refused, by kind.
     pub refused: BTreeMap<&'static str, u64>,
     /// When the last one was taken, CLOCK_MONOTONIC, ns; 0: none was.

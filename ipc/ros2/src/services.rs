@@ -19,6 +19,9 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// Most requests of vpcd that wait for an answer; more are refused.
 const MOST_WAITING: usize = 16;
 
+/// Of a request that cannot be read.
+const UNREADABLE: &str = "its request is of another middleware: is the key services right?";
+
 /// The servers.
 pub struct Services {
     stop: TriggerServer,
@@ -48,6 +51,8 @@ struct Waiting {
     from: RmwRequestId,
     request: u64,
     end: Instant,
+    /// Whether a stop was asked for since.
+    is_before_stop: bool,
 }
 
 /// Answers requests.
@@ -61,8 +66,8 @@ pub struct RequestServer<'a> {
     stops: Vec<(RmwRequestId, Instant)>,
     /// The newest stop, until a vpcd has obeyed it.
     asked: Option<Asked>,
-    /// Nothing but zeros goes out: from a stop on, until a vpcd has obeyed it. Where it could not be
-    /// asked for, until vpcd was armed by this service.
+    /// Nothing but zeros goes out: from a stop on, until a vpcd has obeyed it, or was armed by this
+    /// service at a later request.
     is_stopping: &'a AtomicBool,
     tell: SyncSender<Event>,
 }
@@ -104,23 +109,35 @@ impl<'a> RequestServer<'a> {
 
     fn take_stops(&mut self) {
         for _ in 0..BATCH {
-            let Ok(Some((from, _))) = self.services.stop.receive_request() else {
-                return;
+            let from = match self.services.stop.receive_request() {
+                Ok(None) => return,
+                Ok(Some((from, _))) => Ok(from),
+                // It cannot be read who asks. What they ask for is clear.
+                Err(_) => Err(()),
             };
             // Zeros go out before vpcd has read the file.
             self.is_stopping.store(true, Ordering::Relaxed);
-            match Asked::in_domain(&self.directory) {
-                Ok(asked) => {
+            for waiting in &mut self.waiting {
+                waiting.is_before_stop = true;
+            }
+            let asked = Asked::in_domain(&self.directory);
+            let refused = match (asked, self.stops.len() < MOST_WAITING) {
+                (Err(why), _) => Some(why.to_string()),
+                (Ok(asked), has_room) => {
                     self.asked = Some(asked);
-                    match self.stops.len() < MOST_WAITING {
-                        true => self.stops.push((from, Instant::now() + PATIENCE)),
-                        false => {
-                            let words = format!("asked for; {MOST_WAITING} others wait already");
-                            respond(&self.services.stop, from, false, words);
-                        }
-                    }
+                    let full = format!("asked for; {MOST_WAITING} others wait already");
+                    (!has_room).then_some(full)
                 }
-                Err(why) => respond(&self.services.stop, from, false, why.to_string()),
+            };
+            match (from, refused) {
+                (Ok(from), None) => self.stops.push((from, Instant::now() + PATIENCE)),
+                (Ok(from), Some(words)) => self.respond(&self.services.stop, from, false, words),
+                (Err(()), refused) => self.note(format!(
+                    "a stop cannot be answered: {UNREADABLE}{}",
+                    refused
+                        .map(|words| format!("; {words}"))
+                        .unwrap_or_default()
+                )),
             }
             self.note("stop, by a service of ROS 2".to_owned());
         }
@@ -130,26 +147,19 @@ impl<'a> RequestServer<'a> {
         let Some(asked) = &self.asked else {
             return;
         };
-        let server = &self.services.stop;
-        match asked.is_obeyed() {
-            Ok(true) => {
-                for (from, _) in self.stops.drain(..) {
-                    respond(server, from, true, "stopped".to_owned());
-                }
-                self.asked = None;
-                self.is_stopping.store(false, Ordering::Relaxed);
-            }
-            Ok(false) => {
-                let now = Instant::now();
-                for (from, _) in self.stops.extract_if(.., |(_, end)| *end <= now) {
-                    respond(server, from, false, asked.not_obeyed(PATIENCE).to_string());
-                }
-            }
-            Err(why) => {
-                for (from, _) in self.stops.drain(..) {
-                    respond(server, from, false, why.to_string());
-                }
-            }
+        let now = Instant::now();
+        let (is_obeyed, words) = match asked.is_obeyed() {
+            Ok(true) => (true, "stopped".to_owned()),
+            Ok(false) => (false, asked.not_obeyed(PATIENCE).to_string()),
+            Err(why) => (false, why.to_string()),
+        };
+        let is_decided = |(_, end): &mut (_, Instant)| is_obeyed || *end <= now;
+        for (from, _) in self.stops.extract_if(.., is_decided).collect::<Vec<_>>() {
+            self.respond(&self.services.stop, from, is_obeyed, words.clone());
+        }
+        if is_obeyed {
+            self.asked = None;
+            self.is_stopping.store(false, Ordering::Relaxed);
         }
     }
 
@@ -161,12 +171,17 @@ impl<'a> RequestServer<'a> {
     fn take_asks(&mut self, server: usize) {
         let (trigger, action) = &self.services.asks[server];
         for _ in 0..BATCH {
-            let Ok(Some((from, _))) = trigger.receive_request() else {
-                return;
+            let from = match trigger.receive_request() {
+                Ok(None) => return,
+                Ok(Some((from, _))) => from,
+                Err(_) => {
+                    self.note(format!("{action} is refused: {UNREADABLE}"));
+                    continue;
+                }
             };
             if self.waiting.len() >= MOST_WAITING {
                 let words = format!("{MOST_WAITING} requests wait already");
-                respond(trigger, from, false, words);
+                self.respond(trigger, from, false, words);
                 continue;
             }
             let request = self.ids.hash_one(ipc::now_ns());
@@ -176,8 +191,9 @@ impl<'a> RequestServer<'a> {
                     from,
                     request,
                     end: Instant::now() + PATIENCE,
+                    is_before_stop: false,
                 }),
-                Err(why) => respond(trigger, from, false, why.to_string()),
+                Err(why) => self.respond(trigger, from, false, why.to_string()),
             }
         }
     }
@@ -193,10 +209,10 @@ impl<'a> RequestServer<'a> {
                 let waiting = self.waiting.remove(place);
                 let is_done = reply.outcome() == Some(Outcome::Done);
                 let is_arm = self.services.asks[waiting.server].1 == Action::Arm;
-                if is_done && is_arm && self.asked.is_none() {
+                if is_done && is_arm && !waiting.is_before_stop {
                     self.is_stopping.store(false, Ordering::Relaxed);
                 }
-                self.respond(&waiting, is_done, words(&reply));
+                self.decided(&waiting, is_done, words(&reply));
             }
         }
         let now = Instant::now();
@@ -204,16 +220,22 @@ impl<'a> RequestServer<'a> {
             let waiting = self.waiting.remove(place);
             let seconds = PATIENCE.as_secs();
             let words = format!("no vpcd of this domain answered within {seconds} s");
-            self.respond(&waiting, false, words);
+            self.decided(&waiting, false, words);
         }
         // For a vpcd that came since then.
         let _ = self.ports.requests.refresh();
     }
 
-    fn respond(&self, waiting: &Waiting, success: bool, message: String) {
+    fn decided(&self, waiting: &Waiting, success: bool, message: String) {
         let (server, action) = &self.services.asks[waiting.server];
         self.note(format!("{action}, by a service of ROS 2: {message}"));
-        respond(server, waiting.from, success, message);
+        self.respond(server, waiting.from, success, message);
+    }
+
+    fn respond(&self, server: &TriggerServer, to: RmwRequestId, success: bool, message: String) {
+        if let Err(why) = server.send_response(to, TriggerResponse { success, message }) {
+            self.note(format!("an answer could not be sent: {why:?}"));
+        }
     }
 }
 
@@ -225,11 +247,5 @@ fn words(reply: &Reply) -> String {
     match reply.hold() {
         Some(hold) if reply.hold != 0 => format!("{outcome}; vpcd is {state}: {hold}"),
         _ => format!("{outcome}; vpcd is {state}"),
-    }
-}
-
-fn respond(server: &TriggerServer, to: RmwRequestId, success: bool, message: String) {
-    if let Err(why) = server.send_response(to, TriggerResponse { success, message }) {
-        tracing::warn!("an answer could not be sent: {why:?}");
     }
 }

@@ -84,6 +84,14 @@ pub struct Clocks {
     pub steps: u64,
 }
 
+/// The wall clock was set back, ms. Until it has caught up, the DDS library hands over no message of
+/// a best-effort topic: it looks for those that came up to now.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "the wall clock was set back by {0:.0} ms, more than max_age_ms: DDS hands over no message until it has caught up; start again"
+)]
+pub struct SetBack(pub f64);
+
 impl Clocks {
     /// With a first measured distance, ns; stamps older than `max_age_ns` are refused.
     pub fn new(offset_ns: i64, max_age_ns: u64) -> Self {
@@ -96,17 +104,23 @@ impl Clocks {
     }
 
     /// Takes a new measurement; returns the size of a step in ns, if it was one.
-    pub fn follow(&mut self, offset_ns: i64, now_ns: u64) -> Option<i64> {
+    ///
+    /// # Errors
+    /// [`SetBack`].
+    pub fn follow(&mut self, offset_ns: i64, now_ns: u64) -> Result<Option<i64>, SetBack> {
         let change = offset_ns - self.offset_ns;
         self.offset_ns = offset_ns;
         if change.unsigned_abs() <= STEP_NS {
-            return None;
+            return Ok(None);
         }
         self.steps += 1;
         // Set back, the wall clock makes what was stamped before look younger by the step.
         let doubt = self.max_age_ns + change.unsigned_abs().min(self.max_age_ns);
         self.doubt_until_ns = self.doubt_until_ns.max(now_ns + doubt);
-        Some(change)
+        match change > self.max_age_ns as i64 {
+            true => Err(SetBack(1e-6 * change as f64)),
+            false => Ok(Some(change)),
+        }
     }
 
     /// Monotonic less wall, ns.
@@ -211,13 +225,13 @@ mod tests {
     fn a_slewed_clock_is_followed_and_a_step_puts_stamps_in_doubt_for_a_while() {
         let mut clocks = clocks();
         for k in 1..=10 {
-            assert_eq!(clocks.follow(OFFSET + k * MS / 2, NOW), None);
+            assert_eq!(clocks.follow(OFFSET + k * MS / 2, NOW), Ok(None));
         }
         let shifted = clocks.instant(&aged(20 * MS), 0, NOW).unwrap();
         assert_eq!(shifted, NOW - 15 * MS as u64);
         // The wall clock is set back by 50 ms: what was stamped before looks younger than it is.
         let stepped = OFFSET + 55 * MS;
-        assert_eq!(clocks.follow(stepped, NOW), Some(50 * MS));
+        assert_eq!(clocks.follow(stepped, NOW), Ok(Some(50 * MS)));
         assert_eq!(clocks.steps, 1);
         assert!(matches!(
             clocks.instant(&aged(60 * MS), 0, NOW),
@@ -227,6 +241,9 @@ mod tests {
         let fresh = wall(later - 10 * MS as u64, stepped);
         let instant = clocks.instant(&fresh, 0, later);
         assert_eq!(instant, Ok(later - 10 * MS as u64));
+        // Set back by more than the greatest age, it makes the library deaf; set forward it does not.
+        assert!(matches!(clocks.follow(stepped - SECOND, NOW), Ok(Some(_))));
+        assert_eq!(clocks.follow(stepped, NOW), Err(SetBack(1000.0)));
     }
 
     #[test]

@@ -78,6 +78,15 @@ class Garbage(IdlStruct, typename="apriltag_msgs.msg.dds_.AprilTagDetectionArray
 
 Garbage = dataclasses.dataclass(Garbage)
 
+
+class Bare(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Request_"):
+    """A request without the header that rmw_cyclonedds writes."""
+
+    structure_needs_at_least_one_member: u8
+
+
+Bare = dataclasses.dataclass(Bare)
+
 CDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
 
@@ -145,6 +154,15 @@ class Graph:
         for number in (0, 7, 2**31, 2**32 - 1):
             time.sleep(0.3)
             writer.write(Garbage([number] * 24))
+
+    def raw_stop(self):
+        """As rmw_fastrtps asks: without a header."""
+        writer = DataWriter(self.participant, Topic(self.participant, "rq/vpcd/stopRequest", Bare), Qos(RELIABLE, CDR1))
+        deadline = time.monotonic() + 5.0
+        while not matched(writer) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        writer.write(Bare(0))
+        self.bare = writer
 
     def ready(self, name):
         trigger = self.triggers[name]

@@ -7,3 +7,4 @@ mod program;
 mod refusals;
 mod restarts;
 mod starts;
+mod stop;

@@ -186,6 +186,9 @@ class Peer:
         elif word == "raw":
             self.graph.raw()
             self.answer({})
+        elif word == "raw_stop":
+            self.graph.raw_stop()
+            self.answer({})
         else:
             raise SystemExit(f"peer: {line}")
 

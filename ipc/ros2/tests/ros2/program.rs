@@ -57,6 +57,10 @@ fn keys_that_do_not_go_together_are_refused_with_what_is_allowed() {
             "at most 7 different names",
         ),
         ("[robot]\ntool = \"base_link\"", "three different names"),
+        (
+            "[robot]\ntwist = \"/servo_node/delta_twist_cmds\"",
+            "robot.twist = /servo_node/delta_twist_cmds; allowed: a topic of the robot",
+        ),
         ("node = \"vpcd\"", "node = vpcd; allowed: an absolute name"),
         ("[robot]\nspeed = 1.0", "speed"),
         ("[camera]\nmax_age_ms = 1.0", "max_age_ms"),
@@ -65,6 +69,26 @@ fn keys_that_do_not_go_together_are_refused_with_what_is_allowed() {
         assert_eq!(ended.code, Some(78), "{keys}: {}", ended.stderr);
         assert!(ended.stderr.contains(words), "{keys}: {}", ended.stderr);
     }
+}
+
+#[test]
+fn another_scene_than_that_of_vpcd_ends_it() {
+    let _turn = testkit::turn();
+    let place = Place::new();
+    let mut vpcd = Command::new(program("vpcd"));
+    vpcd.arg("--scene").arg(scene_file());
+    vpcd.arg("--memory").arg(testkit::memory_file());
+    vpcd.arg("--domain").arg(place.domain());
+    let vpcd = Running::start(vpcd.stderr(std::process::Stdio::null()));
+    let text = std::fs::read_to_string(scene_file()).unwrap();
+    let scene = place.file("other.toml", text.replace("fx = 800.0", "fx = 600.0"));
+    let mut command = gateway(&place, "");
+    command.arg("--scene").arg(scene);
+    let ended = ended(command);
+    assert_eq!(ended.code, Some(78), "{}", ended.stderr);
+    let words = "vpcd's scene has camera Camera {";
+    assert!(ended.stderr.contains(words), "{}", ended.stderr);
+    drop(vpcd);
 }
 
 #[test]

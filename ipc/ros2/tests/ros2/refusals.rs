@@ -74,7 +74,7 @@ fn bad_messages_are_refused_and_named() {
             "tag 1 is there twice",
         ),
         (
-            json!({"joint_names": ["a", "b", "c", "d"]}),
+            json!({"joint_names": ["a", "b", "elbow", "wrist"]}),
             JOINTS,
             "joints missing",
             "joint \"shoulder\" is not in it",
@@ -110,6 +110,9 @@ fn bad_messages_are_refused_and_named() {
     bench.diagnosed("gateway", |status| {
         status["values"]["foreign tags"] != "0" && status["level"] == json!(0)
     });
+    // Joints of others, too.
+    let others = format!("{JOINTS}, of others");
+    bench.diagnosed("gateway", |status| status["values"][&others].is_string());
     bench.peer.ask("fault {}");
     bench.peer.arm();
     bench.peer.ask(r#"fault {"hidden": 2}"#);
