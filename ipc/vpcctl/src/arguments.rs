@@ -192,7 +192,7 @@ pub struct RecoverArguments {
 /// The command line of `strategy`.
 #[derive(Clone, Debug, Args)]
 pub struct StrategyArguments {
-    /// previous, knn (or knn2 ... knn64: the mean of that many neighbours), gpr, ibvs.
+    /// foresight, previous, knn (or knn2 ... knn64: the mean of that many neighbours), gpr, ibvs.
     #[arg(value_name = "NAME", value_parser = strategy)]
     pub strategy: (StrategyCode, u32),
 

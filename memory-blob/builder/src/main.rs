@@ -95,7 +95,7 @@ pub(crate) struct Overrides {
     /// Settings file (TOML); `vpc-memory inspect` shows every key under provenance.
     #[arg(long)]
     settings: Option<PathBuf>,
-    /// Successful trajectories to collect [default: 900].
+    /// Successful trajectories to collect; the paper has 900 [default: 50].
     #[arg(long)]
     trajectories: Option<u32>,
     /// Steps previewed by the solver [default: 10].

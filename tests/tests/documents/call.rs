@@ -181,7 +181,8 @@ fn packages() -> &'static [Value] {
 /// Package, test, bench, binary, example and filter of a cargo command.
 fn check_targets(words: &[String]) -> Result<(), String> {
     let end = words.iter().position(|word| word == "--");
-    let words = &words[..end.unwrap_or(words.len())];
+    let (words, rest) = words.split_at(end.unwrap_or(words.len()));
+    let runs_ignored = rest.iter().any(|word| word.contains("ignored"));
     let package = after(words, "-p").or(after(words, "--package"));
     let mut within = packages()
         .iter()
@@ -205,16 +206,19 @@ fn check_targets(words: &[String]) -> Result<(), String> {
         !is_value && !word.starts_with('-') && *word != "NAME"
     });
     for (_, filter) in filters.filter(|_| words[0] == "test") {
-        let tests = package.map_or_else(
-            || {
-                packages()
-                    .iter()
-                    .any(|p| is_a_test(p["name"].as_str().unwrap(), filter).is_ok())
-            },
-            |package| is_a_test(package, filter).is_ok(),
-        );
-        if !tests {
+        let named = |p: &&Value| package.is_none_or(|name| p["name"] == name);
+        let sources = packages()
+            .iter()
+            .filter(named)
+            .flat_map(|package| sources(package, after(words, "--test")));
+        let found: Vec<Test> = sources.flat_map(|path| fitting(&path, filter)).collect();
+        if found.is_empty() {
             return Err(format!("there is no test {filter}"));
+        }
+        if !runs_ignored && found.iter().all(|test| test.is_ignored) {
+            return Err(format!(
+                "{filter} fits ignored tests only: add -- --ignored"
+            ));
         }
     }
     Ok(())
@@ -224,29 +228,63 @@ fn check_targets(words: &[String]) -> Result<(), String> {
 /// package.
 pub fn is_a_test(package: &str, filter: &str) -> Result<(), String> {
     let package = packages().iter().find(|p| p["name"] == package).unwrap();
-    let manifest = Path::new(package["manifest_path"].as_str().unwrap());
-    let mut sources = Vec::new();
-    for folder in ["src", "tests"] {
-        gather(&manifest.with_file_name(folder), &mut sources);
-    }
-    let (module, name) = filter.split_once("::").unwrap_or(("", filter));
-    let fits = |path: &PathBuf| {
-        let text = std::fs::read_to_string(path).unwrap();
-        let stem = path.file_stem().unwrap().to_string_lossy().into_owned();
-        let mut names = text
-            .split("fn ")
-            .skip(1)
-            .filter_map(|rest| rest.split('(').next());
-        let has_test = text.contains("#[test]") && names.any(|other| other.contains(name));
-        match module {
-            "" => stem == name || has_test,
-            module => stem == module && has_test,
-        }
-    };
-    match sources.iter().any(fits) {
+    let fits = |path: &PathBuf| !fitting(path, filter).is_empty();
+    match sources(package, None).iter().any(fits) {
         true => Ok(()),
-        false => Err(format!("{} has no test {filter}", manifest.display())),
+        false => Err(format!("{} has no test {filter}", package["name"])),
     }
+}
+
+/// A function that `cargo test` runs.
+struct Test {
+    name: String,
+    is_ignored: bool,
+}
+
+/// The tests of a source file that a filter fits.
+fn fitting(path: &Path, filter: &str) -> Vec<Test> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let (module, name) = filter.split_once("::").unwrap_or(("", filter));
+    // Behind the mark come more attributes, and then the function.
+    let tests = text.split("#[test]").skip(1).filter_map(|rest| {
+        let (attributes, rest) = rest.split_once("fn ")?;
+        Some(Test {
+            name: rest.split('(').next()?.to_owned(),
+            is_ignored: attributes.contains("#[ignore"),
+        })
+    });
+    let inside = path.strip_prefix(root()).unwrap();
+    let is_in = |module: &str| {
+        inside
+            .iter()
+            .any(|part| Path::new(part).file_stem() == Some(module.as_ref()))
+    };
+    let fits = |test: &Test| match module {
+        "" => is_in(name) || test.name.contains(name),
+        module => is_in(module) && test.name.contains(name),
+    };
+    tests.filter(fits).collect()
+}
+
+/// The sources of a package, or of one of its integration tests.
+fn sources(package: &Value, test: Option<&str>) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let Some(test) = test else {
+        let manifest = Path::new(package["manifest_path"].as_str().unwrap());
+        for folder in ["src", "tests"] {
+            gather(&manifest.with_file_name(folder), &mut found);
+        }
+        return found;
+    };
+    let targets = package["targets"].as_array().unwrap().iter();
+    for target in targets.filter(|t| t["kind"][0] == "test" && t["name"] == test) {
+        let main = PathBuf::from(target["src_path"].as_str().unwrap());
+        match main.ends_with("main.rs") {
+            true => gather(main.parent().unwrap(), &mut found),
+            false => found.push(main),
+        }
+    }
+    found
 }
 
 fn gather(directory: &Path, found: &mut Vec<PathBuf>) {

@@ -148,19 +148,20 @@ fn the_camera_in_c_arrives() {
     );
 }
 
-/// The ten lines of the client's README, as they stand there, in a domain of the test.
+/// The simulated camera of the client's README, as it stands there, in a domain of the test.
 #[test]
-fn the_ten_lines_of_the_readme_run_as_written() {
+fn the_simulated_camera_of_the_readme_runs_as_written() {
     let _turn = turn();
-    let Some(python) = Environment::CLIENT.python("the ten lines of the README") else {
+    let Some(python) = Environment::CLIENT.python("the simulated camera of the README") else {
         return;
     };
     let readme = std::fs::read_to_string(root().join("ipc/python/README.md")).unwrap();
-    let (_, rest) = readme.split_once("```python\n").unwrap();
+    let (_, rest) = readme.split_once("## A simulated camera").unwrap();
+    let (_, rest) = rest.split_once("```python\n").unwrap();
     let (lines, _) = rest.split_once("```").unwrap();
     let place = Place::new();
     let domain = place.domain();
-    let program = place.path("ten.py");
+    let program = place.path("camera.py");
     let head = "import vpc_client.domain\nvpc_client.domain.default_directory = lambda:";
     std::fs::write(&program, format!("{head} {domain:?}\n{lines}")).unwrap();
     let daemon = daemon(&place, "previous");
