@@ -31,8 +31,9 @@ pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
 
 /// Whether there is a file at `path` and it is one of `files`, also if they name it otherwise.
 pub fn is_among(path: &Path, files: &[PathBuf]) -> bool {
-    let same = |file: &PathBuf| Some(file.canonicalize().ok()? == path.canonicalize().ok()?);
-    files.iter().any(|file| same(file) == Some(true))
+    let mut files = files.iter().filter_map(|file| file.canonicalize().ok());
+    path.canonicalize()
+        .is_ok_and(|path| files.any(|file| file == path))
 }
 
 /// Writes a file beside `path`, and gives it that name by `persist`.
