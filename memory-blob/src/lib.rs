@@ -54,7 +54,9 @@ pub use contents::{Contents, Regression, WriteError};
 #[cfg(feature = "file")]
 pub use file::{MemoryFile, OpenError};
 #[cfg(feature = "file")]
-pub use replace::replace;
+pub use format::hex;
+#[cfg(feature = "file")]
+pub use replace::{create, is_among, replace};
 #[cfg(feature = "file")]
 pub use report::Report;
 

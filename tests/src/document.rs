@@ -3,9 +3,11 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
+use memory_blob::hex;
 use scene::{Pose, Share};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -41,12 +43,11 @@ impl Origin {
         starts: &[Pose],
         settings: BTreeMap<String, Vec<String>>,
     ) -> Self {
-        let digest: [u8; 32] = Sha256::digest(scene::starts_csv(starts)).into();
         Self {
             version: TABLE.to_owned(),
             scene,
-            memory: memory.map(hex),
-            starts_digest: hex(&digest),
+            memory: memory.map(|digest| hex(digest)),
+            starts_digest: hex(&Sha256::digest(scene::starts_csv(starts))),
             starts: starts.len(),
             settings,
         }
@@ -83,10 +84,6 @@ impl Origin {
         let mut all = fixed.into_iter().chain(flags);
         all.find(|(_, found, expected)| found != expected)
     }
-}
-
-fn hex(digest: &[u8; 32]) -> String {
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The document.
@@ -204,6 +201,26 @@ fn join(parts: Vec<(&Path, Document<Row, Run>)>) -> anyhow::Result<(Document<Row
     Ok((whole, all))
 }
 
+/// Whether the file at `path` is this part of the same table.
+///
+/// # Errors
+/// Names the file, what differs and what is expected, if it is anything else.
+pub fn is_there(path: &Path, origin: &Origin, part: Share) -> anyhow::Result<bool> {
+    if !path.exists() {
+        return Ok(false);
+    }
+    let there = read(path)?;
+    let parts = ("part".to_owned(), there.part.to_string(), part.to_string());
+    let other_part = (there.part != part).then_some(parts);
+    match there.origin.difference(origin).or(other_part) {
+        None => Ok(true),
+        Some((key, found, expected)) => bail!(
+            "{}: {key} is {found}; expected: {expected}, or no file",
+            path.display()
+        ),
+    }
+}
+
 fn read(path: &Path) -> anyhow::Result<Document<Row, Run>> {
     let name = path.display();
     let bytes = fs::read(path).with_context(|| format!("{name}: cannot read"))?;
@@ -222,6 +239,21 @@ fn read(path: &Path) -> anyhow::Result<Document<Row, Run>> {
     drop(any);
     serde_json::from_slice(&bytes)
         .with_context(|| format!("{name}: not what `cargo table --json` writes"))
+}
+
+impl<Row: Serialize, Run: Serialize> Document<Row, Run> {
+    /// Writes a part of a table, unless another process has written it since.
+    ///
+    /// # Errors
+    /// Names the file if it cannot be written, or is something else, which stays.
+    pub fn write_part(&self, path: &Path) -> anyhow::Result<()> {
+        match memory_blob::create(path, &serde_json::to_vec(self)?) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                is_there(path, &self.origin, self.part).map(|_| ())
+            }
+            written => written.with_context(|| format!("{}: cannot write", path.display())),
+        }
+    }
 }
 
 impl<Run> Document<Row, Run> {

@@ -6,9 +6,9 @@ use memory_blob::{Contents, MAX_SAMPLES};
 use scene::{NotWhole, SceneFiles, Share};
 use vpc::{Task, TaskError};
 
+use crate::build::Progress;
 use crate::memory::{self, Collection};
 use crate::regression::NotPositiveDefinite;
-use crate::settings::BuildSettings;
 use crate::state::{BuildState, Header, StateError};
 use toml_schema::Refusal;
 
@@ -32,6 +32,9 @@ pub enum MergeError {
         /// Those that it should have.
         wanted: usize,
     },
+    /// Nothing to merge.
+    #[error("no parts; expected: at least one")]
+    None,
     /// A part is missing, or there twice.
     #[error(transparent)]
     NotWhole(#[from] NotWhole),
@@ -59,7 +62,8 @@ pub enum MergeError {
 /// Parts that belong together, in their order, each there once and finished.
 #[derive(Clone, Debug)]
 pub struct Parts {
-    files: Vec<(PathBuf, Header)>,
+    first: (PathBuf, Header),
+    rest: Vec<(PathBuf, Header)>,
 }
 
 /// Parts joined.
@@ -67,8 +71,6 @@ pub struct Parts {
 pub struct Merged {
     /// Their scene.
     pub scene: SceneFiles,
-    /// Their settings.
-    pub settings: BuildSettings,
     /// The contents of the memory.
     pub contents: Contents,
     /// Trajectories, and starts tried for them.
@@ -81,27 +83,21 @@ impl Parts {
     /// # Errors
     /// [`MergeError`] if they do not belong together, one is unfinished, missing, or there twice.
     pub fn of(paths: &[PathBuf]) -> Result<Self, MergeError> {
-        let mut files: Vec<(PathBuf, Header)> = Vec::with_capacity(paths.len());
-        for path in paths {
-            let header = Header::read(path)?;
-            if let Some((_, first)) = files.first() {
-                header.belongs_to(first, path)?;
-            }
-            files.push((path.clone(), header));
-        }
-        let parts = files
-            .iter()
-            .map(|(path, header)| (path.as_path(), header.part));
-        Share::check_whole(parts)?;
+        let with_header = |path: &PathBuf| Ok((path.clone(), Header::read(path)?));
+        let files: Result<Vec<_>, StateError> = paths.iter().map(with_header).collect();
+        let mut files = files?;
         files.sort_by_key(|(_, header)| header.part.index());
-        match files.iter().find(|(_, header)| !header.is_complete()) {
-            None => Ok(Self { files }),
-            Some((path, header)) => Err(MergeError::Unfinished {
-                path: path.display().to_string(),
-                part: header.part.to_string(),
-                found: header.found,
-                wanted: header.wanted,
-            }),
+        let mut rest = files.into_iter();
+        let first = rest.next().ok_or(MergeError::None)?;
+        let rest: Vec<_> = rest.collect();
+        for (path, header) in &rest {
+            header.belongs_to(&first.1, path)?;
+        }
+        let all = || std::iter::once(&first).chain(&rest);
+        Share::check_whole(all().map(|(path, header)| (path.as_path(), header.part)))?;
+        match all().find(|(_, header)| !header.is_complete()) {
+            None => Ok(Self { first, rest }),
+            Some((path, header)) => Err(unfinished(path, header, header.found)),
         }
     }
 
@@ -110,42 +106,29 @@ impl Parts {
     /// # Errors
     /// [`MergeError`] if a file is damaged or the samples are too many.
     pub fn merge(&self) -> Result<Merged, MergeError> {
-        let mut begun: Option<(SceneFiles, BuildSettings, Task, Collection)> = None;
-        for (path, header) in &self.files {
-            let state = read(path, header)?;
-            let (_, settings, task, collection) = match &mut begun {
-                Some(begun) => begun,
-                None => {
-                    let settings = state.header.settings;
-                    let grown = settings.grown(&state.scene.scene)?;
-                    let task = Task::new(&grown).map_err(MergeError::Task)?;
-                    let collection = Collection::new(&task);
-                    begun.insert((state.scene, settings, task, collection))
-                }
-            };
-            collection.add(task, settings, &state.progress);
-            if collection.samples() > MAX_SAMPLES {
-                return Err(MergeError::Samples {
-                    found: collection.samples(),
+        let (path, header) = &self.first;
+        let state = read(path, header)?;
+        let (scene, settings) = (state.scene, state.header.settings);
+        let task = Task::new(&settings.grown(&scene.scene)?).map_err(MergeError::Task)?;
+        let mut collection = Collection::new(&task);
+        let mut add = |path: &Path, progress: Progress| {
+            collection.add(&task, &settings, &progress);
+            match collection.samples() {
+                0..=MAX_SAMPLES => Ok(()),
+                found => Err(MergeError::Samples {
+                    found,
                     part: path.display().to_string(),
-                });
+                }),
             }
-        }
-        let Some((scene, settings, task, collection)) = begun else {
-            // No files at all, which `of` refuses.
-            let (found, count, missing) = (0, 1, "0".to_owned());
-            return Err(NotWhole::Missing {
-                found,
-                count,
-                missing,
-            }
-            .into());
         };
+        add(path, state.progress)?;
+        for (path, header) in &self.rest {
+            add(path, read(path, header)?.progress)?;
+        }
         let trajectories = collection.trajectories();
         Ok(Merged {
             contents: memory::contents(&scene.scene, &task, &settings, collection)?,
             scene,
-            settings,
             trajectories,
         })
     }
@@ -160,10 +143,14 @@ fn read(path: &Path, header: &Header) -> Result<BuildState, MergeError> {
     if found == (header.wanted, header.part) {
         return Ok(state);
     }
-    Err(MergeError::Unfinished {
+    Err(unfinished(path, header, found.0))
+}
+
+fn unfinished(path: &Path, header: &Header, found: usize) -> MergeError {
+    MergeError::Unfinished {
         path: path.display().to_string(),
         part: header.part.to_string(),
-        found: found.0,
+        found,
         wanted: header.wanted,
-    })
+    }
 }

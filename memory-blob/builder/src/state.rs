@@ -9,6 +9,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
+use memory_blob::{create, hex, replace};
 use scene::{SceneFiles, Share};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -159,6 +160,21 @@ impl Header {
             }),
         }
     }
+
+    /// Checks that this header, of the file at `path`, is of the same part of the same build as
+    /// `other`.
+    fn is_same_part(&self, other: &Self, path: &Path) -> Result<(), StateError> {
+        self.belongs_to(other, path)?;
+        if self.part == other.part {
+            return Ok(());
+        }
+        Err(StateError::Foreign {
+            path: path.display().to_string(),
+            key: "part".to_owned(),
+            found: self.part.to_string(),
+            expected: other.part.to_string(),
+        })
+    }
 }
 
 impl BuildState {
@@ -173,7 +189,10 @@ impl BuildState {
         let mut body = Vec::new();
         let read = reader.read_to_end(&mut body);
         read.map_err(|source| unreadable(path, source))?;
-        let found = hex(Sha256::new().chain_update(&line).chain_update(&body));
+        let found = hex(&Sha256::new()
+            .chain_update(&line)
+            .chain_update(&body)
+            .finalize());
         if found != expected {
             let what = format!("damaged: its SHA-256 is {found}; expected: {expected}");
             return Err(damaged(path, what));
@@ -208,15 +227,7 @@ impl BuildState {
             });
         }
         let state = Self::read(path)?;
-        state.header.belongs_to(&header, path)?;
-        if state.header.part != part {
-            return Err(StateError::Foreign {
-                path: path.display().to_string(),
-                key: "part".to_owned(),
-                found: state.header.part.to_string(),
-                expected: part.to_string(),
-            });
-        }
+        state.header.is_same_part(&header, path)?;
         Ok(state)
     }
 
@@ -224,23 +235,29 @@ impl BuildState {
     /// same part that is complete, or has more batches: another process works on the part, too.
     ///
     /// # Errors
-    /// [`StateError::Io`].
+    /// [`StateError`] if the file cannot be written, or if another build has written it since: that
+    /// file stays.
     pub fn save(&mut self, path: &Path, progress: &Progress) -> Result<(), StateError> {
         (self.header.found, self.header.batches) = (progress.trajectories.len(), progress.batches);
-        let bytes = self.bytes(progress);
-        let is_kept = |there: Header| {
-            there.part == self.header.part
-                && there.belongs_to(&self.header, path).is_ok()
-                && match (there.is_complete(), self.header.is_complete()) {
-                    (false, false) => there.batches > self.header.batches,
-                    (is_complete, _) => is_complete,
-                }
+        let failed = |source| unreadable(path, source);
+        let bytes = self.bytes(progress).map_err(failed)?;
+        if !path.exists() {
+            match create(path, &bytes) {
+                // Another process was faster.
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => (),
+                created => return created.map_err(failed),
+            }
+        }
+        let there = Header::read(path)?;
+        there.is_same_part(&self.header, path)?;
+        let is_kept = match (there.is_complete(), self.header.is_complete()) {
+            (false, false) => there.batches > self.header.batches,
+            (is_complete, _) => is_complete,
         };
-        if Header::read(path).is_ok_and(is_kept) {
+        if is_kept {
             return Ok(());
         }
-        let replaced = bytes.and_then(|bytes| memory_blob::replace(path, &bytes));
-        replaced.map_err(|source| unreadable(path, source))
+        replace(path, &bytes).map_err(failed)
     }
 
     fn bytes(&self, progress: &Progress) -> io::Result<Vec<u8>> {
@@ -253,7 +270,7 @@ impl BuildState {
         let mut rest = serde_json::to_vec(&self.header)?;
         rest.push(b'\n');
         let rest = postcard::to_extend(&body, rest).map_err(io::Error::other)?;
-        let digest = hex(Sha256::new().chain_update(&rest));
+        let digest = hex(&Sha256::digest(&rest));
         let mut bytes = format!("{MAGIC}{digest}\n").into_bytes();
         bytes.extend(rest);
         Ok(bytes)
@@ -288,11 +305,6 @@ fn lines(path: &Path, reader: &mut impl BufRead) -> Result<(String, Header, Vec<
     }
     let header = serde_json::from_value(header).map_err(unread)?;
     Ok((digest, header, line))
-}
-
-fn hex(hash: Sha256) -> String {
-    let digest: [u8; 32] = hash.finalize().into();
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Settings by their keys; those of a table as `table.key`.

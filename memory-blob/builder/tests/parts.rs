@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use memory_builder::build::{self, Progress};
+use memory_builder::merge::Parts;
 use memory_builder::settings::BuildSettings;
 use memory_builder::state::BuildState;
 use scene::SceneFiles;
@@ -159,6 +160,57 @@ fn two_workers_of_one_part_leave_what_one_leaves() {
 }
 
 #[test]
+fn of_workers_of_other_parts_on_one_file_the_first_stands_and_the_others_fail() {
+    let place = place();
+    let here = place.path();
+    let lines = [
+        ("build scene.toml --part 0/3 -o part", ""),
+        ("build scene.toml --part 1/3 -o part", ""),
+        ("build scene.toml --part 0/3 -o part", "--seed 2"),
+    ]
+    .map(|(line, seed)| format!("{line} {FLAGS} {seed}"));
+    let start = |line: &String| {
+        let mut worker = vpc_memory(here, line);
+        let worker = worker.stdout(Stdio::null()).stderr(Stdio::piped());
+        worker.spawn().unwrap()
+    };
+    let workers: Vec<_> = lines.iter().map(start).collect();
+    let ended = workers.into_iter().map(|worker| worker.wait_with_output());
+    let ended: Vec<_> = ended.map(Result::unwrap).collect();
+    let first = ended.iter().position(|one| one.status.success()).unwrap();
+    for other in (0..3).filter(|index| *index != first) {
+        let error = String::from_utf8_lossy(&ended[other].stderr);
+        assert!(!ended[other].status.success(), "{}", lines[other]);
+        let words = ["part: part is ", "part: seed is "];
+        assert!(words.iter().any(|words| error.contains(words)), "{error}");
+    }
+    let left = bytes(here.join("part"));
+    done(here, &lines[first]);
+    assert_eq!(left, bytes(here.join("part")));
+    fs::remove_file(here.join("part")).unwrap();
+    done(here, &lines[first]);
+    assert_eq!(left, bytes(here.join("part")));
+}
+
+#[test]
+fn a_merge_does_not_replace_a_part() {
+    let place = place();
+    let here = place.path();
+    done(
+        here,
+        &format!("build scene.toml --part 0/1 -o part {FLAGS}"),
+    );
+    std::os::unix::fs::symlink("part", here.join("link")).unwrap();
+    let before = bytes(here.join("part"));
+    for (part, output) in [("part", "part"), ("part", "./part"), ("link", "part")] {
+        let error = refused(here, &format!("merge {part} -o {output}"));
+        let words = format!("--output {output}: allowed: a file that is no part");
+        assert!(error.contains(&words), "{error}");
+        assert_eq!(before, bytes(here.join("part")));
+    }
+}
+
+#[test]
 fn one_part_is_the_whole() {
     let place = place();
     let here = place.path();
@@ -184,6 +236,8 @@ fn what_does_not_belong_is_missing_twice_or_damaged_is_refused_by_name() {
         assert!(all, "{message}; expected: {words:?}");
     };
 
+    let none = Parts::of(&[]).unwrap_err();
+    assert_eq!(none.to_string(), "no parts; expected: at least one");
     expect(&merge("part-0 part-2"), &["2 of 3 parts", "missing: 1"]);
     let twice = merge("part-0 part-1 part-2 part-1");
     expect(&twice, &["part-1: part 1/3 is there twice, also as part-1"]);

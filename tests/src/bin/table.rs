@@ -15,7 +15,7 @@ use hw_sim::robot::truth::Truth;
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use ipc::ClockMode;
-use memory_blob::MemoryFile;
+use memory_blob::{MemoryFile, is_among};
 use scene::{Pose, Scene, SceneFiles, Share, read_starts};
 use serde::Serialize;
 use system_tests::children::{Children, attended};
@@ -191,13 +191,16 @@ fn main() -> ExitCode {
 
 /// The table of parts.
 fn merged(files: &[PathBuf], json: Option<&Path>) -> anyhow::Result<()> {
+    if let Some(json) = json.filter(|json| is_among(json, files)) {
+        bail!("--json {}: allowed: a file that is no part", json.display());
+    }
     let (document, all) = document::merge(files)?;
     let mut out = std::io::stdout().lock();
     writeln!(out, "{}", document.text())?;
     say_failures(&mut out, &all, 0)?;
     if let Some(path) = json {
         let whole = Document {
-            command: document.command,
+            command: command(),
             title: document.title,
             origin: document.origin,
             part: document.part,
@@ -270,6 +273,12 @@ fn free(
     };
     let believed = wrong.scene(scene);
     let part = cli.part.unwrap_or_default();
+    if let (Some(_), Some(path)) = (cli.part, &cli.json)
+        && document::is_there(path, &origin, part)?
+    {
+        println!("{}: part {part} is there; nothing to run", path.display());
+        return Ok(());
+    }
     let chosen = part.range(starts.len());
     let bar = bar(cli.common.strategies.len() * chosen.len());
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
@@ -414,12 +423,12 @@ fn say_failures<Run: Draw>(
 }
 
 /// Prints the rows and what failed, and writes what was asked for.
-fn finish<Run: Draw + Serialize>(
+fn finish<Row: Serialize, Run: Draw + Serialize>(
     cli: &Cli,
     scene: &Scene,
     memory: Option<&MemoryFile>,
     text: &str,
-    document: &impl Serialize,
+    document: &Document<Row, &Run>,
     all: &[(Spec, Vec<Run>)],
     first: usize,
 ) -> anyhow::Result<()> {
@@ -427,7 +436,10 @@ fn finish<Run: Draw + Serialize>(
     writeln!(out, "{text}")?;
     say_failures(&mut out, all, first)?;
     if let Some(path) = &cli.json {
-        write(path, &serde_json::to_vec(document)?)?;
+        match cli.part {
+            Some(_) => document.write_part(path)?,
+            None => write(path, &serde_json::to_vec(document)?)?,
+        }
         writeln!(out, "wrote {}", path.display())?;
     }
     if let Some(directory) = &cli.plots {

@@ -49,8 +49,13 @@ fn the_job_is_valid_and_its_commands_are_the_programs() {
             "/bin/sh -c exec vpc-memory merge /vpc/parts/* -o /vpc/memory.vpcmem",
         ]
     );
-    // The program takes these flags: what it refuses is the scene, which is not there.
-    let words = commands[0].split_whitespace().skip(1);
-    let ended = ended(Command::new(program("vpc-memory")).args(words));
-    assert!(ended.stderr.contains("/vpc/scene.toml"), "{}", ended.stderr);
+    // The program takes these flags: what it refuses are the files, which are not there.
+    let programs = program("vpc-memory").parent().unwrap().to_owned();
+    for (command, file) in commands.iter().zip(["/vpc/scene.toml", "/vpc/parts/*"]) {
+        let script = command.strip_prefix("/bin/sh -c ").unwrap_or(command);
+        let mut shell = Command::new("/bin/sh");
+        let ended = ended(shell.args(["-c", script]).env("PATH", &programs));
+        let words = format!("vpc-memory: {file}: ");
+        assert!(ended.stderr.contains(&words), "{command}: {}", ended.stderr);
+    }
 }

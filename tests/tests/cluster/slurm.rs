@@ -16,11 +16,8 @@ const PATIENCE: Duration = Duration::from_secs(600);
 const PARTS: usize = 4;
 const STRATEGIES: &str = "knn:3,gpr:3";
 
-/// How far two memories may differ in success and in cost over the same starts: by so many standard
-/// errors, and by what memories in one piece differ by that were built by other seeds (`SCALING.md`).
+/// How far two memories may differ over the same starts, in standard errors of the mean difference.
 const Z: f64 = 3.0;
-const SUCCESS_OF_SEEDS: f64 = 0.01;
-const COST_OF_SEEDS: f64 = 2.5;
 
 /// Sizes of the test.
 struct Sizes {
@@ -199,7 +196,8 @@ fn saved(part: &Path) -> Option<usize> {
     header["found"].as_u64().map(|found| found as usize)
 }
 
-/// The two memories do alike: success and cost differ no more than chance allows, start by start.
+/// The two memories do alike: success and cost differ no more than chance allows, start by start. Cost
+/// is not judged from few starts: three standard errors are half of it.
 fn compare(documents: &[Value; 2], starts: usize) {
     for strategy in STRATEGIES.split(',') {
         let runs = documents.each_ref().map(|document| {
@@ -213,7 +211,7 @@ fn compare(documents: &[Value; 2], starts: usize) {
             });
             pairs.collect::<Vec<_>>()
         });
-        // The same starts: differences start by start, and the deviation of their mean.
+        // The same starts: differences start by start, and the standard error of their mean.
         let pairs = runs[0].iter().zip(&runs[1]);
         let success: Vec<_> = pairs
             .clone()
@@ -229,22 +227,25 @@ fn compare(documents: &[Value; 2], starts: usize) {
         tell(format_args!(
             "{strategy}: merged {merged}; in one piece {piece}"
         ));
-        for (name, differences, allowance) in [
-            ("success", success, SUCCESS_OF_SEEDS),
-            ("cost", cost, COST_OF_SEEDS),
-        ] {
-            let (mean, deviation) = mean_and_deviation(&differences);
-            let most = Z * deviation + allowance;
+        for (name, differences, is_judged) in
+            [("success", success, true), ("cost", cost, is_long())]
+        {
+            let (mean, error) = mean_and_standard_error(&differences);
+            let most = Z * error;
+            let allowed = match is_judged {
+                true => format!("allowed: {most:.4}"),
+                false => "not judged without VPC_LONG=1".to_owned(),
+            };
             tell(format_args!(
-                "{strategy}: {name} differs by {mean:.4}, standard error {deviation:.4}; allowed: {most:.4}"
+                "{strategy}: {name} differs by {mean:.4}, standard error {error:.4}; {allowed}"
             ));
-            assert!(mean.abs() <= most, "{strategy}: {name}");
+            assert!(!is_judged || mean.abs() <= most, "{strategy}: {name}");
         }
     }
 }
 
 /// Mean, and its standard error.
-fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
+fn mean_and_standard_error(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let square = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -52,10 +52,15 @@ fn scene_file(name: &str) -> String {
     fs::read_to_string(root().join("ipc/scene/scenes").join(name)).unwrap()
 }
 
-/// A document less what differs from one run to the next: times, and the command line.
-fn without_times(path: &Path) -> Value {
+/// A document less what differs from one run to the next: times, and the command line, of which the
+/// flags are checked.
+fn without_times(path: &Path, flags: &str) -> Value {
     let mut document: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
-    document["command"] = Value::Null;
+    let command = document["command"].take();
+    assert!(
+        command.as_str().unwrap().trim_end().ends_with(flags),
+        "{command}"
+    );
     let lists = ["rows", "runs"].map(|list| document[list].take());
     let lists = lists.map(|mut list| {
         for entry in list.as_array_mut().unwrap() {
@@ -91,12 +96,16 @@ fn merged_parts_print_and_write_what_one_run_does() {
         );
         assert!(said.contains(&format!("; part {part}/3")), "{said}");
     }
-    let merged = done(
-        here,
-        "--merge part-2.json part-0.json part-1.json --json merged.json",
-    );
+    let merge = "--merge part-2.json part-0.json part-1.json --json merged.json";
+    let merged = done(here, merge);
     assert_eq!(figures(&whole), figures(&merged));
-    let both = ["whole.json", "merged.json"].map(|name| without_times(&here.join(name)));
+    let both = [
+        without_times(
+            &here.join("whole.json"),
+            &format!("{flags} --json whole.json"),
+        ),
+        without_times(&here.join("merged.json"), merge),
+    ];
     assert_eq!(both[0], both[1]);
     assert_eq!(both[0]["lists"][1].as_array().unwrap().len(), 14);
 
@@ -109,6 +118,61 @@ fn merged_parts_print_and_write_what_one_run_does() {
     let times = serde_json::from_slice::<Value>(&fs::read(here.join("merged.json")).unwrap());
     let times = times.unwrap()["rows"][0]["cycle_us"]["p99"].as_f64();
     assert!(times.is_some_and(|us| us > 0.0));
+}
+
+#[test]
+fn a_part_that_is_there_stays() {
+    let (place, flags) = place();
+    let here = place.path();
+    let line = format!("{flags} --part 0/2 --json a");
+    done(here, &line);
+    let bytes = |name: &str| fs::read(here.join(name)).unwrap();
+    let before = bytes("a");
+    let said = done(here, &line);
+    assert!(
+        said.contains("a: part 0/2 is there; nothing to run"),
+        "{said}"
+    );
+    let expect = |line: &str, words: &str| {
+        let message = refused(here, line);
+        assert!(
+            message.contains(words),
+            "{line}: {message}; expected: {words}"
+        );
+        assert_eq!(before, bytes("a"), "{line}");
+    };
+    expect(
+        &line.replace("0/2", "1/2"),
+        "a: part is 0/2; expected: 1/2, or no file",
+    );
+    expect(
+        &line.replace("--noise 0.3", "--noise 0.4"),
+        "a: --noise is 0.3; expected: 0.4, or no file",
+    );
+
+    // Nor does the table that is merged from it replace it.
+    done(here, &line.replace("0/2 --json a", "1/2 --json b"));
+    std::os::unix::fs::symlink("a", here.join("link")).unwrap();
+    for (part, json) in [("a", "a"), ("a", "./a"), ("link", "a")] {
+        expect(
+            &format!("--merge {part} b --json {json}"),
+            &format!("--json {json}: allowed: a file that is no part"),
+        );
+    }
+
+    // Nor do workers that began before it was there.
+    let workers = ["0/2 --json c", "1/2 --json c"].map(|part| {
+        let mut command = Command::new(program("table"));
+        let line = line.replace("0/2 --json a", part);
+        let command = command.args(line.split_whitespace()).current_dir(here);
+        command.stdout(Stdio::null()).stderr(Stdio::piped());
+        command.spawn().unwrap()
+    });
+    let ended = workers.map(|worker| worker.wait_with_output().unwrap());
+    let [first, second] = ended.each_ref().map(|one| one.status.success());
+    assert_ne!(first, second, "{ended:?}");
+    let error = String::from_utf8_lossy(&ended[usize::from(first)].stderr);
+    assert!(error.contains("c: part is "), "{error}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::bail;
 use clap::Args;
-use memory_blob::Report;
+use memory_blob::{Report, is_among};
 use memory_builder::merge::Parts;
 
 use super::build::set_threads;
@@ -30,7 +30,7 @@ impl Merge {
     /// # Errors
     /// Names the file, what is wrong with it, and what is expected.
     pub fn run(&self) -> anyhow::Result<String> {
-        if self.parts.contains(&self.output) {
+        if is_among(&self.output, &self.parts) {
             bail!(
                 "--output {}: allowed: a file that is no part",
                 self.output.display()
