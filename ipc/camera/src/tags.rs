@@ -1,5 +1,7 @@
 //! AprilTags of family 36h11 in a grey image.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use kornia_apriltag::errors::AprilTagError;
 use kornia_apriltag::family::{TagFamily, TagFamilyKind};
 use kornia_apriltag::{AprilTagDecoder, DecodeTagsConfig};
@@ -37,6 +39,7 @@ impl Tag {
 /// Finds tags in images of one size.
 pub struct TagFinder {
     decoder: AprilTagDecoder,
+    coarse: usize,
     /// The decoder takes images that own their pixels.
     image: Image<u8, 1>,
     templates: std::sync::Arc<[Template]>,
@@ -69,6 +72,15 @@ impl Templates {
     }
 }
 
+fn decoder(size: ImageSize, coarse: usize) -> Result<AprilTagDecoder, TagError> {
+    // One that misreads a bit is not reported: what is hidden begins with a bit.
+    let family = TagFamily::tag36_h11()?.with_max_hamming(2)?;
+    let family = TagFamilyKind::Custom(std::sync::Arc::new(family));
+    let mut config = DecodeTagsConfig::new(vec![family])?;
+    config.downscale_factor = coarse;
+    Ok(AprilTagDecoder::new(config, size)?)
+}
+
 impl TagFinder {
     /// A finder for images of this size, px. Quads are looked for in every `coarse`-th pixel of
     /// every `coarse`-th row, 1 or 2; a module must be about 1.5 of them wide.
@@ -82,13 +94,9 @@ impl TagFinder {
         coarse: usize,
     ) -> Result<Self, TagError> {
         let size = ImageSize { width, height };
-        // One that misreads a bit is not reported: what is hidden begins with a bit.
-        let family = TagFamily::tag36_h11()?.with_max_hamming(2)?;
-        let family = TagFamilyKind::Custom(std::sync::Arc::new(family));
-        let mut config = DecodeTagsConfig::new(vec![family])?;
-        config.downscale_factor = coarse;
         Ok(Self {
-            decoder: AprilTagDecoder::new(config, size)?,
+            decoder: decoder(size, coarse)?,
+            coarse,
             image: Image::from_size_val(size, 0).map_err(AprilTagError::from)?,
             templates: templates.0.clone(),
         })
@@ -104,7 +112,14 @@ impl TagFinder {
         for (row, pixels) in rows.enumerate() {
             pixels.copy_from_slice(image.row(row));
         }
-        let found = self.decoder.decode(&self.image)?;
+        // The library panics at a quad with a point at infinity among those that it samples: there
+        // is no tag, and the next image has another one.
+        let decoded = catch_unwind(AssertUnwindSafe(|| self.decoder.decode(&self.image)));
+        let Ok(found) = decoded else {
+            self.decoder = decoder(self.image.size(), self.coarse)?;
+            return Ok(Vec::new());
+        };
+        let found = found?;
         self.decoder.clear();
         let mut tags = Vec::with_capacity(found.len());
         for quad in found {
