@@ -138,8 +138,8 @@ fn a_debian_installs_starts_upgrades_removes_and_purges_it() {
     is_nobody_elses(&machine);
     answers_its_user_alone(&machine);
     serves_the_emulator(&machine);
-    an_upgrade_keeps_configuration_and_motion(&machine);
     an_arm_of_several_has_its_own_service(&machine);
+    an_upgrade_keeps_configuration_and_motion(&machine);
     a_removal_stops_all_and_keeps_the_configuration(&machine);
     a_later_installation_finds_things_as_they_were(&machine);
     a_purge_leaves_nothing_but_the_user(&machine);
@@ -220,6 +220,9 @@ fn has_all_files_in_their_places(machine: &Machine, pages: &str) {
     ] {
         wanted.push(format!("/usr/share/doc/vpcd/{name}"));
     }
+    for name in ["alerts.yml", "grafana.json", "prometheus.yml"] {
+        wanted.push(format!("/usr/share/vpcd/monitoring/{name}"));
+    }
     for name in pages.lines().filter(|name| name.ends_with(".1")) {
         wanted.push(format!("/usr/share/man/man1/{name}.gz"));
     }
@@ -297,11 +300,14 @@ fn answers_its_user_alone(machine: &Machine) {
 /// The package leaves a daemon at work alone, and the administrator's file.
 fn an_upgrade_keeps_configuration_and_motion(machine: &Machine) {
     machine.must("echo '# changed here' >>/etc/vpcd/vpcd.toml && systemctl enable vpcd");
-    let before = machine.show("MainPID");
+    let processes = || {
+        machine.must("systemctl is-active vpcd vpcd@left");
+        machine.must("systemctl show vpcd vpcd@left --value --property=MainPID")
+    };
+    let before = processes();
     starts_to_move(machine);
     install(machine);
-    assert_eq!(machine.show("MainPID"), before);
-    assert_eq!(machine.show("ActiveState"), "active");
+    assert_eq!(processes(), before);
     eventually("the second arrival", || {
         let log = machine.must("journalctl --no-pager --unit=hw-sim");
         (log.matches(r#""verdict":"arrived""#).count() == 2).then_some(())
@@ -325,7 +331,7 @@ fn starts_to_move(machine: &Machine) {
 
 fn an_arm_of_several_has_its_own_service(machine: &Machine) {
     configure(machine, "left");
-    machine.must("systemctl start vpcd@left");
+    machine.must("systemctl enable --now vpcd@left");
     machine.must(&format!(
         "{AS_USER} vpcctl --domain /run/vpcd-left status --watch 0.2; test $? = 5"
     ));
@@ -355,7 +361,10 @@ fn a_removal_stops_all_and_keeps_the_configuration(machine: &Machine) {
 fn a_later_installation_finds_things_as_they_were(machine: &Machine) {
     install(machine);
     machine.must("tail -n 1 /etc/vpcd/vpcd.toml | grep -x '# changed here'");
-    assert_eq!(machine.run("systemctl is-enabled vpcd").1, "enabled");
+    for unit in ["vpcd", "vpcd@left"] {
+        let said = machine.run(&format!("systemctl is-enabled {unit}")).1;
+        assert_eq!(said, "enabled", "{unit}");
+    }
     assert_eq!(machine.show("ActiveState"), "inactive");
     machine.must("systemctl start vpcd");
     assert_eq!(machine.show("ActiveState"), "active");
@@ -376,7 +385,7 @@ fn a_purge_leaves_nothing_but_the_user(machine: &Machine) {
     let (is_known, _) = machine.run("dpkg-query --show vpcd");
     assert!(!is_known, "dpkg still knows it");
     let more = "/etc/vpcd /usr/share/vpcd /usr/share/doc/vpcd /run/vpcd* /var/log/vpcd /dev/shm/vpc_left \
-                /etc/systemd/system/*/vpcd.* /etc/systemd/system/vpcd.* \
+                /etc/systemd/system/*/vpcd.* /etc/systemd/system/*/vpcd@* /etc/systemd/system/vpcd.* \
                 /var/lib/systemd/deb-systemd-helper-*/*vpcd*";
     for path in files.lines().chain(more.split_whitespace()) {
         let (is_left, what) = machine.run(&format!("ls -d {path}"));

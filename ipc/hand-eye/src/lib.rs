@@ -129,11 +129,17 @@ fn of_yaml(name: &str, text: &str) -> Result<Pose, FileError> {
             turn.to_rotation_matrix(),
         ))
     };
-    let parameters = root.find("parameters");
-    if let Some(eye_on_hand) = parameters.and_then(|all| all.find("eye_on_hand"))
+    let parameter = |key| root.find("parameters").and_then(|all| all.find(key));
+    if let Some(eye_on_hand) = parameter("eye_on_hand")
         && eye_on_hand.as_bool() == Some(false)
     {
         return Err(eye_on_hand.refuse("true: the camera is on the wrist"));
+    }
+    // The same in version 2.
+    if let Some(kind) = parameter("calibration_type")
+        && kind.as_str() != Some("eye_in_hand")
+    {
+        return Err(kind.refuse("eye_in_hand: the camera is on the wrist"));
     }
     if let Some(all) = root.find("transformation") {
         let at = numbers(&all, ["x", "y", "z"])?;
@@ -237,6 +243,11 @@ mod tests {
                 "a.yaml",
                 &EASY.replace("eye_on_hand: true", "eye_on_hand: false"),
                 "parameters.eye_on_hand = false",
+            ),
+            (
+                "a.yaml",
+                &EASY_2.replace("eye_in_hand", "eye_on_base"),
+                "parameters.calibration_type = ",
             ),
             (
                 "a.yaml",

@@ -17,6 +17,7 @@ import iceoryx2 as iox2
 from .errors import BadArgument, BadDomain, NoAnswer, OtherContract, Taken
 from .images import MOST_BYTES, ImagePublisher, ImageSubscriber
 from .messages import SERVICES
+from .opening import Opening
 from .ports import CameraPorts, OperatorPorts, Port, Publisher, Subscriber, free
 
 # Publishers that iceoryx2 allows beyond those of the contract: places that kills may leave taken.
@@ -34,7 +35,7 @@ def default_directory() -> str:
     return f"/tmp/vpc-{os.geteuid()}"
 
 
-class Domain:
+class Domain(Opening):
     """Membership of a domain. Keep it for as long as its ports are in use.
 
     Leave it with `close` or at the end of a `with`; its ports are closed with it. A domain belongs to the thread that made
@@ -79,12 +80,10 @@ class Domain:
         os.close(self._startup)
         self._startup = None
 
-    def publisher(self, service: str) -> Publisher:
-        """Opens a publisher of a service; raises Taken where it has all it takes, even if they are stopped."""
+    def _publisher(self, service: str) -> Publisher[Any]:
         return self._port(service, lambda: Publisher(service, *self._publishing(service)))
 
-    def subscribe(self, service: str, buffer: int | None = None) -> Subscriber[Any]:
-        """Opens a subscriber that keeps the newest `buffer` messages [as many as the service allows]."""
+    def _subscriber(self, service: str, buffer: int | None) -> Subscriber[Any]:
         return self._port(service, lambda: Subscriber(service, self._subscribing(service, buffer)))
 
     def image_publisher(self, most: int) -> ImagePublisher:
@@ -307,7 +306,7 @@ class Domain:
             most = SERVICES[service].subscribers
             raise Taken(f"{service}: no subscriber ({error}); allowed: {most}") from error
 
-    def _or_close(self, service: str, other: Port) -> Publisher:
+    def _or_close(self, service: str, other: Port) -> Publisher[Any]:
         """A publisher; where there is none, `other` is closed as well."""
         try:
             return self.publisher(service)

@@ -134,7 +134,7 @@ class ImagePublisher(PublishingPort):
 
     def publish(
         self,
-        pixels: npt.NDArray[Any],
+        pixels: npt.NDArray[np.uint8],
         encoding: Encoding | None = None,
         data_ns: int = 0,
         exposure_begin_ns: int = 0,

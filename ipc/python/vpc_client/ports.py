@@ -152,17 +152,17 @@ class PublishingPort(Port):
         self.sequence = 0
 
 
-class Publisher(PublishingPort):
+class Publisher(PublishingPort, Generic[M]):
     """Publishes the messages of one service."""
 
-    def publish(self, message: Any) -> Sent:
+    def publish(self, message: M) -> Sent:
         """Publishes a copy under the next sequence number.
 
         `published_ns` 0 becomes the present time; other values stand (simulated time in lockstep)."""
         kind = SERVICES[self.service].message
         if not isinstance(message, kind):
             raise BadMessage(f"{self.service}: a {type(message).__name__}; allowed: {kind.__name__}")
-        stamped = kind.from_buffer_copy(message)
+        stamped: Any = kind.from_buffer_copy(message)
         stamped.stamp.sequence = self.sequence + 1
         stamped.stamp.published_ns = stamped.stamp.published_ns or now_ns()
         check(self.service, stamped)
@@ -220,7 +220,7 @@ class Subscriber(Port, Generic[M]):
 class CameraPorts(_Closes):
     """Publishes features, receives twists."""
 
-    def __init__(self, twist: Subscriber[TwistCommand], features: Publisher) -> None:
+    def __init__(self, twist: Subscriber[TwistCommand], features: Publisher[Features]) -> None:
         self.twist, self.features = twist, features
 
     def __repr__(self) -> str:
@@ -283,7 +283,7 @@ class OperatorPorts(_Closes):
     """Asks the controller. Each method returns the Reply, and raises Refused or NoAnswer; where no controller is in the
     domain, at once."""
 
-    def __init__(self, replies: Subscriber[Reply], requests: Publisher, domain: Domain) -> None:
+    def __init__(self, replies: Subscriber[Reply], requests: Publisher[Request], domain: Domain) -> None:
         self.replies, self.requests, self._domain = replies, requests, domain
 
     def __repr__(self) -> str:

@@ -11,7 +11,7 @@ use crate::recorder::Recorder;
 use crate::views::Viewed;
 
 /// Failures to receive in a row, on one port, that are passed over.
-const MOST_FAILURES: u32 = 1_000;
+pub(crate) const MOST_FAILURES: u32 = 1_000;
 
 /// What is to be done with a message.
 pub(crate) type Item<S> =
@@ -55,15 +55,37 @@ pub(crate) fn free_for_the_loop<S: Sink>(
 
 struct Port<T: Viewed> {
     subscriber: Subscriber<T>,
-    /// Failures in a row.
-    failures: u32,
+    failures: Failures,
+}
+
+/// Failures to receive in a row, on one port.
+#[derive(Debug, Default)]
+pub(crate) struct Failures(u32);
+
+impl Failures {
+    /// Counts a look without a failure.
+    pub(crate) fn end(&mut self) {
+        self.0 = 0;
+    }
+
+    /// Passes a failure over, unless it is one too many.
+    ///
+    /// # Errors
+    /// The failure.
+    pub(crate) fn pass_over(&mut self, failure: ReceiveError) -> Result<(), ReceiveError> {
+        self.0 += 1;
+        match self.0 < MOST_FAILURES {
+            true => Ok(()),
+            false => Err(failure),
+        }
+    }
 }
 
 impl<T: Viewed + Send> Port<T> {
     fn open<S: Sink>(domain: &Domain) -> Result<Box<dyn Source<S>>, OpenError> {
         Ok(Box::new(Self {
             subscriber: domain.subscriber(T::QOS.buffer)?,
-            failures: 0,
+            failures: Failures::default(),
         }))
     }
 }
@@ -73,20 +95,14 @@ impl<T: Viewed + Send, S: Sink> Source<S> for Port<T> {
         for _ in 0..T::QOS.buffer {
             let item: Item<S> = match self.subscriber.oldest() {
                 Ok(None) => {
-                    self.failures = 0;
+                    self.failures.end();
                     return Ok(());
                 }
                 Ok(Some(m)) => Box::new(move |to| to.take(&m.message, m.order)),
                 Err(ReceiveError::Invalid { invalid, .. }) => {
                     Box::new(move |to| to.refuse(T::TOPIC, invalid.to_string()).map(Some))
                 }
-                Err(error) => {
-                    self.failures += 1;
-                    return match self.failures < MOST_FAILURES {
-                        true => Ok(()),
-                        false => Err(error),
-                    };
-                }
+                Err(error) => return self.failures.pass_over(error),
             };
             if !give(item) {
                 return Ok(());

@@ -67,16 +67,11 @@ impl<S: Sink> ViewWriter<S> {
     }
 
     /// The same for another least time between two, ns.
-    pub(crate) fn is_due_after(
-        &mut self,
-        apart_ns: u64,
-        topic: &'static str,
-        published_ns: u64,
-    ) -> bool {
+    pub(crate) fn is_due_after(&mut self, apart_ns: u64, topic: &'static str, at_ns: u64) -> bool {
         let last = self.drawn_ns.get(topic);
-        let due = last.is_none_or(|last| published_ns.abs_diff(*last) >= apart_ns);
+        let due = last.is_none_or(|last| at_ns.abs_diff(*last) >= apart_ns);
         if due {
-            self.drawn_ns.insert(topic, published_ns);
+            self.drawn_ns.insert(topic, at_ns);
         }
         due
     }

@@ -22,7 +22,11 @@ def main(directory: str) -> None:
         domain.subscribe("vpc/features") as seen,
         domain.image_publisher(24) as images,
         domain.image_subscriber() as frames,
+        domain.publisher("vpc/requests") as requests,
     ):
+        status = vpc_client.Request()
+        status.id, status.action = 1, vpc_client.Action.STATUS
+        requests.publish(status)
         images.publish(frame(7))
         image = frames.latest()
         assert image is not None
@@ -30,7 +34,7 @@ def main(directory: str) -> None:
         assert np.array_equal(image.array, frame(7))
 
         sent = camera.publish_features(corners)
-        features: vpc_client.Features | None = seen.receive()
+        features = seen.receive()
         assert features is not None
         assert_type(features.count, int)
         points = np.asarray(features.points).reshape(-1, 2)[: features.count]

@@ -583,11 +583,23 @@ fn the_package_installs(python: &Path) {
     both.arg(&consumer).arg(installed.join("vpc_client"));
     let checked = Ended::from(both.output().unwrap());
     assert_eq!(checked.code, Some(0), "{checked:?}");
-    // It does check: bytes are no pixels.
-    let wrong = std::fs::read_to_string(&consumer).unwrap();
-    let wrong = wrong.replace("images.publish(frame(7))", "images.publish(b\"7\")");
-    let checked = Ended::from(mypy().arg(place.file("wrong.py", wrong)).output().unwrap());
-    assert!(checked.stdout.contains("[arg-type]"), "{checked:?}");
+    // It does check.
+    let right = std::fs::read_to_string(&consumer).unwrap();
+    for (call, wrong, said) in [
+        ("publish(frame(7))", "publish(b\"7\")", "[arg-type]"),
+        ("publish(frame(7))", "publish(frame(7) / 2.0)", "[arg-type]"),
+        (
+            "publish(status)",
+            "publish(vpc_client.Reply())",
+            "[arg-type]",
+        ),
+        ("features.count", "features.counts", "[attr-defined]"),
+    ] {
+        assert!(right.contains(call), "{call}");
+        let wrong = place.file("wrong.py", right.replace(call, wrong));
+        let checked = Ended::from(mypy().arg(wrong).output().unwrap());
+        assert!(checked.stdout.contains(said), "{call}: {checked:?}");
+    }
 
     let mut use_it = in_python(&[]);
     let said = run(use_it.arg(&consumer).arg(place.domain())).unwrap();

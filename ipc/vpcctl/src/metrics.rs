@@ -31,11 +31,12 @@ const INDEX: &str = "<!doctype html><title>vpcctl</title><a href=\"/metrics\">me
 
 /// Type, name and help of each family. Counters of the daemon begin with it; those of the observer,
 /// and histograms, with vpcctl.
-const FAMILIES: [&str; 30] = [
+const FAMILIES: [&str; 31] = [
     "gauge vpc_up Whether cycles are coming.",
     "counter vpc_observer_missed_records_total Records of cycles that this exporter missed.",
     "counter vpc_observer_refused_messages_total Messages that broke the contract.",
     "counter vpc_observer_restarts_total Starts of the daemon after the first one seen.",
+    "gauge vpc_last_cause_info What kept the law's twist back last, or disarmed it; stays after the daemon's end.",
     "counter vpc_observed_cycles_total Cycles watched, by what kept the law's twist back.",
     "counter vpc_observed_recalls_total Cycles watched in which the memory was asked.",
     "counter vpc_observed_page_faults_total Page faults of the loop's thread from wake to send.",
@@ -176,7 +177,7 @@ fn number(value: f64) -> String {
     }
 }
 
-/// The metrics. Gauges of a daemon that is silent are left out.
+/// The metrics. Gauges of a daemon that is silent are left out, all but its last cause.
 pub fn text(view: &View, now_ns: u64) -> String {
     let mut out = Text::default();
     let silence = view.silence_ns(now_ns);
@@ -199,6 +200,10 @@ fn observer(out: &mut Text, view: &View) {
     out.sample("vpc_observer_missed_records_total", "", view.missed);
     out.sample("vpc_observer_refused_messages_total", "", view.refused);
     out.sample("vpc_observer_restarts_total", "", view.restarts);
+    if let Some(cause) = view.cause() {
+        let label = format!("cause=\"{cause}\"");
+        out.sample("vpc_last_cause_info", &label, 1);
+    }
     for hold in Hold::TABLE.names {
         let count = view.held.get(&hold.number).copied().unwrap_or(0);
         let cause = format!("cause=\"{}\"", hold.text);
@@ -346,6 +351,10 @@ mod tests {
     fn a_silent_daemon_is_down_and_its_gauges_are_gone() {
         let text = text(&view(), 10_000_000_000);
         assert!(text.contains("\nvpc_up 0\n"), "{text}");
+        assert!(
+            text.contains("\nvpc_last_cause_info{cause=\"none\"} 1\n"),
+            "{text}"
+        );
         assert!(!text.contains("vpc_state") && text.contains("vpc_cycle_duration_seconds_count 3"));
     }
 

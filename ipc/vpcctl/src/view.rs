@@ -34,6 +34,8 @@ pub struct Change {
 pub struct View {
     recent: VecDeque<CycleRecord>,
     changes: VecDeque<Change>,
+    /// State of the newest cycle, and its cause as [`cause`](Self::cause) has it.
+    standing: Option<(TwistState, Hold)>,
     images: VecDeque<ImageHeader>,
     /// The newest cycle that used features: what a run came to, also when it is over.
     pub seen: Option<CycleRecord>,
@@ -70,6 +72,7 @@ impl View {
                 self.restarts += 1;
                 self.recent.clear();
                 self.seen = None;
+                self.standing = None;
             }
             Order::First | Order::Next | Order::Repeated => (),
         }
@@ -99,6 +102,11 @@ impl View {
         let (Some(state), Some(hold)) = (TwistState::from_code(record.state), record.hold()) else {
             return;
         };
+        // A fault of the robot, say, replaces the cause of a daemon that is disarmed already.
+        let is_disarmed = matches!(self.standing, Some((TwistState::Disarmed, _)));
+        if !is_disarmed || state != TwistState::Disarmed || hold == Hold::Operator {
+            self.standing = Some((state, hold));
+        }
         let last = self.changes.back();
         if last.is_none_or(|last| (last.state, last.hold) != (state, hold)) {
             let at_ns = record.stamp.data_ns;
@@ -132,6 +140,12 @@ impl View {
     /// Changes of state and cause, oldest first; the last one is the present.
     pub fn changes(&self) -> impl DoubleEndedIterator<Item = &Change> {
         self.changes.iter()
+    }
+
+    /// What keeps the law's twist back since the newest cycle; of a disarmed daemon what disarmed it,
+    /// or an operator's stop since then.
+    pub fn cause(&self) -> Option<Hold> {
+        self.standing.map(|(_, cause)| cause)
     }
 
     /// The last cause that kept the law's twist back, and when it ended, ns; `None` while it lasts.
@@ -317,6 +331,30 @@ pub(crate) mod tests {
         records.extend([moving(3), moving(4)]);
         let (cause, over) = fed(&records).last_cause().unwrap();
         assert_eq!((cause.hold, over), (Hold::Stale, Some(30_000_000)));
+    }
+
+    #[test]
+    fn a_disarmed_daemon_keeps_the_cause_that_disarmed_it_until_an_operator_acts() {
+        let disarmed = |hold| record(1, TwistState::Disarmed, hold);
+        let moving = record(1, TwistState::Moving, Hold::None);
+        let (lost, fault, operator) = (Hold::Lost, Hold::RobotFault, Hold::Operator);
+        let cause = |records: &[CycleRecord]| fed(records).cause().unwrap();
+        for first in [Hold::NotArmed, Hold::Operator] {
+            assert_eq!(cause(&[disarmed(first), disarmed(fault)]), first);
+        }
+        let braking = record(1, TwistState::Braking, lost);
+        let mut records = vec![moving, braking, disarmed(lost), disarmed(fault)];
+        assert_eq!(cause(&records), lost);
+        records.push(disarmed(operator));
+        assert_eq!(cause(&records), operator);
+        records.extend([moving, disarmed(fault)]);
+        assert_eq!(cause(&records), fault);
+        // Another daemon.
+        let mut view = fed(&records);
+        let message = disarmed(Hold::Unclean);
+        let order = Order::Restarted;
+        view.cycle(&Received { message, order });
+        assert_eq!(view.cause(), Some(Hold::Unclean));
     }
 
     #[test]

@@ -30,7 +30,11 @@ const ARTEFACTS: &[Artefact] = &[
     },
     Artefact {
         path: "ipc/python/vpc_client/messages.py",
-        make: |_| Ok(python::make()),
+        make: |_| Ok(python::messages()),
+    },
+    Artefact {
+        path: "ipc/python/vpc_client/opening.py",
+        make: |_| Ok(python::opening()),
     },
     Artefact {
         path: "ipc/CONTRACT.md",

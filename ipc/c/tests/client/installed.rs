@@ -19,15 +19,21 @@ fn cmake(arguments: &[&str]) -> Command {
     cmake
 }
 
-/// Both packages, of the library that is tested.
-fn packages(place: &Place) -> [PathBuf; 2] {
-    let build = place.path("build");
+/// Configures the build of the packages, of the library that is tested.
+fn configure(place: &Place, name: &str, more: &[&str]) -> PathBuf {
+    let build = place.path(name);
     let mut configure = cmake(&["-DCMAKE_INSTALL_PREFIX=/usr", "-S"]);
     configure.arg(testkit::root().join("ipc/c"));
-    configure.arg("-B").arg(&build);
+    configure.arg("-B").arg(&build).args(more);
     let built = library();
     let built = built.parent().unwrap().display();
     run(configure.arg(format!("-DVPCCLIENT_BUILT={built}"))).unwrap();
+    build
+}
+
+/// Both packages.
+fn packages(place: &Place) -> [PathBuf; 2] {
+    let build = configure(place, "build", &[]);
     run(Command::new("cpack").current_dir(&build)).unwrap();
     let version = env!("CARGO_PKG_VERSION");
     let (minor, _) = version.rsplit_once('.').unwrap();
@@ -70,7 +76,13 @@ fn a_project_builds_over_the_packages_and_closes_the_loop() {
     }
     let place = Place::new();
     let root = place.path("root");
-    for package in packages(&place) {
+    let packages = packages(&place);
+    // A program that was built with it needs it, or a later one.
+    let mut needed = Command::new("dpkg-deb");
+    let needed = run(needed.arg("--info").arg(&packages[0]).arg("shlibs")).unwrap();
+    let least = format!("(>= {})\n", env!("CARGO_PKG_VERSION"));
+    assert!(needed.ends_with(&least), "{needed}");
+    for package in packages {
         lintian_finds_nothing(&package);
         let mut unpack = Command::new("dpkg-deb");
         run(unpack.arg("--extract").arg(&package).arg(&root)).unwrap();
@@ -104,21 +116,29 @@ fn a_project_builds_over_the_packages_and_closes_the_loop() {
         "{other:?}"
     );
 
-    let by_flags = place.path("by-flags");
-    let mut flags = Command::new("pkg-config");
-    flags.args(["--cflags", "--libs", "vpcclient"]);
-    flags.env("PKG_CONFIG_PATH", directory_of(&root, "vpcclient.pc"));
-    let flags = run(&mut flags).unwrap();
-    let mut cc = Command::new("cc");
-    cc.arg(testkit::root().join("ipc/c/examples/camera.c"));
-    cc.args(flags.split_whitespace()).arg("-lm");
-    run(cc.arg("-o").arg(&by_flags)).unwrap();
+    let by_flags = |name: &str, more: &[&str], library: &str| {
+        let mut flags = Command::new("pkg-config");
+        flags.args(["--cflags", "--libs", "vpcclient"]).args(more);
+        flags.env("PKG_CONFIG_PATH", directory_of(&root, "vpcclient.pc"));
+        let flags = run(&mut flags).unwrap().replace("-lvpcclient", library);
+        let program = place.path(name);
+        let mut cc = Command::new("cc");
+        cc.arg(testkit::root().join("ipc/c/examples/camera.c"));
+        cc.args(flags.split_whitespace()).arg("-lm");
+        run(cc.arg("-o").arg(&program)).unwrap();
+        program
+    };
 
     let libraries = directory_of(&root, "libvpcclient.a");
     for (program, is_shared) in [
         (build.join("with-shared"), true),
         (build.join("with-static"), false),
-        (by_flags, true),
+        (by_flags("flags", &[], "-lvpcclient"), true),
+        // The linker prefers the shared one of two by the same name.
+        (
+            by_flags("static-flags", &["--static"], "-l:libvpcclient.a"),
+            false,
+        ),
     ] {
         let needed = run(Command::new("ldd")
             .arg(&program)
@@ -138,4 +158,24 @@ fn a_project_builds_over_the_packages_and_closes_the_loop() {
         let start = [0.2, 0.0, 0.7, 0.0, 0.0, 0.0];
         closes_the_loop(&place, camera, start, [0.2, 0.0, 0.1, 0.0, 0.0, 0.0]);
     }
+}
+
+#[test]
+fn packages_of_a_cross_build_are_for_the_machine_that_it_is_for() {
+    if !are_installed("a cross build", &["cmake", "cc=gcc"]) {
+        return;
+    }
+    let place = Place::new();
+    let packing = |processor: &str| {
+        let target = format!("-DCMAKE_SYSTEM_PROCESSOR={processor}");
+        let build = configure(&place, processor, &["-DCMAKE_SYSTEM_NAME=Linux", &target]);
+        std::fs::read_to_string(build.join("CPackConfig.cmake"))
+    };
+    for (processor, architecture) in [("aarch64", "arm64"), ("x86_64", "amd64")] {
+        let packing = packing(processor).unwrap();
+        let line = format!("set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE \"{architecture}\")");
+        assert!(packing.contains(&line), "{packing}");
+    }
+    // Debian's name of it is not known.
+    assert!(packing("sparc").is_err());
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use testkit::python::Environment;
+use testkit::{Place, Running, eventually, program, root};
 
 use crate::stand_in::StandIn;
 use crate::{stderr, stdout, vpcctl};
@@ -106,7 +107,7 @@ impl Server {
         let process = self.child.id().to_string();
         let kill = Command::new("kill").arg(process).status().unwrap();
         assert!(kill.success());
-        testkit::eventually("the server ends", || self.child.try_wait().unwrap()).code()
+        eventually("the server ends", || self.child.try_wait().unwrap()).code()
     }
 }
 
@@ -185,6 +186,37 @@ fn metrics_are_served_on_loopback_to_who_asks_for_this_machine() {
     // A name that somebody's DNS lets point here.
     let rebound = server.ask("GET /metrics", "Host: evil.example\r\n", 1 << 16);
     assert!(rebound.starts_with("HTTP/1.1 403 "), "{rebound}");
+}
+
+/// What the alerts tell a stop from a failure by, of the daemon itself.
+#[test]
+fn the_cause_of_the_last_cycle_is_told_after_the_daemons_end() {
+    let place = Place::new();
+    let start = |name, words: &[&str]| {
+        let mut command = Command::new(program(name));
+        command.arg("--domain").arg(place.domain()).args(words);
+        command.current_dir(root());
+        Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
+    };
+    let mut daemon = start("vpcd", &["--config", "controller/vpcd-robot.toml", "--arm"]);
+    daemon.line("scene controller");
+    let _robot = start("hw-sim", &["--config", "hw-sim/hw-sim-robot.toml"]);
+    let server = Server::start(&place.domain(), &["metrics", "--listen", "127.0.0.1:0"]);
+    let is_told = |lines: &[&str]| {
+        let text = server.get("/metrics");
+        let is_there = |line: &&str| text.lines().any(|found| found == *line);
+        lines.iter().all(is_there).then_some(())
+    };
+    eventually("motion", || {
+        is_told(&[
+            "vpc_state{state=\"moving\"} 1",
+            "vpc_last_cause_info{cause=\"none\"} 1",
+        ])
+    });
+    assert_eq!(daemon.terminated().code, Some(0));
+    eventually("the end", || {
+        is_told(&["vpc_up 0", "vpc_last_cause_info{cause=\"shutdown\"} 1"])
+    });
 }
 
 #[test]

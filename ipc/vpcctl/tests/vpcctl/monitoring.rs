@@ -12,6 +12,7 @@ use testkit::{Running, are_installed, eventually};
 
 use crate::metrics::Server;
 use crate::stand_in::{Camera, StandIn};
+use crate::vpcctl;
 
 fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -137,6 +138,8 @@ fn prometheus_finds_all_that_rules_and_dashboard_ask_for() {
     }
     let directory = tempfile::tempdir().unwrap();
     let daemon = StandIn::sound(directory.path());
+    // Armed, so that it is missed when it ends.
+    assert!(vpcctl(directory.path(), &["arm"]).status.success());
     let header = ImageHeader::new(4, 4, Encoding::Mono8, 1);
     let camera = Camera::start(directory.path(), header, |_, _| [7]);
     let domain = Domain::join(directory.path()).unwrap();
