@@ -1,4 +1,4 @@
-//! Times of what the 1 kHz loop of the arm computes. `cargo bench -p panda`
+//! Times of what the 1 kHz loop of the arm computes. `cargo bench --bench steer`
 
 use divan::black_box;
 use panda::Model;

@@ -66,7 +66,7 @@ pub struct CameraKeys {
     #[default = "/camera/camera_info"]
     pub info: String,
     /// Whether points are those of rectified images, as apriltag_ros takes them: then P of
-    /// CameraInfo counts, else K, and a distortion is refused. `frame` and [mount] are then those of
+    /// CameraInfo counts, else K, and a distortion is refused. `frame` and `mount` are then those of
     /// the rectified image, which the R of a stereo pair turns.
     #[default = true]
     pub rectified: bool,
