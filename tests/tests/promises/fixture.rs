@@ -7,13 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ipc::{
-    Action, CycleRecord, Domain, Observer, OperatorPorts, Outcome, Request, TwistCommand,
+    Action, CycleRecord, Domain, Hold, Observer, OperatorPorts, Outcome, Request, TwistCommand,
     TwistState,
 };
 use rand::{Rng, RngExt};
 pub use testkit::{
-    Ended, Running, are_installed, ended, eventually, memory_file, not_run, program, repeats, root,
-    scene_file, starts_file, tell, turn,
+    Ended, PATIENCE, Running, are_installed, ended, eventually, memory_file, not_run, program,
+    repeats, root, scene_file, starts_file, tell, turn, within,
 };
 
 use crate::machine::on_time;
@@ -155,13 +155,26 @@ impl Witness {
         self.operator.requests.publish(request).unwrap();
     }
 
-    /// Arms, and waits until the camera moves.
+    /// Arms, and waits until the camera moves. Where a standstill of the machine disarms it at once,
+    /// it is armed again.
     pub fn set_in_motion(&mut self) {
-        eventually("arming", || {
-            (self.ask(Action::Arm) == Outcome::Done).then_some(())
-        });
-        self.commands();
-        self.until("motion", |twist| twist.state() == Some(TwistState::Moving));
+        for _ in 0..3 {
+            eventually("arming", || {
+                (self.ask(Action::Arm) == Outcome::Done).then_some(())
+            });
+            self.commands();
+            let moves = within(PATIENCE, || {
+                let twist = self.observer.twist.oldest().unwrap()?.message;
+                (twist.state() == Some(TwistState::Moving)).then_some(())
+            });
+            if moves.is_some() {
+                return;
+            }
+            let last = self.records().last().and_then(CycleRecord::hold);
+            assert_eq!(last, Some(Hold::Standstill), "armed, it does not move");
+            tell("armed again after a standstill of the machine");
+        }
+        panic!("armed, it does not move");
     }
 
     /// All commands since the last call.
