@@ -405,19 +405,18 @@ impl Robot {
 
     /// Sends a zero that nobody commanded.
     fn stand(&mut self, clocks: &Clocks, report: &mut Report, tell: &SyncSender<Event>) {
-        let before = report.sent[0];
-        self.send([0.0; 6], clocks, report, tell);
-        report.sent[1] += report.sent[0] - before;
+        let is_sent = self.send([0.0; 6], clocks, report, tell);
+        report.sent[1] += u64::from(is_sent);
     }
 
-    /// Sends a twist of the camera in the frame of the command.
+    /// Sends a twist of the camera in the frame of the command; returns whether it could.
     fn send(
         &mut self,
         camera: [f64; 6],
         clocks: &Clocks,
         report: &mut Report,
         tell: &SyncSender<Event>,
-    ) {
+    ) -> bool {
         let now = now_ns();
         let twist = self.arm.command(&camera, now);
         // To stand is the same in every frame.
@@ -431,12 +430,14 @@ impl Robot {
             },
             twist: Twist::from_array(twist.unwrap_or_default()),
         };
-        match self.command.publish(message) {
+        let sent = self.command.publish(message);
+        match &sent {
             Ok(()) => report.sent[0] += 1,
             Err(why) => {
                 report.not_sent += 1;
                 let _ = tell.try_send(Event::NotSent("a twist", format!("{why:?}")));
             }
         }
+        sent.is_ok()
     }
 }

@@ -91,13 +91,12 @@ impl Outlet {
 
     /// What vpcd's command is at this instant.
     pub fn command(&self, now_ns: u64) -> Command {
-        match self.has_command {
-            false => Command::None,
-            true if self.is_limited && now_ns < self.command.in_force_until_ns() => {
-                Command::Limited
-            }
-            true if now_ns < self.command.in_force_until_ns() => Command::InForce,
-            true => Command::Stale,
+        let is_in_force = now_ns < self.command.in_force_until_ns();
+        match (self.has_command, is_in_force) {
+            (false, _) => Command::None,
+            (true, false) => Command::Stale,
+            (true, true) if self.is_limited => Command::Limited,
+            (true, true) => Command::InForce,
         }
     }
 }

@@ -111,36 +111,39 @@ impl<'a> RequestServer<'a> {
         for _ in 0..BATCH {
             let from = match self.services.stop.receive_request() {
                 Ok(None) => return,
-                Ok(Some((from, _))) => Ok(from),
+                Ok(Some((from, _))) => Some(from),
                 // It cannot be read who asks. What they ask for is clear.
-                Err(_) => Err(()),
+                Err(_) => None,
             };
-            // Zeros go out before vpcd has read the file.
-            self.is_stopping.store(true, Ordering::Relaxed);
-            for waiting in &mut self.waiting {
-                waiting.is_before_stop = true;
-            }
-            let asked = Asked::in_domain(&self.directory);
-            let refused = match (asked, self.stops.len() < MOST_WAITING) {
-                (Err(why), _) => Some(why.to_string()),
-                (Ok(asked), has_room) => {
-                    self.asked = Some(asked);
-                    let full = format!("asked for; {MOST_WAITING} others wait already");
-                    (!has_room).then_some(full)
-                }
-            };
-            match (from, refused) {
-                (Ok(from), None) => self.stops.push((from, Instant::now() + PATIENCE)),
-                (Ok(from), Some(words)) => self.respond(&self.services.stop, from, false, words),
-                (Err(()), refused) => self.note(format!(
-                    "a stop cannot be answered: {UNREADABLE}{}",
-                    refused
-                        .map(|words| format!("; {words}"))
-                        .unwrap_or_default()
-                )),
-            }
+            let asked = self.ask_for_a_stop();
             self.note("stop, by a service of ROS 2".to_owned());
+            let Some(from) = from else {
+                let words = asked.map_or_else(|why| format!("; {why}"), |()| String::new());
+                self.note(format!("a stop cannot be answered: {UNREADABLE}{words}"));
+                continue;
+            };
+            match asked {
+                Err(words) => self.respond(&self.services.stop, from, false, words),
+                Ok(()) if self.stops.len() < MOST_WAITING => {
+                    self.stops.push((from, Instant::now() + PATIENCE));
+                }
+                Ok(()) => {
+                    let words = format!("asked for; {MOST_WAITING} others wait already");
+                    self.respond(&self.services.stop, from, false, words);
+                }
+            }
         }
+    }
+
+    fn ask_for_a_stop(&mut self) -> Result<(), String> {
+        // Zeros go out before vpcd has read the file.
+        self.is_stopping.store(true, Ordering::Relaxed);
+        for waiting in &mut self.waiting {
+            waiting.is_before_stop = true;
+        }
+        let asked = Asked::in_domain(&self.directory);
+        self.asked = Some(asked.map_err(|why| why.to_string())?);
+        Ok(())
     }
 
     fn answer_stops(&mut self) {
