@@ -6,6 +6,7 @@ use std::io::{ErrorKind, Read};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use memory_blob::hex;
 use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, Sink, WriteError};
 use scene::SceneFiles;
 use sha2::{Digest, Sha256};
@@ -120,9 +121,4 @@ pub fn executable() -> String {
         }
     };
     read().unwrap_or_default()
-}
-
-/// Lower-case hexadecimal digits.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use ipc::{CycleRecord, StrategyCode};
+use memory_blob::hex;
 use recording::{CONFIG_FILE, ReadError, Recorded, Recording, SCENE_FILE};
 use scene::SceneFiles;
 use serde_json::{Value, json};
@@ -139,11 +140,11 @@ fn control(
     let loaded = LoadedController::of(files, SCENE_FILE, memory, config.settings)?;
     if let (Some(found), Some(expected)) =
         (loaded.memory(), recording.origin(origin::MEMORY_SHA256))
-        && file::hex(found.digest()) != expected
+        && hex(found.digest()) != expected
     {
         return Err(CommandError::OtherMemory {
             path: memory.unwrap_or(Path::new("")).display().to_string(),
-            found: file::hex(found.digest()),
+            found: hex(found.digest()),
             expected: expected.to_owned(),
         });
     }
