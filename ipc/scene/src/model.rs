@@ -139,7 +139,7 @@ impl Limits {
 }
 
 fn each(linear: f64, angular: f64) -> [f64; 6] {
-    std::array::from_fn(|k| if k < 3 { linear } else { angular })
+    core::array::from_fn(|k| if k < 3 { linear } else { angular })
 }
 
 table! {
