@@ -9,10 +9,6 @@ use vpc::{MotionMemory, Settings, SettingsError, Strategy};
 
 use crate::exit::Exit;
 
-/// Stack for setting up: the controller (some 600 KB) passes through several frames on its way to
-/// the heap.
-const SETUP_STACK: usize = 16 << 20;
-
 /// Why the control law could not be loaded.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
@@ -22,8 +18,6 @@ pub enum LoadError {
     /// Scene and settings do not give a task.
     #[error("{path}: {source}")]
     Task { path: String, source: SettingsError },
-    #[error("cannot start the thread that sets up the controller: {0}")]
-    Thread(std::io::Error),
     #[error(transparent)]
     Memory(#[from] OpenError),
     /// The memory has no samples or no regression.
@@ -44,7 +38,6 @@ impl LoadError {
             Self::Scene(FileError::Read { .. }) | Self::Memory(OpenError::Read { .. }) => {
                 Exit::NoInput
             }
-            Self::Thread(_) => Exit::Software,
             _ => Exit::Data,
         }
     }
@@ -52,8 +45,8 @@ impl LoadError {
 
 /// The law with its scene and memory of motion.
 pub struct LoadedController {
-    /// Large: it stays where it is.
-    pub controller: Box<vpc::Controller>,
+    /// The law.
+    pub controller: vpc::Controller<Vec<f64>>,
     memory: Option<Arc<MemoryFile>>,
     files: SceneFiles,
 }
@@ -99,12 +92,11 @@ impl LoadedController {
         memory: Option<Arc<MemoryFile>>,
         settings: Settings,
     ) -> Result<Self, LoadError> {
-        let controller = set_up(&files.scene, settings)
-            .map_err(LoadError::Thread)?
-            .map_err(|source| LoadError::Task {
-                path: path.to_owned(),
-                source,
-            })?;
+        let controller = vpc::Controller::new(&files.scene, settings, |len| vec![0.0; len]);
+        let controller = controller.map_err(|source| LoadError::Task {
+            path: path.to_owned(),
+            source,
+        })?;
         Ok(Self {
             controller,
             memory,
@@ -166,22 +158,6 @@ impl LoadedController {
         };
         has && self.controller.set_strategy(strategy).is_ok()
     }
-}
-
-/// Sets up the controller in a thread with room for it, whatever stack the caller has.
-fn set_up(
-    scene: &Scene,
-    settings: Settings,
-) -> std::io::Result<Result<Box<vpc::Controller>, SettingsError>> {
-    std::thread::scope(|threads| {
-        std::thread::Builder::new()
-            .stack_size(SETUP_STACK)
-            .spawn_scoped(threads, || {
-                vpc::Controller::new(scene, settings).map(Box::new)
-            })?
-            .join()
-            .map_err(|_| std::io::Error::other("it panicked"))
-    })
 }
 
 fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryFile, LoadError> {

@@ -24,8 +24,6 @@ use crate::root;
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Between two looks at signals and children.
 const LOOK: Duration = Duration::from_millis(10);
-/// Stack of the thread that does the work, like the main thread's, bytes.
-const STACK: usize = 8 << 20;
 
 /// All children of this program, and the directories that they work in.
 #[derive(Debug, Default)]
@@ -60,8 +58,7 @@ pub fn attended(
     }
     let children = Children::default();
     let outcome = thread::scope(|scope| {
-        let worker = thread::Builder::new().stack_size(STACK);
-        let worker = worker.spawn_scoped(scope, || work(&children))?;
+        let worker = thread::Builder::new().spawn_scoped(scope, || work(&children))?;
         while !worker.is_finished() {
             let signal = heard.load(Ordering::Relaxed);
             if signal != 0 {

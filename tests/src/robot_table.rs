@@ -112,9 +112,6 @@ pub fn table(
 ) -> anyhow::Result<Vec<(Spec, Vec<RobotRun>)>> {
     flags.check(starts.len())?;
     let chosen = flags.only.map_or(0..starts.len(), |only| only..only + 1);
-    // The law's workspace is large.
-    let threads = rayon::ThreadPoolBuilder::new().stack_size(16 << 20);
-    let threads = threads.build()?;
     let mut all = Vec::new();
     let mut believed = scene.clone();
     if flags.ignore_marker_size {
@@ -131,7 +128,7 @@ pub fn table(
             run.with_context(|| format!("start {start}"))
         };
         let runs: anyhow::Result<Vec<RobotRun>> =
-            threads.install(|| chosen.clone().into_par_iter().map(work).collect());
+            chosen.clone().into_par_iter().map(work).collect();
         all.push((spec, runs?));
     }
     Ok(all)

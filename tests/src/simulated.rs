@@ -87,7 +87,7 @@ impl Simulated {
     }
 
     /// The law.
-    pub fn law(&self) -> &Controller {
+    pub fn law(&self) -> &Controller<Vec<f64>> {
         &self.control.loaded().controller
     }
 

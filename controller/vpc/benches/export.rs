@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::json;
-use vpc::qp::{ActiveSet, QpStatus};
+use vpc::qp::{ActiveSet, QpStatus, Rows};
 use vpc::{DOF, Twist};
 
 use super::subproblem::{Case, Fixture, plan};
@@ -25,19 +25,32 @@ pub fn write(path: &Path) {
         let found = in_turn(&mut solvers, &case);
         answers.push(found.map(|(us, v)| json!({"us": us, "v": v})));
         for about in [REST, found[0].1] {
-            let program = case.solver().program_about(&case.problem(), &plan(&about));
-            programs.push((case.judge(&about).0, program.unwrap()));
+            let mut workspace = case.workspace();
+            let mut solver = case.solver(&mut workspace);
+            let program = solver.program_about(&case.problem(), &plan(&about));
+            let (quadratic, rows, rho) = program.unwrap();
+            let rows: Vec<_> = rows
+                .iter()
+                .map(|(gradient, clearance)| (*gradient, clearance))
+                .collect();
+            programs.push((case.judge(&about).0, (quadratic, rows, rho)));
         }
     }
     // In passes over all programs, each copied just before, as an iteration has just written it.
-    let mut workspace = Box::new(ActiveSet::new());
+    let mut workspace = [0.0; ActiveSet::<DOF>::ROOM];
+    let mut workspace = ActiveSet::new(&mut workspace).unwrap();
     let (mut times, mut steps) = (vec![Vec::new(); programs.len()], Vec::new());
+    let most = programs.iter().map(|(_, (_, rows, _))| rows.len()).max();
+    let mut room = vec![0.0; Rows::<DOF>::room(most.unwrap())];
     for _ in 0..REPEATS {
         steps.clear();
         for ((_, (quadratic, rows, rho)), times) in programs.iter().zip(&mut times) {
-            let mut rows = rows.clone();
+            let mut copy = Rows::new(rows.len(), &mut room).unwrap();
+            for (gradient, clearance) in rows {
+                copy.push(*gradient, *clearance);
+            }
             let begin = Instant::now();
-            let answer = workspace.solve(black_box(quadratic), &mut rows, *rho, CHANGES);
+            let answer = workspace.solve(black_box(quadratic), &mut copy, *rho, CHANGES);
             times.push(begin.elapsed().as_secs_f64() * 1e6);
             // A row that yields would make it another program than the peers solve.
             assert_eq!((answer.status, answer.yielded), (QpStatus::Solved, 0));

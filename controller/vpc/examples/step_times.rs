@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 np,
                 ..Settings::default()
             };
-            let mut controller = Box::new(Controller::new(&scene, settings)?);
+            let mut controller = Controller::new(&scene, settings, |len| vec![0.0; len])?;
             let mut cycles = Cycles::default();
             for start in starts.iter().take(STARTS) {
                 cycles.run(&scene, &mut controller, &file.view(), start);
@@ -66,8 +66,8 @@ fn markers() -> Result<(), Box<dyn std::error::Error>> {
             ..Settings::default()
         };
         let mut laws = [
-            Box::new(Controller::new(&scene, settings)?),
-            Box::new(Controller::new(&points, settings)?),
+            Controller::new(&scene, settings, |len| vec![0.0; len])?,
+            Controller::new(&points, settings, |len| vec![0.0; len])?,
         ];
         let (mut times, mut ratios) = ([const { Vec::new() }; 2], Vec::new());
         for start in starts.iter().take(STARTS) {
@@ -112,7 +112,7 @@ fn markers() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// What an exact camera sees from a start until the law arrives or the scene's time is up.
-fn seen(scene: &Scene, law: &mut Controller, start: &Pose) -> Vec<Measurement> {
+fn seen(scene: &Scene, law: &mut Controller<Vec<f64>>, start: &Pose) -> Vec<Measurement> {
     law.reset();
     let mut points = placed(scene, start);
     let mut seen = Vec::new();
@@ -152,7 +152,7 @@ impl Cycles {
     fn run(
         &mut self,
         scene: &Scene,
-        controller: &mut Controller,
+        controller: &mut Controller<Vec<f64>>,
         memory: &dyn MotionMemory,
         start: &Pose,
     ) {
@@ -185,7 +185,7 @@ impl Cycles {
 
     fn replay(
         &mut self,
-        controller: &mut Controller,
+        controller: &mut Controller<Vec<f64>>,
         memory: &dyn MotionMemory,
         seen: &[Measurement],
     ) {

@@ -38,7 +38,7 @@ impl Law<'_> {
     /// unless a constraint is already violated.
     pub fn command(
         &self,
-        solver: &mut Solver,
+        solver: &mut Solver<'_>,
         present: &Present<'_>,
         aim: &Points,
         target: &Points,
@@ -69,7 +69,12 @@ impl Law<'_> {
 
     /// l(v) of a command, held over the window, always against the goal with the fixed schedule of
     /// R.
-    pub fn running_cost(&self, solver: &mut Solver, initial: &InitialState, twist: &Twist) -> f64 {
+    pub fn running_cost(
+        &self,
+        solver: &mut Solver<'_>,
+        initial: &InitialState,
+        twist: &Twist,
+    ) -> f64 {
         let goal = &self.task.goal;
         let problem = Problem {
             task: self.task,

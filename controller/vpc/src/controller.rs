@@ -12,21 +12,23 @@ use crate::prediction::{InitialState, Plan};
 use crate::problem::Status;
 use crate::recall::{self, Asked, MotionMemory, Recall};
 use crate::settings::{Settings, SettingsError};
-use crate::solver::Solver;
+use crate::solver::{Size, Solver};
 use crate::state::State;
 use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, frozen, gate, ibvs, limit, work};
 
-/// The visual predictive controller: task, settings, workspace, and what one cycle leaves to the
-/// next. Large; made once and kept in place.
+/// The visual predictive controller: task, settings, what one cycle leaves to the next (together
+/// some 40 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
+/// `&mut [f64]` where there is no heap.
 #[derive(Clone)]
-pub struct Controller {
+pub struct Controller<W> {
     task: Task,
     settings: Settings,
     off_image_px: f64,
     converged_px: f64,
-    solver: Solver,
+    size: Size,
+    workspace: W,
     state: State,
     /// Where the preview of this cycle began, until the law has thought ahead.
     root: Option<InitialState>,
@@ -72,12 +74,18 @@ pub struct Step {
     pub error_px: f64,
 }
 
-impl Controller {
-    /// A controller for a scene.
+impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
+    /// A controller for a scene. `lend` receives how many numbers of workspace this problem takes
+    /// (2,000 in the paper's scene, 56,000 at most), and returns so many or more, of any value.
     ///
     /// # Errors
-    /// [`SettingsError`] if a setting is out of range or the goal of the scene cannot be seen.
-    pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SettingsError> {
+    /// [`SettingsError`] if a setting is out of range, the goal of the scene cannot be seen, or the
+    /// workspace is too short.
+    pub fn new(
+        scene: &Scene,
+        settings: Settings,
+        lend: impl FnOnce(usize) -> W,
+    ) -> Result<Self, SettingsError> {
         settings.check()?;
         let mut task = Task::new(scene)?;
         let stop_s = task.period + task.stop_s(&task.limits);
@@ -88,11 +96,17 @@ impl Controller {
             .max(stop_s / settings.np as f64);
         task.reach = task.ts.max(stop_s);
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
+        let size = Size::of(&task, settings.np, settings.nc);
+        let workspace = lend(size.workspace());
+        let (found, needed) = (workspace.as_ref().len(), size.workspace());
+        if found < needed {
+            return Err(SettingsError::Workspace { found, needed });
+        }
         Ok(Self {
             off_image_px: scene.success.violation_px,
             converged_px: scene.success.convergence_px,
-            solver: Solver::new(settings.np, settings.nc, settings.solver)
-                .with_budget(work::budget(settings.np, settings.solver.max_iterations)),
+            size,
+            workspace,
             state: State::new(settings.strategy),
             settings,
             root: None,
@@ -138,12 +152,15 @@ impl Controller {
         let Some(next) = root.moved(&self.task, model, &self.state.standing, period) else {
             return;
         };
+        let Some(solver) = &mut solver(self.size, &self.settings, self.workspace.as_mut()) else {
+            return;
+        };
         let mut thinker = Thinker {
             law: Law {
                 task: &self.task,
                 settings: &self.settings,
             },
-            solver: &mut self.solver,
+            solver,
             memory,
             initial: &next,
             standing: &self.state.standing,
@@ -314,7 +331,10 @@ impl Controller {
             task: &self.task,
             settings: &self.settings,
         };
-        step.cost = law.running_cost(&mut self.solver, &initial, &step.twist);
+        let solver = solver(self.size, &self.settings, self.workspace.as_mut());
+        step.cost = solver.map_or(0.0, |mut solver| {
+            law.running_cost(&mut solver, &initial, &step.twist)
+        });
         self.root = Some(initial);
         self.spent = step.cost / self.settings.np as f64;
         Ok(step)
@@ -489,7 +509,11 @@ impl Controller {
             warm,
             recalled: recalled.as_ref(),
         };
-        let (twist, solution) = law.command(&mut self.solver, &present, aim, &target);
+        let Some(mut solver) = solver(self.size, &self.settings, self.workspace.as_mut()) else {
+            step.status = Status::NumericalFailure;
+            return;
+        };
+        let (twist, solution) = law.command(&mut solver, &present, aim, &target);
         step.twist = twist;
         step.status = solution.status;
         step.iterations = solution.iterations;
@@ -509,6 +533,12 @@ impl Controller {
             None => (PlainPoints::NONE, None),
         };
     }
+}
+
+/// The solver of these settings in a workspace; `None` if that has become too short.
+fn solver<'w>(size: Size, settings: &Settings, workspace: &'w mut [f64]) -> Option<Solver<'w>> {
+    let budget = work::budget(settings.np, settings.solver.max_iterations);
+    Some(Solver::new(size, settings.solver, workspace)?.with_budget(budget))
 }
 
 /// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.

@@ -48,7 +48,11 @@ pub fn r_share(task: &Task, points: &[[f64; 2]], target: &[[f64; 2]]) -> f64 {
 }
 
 /// l(V) of a previewed plan.
-pub fn value<const N: usize>(problem: &Problem<'_>, preview: &Preview<N>, plan: &[f64; N]) -> f64 {
+pub fn value<const N: usize>(
+    problem: &Problem<'_>,
+    preview: &Preview<'_, N>,
+    plan: &[f64; N],
+) -> f64 {
     let Problem { task, target, .. } = problem;
     let error: f64 = (0..preview.np())
         .flat_map(|j| preview.step(j).iter().zip(*target))
@@ -83,7 +87,7 @@ fn before<const N: usize>(problem: &Problem<'_>, plan: &[f64; N], k: usize) -> f
 
 impl<const N: usize> Expansion<N> {
     /// The expansion of l(V) + c(V) about a previewed plan.
-    pub fn about(problem: &Problem<'_>, preview: &Preview<N>, plan: &[f64; N]) -> Self {
+    pub fn about(problem: &Problem<'_>, preview: &Preview<'_, N>, plan: &[f64; N]) -> Self {
         let Problem {
             task,
             target,
@@ -159,7 +163,8 @@ mod tests {
         };
         let points = task.features_at(&pose).unwrap();
         let initial = InitialState::new(&task, Model::Pose, &points);
-        let mut preview = Box::new(Preview::<12>::new(7));
+        let mut workspace = vec![0.0; Preview::<12>::room(7, 4)];
+        let mut preview = Preview::<12>::new(7, 4, &mut workspace).unwrap();
         let plan: [f64; 12] = core::array::from_fn(|k| 0.2 * libm::cos(k as f64));
         let problem = Problem {
             task: &task,

@@ -228,7 +228,7 @@ enum RollOut {
 /// What one cycle thinks with.
 pub(crate) struct Thinker<'a> {
     pub law: Law<'a>,
-    pub solver: &'a mut Solver,
+    pub solver: &'a mut Solver<'a>,
     pub memory: Option<&'a dyn MotionMemory>,
     /// Where futures begin: the features in the next period, the command in force until then, and
     /// the plan that warms its solver.
@@ -612,7 +612,7 @@ mod tests {
             strategy: Strategy::Foresight,
             ..Settings::default()
         };
-        let mut law = Box::new(Controller::new(&scene, settings).unwrap());
+        let mut law = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
         let mut arrived = 0;
         for k in 0..300_u64 {
             // Now and then somewhere else, so that what was promised is wrong.

@@ -13,6 +13,7 @@ use crate::clearance::Clearance;
 use crate::constraint::{self, Border};
 use crate::prediction::{InitialState, Place};
 use crate::task::Task;
+use crate::workspace::Workspace;
 use crate::{MAX_POINTS, Twist, work};
 
 /// Image motion between two places that are looked at, px.
@@ -27,8 +28,8 @@ pub(crate) const NEAR_PX: f64 = 20.0;
 const BEND: f64 = 0.1;
 
 /// Places on the way.
-#[derive(Clone, Debug)]
-pub(crate) struct Intersample {
+#[derive(Debug)]
+pub(crate) struct Intersample<'w> {
     /// Stretches of the way; their ends are the places, the last one only if it is behind the
     /// first step.
     stretches: usize,
@@ -40,19 +41,40 @@ pub(crate) struct Intersample {
     boxes: [[[f64; 2]; 2]; MAX_POINTS],
     /// The greatest radius of each point's marker, px.
     radii: [f64; MAX_POINTS],
-    /// The points at each place; those that come near no border mean nothing.
-    places: [[Place; MAX_POINTS]; MOST_STRETCHES],
+    /// Points that there is room for at each place.
+    room: usize,
+    /// (u, v) and the radius of point i at place k, px, at `k * room + i`; of points that come near
+    /// no border they mean nothing.
+    places: &'w mut [[f64; 3]],
 }
 
-impl Intersample {
-    pub(crate) const NONE: Self = Self {
-        stretches: 1,
-        count: 0,
-        is_near: [false; MAX_POINTS],
-        boxes: [[[0.0; 2]; 2]; MAX_POINTS],
-        radii: [0.0; MAX_POINTS],
-        places: [[Place::NONE; MAX_POINTS]; MOST_STRETCHES],
-    };
+/// Most stretches of a task's ways.
+pub(crate) fn most_stretches(task: &Task) -> usize {
+    let steps = libm::ceil(task.reach / task.ts) as usize;
+    (STRETCHES_A_STEP * steps).min(MOST_STRETCHES)
+}
+
+impl<'w> Intersample<'w> {
+    /// Numbers of workspace for so many stretches and points.
+    pub(crate) const fn room(stretches: usize, points: usize) -> usize {
+        3 * stretches * points
+    }
+
+    pub(crate) fn cut(
+        stretches: usize,
+        points: usize,
+        workspace: &mut Workspace<'w>,
+    ) -> Option<Self> {
+        Some(Self {
+            stretches: 1,
+            count: 0,
+            is_near: [false; MAX_POINTS],
+            boxes: [[[0.0; 2]; 2]; MAX_POINTS],
+            radii: [0.0; MAX_POINTS],
+            room: points,
+            places: workspace.arrays(stretches * points)?,
+        })
+    }
 
     /// Follows the features under `twist` to where they are at the end of their way, with markers
     /// of such radii there, and with places in between if it is dense. `false` if a point comes
@@ -92,17 +114,11 @@ impl Intersample {
                 longest = longest.max(way);
             }
         }
-        let steps = libm::ceil(task.reach / task.ts) as usize;
-        let most = if is_dense {
-            STRETCHES_A_STEP * steps
-        } else {
-            1
-        };
-        self.stretches =
-            (libm::ceil(longest / SPACING_PX) as usize).clamp(1, most.min(MOST_STRETCHES));
+        let most = if is_dense { most_stretches(task) } else { 1 };
+        self.stretches = (libm::ceil(longest / SPACING_PX) as usize).clamp(1, most);
         self.count = self.stretches - usize::from(!is_longer);
         let stretches = self.stretches as f64;
-        let places = self.places.iter_mut().take(self.count);
+        let places = self.places.chunks_exact_mut(self.room).take(self.count);
         places.enumerate().all(|(k, place)| {
             let share = (k + 1) as f64 / stretches;
             initial.passes(task, twist, share, ends, &self.is_near, place)
@@ -148,12 +164,14 @@ impl Intersample {
     /// the marker's clearance; `None` for one of a way that is short or comes near no border.
     pub(crate) fn deepest(&self, point: usize, border: Border<'_>) -> Option<(f64, Clearance)> {
         self.is_near.get(point).filter(|is_near| **is_near)?;
-        let places = self.places.iter().take(self.count).enumerate();
-        let at = |(k, places): (usize, &[Place; MAX_POINTS])| {
+        let places = self.places.chunks_exact(self.room).take(self.count);
+        let at = |(k, places): (usize, &[[f64; 3]])| {
             let share = (k + 1) as f64 / self.stretches as f64;
-            Some((share, border.clearance_of(*places.get(point)?)))
+            let &[u, v, radius] = places.get(point)?;
+            let pixel = [u, v];
+            Some((share, border.clearance_of(Place { pixel, radius })))
         };
-        let places = places.filter_map(at);
+        let places = places.enumerate().filter_map(at);
         places.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
     }
 }
@@ -167,7 +185,9 @@ mod tests {
     fn of_a_point_that_comes_near_no_border_nothing_is_left_of_an_earlier_way() {
         let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
-        let (mut inside, mut mixed) = (Intersample::NONE, 0);
+        let mut workspace = vec![0.0; Intersample::room(12, 4)];
+        let mut inside = Intersample::cut(12, 4, &mut Workspace(&mut workspace)).unwrap();
+        let mut mixed = 0;
         for start in &starts {
             let points = task.features_at(start).unwrap();
             let initial = InitialState::new(&task, Model::Pose, &points);

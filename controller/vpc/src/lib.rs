@@ -25,7 +25,8 @@
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! use vpc::{Controller, Measurement, Settings};
 //! let scene = scene::Scene::parse(scene::PAPER_SIM, "paper-sim.toml")?;
-//! let mut controller = Box::new(Controller::new(&scene, Settings::default())?);
+//! // The law needs no heap: an array that lives long enough will do as well.
+//! let mut controller = Controller::new(&scene, Settings::default(), |len| vec![0.0; len])?;
 //! let points = [[700.0, 500.0], [900.0, 500.0], [900.0, 700.0], [700.0, 700.0]];
 //! let step = controller.step(&Measurement::from_points(&points), None)?;
 //! assert!(step.twist[0].abs() <= scene.limits.linear);
@@ -74,11 +75,7 @@ pub mod pose;
 pub mod prediction;
 pub mod problem;
 #[doc(hidden)]
-#[expect(
-    clippy::len_without_is_empty,
-    clippy::new_without_default,
-    reason = "public for vpc-bench alone"
-)]
+#[expect(clippy::len_without_is_empty, reason = "public for vpc-bench alone")]
 pub mod qp;
 pub mod recall;
 pub mod settings;
@@ -88,6 +85,7 @@ pub mod state;
 pub mod strategy;
 pub mod task;
 pub mod work;
+mod workspace;
 
 pub use controller::{Controller, Step};
 pub use features::Points;

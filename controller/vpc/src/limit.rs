@@ -15,7 +15,7 @@ pub const SLACK: f64 = 0.25;
 /// The first command of a solution, brought nearer to the braking one until its step is clear
 /// ([`Solver::is_clear`]), inside its bounds; the braking one if no halving achieves this. Without
 /// limits of acceleration that is zero.
-pub fn command(solver: &mut Solver, problem: &Problem<'_>, solution: &Solution) -> Twist {
+pub fn command(solver: &mut Solver<'_>, problem: &Problem<'_>, solution: &Solution) -> Twist {
     let braking = problem.braking();
     let mut plan = solution.plan;
     let mut is_clear = solution.violation_px <= SLACK;

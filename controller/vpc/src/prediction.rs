@@ -16,6 +16,8 @@
     reason = "a dense kernel: np, nc and the count of points are bounded where they are set"
 )]
 
+use core::ops::Range;
+
 use heapless::Vec;
 use libm::sqrt;
 use nalgebra::Vector3;
@@ -23,6 +25,7 @@ use nalgebra::Vector3;
 use crate::motion::{Motion, Sensitivity};
 use crate::pose::{Estimate, Tilt};
 use crate::task::Task;
+use crate::workspace::Workspace;
 use crate::{
     DOF, MAX_NP, MAX_POINTS, MAX_VARIABLES, Points, Twist, camera, features, interaction, pose,
 };
@@ -183,9 +186,9 @@ impl InitialState {
         }
     }
 
-    /// Where the preview has the wanted points after a share of their way under `twist`, px, which
-    /// at its end are at `ends`, and the radii of their markers. `false` if one comes behind the
-    /// camera.
+    /// Where the preview has the wanted points after a share of their way under `twist`, which at
+    /// its end are at `ends`: (u, v) and the radius of the marker, px. `false` if one comes behind
+    /// the camera.
     #[must_use]
     pub(crate) fn passes(
         &self,
@@ -194,7 +197,7 @@ impl InitialState {
         share: f64,
         ends: &[[f64; 2]],
         wanted: &[bool],
-        out: &mut [Place],
+        out: &mut [[f64; 3]],
     ) -> bool {
         let motion = match &self.geometry {
             Geometry::Positions(_) => Motion::of_camera(twist, share * task.reach),
@@ -208,15 +211,13 @@ impl InitialState {
                     if x.z <= 1e-6 {
                         return false;
                     }
-                    Place {
-                        pixel: camera::pixel(&task.camera, [x.x / x.z, x.y / x.z]),
-                        radius: task.radius(x.z),
-                    }
+                    let [u, v] = camera::pixel(&task.camera, [x.x / x.z, x.y / x.z]);
+                    [u, v, task.radius(x.z)]
                 }
-                (Geometry::Depths(depths), Some(a), Some(b)) => Place {
-                    pixel: core::array::from_fn(|c| a[c] + share * (b[c] - a[c])),
-                    radius: depths.get(i).map_or(0.0, |&depth| task.radius(depth)),
-                },
+                (Geometry::Depths(depths), Some(a), Some(b)) => {
+                    let [u, v] = core::array::from_fn(|c| a[c] + share * (b[c] - a[c]));
+                    [u, v, depths.get(i).map_or(0.0, |&depth| task.radius(depth))]
+                }
                 _ => continue,
             };
         }
@@ -315,16 +316,20 @@ fn pose_of(task: &Task, points: &Points, before: Option<&Tilt>) -> Option<(Estim
 pub type Plan = [f64; MAX_VARIABLES];
 
 /// The previewed features and their derivatives with respect to the first `N = 6 nc` entries of the
-/// plan.
-#[derive(Clone, Debug)]
-pub struct Preview<const N: usize> {
+/// plan, in a workspace that the caller lends.
+#[derive(Debug)]
+pub struct Preview<'w, const N: usize> {
     np: usize,
+    /// Points that there is room for in each step.
+    room: usize,
+    /// Points of the present preview, at most `room`.
     count: usize,
-    points: [[[f64; 2]; MAX_POINTS]; MAX_NP],
-    gradients: [[[[f64; N]; 2]; MAX_POINTS]; MAX_NP],
-    radii: [[f64; MAX_POINTS]; MAX_NP],
+    /// Point i after step j is at `j * room + i`, here and in the other arrays.
+    points: &'w mut [[f64; 2]],
+    gradients: &'w mut [[[f64; N]; 2]],
+    radii: &'w mut [f64],
     /// Derivatives of those radii that are not zero.
-    growths: [[[f64; N]; MAX_POINTS]; MAX_NP],
+    growths: &'w mut [[f64; N]],
 }
 
 /// A point with its marker.
@@ -334,13 +339,6 @@ pub struct Place {
     pub pixel: [f64; 2],
     /// The radius of its [marker](Task::radius), px.
     pub radius: f64,
-}
-
-impl Place {
-    pub(crate) const NONE: Self = Self {
-        pixel: [0.0; 2],
-        radius: 0.0,
-    };
 }
 
 /// A previewed point, and the derivatives of its pixel and of its marker's radius with respect to
@@ -355,20 +353,33 @@ pub struct Previewed<'a, const N: usize> {
     pub growth: &'a [f64; N],
 }
 
-impl<const N: usize> Preview<N> {
+impl<'w, const N: usize> Preview<'w, N> {
     /// Free commands.
     const NC: usize = N / DOF;
 
-    /// A preview of `np` steps (1 to [`MAX_NP`]).
-    pub fn new(np: usize) -> Self {
-        Self {
-            np: np.clamp(1, MAX_NP),
+    /// Numbers of workspace that a preview of `np` steps (1 to [`MAX_NP`]) and so many points takes.
+    pub const fn room(np: usize, points: usize) -> usize {
+        np * points * (2 + 2 * N + 1 + N)
+    }
+
+    /// A preview of `np` steps (1 to [`MAX_NP`]) and at most so many points, in a workspace of
+    /// [`Preview::room`] numbers; `None` if that is too short.
+    pub fn new(np: usize, points: usize, workspace: &'w mut [f64]) -> Option<Self> {
+        Self::cut(np, points, &mut Workspace(workspace))
+    }
+
+    pub(crate) fn cut(np: usize, points: usize, workspace: &mut Workspace<'w>) -> Option<Self> {
+        let np = np.clamp(1, MAX_NP);
+        let places = np * points;
+        Some(Self {
+            np,
+            room: points,
             count: 0,
-            points: [[[0.0; 2]; MAX_POINTS]; MAX_NP],
-            gradients: [[[[0.0; N]; 2]; MAX_POINTS]; MAX_NP],
-            radii: [[0.0; MAX_POINTS]; MAX_NP],
-            growths: [[[0.0; N]; MAX_POINTS]; MAX_NP],
-        }
+            points: workspace.arrays(places)?,
+            gradients: workspace.arrays(2 * places)?.as_chunks_mut().0,
+            radii: workspace.numbers(places)?,
+            growths: workspace.arrays(places)?,
+        })
     }
 
     /// Steps previewed.
@@ -383,18 +394,17 @@ impl<const N: usize> Preview<N> {
 
     /// The previewed points of step `j` (0 is one sampling time ahead), px.
     pub fn step(&self, j: usize) -> &[[f64; 2]] {
-        self.points
-            .get(j)
-            .and_then(|step| step.get(..self.count))
-            .unwrap_or(&[])
+        self.points.get(self.range(j)).unwrap_or(&[])
     }
 
     /// The radii of their markers, px.
     pub fn radii(&self, j: usize) -> &[f64] {
-        self.radii
-            .get(j)
-            .and_then(|step| step.get(..self.count))
-            .unwrap_or(&[])
+        self.radii.get(self.range(j)).unwrap_or(&[])
+    }
+
+    /// Where the points of step `j` are in the arrays.
+    fn range(&self, j: usize) -> Range<usize> {
+        j * self.room..j * self.room + self.count
     }
 
     /// The previewed points of step `j` with their markers.
@@ -405,9 +415,9 @@ impl<const N: usize> Preview<N> {
 
     /// The previewed points of every step, with their derivatives, step by step.
     pub fn steps(&self) -> impl Iterator<Item = impl Iterator<Item = Previewed<'_, N>>> {
-        let derivatives = self.gradients.iter().zip(&self.growths);
-        let steps = (0..self.np).zip(derivatives);
-        steps.map(|(j, (gradients, growths))| {
+        (0..self.np).map(|j| {
+            let gradients = self.gradients.get(self.range(j)).unwrap_or(&[]);
+            let growths = self.growths.get(self.range(j)).unwrap_or(&[]);
             let derivatives = gradients.iter().zip(growths);
             let points = self.places(j).zip(derivatives);
             points.map(|(place, (gradient, growth))| Previewed {
@@ -437,7 +447,7 @@ impl<const N: usize> Preview<N> {
         initial: &InitialState,
         plan: &[f64; N],
     ) -> bool {
-        self.count = initial.points.len();
+        self.count = initial.points.len().min(self.room);
         match &initial.geometry {
             Geometry::Depths(depths) => {
                 self.move_image_points::<GRADIENTS>(task, &initial.points, depths, plan)
@@ -458,11 +468,12 @@ impl<const N: usize> Preview<N> {
         plan: &[f64; N],
     ) -> bool {
         let ts = task.ts;
-        for (i, (&point, &z)) in points.iter().zip(depths).enumerate() {
+        for (i, (&point, &z)) in points.iter().zip(depths).enumerate().take(self.count) {
             let radius = task.radius(z);
             let mut p = camera::normalise(&task.camera, point);
             let mut gradient = [[0.0; N]; 2];
             for j in 0..self.np {
+                let at = j * self.room + i;
                 let offset = self.offset(j);
                 let v = Self::command(plan, offset);
                 let (velocity, slope) = interaction::flow(p, z, &v);
@@ -479,11 +490,11 @@ impl<const N: usize> Preview<N> {
                     }
                 }
                 p = [p[0] + ts * velocity[0], p[1] + ts * velocity[1]];
-                self.points[j][i] = camera::pixel(&task.camera, p);
-                self.radii[j][i] = radius;
+                self.points[at] = camera::pixel(&task.camera, p);
+                self.radii[at] = radius;
                 if GRADIENTS {
-                    self.growths[j][i] = [0.0; N];
-                    let [u, v] = &mut self.gradients[j][i];
+                    self.growths[at] = [0.0; N];
+                    let [u, v] = &mut self.gradients[at];
                     *u = gradient[0].map(|g| task.camera.fx * g);
                     *v = gradient[1].map(|g| task.camera.fy * g);
                 }
@@ -507,10 +518,11 @@ impl<const N: usize> Preview<N> {
                 sensitivities[block] = Sensitivity::of_camera(&v, task.ts);
             }
         }
-        for (i, &start) in points.iter().enumerate() {
+        for (i, &start) in points.iter().enumerate().take(self.count) {
             let mut x = start;
             let mut gradient = [[0.0; N]; 3];
             for j in 0..self.np {
+                let at = j * self.room + i;
                 let offset = self.offset(j);
                 let motion = &motions[offset / DOF];
                 x = motion.apply(&x);
@@ -519,9 +531,9 @@ impl<const N: usize> Preview<N> {
                 }
                 let iz = 1.0 / x.z;
                 let (a, b) = (x.x * iz, x.y * iz);
-                self.points[j][i] = camera::pixel(&task.camera, [a, b]);
+                self.points[at] = camera::pixel(&task.camera, [a, b]);
                 let radius = task.half_diagonal * iz;
-                self.radii[j][i] = radius;
+                self.radii[at] = radius;
                 if !GRADIENTS {
                     continue;
                 }
@@ -540,14 +552,14 @@ impl<const N: usize> Preview<N> {
                     }
                 }
                 let (fx, fy) = (task.camera.fx * iz, task.camera.fy * iz);
-                let [u, v] = &mut self.gradients[j][i];
+                let [u, v] = &mut self.gradients[at];
                 for k in 0..N {
                     u[k] = fx * (gradient[0][k] - a * gradient[2][k]);
                     v[k] = fy * (gradient[1][k] - b * gradient[2][k]);
                 }
                 if radius > 0.0 {
                     let slope = -radius * iz;
-                    self.growths[j][i] = gradient[2].map(|g| slope * g);
+                    self.growths[at] = gradient[2].map(|g| slope * g);
                 }
             }
         }
@@ -586,9 +598,11 @@ mod tests {
 
     fn gradients_match<const N: usize>(task: &Task, initial: &InitialState, np: usize) {
         let plan: [f64; N] = core::array::from_fn(|k| 0.3 * libm::sin(1.0 + k as f64));
-        let mut exact = Box::new(Preview::<N>::new(np));
+        let mut workspaces = [(); 2].map(|()| vec![0.0; Preview::<N>::room(np, 4)]);
+        let [mut exact, mut other] = workspaces
+            .each_mut()
+            .map(|lent| Preview::<N>::new(np, 4, lent).unwrap());
         assert!(exact.linearize(task, initial, &plan));
-        let mut other = Box::new(Preview::<N>::new(np));
         for k in 0..N {
             let h = 1e-6;
             let mut shifted = |h: f64| {
@@ -601,7 +615,7 @@ mod tests {
             for i in 0..4 {
                 for c in 0..2 {
                     let numeric = (plus[i][c] - minus[i][c]) / (2.0 * h);
-                    let analytic = exact.gradients[np - 1][i][c][k];
+                    let analytic = exact.gradients[4 * (np - 1) + i][c][k];
                     let scale = 1.0 + analytic.abs();
                     assert!(
                         (numeric - analytic).abs() < 1e-6 * scale,
@@ -618,9 +632,11 @@ mod tests {
         task.half_diagonal = 20.0;
         let initial = InitialState::new(&task, Model::Pose, &points(&task));
         let plan: [f64; 18] = core::array::from_fn(|k| 0.3 * libm::sin(1.0 + k as f64));
-        let mut exact = Box::new(Preview::new(5));
+        let mut workspaces = [(); 2].map(|()| vec![0.0; Preview::<18>::room(5, 4)]);
+        let [mut exact, mut other] = workspaces
+            .each_mut()
+            .map(|lent| Preview::new(5, 4, lent).unwrap());
         assert!(exact.linearize(&task, &initial, &plan));
-        let mut other = Box::new(Preview::new(5));
         let mut most: f64 = 0.0;
         for k in 0..18 {
             let mut radii = |h: f64| {
@@ -639,10 +655,10 @@ mod tests {
         assert!(most > 1.0, "{most}");
         // On the way of the first command, and at its end.
         let twist: Twist = core::array::from_fn(|k| plan[k]);
-        let mut places = [Place::NONE; 4];
+        let mut places = [[0.0; 3]; 4];
         let mut radius = |twist: &Twist| {
             assert!(initial.passes(&task, twist, 0.4, &[], &[true; 4], &mut places));
-            places.map(|place| place.radius)
+            places.map(|[_, _, radius]| radius)
         };
         for k in 0..DOF {
             let moved = |h: f64| core::array::from_fn(|i| twist[i] + if i == k { h } else { 0.0 });
@@ -670,7 +686,8 @@ mod tests {
         let measured = task.features_at(&start).unwrap();
         let initial = InitialState::new(&task, Model::Pose, &measured);
         let v = [0.2, -0.1, 0.3, 0.4, -0.5, 0.9];
-        let mut preview = Box::new(Preview::<6>::new(20));
+        let mut workspace = vec![0.0; Preview::<6>::room(20, 4)];
+        let mut preview = Preview::<6>::new(20, 4, &mut workspace).unwrap();
         assert!(preview.linearize(&task, &initial, &v));
         let motion = Motion::of_camera(&v, 20.0 * task.ts);
         let rotation = crate::motion::rotation(start.rotation);

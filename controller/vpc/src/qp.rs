@@ -28,6 +28,8 @@
 
 use libm::sqrt;
 
+use crate::workspace::Workspace;
+
 /// Most elastic rows.
 pub const MAX_ROWS: usize = 1024;
 /// Most violated rows that are kept in sight between two looks at all rows: with a long window
@@ -59,26 +61,36 @@ impl<const N: usize> Quadratic<N> {
     }
 }
 
-/// The elastic rows a^T d + c >= 0 of a program, in a store of fixed size: the linearised
-/// clearances (px) of previewed points.
-#[derive(Clone, Debug)]
-pub struct Rows<const N: usize> {
-    gradients: [[f64; N]; MAX_ROWS],
-    clearances: [f64; MAX_ROWS],
+/// The elastic rows a^T d + c >= 0 of a program, in a workspace that the caller lends: the
+/// linearised clearances (px) of previewed points.
+#[derive(Debug)]
+pub struct Rows<'w, const N: usize> {
+    gradients: &'w mut [[f64; N]],
+    clearances: &'w mut [f64],
     /// -1 for a row that has yielded: it is violated when it is satisfied. Else 1.
-    signs: [f64; MAX_ROWS],
+    signs: &'w mut [f64],
     len: usize,
 }
 
-impl<const N: usize> Rows<N> {
-    /// No rows.
-    pub const fn new() -> Self {
-        Self {
-            gradients: [[0.0; N]; MAX_ROWS],
-            clearances: [0.0; MAX_ROWS],
-            signs: [1.0; MAX_ROWS],
+impl<'w, const N: usize> Rows<'w, N> {
+    /// Numbers of workspace that so many rows take.
+    pub const fn room(most: usize) -> usize {
+        most * (N + 2)
+    }
+
+    /// No rows yet, at most so many, in a workspace of [`Rows::room`] numbers; `None` if that is too
+    /// short.
+    pub fn new(most: usize, workspace: &'w mut [f64]) -> Option<Self> {
+        Self::cut(most, &mut Workspace(workspace))
+    }
+
+    pub(crate) fn cut(most: usize, workspace: &mut Workspace<'w>) -> Option<Self> {
+        Some(Self {
+            gradients: workspace.arrays(most)?,
+            clearances: workspace.numbers(most)?,
+            signs: workspace.numbers(most)?,
             len: 0,
-        }
+        })
     }
 
     /// How many rows there are.
@@ -99,7 +111,7 @@ impl<const N: usize> Rows<N> {
 
     /// Adds the row of a gradient and the clearance at d = 0 (px); `false` if the store is full.
     pub fn push(&mut self, gradient: [f64; N], clearance: f64) -> bool {
-        if self.len == MAX_ROWS {
+        if self.len == self.signs.len() {
             return false;
         }
         self.gradients[self.len] = gradient;
@@ -176,7 +188,7 @@ struct Entering<const N: usize> {
 }
 
 impl<const N: usize> Entering<N> {
-    fn new(constraint: Constraint, slack: f64, rows: &Rows<N>, rho: f64) -> Self {
+    fn new(constraint: Constraint, slack: f64, rows: &Rows<'_, N>, rho: f64) -> Self {
         let mut normal = [0.0; N];
         match constraint {
             Constraint::Lower(i) => normal[i] = 1.0,
@@ -220,13 +232,12 @@ enum StepEnd {
     Leaves { position: usize, yields: bool },
 }
 
-/// The workspace of the method.
-#[derive(Clone)]
-pub struct ActiveSet<const N: usize> {
+/// The method, in a workspace that the caller lends.
+pub struct ActiveSet<'w, const N: usize> {
     /// Columns of J = L^{-T} Q, one a row of the array.
-    columns: [[f64; N]; N],
+    columns: &'w mut [[f64; N]; N],
     /// R, upper triangular, stored by columns.
-    triangle: [[f64; N]; N],
+    triangle: &'w mut [[f64; N]; N],
     active: [Constraint; N],
     multipliers: [f64; N],
     count: usize,
@@ -235,18 +246,25 @@ pub struct ActiveSet<const N: usize> {
     suspected: usize,
 }
 
-impl<const N: usize> ActiveSet<N> {
-    /// An empty workspace.
-    pub const fn new() -> Self {
-        Self {
-            columns: [[0.0; N]; N],
-            triangle: [[0.0; N]; N],
+impl<'w, const N: usize> ActiveSet<'w, N> {
+    /// Numbers of workspace.
+    pub const ROOM: usize = 2 * N * N;
+
+    /// The method in a workspace of [`ActiveSet::ROOM`] numbers; `None` if that is too short.
+    pub fn new(workspace: &'w mut [f64]) -> Option<Self> {
+        Self::cut(&mut Workspace(workspace))
+    }
+
+    pub(crate) fn cut(workspace: &mut Workspace<'w>) -> Option<Self> {
+        Some(Self {
+            columns: workspace.arrays(N)?.first_chunk_mut()?,
+            triangle: workspace.arrays(N)?.first_chunk_mut()?,
             active: [Constraint::Lower(0); N],
             multipliers: [0.0; N],
             count: 0,
             suspects: [(0, 0.0); MAX_SUSPECTS],
             suspected: 0,
-        }
+        })
     }
 
     /// Solves a program. `rho` caps the multipliers of the rows (cost per px); at most `limit`
@@ -254,7 +272,7 @@ impl<const N: usize> ActiveSet<N> {
     pub fn solve(
         &mut self,
         quadratic: &Quadratic<N>,
-        rows: &mut Rows<N>,
+        rows: &mut Rows<'_, N>,
         rho: f64,
         limit: u32,
     ) -> Answer<N> {
@@ -298,7 +316,7 @@ impl<const N: usize> ActiveSet<N> {
         &mut self,
         mut entering: Entering<N>,
         d: &mut [f64; N],
-        rows: &mut Rows<N>,
+        rows: &mut Rows<'_, N>,
         rho: f64,
         limit: u32,
         iterations: &mut u32,
@@ -417,7 +435,7 @@ impl<const N: usize> ActiveSet<N> {
             }
         }
         // Column k of L^{-T} is row k of L^{-1}: solve L X = I, row by row.
-        self.columns = [[0.0; N]; N];
+        *self.columns = [[0.0; N]; N];
         for i in 0..N {
             let mut row = [0.0; N];
             row[i] = 1.0;
@@ -434,7 +452,7 @@ impl<const N: usize> ActiveSet<N> {
     /// d = -H^{-1} g = -J J^T g.
     fn unconstrained(&self, gradient: &[f64; N]) -> [f64; N] {
         let mut d = [0.0; N];
-        for column in &self.columns {
+        for column in self.columns.iter() {
             let share = dot(column, gradient);
             for i in 0..N {
                 d[i] -= share * column[i];
@@ -448,7 +466,7 @@ impl<const N: usize> ActiveSet<N> {
     fn violated(
         &mut self,
         quadratic: &Quadratic<N>,
-        rows: &Rows<N>,
+        rows: &Rows<'_, N>,
         d: &[f64; N],
     ) -> Option<(Constraint, f64)> {
         let mut worst = None;
@@ -474,7 +492,7 @@ impl<const N: usize> ActiveSet<N> {
     }
 
     /// The suspect that is violated most.
-    fn suspect(&self, rows: &Rows<N>, d: &[f64; N]) -> Option<(Constraint, f64)> {
+    fn suspect(&self, rows: &Rows<'_, N>, d: &[f64; N]) -> Option<(Constraint, f64)> {
         let mut worst = None;
         let mut least = -ROW_TOLERANCE;
         for &(i, _) in self.suspects.iter().take(self.suspected) {
@@ -488,7 +506,7 @@ impl<const N: usize> ActiveSet<N> {
     }
 
     /// Makes suspects of the rows that are violated most.
-    fn look_at_all(&mut self, rows: &Rows<N>, d: &[f64; N]) {
+    fn look_at_all(&mut self, rows: &Rows<'_, N>, d: &[f64; N]) {
         self.suspected = 0;
         let mut least = -ROW_TOLERANCE;
         for i in 0..rows.len {
@@ -626,7 +644,7 @@ mod tests {
 
     struct Problem<const N: usize> {
         quadratic: Quadratic<N>,
-        rows: Box<Rows<N>>,
+        rows: Rows<'static, N>,
         rho: f64,
     }
 
@@ -642,7 +660,9 @@ mod tests {
                 }
             }
             let gradient = core::array::from_fn(|_| 5.0 * random.next());
-            let mut store = Box::new(Rows::new());
+            // A few KB that are never given back.
+            let workspace = vec![0.0; Rows::<N>::room(rows + 2)].leak();
+            let mut store = Rows::new(rows + 2, workspace).unwrap();
             for _ in 0..rows {
                 store.push(core::array::from_fn(|_| random.next()), random.next());
             }
@@ -659,7 +679,9 @@ mod tests {
         }
 
         fn solve(&mut self) -> Answer<N> {
-            ActiveSet::new().solve(&self.quadratic, &mut self.rows, self.rho, 500)
+            let mut workspace = vec![0.0; ActiveSet::<N>::ROOM];
+            let mut method = ActiveSet::new(&mut workspace).unwrap();
+            method.solve(&self.quadratic, &mut self.rows, self.rho, 500)
         }
 
         fn value(&self, d: &[f64; N]) -> f64 {

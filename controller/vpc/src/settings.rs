@@ -87,6 +87,10 @@ pub enum SettingsError {
         value: f64,
         allowed: &'static str,
     },
+    /// The workspace that the caller lends is too short.
+    #[error("workspace: {found} numbers; allowed: {needed} or more")]
+    #[allow(missing_docs)]
+    Workspace { found: usize, needed: usize },
 }
 
 impl Settings {

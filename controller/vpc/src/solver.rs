@@ -2,31 +2,75 @@
 //!
 //! Source: paper, Eq. (vpc); the method is in `sqp`.
 
-use crate::DOF;
+use crate::intersample::most_stretches;
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution, SolverOptions};
-use crate::qp::{Quadratic, Rows};
+use crate::qp::{MAX_ROWS, Quadratic, Rows};
 use crate::sqp::Sqp;
+use crate::task::Task;
+use crate::workspace::Workspace;
+use crate::{DOF, MAX_NC, MAX_NP};
 
-/// The solver with its workspace: up to half a megabyte, made once and kept in place.
-#[derive(Clone)]
-pub struct Solver {
-    window: Window,
+/// How large the problems of a solver are, and with them its workspace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size {
+    /// Steps of the window.
+    pub(crate) np: usize,
+    /// Free commands.
+    pub(crate) nc: usize,
+    /// Points of the pattern.
+    pub(crate) points: usize,
+    /// Most rows of a quadratic program.
+    pub(crate) rows: usize,
+    /// Most stretches of the way of a first command.
+    pub(crate) stretches: usize,
+}
+
+impl Size {
+    /// The size of the problems of a task with a window of `np` steps (1 to [`MAX_NP`]) and `nc`
+    /// free commands (1 to [`MAX_NC`]).
+    pub fn of(task: &Task, np: usize, nc: usize) -> Self {
+        let (np, points) = (np.clamp(1, MAX_NP), task.pattern.len());
+        // One for each point and border in every step, and on the way of the first command.
+        let rows = (np + 1) * points * (4 + task.obstacles().count());
+        Self {
+            np,
+            nc: nc.clamp(1, MAX_NC),
+            points,
+            rows: rows.min(MAX_ROWS),
+            stretches: most_stretches(task),
+        }
+    }
+
+    /// Numbers that the workspace of a solver for such problems has: some 2,000 for a window of 3
+    /// steps, 56,000 at most.
+    pub const fn workspace(self) -> usize {
+        match self.nc {
+            1 => Sqp::<DOF>::room(self),
+            2 => Sqp::<{ 2 * DOF }>::room(self),
+            3 => Sqp::<{ 3 * DOF }>::room(self),
+            _ => Sqp::<{ 4 * DOF }>::room(self),
+        }
+    }
+}
+
+/// The solver, in a workspace that the caller lends. What it leaves there means nothing to the next
+/// problem.
+pub struct Solver<'w> {
+    window: Window<'w>,
     /// Most work of a solution from all starts.
     budget: u32,
 }
 
-/// The workspace for each number of free commands.
-#[derive(Clone)]
-#[allow(clippy::large_enum_variant)] // made once; without a heap there is nowhere else to put it
-enum Window {
-    One(Sqp<DOF>),
-    Two(Sqp<{ 2 * DOF }>),
-    Three(Sqp<{ 3 * DOF }>),
-    Four(Sqp<{ 4 * DOF }>),
+/// The method for each number of free commands.
+enum Window<'w> {
+    One(Sqp<'w, DOF>),
+    Two(Sqp<'w, { 2 * DOF }>),
+    Three(Sqp<'w, { 3 * DOF }>),
+    Four(Sqp<'w, { 4 * DOF }>),
 }
 
-/// Calls a method of the workspace, whatever its number of variables.
+/// Calls a method of the window, whatever its number of variables.
 macro_rules! window {
     ($solver:expr, $method:ident($($argument:expr),*)) => {
         match &mut $solver.window {
@@ -38,18 +82,19 @@ macro_rules! window {
     };
 }
 
-impl Solver {
-    /// A solver for a window of `np` steps (1 to [`crate::MAX_NP`]) and `nc` free commands (1 to
-    /// [`crate::MAX_NC`]), without a bound on its work.
-    pub fn new(np: usize, nc: usize, options: SolverOptions) -> Self {
-        let window = match nc {
-            0 | 1 => Window::One(Sqp::new(np, options)),
-            2 => Window::Two(Sqp::new(np, options)),
-            3 => Window::Three(Sqp::new(np, options)),
-            _ => Window::Four(Sqp::new(np, options)),
+impl<'w> Solver<'w> {
+    /// A solver for problems of this size, without a bound on its work. `None` if the workspace is
+    /// shorter than [`Size::workspace`].
+    pub fn new(size: Size, options: SolverOptions, workspace: &'w mut [f64]) -> Option<Self> {
+        let mut workspace = Workspace(workspace);
+        let window = match size.nc {
+            1 => Window::One(Sqp::new(size, options, &mut workspace)?),
+            2 => Window::Two(Sqp::new(size, options, &mut workspace)?),
+            3 => Window::Three(Sqp::new(size, options, &mut workspace)?),
+            _ => Window::Four(Sqp::new(size, options, &mut workspace)?),
         };
         let budget = u32::MAX;
-        Self { window, budget }
+        Some(Self { window, budget })
     }
 
     /// The same solver with a bound on the counted [work](crate::work) of each solution.
@@ -78,7 +123,7 @@ impl Solver {
         &mut self,
         problem: &Problem<'_>,
         plan: &Plan,
-    ) -> Option<(Quadratic<DOF>, Rows<DOF>, f64)> {
+    ) -> Option<(Quadratic<DOF>, &Rows<'w, DOF>, f64)> {
         match &mut self.window {
             Window::One(sqp) => sqp.program_about(problem, plan),
             _ => None,

@@ -26,7 +26,9 @@ use crate::cost::{self, Expansion};
 use crate::intersample::{Intersample, NEAR_PX};
 use crate::prediction::{Place, Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
-use crate::qp::{ActiveSet, Answer, MAX_ROWS, QpStatus, Quadratic, Rows};
+use crate::qp::{ActiveSet, Answer, QpStatus, Quadratic, Rows};
+use crate::solver::Size;
+use crate::workspace::Workspace;
 use crate::{DOF, MAX_VARIABLES, Twist, work};
 
 /// Halvings of a step before the line search gives up.
@@ -75,17 +77,23 @@ struct Iterate<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 struct Source {
     /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command.
-    step: u8,
-    point: u8,
-    border: u8,
+    step: usize,
+    point: usize,
+    border: usize,
 }
 
 impl Source {
-    fn new(step: usize, point: usize, border: usize) -> Self {
+    /// As it is kept in a workspace, which has numbers of this type alone.
+    fn stored(self) -> [f64; 3] {
+        [self.step, self.point, self.border].map(|x| x as f64)
+    }
+
+    fn read(stored: &[f64; 3]) -> Self {
+        let [step, point, border] = stored.map(|x| x as usize);
         Self {
-            step: step as u8,
-            point: point as u8,
-            border: border as u8,
+            step,
+            point,
+            border,
         }
     }
 }
@@ -107,35 +115,44 @@ struct Progress {
 }
 
 /// The method's workspace for `N = 6 nc` variables.
-#[derive(Clone)]
-pub(crate) struct Sqp<const N: usize> {
+pub(crate) struct Sqp<'w, const N: usize> {
     /// The preview of the plan that was evaluated last.
-    preview: Preview<N>,
+    preview: Preview<'w, N>,
     /// The way of the features in its first period.
-    inside: Intersample,
-    rows: Rows<N>,
-    sources: [Source; MAX_ROWS],
-    program: ActiveSet<N>,
+    inside: Intersample<'w>,
+    rows: Rows<'w, N>,
+    /// Of each row.
+    sources: &'w mut [[f64; 3]],
+    program: ActiveSet<'w, N>,
     options: SolverOptions,
     progress: Progress,
 }
 
-impl<const N: usize> Sqp<N> {
-    pub(crate) fn new(np: usize, options: SolverOptions) -> Self {
-        let nowhere = Source {
-            step: 0,
-            point: 0,
-            border: 0,
-        };
-        Self {
-            preview: Preview::new(np),
-            inside: Intersample::NONE,
-            rows: Rows::new(),
-            sources: [nowhere; MAX_ROWS],
-            program: ActiveSet::new(),
+impl<'w, const N: usize> Sqp<'w, N> {
+    /// Numbers of workspace for problems of this size.
+    pub(crate) const fn room(size: Size) -> usize {
+        Preview::<N>::room(size.np, size.points)
+            + Intersample::room(size.stretches, size.points)
+            + Rows::<N>::room(size.rows)
+            + 3 * size.rows
+            + ActiveSet::<N>::ROOM
+    }
+
+    /// The method in a workspace of [`Sqp::room`] numbers; `None` if that is too short.
+    pub(crate) fn new(
+        size: Size,
+        options: SolverOptions,
+        workspace: &mut Workspace<'w>,
+    ) -> Option<Self> {
+        Some(Self {
+            preview: Preview::cut(size.np, size.points, workspace)?,
+            inside: Intersample::cut(size.stretches, size.points, workspace)?,
+            rows: Rows::cut(size.rows, workspace)?,
+            sources: workspace.arrays(size.rows)?,
+            program: ActiveSet::cut(workspace)?,
             options,
             progress: Progress::default(),
-        }
+        })
     }
 
     /// Cost of a plan; `None` if the plan brings a point behind the camera.
@@ -230,12 +247,12 @@ impl<const N: usize> Sqp<N> {
         &mut self,
         problem: &Problem<'_>,
         plan: &Plan,
-    ) -> Option<(Quadratic<N>, Rows<N>, f64)> {
+    ) -> Option<(Quadratic<N>, &Rows<'w, N>, f64)> {
         let here = self.first(problem, plan)?;
         let (_, quadratic) = self.expand(problem, &here.plan);
         self.collect_rows(problem, &here.plan, &quadratic);
         let rho = first_rho(problem, self.preview.np());
-        Some((quadratic, self.rows.clone(), rho))
+        Some((quadratic, &self.rows, rho))
     }
 
     /// The warm start inside its bounds; as near to standing still as these allow where that is
@@ -281,7 +298,12 @@ impl<const N: usize> Sqp<N> {
         } = self;
         let mut add = |step, point, border, clearance: Clearance, gradient| {
             if let Some(place) = sources.get_mut(rows.len()) {
-                *place = Source::new(step, point, border);
+                let source = Source {
+                    step,
+                    point,
+                    border,
+                };
+                *place = source.stored();
                 rows.push(gradient, clearance.distance - margin);
             }
         };
@@ -406,8 +428,12 @@ impl<const N: usize> Sqp<N> {
     fn correct_rows(&mut self, problem: &Problem<'_>, step_taken: &[f64; N]) {
         let (task, margin) = (problem.task, problem.margin);
         for (row, source) in self.sources.iter().enumerate().take(self.rows.len()) {
-            let (step, point) = (usize::from(source.step), usize::from(source.point));
-            let Some(border) = constraint::border(task, source.border.into()) else {
+            let Source {
+                step,
+                point,
+                border,
+            } = Source::read(source);
+            let Some(border) = constraint::border(task, border) else {
                 continue;
             };
             let found = if step == INSIDE {

@@ -48,7 +48,7 @@ fn run(law: &Scene, judge: &Task, start: &Pose, strategy: Strategy) -> Seen {
         strategy,
         ..Settings::default()
     };
-    let mut controller = Box::new(Controller::new(law, settings).unwrap());
+    let mut controller = Controller::new(law, settings, |len| vec![0.0; len]).unwrap();
     let mut points: Vec<_> = task::placed(&law.pattern, start).collect();
     let (mut seen, mut standing) = (Seen::default(), [0.0; 6]);
     let period = law.sampling_time();

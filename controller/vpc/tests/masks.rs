@@ -216,7 +216,7 @@ fn deepest(scene: &Scene, start: [f64; 3]) -> (f64, f64) {
         strategy: Strategy::Previous,
         ..Settings::default()
     };
-    let mut controller = Box::new(Controller::new(scene, settings).unwrap());
+    let mut controller = Controller::new(scene, settings, |len| vec![0.0; len]).unwrap();
     let task = controller.task().clone();
     let mut points: Vec<nalgebra::Vector3<f64>> = task
         .pattern

@@ -44,7 +44,7 @@ fn start_for_start_our_answers_are_seldom_dearer_than_scipy_s_and_violate_nothin
         for problem in &fixture.problems {
             let case = fixture.case(problem);
             let start = problem.start(name);
-            let ours = case.solve(&mut case.solver(), &start.v);
+            let ours = case.solve(&mut case.solver(&mut case.workspace()), &start.v);
             if problem.feasible {
                 worst = worst.max(ours.violation_px);
             }
@@ -77,7 +77,8 @@ fn start_for_start_our_answers_are_seldom_dearer_than_scipy_s_and_violate_nothin
 #[ignore = "93 % (windows of 30: 85 %): other local minima, and ten iterations end too early for some"]
 fn with_scipy_s_starts_the_best_answers_are_as_good_as_scipy_s() {
     compare("from SciPy's six starts", &[3, 10, 30], |problem, case| {
-        let mut solver = case.solver();
+        let mut workspace = case.workspace();
+        let mut solver = case.solver(&mut workspace);
         let answers = problem
             .starts
             .iter()
@@ -116,7 +117,12 @@ fn one_start_is_enough_from_the_unconstrained_answers() {
 
 /// Solves as a cycle does, with this warm start.
 fn from(name: &'static str) -> impl Fn(&Subproblem, &Case) -> Solution {
-    move |problem, case| case.solve(&mut case.solver(), &problem.start(name).v)
+    move |problem, case| {
+        case.solve(
+            &mut case.solver(&mut case.workspace()),
+            &problem.start(name).v,
+        )
+    }
 }
 
 fn compare(name: &str, windows: &[usize], solve: impl Fn(&Subproblem, &Case) -> Solution) {

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use vpc::prediction::{InitialState, Plan};
 use vpc::problem::Problem;
 use vpc::recall::{self, Recall};
-use vpc::solver::Solver;
+use vpc::solver::{Size, Solver};
 use vpc::{MAX_VARIABLES, Points, Strategy, Task, Twist, cost};
 
 use crate::settings::BuildSettings;
@@ -18,23 +18,26 @@ const PREDEFINED_DIRECTIONS: usize = 12;
 /// Components below this share of their limits are standing still.
 const STILL: f64 = 0.02;
 
-/// Finds commands; owns the solver's workspace.
+/// Finds commands.
 pub struct Finder<'a> {
     /// The task.
     pub task: &'a Task,
     /// The settings of the builder.
     pub settings: &'a BuildSettings,
-    solver: Box<Solver>,
+    /// How large its problems are, and the solver's workspace for them.
+    size: Size,
+    workspace: Vec<f64>,
 }
 
 impl<'a> Finder<'a> {
     /// A finder with a solver of its own.
     pub fn new(task: &'a Task, settings: &'a BuildSettings) -> Self {
-        let solver = Box::new(Solver::new(settings.np, 1, settings.solver()));
+        let size = Size::of(task, settings.np, 1);
         Self {
             task,
             settings,
-            solver,
+            size,
+            workspace: vec![0.0; size.workspace()],
         }
     }
 
@@ -96,9 +99,8 @@ impl<'a> Finder<'a> {
             margin: 0.0,
         };
         let plan: Plan = std::array::from_fn(|k| if k < 6 { warm[k] } else { 0.0 });
-        let solution = self
-            .solver
-            .solve_from(&problem, &[plan, [0.0; MAX_VARIABLES]]);
+        let mut solver = Solver::new(self.size, self.settings.solver(), &mut self.workspace)?;
+        let solution = solver.solve_from(&problem, &[plan, [0.0; MAX_VARIABLES]]);
         solution
             .status
             .is_feasible()

@@ -112,7 +112,7 @@ fn in_the_exact_model_a_run_costs_no_more_than_was_foreseen() {
     let view = memory.view();
     let memory = Some(&view as &dyn MotionMemory);
     let spec: Spec = "foresight:3".parse().unwrap();
-    let mut law = Box::new(Controller::new(&scene, spec.settings()).unwrap());
+    let mut law = Controller::new(&scene, spec.settings(), |len| vec![0.0; len]).unwrap();
     let (ts, np) = (scene.sampling_time(), spec.np as f64);
     let starts = starts(&scene, repeats("promises of foresight, starts", 12, 300));
     let (mut steepest, mut promises) = (0.0_f64, 0);

@@ -28,14 +28,17 @@ pub struct Nlp<'a> {
 
 struct Seen {
     twist: Option<Twist>,
-    preview: Preview<DOF>,
+    preview: Preview<'static, DOF>,
     cost: f64,
     gradient: Twist,
 }
 
 impl<'a> Nlp<'a> {
     fn new(case: &'a Case) -> Self {
-        let preview = Preview::new(case.np);
+        let points = case.initial.points.len();
+        // A bench ends before this matters.
+        let workspace = vec![0.0; Preview::<DOF>::room(case.np, points)].leak();
+        let preview = Preview::new(case.np, points, workspace).unwrap();
         let seen = Seen {
             twist: None,
             preview,

@@ -4,7 +4,7 @@ use scene::Scene;
 use serde::Deserialize;
 use vpc::prediction::{InitialState, Model, Plan, Preview};
 use vpc::problem::{Problem, Solution};
-use vpc::solver::Solver;
+use vpc::solver::{Size, Solver};
 use vpc::{DOF, MAX_VARIABLES, Points, SolverOptions, Task, Twist, constraint, cost};
 
 /// The file that `fixtures/subproblems.py` writes.
@@ -116,24 +116,35 @@ impl Case {
         }
     }
 
+    /// Workspace for [`Case::solver`].
+    pub fn workspace(&self) -> Vec<f64> {
+        vec![0.0; self.size().workspace()]
+    }
+
+    fn size(&self) -> Size {
+        Size::of(&self.task, self.np, 1)
+    }
+
     /// A solver for this window: ten iterations, tolerance 1e-6.
-    pub fn solver(&self) -> Box<Solver> {
+    pub fn solver<'w>(&self, workspace: &'w mut [f64]) -> Solver<'w> {
         let options = SolverOptions {
             max_iterations: 10,
             tolerance: 1e-6,
             intersample: false,
         };
-        Box::new(Solver::new(self.np, 1, options))
+        Solver::new(self.size(), options, workspace).unwrap()
     }
 
     /// The solution from the starts of `Controller::step`: the warm start, and standing still.
-    pub fn solve(&self, solver: &mut Solver, warm: &Twist) -> Solution {
+    pub fn solve(&self, solver: &mut Solver<'_>, warm: &Twist) -> Solution {
         solver.solve_from(&self.problem(), &[plan(warm), [0.0; MAX_VARIABLES]])
     }
 
     /// Cost and worst violation (px) of a twist, by a preview of its own.
     pub fn judge(&self, twist: &Twist) -> (f64, f64) {
-        let mut preview = Box::new(Preview::<DOF>::new(self.np));
+        let points = self.initial.points.len();
+        let mut workspace = vec![0.0; Preview::<DOF>::room(self.np, points)];
+        let mut preview = Preview::<DOF>::new(self.np, points, &mut workspace).unwrap();
         assert!(preview.evaluate(&self.task, &self.initial, twist));
         let worst = (0..self.np)
             .flat_map(|j| preview.step(j))

@@ -41,16 +41,13 @@ pub struct Build {
     overrides: Overrides,
 }
 
-/// Stack of each thread that solves, bytes: the law's workspace is large.
-const STACK: usize = 16 << 20;
-
 /// Sets how many threads work; `None`: as many as there are processors.
 pub fn set_threads(threads: Option<usize>) -> anyhow::Result<()> {
     if let Some(threads) = threads.filter(|threads| !(1..=1024).contains(threads)) {
         bail!("--threads = {threads}; allowed: 1 to 1024");
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0));
-    Ok(pool.stack_size(STACK).build_global()?)
+    Ok(pool.build_global()?)
 }
 
 impl Build {
