@@ -20,8 +20,6 @@ pub(crate) struct Present<'a> {
     pub interval: f64,
     /// The plan that the solver starts from.
     pub warm: &'a Plan,
-    /// The twist that it starts from where that plan leads into a violation.
-    pub recalled: Option<&'a Twist>,
 }
 
 /// Predictive control towards a given target.
@@ -34,8 +32,8 @@ pub(crate) struct Law<'a> {
 impl Law<'_> {
     /// Solves the optimal-control problem, and limits its first command. `aim` is the goal or a way
     /// point; `target` the same, corrected by the mismatch. Where the warm start leads into a
-    /// violation, it begins again from what was recalled, and then from braking: that is feasible
-    /// unless a constraint is already violated.
+    /// violation, it begins again from braking: that is feasible unless a constraint is already
+    /// violated.
     pub fn command(
         &self,
         solver: &mut Solver<'_>,
@@ -60,10 +58,7 @@ impl Law<'_> {
             margin: self.settings.margin_px,
         };
         let braking = repeated(&problem.braking());
-        let solution = match present.recalled {
-            Some(twist) => solver.solve_from(&problem, &[*warm, repeated(twist), braking]),
-            None => solver.solve_from(&problem, &[*warm, braking]),
-        };
+        let solution = solver.solve_from(&problem, &[*warm, braking]);
         (limit::command(solver, &problem, &solution), solution)
     }
 

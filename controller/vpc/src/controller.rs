@@ -166,7 +166,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             standing: &self.state.standing,
             previous: &self.state.previous,
             spent: self.spent,
-            recalled: None,
             converged_px: self.converged_px,
             horizon: self.horizon,
             whole: self.budget,
@@ -304,18 +303,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
                 let tracked =
                     guide.advance(points, self.converged_px, self.task.period / self.task.ts);
                 let warm = self.state.previous;
-                let recalled = self.state.foresight.recalled.take();
-                if recalled.is_some() {
-                    step.asked = Asked::Followed;
-                }
-                self.plan(
-                    &initial,
-                    &warm,
-                    recalled,
-                    tracked,
-                    mismatch.as_ref(),
-                    &mut step,
-                );
+                self.plan(&initial, &warm, tracked, mismatch.as_ref(), &mut step);
             }
             Strategy::Previous | Strategy::Knn { .. } | Strategy::Gpr => {
                 let (recall, asked) = self.recall(points, clearance_px, memory);
@@ -323,7 +311,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
                 let warm = recall.as_ref().map(|recall| repeated(&recall.twist));
                 let warm = warm.unwrap_or(self.state.previous);
                 let tracked = recall.map(|recall| recall.way_point);
-                self.plan(&initial, &warm, None, tracked, mismatch.as_ref(), &mut step);
+                self.plan(&initial, &warm, tracked, mismatch.as_ref(), &mut step);
             }
         }
         self.predict(&initial, &step.twist);
@@ -491,7 +479,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         &mut self,
         initial: &InitialState,
         warm: &Plan,
-        recalled: Option<Twist>,
         tracked: Option<Points>,
         mismatch: Option<&Points>,
         step: &mut Step,
@@ -507,7 +494,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             standing: &self.state.standing,
             interval: self.task.period,
             warm,
-            recalled: recalled.as_ref(),
         };
         let Some(mut solver) = solver(self.size, &self.settings, self.workspace.as_mut()) else {
             step.status = Status::NumericalFailure;
@@ -521,7 +507,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         step.work = solution.work;
         step.violation_px = solution.violation_px;
         step.way_point = tracked;
-        self.state.previous = solution.plan;
+        self.state.previous = solution.warm(&twist);
     }
 
     /// Remembers where the features should be one period after `twist`.

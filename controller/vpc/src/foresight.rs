@@ -153,8 +153,6 @@ pub struct Foresight {
     pub trusted: f64,
     /// A future that did not fit into the cycle.
     pub suspended: Option<Suspended>,
-    /// The twist that the memory infers for the next period, near an occlusion.
-    pub recalled: Option<Twist>,
     /// Samples drawn so far: the next one follows from it.
     pub drawn: u64,
     /// Candidates of the last cycle, the incumbent not counted.
@@ -173,7 +171,6 @@ impl Foresight {
         path: Path::NONE,
         trusted: TRUSTED,
         suspended: None,
-        recalled: None,
         drawn: 0,
         tried: 0,
         simulated: 0,
@@ -198,6 +195,8 @@ pub struct Suspended {
     guide: Guide,
     /// Whether it is the incumbent.
     is_incumbent: bool,
+    /// Steps that an earlier simulation of it has gone through: there it does not stall.
+    known: u32,
     /// The features there, px, and which of two poses is believed,
     points: PlainPoints,
     tilt: Option<Tilt>,
@@ -239,8 +238,6 @@ pub(crate) struct Thinker<'a> {
     pub spent: f64,
     /// At the goal below this distance (largest component), px.
     pub converged_px: f64,
-    /// The twist that the memory infers there.
-    pub recalled: Option<Twist>,
     /// Most steps of a future.
     pub horizon: u32,
     /// Steps that may be simulated in a cycle,
@@ -257,17 +254,19 @@ impl Thinker<'_> {
             features::largest_error(points, &self.law.task.goal) >= FAR * self.converged_px;
         foresight.tried = 0;
         let answers = self.ask();
-        foresight.recalled = answers
-            .iter()
-            .flatten()
-            .last()
-            .map(|(_, answer)| answer.twist);
-        self.recalled = foresight.recalled;
         if !is_far && foresight.guide != Guide::GOAL {
             (foresight.guide, foresight.suspended) = (Guide::GOAL, None);
         }
         self.pass(foresight);
-        let suspended = foresight.suspended.take();
+        let suspended = foresight.suspended.take().map(|rest| match rest.step {
+            // It has not begun: the camera has moved on since.
+            0 => Suspended {
+                is_incumbent: rest.is_incumbent,
+                known: rest.known,
+                ..self.begun(rest.candidate)
+            },
+            _ => rest,
+        });
         let (rest, candidate) = match suspended {
             Some(suspended) if suspended.is_incumbent => (Some(suspended), None),
             candidate => (None, candidate),
@@ -320,11 +319,20 @@ impl Thinker<'_> {
         if is_trusted && rest.is_none() {
             return promised;
         }
-        let rest = rest.unwrap_or_else(|| self.begun(guide, true));
+        let known = match outcome {
+            Outcome::Arrives { steps, .. } => libm::ceil(steps.max(0.0)) as u32,
+            _ => 0,
+        };
+        let rest = rest.unwrap_or_else(|| Suspended {
+            is_incumbent: true,
+            known,
+            ..self.begun(guide)
+        });
         match self.roll_out(rest, f64::INFINITY) {
             RollOut::Ended(future) => {
                 foresight.trusted = 0.0;
-                future
+                // The guide has advanced since the simulation began.
+                Future { guide, ..future }
             }
             RollOut::Suspended(rest) => {
                 foresight.suspended = Some(rest);
@@ -402,7 +410,7 @@ impl Thinker<'_> {
     fn try_out(&mut self, guide: Guide, best: &mut Future, foresight: &mut Foresight) {
         if foresight.suspended.is_none() {
             foresight.tried += 1;
-            self.consider(self.begun(guide, false), best, foresight);
+            self.consider(self.begun(guide), best, foresight);
         }
     }
 
@@ -410,14 +418,37 @@ impl Thinker<'_> {
     /// unless others are known from begin to end within a cycle.
     fn consider(&mut self, rest: Suspended, best: &mut Future, foresight: &mut Foresight) {
         let is_whole = self.budget == self.whole;
+        let is_resumed = rest.step > 0;
         let (must_fit, most) = match best.outcome {
             Outcome::Arrives { cost, steps } => (steps <= f64::from(self.whole), BETTER * cost),
             _ => (false, f64::INFINITY),
         };
         match self.roll_out(rest, most) {
-            RollOut::Ended(future) if future.outcome.is_better_than(best.outcome) => *best = future,
+            RollOut::Ended(future) if !future.outcome.is_better_than(best.outcome) => (),
+            RollOut::Ended(future) if is_resumed => self.confirm(&future, best, foresight),
+            RollOut::Ended(future) => *best = future,
             RollOut::Suspended(rest) if is_whole || !must_fit => {
                 foresight.suspended = Some(rest);
+            }
+            RollOut::Suspended(_) => (),
+        }
+    }
+
+    /// Simulates a future again that took several cycles, from where the camera is by now. If that
+    /// does not fit into this cycle, the future is followed only where no way is known, and promises
+    /// nothing until it is known again from begin to end.
+    fn confirm(&mut self, found: &Future, best: &mut Future, foresight: &mut Foresight) {
+        match self.roll_out(self.begun(found.guide), f64::INFINITY) {
+            RollOut::Ended(future) if future.outcome.is_better_than(best.outcome) => *best = future,
+            RollOut::Suspended(rest) if !matches!(best.outcome, Outcome::Arrives { .. }) => {
+                *best = Future {
+                    outcome: Outcome::Unknown,
+                    ..*found
+                };
+                foresight.suspended = Some(Suspended {
+                    is_incumbent: true,
+                    ..rest
+                });
             }
             _ => (),
         }
@@ -466,11 +497,12 @@ impl Thinker<'_> {
     }
 
     /// A simulation of a candidate before its first step.
-    fn begun(&self, candidate: Guide, is_incumbent: bool) -> Suspended {
+    fn begun(&self, candidate: Guide) -> Suspended {
         Suspended {
             candidate,
             guide: candidate,
-            is_incumbent,
+            is_incumbent: false,
+            known: 0,
             points: self.initial.points.as_slice().into(),
             tilt: self.initial.tilt,
             standing: *self.standing,
@@ -514,17 +546,21 @@ impl Thinker<'_> {
                 return RollOut::Suspended(now);
             }
             // Where the camera would look from the side, the features are soon refused.
-            if now.is_from_front && !gate::is_from_front(task, &initial.points) {
+            let is_known = now.step < now.known;
+            if now.is_from_front && !is_known && !gate::is_from_front(task, &initial.points) {
                 return ended(&now, Outcome::Unknown);
             }
             now.path.note(now.step, &initial.points);
             let error_px = features::largest_error(&initial.points, &task.goal);
+            if error_px < FAR * self.converged_px {
+                now.guide = Guide::GOAL;
+            }
             if error_px < PROGRESS * now.nearest_px {
                 (now.nearest_px, now.idle) = (error_px, 0);
             } else if now.guide.ahead == 0 {
                 now.idle += 1;
             }
-            if now.idle > PATIENCE {
+            if now.idle > PATIENCE && !is_known {
                 break;
             }
             if error_px < self.converged_px {
@@ -534,13 +570,11 @@ impl Thinker<'_> {
             self.budget -= 1;
             let tracked = now.guide.advance(&initial.points, self.converged_px, 1.0);
             let aim = tracked.as_ref().unwrap_or(&task.goal);
-            let recalled = self.recalled.as_ref().filter(|_| now.step == 0);
             let present = Present {
                 initial: &initial,
                 standing: &now.standing,
                 interval: task.ts,
                 warm: &now.previous,
-                recalled,
             };
             let (twist, solution) = self.law.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
@@ -552,7 +586,7 @@ impl Thinker<'_> {
             if now.cost - now.spent > most {
                 return ended(&now, Outcome::Unknown);
             }
-            (now.previous, now.standing) = (solution.plan, twist);
+            (now.previous, now.standing) = (solution.warm(&twist), twist);
             now.step += 1;
             match initial.moved(task, settings.model, &twist, task.ts) {
                 Some(next) => initial = next,

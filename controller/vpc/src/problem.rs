@@ -2,6 +2,7 @@
 //!
 //! Source: paper, Eq. (vpc).
 
+use crate::command::repeated;
 use crate::prediction::{InitialState, Plan};
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist};
@@ -117,6 +118,16 @@ impl Solution {
     /// Whether this is the first command of the plan.
     pub(crate) fn sends(&self, twist: &Twist) -> bool {
         self.plan.first_chunk() == Some(twist)
+    }
+
+    /// The plan that the next cycle's solver starts from, where `twist` is sent: this one, unless
+    /// the last check replaced its first command. A refused plan would only be refused again.
+    pub(crate) fn warm(&self, twist: &Twist) -> Plan {
+        if self.sends(twist) {
+            self.plan
+        } else {
+            repeated(twist)
+        }
     }
 
     /// The solution of a problem that has none: the zero twist.

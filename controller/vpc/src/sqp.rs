@@ -493,7 +493,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
     }
 
     fn solution(&self, problem: &Problem<'_>, at: &Iterate<N>, status: Status) -> Solution {
-        let violates = at.outcome.worst > problem.margin.max(0.0) + FEASIBLE;
+        let violates = at.outcome.worst > FEASIBLE;
         let clamped = clamped(&at.plan, problem);
         let mut plan = [0.0; MAX_VARIABLES];
         plan.iter_mut()
