@@ -302,6 +302,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
                 let guide = &mut self.state.foresight.guide;
                 let tracked =
                     guide.advance(points, self.converged_px, self.task.period / self.task.ts);
+                if tracked.is_some() && guide.kind.is_remembered() {
+                    step.asked = Asked::Followed;
+                }
                 let warm = self.state.previous;
                 self.plan(&initial, &warm, tracked, mismatch.as_ref(), &mut step);
             }

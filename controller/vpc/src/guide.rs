@@ -31,6 +31,13 @@ pub enum Kind {
     Regression,
 }
 
+impl Kind {
+    /// Whether the sub-goals are the memory's.
+    pub fn is_remembered(self) -> bool {
+        matches!(self, Self::Sample | Self::Neighbour | Self::Regression)
+    }
+}
+
 /// Sub-goals, one after the other, each until it is reached or given up; then the goal. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Guide {
