@@ -16,7 +16,8 @@ use crate::solver::{Size, Solver};
 use crate::state::State;
 use crate::strategy::Strategy;
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Points, Twist, frozen, gate, ibvs, limit, work};
+use crate::work::Prices;
+use crate::{DOF, MAX_VARIABLES, Points, Twist, frozen, gate, ibvs, limit};
 
 /// The visual predictive controller: task, settings, what one cycle leaves to the next (together
 /// some 40 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
@@ -34,15 +35,22 @@ pub struct Controller<W> {
     root: Option<InitialState>,
     /// l(v) / Np of the last step.
     spent: f64,
-    /// Most steps simulated in a cycle.
-    budget: u32,
+    /// How much it may work in a cycle.
+    share: Share,
     /// Most steps of a future.
     horizon: u32,
 }
 
-/// Steps that foresight may simulate for each second of the sampling time, which leaves most of it
-/// to others: a simulated step takes 10 to 20 us.
-const STEPS_A_SECOND: f64 = 1e4;
+/// Share of the period that the work of the longest decision may take,
+const DECIDING: f64 = 0.25;
+/// and that of thinking ahead: half of the period stays free where a processor takes twice as
+/// long as the counted work says.
+const THINKING: f64 = 0.2;
+/// Iterations of a solution,
+const FEWEST_ITERATIONS: u32 = 3;
+/// and simulated steps of foresight a cycle, below which a window is refused: it would find nothing
+/// in time.
+const FEWEST_STEPS: u32 = 10;
 /// A future is at most this share of the scene's time long.
 const HORIZON: f64 = 0.5;
 
@@ -96,6 +104,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             .max(stop_s / settings.np as f64);
         task.reach = task.ts.max(stop_s);
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
+        let share = Share::of(&task, &settings)?;
         let size = Size::of(&task, settings.np, settings.nc);
         let workspace = lend(size.workspace());
         let (found, needed) = (workspace.as_ref().len(), size.workspace());
@@ -111,9 +120,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             settings,
             root: None,
             spent: 0.0,
-            budget: settings
-                .foresight_steps
-                .min(libm::ceil(STEPS_A_SECOND * task.period) as u32),
+            share,
             horizon: horizon.max(1.0) as u32,
             task,
         })
@@ -143,7 +150,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
     /// Thinks ahead, in the time that a cycle leaves over after its command was sent.
     pub fn think(&mut self, memory: Option<&dyn MotionMemory>) {
         // What a cycle without features or another strategy leaves is no work of its own.
-        (self.state.foresight.tried, self.state.foresight.simulated) = (0, 0);
+        let idle = &mut self.state.foresight;
+        (idle.tried, idle.simulated, idle.work) = (0, 0, 0);
         let Some(root) = self.root.take() else { return };
         if self.settings.strategy != Strategy::Foresight {
             return;
@@ -152,7 +160,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         let Some(next) = root.moved(&self.task, model, &self.state.standing, period) else {
             return;
         };
-        let Some(solver) = &mut solver(self.size, &self.settings, self.workspace.as_mut()) else {
+        let Some(solver) = &mut solver(
+            self.size,
+            &self.settings,
+            &self.share,
+            self.workspace.as_mut(),
+        ) else {
             return;
         };
         let mut thinker = Thinker {
@@ -168,8 +181,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             spent: self.spent,
             converged_px: self.converged_px,
             horizon: self.horizon,
-            whole: self.budget,
-            budget: self.budget,
+            whole: self.share.steps,
+            budget: self.share.steps,
+            most_work: self.share.thinking,
+            simulated: 0,
         };
         thinker.think(&mut self.state.foresight);
     }
@@ -181,7 +196,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
 
     /// Most steps that foresight simulates in a cycle.
     pub fn foreseen_steps(&self) -> u32 {
-        self.budget
+        self.share.steps
     }
 
     /// Camera, pattern, goal, limits, occlusions.
@@ -322,7 +337,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             task: &self.task,
             settings: &self.settings,
         };
-        let solver = solver(self.size, &self.settings, self.workspace.as_mut());
+        let solver = solver(
+            self.size,
+            &self.settings,
+            &self.share,
+            self.workspace.as_mut(),
+        );
         step.cost = solver.map_or(0.0, |mut solver| {
             law.running_cost(&mut solver, &initial, &step.twist)
         });
@@ -498,7 +518,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             interval: self.task.period,
             warm,
         };
-        let Some(mut solver) = solver(self.size, &self.settings, self.workspace.as_mut()) else {
+        let Some(mut solver) = solver(
+            self.size,
+            &self.settings,
+            &self.share,
+            self.workspace.as_mut(),
+        ) else {
             step.status = Status::NumericalFailure;
             return;
         };
@@ -524,10 +549,62 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
     }
 }
 
+/// What a controller may do in a period, in counted [work](crate::work).
+#[derive(Clone, Copy, Debug)]
+struct Share {
+    /// Most work of a solution.
+    solution: u32,
+    /// Most work of foresight in a cycle; the step that passes it is the last.
+    thinking: u64,
+    /// Most steps of it.
+    steps: u32,
+}
+
+impl Share {
+    /// The share of these settings.
+    ///
+    /// # Errors
+    /// [`SettingsError::Window`] if too few iterations, or too few steps of foresight, fit into the
+    /// period.
+    fn of(task: &Task, settings: &Settings) -> Result<Self, SettingsError> {
+        let Settings { np, nc, solver, .. } = *settings;
+        let period_ns = 1e9 * task.period;
+        let iterations = solver.max_iterations;
+        let needed = match settings.strategy {
+            Strategy::Foresight => FEWEST_STEPS.min(settings.foresight_steps),
+            _ => 0,
+        };
+        let share = |np: usize| {
+            let prices = Prices::of(Size::of(task, np, nc.min(np)));
+            let free = DECIDING * period_ns - f64::from(prices.decision(0));
+            let steps = (THINKING * period_ns / f64::from(prices.step())) as u32;
+            let share = Self {
+                solution: prices.budget(iterations).min((free / 1.5) as u32),
+                thinking: (THINKING * period_ns) as u64,
+                steps: settings.foresight_steps.min(steps.max(1)),
+            };
+            let fewest = prices.budget(FEWEST_ITERATIONS.min(iterations));
+            (share.solution >= fewest && steps >= needed).then_some(share)
+        };
+        share(np).ok_or_else(|| SettingsError::Window {
+            np,
+            nc,
+            points: task.pattern.len(),
+            obstacles: task.obstacles().count(),
+            period_ms: 1e3 * task.period,
+            most: (1..np).rev().find(|np| share(*np).is_some()).unwrap_or(0),
+        })
+    }
+}
+
 /// The solver of these settings in a workspace; `None` if that has become too short.
-fn solver<'w>(size: Size, settings: &Settings, workspace: &'w mut [f64]) -> Option<Solver<'w>> {
-    let budget = work::budget(settings.np, settings.solver.max_iterations);
-    Some(Solver::new(size, settings.solver, workspace)?.with_budget(budget))
+fn solver<'w>(
+    size: Size,
+    settings: &Settings,
+    share: &Share,
+    workspace: &'w mut [f64],
+) -> Option<Solver<'w>> {
+    Some(Solver::new(size, settings.solver, workspace)?.with_budget(share.solution))
 }
 
 /// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.

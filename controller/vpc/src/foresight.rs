@@ -159,6 +159,8 @@ pub struct Foresight {
     pub tried: u32,
     /// Steps simulated in the last cycle.
     pub simulated: u32,
+    /// Their counted [work](crate::work).
+    pub work: u64,
     /// Changes of what is followed.
     pub switches: u32,
 }
@@ -174,6 +176,7 @@ impl Foresight {
         drawn: 0,
         tried: 0,
         simulated: 0,
+        work: 0,
         switches: 0,
     };
 }
@@ -244,6 +247,10 @@ pub(crate) struct Thinker<'a> {
     pub whole: u32,
     /// and still in this one.
     pub budget: u32,
+    /// Most [work](crate::work) of these steps; the step that passes it is the last of the cycle.
+    pub most_work: u64,
+    /// Steps simulated so far.
+    pub simulated: u32,
 }
 
 impl Thinker<'_> {
@@ -281,7 +288,8 @@ impl Thinker<'_> {
         }
         (foresight.guide, foresight.outcome, foresight.path) =
             (best.guide, best.outcome, best.path);
-        foresight.simulated = self.whole - self.budget;
+        foresight.simulated = self.simulated;
+        foresight.work = self.solver.done();
     }
 
     /// Lets a period pass: what is expected gets nearer.
@@ -568,6 +576,7 @@ impl Thinker<'_> {
                 return ended(&now, Outcome::Arrives { cost, steps });
             }
             self.budget -= 1;
+            self.simulated += 1;
             let tracked = now.guide.advance(&initial.points, self.converged_px, 1.0);
             let aim = tracked.as_ref().unwrap_or(&task.goal);
             let present = Present {
@@ -582,6 +591,9 @@ impl Thinker<'_> {
                 true => solution.cost,
                 false => self.law.running_cost(self.solver, &initial, &twist),
             };
+            if self.solver.done() >= self.most_work {
+                self.budget = 0;
+            }
             now.cost += share * cost;
             if now.cost - now.spent > most {
                 return ended(&now, Outcome::Unknown);

@@ -14,7 +14,7 @@ use crate::constraint::{self, Border};
 use crate::prediction::{InitialState, Place};
 use crate::task::Task;
 use crate::workspace::Workspace;
-use crate::{MAX_POINTS, Twist, work};
+use crate::{MAX_POINTS, Twist};
 
 /// Image motion between two places that are looked at, px.
 pub const SPACING_PX: f64 = 8.0;
@@ -125,9 +125,9 @@ impl<'w> Intersample<'w> {
         })
     }
 
-    /// Counted [work](crate::work) of the last trace.
-    pub(crate) fn work(&self) -> u32 {
-        work::PLACE * self.count as u32
+    /// Places of the last trace.
+    pub(crate) fn count(&self) -> u32 {
+        self.count as u32
     }
 
     /// The points whose way comes near a border, where there are places.

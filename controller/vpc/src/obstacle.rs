@@ -51,6 +51,17 @@ impl Obstacle<'_> {
         gap(pixel[0], low[0], high[0]).max(gap(pixel[1], low[1], high[1]))
     }
 
+    /// What a clearance from it takes, [work](crate::work).
+    pub(crate) fn price_ns(self) -> u32 {
+        match self {
+            Self::Part(part) => match Exponent::of(part.p) {
+                Exponent::PowerOfTwo(_) => 4,
+                Exponent::Any(_) => 140,
+            },
+            Self::Area(_) => 20,
+        }
+    }
+
     /// Whether a pixel lies inside.
     pub fn hides(self, pixel: [f64; 2]) -> bool {
         self.outside_box(pixel) < 0.0 && self.clearance(pixel).distance < 0.0

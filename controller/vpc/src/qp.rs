@@ -166,6 +166,8 @@ pub struct Answer<const N: usize> {
     pub status: QpStatus,
     /// Changes of the active set.
     pub iterations: u32,
+    /// Looks at a row for a violation.
+    pub looks: u32,
     /// Rows that yielded: violated at the answer although rho pulls at them.
     pub yielded: u32,
 }
@@ -244,6 +246,7 @@ pub struct ActiveSet<'w, const N: usize> {
     /// Rows that were violated most when all were last looked at, the worst first.
     suspects: [(usize, f64); MAX_SUSPECTS],
     suspected: usize,
+    looks: usize,
 }
 
 impl<'w, const N: usize> ActiveSet<'w, N> {
@@ -264,6 +267,7 @@ impl<'w, const N: usize> ActiveSet<'w, N> {
             count: 0,
             suspects: [(0, 0.0); MAX_SUSPECTS],
             suspected: 0,
+            looks: 0,
         })
     }
 
@@ -276,12 +280,13 @@ impl<'w, const N: usize> ActiveSet<'w, N> {
         rho: f64,
         limit: u32,
     ) -> Answer<N> {
-        (self.count, self.suspected) = (0, 0);
+        (self.count, self.suspected, self.looks) = (0, 0, 0);
         rows.signs[..rows.len].fill(1.0);
         let mut answer = Answer {
             step: [0.0; N],
             status: QpStatus::NumericalFailure,
             iterations: 0,
+            looks: 0,
             yielded: 0,
         };
         if !self.factorise(&quadratic.hessian) {
@@ -305,8 +310,9 @@ impl<'w, const N: usize> ActiveSet<'w, N> {
         } else {
             answer.status = QpStatus::NumericalFailure;
         }
-        let signs = rows.signs.iter().take(rows.len);
-        answer.yielded = signs.filter(|sign| **sign < 0.0).count() as u32;
+        let has_yielded = |&i: &usize| rows.signs[i] < 0.0 && !self.is_active(Constraint::Row(i));
+        answer.yielded = (0..rows.len).filter(has_yielded).count() as u32;
+        answer.looks = self.looks as u32;
         answer
     }
 
@@ -508,6 +514,7 @@ impl<'w, const N: usize> ActiveSet<'w, N> {
     /// Makes suspects of the rows that are violated most.
     fn look_at_all(&mut self, rows: &Rows<'_, N>, d: &[f64; N]) {
         self.suspected = 0;
+        self.looks += rows.len;
         let mut least = -ROW_TOLERANCE;
         for i in 0..rows.len {
             let slack = rows.slack(i, d);

@@ -87,6 +87,20 @@ pub enum SettingsError {
         value: f64,
         allowed: &'static str,
     },
+    /// The window is too long for the scene, the iterations and the period.
+    #[error(
+        "np = {np} with nc = {nc}, {points} points, {obstacles} parts and areas of occlusions: more work than a period of \
+         {period_ms:.1} ms has room for; allowed: np of at most {most}, or fewer iterations, or a slower camera"
+    )]
+    #[allow(missing_docs)]
+    Window {
+        np: usize,
+        nc: usize,
+        points: usize,
+        obstacles: usize,
+        period_ms: f64,
+        most: usize,
+    },
     /// The workspace that the caller lends is too short.
     #[error("workspace: {found} numbers; allowed: {needed} or more")]
     #[allow(missing_docs)]

@@ -3,6 +3,7 @@
 //! Source: paper, Eq. (vpc); the method is in `sqp`.
 
 use crate::intersample::most_stretches;
+use crate::obstacle::Obstacle;
 use crate::prediction::Plan;
 use crate::problem::{Problem, Solution, SolverOptions};
 use crate::qp::{MAX_ROWS, Quadratic, Rows};
@@ -24,6 +25,10 @@ pub struct Size {
     pub(crate) rows: usize,
     /// Most stretches of the way of a first command.
     pub(crate) stretches: usize,
+    /// Parts and areas of occlusions.
+    pub(crate) obstacles: usize,
+    /// What the clearance from the dearest of them costs, [work](crate::work).
+    pub(crate) clearance_ns: u32,
 }
 
 impl Size {
@@ -32,13 +37,16 @@ impl Size {
     pub fn of(task: &Task, np: usize, nc: usize) -> Self {
         let (np, points) = (np.clamp(1, MAX_NP), task.pattern.len());
         // One for each point and border in every step, and on the way of the first command.
-        let rows = (np + 1) * points * (4 + task.obstacles().count());
+        let obstacles = task.obstacles().count();
+        let rows = (np + 1) * points * (4 + obstacles);
         Self {
             np,
             nc: nc.clamp(1, MAX_NC),
             points,
             rows: rows.min(MAX_ROWS),
             stretches: most_stretches(task),
+            obstacles,
+            clearance_ns: task.obstacles().map(Obstacle::price_ns).max().unwrap_or(0),
         }
     }
 
@@ -102,6 +110,16 @@ impl<'w> Solver<'w> {
     pub fn with_budget(mut self, budget: u32) -> Self {
         self.budget = budget;
         self
+    }
+
+    /// Counted [work](crate::work) of everything that this solver has done.
+    pub fn done(&self) -> u64 {
+        match &self.window {
+            Window::One(sqp) => sqp.done(),
+            Window::Two(sqp) => sqp.done(),
+            Window::Three(sqp) => sqp.done(),
+            Window::Four(sqp) => sqp.done(),
+        }
     }
 
     /// Cost of a plan; `None` if the plan brings a point behind the camera.

@@ -28,8 +28,9 @@ use crate::prediction::{Place, Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
 use crate::qp::{ActiveSet, Answer, QpStatus, Quadratic, Rows};
 use crate::solver::Size;
+use crate::work::Prices;
 use crate::workspace::Workspace;
-use crate::{DOF, MAX_VARIABLES, Twist, work};
+use crate::{DOF, MAX_VARIABLES, Twist};
 
 /// Halvings of a step before the line search gives up.
 const MAX_HALVINGS: usize = 8;
@@ -125,7 +126,10 @@ pub(crate) struct Sqp<'w, const N: usize> {
     sources: &'w mut [[f64; 3]],
     program: ActiveSet<'w, N>,
     options: SolverOptions,
+    prices: Prices,
     progress: Progress,
+    /// Work of everything so far.
+    done: u64,
 }
 
 impl<'w, const N: usize> Sqp<'w, N> {
@@ -151,13 +155,16 @@ impl<'w, const N: usize> Sqp<'w, N> {
             sources: workspace.arrays(size.rows)?,
             program: ActiveSet::cut(workspace)?,
             options,
+            prices: Prices::of(size),
             progress: Progress::default(),
+            done: 0,
         })
     }
 
     /// Cost of a plan; `None` if the plan brings a point behind the camera.
     pub(crate) fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
         let plan = head(plan);
+        self.count(self.prices.evaluation);
         let possible = self.preview.evaluate(problem.task, problem.initial, &plan);
         possible.then(|| cost::value(problem, &self.preview, &plan))
     }
@@ -167,6 +174,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
     /// already: the sum of all violations falls, and none is above the greatest of now.
     pub(crate) fn is_clear(&mut self, problem: &Problem<'_>, plan: &Plan, slack: f64) -> bool {
         let (task, initial, plan) = (problem.task, problem.initial, head(plan));
+        self.count(self.prices.evaluation);
         if !self.preview.evaluate(task, initial, &plan) || !self.trace(problem, &plan) {
             return false;
         }
@@ -220,6 +228,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
             }
             let rho = self.progress.rho;
             let merit = here.outcome.merit(rho);
+            self.count(self.rows.len() as u32 * self.prices.look);
             let predicted = cost + quadratic.change(&step) + rho * self.rows.violation(&step);
             let decrease = merit - predicted;
             if decrease <= self.options.tolerance * (1e-6 + merit.abs()) {
@@ -262,6 +271,16 @@ impl<'w, const N: usize> Sqp<'w, N> {
             .or_else(|| self.outcome(problem, clamped(&[0.0; N], problem)))
     }
 
+    /// Work of everything that this solver has done.
+    pub(crate) fn done(&self) -> u64 {
+        self.done
+    }
+
+    fn count(&mut self, work: u32) {
+        self.progress.work = self.progress.work.saturating_add(work);
+        self.done += u64::from(work);
+    }
+
     fn may_go_on(&self) -> bool {
         let is_allowed = self.progress.iterations < self.options.max_iterations;
         is_allowed && self.progress.work < self.progress.budget
@@ -271,7 +290,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
     /// with the bounds of a step.
     fn expand(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> (f64, Quadratic<N>) {
         self.progress.iterations += 1;
-        self.progress.work += work::expansion(self.preview.np());
+        self.count(self.prices.expansion);
         let expansion = Expansion::about(problem, &self.preview, plan);
         let bounds: [_; N] = core::array::from_fn(|k| problem.bounds(k));
         let quadratic = Quadratic {
@@ -296,16 +315,17 @@ impl<'w, const N: usize> Sqp<'w, N> {
             inside,
             ..
         } = self;
+        // Returns whether there is room for another one.
         let mut add = |step, point, border, clearance: Clearance, gradient| {
+            let source = Source {
+                step,
+                point,
+                border,
+            };
             if let Some(place) = sources.get_mut(rows.len()) {
-                let source = Source {
-                    step,
-                    point,
-                    border,
-                };
                 *place = source.stored();
-                rows.push(gradient, clearance.distance - margin);
             }
+            rows.push(gradient, clearance.distance - margin)
         };
         let command = first_command(plan);
         for i in inside.near() {
@@ -322,7 +342,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
                 add(INSIDE, i, index, clearance, gradient);
             }
         }
-        for (j, step) in preview.steps().enumerate() {
+        'window: for (j, step) in preview.steps().enumerate() {
             for (i, point) in step.enumerate() {
                 let place = point.place;
                 let reach = reach(place.pixel, point.gradient, bounds);
@@ -336,10 +356,13 @@ impl<'w, const N: usize> Sqp<'w, N> {
                     if task.has_markers() {
                         reduce(&mut gradient, point.growth);
                     }
-                    add(j, i, index, clearance, gradient);
+                    if !add(j, i, index, clearance, gradient) {
+                        break 'window;
+                    }
                 }
             }
         }
+        self.count(self.rows.len() as u32 * self.prices.row);
     }
 
     /// Solves the quadratic program, and again with a larger rho if rows yield: rho was below their
@@ -358,14 +381,14 @@ impl<'w, const N: usize> Sqp<'w, N> {
     /// Solves the quadratic program in as many changes as a hard one takes, unless the budget ends
     /// first.
     fn solve_program(&mut self, quadratic: &Quadratic<N>) -> Answer<N> {
-        let progress = &mut self.progress;
-        let left = progress.budget.saturating_sub(progress.work);
+        let Progress {
+            budget, work, rho, ..
+        } = self.progress;
+        let left = budget.saturating_sub(work) / self.prices.change;
         let limit = left.min(QP_CHANGES_PER_VARIABLE * N as u32);
-        let answer = self
-            .program
-            .solve(quadratic, &mut self.rows, progress.rho, limit);
-        progress.qp_iterations += answer.iterations;
-        progress.work += answer.iterations;
+        let answer = self.program.solve(quadratic, &mut self.rows, rho, limit);
+        self.progress.qp_iterations += answer.iterations;
+        self.count(answer.iterations * self.prices.change + answer.looks * self.prices.look);
         answer
     }
 
@@ -427,6 +450,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
     /// the row was made.
     fn correct_rows(&mut self, problem: &Problem<'_>, step_taken: &[f64; N]) {
         let (task, margin) = (problem.task, problem.margin);
+        self.count(self.rows.len() as u32 * (self.prices.row + self.prices.look));
         for (row, source) in self.sources.iter().enumerate().take(self.rows.len()) {
             let Source {
                 step,
@@ -452,14 +476,14 @@ impl<'w, const N: usize> Sqp<'w, N> {
     /// Previews a plan with its derivatives and sums up cost and violations; `None` if it is
     /// impossible.
     fn outcome(&mut self, problem: &Problem<'_>, plan: [f64; N]) -> Option<Iterate<N>> {
-        self.progress.work += work::evaluation(self.preview.np());
+        self.count(self.prices.evaluation);
         if !self.preview.linearize(problem.task, problem.initial, &plan) {
             return None;
         }
         if !self.trace(problem, &plan) {
             return None;
         }
-        self.progress.work += self.inside.work();
+        self.count(self.prices.place * self.inside.count());
         let mut outcome = Outcome {
             cost: cost::value(problem, &self.preview, &plan),
             change: cost::change(problem, &plan),

@@ -4,12 +4,14 @@
 //! problems that begin inside an occlusion, and ten times that of those that begin clear of all,
 //! for windows of 3, 10 and 30 steps.
 
+use hw_sim::FreeCamera;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 use vpc::gate::{check_sense, check_shape};
-use vpc::work;
-use vpc::{Controller, Measurement, Settings, Task, constraint};
+use vpc::solver::Size;
+use vpc::work::Prices;
+use vpc::{Controller, Measurement, Settings, SettingsError, Strategy, Task, constraint};
 
 use crate::fixture::{repeats, speed, tell};
 
@@ -88,6 +90,9 @@ fn check(np: usize, problems: usize) {
     };
     let mut controller = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
     let task = controller.task().clone();
+    let prices = Prices::of(Size::of(&task, np, settings.nc));
+    let budget = prices.budget(settings.solver.max_iterations);
+    let bound = prices.decision(budget);
     let mut random = ChaCha8Rng::seed_from_u64(np as u64);
     // Of problems that begin clear of all occlusions, and of the others.
     let mut worked = [Vec::new(), Vec::new()];
@@ -104,12 +109,8 @@ fn check(np: usize, problems: usize) {
             continue;
         };
         assert!(speed(&step.twist) <= 1.0, "{points:?}: {:?}", step.twist);
-        // Two starts, each with its iterations and its share of the budget, which an iteration that
-        // has begun may pass by its expansion and the evaluations of its line search.
-        let iterations = settings.solver.max_iterations;
-        assert!(step.iterations <= 2 * iterations);
-        let beyond = work::expansion(np) + 13 * work::most_evaluation(np);
-        let bound = work::budget(np, iterations) + 2 * beyond;
+        // Two starts, each with its iterations and its share of the budget.
+        assert!(step.iterations <= 2 * settings.solver.max_iterations);
         assert!(step.work <= bound, "{points:?}: {} > {bound}", step.work);
         let inside = points
             .iter()
@@ -142,4 +143,119 @@ fn hard_problems_take_no_more_than_three_times_the_usual_work() {
     check(3, problems);
     check(10, longer);
     check(30, longer);
+}
+
+/// A scene with 8 points and 47 round or rounded parts between them.
+fn dense(exponent: f64) -> Scene {
+    let mut random = ChaCha8Rng::seed_from_u64(47);
+    let head = scene::PAPER_SIM.split_once("points =").unwrap().0;
+    let tail = scene::PAPER_SIM.split_once("[goal]").unwrap().1;
+    let tail = tail.split_once("# An occlusion").unwrap().0;
+    let corner = |k: u32| (std::f64::consts::TAU * (f64::from(k) + 0.5) / 8.0).sin_cos();
+    let points = (0..8)
+        .map(corner)
+        .map(|(y, x)| format!("[{}, {}, 0.0]", 0.2 * x, 0.2 * y));
+    let points = Vec::from_iter(points).join(", ");
+    let mut text = format!("{head}points = [{points}]\n\n[goal]{tail}");
+    // The goal has its points on a circle of this radius about the image's centre.
+    let circle = 800.0 * 0.2 / 0.6;
+    let mut part = || loop {
+        let [u, v] = [0, 1].map(|_| random.random_range(20.0..SIZE - 20.0));
+        let away: f64 = (u - 0.5 * SIZE).hypot(v - 0.5 * SIZE) - circle;
+        if away.abs() > 60.0 {
+            break format!(
+                "{{ center = [{u:.1}, {v:.1}], half = [12.0, 12.0], p = {exponent:?} }}"
+            );
+        }
+    };
+    for occlusion in 0..6 {
+        let parts = Vec::from_iter((0..if occlusion < 5 { 8 } else { 7 }).map(|_| part()));
+        let parts = parts.join(", ");
+        text += &format!("[[occlusion]]\nname = \"group {occlusion}\"\nparts = [{parts}]\n");
+    }
+    let scene = Scene::parse(&text, "dense.toml").unwrap();
+    assert_eq!((scene.pattern.len(), scene.parts().count()), (8, 47));
+    scene
+}
+
+#[test]
+fn thinking_ahead_is_bounded_by_what_a_step_costs() {
+    let starts = repeats("starts among 47 parts", 6, 100);
+    for (scene, np) in [
+        (Scene::parse(scene::PAPER_SIM, "sim").unwrap(), 3),
+        (Scene::parse(scene::PAPER_SIM, "sim").unwrap(), 30),
+        (dense(8.0), 3),
+        (dense(8.0), 10),
+        (dense(3.0), 10),
+    ] {
+        let settings = Settings {
+            strategy: Strategy::Foresight,
+            np,
+            ..Settings::default()
+        };
+        let mut law = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+        let task = law.task().clone();
+        let prices = Prices::of(Size::of(&task, np, 1));
+        // The step that passes the share of the period is the last.
+        let share = (0.2 * 1e9 * task.period) as u64;
+        let budget = prices.budget(settings.solver.max_iterations);
+        let most = share + 2 * u64::from(prices.decision(budget));
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        let (mut thought, mut greatest) = (0, 0);
+        for _ in 0..starts {
+            let start = memory_builder::start::draw(&scene, &mut random);
+            let mut camera = FreeCamera::new(&scene, &start);
+            law.reset();
+            for k in 0..60_u64 {
+                let now_ns = (k as f64 * task.period * 1e9).round() as u64;
+                let Ok(features) = camera.features() else {
+                    break;
+                };
+                let measured = Measurement::from_points(&features).taken(now_ns, now_ns);
+                let Ok(step) = law.step(&measured, None) else {
+                    break;
+                };
+                law.sent(&step.twist, now_ns);
+                law.think(None);
+                camera.advance(&step.twist, task.period);
+                let work = law.foreseen().work;
+                assert!(work <= most, "np {np}: {work} > {most}");
+                greatest = greatest.max(work);
+                thought += u32::from(law.foreseen().simulated > 0);
+            }
+        }
+        tell(format!(
+            "np {np}, {} points, {} parts: {:.1} ms of counted work in a cycle at most, of a period of {:.1} ms",
+            task.pattern.len(),
+            task.parts.len(),
+            1e-6 * greatest as f64,
+            1e3 * task.period
+        ));
+        assert!(thought > 5, "np {np}: {thought}");
+    }
+}
+
+#[test]
+fn a_window_that_the_period_has_no_room_for_is_refused_with_one_that_fits() {
+    let settings = |np| Settings {
+        strategy: Strategy::Foresight,
+        np,
+        nc: 2,
+        ..Settings::default()
+    };
+    let mut scene = dense(3.0);
+    scene.camera.rate_hz = 120.0;
+    let new = |np| Controller::new(&scene, settings(np), |len| vec![0.0; len]).map(|_| ());
+    let Err(SettingsError::Window { most, .. }) = new(40) else {
+        unreachable!("np 40 has no room");
+    };
+    assert!((2..40).contains(&most), "{most}");
+    assert_eq!(new(most), Ok(()));
+    let refused = new(most + 1).unwrap_err().to_string();
+    let words = format!("np = {} with nc = 2, 8 points, 47 parts", most + 1);
+    assert!(refused.starts_with(&words), "{refused}");
+    assert!(
+        refused.contains(&format!("np of at most {most}")),
+        "{refused}"
+    );
 }
