@@ -4,6 +4,7 @@
 
 use ipc::{
     Action, CycleFlags, CycleRecord, Features, Outcome, Reply, Request, Stamp, StrategyCode,
+    TwistState,
 };
 use serde::{Deserialize, Serialize};
 
@@ -110,6 +111,9 @@ impl ControlStep {
             // Whatever else it says: a stop is a stop.
             (Some(action), _) => self.supervisor.request(action),
         };
+        if (request.action(), outcome) == (Some(Action::Arm), Outcome::Done) {
+            self.loaded.controller.be_patient();
+        }
         self.reply(request, cycle, outcome)
     }
 
@@ -232,9 +236,17 @@ impl ControlStep {
             Verdict::Step { features, link } => {
                 (record.count, record.points) = (features.count, features.points);
                 let effective_ns = self.effective_ns(&features.stamp, inputs.now_ns);
-                let decision = law::decide(&mut self.loaded, &features, effective_ns, link, record);
+                let has_arrived = self.standing.decision.state == TwistState::Arrived;
+                let decision = law::decide(
+                    &mut self.loaded,
+                    &features,
+                    effective_ns,
+                    link,
+                    has_arrived,
+                    record,
+                );
                 match decision.hold {
-                    None => self.gate.approve(),
+                    None | Some(HoldReason::NoWay) => self.gate.approve(),
                     Some(reason) => _ = self.gate.hold(reason),
                 }
                 self.standing = Answer {

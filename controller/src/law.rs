@@ -1,23 +1,30 @@
 //! What to command: one step of the law, and a last check of its twist.
 
 use ipc::{CycleRecord, Features, TwistState};
-use scene::Limits;
+use scene::{Limits, Scene};
 
 use crate::contract;
 use crate::decision::{Decision, HoldReason};
 use crate::gate::Link;
 use crate::loaded::LoadedController;
 
+/// A twist whose components are all below this share of their limits is near zero: ten times the
+/// changes by which a camera with a noise of 0.3 px regulates.
+const AT_REST: f64 = 0.05;
+/// A camera that has arrived leaves the goal when the error is this multiple of the threshold of convergence.
+const LEAVES: f64 = 2.0;
 /// Rounding that a command may have beyond the limits, as a share of them.
 const ROUNDING: f64 = 1e-9;
 
 /// Decides what to command on these features by a command that takes effect at `effective_ns`, on
-/// the clock of their exposure; the numbers of the step go into `record`. Never allocates.
+/// the clock of their exposure; the numbers of the step go into `record`. `had_arrived` is whether
+/// the last decision was [`TwistState::Arrived`]. Never allocates.
 pub fn decide(
     loaded: &mut LoadedController,
     features: &Features,
     effective_ns: u64,
     link: Link,
+    had_arrived: bool,
     record: &mut CycleRecord,
 ) -> Decision {
     match link {
@@ -36,15 +43,29 @@ pub fn decide(
     if !is_within(&step.twist, &loaded.scene().limits) {
         return Decision::hold(HoldReason::BadTwist);
     }
-    let has_arrived = step.error_px < loaded.scene().success.convergence_px;
+    if step.stands {
+        return Decision::hold(HoldReason::NoWay);
+    }
+    let had_arrived = had_arrived && link != Link::New;
     Decision {
         twist: step.twist,
-        state: match has_arrived {
+        state: match has_arrived(&step, loaded.scene(), had_arrived) {
             true => TwistState::Arrived,
             false => TwistState::Moving,
         },
         hold: None,
     }
+}
+
+/// Whether the camera has arrived: it is at the goal and all but at rest; and from then on until it
+/// is clearly away.
+fn has_arrived(step: &vpc::Step, scene: &Scene, had_arrived: bool) -> bool {
+    let threshold_px = scene.success.convergence_px;
+    if had_arrived {
+        return step.error_px < LEAVES * threshold_px;
+    }
+    let mut pairs = step.twist.iter().zip(scene.limits.velocity());
+    step.error_px < threshold_px && pairs.all(|(v, limit)| v.abs() <= AT_REST * limit)
 }
 
 /// The last check of a command before it is sent, independent of the law. A NaN is not within the
@@ -83,12 +104,34 @@ mod tests {
         let mut law = law();
         let mut record = CycleRecord::default();
         let (far, near) = (features(&law, 60.0), features(&law, 0.0));
-        let decision = decide(&mut law, &far, 0, Link::New, &mut record);
+        let decision = decide(&mut law, &far, 0, Link::New, false, &mut record);
         assert_eq!((decision.state, decision.hold), (TwistState::Moving, None));
         assert!(decision.twist.iter().any(|v| v.abs() > 1e-3));
         assert!((record.error_px - 60.0).abs() < 1e-6 && record.cost > 0.0);
-        let decision = decide(&mut law, &near, 0, Link::New, &mut record);
+        let decision = decide(&mut law, &near, 0, Link::New, false, &mut record);
         assert_eq!(decision.state, TwistState::Arrived);
+    }
+
+    #[test]
+    fn it_arrives_at_rest_and_leaves_when_it_is_clearly_away() {
+        let mut law = law();
+        let mut state = |offset: f64, had_arrived: bool| {
+            let features = features(&law, offset);
+            let record = &mut CycleRecord::default();
+            decide(&mut law, &features, 0, Link::Next, had_arrived, record).state
+        };
+        // The threshold is 2 px.
+        assert_eq!(state(0.5, false), TwistState::Arrived);
+        assert_eq!(state(3.0, false), TwistState::Moving);
+        assert_eq!(state(3.0, true), TwistState::Arrived);
+        assert_eq!(state(5.0, true), TwistState::Moving);
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let mut step = law
+            .step(&contract::measurement(&features(&law, 1.0), 0))
+            .unwrap();
+        assert!(step.error_px < 2.0);
+        step.twist = [0.0, 0.0, 0.1 * scene.limits.linear, 0.0, 0.0, 0.0];
+        assert!(!has_arrived(&step, &scene, false) && has_arrived(&step, &scene, true));
     }
 
     #[test]
@@ -111,7 +154,14 @@ mod tests {
             (mixed, HoldReason::Mixed),
             (zeros, HoldReason::Mixed),
         ] {
-            let decision = decide(&mut law, &bad, 0, Link::Next, &mut CycleRecord::default());
+            let decision = decide(
+                &mut law,
+                &bad,
+                0,
+                Link::Next,
+                false,
+                &mut CycleRecord::default(),
+            );
             assert_eq!(decision, Decision::hold(cause));
         }
     }
@@ -135,6 +185,7 @@ mod tests {
             &Features::new(&points, 0),
             0,
             Link::New,
+            false,
             &mut record,
         );
         assert_eq!(decision, Decision::hold(HoldReason::Solver));
@@ -149,7 +200,7 @@ mod tests {
         // The instant of the exposure is not known: it is no later than this.
         far.stamp.published_ns = 30;
         let step = |law: &mut LoadedController| {
-            decide(law, &far, 50, Link::New, &mut CycleRecord::default())
+            decide(law, &far, 50, Link::New, false, &mut CycleRecord::default())
         };
         assert_eq!(step(&mut law), Decision::hold(HoldReason::Stale));
         law.controller.sent(&[0.0; 6], 0);
@@ -174,6 +225,7 @@ mod tests {
                 &frame,
                 k * PERIOD,
                 Link::Next,
+                false,
                 &mut CycleRecord::default(),
             );
             holds.push(decision.hold);
@@ -188,6 +240,7 @@ mod tests {
                 &frame,
                 k * PERIOD,
                 Link::Next,
+                false,
                 &mut CycleRecord::default(),
             )
             .hold
@@ -215,6 +268,7 @@ mod tests {
                 &frame,
                 k * PERIOD,
                 Link::Next,
+                false,
                 &mut CycleRecord::default(),
             )
             .hold

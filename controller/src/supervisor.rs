@@ -9,8 +9,8 @@
 //! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, overruns, bad
 //!   twist, solver failure, frozen image, features lost.
 //! - *Brake, go on with the next good features*: no robot yet; features stale, invalid, hidden,
-//!   miscounted, not finite, off the image, mixed up, out of order; transport; a solver that failed
-//!   once or twice.
+//!   miscounted, not finite, off the image, mixed up, out of order; transport; no way known; a solver
+//!   that failed once or twice.
 //!
 //! Each list begins with its gravest cause. Features are *lost* if the law could use none for
 //! [`Rules::lost_ns`]. After a response the law's twist is taken up again as steeply as it is
@@ -222,7 +222,8 @@ impl Supervisor {
         if situation.robot.is_some() {
             return Outcome::Robot;
         }
-        if situation.decision.hold.is_some() {
+        // Where no way is known it may be armed, and tries again.
+        if (situation.decision.hold).is_some_and(|reason| reason != HoldReason::NoWay) {
             return Outcome::NoFeatures;
         }
         (self.overruns, self.failures) = (0, 0);
@@ -393,7 +394,8 @@ fn response(cause: HoldReason) -> Response {
         | HoldReason::OffImage
         | HoldReason::Transport
         | HoldReason::Mixed
-        | HoldReason::Order => Response::Wait,
+        | HoldReason::Order
+        | HoldReason::NoWay => Response::Wait,
     }
 }
 

@@ -143,6 +143,9 @@ codes! {
         NoRobot = 25 => "no robot",
         /// What the robot says it carries out is not what it was commanded.
         NotFollowed = 26 => "not followed",
+        /// Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
+        /// found.
+        NoWay = 27 => "no way known",
     }
 }
 

@@ -95,8 +95,9 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
                     tally.allocations += allocations;
                     let Some(record) = record else { continue };
                     tally.stepped += u64::from(record.status != 0);
-                    tally.recalled +=
-                        u64::from(record.recalled == ipc::RecallCode::Followed.code());
+                    // Foresight asks for samples in its simulations.
+                    let is_followed = record.recalled == ipc::RecallCode::Followed.code();
+                    tally.recalled += u64::from(is_followed || record.candidates > 0);
                 }
             }
             cycle.stop().unwrap();

@@ -5,8 +5,9 @@ use scene::Scene;
 use crate::command::{Law, Present, repeated};
 use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
-use crate::foresight::{Foresight, Thinker};
+use crate::foresight::{FAR, Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
+use crate::patience::Patience;
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::problem::Status;
@@ -59,6 +60,9 @@ const HORIZON: f64 = 0.5;
 pub struct Step {
     /// The camera twist to send.
     pub twist: Twist,
+    /// Whether it only brakes and stands, because no way is known and nothing has improved
+    /// ([`crate::patience`]).
+    pub stands: bool,
     /// How the solver ended.
     pub status: Status,
     /// Whether the memory was asked, and what became of it.
@@ -275,6 +279,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         self.state.still_px = 0.0;
     }
 
+    /// Tries again where no way is known, as an operator asks for.
+    pub fn be_patient(&mut self) {
+        self.state.patience = Patience::NEW;
+    }
+
     /// Forgets the prediction for this cycle, where the last command was not in force for one
     /// sampling time (a dropped frame, a skipped period): the mismatch would not be the model's.
     pub fn skip_mismatch(&mut self) {
@@ -292,6 +301,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         memory: Option<&dyn MotionMemory>,
     ) -> Result<Step, Refusal> {
         self.root = None;
+        let is_linked = self.state.is_linked;
         let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
             self.skip_mismatch();
             self.state.previous = [0.0; MAX_VARIABLES];
@@ -300,6 +310,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         let clearance_px = recall::clearance(&self.task, &initial);
         let mut step = Step {
             twist: [0.0; DOF],
+            stands: false,
             status: Status::Converged,
             asked: Asked::Not,
             way_point: None,
@@ -311,8 +322,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             clearance_px,
             error_px: features::largest_error(points, &self.task.goal),
         };
+        let is_foresight = self.settings.strategy == Strategy::Foresight;
+        let stands = is_foresight && self.loses_patience(step.error_px, is_linked);
         match self.settings.strategy {
             Strategy::Ibvs => self.servo(&initial, &mut step),
+            Strategy::Foresight if stands => {
+                let (task, standing) = (&self.task, &self.state.standing);
+                step.stands = true;
+                step.twist = limit::approach(&[0.0; DOF], standing, task, task.period);
+                self.state.previous = repeated(&step.twist);
+            }
             Strategy::Foresight => {
                 let guide = &mut self.state.foresight.guide;
                 let tracked =
@@ -349,6 +368,21 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         self.root = Some(initial);
         self.spent = step.cost / self.settings.np as f64;
         Ok(step)
+    }
+
+    /// Whether the camera is to stand, because no way is known and nothing has improved. What
+    /// another twist than the law's did does not count.
+    fn loses_patience(&mut self, error_px: f64, is_linked: bool) -> bool {
+        let State {
+            foresight,
+            patience,
+            ..
+        } = &mut self.state;
+        let has_hope = foresight.knows_a_way() || error_px < FAR * self.converged_px;
+        if is_linked || has_hope {
+            patience.pass(error_px, has_hope, self.task.period);
+        }
+        patience.is_over()
     }
 
     /// Where the preview starts: the features that pass all checks, filtered, and advanced to the

@@ -37,7 +37,7 @@ const BETTER: f64 = 0.97;
 const NEARER: f64 = 0.9;
 /// Errors below this multiple of the threshold of convergence are regulation around the goal: the
 /// goal is tracked.
-const FAR: f64 = 10.0;
+pub(crate) const FAR: f64 = 10.0;
 /// Every other sample is one of so many nearest ones.
 const RANKS: f64 = 63.0;
 /// A step aside shifts the features by at most this share of the image width,
@@ -166,6 +166,11 @@ pub struct Foresight {
 }
 
 impl Foresight {
+    /// Whether what is followed arrives.
+    pub fn knows_a_way(&self) -> bool {
+        matches!(self.outcome, Outcome::Arrives { .. })
+    }
+
     /// Before the first cycle.
     pub const NONE: Self = Self {
         guide: Guide::GOAL,

@@ -71,6 +71,7 @@ pub mod limit;
 pub mod measurement;
 pub mod motion;
 pub mod obstacle;
+pub mod patience;
 pub mod pose;
 pub mod prediction;
 pub mod problem;

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::delay::History;
 use crate::features::PlainPoints;
 use crate::foresight::Foresight;
+use crate::patience::Patience;
 use crate::pose::Tilt;
 use crate::prediction::Plan;
 use crate::strategy::Strategy;
@@ -21,6 +22,8 @@ pub struct State {
     pub near: bool,
     /// What is followed.
     pub foresight: Foresight,
+    /// How long nothing has improved.
+    pub patience: Patience,
     /// The last plan, vx vy vz wx wy wz of each free command, m/s and rad/s, camera frame; the rest
     /// is zero.
     pub previous: Plan,
@@ -53,6 +56,7 @@ impl State {
             strategy,
             near: false,
             foresight: Foresight::NONE,
+            patience: Patience::NEW,
             previous: [0.0; MAX_VARIABLES],
             predicted: PlainPoints::NONE,
             predicted_tilt: None,

@@ -39,7 +39,8 @@ enum vpc_state {
     VPC_STATE_STOPPED = 0,
     // On the way to the goal.
     VPC_STATE_MOVING = 1,
-    // The image error is below the scene's convergence threshold; the controller keeps regulating.
+    // The image error is below the scene's convergence threshold and the twist near zero; it stays
+    // so until the error is twice the threshold. The controller keeps regulating.
     VPC_STATE_ARRIVED = 2,
     // Features are missing, stale or refused; the twist is zero until good ones come.
     VPC_STATE_HOLDING = 3,
@@ -170,6 +171,9 @@ enum vpc_hold {
     VPC_HOLD_NO_ROBOT = 25,
     // What the robot says it carries out is not what it was commanded.
     VPC_HOLD_NOT_FOLLOWED = 26,
+    // Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
+    // found.
+    VPC_HOLD_NO_WAY = 27,
 };
 
 // What foresight follows.

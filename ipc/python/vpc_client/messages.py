@@ -20,7 +20,8 @@ class TwistState(Code):
     STOPPED = 0, "stopped"
     # On the way to the goal.
     MOVING = 1, "moving"
-    # The image error is below the scene's convergence threshold; the controller keeps regulating.
+    # The image error is below the scene's convergence threshold and the twist near zero; it stays
+    # so until the error is twice the threshold. The controller keeps regulating.
     ARRIVED = 2, "arrived"
     # Features are missing, stale or refused; the twist is zero until good ones come.
     HOLDING = 3, "holding"
@@ -157,6 +158,9 @@ class Hold(Code):
     NO_ROBOT = 25, "no robot"
     # What the robot says it carries out is not what it was commanded.
     NOT_FOLLOWED = 26, "not followed"
+    # Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
+    # found.
+    NO_WAY = 27, "no way known"
 
 
 class ForesightCode(Code):

@@ -189,6 +189,9 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::NotFollowed => {
             "see why the robot does not move as commanded (its mode, its limits, the frames of its client), then `vpcctl arm`"
         }
+        Hold::NoWay => {
+            "give a memory, one of more trajectories, or more law.foresight_steps; or bring the camera elsewhere by hand"
+        }
         Hold::Unclean => "find out why it ended (its log, `journalctl`), then `vpcctl arm`",
         Hold::None | Hold::Transport | Hold::BadTwist | Hold::Solver | Hold::Shutdown => {
             "see the daemon's log"
