@@ -1,6 +1,7 @@
-//! Test fixtures that several crates share. A dev-dependency only.
+//! Test fixtures that several crates share: for tests, and for the programs of `system-tests`.
 //!
 //! - [`Place`]: a temporary directory with a domain in it.
+//! - [`command`]: what every process is started by, so that it ends with this one.
 //! - [`program`], [`Running`], [`ended`]: programs of this workspace as processes.
 //! - [`eventually`]: waits for a condition.
 //! - [`c`]: programs in C.
@@ -14,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 pub mod c;
+mod guardian;
 pub mod node;
 mod place;
 mod process;
@@ -23,10 +25,11 @@ pub mod python;
 use std::fmt::Display;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+pub use guardian::{command, end_children};
 pub use place::Place;
 pub use process::{Ended, Running, ended};
 pub use program::{program, target_directory};
@@ -87,7 +90,7 @@ pub fn are_installed(what: &str, programs: &[&str]) -> bool {
 }
 
 fn is_installed(program: &str) -> bool {
-    let found = Command::new("sh")
+    let found = crate::command("sh")
         .args([
             "-c",
             "PATH=$PATH:/usr/sbin:/sbin command -v \"$0\"",

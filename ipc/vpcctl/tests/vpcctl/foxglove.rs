@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -111,7 +111,7 @@ struct Stage {
 
 impl Stage {
     fn start(&self, name: &str, words: &[&str]) -> Running {
-        let mut command = Command::new(program(name));
+        let mut command = testkit::command(program(name));
         command.arg("--domain").arg(self.place.domain()).args(words);
         command
             .current_dir(root())
@@ -178,7 +178,7 @@ fn isometry(value: &Value, [at, turn]: [&str; 2]) -> Isometry3<f64> {
 #[test]
 fn foxgloves_own_client_reads_what_the_daemon_does() {
     let place = Place::new();
-    let mut server = Command::new(env!("CARGO_BIN_EXE_vpcctl"));
+    let mut server = testkit::command(env!("CARGO_BIN_EXE_vpcctl"));
     server.arg("--domain").arg(place.domain());
     server.args([
         "serve",
