@@ -50,7 +50,10 @@ pub fn tell(line: impl Display) {
 /// # Panics
 /// With `VPC_STRICT=1`, unless `VPC_STRICT_EXCEPT` has a phrase of the reason.
 pub fn not_run(what: &str, why: impl Display) {
-    let line = format!("NOT RUN: {what}: {why}");
+    // The harness names the thread of a test after it; `.ci/run` reads that.
+    let thread = std::thread::current();
+    let test = thread.name().unwrap_or("main");
+    let line = format!("NOT RUN ({test}): {what}: {why}");
     let except = std::env::var("VPC_STRICT_EXCEPT").unwrap_or_default();
     let mut phrases = except.split(',').filter(|phrase| !phrase.is_empty());
     let is_excepted = phrases.any(|phrase| line.contains(phrase));
