@@ -24,11 +24,11 @@ use crate::usage::Usage;
 /// How long before its release a cycle is rehearsed, ns: several times what a decision takes, and
 /// so short that nobody else uses the caches in between.
 const REHEARSAL_NS: u64 = 300_000;
-/// Rounds of polling in lockstep that only yield, before polling sleeps.
-const YIELDS: u32 = 100;
-/// Sleep between two polls in lockstep, ns.
+/// Time in lockstep for which polling only yields, before it sleeps, ns.
+const YIELD_NS: u64 = 150_000;
+/// Shortest sleep between two polls in lockstep, ns.
 const POLL_NS: u64 = 20_000;
-/// Longest wait in lockstep before the stop flag is checked, ns.
+/// Longest wait in lockstep before the stop flag is checked, and longest sleep, ns.
 const WAIT_NS: u64 = 5_000_000;
 
 /// Longest time without new features for which commands may be valid, s, and the periods that are
@@ -130,6 +130,12 @@ impl Pace {
     }
 }
 
+/// Sleep before the next poll in lockstep, after so long a wait, ns: an eighth of it, so that a
+/// camera waits little longer for the answer than the answer for its frame.
+fn pause_ns(waited_ns: u64) -> u64 {
+    (waited_ns / 8).clamp(POLL_NS, WAIT_NS)
+}
+
 /// Whether a request that leads to motion has waited for too long, in a loop that hung perhaps, or
 /// is from the future. Those that end it are never late.
 fn is_late(request: &Request, now_ns: u64) -> bool {
@@ -165,6 +171,8 @@ pub struct Cycle {
     replies: Vec<Reply, REPLIES>,
     /// The thread's counters when it woke up.
     woken: Usage,
+    /// Lockstep: since when it waits for a message, ns.
+    waits_since_ns: Option<u64>,
 }
 
 impl Cycle {
@@ -199,6 +207,7 @@ impl Cycle {
             requests: 0,
             replies: Vec::new(),
             woken: Usage::now(),
+            waits_since_ns: None,
             pace,
         }
     }
@@ -299,28 +308,32 @@ impl Cycle {
         (woken_ns, features)
     }
 
-    /// Lockstep: polls for a message. A repeated one was answered already.
+    /// Lockstep: polls for a message, the less often the longer none comes. A repeated one was
+    /// answered already.
     fn poll(&mut self) -> Option<(u64, Input<Features>)> {
-        let end_ns = now_ns() + WAIT_NS;
+        let begin_ns = now_ns();
+        let since_ns = *self.waits_since_ns.get_or_insert(begin_ns);
         let is_fifo =
             self.pace.realtime.has(RealTime::ASKED) && !self.pace.realtime.has(RealTime::NO_FIFO);
-        let mut polls = if is_fifo { YIELDS } else { 0 };
         loop {
             let woken_ns = now_ns();
             self.woken = Usage::now();
             match self.ports.features.latest() {
                 Ok(None) => (),
                 Ok(Some(received)) if received.order == Order::Repeated => (),
-                received => return Some((woken_ns, received.into())),
+                received => {
+                    self.waits_since_ns = None;
+                    return Some((woken_ns, received.into()));
+                }
             }
-            if woken_ns >= end_ns {
+            if woken_ns >= begin_ns + WAIT_NS {
                 return None;
             }
-            if polls < YIELDS {
-                polls += 1;
+            let waited_ns = woken_ns - since_ns;
+            if waited_ns < YIELD_NS && !is_fifo {
                 std::thread::yield_now();
             } else {
-                sleep_until(now_ns() + POLL_NS);
+                sleep_until(woken_ns + pause_ns(waited_ns));
             }
         }
     }
@@ -451,6 +464,13 @@ impl Cycle {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lockstep_polls_a_fast_camera_often_and_a_silent_one_seldom() {
+        assert_eq!(pause_ns(0), 20_000);
+        assert_eq!(pause_ns(8_000_000), 1_000_000);
+        assert_eq!(pause_ns(3_600_000_000_000), 5_000_000);
+    }
 
     #[test]
     fn only_what_moves_the_camera_can_be_late() {

@@ -11,7 +11,7 @@ use testkit::{Ended, Place, Running, eventually};
 
 /// `hw-sim` in the domain of a place with the default configuration, and some more words.
 fn hw_sim(place: &Place, words: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_hw-sim"));
+    let mut command = testkit::command(env!("CARGO_BIN_EXE_hw-sim"));
     command
         .arg("--config")
         .arg(testkit::root().join("hw-sim/hw-sim.toml"))
@@ -109,7 +109,7 @@ fn what_it_cannot_start_with_is_named_with_its_exit_code() {
     assert_eq!(code, 78, "{said}");
     assert_eq!(said.matches("no joint positions").count(), 1, "{said}");
     for (file, part) in [(unknown, "noise"), (broken, "line 1")] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_hw-sim"));
+        let mut command = testkit::command(env!("CARGO_BIN_EXE_hw-sim"));
         let (code, said) = testkit::ended(command.args(["--config", file])).log();
         assert_eq!(code, 78, "{file}: {said}");
         assert!(said.contains(part) && said.contains(file), "{said}");
@@ -258,7 +258,7 @@ fn rendered_images_go_out_in_lockstep_and_twists_that_answer_them_end_the_run() 
         .unwrap();
     let starts = place.file("starts.csv", "tx,ty,tz,rx,ry,rz\n0,-0.01,0.35,0,0,0\n");
     let config = testkit::root().join("hw-sim/hw-sim-tags.toml");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_hw-sim"));
+    let mut command = testkit::command(env!("CARGO_BIN_EXE_hw-sim"));
     command.arg("--config").arg(config);
     command.arg("--domain").arg(place.domain());
     command.arg("--starts").arg(starts);

@@ -191,7 +191,6 @@ fn read(file: &File) -> io::Result<(Content, Option<Content>)> {
 
 #[cfg(test)]
 mod tests {
-    use std::process::Command;
 
     use super::*;
 
@@ -255,7 +254,7 @@ mod tests {
         let domain = tempfile::tempdir().unwrap();
         let mut controller = StopFile::open(domain.path()).unwrap();
         let shell = |line: &str| {
-            let mut shell = Command::new("sh");
+            let mut shell = testkit::command("sh");
             let status = shell.args(["-c", line]).current_dir(domain.path()).status();
             assert!(status.unwrap().success(), "{line}");
         };

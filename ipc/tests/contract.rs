@@ -41,7 +41,7 @@ fn square(offset: f64) -> Features {
 fn peer(role: &str, place: &Place, tool: Option<Command>) -> Command {
     let this = std::env::current_exe().unwrap();
     let mut peer = tool.map_or_else(
-        || Command::new(&this),
+        || testkit::command(&this),
         |mut tool| {
             tool.arg(&this);
             tool

@@ -1,12 +1,10 @@
-//! Child processes that end with this program, however it ends.
+//! Child processes of a program that heeds signals.
 //!
-//! SIGINT, SIGTERM and SIGHUP end the children in order and remove the directories that they work
-//! in. After SIGKILL or a crash the kernel sends each child a SIGTERM, on which `vpcd` and `hw-sim`
-//! leave their domain as they do otherwise.
+//! SIGINT, SIGTERM and SIGHUP end the children in order, remove the directories that they work in,
+//! and end what the children had started. After SIGKILL or a crash the guardian of
+//! [`testkit::command`] ends the processes; the directories stay.
 
-use std::ffi::OsStr;
 use std::io::Read;
-use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, ExitStatus};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,7 +13,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::root;
@@ -31,7 +29,7 @@ pub struct Children(Mutex<State>);
 
 #[derive(Debug, Default)]
 struct State {
-    /// Process groups, by their leaders, which have not been waited for.
+    /// Those that have not been waited for.
     running: Vec<Pid>,
     places: usize,
     /// A signal has arrived: no more children are started.
@@ -67,6 +65,8 @@ pub fn attended(
                 while children.state().places > 0 && begin.elapsed() < PATIENCE {
                     thread::sleep(LOOK);
                 }
+                // Compilers, for instance, which cargo leaves behind.
+                testkit::end_children();
                 // The shell sees what it died of.
                 let _ = signal_hook::low_level::emulate_default_handler(signal as i32);
             }
@@ -89,13 +89,6 @@ fn is_ignored(signal: i32) -> bool {
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
-/// What [`Children::start`] takes: a command whose process the kernel ends with this one.
-pub fn command(program: impl AsRef<OsStr>) -> Command {
-    let mut command = Command::new("setpriv");
-    command.args(["--pdeathsig", "TERM", "--"]).arg(program);
-    command
-}
-
 /// Whether a child that has not been waited for has ended by then.
 fn has_ended(child: Pid, by: Instant) -> bool {
     loop {
@@ -111,10 +104,10 @@ fn has_ended(child: Pid, by: Instant) -> bool {
     }
 }
 
-/// Sends a signal to a child and all that it started.
+/// Sends a signal to a child that has not been waited for.
 fn signal(child: Pid, signal: Signal) {
-    // An error means that nobody is left.
-    let _ = kill_process_group(child, signal);
+    // An error means that it is gone.
+    let _ = kill_process(child, signal);
 }
 
 impl Children {
@@ -122,8 +115,7 @@ impl Children {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a command of [`command`]; `name` is for messages. The thread that calls must outlive
-    /// the child, because the kernel takes the thread for the parent.
+    /// Starts a command of [`testkit::command`]; `name` is for messages.
     ///
     /// # Errors
     /// It cannot be started, or this program is ending.
@@ -132,7 +124,7 @@ impl Children {
         if state.is_ending {
             bail!("cannot start {name}: a signal has ended this program");
         }
-        let child = command.process_group(0).spawn();
+        let child = command.spawn();
         let child = child.with_context(|| format!("cannot start {name}"))?;
         state.running.push(Pid::from_child(&child));
         Ok(Running {
@@ -165,7 +157,7 @@ impl Children {
 
     fn cargo_build<'a>(&self, what: impl Iterator<Item = &'a str>) -> anyhow::Result<PathBuf> {
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let mut build = command(cargo);
+        let mut build = testkit::command(cargo);
         build.current_dir(root()).arg("build").args(what);
         if !cfg!(debug_assertions) {
             build.arg("--release");

@@ -15,7 +15,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use crate::children::{self, Children};
+use crate::children::Children;
 use crate::flags::Common;
 use crate::spec::Spec;
 
@@ -187,7 +187,7 @@ impl Trio<'_> {
             _ => "fr3",
         };
         let begin = |name: &'static str, arguments: &[&str]| {
-            let mut command = children::command(self.programs.join(name));
+            let mut command = testkit::command(self.programs.join(name));
             command.args(arguments).arg("--domain").arg(path("domain"));
             command.stdout(fs::File::create(path(&format!("{name}.out")))?);
             command.stderr(fs::File::create(path(&format!("{name}.err")))?);

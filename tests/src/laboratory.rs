@@ -17,7 +17,7 @@ use scene::Scene;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::children::{self, Children, Running};
+use crate::children::{Children, Running};
 use crate::film::Film;
 use crate::flaw::Flaw;
 use crate::row::wilson;
@@ -277,7 +277,7 @@ impl Laboratory<'_> {
 
     fn begin(&self, name: &'static str) -> anyhow::Result<Running<'_>> {
         let path = |name: &str| self.place.join(name);
-        let mut command = children::command(self.setup.programs.join(name));
+        let mut command = testkit::command(self.setup.programs.join(name));
         command
             .arg("--config")
             .arg(path(&format!("{name}.toml")))

@@ -9,7 +9,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, bail};
 
-use crate::children::{self, Children};
+use crate::children::Children;
 
 /// Where starts or a memory come from.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,7 +80,7 @@ impl Source {
         let programs = children.build(&["vpc-memory"])?;
         fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
         let path = directory.join(command);
-        let mut maker = children::command(programs.join("vpc-memory"));
+        let mut maker = testkit::command(programs.join("vpc-memory"));
         maker.arg(command).arg(scene).arg("-o").arg(&path);
         maker.args([number, &count, "--seed", &seed]);
         // Standard output is the caller's.

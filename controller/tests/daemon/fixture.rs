@@ -74,7 +74,7 @@ pub fn write_memory(scene: &Scene, path: &Path, random: &mut impl Rng) {
 
 /// The daemon's command.
 pub fn vpcd() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_vpcd"))
+    testkit::command(env!("CARGO_BIN_EXE_vpcd"))
 }
 
 /// The daemon in a domain, with the paper's scene, armed.

@@ -2,7 +2,7 @@
 
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use hw_sim::FreeCamera;
 use ipc::{
@@ -121,6 +121,34 @@ fn lockstep_answers_each_message_exactly_once_and_says_what_it_did() {
         assert!(record.error_px > 0.0 && record.step_ns > 0 && record.hold() == Some(Hold::None));
     }
     assert_eq!(bench.observer.cycles.oldest().unwrap(), None);
+}
+
+/// Processor time of a process, s. Linux counts it in hundredths.
+fn processor_s(id: u32) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap();
+    let (_, fields) = stat.rsplit_once(") ").unwrap();
+    // The first field behind the name is the third of all; these are the 14th and the 15th.
+    let ticks = fields.split(' ').skip(11).take(2);
+    let ticks: u32 = ticks.map(|field| field.parse::<u32>().unwrap()).sum();
+    f64::from(ticks) / 100.0
+}
+
+#[test]
+fn in_lockstep_a_loop_without_a_camera_sleeps_and_still_hears_one() {
+    let mut bench = Bench::new();
+    let daemon = bench.start(&["--clock", "lockstep"]);
+    let features = bench.features();
+    bench.ask(&features);
+    // Sleeps become longer with the silence.
+    std::thread::sleep(Duration::from_millis(500));
+    let (begin, before) = (Instant::now(), processor_s(daemon.id()));
+    std::thread::sleep(Duration::from_secs(2));
+    let share = (processor_s(daemon.id()) - before) / begin.elapsed().as_secs_f64();
+    // An even pace of 20 us uses 0.2 to 0.5.
+    assert!(share < 0.05, "{share} of a processor");
+    let features = bench.features();
+    assert_eq!(bench.ask(&features).state(), Some(TwistState::Moving));
+    assert_eq!(daemon.terminated().code, Some(0));
 }
 
 #[test]

@@ -10,15 +10,15 @@ use crate::fixture::{Place, ended, not_run, scene_file, vpcd, vpcd_in};
 /// capabilities. None if they cannot be dropped.
 fn without_rights(command: &Command) -> Option<Command> {
     if !rustix::process::geteuid().is_root() {
-        let mut same = Command::new(command.get_program());
+        let mut same = testkit::command(command.get_program());
         same.args(command.get_args());
         return Some(same);
     }
-    let mut less = Command::new("setpriv");
+    let mut less = testkit::command("setpriv");
     less.args(["--bounding-set", "-sys_nice,-ipc_lock", "--", "prlimit"]);
     less.args(["--rtprio=0", "--memlock=8388608", "--"]);
     less.arg(command.get_program()).args(command.get_args());
-    let mut probe = Command::new("setpriv");
+    let mut probe = testkit::command("setpriv");
     probe.args([
         "--bounding-set",
         "-sys_nice,-ipc_lock",

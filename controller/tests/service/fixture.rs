@@ -37,7 +37,7 @@ impl Place {
 
 /// The daemon's command, without the environment of a service.
 pub fn vpcd() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_vpcd"));
+    let mut command = testkit::command(env!("CARGO_BIN_EXE_vpcd"));
     for name in [
         "NOTIFY_SOCKET",
         "WATCHDOG_USEC",

@@ -6,7 +6,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -111,9 +111,9 @@ impl Machine {
         let stage = Stage::new(place.path("stage"));
         install(&stage);
         // The shell enters the cgroup before the namespace is made, so that it becomes its root.
-        let script = r#"echo $$ > "$2/cgroup.procs" && exec timeout --signal=KILL 300 \
+        let script = r#"echo $$ > "$2/cgroup.procs" && exec timeout --foreground --signal=KILL 300 \
             unshare --fork --kill-child --pid --mount --uts --ipc --cgroup sh "$3" "$1" "$2""#;
-        let mut boot = Command::new("/bin/sh")
+        let mut boot = testkit::command("/bin/sh")
             .args(["-c", script, "boot"])
             .args([&stage.0, &cgroup.0])
             .arg(root().join("controller/tests/service/boot.sh"))
@@ -150,7 +150,7 @@ impl Machine {
 
     /// Runs a command in there: whether it succeeded, and what it said.
     pub fn run(&self, line: &str) -> (bool, String) {
-        let output = Command::new("/usr/bin/nsenter")
+        let output = testkit::command("/usr/bin/nsenter")
             .args([
                 "--all",
                 "--target",

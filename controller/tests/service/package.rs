@@ -6,7 +6,6 @@
 
 use std::fs;
 use std::path::PathBuf;
-use std::process::Command;
 
 use crate::arms::configure;
 use crate::fixture::{Place, are_installed, eventually, not_run, root};
@@ -64,7 +63,7 @@ impl Package {
         for program in PROGRAMS {
             std::os::unix::fs::symlink(testkit::program(program), release.join(program)).unwrap();
         }
-        let share = Command::new(release.join("vpcctl"))
+        let share = testkit::command(release.join("vpcctl"))
             .arg("man")
             .arg(release.join("share"))
             .output()
@@ -74,10 +73,10 @@ impl Package {
         let entries = fs::read_dir(release.join("share")).unwrap();
         let pages = entries.map(|entry| entry.unwrap().path());
         let pages = pages.filter(|path| path.extension().is_some_and(|end| end == "1"));
-        let gzip = Command::new("gzip").arg("-9n").args(pages).status();
+        let gzip = testkit::command("gzip").arg("-9n").args(pages).status();
         assert!(gzip.unwrap().success());
         let file = place.path("vpcd.deb");
-        let output = Command::new(cargo_deb)
+        let output = testkit::command(cargo_deb)
             .args(["--package=controller", "--no-build", "--locked"])
             .args(["--offline", "--strip", "--no-dbgsym", "--fast"])
             .args(["--compress-system", "--compress-type=gz", "--output"])
@@ -150,7 +149,7 @@ fn lintian_finds_neither_error_nor_warning(package: &Package) {
     if !are_installed("lintian", &["lintian"]) {
         return;
     }
-    let mut command = Command::new("lintian");
+    let mut command = testkit::command("lintian");
     command.args(["--fail-on", "error,warning"]);
     if rustix::process::geteuid().is_root() {
         command.arg("--allow-root");

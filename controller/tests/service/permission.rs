@@ -3,7 +3,6 @@
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use crate::fixture::{Manager, Place, ended, is_root};
 
@@ -24,7 +23,7 @@ fn can_write(path: &Path) -> bool {
 }
 
 fn run(path: &Path, script: &str) -> bool {
-    let mut command = Command::new("/bin/sh");
+    let mut command = testkit::command("/bin/sh");
     command
         .arg("-c")
         .arg(script)

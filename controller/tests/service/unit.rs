@@ -1,7 +1,6 @@
 //! The files that are installed: units, user, directories, configuration.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use controller::exit::Exit;
 
@@ -45,7 +44,7 @@ fn analyze(arguments: &[&str], unit: &Path) -> Option<(bool, String)> {
     if !are_installed("units", &["systemd-analyze=systemd"]) {
         return None;
     }
-    let mut analyze = Command::new("systemd-analyze");
+    let mut analyze = testkit::command("systemd-analyze");
     let said = testkit::ended(analyze.args(arguments).arg(unit));
     Some((said.code == Some(0), said.stdout + &said.stderr))
 }

@@ -2,7 +2,7 @@
 
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use serde_json::Value;
@@ -70,7 +70,7 @@ impl Robot {
         let scene = std::fs::read_to_string(scenes.join("paper-robot.toml")).unwrap();
         // Clients here move the arm as they like, and not for its camera's sake.
         let scene = scene.replace("violation_px = 15.0", "violation_px = 1e4");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_hw-sim"));
+        let mut command = testkit::command(env!("CARGO_BIN_EXE_hw-sim"));
         command
             .args(["--robot", "panda", "--fci-version"])
             .arg(version.to_string())

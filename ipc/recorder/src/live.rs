@@ -155,13 +155,9 @@ pub fn serve(
                 scene = daemons(&options.domain, &mut tell);
             }
         }
-        // Who comes later has not received what stands still.
-        let wait = match arrivals.0.load(Ordering::Relaxed) {
-            true => STILL_APART,
-            false => STILL_AGAIN,
-        };
-        if is_new || sent.is_none_or(|sent| sent.elapsed() >= wait) {
-            sent = Some(Instant::now());
+        let (now, has_arrived) = (Instant::now(), arrivals.0.load(Ordering::Relaxed));
+        if is_new || is_due(sent, now, has_arrived) {
+            sent = Some(now);
             arrivals.0.store(false, Ordering::Relaxed);
             // The wall clock may have been set meanwhile.
             live.writer.sink.clock = WallClock::now();
@@ -179,6 +175,16 @@ pub fn serve(
     server.stop().detach_all();
     runtime.shutdown_background();
     Ok(())
+}
+
+/// Whether what stands still is to be sent, which it was at `sent`. A client that has arrived since
+/// has not received it.
+fn is_due(sent: Option<Instant>, now: Instant, has_arrived: bool) -> bool {
+    let wait = match has_arrived {
+        true => STILL_APART,
+        false => STILL_AGAIN,
+    };
+    sent.is_none_or(|sent| now.duration_since(sent) >= wait)
 }
 
 /// The scene that the daemon left in its domain.
@@ -306,6 +312,18 @@ mod tests {
             open: HashMap::new(),
         };
         Recorder::new(channels, APART_NS)
+    }
+
+    #[test]
+    fn what_stands_still_comes_every_three_seconds_and_a_second_after_an_arrival_at_most() {
+        let sent = Instant::now();
+        let is_due = |ms, has_arrived| {
+            let now = sent + Duration::from_millis(ms);
+            super::is_due(Some(sent), now, has_arrived)
+        };
+        assert!(!is_due(2999, false) && is_due(3000, false));
+        assert!(!is_due(999, true) && is_due(1000, true));
+        assert!(super::is_due(None, sent, false));
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! Programs in C over the shared library of `ipc/c`.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use crate::{Place, root};
 
@@ -19,7 +18,7 @@ pub fn compiled(place: &Place, source: &Path, library: &Path) -> PathBuf {
     let named = place.path(&format!("libvpcclient.so.{}.{}", version.0, version.1));
     let _ = std::os::unix::fs::symlink(library, &named);
     let program = place.path("program");
-    let mut cc = Command::new("cc");
+    let mut cc = crate::command("cc");
     cc.args(["-std=c11", "-pedantic", "-Wall", "-Wextra", "-Werror", "-I"]);
     cc.arg(root().join("ipc/c/include")).arg(source);
     cc.arg("-o").arg(&program).arg(&named).arg("-lm");

@@ -1,6 +1,7 @@
-//! Test fixtures that several crates share. A dev-dependency only.
+//! Test fixtures that several crates share: for tests, and for the programs of `system-tests`.
 //!
 //! - [`Place`]: a temporary directory with a domain in it.
+//! - [`command`]: what every process is started by, so that it ends with this one.
 //! - [`program`], [`Running`], [`ended`]: programs of this workspace as processes.
 //! - [`eventually`]: waits for a condition.
 //! - [`c`]: programs in C.
@@ -14,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 pub mod c;
+mod guardian;
 pub mod node;
 mod place;
 mod process;
@@ -23,10 +25,11 @@ pub mod python;
 use std::fmt::Display;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+pub use guardian::{command, end_children};
 pub use place::Place;
 pub use process::{Ended, Running, ended};
 pub use program::{program, target_directory};
@@ -47,7 +50,10 @@ pub fn tell(line: impl Display) {
 /// # Panics
 /// With `VPC_STRICT=1`, unless `VPC_STRICT_EXCEPT` has a phrase of the reason.
 pub fn not_run(what: &str, why: impl Display) {
-    let line = format!("NOT RUN: {what}: {why}");
+    // The harness names the thread of a test after it; `.ci/run` reads that.
+    let thread = std::thread::current();
+    let test = thread.name().unwrap_or("main");
+    let line = format!("NOT RUN ({test}): {what}: {why}");
     let except = std::env::var("VPC_STRICT_EXCEPT").unwrap_or_default();
     let mut phrases = except.split(',').filter(|phrase| !phrase.is_empty());
     let is_excepted = phrases.any(|phrase| line.contains(phrase));
@@ -87,7 +93,7 @@ pub fn are_installed(what: &str, programs: &[&str]) -> bool {
 }
 
 fn is_installed(program: &str) -> bool {
-    let found = Command::new("sh")
+    let found = crate::command("sh")
         .args([
             "-c",
             "PATH=$PATH:/usr/sbin:/sbin command -v \"$0\"",

@@ -18,7 +18,7 @@ pub fn script(test: &str, script: &str) -> Option<Command> {
     }
     match installed(&root().join(script)) {
         Ok(script) => {
-            let mut command = Command::new("node");
+            let mut command = crate::command("node");
             command.arg(script);
             Some(command)
         }
@@ -50,7 +50,7 @@ fn installed(script: &Path) -> Result<PathBuf, String> {
     let note = directory.join("wanted.json");
     if text(&note).ok().as_ref() != Some(&wanted) {
         written(&directory.join("package.json"), &wanted)?;
-        let mut npm = Command::new("npm");
+        let mut npm = crate::command("npm");
         npm.args(["install", "--no-audit", "--no-fund", "--ignore-scripts"]);
         npm.args(["--fetch-retries", "1", "--prefix"])
             .arg(&directory);

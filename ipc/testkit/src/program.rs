@@ -1,6 +1,5 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 
 use crate::{is_set, root};
@@ -29,7 +28,7 @@ pub fn program(name: &str) -> PathBuf {
 }
 
 fn build(name: &str) {
-    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let mut cargo = crate::command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     // No package is named, so that features are those of `cargo test`, and nothing is built twice.
     cargo.current_dir(root()).args(["build", "--quiet"]);
     match name.strip_prefix("examples/") {

@@ -59,7 +59,7 @@ impl Environment {
     }
 
     fn make(&self) -> Result<PathBuf, String> {
-        run(Command::new("python3").args(["-c", "import tomllib, venv"]))
+        run(crate::command("python3").args(["-c", "import tomllib, venv"]))
             .map_err(|reason| format!("python3 3.11 or later is missing: {reason}"))?;
         let mut wanted = self.packages.join("\n");
         for file in self.requirements {
@@ -73,11 +73,11 @@ impl Environment {
         if std::fs::read_to_string(&note).is_ok_and(|done| done == wanted) {
             return Ok(python);
         }
-        run(Command::new("python3")
+        run(crate::command("python3")
             .args(["-m", "venv", "--clear"])
             .arg(&directory))
         .map_err(|reason| format!("no virtual environment: {reason}"))?;
-        let mut pip = Command::new(&python);
+        let mut pip = crate::command(&python);
         pip.args([
             "-m",
             "pip",
@@ -106,7 +106,7 @@ impl Environment {
 /// A program in Python, ready to run: it finds the client in the tree and writes no byte code
 /// there.
 pub fn script(python: &Path, program: &Path) -> Command {
-    let mut command = Command::new(python);
+    let mut command = crate::command(python);
     command
         .arg(program)
         .env("PYTHONPATH", root().join("ipc/python"));

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read as _, Write as _};
-use std::process::{Child, Command};
+use std::process::Child;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -31,7 +31,7 @@ struct Call {
 /// The file-system calls of a peer between its first look at the domain and its first message.
 fn calls_of(role: &str, place: &Place) -> Vec<Call> {
     let log = place.path("calls");
-    let mut strace = Command::new("strace");
+    let mut strace = testkit::command("strace");
     strace.args([
         "-f",
         "-e",
@@ -90,7 +90,7 @@ pub fn pass_the_harness() {
 /// Starts a peer that is killed at this call, or when it works.
 fn killed_at(call: &Call, role: &str, place: &Place) -> Child {
     let Call { name, number } = call;
-    let mut strace = Command::new("strace");
+    let mut strace = testkit::command("strace");
     strace.args([
         "-f",
         "-o",

@@ -2,7 +2,7 @@
 //! `vpc/robot` says of it.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
 use ipc::{
@@ -108,7 +108,7 @@ impl Rig {
         } = self;
         let ended = bridge.terminated();
         let rig = Self {
-            bridge: Running::start(Command::new("true")),
+            bridge: Running::start(testkit::command("true")),
             python,
             place,
             controller,

@@ -504,7 +504,7 @@ fn the_logger_fills_tables(python: &Path, format: &str) {
     // Numbers and kinds as pandas reads them back; a time in ns needs all 64 bits.
     let read = "import pandas, sys; table = getattr(pandas, 'read_' + sys.argv[1])(sys.argv[2]); \
                 print(*table['points_0']); print(table['published_ns'].dtype.kind, *table['published_ns'])";
-    let mut pandas = Command::new(python);
+    let mut pandas = testkit::command(python);
     pandas.args(["-c", read, format]);
     let table = run(pandas.arg(out.join(format!("features.{format}")))).unwrap();
     let (points, times) = table.trim().split_once('\n').unwrap();
@@ -556,7 +556,7 @@ fn the_package_installs(python: &Path) {
     let place = Place::new();
     let (tree, installed) = (sources("python"), place.path("installed"));
     let in_python = |arguments: &[&str]| {
-        let mut command = Command::new(python);
+        let mut command = testkit::command(python);
         command.args(arguments).env("PYTHONPATH", &installed);
         command.env("MYPYPATH", &installed);
         command.env("PYTHONDONTWRITEBYTECODE", "1");

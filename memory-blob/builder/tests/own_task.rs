@@ -4,13 +4,13 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use tempfile::TempDir;
 
 fn vpc_memory(directory: &Path, arguments: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_vpc-memory"))
+    testkit::command(env!("CARGO_BIN_EXE_vpc-memory"))
         .args(arguments.split_whitespace())
         .current_dir(directory)
         .stdin(Stdio::null())
@@ -154,7 +154,7 @@ fn typed(directory: &Path, arguments: &str, answers: &str) -> (String, bool) {
     let mut keyboard = File::from(master);
     // Ctrl-D at the beginning of a line ends the input.
     write!(keyboard, "{answers}\n\u{4}").unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_vpc-memory"))
+    let output = testkit::command(env!("CARGO_BIN_EXE_vpc-memory"))
         .args(arguments.split_whitespace())
         .current_dir(directory)
         .stdin(terminal)

@@ -18,7 +18,7 @@ use toml_schema::Document;
 const PARTS: usize = 3;
 
 fn vpc_memory(directory: &Path, line: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_vpc-memory"));
+    let mut command = testkit::command(env!("CARGO_BIN_EXE_vpc-memory"));
     command.args(line.split_whitespace()).current_dir(directory);
     command
 }

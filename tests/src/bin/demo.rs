@@ -13,7 +13,7 @@ use hw_sim::recording;
 use ipc::ClockMode;
 use memory_blob::MemoryFile;
 use scene::{Pose, Scene, read_starts};
-use system_tests::children::{self, Children, attended};
+use system_tests::children::{Children, attended};
 use system_tests::flags::{Common, RobotFlags, defaults};
 use system_tests::pictures::{self, Draw};
 use system_tests::simulated::Simulated;
@@ -190,7 +190,7 @@ impl<'a> Demo<'a> {
         fs::create_dir_all(&here).with_context(|| here.display().to_string())?;
         let domain = here.join("domain");
         let clock = if cli.lockstep { "lockstep" } else { "fixed" };
-        let mut daemon = children::command(programs.join("vpcd"));
+        let mut daemon = testkit::command(programs.join("vpcd"));
         daemon.arg("--config").arg(root().join(vpcd)).arg("--arm");
         daemon.arg("--scene").arg(&self.scene_path);
         daemon
@@ -202,7 +202,7 @@ impl<'a> Demo<'a> {
         if self.strategy.strategy.uses_memory() {
             daemon.arg("--memory").arg(&self.memory_path);
         }
-        let mut emulator = children::command(programs.join("hw-sim"));
+        let mut emulator = testkit::command(programs.join("hw-sim"));
         emulator.arg("--config").arg(root().join(hw_sim));
         emulator.arg("--scene").arg(&self.scene_path);
         emulator.arg("--starts").arg(&self.starts_path);

@@ -1,7 +1,5 @@
 //! The Job of Kubernetes agrees with its API's schema and with the programs' flags. No cluster runs it.
 
-use std::process::Command;
-
 use testkit::python::{Environment, run};
 use testkit::{ended, program, root};
 
@@ -37,7 +35,7 @@ fn the_job_is_valid_and_its_commands_are_the_programs() {
     let Some(python) = JUDGE.python("the Job of Kubernetes") else {
         return;
     };
-    let said = run(Command::new(python)
+    let said = run(testkit::command(python)
         .args(["-c", SCRIPT])
         .arg(root().join(FILE)))
     .unwrap();
@@ -53,7 +51,7 @@ fn the_job_is_valid_and_its_commands_are_the_programs() {
     let programs = program("vpc-memory").parent().unwrap().to_owned();
     for (command, file) in commands.iter().zip(["/vpc/scene.toml", "/vpc/parts/*"]) {
         let script = command.strip_prefix("/bin/sh -c ").unwrap_or(command);
-        let mut shell = Command::new("/bin/sh");
+        let mut shell = testkit::command("/bin/sh");
         let ended = ended(shell.args(["-c", script]).env("PATH", &programs));
         let words = format!("vpc-memory: {file}: ");
         assert!(ended.stderr.contains(&words), "{command}: {}", ended.stderr);

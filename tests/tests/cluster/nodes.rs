@@ -39,7 +39,7 @@ impl Cluster {
         fs::write(&key, [7; 64]).unwrap();
         fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).unwrap();
         fs::write(cluster.configuration(), cluster.text()).unwrap();
-        let mut munged = Command::new("munged");
+        let mut munged = testkit::command("munged");
         munged.args(["--foreground", "--force", "--num-threads=2"]);
         for file in ["socket", "key", "pid", "log", "seed"] {
             let path = cluster.path("munge").join(file);
@@ -53,7 +53,7 @@ impl Cluster {
         cluster.daemon("munged", munged);
         let socket = cluster.path("munge/socket");
         within(DAEMON, || socket.exists().then_some(())).expect("munged gives no socket");
-        let mut controller = Command::new("slurmctld");
+        let mut controller = testkit::command("slurmctld");
         controller.arg("-D").arg("-f").arg(cluster.configuration());
         cluster.daemon("slurmctld", controller);
         cluster.start_node("n1");
@@ -117,7 +117,7 @@ impl Cluster {
 
     /// Starts the daemon of a node, and waits until jobs can run on it.
     pub fn start_node(&mut self, name: &'static str) {
-        let mut daemon = Command::new("slurmd");
+        let mut daemon = testkit::command("slurmd");
         daemon
             .args(["-D", "-N", name, "-f"])
             .arg(self.configuration());
@@ -174,7 +174,7 @@ impl Cluster {
 
     /// Runs a command of Slurm; what it prints.
     pub fn ask(&self, program: &str, words: &[&str]) -> String {
-        let mut command = Command::new(program);
+        let mut command = testkit::command(program);
         let search = std::env::var("PATH").unwrap_or_default();
         command.args(words).current_dir(self.work());
         command.env("SLURM_CONF", self.configuration());

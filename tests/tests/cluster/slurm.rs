@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -119,7 +118,7 @@ fn a_memory_and_a_table_in_parts_survive_the_kill_of_a_node() {
 
     // The same without Slurm and without a kill, and in one piece.
     let run = |line: &str| {
-        let mut command = Command::new(programs.join("vpc-memory"));
+        let mut command = testkit::command(programs.join("vpc-memory"));
         let ended = ended(command.args(line.split_whitespace()).current_dir(&here));
         assert_eq!(ended.code, Some(0), "{line}: {}", ended.stderr);
     };

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -12,7 +12,7 @@ use testkit::{Ended, ended, program, root};
 const TIMES: usize = 6 + 1;
 
 fn run(directory: &Path, line: &str) -> Ended {
-    let mut command = Command::new(program("table"));
+    let mut command = testkit::command(program("table"));
     ended(command.args(line.split_whitespace()).current_dir(directory))
 }
 
@@ -162,7 +162,7 @@ fn a_part_that_is_there_stays() {
 
     // Nor do workers that began before it was there.
     let workers = ["0/2 --json c", "1/2 --json c"].map(|part| {
-        let mut command = Command::new(program("table"));
+        let mut command = testkit::command(program("table"));
         let line = line.replace("0/2 --json a", part);
         let command = command.args(line.split_whitespace()).current_dir(here);
         command.stdout(Stdio::null()).stderr(Stdio::piped());

@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::{Mutex, OnceLock};
 
 use serde_json::Value;
@@ -134,7 +133,7 @@ pub fn program(name: &str) -> PathBuf {
 /// The help of a program, asked once.
 fn help(name: &str, subcommand: Option<&str>) -> Result<String, String> {
     static KNOWN: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
-    let mut command = Command::new(program(name));
+    let mut command = testkit::command(program(name));
     command.args(subcommand).arg("--help");
     let mut known = KNOWN.lock().unwrap();
     let help = known
@@ -165,7 +164,8 @@ fn exists(word: &str) -> Result<(), String> {
 fn packages() -> &'static [Value] {
     static METADATA: OnceLock<Value> = OnceLock::new();
     let metadata = METADATA.get_or_init(|| {
-        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        let mut cargo =
+            testkit::command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         cargo.args([
             "metadata",
             "--no-deps",

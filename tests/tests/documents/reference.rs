@@ -308,7 +308,7 @@ fn validate(cases: &[Json]) {
         \x20   errors = list(jsonschema.Draft7Validator(case['schema']).iter_errors(tomllib.loads(case['text'])))\n\
         \x20   if bool(errors) == case['good']:\n\
         \x20       sys.exit(f\"{case['name']}, good {case['good']}: {case['text']!r} {errors}\")\n";
-    let mut command = std::process::Command::new(python);
+    let mut command = testkit::command(python);
     let outcome = testkit::python::run(command.args(["-c", program]).arg(file));
     assert_eq!(outcome, Ok(String::new()));
 }

@@ -71,7 +71,7 @@ impl Session {
             true => program(&call.program),
             false => PathBuf::from(&call.program),
         };
-        let mut command = Command::new(path);
+        let mut command = testkit::command(path);
         if ["vpcd", "hw-sim", "vpcctl"].contains(&&*call.program) {
             command.arg("--domain").arg(self.place.domain());
         }

@@ -55,20 +55,20 @@ impl Cable {
     }
 
     fn ip(&self, words: &[&str]) {
-        let done = ended(Command::new("ip").args(words));
+        let done = ended(testkit::command("ip").args(words));
         assert_eq!(done.code, Some(0), "ip {words:?}: {done:?}");
     }
 
     /// This program at one end of it.
     fn end(&self, name: &str) -> Command {
-        let mut command = Command::new("ip");
+        let mut command = testkit::command("ip");
         command.args(["netns", "exec", &self.0]).arg(program(name));
         command
     }
 
     /// A queue that holds nothing.
     fn pull(&self) {
-        let mut tc = Command::new("tc");
+        let mut tc = testkit::command("tc");
         tc.args(["-n", &self.0, "qdisc", "add", "dev", "lo", "root"]);
         let done = ended(tc.args(["pfifo", "limit", "0"]));
         assert_eq!(done.code, Some(0), "{done:?}");
@@ -77,7 +77,9 @@ impl Cable {
 
 impl Drop for Cable {
     fn drop(&mut self) {
-        let _ = Command::new("ip").args(["netns", "del", &self.0]).status();
+        let _ = testkit::command("ip")
+            .args(["netns", "del", &self.0])
+            .status();
     }
 }
 
@@ -117,7 +119,7 @@ impl Cell {
         let mut observer = Observer::open(&domain).unwrap();
         eventually("a frame", || observer.features.latest().unwrap());
         let bridge = Running::start(bridge(&cable, &place));
-        let mut daemon = Command::new(program("vpcd"));
+        let mut daemon = testkit::command(program("vpcd"));
         daemon.arg("--config");
         daemon.arg(root().join("controller/vpcd-robot.toml"));
         daemon.arg("--domain").arg(place.domain()).args(more);
@@ -235,7 +237,7 @@ fn recover(cell: &mut Cell) {
     let state = cell.state();
     assert!(is_at_fault(&state) && state.faults().any(RobotFaults::REFLEX));
     assert_eq!(state.room[1] as u32 & COMMUNICATION, COMMUNICATION);
-    let mut vpcctl = Command::new(program("vpcctl"));
+    let mut vpcctl = testkit::command(program("vpcctl"));
     let said = ended(
         vpcctl
             .arg("--domain")

@@ -4,7 +4,7 @@
 //! (`ipc/c/examples/camera.c`) arrives.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::Arc;
 
 use ipc::ClockMode;
@@ -30,7 +30,7 @@ type Outcome = (bool, Option<String>, u64);
 
 /// `vpcd` in lockstep, with this strategy.
 fn daemon(place: &Place, strategy: &str) -> Running {
-    let mut vpcd = Command::new(program("vpcd"));
+    let mut vpcd = testkit::command(program("vpcd"));
     vpcd.arg("--scene").arg(scene_file());
     vpcd.args(["--clock", "lockstep", "--strategy", strategy]);
     vpcd.arg("--memory").arg(memory_file());
@@ -134,7 +134,7 @@ fn the_camera_in_c_arrives() {
     let starts = read_starts(&starts_file()).unwrap();
     let first = &starts[0];
     let numbers = first.translation.iter().chain(&first.rotation);
-    let mut camera = Command::new(camera);
+    let mut camera = testkit::command(camera);
     camera.arg(place.domain()).arg("450");
     let said = ended(camera.args(numbers.map(|x| x.to_string())));
     daemon.kill();

@@ -3,7 +3,6 @@
 //! `controller/src/supervisor.rs`.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Duration;
 
 use anyhow::ensure;
@@ -51,7 +50,7 @@ time_t time(time_t *now) {
 fn shim(place: &Place) -> Result<PathBuf, String> {
     let source = place.file("shim.c", SHIM);
     let library = place.path("shim.so");
-    let mut compile = Command::new("cc");
+    let mut compile = testkit::command("cc");
     compile
         .args(["-shared", "-fPIC", "-O1", "-o"])
         .arg(&library)
@@ -76,7 +75,7 @@ fn jumps_of_the_wall_clock_have_no_effect() {
     let hours: Vec<_> = (0..3)
         .map(|_| {
             std::thread::sleep(Duration::from_millis(1001));
-            let date = Command::new("date")
+            let date = testkit::command("date")
                 .arg("+%s")
                 .env("LD_PRELOAD", &library)
                 .output()

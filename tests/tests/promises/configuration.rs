@@ -1,7 +1,6 @@
 //! Bad configuration and a second instance: an exit code of their own, in time, a message that
 //! names key, value and what is allowed; the first instance goes on.
 
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use anyhow::ensure;
@@ -42,7 +41,7 @@ fn keys() -> Vec<Key> {
 /// took.
 fn judged(place: &Place, text: &str) -> (Option<i32>, String, Duration) {
     let mut fastest = Duration::MAX;
-    let mut command = Command::new(program("vpcd"));
+    let mut command = testkit::command(program("vpcd"));
     command.arg("--config").arg(place.file("bad.toml", text));
     command.arg("--domain").arg(place.domain());
     command.arg("--check-only");

@@ -19,7 +19,7 @@
 //!
 //! `VPC_WITHOUT=realtime` runs the daemon as an ordinary thread, to see the test fail.
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -118,7 +118,7 @@ impl Reference {
 /// `stress-ng`, and `cyclictest` as another reference.
 fn outside(track: &Track, cycles: u64) -> [Running; 2] {
     let seconds = (cycles + track.start_up()) * track.period_ns / 1_000_000_000 + 2;
-    let mut stress = Command::new("stress-ng");
+    let mut stress = testkit::command("stress-ng");
     stress.args([
         "--cpu",
         "2",
@@ -131,7 +131,7 @@ fn outside(track: &Track, cycles: u64) -> [Running; 2] {
         "--quiet",
     ]);
     stress.args(["--timeout", &format!("{seconds}s")]);
-    let mut cyclictest = Command::new("cyclictest");
+    let mut cyclictest = testkit::command("cyclictest");
     cyclictest.args(["--verbose", "--mlockall", "--policy=fifo", "--threads=1"]);
     cyclictest.arg(format!("--affinity={PROCESSOR}"));
     cyclictest.arg(format!("--priority={ABOVE}"));

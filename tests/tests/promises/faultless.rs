@@ -8,7 +8,7 @@
 //! itself when memory is short: what is not locked must be faulted in again.
 //! `VPC_WITHOUT=realtime` runs the daemon without locked memory, to see the test fail.
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
 use controller::report::Report;
@@ -39,7 +39,7 @@ fn run(strategy: &str, cycles: u64) -> Report {
     let law = "[law]\nforesight_steps = 30\n";
     let config = place.file("vpcd.toml", format!("{realtime}{law}"));
     let report = place.path("report.json");
-    let mut daemon = Command::new(program("vpcd"));
+    let mut daemon = testkit::command(program("vpcd"));
     daemon.arg("--config").arg(config);
     daemon.arg("--scene").arg(scene_file());
     daemon.arg("--memory").arg(memory_file());

@@ -51,7 +51,7 @@ impl Place {
         let scene = scene_file();
         let scene = scene.display();
         let text = format!("scene = '{scene}'\n{more}\n[realtime]\npriority = 60\n");
-        let mut command = Command::new(program("vpcd"));
+        let mut command = testkit::command(program("vpcd"));
         command.arg("--config").arg(self.file("vpcd.toml", text));
         command.arg("--domain").arg(self.domain());
         command.stdout(Stdio::null()).stderr(Stdio::piped());
@@ -60,7 +60,7 @@ impl Place {
 
     /// The camera in this domain, on the start of this number, for longer than any test takes.
     pub fn hw_sim(&self, start: usize) -> Command {
-        let mut command = Command::new(program("hw-sim"));
+        let mut command = testkit::command(program("hw-sim"));
         command.arg("--scene").arg(scene_file());
         command.arg("--starts").arg(starts_file());
         command.args(["--start", &start.to_string(), "--clock", "fixed"]);

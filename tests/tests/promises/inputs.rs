@@ -11,7 +11,7 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
 use controller::control::{Answer, ControlStep};
@@ -264,7 +264,7 @@ fn the_page_survives_edited_requests() {
     let _turn = turn();
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
-    let mut command = Command::new(program("vpcctl"));
+    let mut command = testkit::command(program("vpcctl"));
     command.arg("--domain").arg(place.domain());
     command.args(["serve", "--listen", "127.0.0.1:0", "--control"]);
     let mut page = Running::start(command.stdout(Stdio::piped()));

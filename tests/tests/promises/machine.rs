@@ -17,7 +17,7 @@ pub fn may_be_real_time() -> bool {
 }
 
 fn may_be_real_time_now() -> bool {
-    let found = Command::new(program("vpcd"))
+    let found = testkit::command(program("vpcd"))
         .args(["--preflight", "--json"])
         .output();
     let found: Value = serde_json::from_slice(&found.unwrap().stdout).unwrap();
@@ -76,7 +76,7 @@ pub fn on_time(command: Command, priority: i32) -> Command {
     if !(may_be_real_time() && are_installed("cameras in real time", &["chrt=util-linux"])) {
         return command;
     }
-    let mut timely = Command::new("chrt");
+    let mut timely = testkit::command("chrt");
     timely.args(["-f", &priority.to_string()]);
     timely.arg(command.get_program()).args(command.get_args());
     timely.envs(

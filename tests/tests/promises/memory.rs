@@ -26,7 +26,7 @@ fn shipped() -> Vec<u8> {
 
 /// The daemon, of this scene, with this memory of the place.
 fn vpcd(place: &Place, scene: &Path, memory: &str) -> Command {
-    let mut command = Command::new(program("vpcd"));
+    let mut command = testkit::command(program("vpcd"));
     command.arg("--scene").arg(scene);
     command.arg("--domain").arg(place.domain());
     command.args(["--strategy", "gpr", "--memory"]);

@@ -32,7 +32,7 @@ const UNFIT: f64 = 0.25;
 
 /// `vpcctl` in this domain.
 fn vpcctl(domain: &Path) -> Command {
-    let mut command = Command::new(program("vpcctl"));
+    let mut command = testkit::command(program("vpcctl"));
     command.arg("--domain").arg(domain).stdin(Stdio::null());
     command
 }
@@ -81,7 +81,7 @@ fn watch(domain: &Path, scene: &Path) -> Running {
     let program = program.display();
     let line =
         format!("stty rows 50 cols 160; exec {program} --domain {domain} watch --scene {scene}");
-    let mut script = Command::new("script");
+    let mut script = testkit::command("script");
     script.args(["-q", "-e", "-c", &line, "/dev/null"]);
     script.env("TERM", "xterm").stderr(Stdio::null());
     script.stdin(Stdio::piped()).stdout(Stdio::piped());

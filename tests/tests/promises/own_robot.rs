@@ -2,7 +2,7 @@
 //! emulated robot to the goal with the real `vpcd`, on the fixed clock; and `vpcctl check-bridge`
 //! finds no fault in it, nor in `hw-sim`.
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use crate::fixture::{Place, Running, ended, eventually, program, root, turn};
 
@@ -10,12 +10,12 @@ use crate::fixture::{Place, Running, ended, eventually, program, root, turn};
 fn the_bridge_to_copy_takes_the_robot_to_the_goal_without_a_reflex() {
     let _turn = turn();
     let place = Place::new();
-    let mut vpcd = Command::new(program("vpcd"));
+    let mut vpcd = testkit::command(program("vpcd"));
     vpcd.arg("--scene")
         .arg(root().join("ipc/scene/scenes/paper-robot.toml"));
     vpcd.arg("--arm").arg("--domain").arg(place.domain());
     let vpcd = Running::start(vpcd.stdout(Stdio::null()).stderr(Stdio::null()));
-    let mut bridge = Command::new(program("examples/own_robot"));
+    let mut bridge = testkit::command(program("examples/own_robot"));
     let said = ended(bridge.arg(place.domain()).arg("60"));
     drop(vpcd);
 
@@ -34,7 +34,7 @@ fn check_bridge_finds_no_fault_in_the_bridge_to_copy_nor_in_the_emulator() {
         let scene = root().join("ipc/scene/scenes").join(scene);
         // The bridge has made its ports when it tells its state.
         let said = eventually("a state", || {
-            let mut check = Command::new(program("vpcctl"));
+            let mut check = testkit::command(program("vpcctl"));
             check.arg("--domain").arg(place.domain());
             check.arg("check-bridge").arg("--scene").arg(&scene);
             let said = ended(check);
@@ -43,7 +43,7 @@ fn check_bridge_finds_no_fault_in_the_bridge_to_copy_nor_in_the_emulator() {
         assert_eq!(said.code, Some(0), "{said:?}");
     };
     let place = Place::new();
-    let mut bridge = Command::new(program("examples/own_robot"));
+    let mut bridge = testkit::command(program("examples/own_robot"));
     bridge.arg(place.domain()).arg("60");
     let bridge = Running::start(bridge.stdout(Stdio::null()));
     check(&place, "paper-robot.toml");

@@ -78,7 +78,7 @@ impl Track {
             false => format!("[realtime]\npriority = {PRIORITY}\ncpu = {PROCESSOR}"),
         };
         let text = format!("[cycle]\nstale_periods = 20.0\n[safety]\nlost_s = 10.0\n{realtime}");
-        let mut command = Command::new(program("vpcd"));
+        let mut command = testkit::command(program("vpcd"));
         command
             .arg("--config")
             .arg(self.place.file("vpcd.toml", text));

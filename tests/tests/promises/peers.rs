@@ -2,7 +2,7 @@
 //! peer that comes back is heard within half a second, and no leftovers accumulate.
 
 use std::os::unix::net::UnixDatagram;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
 use ipc::{Action, Domain, Hold, Outcome, TwistState, now_ns};
@@ -52,7 +52,7 @@ fn visit(
     let answered = in_time("a client is answered", came, now_ns(), RECONNECT_NS)?;
     witness.set_in_motion();
     // A client that is killed while it joins, asks or leaves, before the camera or after it.
-    let mut client = Command::new(program("vpcctl"));
+    let mut client = testkit::command(program("vpcctl"));
     client.arg("--domain").arg(place.domain()).arg("status");
     client.stdout(Stdio::null()).stderr(Stdio::null());
     let mut camera = Some(camera);

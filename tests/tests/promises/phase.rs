@@ -6,7 +6,7 @@
 //! late again and again, and it waits for them: where that is so before one answer in twenty, a
 //! miss of the bars shows nothing.
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use ipc::{Domain, Observer, PhaseCode};
@@ -50,7 +50,7 @@ fn answers(clock: &str) -> (Vec<Answer>, PhaseCode) {
     };
     let config = place.file("vpcd.toml", realtime);
 
-    let mut daemon = Command::new(program("vpcd"));
+    let mut daemon = testkit::command(program("vpcd"));
     daemon.arg("--config").arg(config);
     daemon.arg("--scene").arg(scenes.join("paper-sim.toml"));
     daemon
@@ -60,7 +60,7 @@ fn answers(clock: &str) -> (Vec<Answer>, PhaseCode) {
     let daemon = Running::start(daemon.stderr(Stdio::null()));
     // The camera is an instrument here: its frames are to be on time whatever else the machine
     // does.
-    let mut camera = on_time(Command::new(program("hw-sim")), 70);
+    let mut camera = on_time(testkit::command(program("hw-sim")), 70);
     camera.arg("--scene").arg(camera_scene);
     camera
         .arg("--starts")

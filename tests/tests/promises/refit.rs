@@ -3,7 +3,7 @@
 //! copy is refused.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use memory_blob::MemoryFile;
 use serde_json::Value;
@@ -21,13 +21,13 @@ const START: &str = "74";
 /// What the referee says of a run of both processes, in lockstep.
 fn verdict(strategy: &str, memory: &Path) -> Value {
     let place = Place::new();
-    let mut vpcd = Command::new(program("vpcd"));
+    let mut vpcd = testkit::command(program("vpcd"));
     vpcd.arg("--scene").arg(scene_file()).arg("--memory");
     vpcd.arg(memory).arg("--domain").arg(place.domain());
     vpcd.args(["--clock", "lockstep", "--strategy", strategy]);
     vpcd.stdout(Stdio::null()).stderr(Stdio::null());
     let _vpcd = Running::start(vpcd);
-    let mut camera = Command::new(program("hw-sim"));
+    let mut camera = testkit::command(program("hw-sim"));
     camera.arg("--scene").arg(scene_file()).arg("--starts");
     camera.arg(starts_file());
     camera.args(["--start", START, "--clock", "lockstep"]);
@@ -58,7 +58,7 @@ fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
     };
     let place = Place::new();
     let refit = place.path("refit.vpcmem");
-    let mut fit = Command::new(python);
+    let mut fit = testkit::command(python);
     fit.arg(root().join("memory-blob/python/fit_gpr.py"))
         .arg(memory_file());
     tell(run(fit.arg(&refit)).unwrap().trim());

@@ -3,7 +3,7 @@
 //! would show any state that snapshots lack.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use ipc::{CycleRecord, RecallCode};
 use ipc::{Values, Wire};
@@ -62,7 +62,7 @@ fn bits(values: Values<'_>) -> Vec<u64> {
 /// has made its cycles; its flight record.
 fn fly(place: &Place) -> PathBuf {
     let text = "[flight]\ndirectory = 'records'\nminutes = 11\nat_exit = true\n";
-    let mut command = Command::new(program("vpcd"));
+    let mut command = testkit::command(program("vpcd"));
     command
         .arg("--config")
         .arg(place.file("lockstep.toml", text));
@@ -74,7 +74,7 @@ fn fly(place: &Place) -> PathBuf {
     command.stdout(Stdio::null()).stderr(Stdio::piped());
     let mut daemon = Running::start(command);
     for start in (0..100).cycle() {
-        let mut camera = Command::new(program("hw-sim"));
+        let mut camera = testkit::command(program("hw-sim"));
         let number = start.to_string();
         camera.arg("--scene").arg(scene_file());
         camera
@@ -108,7 +108,7 @@ fn newest(place: &Place) -> Option<PathBuf> {
 
 /// `vpcd replay` with more flags: exit code, and what it prints.
 fn replayed(file: &Path, more: &[&str]) -> (i32, String) {
-    let mut command = Command::new(program("vpcd"));
+    let mut command = testkit::command(program("vpcd"));
     command.arg("replay").arg(file).arg("--json").args(more);
     let ended = ended(command);
     (ended.code.unwrap(), ended.stdout + &ended.stderr)

@@ -274,7 +274,7 @@ fn recording(place: &Place, number: usize) -> PathBuf {
 }
 
 fn vpcctl(place: &Place) -> Command {
-    let mut command = Command::new(program("vpcctl"));
+    let mut command = testkit::command(program("vpcctl"));
     command
         .arg("--domain")
         .arg(place.domain())

@@ -25,7 +25,7 @@ fn kills_during_start_up_do_no_harm_to_the_next_start() {
                 0 => place.vpcd(""),
                 1 => place.hw_sim(0),
                 _ => {
-                    let mut client = std::process::Command::new(program("vpcctl"));
+                    let mut client = testkit::command(program("vpcctl"));
                     client.arg("--domain").arg(place.domain()).arg("arm");
                     client
                 }

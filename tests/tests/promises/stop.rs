@@ -4,7 +4,7 @@
 use std::fs::File;
 use std::io::Write;
 use std::net::TcpStream;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -85,7 +85,7 @@ fn attacked(round: usize) -> anyhow::Result<[u64; 2]> {
         std::thread::sleep(Duration::from_nanos(4 * PERIOD_NS));
 
         let begin_ns = now_ns();
-        let stopped = Command::new(program("vpcctl"))
+        let stopped = testkit::command(program("vpcctl"))
             .arg("--domain")
             .arg(&directory)
             .arg("stop")
@@ -138,7 +138,7 @@ fn flood(operator: &mut OperatorPorts, end: &AtomicBool) {
 
 /// The page, with as many watchers as can be.
 fn watched_page(place: &Place) -> anyhow::Result<(Running, Vec<TcpStream>)> {
-    let mut command = Command::new(program("vpcctl"));
+    let mut command = testkit::command(program("vpcctl"));
     command.arg("--domain").arg(place.domain());
     command.args(["serve", "--listen", "127.0.0.1:0", "--control"]);
     let mut page = Running::start(command.stdout(Stdio::piped()));

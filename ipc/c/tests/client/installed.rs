@@ -14,7 +14,7 @@ const ALLOWED: &str =
     "bogus-mail-host,bogus-mail-host-in-debian-changelog,maintscript-calls-ldconfig";
 
 fn cmake(arguments: &[&str]) -> Command {
-    let mut cmake = Command::new("cmake");
+    let mut cmake = testkit::command("cmake");
     cmake.args(arguments);
     cmake
 }
@@ -34,16 +34,16 @@ fn configure(place: &Place, name: &str, more: &[&str]) -> PathBuf {
 /// Both packages.
 fn packages(place: &Place) -> [PathBuf; 2] {
     let build = configure(place, "build", &[]);
-    run(Command::new("cpack").current_dir(&build)).unwrap();
+    run(testkit::command("cpack").current_dir(&build)).unwrap();
     let version = env!("CARGO_PKG_VERSION");
     let (minor, _) = version.rsplit_once('.').unwrap();
-    let architecture = run(Command::new("dpkg").arg("--print-architecture")).unwrap();
+    let architecture = run(testkit::command("dpkg").arg("--print-architecture")).unwrap();
     [format!("libvpcclient{minor}"), "libvpcclient-dev".into()]
         .map(|name| build.join(format!("{name}_{version}_{}.deb", architecture.trim())))
 }
 
 fn lintian_finds_nothing(package: &Path) {
-    let mut lintian = Command::new("lintian");
+    let mut lintian = testkit::command("lintian");
     lintian.args(["--fail-on", "error,warning", "--suppress-tags", ALLOWED]);
     if rustix::process::geteuid().is_root() {
         lintian.arg("--allow-root");
@@ -55,7 +55,7 @@ fn lintian_finds_nothing(package: &Path) {
 
 /// The directory of a file that the packages brought.
 fn directory_of(root: &Path, name: &str) -> PathBuf {
-    let mut find = Command::new("find");
+    let mut find = testkit::command("find");
     let found = run(find.arg(root).args(["-name", name])).unwrap();
     let (path, rest) = found.split_once('\n').unwrap();
     assert_eq!(rest, "", "more than one {name}");
@@ -78,13 +78,13 @@ fn a_project_builds_over_the_packages_and_closes_the_loop() {
     let root = place.path("root");
     let packages = packages(&place);
     // A program that was built with it needs it, or a later one.
-    let mut needed = Command::new("dpkg-deb");
+    let mut needed = testkit::command("dpkg-deb");
     let needed = run(needed.arg("--info").arg(&packages[0]).arg("shlibs")).unwrap();
     let least = format!("(>= {})\n", env!("CARGO_PKG_VERSION"));
     assert!(needed.ends_with(&least), "{needed}");
     for package in packages {
         lintian_finds_nothing(&package);
-        let mut unpack = Command::new("dpkg-deb");
+        let mut unpack = testkit::command("dpkg-deb");
         run(unpack.arg("--extract").arg(&package).arg(&root)).unwrap();
     }
 
@@ -117,12 +117,12 @@ fn a_project_builds_over_the_packages_and_closes_the_loop() {
     );
 
     let by_flags = |name: &str, more: &[&str], library: &str| {
-        let mut flags = Command::new("pkg-config");
+        let mut flags = testkit::command("pkg-config");
         flags.args(["--cflags", "--libs", "vpcclient"]).args(more);
         flags.env("PKG_CONFIG_PATH", directory_of(&root, "vpcclient.pc"));
         let flags = run(&mut flags).unwrap().replace("-lvpcclient", library);
         let program = place.path(name);
-        let mut cc = Command::new("cc");
+        let mut cc = testkit::command("cc");
         cc.arg(testkit::root().join("ipc/c/examples/camera.c"));
         cc.args(flags.split_whitespace()).arg("-lm");
         run(cc.arg("-o").arg(&program)).unwrap();
@@ -140,7 +140,7 @@ fn a_project_builds_over_the_packages_and_closes_the_loop() {
             false,
         ),
     ] {
-        let needed = run(Command::new("ldd")
+        let needed = run(testkit::command("ldd")
             .arg(&program)
             .env("LD_LIBRARY_PATH", &libraries));
         assert_eq!(
@@ -150,7 +150,7 @@ fn a_project_builds_over_the_packages_and_closes_the_loop() {
             program.display()
         );
         let place = Place::new();
-        let mut camera = Command::new(program);
+        let mut camera = testkit::command(program);
         camera
             .arg(place.domain())
             .env("LD_LIBRARY_PATH", &libraries);

@@ -33,7 +33,7 @@ fn compiled(place: &Place, source: &Path) -> Command {
         testkit::is_long() && testkit::are_installed("C programs under valgrind", &["valgrind"]);
     let mut command = match is_checked {
         true => {
-            let mut valgrind = Command::new("valgrind");
+            let mut valgrind = testkit::command("valgrind");
             valgrind.args([
                 "-q",
                 "--error-exitcode=9",
@@ -45,7 +45,7 @@ fn compiled(place: &Place, source: &Path) -> Command {
                 .arg(program);
             valgrind
         }
-        false => Command::new(program),
+        false => testkit::command(program),
     };
     command.stdout(Stdio::piped());
     command

@@ -3,7 +3,7 @@
 //! and stamps.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -164,7 +164,7 @@ impl Laboratory {
             "scene = {scene:?}\nstarts = {starts:?}\n{KEYS}hand_eye_m = {MOVED:?}\nhand_eye_deg = {TURNED:?}\n"
         );
         let config = place.file("hw-sim.toml", keys);
-        let mut emulator = Command::new(program("hw-sim"));
+        let mut emulator = testkit::command(program("hw-sim"));
         emulator.arg("--config").arg(&config);
         emulator.arg("--domain").arg(place.domain());
         let emulator = emulator.stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -186,7 +186,7 @@ impl Laboratory {
             taken: Arc::clone(&taken),
         };
         let pilot = plan.map(|plan| std::thread::spawn(move || pilot.steer(plan)));
-        let mut calib = Command::new(env!("CARGO_BIN_EXE_vpc-calib"));
+        let mut calib = testkit::command(env!("CARGO_BIN_EXE_vpc-calib"));
         calib.current_dir(self.place.directory());
         calib.args(words.split(' '));
         let calib = Running::start(calib.stdout(Stdio::piped()).stderr(Stdio::piped()));

@@ -2,7 +2,6 @@
 //! code.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use tag_board::Board;
 use testkit::{Ended, Place, ended};
@@ -14,7 +13,7 @@ use crate::rendered::Studio;
 use crate::synthetic::{Chance, PINHOLE};
 
 fn calib(arguments: &[&str]) -> Ended {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_vpc-calib"));
+    let mut command = testkit::command(env!("CARGO_BIN_EXE_vpc-calib"));
     command.args(arguments);
     ended(command)
 }

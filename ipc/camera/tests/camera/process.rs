@@ -6,7 +6,7 @@ use rustix::process::Signal;
 use testkit::{Place, Running, program, root};
 
 fn camera() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_vpc-camera"))
+    testkit::command(env!("CARGO_BIN_EXE_vpc-camera"))
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn from_images_to_the_goal() {
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         Running::start(command)
     };
-    let mut daemon = Command::new(program("vpcd"));
+    let mut daemon = testkit::command(program("vpcd"));
     // Without a memory: the way is free.
     let text = "[law]\nstrategy = \"previous\"\nnp = 3\nstep_s = 0.4\nmargin_px = 12.0\n";
     let scene = root().join("ipc/scene/scenes/tags-robot.toml");
@@ -72,7 +72,7 @@ fn from_images_to_the_goal() {
     eye.arg("--config").arg(shipped).arg("--print");
     eye.arg("--metrics").arg(place.path("metrics.prom"));
     let eye = started(eye);
-    let mut robot = Command::new(program("hw-sim"));
+    let mut robot = testkit::command(program("hw-sim"));
     let tags = root().join("hw-sim/hw-sim-tags.toml");
     // A start to the left of the goal and behind it.
     let starts = place.file(

@@ -1,7 +1,6 @@
 //! What is wrong in a configuration is named, with what is allowed.
 
 use std::collections::BTreeMap;
-use std::process::Command;
 
 use testkit::{Ended, Place, ended, root};
 
@@ -20,7 +19,7 @@ fn said(place: &Place, flags: &[(&'static str, &str)]) -> Ended {
             .map(|(flag, value)| (*flag, (*value).to_owned())),
     );
     all.retain(|_, value| !value.is_empty());
-    let mut bridge = Command::new(env!("CARGO_BIN_EXE_vpc-panda"));
+    let mut bridge = testkit::command(env!("CARGO_BIN_EXE_vpc-panda"));
     for (flag, value) in all {
         bridge.args([flag, &value]);
     }

@@ -32,7 +32,7 @@ impl Robot {
             "scene = '{scenes}/paper-robot.toml'\nstarts = '{scenes}/paper-robot-starts.csv'\n\
              robot = 'panda'\nfci = '{address}:1337'\nfci_version = {version}\nnoise_px = 0.2\n[truth]\n{truth}\n"
         );
-        let mut hw_sim = Command::new(program("hw-sim"));
+        let mut hw_sim = testkit::command(program("hw-sim"));
         hw_sim.arg("--config").arg(place.file("hw-sim.toml", text));
         hw_sim.arg("--domain").arg(place.domain());
         let running = Running::start(hw_sim.stdout(Stdio::piped()).stderr(Stdio::piped()));
@@ -52,7 +52,7 @@ impl Robot {
     }
 
     fn bridge_with(&self, robot: &str, hand_eye: &Path) -> Command {
-        let mut bridge = Command::new(env!("CARGO_BIN_EXE_vpc-panda"));
+        let mut bridge = testkit::command(env!("CARGO_BIN_EXE_vpc-panda"));
         bridge.args(["--robot", &format!("{robot}:{}", self.address)]);
         bridge.arg("--hand-eye").arg(hand_eye).arg("--scene");
         bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));

@@ -4,7 +4,7 @@
 mod emulator;
 mod servo;
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use emulator::Emulator;
@@ -89,7 +89,7 @@ impl Bench {
         let emulator = Emulator::start(test)?;
         let place = Place::new();
         let hand_eye = testkit::root().join("ipc/panda/hand-eye.toml");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_vpc-panda"));
+        let mut command = testkit::command(env!("CARGO_BIN_EXE_vpc-panda"));
         command
             .arg("--config")
             .arg(place.file("vpc-panda.toml", WORKSPACE))

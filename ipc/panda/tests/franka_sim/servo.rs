@@ -2,7 +2,7 @@
 //! this test on the arm's flange, which sees by the measured joints.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
@@ -55,7 +55,7 @@ fn run(test: &str, start: usize) -> Option<End> {
     let domain = Domain::join(&place.domain()).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
     let mut ports = CameraPorts::open(&domain).unwrap();
-    let mut bridge = Command::new(env!("CARGO_BIN_EXE_vpc-panda"));
+    let mut bridge = testkit::command(env!("CARGO_BIN_EXE_vpc-panda"));
     bridge.args(["--robot", &format!("fr3:{}", emulator.address())]);
     bridge
         .arg("--scene")
@@ -133,7 +133,7 @@ fn run(test: &str, start: usize) -> Option<End> {
 }
 
 fn daemon(domain: &Path) -> Running {
-    let mut vpcd = Command::new(program("vpcd"));
+    let mut vpcd = testkit::command(program("vpcd"));
     vpcd.arg("--config")
         .arg(root().join("controller/vpcd-robot.toml"));
     vpcd.arg("--domain").arg(domain).arg("--arm");

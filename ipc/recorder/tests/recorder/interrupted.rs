@@ -1,7 +1,7 @@
 //! A recorder that is killed or hangs.
 
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ use crate::fixture::{FILE, Stage, check, python, same, scene};
 /// Starts this executable as a recorder.
 fn recorder(place: &Place) -> Running {
     Running::start(
-        Command::new(std::env::current_exe().unwrap())
+        testkit::command(std::env::current_exe().unwrap())
             .args([
                 "--exact",
                 "interrupted::play_a_recorder",

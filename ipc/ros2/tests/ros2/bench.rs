@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::PathBuf;
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{Child, ChildStdin, Stdio};
 use std::sync::MutexGuard;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -264,7 +264,7 @@ impl Plan {
 }
 
 fn vpcd(place: &Place) -> Running {
-    let mut command = Command::new(program("vpcd"));
+    let mut command = testkit::command(program("vpcd"));
     command.arg("--scene").arg(scene_file());
     command.arg("--memory").arg(memory_file());
     command.arg("--domain").arg(place.domain());
@@ -272,7 +272,7 @@ fn vpcd(place: &Place) -> Running {
 }
 
 fn gateway(place: &Place, config: &PathBuf) -> Running {
-    let mut command = Command::new(program("vpc-ros2"));
+    let mut command = testkit::command(program("vpc-ros2"));
     command.arg("--config").arg(config);
     command.arg("--domain").arg(place.domain());
     Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))

@@ -8,7 +8,7 @@ fn gateway(place: &Place, keys: &str) -> Command {
     let scene = scene_file();
     let text =
         format!("scene = {scene:?}\nros_domain_id = 147\ninterfaces = [\"127.0.0.1\"]\n{keys}");
-    let mut command = Command::new(program("vpc-ros2"));
+    let mut command = testkit::command(program("vpc-ros2"));
     command
         .arg("--config")
         .arg(place.file("vpc-ros2.toml", text));
@@ -19,7 +19,7 @@ fn gateway(place: &Place, keys: &str) -> Command {
 #[test]
 fn the_file_that_ships_shows_the_defaults_and_is_valid() {
     let file = root().join("ipc/ros2/vpc-ros2.toml");
-    let mut command = Command::new(program("vpc-ros2"));
+    let mut command = testkit::command(program("vpc-ros2"));
     command
         .arg("--config")
         .arg(file)
@@ -75,7 +75,7 @@ fn keys_that_do_not_go_together_are_refused_with_what_is_allowed() {
 fn another_scene_than_that_of_vpcd_ends_it() {
     let _turn = testkit::turn();
     let place = Place::new();
-    let mut vpcd = Command::new(program("vpcd"));
+    let mut vpcd = testkit::command(program("vpcd"));
     vpcd.arg("--scene").arg(scene_file());
     vpcd.arg("--memory").arg(testkit::memory_file());
     vpcd.arg("--domain").arg(place.domain());
@@ -121,7 +121,7 @@ fn a_second_camera_of_the_domain_is_refused() {
 fn the_launch_file_starts_the_programs_with_their_files() {
     let stub = root().join("ipc/ros2/tests/ros2/launch_stub.py");
     let file = root().join("ipc/ros2/launch/vpcd.launch.py");
-    let mut python = Command::new("python3");
+    let mut python = testkit::command("python3");
     let ended = ended(python.arg(stub).arg(file).env("ROS_DOMAIN_ID", "17"));
     assert_eq!(ended.code, Some(0), "{}", ended.stderr);
     assert_eq!(

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
@@ -27,14 +27,20 @@ impl Browser {
     pub fn open(directory: &Path, url: &str) -> Option<Self> {
         let [to, from] = ["to", "from"].map(|name| directory.join(name));
         for fifo in [&to, &from] {
-            assert!(Command::new("mkfifo").arg(fifo).status().unwrap().success());
+            assert!(
+                testkit::command("mkfifo")
+                    .arg(fifo)
+                    .status()
+                    .unwrap()
+                    .success()
+            );
         }
         let flags =
             "--headless --no-sandbox --disable-gpu --window-size=1400,1000 --remote-debugging-pipe";
         let line = format!(
-            "exec timeout {LIFE} chromium {flags} --user-data-dir=\"$0\" 3<\"$1\" 4>\"$2\""
+            "exec timeout --foreground {LIFE} chromium {flags} --user-data-dir=\"$0\" 3<\"$1\" 4>\"$2\""
         );
-        let child = Command::new("sh")
+        let child = testkit::command("sh")
             .args(["-c", &line])
             .args([&directory.join("profile"), &to, &from])
             .stdout(Stdio::null())
@@ -89,7 +95,7 @@ impl Browser {
     pub fn keep_picture(&mut self, path: &Path) {
         let answer = self.call("Page.captureScreenshot", json!({})).unwrap();
         let picture = answer["data"].as_str().unwrap();
-        let mut base64 = Command::new("base64")
+        let mut base64 = testkit::command("base64")
             .arg("-d")
             .stdin(Stdio::piped())
             .stdout(File::create(path).unwrap())

@@ -1,7 +1,5 @@
 //! `doctor`, `completions` and `man`.
 
-use std::process::Command;
-
 use crate::stand_in::{Manner, StandIn};
 use crate::{stdout, vpcctl};
 
@@ -61,7 +59,10 @@ fn bash_takes_the_completions_and_man_takes_the_pages() {
         "source {}; COMP_WORDS=(vpcctl dis); COMP_CWORD=1; _vpcctl vpcctl dis vpcctl; echo \"${{COMPREPLY[*]}}\"",
         script.display()
     );
-    let bash = Command::new("bash").args(["-c", &probe]).output().unwrap();
+    let bash = testkit::command("bash")
+        .args(["-c", &probe])
+        .output()
+        .unwrap();
     assert_eq!(stdout(&bash).trim(), "disarm", "{bash:?}");
     let man = directory.path().join("man1");
     let output = vpcctl(directory.path(), &["man", man.to_str().unwrap()]);

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::process::Stdio;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 use ipc::{CycleRecord, Domain, Features, Hold, ImageHeader, Message, Stamp, TwistState};
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
@@ -16,6 +16,10 @@ use crate::{stderr, vpcctl};
 
 const TEST: &str = "foxgloves_own_client_reads_what_the_daemon_does";
 const CLIENT: &str = "ipc/vpcctl/tests/foxglove/client.cjs";
+/// Longest wait for the messages that are compared: a few seconds, but for a loaded machine.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// What stands still, and comes again.
+const STILL: [&str; 3] = ["/world/pattern", "/camera/calibration", "/camera/image"];
 
 /// What a client of Foxglove received.
 #[derive(Default)]
@@ -76,13 +80,16 @@ struct Direct {
 }
 
 impl Direct {
-    fn listen(domain: &Path, end: &AtomicBool) -> Self {
+    /// Listens until the end; counts the cycles in motion.
+    fn listen(domain: &Path, end: &AtomicBool, moving: &AtomicUsize) -> Self {
         let domain = Domain::join(domain).unwrap();
         let mut cycles = domain.subscriber::<CycleRecord>(1024).unwrap();
         let mut features = domain.subscriber::<Features>(64).unwrap();
         let mut direct = Self::default();
         while !end.load(Ordering::Relaxed) {
             while let Some(m) = cycles.oldest().unwrap() {
+                let moves = m.message.state == TwistState::Moving.code();
+                moving.fetch_add(usize::from(moves), Ordering::Relaxed);
                 direct.cycles.insert(m.message.stamp.sequence, m.message);
             }
             while let Some(m) = features.oldest().unwrap() {
@@ -111,7 +118,7 @@ struct Stage {
 
 impl Stage {
     fn start(&self, name: &str, words: &[&str]) -> Running {
-        let mut command = Command::new(program(name));
+        let mut command = testkit::command(program(name));
         command.arg("--domain").arg(self.place.domain()).args(words);
         command
             .current_dir(root())
@@ -132,12 +139,26 @@ impl Stage {
         Some(Running::start(client))
     }
 
-    /// Runs a client for so many seconds from its connection on.
-    fn watched(&self, seconds: f64) -> Received {
-        let mut client = self.client(&[]).unwrap();
-        client.line("capabilities");
-        std::thread::sleep(Duration::from_secs_f64(seconds));
+    /// Runs a client until it has this many messages of a topic.
+    fn watched(&self, topic: &str, count: usize) -> Received {
+        let client = self.client(&[]).unwrap();
+        wait(topic, || has(&client, topic, count));
         Received::new(&client.terminated().stdout)
+    }
+}
+
+/// Whether a client has printed this many messages of a topic.
+fn has(client: &Running, topic: &str, count: usize) -> bool {
+    let words = format!(r#"{{"event":"message","topic":"{topic}""#);
+    client.stdout().matches(&words).count() >= count
+}
+
+/// Waits until it is so; looks seldom, because a client prints megabytes.
+fn wait(what: &str, is_so: impl Fn() -> bool) {
+    let end = Instant::now() + PATIENCE;
+    while !is_so() {
+        assert!(Instant::now() < end, "{what}: not in {PATIENCE:?}");
+        std::thread::sleep(Duration::from_millis(200));
     }
 }
 
@@ -178,7 +199,7 @@ fn isometry(value: &Value, [at, turn]: [&str; 2]) -> Isometry3<f64> {
 #[test]
 fn foxgloves_own_client_reads_what_the_daemon_does() {
     let place = Place::new();
-    let mut server = Command::new(env!("CARGO_BIN_EXE_vpcctl"));
+    let mut server = testkit::command(env!("CARGO_BIN_EXE_vpcctl"));
     server.arg("--domain").arg(place.domain());
     server.args([
         "serve",
@@ -201,19 +222,22 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
     };
     early.line("capabilities");
     let deaf = stage.client(&["deaf"]).unwrap();
-    let ended = AtomicBool::new(false);
+    let (ended, moving) = (AtomicBool::new(false), AtomicUsize::new(0));
     let (received, late, direct) = std::thread::scope(|threads| {
         let end = EndOnDrop(&ended);
         let domain = stage.place.domain();
-        let ended = &ended;
-        let direct = threads.spawn(move || Direct::listen(&domain, ended));
+        let (ended, moving) = (&ended, &moving);
+        let direct = threads.spawn(move || Direct::listen(&domain, ended, moving));
         let _daemon = stage.daemon();
         let _robot = stage.start(
             "hw-sim",
             &["--config", "hw-sim/hw-sim-robot.toml", "--start", "3"],
         );
-        std::thread::sleep(Duration::from_secs(6));
-        let late = stage.watched(2.0);
+        wait("motion", || moving.load(Ordering::Relaxed) > 90);
+        for topic in STILL {
+            wait(topic, || has(&early, topic, 3));
+        }
+        let late = stage.watched("/vpc/cycles", 40);
         let received = Received::new(&early.terminated().stdout);
         drop(end);
         (received, late, direct.join().unwrap())
@@ -243,10 +267,13 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
     // The daemon was killed: another comes, and a camera.
     let header = ImageHeader::new(32, 20, ipc::Encoding::Rgb8, 1);
     let _camera = Camera::start(&stage.place.domain(), header, |u, v| [u as u8, v as u8, 7]);
+    let begun_ns = ipc::now_ns();
     let _daemon = stage.daemon();
-    let again = stage.watched(3.0);
+    let again = stage.watched("/camera/image", 30);
     let last = again.last("/vpc/cycles");
-    assert!(last["cycle"].as_u64().unwrap() < 200, "{last}");
+    let ran_ns = last["stamp"]["published_ns"].as_u64().unwrap() - begun_ns;
+    let most = 1e-9 * ran_ns as f64 * scene.camera.rate_hz + 1.0;
+    assert!((last["cycle"].as_u64().unwrap() as f64) < most, "{last}");
     assert_eq!(
         (&last["state_name"], &last["hold_name"]),
         (&"disarmed".into(), &"unclean end of the last vpcd".into())
@@ -260,7 +287,9 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
     );
     assert_eq!(image["data"]["sum"], sum);
     // 17 a second at most, of 100.
-    assert!((20..60).contains(&images.len()), "{}", images.len());
+    let times: Vec<f64> = images.iter().map(|(at, _)| seconds(at)).collect();
+    let apart = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    assert!(apart > 0.059, "{apart} s apart: {times:?}");
     // It ends at once beside a client that does not read.
     let ended = server.terminated();
     assert_eq!(ended.code, Some(0));
@@ -281,17 +310,23 @@ fn is_read_only(received: &Received) {
     assert_eq!(strange, None);
 }
 
-/// It comes also when nobody subscribes, and once a second where many topics are subscribed to.
+/// The time of a message, s.
+fn seconds(at: &Value) -> f64 {
+    1e-9 * at.as_str().unwrap().parse::<f64>().unwrap()
+}
+
+/// It comes also when nobody subscribes, and once a second where many topics are subscribed to. How
+/// soon it comes again, a test of `recorder::live` says.
 fn what_stands_still_comes_again(received: &Received) {
-    for topic in ["/world/pattern", "/camera/calibration", "/camera/image"] {
-        let times = received.of(topic).iter();
-        let times: Vec<f64> = times
-            .map(|(at, _)| 1e-9 * at.as_str().unwrap().parse::<f64>().unwrap())
+    for topic in STILL {
+        let times: Vec<f64> = received
+            .of(topic)
+            .iter()
+            .map(|(at, _)| seconds(at))
             .collect();
         assert!(times.len() > 2, "{topic} at {times:?}");
         for pair in times.windows(2) {
-            let apart = pair[1] - pair[0];
-            assert!((0.95..4.5).contains(&apart), "{topic} at {times:?}");
+            assert!(pair[1] - pair[0] > 0.95, "{topic} at {times:?}");
         }
     }
 }

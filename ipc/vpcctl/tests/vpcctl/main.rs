@@ -15,12 +15,12 @@ mod status;
 mod watch;
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 /// Runs `vpcctl` on a domain; it ends by itself, or else after a minute.
 fn vpcctl(domain: &Path, words: &[&str]) -> Output {
-    Command::new("timeout")
-        .args(["60", env!("CARGO_BIN_EXE_vpcctl")])
+    testkit::command("timeout")
+        .args(["--foreground", "60", env!("CARGO_BIN_EXE_vpcctl")])
         .arg("--domain")
         .arg(domain)
         .args(words)

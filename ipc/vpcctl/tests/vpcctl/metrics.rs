@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 
 use testkit::python::Environment;
 use testkit::{Place, Running, eventually, program, root};
@@ -22,7 +22,7 @@ pub struct Server {
 
 impl Server {
     pub fn start(domain: &Path, words: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_vpcctl"))
+        let mut child = testkit::command(env!("CARGO_BIN_EXE_vpcctl"))
             .arg("--domain")
             .arg(domain)
             .args(words)
@@ -105,7 +105,7 @@ impl Server {
     /// Ends it by SIGTERM; its exit code.
     pub fn terminate(&mut self) -> Option<i32> {
         let process = self.child.id().to_string();
-        let kill = Command::new("kill").arg(process).status().unwrap();
+        let kill = testkit::command("kill").arg(process).status().unwrap();
         assert!(kill.success());
         eventually("the server ends", || self.child.try_wait().unwrap()).code()
     }
@@ -147,7 +147,7 @@ fn the_python_client_of_prometheus_reads_what_is_printed() {
     let Some(python) = environment.python("the parser of Prometheus") else {
         return;
     };
-    let mut parser = Command::new(python)
+    let mut parser = testkit::command(python)
         .args(["-c", PARSER])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -193,7 +193,7 @@ fn metrics_are_served_on_loopback_to_who_asks_for_this_machine() {
 fn the_cause_of_the_last_cycle_is_told_after_the_daemons_end() {
     let place = Place::new();
     let start = |name, words: &[&str]| {
-        let mut command = Command::new(program(name));
+        let mut command = testkit::command(program(name));
         command.arg("--domain").arg(place.domain()).args(words);
         command.current_dir(root());
         Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))

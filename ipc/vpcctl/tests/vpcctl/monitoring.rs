@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use ipc::{Domain, Encoding, ImageHeader, RobotMode, RobotPorts, RobotState};
 use serde_json::Value;
@@ -21,7 +21,7 @@ fn file(name: &str) -> PathBuf {
 }
 
 fn promtool(arguments: &[&str], name: &str) -> Result<String, String> {
-    run(Command::new("promtool").args(arguments).arg(file(name)))
+    run(testkit::command("promtool").args(arguments).arg(file(name)))
 }
 
 #[test]
@@ -70,7 +70,7 @@ impl Prometheus {
         let free = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = free.local_addr().unwrap().to_string();
         drop(free);
-        let mut command = Command::new("prometheus");
+        let mut command = testkit::command("prometheus");
         command.arg(format!("--config.file={}", path.display()));
         command.arg(format!("--web.listen-address={address}"));
         command.arg(format!(

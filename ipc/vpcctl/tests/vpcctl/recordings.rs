@@ -1,7 +1,7 @@
 //! `record` and `plot` as processes, on a run of the real daemon and the real emulator.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 use std::sync::OnceLock;
 
 use recording::{Recording, RecordingFile};
@@ -58,7 +58,7 @@ fn fly() -> Flight {
         ),
     );
     let with_domain = |program: PathBuf| {
-        let mut command = Command::new(program);
+        let mut command = testkit::command(program);
         command.arg("--domain").arg(place.domain());
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command

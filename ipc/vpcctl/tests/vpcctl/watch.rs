@@ -2,7 +2,7 @@
 
 use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -27,7 +27,7 @@ impl Terminal {
         let line = format!(
             "stty rows 24 cols 80; echo $$ > {note_name}; exec {program} --domain {domain} watch"
         );
-        let mut script = Command::new("script")
+        let mut script = testkit::command("script")
             .args(["-q", "-e", "-c", &line, "/dev/null"])
             .env("TERM", "xterm")
             .stdin(Stdio::piped())
@@ -92,7 +92,7 @@ impl Drop for Terminal {
     fn drop(&mut self) {
         if !self.ended() {
             let process = self.process.to_string();
-            let _ = Command::new("kill").args(["-KILL", &process]).status();
+            let _ = testkit::command("kill").args(["-KILL", &process]).status();
         }
         let _ = self.script.kill();
         let _ = self.script.wait();

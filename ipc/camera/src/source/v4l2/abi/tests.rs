@@ -1,6 +1,5 @@
 use std::mem::{offset_of, size_of};
 use std::path::Path;
-use std::process::Command;
 
 use super::*;
 
@@ -90,13 +89,13 @@ fn structs_and_numbers_are_those_of_the_kernels_header() {
     let directory = tempfile::tempdir().unwrap();
     let [source, probe] = ["probe.c", "probe"].map(|name| directory.path().join(name));
     std::fs::write(&source, program).unwrap();
-    let built = Command::new("cc")
+    let built = testkit::command("cc")
         .arg(&source)
         .arg("-o")
         .arg(&probe)
         .status();
     assert!(built.unwrap().success());
-    let said = Command::new(&probe).output().unwrap().stdout;
+    let said = testkit::command(&probe).output().unwrap().stdout;
     let said: Vec<u64> = String::from_utf8(said)
         .unwrap()
         .lines()
