@@ -14,6 +14,7 @@ use crate::cell::{Cell, Exposed, Order};
 use crate::config::{Body, Clock, Config};
 use crate::eye::Shot;
 use crate::free::FreeCell;
+use crate::late_frames::LateFrames;
 use crate::lateness::Lateness;
 use crate::outcome::Outcome;
 use crate::port::Ports;
@@ -97,6 +98,7 @@ struct Session<'a> {
     /// Features delivered since the last exposure, px.
     measured: Option<Vec<[f64; 2]>>,
     lateness: Lateness,
+    late: LateFrames,
     /// Whether a disarmed controller was told of, or is not to be.
     is_told: bool,
     /// Where the arm's last motion ended.
@@ -125,6 +127,7 @@ impl<'a> Session<'a> {
             command: None,
             measured: None,
             lateness: Lateness::default(),
+            late: LateFrames::default(),
             is_told: false,
             joints: None,
         })
@@ -198,7 +201,7 @@ impl<'a> Session<'a> {
     fn drive(&mut self, cell: &mut dyn Cell, rest_ns: Option<u64>) -> anyhow::Result<()> {
         self.since_ns = now_ns();
         (self.command, self.measured) = (None, None);
-        self.lateness = Lateness::default();
+        (self.lateness, self.late) = Default::default();
         self.is_told = rest_ns.is_some() || !self.is_live();
         cell.begin(self.since_ns);
         let end_ns = rest_ns.map(|rest_ns| self.since_ns + rest_ns);
@@ -252,6 +255,12 @@ impl<'a> Session<'a> {
         }
         if let Some(exposed) = &seen.exposed {
             self.note(cell, exposed, is_resting)?;
+            let rate_hz = self.config.scene.camera.rate_hz;
+            if self.is_live()
+                && let Some(warning) = self.late.add(now_ns, late_ns, self.since_ns, rate_hz)
+            {
+                eprintln!("hw-sim: {warning}");
+            }
         }
         if self.is_live() || seen.exposed.is_some() {
             let mut state = cell.state();
@@ -370,6 +379,7 @@ impl<'a> Session<'a> {
         let allowed_px = self.config.scene.success.violation_px;
         let mut outcome = Outcome::new(start, cell.progress(), allowed_px);
         cell.complete(&mut outcome);
+        outcome.late = self.late.report();
         if self.is_live() && outcome.arm.is_some() {
             outcome.lateness = Some(self.lateness.report());
         }
