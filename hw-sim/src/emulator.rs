@@ -28,6 +28,9 @@ use crate::rig::Rig;
 const STALE_NS: u64 = 100_000_000;
 /// How long lockstep waits for a controller to come, and for each answer.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Most commands that are obeyed before a step: more come in a period only where that takes longer
+/// than the period itself, and then frames have to go out all the same.
+const COMMANDS: usize = 16;
 /// How long the camera rests at the goal between two runs.
 const REST_NS: u64 = 2_000_000_000;
 
@@ -239,8 +242,12 @@ impl<'a> Session<'a> {
         let due_ns = cell.due_ns();
         let now_ns = if self.is_live() {
             sleep_until(due_ns, self.stop);
-            while let Some(newer) = self.ports.command()? {
+            for _ in 0..COMMANDS {
+                let Some(newer) = self.ports.command()? else {
+                    break;
+                };
                 self.obey(cell, newer);
+                self.warn_if_late(due_ns);
             }
             now_ns()
         } else {
@@ -249,18 +256,16 @@ impl<'a> Session<'a> {
         let late_ns = now_ns.saturating_sub(due_ns);
         self.lateness.add(late_ns);
         cell.late(late_ns);
+        if self.is_live() {
+            self.warn_if_late(due_ns);
+        }
         let seen = cell.look(now_ns)?;
         if let Some(shot) = &seen.shot {
             self.publish(cell, shot, now_ns)?;
         }
         if let Some(exposed) = &seen.exposed {
             self.note(cell, exposed, is_resting)?;
-            let rate_hz = self.config.scene.camera.rate_hz;
-            if self.is_live()
-                && let Some(warning) = self.late.add(now_ns, late_ns, self.since_ns, rate_hz)
-            {
-                eprintln!("hw-sim: {warning}");
-            }
+            self.late.add(late_ns, self.config.scene.camera.rate_hz);
         }
         if self.is_live() || seen.exposed.is_some() {
             let mut state = cell.state();
@@ -270,6 +275,15 @@ impl<'a> Session<'a> {
         }
         cell.advance();
         Ok(())
+    }
+
+    /// Warns where a step is late that was due at this instant.
+    fn warn_if_late(&mut self, due_ns: u64) {
+        let (now_ns, rate_hz) = (now_ns(), self.config.scene.camera.rate_hz);
+        let late_ns = now_ns.saturating_sub(due_ns);
+        if let Some(warning) = self.late.warning(now_ns, late_ns, self.since_ns, rate_hz) {
+            eprintln!("hw-sim: {warning}");
+        }
     }
 
     /// Publishes a frame; in lockstep, waits for its answer and obeys it.

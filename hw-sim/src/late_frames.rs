@@ -23,33 +23,34 @@ pub struct LateFrames {
 }
 
 impl LateFrames {
-    /// Counts a frame that was exposed at `now_ns`, `late_ns` after it was due, in a run that began
-    /// at `since_ns`. Returns a warning if it is late, at most one in five seconds.
-    pub fn add(
+    /// A warning, at most one in five seconds, if what is due now, at `now_ns`, is late by
+    /// `late_ns`, in a run that began at `since_ns`. Ask before the step: that may take long.
+    pub fn warning(
         &mut self,
         now_ns: u64,
         late_ns: u64,
         since_ns: u64,
         rate_hz: f64,
     ) -> Option<String> {
-        self.frames += 1;
-        let late_s = late_ns as f64 * 1e-9;
-        self.most_s = self.most_s.max(late_s);
-        if late_s * rate_hz < PERIODS as f64 {
-            return None;
-        }
-        self.late += 1;
         let is_silent = |warned_ns: u64| now_ns < warned_ns + PAUSE_NS;
-        if self.warned_ns.is_some_and(is_silent) {
+        if !is_late(late_ns, rate_hz) || self.warned_ns.is_some_and(is_silent) {
             return None;
         }
         self.warned_ns = Some(now_ns);
         let elapsed_s = now_ns.saturating_sub(since_ns) as f64 * 1e-9;
         Some(format!(
-            "slower than real time: frame {} comes {late_s:.1} s late, {:.1} frames a second instead of {rate_hz}",
-            self.frames,
+            "slower than real time: frame {} comes {:.1} s late, {:.1} frames a second instead of {rate_hz}",
+            self.frames + 1,
+            late_ns as f64 * 1e-9,
             self.frames as f64 / elapsed_s,
         ))
+    }
+
+    /// Counts a frame that was exposed `late_ns` after it was due.
+    pub fn add(&mut self, late_ns: u64, rate_hz: f64) {
+        self.frames += 1;
+        self.late += u64::from(is_late(late_ns, rate_hz));
+        self.most_s = self.most_s.max(late_ns as f64 * 1e-9);
     }
 
     /// The frames as a part of an outcome, if any was late.
@@ -57,6 +58,10 @@ impl LateFrames {
         let most_s = (self.most_s * 1e3).round() / 1e3;
         (self.late > 0).then_some(Self { most_s, ..self })
     }
+}
+
+fn is_late(late_ns: u64, rate_hz: f64) -> bool {
+    late_ns as f64 * 1e-9 * rate_hz >= PERIODS as f64
 }
 
 impl fmt::Display for LateFrames {
@@ -80,9 +85,13 @@ mod tests {
         let mut frames = LateFrames::default();
         for k in 0..300 {
             let now_ns = k * PERIOD_NS + 90_000_000;
-            assert_eq!(frames.add(now_ns, 90_000_000, 0, 30.0), None);
+            assert_eq!(frames.warning(now_ns, 90_000_000, 0, 30.0), None);
+            frames.add(90_000_000, 30.0);
         }
         assert_eq!(frames.report(), None);
+        assert!(frames.warning(10, 101_000_000, 0, 30.0).is_some());
+        frames.add(101_000_000, 30.0);
+        assert_eq!(frames.report().map(|frames| frames.late), Some(1));
     }
 
     #[test]
@@ -91,11 +100,13 @@ mod tests {
         let mut warnings = Vec::new();
         for k in 0..11 {
             let now_ns = k * 1_000_000_000;
-            warnings.extend(frames.add(now_ns, now_ns - k * PERIOD_NS, 0, 30.0));
+            let late_ns = now_ns - k * PERIOD_NS;
+            warnings.extend(frames.warning(now_ns, late_ns, 0, 30.0));
+            frames.add(late_ns, 30.0);
         }
         let expected = [
-            "slower than real time: frame 2 comes 1.0 s late, 2.0 frames a second instead of 30",
-            "slower than real time: frame 7 comes 5.8 s late, 1.2 frames a second instead of 30",
+            "slower than real time: frame 2 comes 1.0 s late, 1.0 frames a second instead of 30",
+            "slower than real time: frame 7 comes 5.8 s late, 1.0 frames a second instead of 30",
         ];
         assert_eq!(warnings, expected.map(str::to_owned));
         let report = frames.report().unwrap();
