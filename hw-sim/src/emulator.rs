@@ -14,6 +14,7 @@ use crate::cell::{Cell, Exposed, Order};
 use crate::config::{Body, Clock, Config};
 use crate::eye::Shot;
 use crate::free::FreeCell;
+use crate::late_frames::LateFrames;
 use crate::lateness::Lateness;
 use crate::outcome::Outcome;
 use crate::port::Ports;
@@ -27,6 +28,9 @@ use crate::rig::Rig;
 const STALE_NS: u64 = 100_000_000;
 /// How long lockstep waits for a controller to come, and for each answer.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Most commands that are obeyed before a step: more come in a period only where that takes longer
+/// than the period itself, and then frames have to go out all the same.
+const COMMANDS: usize = 16;
 /// How long the camera rests at the goal between two runs.
 const REST_NS: u64 = 2_000_000_000;
 
@@ -97,6 +101,7 @@ struct Session<'a> {
     /// Features delivered since the last exposure, px.
     measured: Option<Vec<[f64; 2]>>,
     lateness: Lateness,
+    late: LateFrames,
     /// Whether a disarmed controller was told of, or is not to be.
     is_told: bool,
     /// Where the arm's last motion ended.
@@ -125,6 +130,7 @@ impl<'a> Session<'a> {
             command: None,
             measured: None,
             lateness: Lateness::default(),
+            late: LateFrames::default(),
             is_told: false,
             joints: None,
         })
@@ -198,7 +204,7 @@ impl<'a> Session<'a> {
     fn drive(&mut self, cell: &mut dyn Cell, rest_ns: Option<u64>) -> anyhow::Result<()> {
         self.since_ns = now_ns();
         (self.command, self.measured) = (None, None);
-        self.lateness = Lateness::default();
+        (self.lateness, self.late) = Default::default();
         self.is_told = rest_ns.is_some() || !self.is_live();
         cell.begin(self.since_ns);
         let end_ns = rest_ns.map(|rest_ns| self.since_ns + rest_ns);
@@ -236,8 +242,12 @@ impl<'a> Session<'a> {
         let due_ns = cell.due_ns();
         let now_ns = if self.is_live() {
             sleep_until(due_ns, self.stop);
-            while let Some(newer) = self.ports.command()? {
+            for _ in 0..COMMANDS {
+                let Some(newer) = self.ports.command()? else {
+                    break;
+                };
                 self.obey(cell, newer);
+                self.warn_if_late(due_ns);
             }
             now_ns()
         } else {
@@ -246,12 +256,16 @@ impl<'a> Session<'a> {
         let late_ns = now_ns.saturating_sub(due_ns);
         self.lateness.add(late_ns);
         cell.late(late_ns);
+        if self.is_live() {
+            self.warn_if_late(due_ns);
+        }
         let seen = cell.look(now_ns)?;
         if let Some(shot) = &seen.shot {
             self.publish(cell, shot, now_ns)?;
         }
         if let Some(exposed) = &seen.exposed {
             self.note(cell, exposed, is_resting)?;
+            self.late.add(late_ns, self.config.scene.camera.rate_hz);
         }
         if self.is_live() || seen.exposed.is_some() {
             let mut state = cell.state();
@@ -261,6 +275,15 @@ impl<'a> Session<'a> {
         }
         cell.advance();
         Ok(())
+    }
+
+    /// Warns where a step is late that was due at this instant.
+    fn warn_if_late(&mut self, due_ns: u64) {
+        let (now_ns, rate_hz) = (now_ns(), self.config.scene.camera.rate_hz);
+        let late_ns = now_ns.saturating_sub(due_ns);
+        if let Some(warning) = self.late.warning(now_ns, late_ns, self.since_ns, rate_hz) {
+            eprintln!("hw-sim: {warning}");
+        }
     }
 
     /// Publishes a frame; in lockstep, waits for its answer and obeys it.
@@ -370,6 +393,7 @@ impl<'a> Session<'a> {
         let allowed_px = self.config.scene.success.violation_px;
         let mut outcome = Outcome::new(start, cell.progress(), allowed_px);
         cell.complete(&mut outcome);
+        outcome.late = self.late.report();
         if self.is_live() && outcome.arm.is_some() {
             outcome.lateness = Some(self.lateness.report());
         }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use vision::{Image, Latency, Lens, Transit};
 
 use crate::camera::{Points, outlines, project};
-use crate::occlusion;
+use crate::occlusion::Shape;
 pub use crate::picture::EyeError;
 use crate::picture::{Exposure, FrameRenderer};
 use crate::pose::{RigidPose, seen_after, to_scene};
@@ -90,6 +90,7 @@ type Exposed = (u64, u64, Points, u32);
 #[derive(Debug)]
 pub struct Eye {
     real: Scene,
+    shapes: Vec<Shape>,
     shown: Vec<bool>,
     noise: Option<Normal<f64>>,
     random: ChaCha8Rng,
@@ -124,6 +125,7 @@ impl Eye {
             ..settings.latency
         };
         Ok(Self {
+            shapes: real.occlusions.iter().map(Shape::new).collect(),
             real: real.clone(),
             shown: vec![true; real.occlusions.len()],
             noise: Normal::new(0.0, settings.noise_px).ok(),
@@ -241,12 +243,10 @@ impl Eye {
         let camera = &self.real.camera;
         let [u, v] = self.lens.distort(pixel);
         let inside = |x: f64, most: f64| (0.0..=most - 1.0).contains(&x);
-        let covered = |(occlusion, shown): (&scene::Occlusion, &bool)| {
-            *shown && occlusion::distance_below(occlusion, pixel, 0.0) < 0.0
-        };
+        let covered = |(shape, shown): (&Shape, &bool)| *shown && shape.covers(pixel);
         inside(u, camera.width)
             && inside(v, camera.height)
-            && !self.real.occlusions.iter().zip(&self.shown).any(covered)
+            && !self.shapes.iter().zip(&self.shown).any(covered)
     }
 }
 

@@ -1,6 +1,8 @@
 //! Euclidean distances between image points and occlusions, for the referee.
 
-use scene::{Mask, Occlusion, Part};
+use scene::{Name, Occlusion, Part};
+
+use crate::painted::Painted;
 
 /// Samples of the parameter in which the closest border point is first looked for.
 const SAMPLES: usize = 64;
@@ -58,65 +60,48 @@ pub fn signed_distance(part: &Part, pixel: [f64; 2]) -> f64 {
     }
 }
 
-/// Signed distance of a pixel from an occlusion, px, where it is below `bound`; else some number at
-/// or above it. Outside the union it is exact. Inside, the depth is that of the deepest part that
-/// covers the pixel: a lower bound of the way out of the union, exact where parts do not overlap.
-pub fn distance_below(occlusion: &Occlusion, pixel: [f64; 2], bound: f64) -> f64 {
-    let parts = occlusion.parts.iter().fold(bound, |least, part| {
-        if box_distance(part, pixel) < least {
-            least.min(signed_distance(part, pixel))
-        } else {
-            least
-        }
-    });
-    match &occlusion.mask {
-        Some(mask) => parts.min(mask_distance_below(mask, pixel, parts)),
-        None => parts,
-    }
+/// An occlusion, prepared for distances.
+#[derive(Clone, Debug)]
+pub struct Shape {
+    /// Its name.
+    pub name: Name,
+    parts: Vec<Part>,
+    painted: Option<Painted>,
 }
 
-/// Signed distance of a point from the white pixels of a mask, px, negative on one, where it is
-/// below `bound`; else some number at or above it. Straight from the pixels: rings of them about
-/// the point's own (for a point outside the image: about the nearest one), until no pixel of the
-/// next ring can be nearer. What lies outside the image is neither forbidden nor a way out.
-pub fn mask_distance_below(mask: &Mask, [u, v]: [f64; 2], bound: f64) -> f64 {
-    let (width, height) = (mask.width() as i64, mask.height() as i64);
-    // From the corner of the first pixel, whose centre is (0, 0): pixels begin at whole numbers.
-    let (u, v) = (u + 0.5, v + 0.5);
-    let own = [
-        (u.floor() as i64).clamp(0, width - 1),
-        (v.floor() as i64).clamp(0, height - 1),
-    ];
-    let is_white = |i: i64, j: i64| mask.is_forbidden(i as usize, j as usize);
-    let on_white = is_white(own[0], own[1])
-        && (0.0..=width as f64).contains(&u)
-        && (0.0..=height as f64).contains(&v);
-    // From a white pixel the way to a black one, without a bound: how deep is always told.
-    let (mut nearest, wanted) = if on_white {
-        (f64::INFINITY, false)
-    } else {
-        (bound, true)
-    };
-    let gap = |x: f64, k: i64| (k as f64 - x).max(x - (k + 1) as f64).max(0.0);
-    for ring in 0..width.max(height) {
-        // Every pixel of this ring is at least this far from the point.
-        if (ring - 1) as f64 >= nearest {
-            break;
-        }
-        let (left, right) = (own[0] - ring, own[0] + ring);
-        for j in (own[1] - ring).max(0)..=(own[1] + ring).min(height - 1) {
-            let whole = (j - own[1]).abs() == ring;
-            let step = if whole { 1 } else { (2 * ring).max(1) };
-            let mut i = left;
-            while i <= right {
-                if (0..width).contains(&i) && is_white(i, j) == wanted {
-                    nearest = nearest.min(gap(u, i).hypot(gap(v, j)));
-                }
-                i += step;
-            }
+impl Shape {
+    /// Prepares an occlusion: a mask takes a few milliseconds for a megapixel.
+    pub fn new(occlusion: &Occlusion) -> Self {
+        Self {
+            name: occlusion.name.clone(),
+            parts: occlusion.parts.to_vec(),
+            painted: occlusion.mask.as_ref().map(Painted::new),
         }
     }
-    if on_white { -nearest } else { nearest }
+
+    /// Whether a pixel lies inside.
+    pub fn covers(&self, pixel: [f64; 2]) -> bool {
+        let is_on_mask = |painted: &Painted| painted.covers(pixel);
+        self.parts.iter().any(|part| covers(part, pixel))
+            || self.painted.as_ref().is_some_and(is_on_mask)
+    }
+
+    /// Signed distance of a pixel, px, where it is below `bound`; else some number at or above it.
+    /// Outside the union it is exact. Inside, the depth is that of the deepest part that covers the
+    /// pixel: a lower bound of the way out of the union, exact where parts do not overlap.
+    pub fn distance_below(&self, pixel: [f64; 2], bound: f64) -> f64 {
+        let parts = self.parts.iter().fold(bound, |least, part| {
+            if box_distance(part, pixel) < least {
+                least.min(signed_distance(part, pixel))
+            } else {
+                least
+            }
+        });
+        match &self.painted {
+            Some(painted) => parts.min(painted.distance_below(pixel, parts)),
+            None => parts,
+        }
+    }
 }
 
 /// A lower bound of the signed distance of a pixel from a part, px: that from its bounding box, and
@@ -150,45 +135,6 @@ mod tests {
         ] {
             assert!((signed_distance(&circle, pixel) - expected).abs() < 1e-6);
         }
-    }
-
-    fn painted(is_white: impl Fn(u32, u32) -> bool) -> Mask {
-        let directory = tempfile::TempDir::new().unwrap();
-        scene::write_mask(&directory.path().join("mask.png"), 1024, 1024, is_white).unwrap();
-        let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
-        let text = format!("{head}[[occlusion]]\nname = \"painted\"\nmask = \"mask.png\"\n");
-        let path = directory.path().join("scene.toml");
-        std::fs::write(&path, text).unwrap();
-        let scene = scene::Scene::read(&path).unwrap();
-        *scene.masks().next().unwrap()
-    }
-
-    #[test]
-    fn distances_to_a_painted_rectangle_are_exact() {
-        // White from (299.5, 199.5) to (399.5, 259.5).
-        let mask = painted(|i, j| (300..400).contains(&i) && (200..260).contains(&j));
-        for (point, expected) in [
-            ([290.0, 229.8], 9.5),
-            ([349.7, 264.5], 5.0),
-            ([402.5, 263.5], 5.0),
-            ([349.7, 245.2], -14.3),
-            ([389.75, 228.5], -9.75),
-            ([399.5, 229.5], 0.0),
-            ([-30.5, 155.5], 44f64.hypot(330.0)),
-        ] {
-            let found = mask_distance_below(&mask, point, 1e4);
-            assert!((found - expected).abs() < 1e-9, "{point:?}: {found}");
-        }
-        assert!(mask_distance_below(&mask, [290.0, 229.8], 5.0) >= 5.0);
-        // A bound below tells a violation none the less.
-        assert!((mask_distance_below(&mask, [349.7, 245.2], -10.0) + 14.3).abs() < 1e-9);
-    }
-
-    #[test]
-    fn white_at_the_edge_of_the_image_offers_no_way_out_beyond_it() {
-        let mask = painted(|i, _| i < 100);
-        assert!((mask_distance_below(&mask, [2.5, 500.0], 1e4) + 97.0).abs() < 1e-9);
-        assert!((mask_distance_below(&mask, [-4.5, 500.0], 1e4) - 4.0).abs() < 1e-9);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::late_frames::LateFrames;
 use crate::lateness::LatenessReport;
 use crate::progress::Progress;
 use crate::referee::End;
@@ -51,6 +52,10 @@ pub struct Outcome {
     /// Of an arm on the fixed clock: how late its milliseconds began.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lateness: Option<LatenessReport>,
+    /// In real time: the frames that came late, where any did. Where many did, the run says little
+    /// of the controller.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub late: Option<LateFrames>,
 }
 
 impl Outcome {
@@ -81,6 +86,7 @@ impl Outcome {
             arrived_s: None,
             arm: None,
             lateness: None,
+            late: None,
         }
     }
 
@@ -91,6 +97,14 @@ impl Outcome {
 
     /// The outcome as a sentence.
     pub fn sentence(&self) -> String {
+        let verdict = self.verdict_sentence();
+        match &self.late {
+            Some(late) => format!("{verdict}; {late}"),
+            None => verdict,
+        }
+    }
+
+    fn verdict_sentence(&self) -> String {
         let after = format!("after {:.1} s", self.time_s);
         let error = format!("{:.1} px from the goal", self.error_px);
         match (self.verdict, &self.violation) {
@@ -195,6 +209,18 @@ mod tests {
         assert!(hidden.contains("; 26.3 px from"), "{hidden}");
         let words = "; markers were up to 2.5 px hidden";
         assert!(hidden.ends_with(words), "{hidden}");
+    }
+
+    #[test]
+    fn a_run_whose_frames_came_late_says_so() {
+        let mut late = outcome([755.0, 560.0], Some(End::TimeOut));
+        let mut frames = LateFrames::default();
+        (frames.frames, frames.late, frames.most_s) = (33, 31, 29.9);
+        late.late = Some(frames);
+        let words = "after 1.4 s; slower than real time: 31 of 33 frames came 3 periods late or more, up to 29.9 s; this may have decided the run";
+        assert!(late.sentence().ends_with(words), "{}", late.sentence());
+        let json = serde_json::json!(late)["late"].to_string();
+        assert_eq!(json, r#"{"frames":33,"late":31,"most_s":29.9}"#);
     }
 
     #[test]

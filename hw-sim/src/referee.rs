@@ -5,7 +5,7 @@ use std::fmt;
 use scene::{Name, Scene};
 
 use crate::camera::{Outline, Points, project};
-use crate::occlusion;
+use crate::occlusion::Shape;
 use crate::pose::from_scene;
 
 /// How a run ended.
@@ -53,6 +53,7 @@ pub const INSTANTS: u32 = 12;
 #[derive(Clone, Debug)]
 pub struct Referee {
     scene: Scene,
+    shapes: Vec<Shape>,
     goal: Points,
     least_clearance: f64,
     least_between: f64,
@@ -64,6 +65,7 @@ impl Referee {
     pub fn new(scene: &Scene) -> Self {
         Self {
             scene: scene.clone(),
+            shapes: scene.occlusions.iter().map(Shape::new).collect(),
             // A checked scene sees its goal.
             goal: project(scene, &from_scene(&scene.goal)).unwrap_or_default(),
             least_clearance: f64::INFINITY,
@@ -164,11 +166,11 @@ impl Referee {
         };
         // What is no nearer than anything seen so far decides nothing.
         let mut nearest = (border, None);
-        for occlusion in &self.scene.occlusions {
+        for shape in &self.shapes {
             let bound = nearest.0.min(least);
-            let distance = occlusion::distance_below(occlusion, [u, v], bound);
+            let distance = shape.distance_below([u, v], bound);
             if distance < bound {
-                nearest = (distance, Some(occlusion.name.clone()));
+                nearest = (distance, Some(shape.name.clone()));
             }
         }
         nearest

@@ -12,6 +12,7 @@ use scene::{Pose, Share};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::column;
 use crate::row::{self, Row};
 use crate::run::Run;
 use crate::spec::Spec;
@@ -258,7 +259,8 @@ impl<Row: Serialize, Run: Serialize> Document<Row, Run> {
 
 impl<Run> Document<Row, Run> {
     /// Title and rows as they are printed.
-    pub fn text(&self) -> String {
-        format!("{}\n\n{}", self.title, row::markdown(&self.rows))
+    pub fn text(&self, is_wide: bool) -> String {
+        let rows = column::markdown(&row::COLUMNS, &self.rows, is_wide);
+        format!("{}\n\n{rows}", self.title)
     }
 }

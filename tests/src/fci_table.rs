@@ -16,6 +16,7 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 
 use crate::children::Children;
+use crate::column::{self, Column};
 use crate::flags::Common;
 use crate::spec::Spec;
 
@@ -323,33 +324,36 @@ fn why(run: &FciRun) -> String {
     words.map(String::as_str).collect::<Vec<_>>().join(" ")
 }
 
-/// The rows as a Markdown table, and what failed.
-pub fn markdown(rows: &[FciRow]) -> String {
-    let mut text = String::from(
-        "| strategy | interface | arrived | reflexes | limit violations | discontinuities | bridges not at exit 0 | arrival (s) | joint speed, acceleration, jerk (% of limit) |\n\
-         |---|---|--:|--:|--:|--:|--:|--:|--:|\n",
-    );
-    for row in rows {
+/// The columns in their order. A new figure is a field of [`FciRow`] and a line here.
+const COLUMNS: [Column<FciRow>; 9] = [
+    Column::always("strategy", |row| row.strategy.clone()),
+    Column::always("interface", |row| row.interface.clone()),
+    Column::always("arrived", |row| format!("{} of {}", row.arrived, row.runs)),
+    Column::always("arrival (s)", |row| {
+        row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}"))
+    }),
+    Column::always("reflexes", |row| row.trouble[0].to_string()),
+    Column::wide("limit violations", |row| row.trouble[1].to_string()),
+    Column::wide("discontinuities", |row| row.trouble[2].to_string()),
+    Column::wide("bridges not at exit 0", |row| row.bridges.to_string()),
+    Column::wide("joint speed, acceleration, jerk (% of limit)", |row| {
         let [speed, push, snap] = row.joint_shares.map(|share| 100.0 * share);
-        let [reflexes, limits, discontinuities] = row.trouble;
-        text += &format!(
-            "| {} | {} | {} of {} | {reflexes} | {limits} | {discontinuities} | {} | {} | {speed:.0}, {push:.0}, {snap:.0} |\n",
-            row.strategy,
-            row.interface,
-            row.arrived,
-            row.runs,
-            row.bridges,
-            row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}")),
-        );
-    }
-    for row in rows.iter().filter(|row| !row.failed.is_empty()) {
-        let failed = row
+        format!("{speed:.0}, {push:.0}, {snap:.0}")
+    }),
+];
+
+/// The rows as a Markdown table; a wide one with what failed.
+pub fn markdown(rows: &[FciRow], is_wide: bool) -> String {
+    let mut text = column::markdown(&COLUMNS, rows, is_wide);
+    let failed = rows.iter().filter(|row| is_wide && !row.failed.is_empty());
+    for row in failed {
+        let starts = row
             .failed
             .iter()
             .map(|(start, why)| format!("{start} ({why})"));
-        let failed = failed.collect::<Vec<_>>().join(", ");
+        let starts = starts.collect::<Vec<_>>().join(", ");
         text += &format!(
-            "\n{}, {}: failed from {failed}\n",
+            "\n{}, {}: failed from {starts}\n",
             row.strategy, row.interface
         );
     }

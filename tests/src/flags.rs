@@ -13,7 +13,7 @@ pub struct Common {
     #[arg(
         long,
         value_delimiter = ',',
-        default_value = "previous:3,previous:30,knn:3,gpr:3"
+        default_value = "ibvs,previous:3,previous:30,knn:3,gpr:3,foresight:3"
     )]
     pub strategies: Vec<Spec>,
     /// Use late features as they are, without compensating the delay.

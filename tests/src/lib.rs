@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod children;
+pub mod column;
 pub mod document;
 pub mod fci_table;
 pub mod film;

@@ -17,6 +17,7 @@ use scene::{Pose, Scene};
 use serde::Serialize;
 use vpc::{Settings, SolverOptions};
 
+use crate::column::{self, Column};
 use crate::flags::{Common, RobotFlags};
 use crate::robot::{Reason, RobotRun, run};
 use crate::simulated::Simulated;
@@ -168,31 +169,33 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
     }
 }
 
-/// The rows as a Markdown table.
-pub fn markdown(rows: &[RobotRow]) -> String {
-    let mut text = String::from(
-        "| strategy | success (%) | violation | marker lost | time out | faults | reflexes | limit violations | discontinuities | \
-         arrival (s) | cost l/Np | least clearance of an edge (px) | joint speed, acceleration, jerk (% of limit) |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
-    );
-    for row in rows {
+/// The columns in their order. A new figure is a field of [`RobotRow`] and a line here.
+pub const COLUMNS: [Column<RobotRow>; 10] = [
+    Column::always("strategy", |row| row.strategy.clone()),
+    Column::always("success", |row| {
+        format!("{:.0} %", 100.0 * row.success_rate)
+    }),
+    Column::always("cost", |row| format!("{:.4}", row.cost)),
+    Column::always("arrival (s)", |row| {
+        row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}"))
+    }),
+    Column::always("failures", |row| {
+        column::failures(&[
+            (row.violations, "violation"),
+            (row.markers_lost, "lost marker"),
+            (row.time_outs, "timeout"),
+            (row.faults, "fault"),
+        ])
+    }),
+    Column::always("reflexes", |row| row.reflexes.to_string()),
+    Column::wide("limit violations", |row| row.limit_violations.to_string()),
+    Column::wide("discontinuities", |row| row.discontinuities.to_string()),
+    Column::wide("least clearance of an edge (px)", |row| {
+        row.least_edge_px
+            .map_or("-".to_owned(), |px| format!("{px:.1}"))
+    }),
+    Column::wide("joint speed, acceleration, jerk (% of limit)", |row| {
         let [speed, push, snap] = row.joint_shares.map(|share| 100.0 * share);
-        text += &format!(
-            "| {} | {:.0} | {} | {} | {} | {} | {} | {} | {} | {} | {:.4} | {} | {speed:.0}, {push:.0}, {snap:.0} |\n",
-            row.strategy,
-            100.0 * row.success_rate,
-            row.violations,
-            row.markers_lost,
-            row.time_outs,
-            row.faults,
-            row.reflexes,
-            row.limit_violations,
-            row.discontinuities,
-            row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}")),
-            row.cost,
-            row.least_edge_px
-                .map_or("-".to_owned(), |px| format!("{px:.1}")),
-        );
-    }
-    text
-}
+        format!("{speed:.0}, {push:.0}, {snap:.0}")
+    }),
+];

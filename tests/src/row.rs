@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::column::{self, Column};
 use crate::run::{Reason, Run};
 use crate::spec::Spec;
 
@@ -145,38 +146,41 @@ pub(crate) fn wilson(successes: usize, count: usize) -> [f64; 2] {
     [(middle - half) / scale, (middle + half) / scale]
 }
 
-/// The rows as a Markdown table.
-pub fn markdown(rows: &[Row]) -> String {
-    let mut text = String::from(
-        "| strategy | Np | success (%) | 95 % interval | mean cost l/Np | cycles to arrival | violations | not converged | faults | \
-         deepest (px) | change at the goal (%) | mean cycle (us) | p50 (us) | p99 (us) | slack p50 (us) | slack p99 (us) | simulated step (us) |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
-    );
-    for row in rows {
-        let (t, slack) = (&row.cycle_us, &row.slack_us);
-        text += &format!(
-            "| {} | {} | {:.1} | {:.1} to {:.1} | {:.2} | {:.0} | {} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.0} | {:.0} | {:.1} |\n",
-            row.strategy,
-            row.np,
-            100.0 * row.success_rate,
-            100.0 * row.success_interval[0],
-            100.0 * row.success_interval[1],
-            row.mean_cost,
-            row.steps,
-            row.violations,
-            row.not_converged,
-            row.faults,
-            row.deepest_px,
-            100.0 * row.change,
-            t.mean,
-            t.p50,
-            t.p99,
-            slack.p50,
-            slack.p99,
-            row.simulated_us,
-        );
-    }
-    text
+/// The columns in their order. A new figure is a field of [`Row`] and a line here.
+pub const COLUMNS: [Column<Row>; 18] = [
+    Column::always("strategy", |row| format!("{}:{}", row.strategy, row.np)),
+    Column::always("success", |row| percent(row.success_rate)),
+    Column::wide("95 % interval", |row| {
+        let [low, high] = row.success_interval.map(|rate| 100.0 * rate);
+        format!("{low:.1} to {high:.1}")
+    }),
+    Column::always("cost", |row| format!("{:.2}", row.mean_cost)),
+    Column::always("cycles", |row| format!("{:.0}", row.steps)),
+    Column::always("p99 (us)", |row| format!("{:.1}", row.cycle_us.p99)),
+    Column::always("failures", |row| {
+        column::failures(&[
+            (row.violations, "violation"),
+            (row.not_converged, "timeout"),
+            (row.faults, "fault"),
+        ])
+    }),
+    Column::wide("deepest (px)", |row| format!("{:.1}", row.deepest_px)),
+    Column::wide("change at the goal", |row| percent(row.change)),
+    Column::wide("iterations", |row| format!("{:.1}", row.iterations)),
+    Column::wide("not converged", |row| percent(row.solver_not_converged)),
+    Column::wide("mean (us)", |row| format!("{:.1}", row.cycle_us.mean)),
+    Column::wide("p50 (us)", |row| format!("{:.1}", row.cycle_us.p50)),
+    Column::wide("max (us)", |row| format!("{:.1}", row.cycle_us.max)),
+    Column::wide("slack p50 (us)", |row| format!("{:.0}", row.slack_us.p50)),
+    Column::wide("slack p99 (us)", |row| format!("{:.0}", row.slack_us.p99)),
+    Column::wide("slack max (us)", |row| format!("{:.0}", row.slack_us.max)),
+    Column::wide("simulated step (us)", |row| {
+        format!("{:.1}", row.simulated_us)
+    }),
+];
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
 }
 
 #[cfg(test)]
@@ -191,5 +195,39 @@ mod tests {
             (low - 0.94551).abs() < 1e-4 && (high - 0.99823).abs() < 1e-4,
             "{low} {high}"
         );
+    }
+
+    #[test]
+    fn the_narrow_table_fits_into_a_hundred_characters() {
+        let time = CycleTime {
+            mean: 12345.6,
+            p50: 12345.6,
+            p99: 12345.6,
+            max: 12345.6,
+        };
+        let row = Row {
+            strategy: "foresight".to_owned(),
+            np: 30,
+            success_rate: 1.0,
+            success_interval: [0.963, 1.0],
+            mean_cost: 1234.567,
+            cycle_us: time,
+            slack_us: time,
+            simulated_us: 100.0,
+            deepest_px: 12.0,
+            violations: 333,
+            not_converged: 333,
+            faults: 333,
+            change: 0.1,
+            iterations: 2.0,
+            solver_not_converged: 0.01,
+            steps: 450.0,
+        };
+        let rows = [row];
+        let narrow = column::markdown(&COLUMNS, &rows, false);
+        let longest = narrow.lines().map(str::len).max();
+        assert!(longest.is_some_and(|length| length <= 100), "{narrow}");
+        let wide = column::markdown(&COLUMNS, &rows, true);
+        assert!(wide.contains("96.3 to 100.0"), "{wide}");
     }
 }

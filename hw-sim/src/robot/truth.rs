@@ -126,7 +126,7 @@ fn displace(occlusion: &mut Occlusion, shift: [f64; 2], growth: f64) {
 mod tests {
     use super::*;
     use crate::camera::project;
-    use crate::occlusion;
+    use crate::occlusion::Shape;
     use crate::pose::from_scene;
     use crate::robot::calibration::HandEye;
 
@@ -189,11 +189,11 @@ mod tests {
                 ..truth
             };
             for scene in [&believed, &painted] {
-                let spot = &truth.scene(scene).occlusions[0];
+                let spot = Shape::new(&truth.scene(scene).occlusions[0]);
                 for angle in [0.0, 1.0, 2.5, 4.0] {
                     let (sin, cos) = f64::sin_cos(angle);
                     let at = |away: f64| [332.0 + away * cos, 215.0 + away * sin];
-                    let depth = |away| occlusion::distance_below(spot, at(away), 1e3);
+                    let depth = |away| spot.distance_below(at(away), 1e3);
                     assert!((depth(radius) / 1.5).abs() < 1.0, "{}", depth(radius));
                     assert!(depth(radius - 4.0) < 0.0 && depth(radius + 4.0) > 0.0);
                 }

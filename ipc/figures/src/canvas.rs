@@ -10,6 +10,11 @@ pub(crate) const FEATURES: [&str; 8] = [
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6d31", "#555555",
 ];
 
+/// The colour of feature `index`.
+pub(crate) fn colour(index: usize) -> &'static str {
+    FEATURES[index % FEATURES.len()]
+}
+
 /// Style of lines across a panel.
 pub(crate) const GRID: &str = "stroke=\"#e4e6ea\"";
 /// Style of lines at limits.

@@ -4,18 +4,18 @@ use std::fmt::Write;
 
 use scene::{Part, Scene};
 
-use crate::canvas::{Canvas, label, ticks};
+use crate::canvas::{Canvas, colour, label, ticks};
 
 /// Longest side of the image in the drawing, px.
 const SIDE: f64 = 360.0;
 /// Left, top, right and bottom margin.
-pub(crate) const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 62.0];
+pub(crate) const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 74.0];
 /// Width that the key below an image takes, px: an upright image is narrower.
 pub(crate) const KEY: f64 = 350.0;
 /// Fill of occlusions.
 pub(crate) const SHADE: &str = "fill=\"#b9bdc4\"";
-/// Style of the features at the goal.
-pub(crate) const GOAL: &str = "fill=\"none\" stroke=\"#d81f1f\" stroke-width=\"2\"";
+/// Stroke of the features at the goal.
+pub(crate) const GOAL: &str = "stroke=\"#d81f1f\" stroke-width=\"2\"";
 
 /// A drawing in the coordinates of an image, with equal scales and v downwards.
 pub(crate) struct Frame {
@@ -101,6 +101,24 @@ impl Frame {
 
     pub fn circle(&mut self, point: [f64; 2], radius: f64, style: &str) {
         self.canvas.circle(self.at(point), radius, style);
+    }
+
+    /// A circle whose radius is in px of the image.
+    pub fn circle_in_image(&mut self, point: [f64; 2], radius: f64, style: &str) {
+        self.circle(point, self.scale * radius, style);
+    }
+
+    /// The number of a feature beside it: from 0, as in messages.
+    pub fn number(&mut self, point: [f64; 2], index: usize) {
+        let [x, y] = self.at(point);
+        self.canvas
+            .text(x + 7.0, y - 6.0, 10.0, "start", &index.to_string());
+    }
+
+    /// The goal of feature `index`: a red ring, filled faintly with its colour.
+    pub fn goal(&mut self, index: usize, point: [f64; 2]) {
+        let style = format!("fill=\"{}\" fill-opacity=\"0.35\" {GOAL}", colour(index));
+        self.circle(point, 5.0, &style);
     }
 
     pub fn cross(&mut self, point: [f64; 2], arm: f64, style: &str) {

@@ -3,22 +3,100 @@
 use scene::Scene;
 
 use crate::Points;
-use crate::canvas::Canvas;
-use crate::frame::{Frame, GOAL, MARGIN, SHADE};
+use crate::canvas::{Canvas, colour};
+use crate::frame::{Frame, GOAL, KEY, MARGIN, SHADE};
 
 /// Least distance between two crosses of one feature, px of the drawing.
 const APART: f64 = 7.0;
-/// Style of features.
-const FEATURE: &str = "fill=\"#1f4fd8\"";
-/// Style of paths.
-const PATH: &str = "stroke=\"#1f4fd8\" stroke-width=\"0.8\" opacity=\"0.5\"";
-/// Style of foreseen ways.
-const FORESEEN: &str = "stroke=\"#d98a00\" stroke-width=\"1.2\" stroke-dasharray=\"5 4\"";
-/// Style of way points.
-const WAY_POINT: &str = "stroke=\"#d81f1f\" stroke-width=\"1.3\" opacity=\"0.75\"";
+/// Colour of marks in the key: any feature's.
+const ANY: &str = "#555555";
+/// A row of the key, and width of its letters, px.
+const ROW: f64 = 14.0;
+const LETTER: f64 = 6.2;
 
-/// Feature paths on the image plane, as in the paper: big blue dots at the start, small ones at
-/// each cycle, red circles at the target, red crosses at way points, occlusions shaded.
+/// The style of a way that was foreseen.
+fn foreseen(colour: &str) -> String {
+    format!("stroke=\"{colour}\" stroke-width=\"1.4\" stroke-dasharray=\"5 4\"")
+}
+
+/// The style of a way point.
+fn way_point(colour: &str) -> String {
+    format!("stroke=\"{colour}\" stroke-width=\"1.3\"")
+}
+
+fn filled(colour: &str) -> String {
+    format!("fill=\"{colour}\"")
+}
+
+/// What a mark of the key looks like.
+#[derive(Clone, Copy)]
+enum Mark {
+    Start,
+    Cycles,
+    Goal,
+    Occlusion,
+    WayPoints,
+    Foreseen,
+}
+
+impl Mark {
+    /// What it means.
+    fn words(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Cycles => "cycles",
+            Self::Goal => "goal",
+            Self::Occlusion => "occlusion",
+            Self::WayPoints => "way points",
+            Self::Foreseen => "foreseen at the start",
+        }
+    }
+
+    /// Its width, px.
+    fn width(self) -> f64 {
+        match self {
+            Self::Cycles | Self::Foreseen => 16.0,
+            _ => 11.0,
+        }
+    }
+
+    /// Draws it from `x` on about the height `y`.
+    fn draw(self, canvas: &mut Canvas, [x, y]: [f64; 2]) {
+        match self {
+            Self::Start => canvas.circle([x + 5.0, y], 4.5, &filled(ANY)),
+            Self::Cycles => {
+                [2.0, 7.0, 12.0]
+                    .iter()
+                    .for_each(|dx| canvas.circle([x + dx, y], 1.5, &filled(ANY)));
+            }
+            Self::Goal => canvas.circle([x + 5.0, y], 5.0, &format!("fill=\"none\" {GOAL}")),
+            Self::Occlusion => canvas.rect([x, y - 5.0], [10.0, 10.0], SHADE),
+            Self::WayPoints => canvas.cross([x + 5.0, y], 2.6, &way_point(ANY)),
+            Self::Foreseen => {
+                canvas.polyline([[x, y], [x + 14.0, y]].into_iter(), &foreseen(ANY));
+            }
+        }
+    }
+}
+
+/// Places of marks in rows no wider than [`KEY`]: where each begins in its row, px, and which row.
+fn rows(marks: &[Mark]) -> Vec<(f64, usize)> {
+    let (mut x, mut row) = (0.0, 0);
+    let place = |mark: &Mark| {
+        let width = mark.width() + 4.0 + LETTER * mark.words().len() as f64;
+        if x + width > KEY {
+            (x, row) = (0.0, row + 1);
+        }
+        let place = (x, row);
+        x += width + 10.0;
+        place
+    };
+    marks.iter().map(place).collect()
+}
+
+/// Feature paths on the image plane, as in the paper, a colour for each feature: big dots at the
+/// start, small ones at each cycle, red rings at the target, crosses at way points, occlusions
+/// shaded.
 #[derive(Clone, Debug)]
 pub struct ImagePlane<'a> {
     /// The scene.
@@ -39,26 +117,28 @@ impl ImagePlane<'_> {
     /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let mut frame = Frame::new(self.scene, &self.title);
-        for point in self
-            .way_points_apart(frame.in_image(APART))
-            .into_iter()
-            .flatten()
-        {
-            frame.cross(*point, 2.6, WAY_POINT);
+        for points in self.way_points_apart(frame.in_image(APART)) {
+            for (i, point) in points.iter().enumerate() {
+                frame.cross(*point, 2.6, &way_point(colour(i)));
+            }
         }
         for i in 0..self.goal.len() {
             let path = self.path.iter().filter_map(|points| points.get(i).copied());
-            frame.polyline(path.clone(), PATH);
-            path.for_each(|point| frame.circle(point, 1.5, FEATURE));
+            let line = format!(
+                "stroke=\"{}\" stroke-width=\"0.8\" opacity=\"0.5\"",
+                colour(i)
+            );
+            frame.polyline(path.clone(), &line);
+            path.for_each(|point| frame.circle(point, 1.5, &filled(colour(i))));
         }
-        for way in &self.foreseen {
-            frame.polyline(way.iter().copied(), FORESEEN);
+        for (i, way) in self.foreseen.iter().enumerate() {
+            frame.polyline(way.iter().copied(), &foreseen(colour(i)));
         }
-        for point in self.path.iter().take(1).flatten() {
-            frame.circle(*point, 4.5, FEATURE);
+        for (i, point) in self.path.iter().take(1).flatten().enumerate() {
+            frame.circle(*point, 4.5, &filled(colour(i)));
         }
-        for point in &self.goal {
-            frame.circle(*point, 5.0, GOAL);
+        for (i, point) in self.goal.iter().enumerate() {
+            frame.goal(i, *point);
         }
         self.key(frame.key(), &mut frame.canvas);
         frame.canvas
@@ -66,29 +146,17 @@ impl ImagePlane<'_> {
 
     /// What each mark means, below the image.
     fn key(&self, y: f64, canvas: &mut Canvas) {
-        let at = |x: f64| [MARGIN[0] + x, y - 3.5];
-        canvas.circle(at(6.0), 4.5, FEATURE);
-        for x in [62.0, 67.0, 72.0] {
-            canvas.circle(at(x), 1.5, FEATURE);
-        }
-        canvas.circle(at(134.0), 5.0, GOAL);
-        canvas.rect([at(184.0)[0], y - 8.5], [10.0, 10.0], SHADE);
-        let mut names = vec![
-            (14.0, "start"),
-            (78.0, "cycles"),
-            (143.0, "goal"),
-            (198.0, "occlusion"),
-        ];
+        let mut marks = vec![Mark::Start, Mark::Cycles, Mark::Goal, Mark::Occlusion];
         if !self.way_points.is_empty() {
-            canvas.cross(at(274.0), 2.6, WAY_POINT);
-            names.push((282.0, "way points"));
+            marks.push(Mark::WayPoints);
         }
         if !self.foreseen.is_empty() {
-            canvas.polyline([at(352.0), at(366.0)].into_iter(), FORESEEN);
-            names.push((370.0, "foreseen at the start"));
+            marks.push(Mark::Foreseen);
         }
-        for (x, name) in names {
-            canvas.text(MARGIN[0] + x, y, 10.0, "start", name);
+        for (mark, (x, row)) in marks.iter().zip(rows(&marks)) {
+            let (x, y) = (MARGIN[0] + x, y + ROW * row as f64);
+            mark.draw(canvas, [x, y - 3.5]);
+            canvas.text(x + mark.width() + 4.0, y, 10.0, "start", mark.words());
         }
     }
 
@@ -112,7 +180,6 @@ impl ImagePlane<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::KEY;
 
     #[test]
     fn way_points_that_hardly_move_are_one_cross() {
@@ -131,6 +198,41 @@ mod tests {
             .map(|p| p[0][0])
             .collect();
         assert_eq!(places, [0.0, 30.0, 60.0, 90.0]);
+    }
+
+    #[test]
+    fn every_entry_of_the_key_ends_within_the_drawing() {
+        let all = [
+            Mark::Start,
+            Mark::Cycles,
+            Mark::Goal,
+            Mark::Occlusion,
+            Mark::WayPoints,
+            Mark::Foreseen,
+        ];
+        for (mark, (x, row)) in all.iter().zip(rows(&all)) {
+            let end = x + mark.width() + 4.0 + LETTER * mark.words().len() as f64;
+            assert!(end <= KEY && row < 2, "{}: {end}, row {row}", mark.words());
+        }
+    }
+
+    #[test]
+    fn each_feature_has_its_colour_from_start_to_goal() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let points = vec![[50.0, 50.0], [90.0, 50.0]];
+        let plane = ImagePlane {
+            scene: &scene,
+            path: vec![points.clone()],
+            goal: points.clone(),
+            way_points: vec![points.clone()],
+            foreseen: vec![points.clone(), points],
+            title: String::new(),
+        };
+        let svg = plane.canvas().svg();
+        // Line, cycle, start, goal, way point and foreseen way.
+        for i in 0..2 {
+            assert_eq!(svg.matches(colour(i)).count(), 6, "{}", colour(i));
+        }
     }
 
     #[test]

@@ -26,7 +26,7 @@ pub use joints::Joints;
 pub use latency::{Latency, Times};
 pub use output::FigureError;
 pub use photo::Photo;
-pub use preview::Preview;
+pub use preview::{Offender, Preview, Seen};
 pub use samples::Samples;
 pub use velocity::Velocity;
 pub use view::View;

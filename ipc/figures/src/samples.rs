@@ -4,7 +4,7 @@ use scene::Scene;
 
 use crate::Points;
 use crate::canvas::{Canvas, FEATURES};
-use crate::frame::{Frame, GOAL};
+use crate::frame::Frame;
 
 /// Trajectories of a memory on the image plane: each feature its own colour, darker towards the
 /// goal.
@@ -34,8 +34,8 @@ impl Samples<'_> {
                 }
             }
         }
-        for point in &self.goal {
-            frame.circle(*point, 5.0, GOAL);
+        for (i, point) in self.goal.iter().enumerate() {
+            frame.goal(i, *point);
         }
         frame.explained("a colour per feature, darker towards the goal (red); grey: occlusions")
     }

@@ -2,7 +2,7 @@
 
 use scene::Scene;
 
-use crate::canvas::FEATURES;
+use crate::canvas::colour;
 use crate::{Canvas, Photo, Points, outline};
 
 /// Width of the drawing, px.
@@ -50,7 +50,7 @@ impl View<'_> {
             canvas.circle(at(point), 5.0, GOAL);
         }
         for i in 0..self.goal.len() {
-            let colour = FEATURES[i % FEATURES.len()];
+            let colour = colour(i);
             let path = self.path.iter().filter_map(|points| points.get(i));
             let style = format!("stroke=\"{colour}\" stroke-width=\"1.5\"");
             canvas.polyline(path.copied().map(at), &style);

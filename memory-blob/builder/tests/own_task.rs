@@ -89,6 +89,38 @@ fn a_scene_with_tags_is_drawn_and_its_starts_are_clear_of_whole_tags() {
 }
 
 #[test]
+fn a_scene_whose_goal_is_too_near_to_its_mask_is_drawn_and_refused() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    said(
+        here,
+        &format!("{NEW} --marker-size 0.03 --ellipse 60,60,40,30"),
+    );
+    said(here, "mask own.toml -o areas.png --scene-out painted.toml");
+    let words = said(here, "preview painted.toml -o free.png");
+    assert!(words.contains("wrote free.svg"), "{words}");
+    // Point 2 is at (410, 330) px, and its marker reaches 31.8 px.
+    let beside = |i: u32, j: u32| (420..460).contains(&i) && (300..360).contains(&j);
+    scene::write_mask(&here.join("areas.png"), 640, 480, beside).unwrap();
+    let output = vpc_memory(here, "preview painted.toml -o refused.png");
+    assert_eq!(output.status.code(), Some(1));
+    let words = String::from_utf8(output.stderr).unwrap();
+    let told = "painted.toml: goal: the marker of point 2 reaches 31.8 px from its point";
+    assert!(words.contains(told), "{words}");
+    assert!(words.contains("; look at refused.png"), "{words}");
+    let drawn = |name: &str| std::fs::read_to_string(here.join(name)).unwrap();
+    let (refused, free) = (drawn("refused.svg"), drawn("free.svg"));
+    // 31.8 px of an image of 640, drawn 360 wide.
+    let dashed = "r=\"17.89";
+    assert!(
+        refused.contains(dashed) && !free.contains(dashed),
+        "{refused}"
+    );
+    assert!(refused.contains("red: refused") && free.contains("red: goal"));
+    assert!(here.join("refused.png").exists());
+}
+
+#[test]
 fn shapes_become_a_mask_that_forbids_the_same_pixels() {
     let directory = TempDir::new().unwrap();
     let here = directory.path();

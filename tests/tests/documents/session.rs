@@ -133,8 +133,9 @@ impl Session {
         });
     }
 
-    /// Waits for the end of what was started last: a run that is judged, arrived or not.
-    fn is_judged(&mut self) {
+    /// Waits for the end of what was started last: a run that is judged, arrived or not. Returns
+    /// what it said.
+    fn is_judged(&mut self) -> Ended {
         let said = self
             .running
             .pop()
@@ -142,6 +143,7 @@ impl Session {
             .ended_within(6 * testkit::PATIENCE);
         assert!(matches!(said.code, Some(0 | 1)), "{said:?}");
         assert!(said.stdout.contains("\"verdict\""), "{said:?}");
+        said
     }
 }
 
@@ -222,6 +224,46 @@ fn the_guide_to_a_task_of_ones_own_runs() {
     guide.start("hw-sim --scene own/painted.toml", &[]);
     // A memory of a few trajectories need not lead every start to the goal.
     guide.is_judged();
+}
+
+/// Areas far from a pattern with markers, of a camera of 1280x720 px: the referee's work is largest
+/// where nothing is near.
+#[test]
+fn the_guides_emulator_keeps_real_time_with_a_large_mask_and_markers() {
+    let mut guide = Session::of("memory-blob/GUIDE.md");
+    guide.run("mkdir -p own", &[]);
+    let (large, goal) = (("640x480", "1280x720"), ("0.4", "0.5"));
+    let changes = [large, goal, ("610", "900"), ("", "--marker-size 0.03")];
+    guide.run("vpc-memory new own/scene.toml", &changes);
+    guide.run("vpc-memory mask own/scene.toml", &[]);
+    let areas = [(150, 150), (1130, 150), (640, 690)];
+    let is_white = |i: u32, j: u32| {
+        let is_near = |(u, v): &(u32, u32)| i.abs_diff(*u).pow(2) + j.abs_diff(*v).pow(2) < 900;
+        areas.iter().any(is_near)
+    };
+    scene::write_mask(&guide.place.path("own/areas.png"), 1280, 720, is_white).unwrap();
+    let small = [("", "--trajectories 12 --gpr-samples 60 --iterations 30")];
+    guide.run("vpc-memory build own/painted.toml", &small);
+    // The goal, turned: all the way the areas are 150 px from the markers.
+    let turned = "tx,ty,tz,rx,ry,rz\n0,0,0.5,0,0,1.4\n";
+    std::fs::write(guide.place.path("own/starts.csv"), turned).unwrap();
+    let said = guide.run("table --scene own/painted.toml", &[("", "--repeats 1")]);
+    assert!(
+        said.stdout.contains("| foresight:3 | 100.0 % |"),
+        "{said:?}"
+    );
+    for (path, text) in guide.document.files() {
+        std::fs::write(guide.place.path(path), text).unwrap();
+    }
+    guide.start("vpcd --config own/vpcd.toml", &[]);
+    guide.start("hw-sim --scene own/painted.toml", &[]);
+    let said = guide.is_judged();
+    let outcome: serde_json::Value = serde_json::from_str(&said.stdout).unwrap();
+    // A machine that stands still delays a frame or two.
+    let late = outcome["late"]["late"].as_f64().unwrap_or(0.0);
+    let frames = outcome["frames"].as_f64().unwrap();
+    assert!(frames > 20.0 && late < 0.1 * frames, "{said:?}");
+    assert_eq!(outcome["verdict"], "arrived", "{said:?}");
 }
 
 #[test]

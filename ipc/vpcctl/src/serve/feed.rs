@@ -98,15 +98,17 @@ impl Feed {
     }
 }
 
-/// Time in s, error px, clearance px, cycle us, wake-up us, the six of the twist, the points px.
+/// Time in s, error px, clearance px, cycle us, wake-up us, the six of the twist, the points px, and
+/// the number of their frame: where it falls, the camera began another run.
 fn row(record: &CycleRecord) -> Value {
     let us = durations(record).map(|ns| ns as f64 / 1e3);
     let [vx, vy, vz, wx, wy, wz] = record.twist;
     let points: Vec<_> = record.pairs().collect();
     let time = record.stamp.data_ns as f64 / 1e9;
     let (error, clearance) = (record.error_px, record.clearance_px);
+    let frame = record.features_sequence;
     json!([
-        time, error, clearance, us[CYCLE], us[WAKE], vx, vy, vz, wx, wy, wz, points
+        time, error, clearance, us[CYCLE], us[WAKE], vx, vy, vz, wx, wy, wz, points, frame
     ])
 }
 

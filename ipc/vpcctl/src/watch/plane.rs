@@ -114,7 +114,7 @@ fn paint(context: &mut Context, plane: &ImagePlane, view: &View, height: f64, pa
         print(point, "o".to_owned(), Color::Yellow);
     }
     for (index, point) in seen.pairs().enumerate() {
-        print(point, (index + 1).to_string(), Color::Cyan);
+        print(point, index.to_string(), Color::Cyan);
     }
 }
 

@@ -91,6 +91,13 @@ impl Browser {
         answer["result"]["value"].clone()
     }
 
+    /// Gives the page a window of this size, px.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600 });
+        self.call("Emulation.setDeviceMetricsOverride", size)
+            .expect("the browser is gone");
+    }
+
     /// Keeps a picture of the page, to be looked at, as PNG.
     pub fn keep_picture(&mut self, path: &Path) {
         let answer = self.call("Page.captureScreenshot", json!({})).unwrap();

@@ -3,14 +3,16 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use clap::Args;
 use figures::Preview as Figure;
 use memory_builder::start;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scene::{Area, Scene};
-use vpc::{Settings, Task, constraint, field};
+use vpc::{Settings, Task, TaskError, constraint, field};
+
+use super::seen::{offender, seen};
 
 /// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer
 /// side.
@@ -38,29 +40,39 @@ pub struct Preview {
 
 impl Preview {
     /// Writes the picture; says what is in it.
+    ///
+    /// # Errors
+    /// The scene cannot be read, is refused, or has no valid start; in the last two cases the picture
+    /// is written all the same.
     pub fn run(&self) -> anyhow::Result<String> {
         let name = self.scene.display().to_string();
         let scene = Scene::read(&self.scene)?;
-        let task = Task::new(&scene).with_context(|| name.clone())?;
+        let task = match Task::new(&scene) {
+            Ok(task) => task,
+            Err(error) => {
+                let png = self.draw_refused(&scene, &error)?;
+                bail!("{name}: {error}; look at {}", png.display());
+            }
+        };
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let (mut starts, mut drawn) = (Vec::new(), 0);
         while starts.len() < self.starts && drawn < DRAWS {
             drawn += 1;
             let pose = start::draw(&scene, &mut rng);
-            if let Some(points) = start::features_if_valid(&scene, &task, &pose) {
-                starts.push(points.to_vec());
+            if start::features_if_valid(&scene, &task, &pose).is_some() {
+                starts.push(seen(&scene, &pose));
             }
         }
 
         let trigger = Settings::default().trigger_px;
         let file = self.stem();
-        let title = self.scene.file_name().unwrap_or_default().to_string_lossy();
         let figure = Figure {
             scene: &scene,
             zone: zone(&task, trigger),
-            goal: task.goal.to_vec(),
+            goal: seen(&scene, &scene.goal),
+            offender: None,
             starts,
-            title: title.into_owned(),
+            title: self.title(),
         };
         let said = describe(&task, &scene, trigger, figure.starts.len(), drawn);
         let [svg, png] = figure.canvas().write(&file)?;
@@ -76,6 +88,26 @@ impl Preview {
             svg.display(),
             png.display()
         ))
+    }
+
+    /// Draws a scene that gives no task: the goal with what it is refused for, without starts.
+    fn draw_refused(&self, scene: &Scene, error: &TaskError) -> anyhow::Result<PathBuf> {
+        let figure = Figure {
+            scene,
+            zone: Vec::new(),
+            goal: seen(scene, &scene.goal),
+            offender: offender(error),
+            starts: Vec::new(),
+            title: format!("{}, refused", self.title()),
+        };
+        let [_, png] = figure.canvas().write(&self.stem())?;
+        Ok(png)
+    }
+
+    /// The scene's file name.
+    fn title(&self) -> String {
+        let name = self.scene.file_name().unwrap_or_default();
+        name.to_string_lossy().into_owned()
     }
 
     /// The picture's path without its ending.

@@ -1,0 +1,109 @@
+//! Columns of a printed table.
+
+/// One column: its title, and its cell in a row.
+#[derive(Debug)]
+pub struct Column<Row> {
+    title: &'static str,
+    is_wide: bool,
+    cell: fn(&Row) -> String,
+}
+
+impl<Row> Column<Row> {
+    /// A column that is always printed: all of these together fit into 100 characters.
+    pub const fn always(title: &'static str, cell: fn(&Row) -> String) -> Self {
+        Self {
+            title,
+            is_wide: false,
+            cell,
+        }
+    }
+
+    /// A column that only `--wide` prints.
+    pub const fn wide(title: &'static str, cell: fn(&Row) -> String) -> Self {
+        Self {
+            is_wide: true,
+            ..Self::always(title, cell)
+        }
+    }
+}
+
+/// Rows as a Markdown table whose columns line up: the first to the left, the others to the right.
+pub fn markdown<Row>(columns: &[Column<Row>], rows: &[Row], is_wide: bool) -> String {
+    let columns = columns.iter().filter(|column| is_wide || !column.is_wide);
+    let columns: Vec<_> = columns.collect();
+    let titles = columns.iter().map(|column| column.title.to_owned());
+    let mut lines: Vec<Vec<String>> = vec![titles.collect()];
+    lines.extend(
+        rows.iter()
+            .map(|row| columns.iter().map(|column| (column.cell)(row)).collect()),
+    );
+    let widths = (0..columns.len()).map(|k| {
+        let cells = lines.iter().map(|line| line[k].chars().count());
+        cells.max().unwrap_or(0)
+    });
+    let widths: Vec<usize> = widths.collect();
+    let mut text = String::new();
+    for (number, line) in lines.iter().enumerate() {
+        for (k, (cell, &width)) in line.iter().zip(&widths).enumerate() {
+            text += &match k {
+                0 => format!("| {cell:<width$} |"),
+                _ => format!(" {cell:>width$} |"),
+            };
+        }
+        text += "\n";
+        if number == 0 {
+            for (k, &width) in widths.iter().enumerate() {
+                text += &match k {
+                    0 => format!("|{}|", "-".repeat(width + 2)),
+                    _ => format!("{}:|", "-".repeat(width + 1)),
+                };
+            }
+            text += "\n";
+        }
+    }
+    text
+}
+
+/// How many runs failed for which reason, without the reasons that none failed for.
+pub fn failures(counts: &[(usize, &str)]) -> String {
+    let there = counts.iter().filter(|(count, _)| *count > 0);
+    let words = there.map(|(count, noun)| match count {
+        1 => format!("1 {noun}"),
+        count => format!("{count} {noun}s"),
+    });
+    let words: Vec<String> = words.collect();
+    match words.is_empty() {
+        true => "none".to_owned(),
+        false => words.join(", "),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_line_up_and_wide_ones_are_printed_on_request() {
+        let columns: [Column<(&str, f64)>; 3] = [
+            Column::always("strategy", |row| row.0.to_owned()),
+            Column::wide("interval", |_| "89 to 93".to_owned()),
+            Column::always("cost", |row| format!("{:.1}", row.1)),
+        ];
+        let rows = [("gpr:3", 30.6), ("foresight:3", 110.7)];
+        let narrow = "\
+| strategy    |  cost |
+|-------------|------:|
+| gpr:3       |  30.6 |
+| foresight:3 | 110.7 |
+";
+        assert_eq!(markdown(&columns, &rows, false), narrow);
+        assert!(markdown(&columns, &rows, true).contains("| gpr:3       | 89 to 93 |  30.6 |\n"));
+    }
+
+    #[test]
+    fn failures_are_counted_by_their_reason() {
+        let all = [(2, "violation"), (0, "timeout"), (1, "fault")];
+        assert_eq!(failures(&all), "2 violations, 1 fault");
+        assert_eq!(failures(&[(0, "timeout")]), "none");
+    }
+}
