@@ -24,8 +24,13 @@ pub const STRETCHES_A_STEP: usize = 12;
 const MOST_STRETCHES: usize = 36;
 /// A way on which a marker's edge comes nearer to a border than this is looked at, px.
 pub(crate) const NEAR_PX: f64 = 20.0;
-/// A feature's way leaves the box about its ends by at most this share of its length.
+/// A feature's way leaves the box about its ends by at most this share of its length, where the
+/// camera turns by no more than [`TURN`].
 const BEND: f64 = 0.1;
+/// Longer turns are taken in pieces, rad: a circle's arc rises by tan(turn / 4) / 2 of its chord.
+const TURN: f64 = 0.7;
+/// Most pieces.
+const MOST_PIECES: usize = 16;
 
 /// Places on the way.
 #[derive(Debug)]
@@ -96,16 +101,13 @@ impl<'w> Intersample<'w> {
         // The end of the first step has rows of its own.
         let is_longer = task.reach > task.ts;
         let mut longest = 0.0_f64;
-        let ways = initial.points.iter().zip(ends);
+        let Some(ways) = ways(task, initial, twist, ends) else {
+            return false;
+        };
         let boxes = self.boxes.iter_mut().zip(&self.radii);
         let points = self.is_near.iter_mut().zip(boxes);
-        for ((is_near, (box_, radius)), (&[u, v], &[to_u, to_v])) in points.zip(ways) {
-            let way = libm::hypot(to_u - u, to_v - v);
-            let bend = BEND * way;
-            *box_ = [
-                [u.min(to_u) - bend, v.min(to_v) - bend],
-                [u.max(to_u) + bend, v.max(to_v) + bend],
-            ];
+        for ((is_near, (box_, radius)), Way { length: way, about }) in points.zip(ways) {
+            *box_ = about;
             *is_near = (is_longer || way > SPACING_PX)
                 && constraint::borders_near(task, *box_, NEAR_PX + radius)
                     .next()
@@ -176,6 +178,56 @@ impl<'w> Intersample<'w> {
     }
 }
 
+/// The way of a feature.
+#[derive(Clone, Copy)]
+struct Way {
+    /// Its length, px.
+    length: f64,
+    /// A box about it: least and greatest (u, v), px.
+    about: [[f64; 2]; 2],
+}
+
+/// The way of each point under `twist` to where it ends, by the chords of pieces in which the camera
+/// turns little; `None` if a point comes behind the camera.
+fn ways(
+    task: &Task,
+    initial: &InitialState,
+    twist: &Twist,
+    ends: &[[f64; 2]],
+) -> Option<heapless::Vec<Way, MAX_POINTS>> {
+    let [.., x, y, z] = *twist;
+    let turn = task.reach * libm::sqrt(x * x + y * y + z * z);
+    let pieces = (libm::ceil(turn / TURN) as usize).clamp(1, MOST_PIECES);
+    let mut from = initial.points.clone();
+    let nowhere = Way {
+        length: 0.0,
+        about: [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]],
+    };
+    let mut ways: heapless::Vec<Way, MAX_POINTS> = from.iter().map(|_| nowhere).collect();
+    for piece in 1..=pieces {
+        let mut to = [[0.0; 3]; MAX_POINTS];
+        let share = piece as f64 / pieces as f64;
+        if piece < pieces && !initial.passes(task, twist, share, ends, &[true; MAX_POINTS], &mut to)
+        {
+            return None;
+        }
+        let places = from.iter_mut().zip(to.iter().zip(ends));
+        for (way, (from, (&[u, v, _], end))) in ways.iter_mut().zip(places) {
+            let to = if piece < pieces { [u, v] } else { *end };
+            let chord = libm::hypot(to[0] - from[0], to[1] - from[1]);
+            let bend = BEND * chord;
+            let [low, high] = &mut way.about;
+            for ((low, high), (a, b)) in low.iter_mut().zip(high).zip(from.iter().zip(to)) {
+                *low = low.min(a.min(b) - bend);
+                *high = high.max(a.max(b) + bend);
+            }
+            way.length += chord;
+            *from = to;
+        }
+    }
+    Some(ways)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -204,5 +256,40 @@ mod tests {
             }
         }
         assert!(mixed > 50, "{mixed}");
+    }
+
+    #[test]
+    fn the_way_of_a_long_turn_is_its_arc() {
+        let mut task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
+        task.reach = 5.0;
+        let points = task.features_at(&scene::Pose {
+            translation: [0.0, 0.0, 1.2],
+            rotation: [0.0; 3],
+        });
+        let initial = InitialState::new(&task, Model::Pose, &points.unwrap());
+        for turn in [0.3_f64, 1.0, 3.0, 6.2] {
+            let twist = [0.0, 0.0, 0.0, 0.0, 0.0, turn / task.reach];
+            let (ends, _) = initial.ends(&task, &twist).unwrap();
+            let radius = 100.0 * std::f64::consts::SQRT_2;
+            for way in ways(&task, &initial, &twist, &ends).unwrap() {
+                assert!((way.length / (radius * turn) - 1.0).abs() < 0.03, "{turn}");
+            }
+            // No place on the way is outside the boxes.
+            let found = ways(&task, &initial, &twist, &ends).unwrap();
+            for k in 0..=100 {
+                let mut places = [[0.0; 3]; 4];
+                let share = f64::from(k) / 100.0;
+                assert!(initial.passes(&task, &twist, share, &ends, &[true; 4], &mut places));
+                for (
+                    [u, v, _],
+                    Way {
+                        about: [low, high], ..
+                    },
+                ) in places.iter().zip(&found)
+                {
+                    assert!(low[0] <= *u && *u <= high[0] && low[1] <= *v && *v <= high[1]);
+                }
+            }
+        }
     }
 }

@@ -27,7 +27,10 @@ pub fn command(solver: &mut Solver<'_>, problem: &Problem<'_>, solution: &Soluti
         pairs.for_each(|(x, b)| *x = 0.5 * (*x + b));
         is_clear = false;
     }
-    braking
+    match solver.is_clear(problem, &plan, SLACK) {
+        true => first(&plan, problem),
+        false => braking,
+    }
 }
 
 /// The first command of a plan inside its bounds; the braking one if a component is not finite.
