@@ -41,8 +41,13 @@ pub struct Row {
     pub iterations: f64,
     /// Share of cycles in which the solver did not converge, 0 to 1.
     pub solver_not_converged: f64,
-    /// Mean cycles to arrival of the successful runs.
+    /// Mean cycles to arrival of the successful runs: features within the threshold, as the paper's
+    /// referee has it.
     pub steps: f64,
+    /// Mean time to standstill at the goal of the runs that came to it, s.
+    pub standstill_s: f64,
+    /// Greatest error of the pose at the end of the successful runs, mm and mrad.
+    pub pose_error: [f64; 2],
 }
 
 /// Times of a cycle, us.
@@ -121,6 +126,11 @@ impl Row {
             iterations: per_cycle(runs.iter().map(|run| run.iterations).sum()),
             solver_not_converged: per_cycle(runs.iter().map(|run| run.not_converged).sum()),
             steps: steps as f64 / successes.max(1) as f64,
+            standstill_s: mean(runs.iter().filter_map(|run| run.standstill_s)),
+            pose_error: (runs.iter().filter_map(|run| run.pose_error))
+                .fold([0.0; 2], |most, error| {
+                    [0, 1].map(|k| error[k].max(most[k]))
+                }),
             cycle_us: CycleTime::of(cycles),
             slack_us: CycleTime::of(slack),
             simulated_us,
@@ -147,7 +157,7 @@ pub(crate) fn wilson(successes: usize, count: usize) -> [f64; 2] {
 }
 
 /// The columns in their order. A new figure is a field of [`Row`] and a line here.
-pub const COLUMNS: [Column<Row>; 18] = [
+pub const COLUMNS: [Column<Row>; 20] = [
     Column::always("strategy", |row| format!("{}:{}", row.strategy, row.np)),
     Column::always("success", |row| percent(row.success_rate)),
     Column::wide("95 % interval", |row| {
@@ -165,6 +175,11 @@ pub const COLUMNS: [Column<Row>; 18] = [
         ])
     }),
     Column::wide("deepest (px)", |row| format!("{:.1}", row.deepest_px)),
+    Column::wide("at rest (s)", |row| format!("{:.1}", row.standstill_s)),
+    Column::wide("pose error (mm, mrad)", |row| {
+        let [mm, mrad] = row.pose_error;
+        format!("{mm:.2}, {mrad:.2}")
+    }),
     Column::wide("change at the goal", |row| percent(row.change)),
     Column::wide("iterations", |row| format!("{:.1}", row.iterations)),
     Column::wide("not converged", |row| percent(row.solver_not_converged)),
@@ -222,6 +237,8 @@ mod tests {
             iterations: 2.0,
             solver_not_converged: 0.01,
             steps: 450.0,
+            standstill_s: 12.34,
+            pose_error: [1.0, 2.0],
         };
         let rows = [row];
         let narrow = column::markdown(&COLUMNS, &rows, false);

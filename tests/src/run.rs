@@ -32,6 +32,14 @@ pub struct Run {
     /// Mean over the periods after arrival of the change of the command from one to the next, as a
     /// share of the limit (largest component); `None` if there were none.
     pub change: Option<f64>,
+    /// Time from the begin until the daemon calls it arrived: at the goal, and the twist near zero,
+    /// s; `None` if that was not so in the scene's time.
+    #[serde(default)]
+    pub standstill_s: Option<f64>,
+    /// Error of the object's pose in the camera frame at the end of a run that arrived: translation,
+    /// mm, and rotation, mrad.
+    #[serde(default)]
+    pub pose_error: Option<[f64; 2]>,
     /// Least clearance of a point from a border in a frame, px; negative inside.
     #[serde(deserialize_with = "or_infinite")]
     pub least_clearance_px: f64,
@@ -118,6 +126,8 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         steps: periods,
         cost: 0.0,
         change: None,
+        standstill_s: None,
+        pose_error: None,
         least_clearance_px: f64::INFINITY,
         least_between_px: f64::INFINITY,
         least_edge_px: None,
@@ -168,6 +178,9 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
             run.cause = Hold::from_code(record.hold).map(|hold| hold.to_string());
             break;
         }
+        if record.state == TwistState::Arrived.code() {
+            run.standstill_s.get_or_insert(k as f64 * ts);
+        }
         if run.success {
             let shares = twist.iter().zip(&standing).zip(&limits);
             let shares = shares.map(|((now, before), limit)| (now - before).abs() / limit);
@@ -198,12 +211,21 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         }
         camera.advance(&twist, ts / f64::from(INSTANTS));
     }
+    run.pose_error = run.success.then(|| pose_error(scene, &camera));
     run.least_clearance_px = referee.least_clearance();
     run.least_between_px = referee.least_between();
     run.least_edge_px = referee.least_edge();
     run.cost = cost / cycles.max(1.0);
     run.change = (!changes.is_empty()).then(|| changes.iter().sum::<f64>() / changes.len() as f64);
     run
+}
+
+/// How far the object is from its pose at the goal: mm and mrad.
+fn pose_error(scene: &Scene, camera: &FreeCamera) -> [f64; 2] {
+    let goal = hw_sim::pose::from_scene(&scene.goal);
+    let away = goal.translation.vector - camera.pose.translation.vector;
+    let turn = camera.pose.rotation.angle_to(&goal.rotation);
+    [1e3 * away.norm(), 1e3 * turn]
 }
 
 fn has_converged(record: &CycleRecord) -> bool {

@@ -38,8 +38,8 @@ pub struct Settings {
     pub filter_px: f64,
     /// Gain of the classic law, 1/s.
     pub lambda: f64,
-    /// Most steps that foresight simulates in a cycle; never more than 10 for each millisecond of
-    /// the sampling time.
+    /// Most steps that foresight simulates in a cycle; never more than a fifth of the sampling time
+    /// has room for.
     pub foresight_steps: u32,
     /// Whether features are advanced from their exposure to the instant at which the command takes
     /// effect.
