@@ -501,3 +501,26 @@ fn after_a_suspend_it_is_disarmed() {
     let disarmed = Decision::still(HoldReason::Standstill, TwistState::Disarmed);
     assert_eq!(bench.good(), disarmed);
 }
+
+#[test]
+fn where_no_way_is_known_it_stands_armed_and_an_operator_may_arm_it() {
+    let mut bench = Bench::moving();
+    // The features are good all the while.
+    let mut no_way = |bench: &mut Bench| {
+        bench.situation.decision = Decision::hold(HoldReason::NoWay);
+        bench.situation.good_ns = Some(bench.now + PERIOD);
+        bench.cycle()
+    };
+    let first = no_way(&mut bench);
+    assert_eq!(first.state, TwistState::Braking);
+    let last = (0..60).map(|_| no_way(&mut bench)).last().unwrap();
+    assert_eq!(
+        last,
+        Decision::still(HoldReason::NoWay, TwistState::Holding)
+    );
+    bench.supervisor.request(Action::Disarm);
+    no_way(&mut bench);
+    assert_eq!(bench.supervisor.request(Action::Arm), Outcome::Done);
+    assert_eq!(no_way(&mut bench).state, TwistState::Holding);
+    bench.resumes();
+}
