@@ -301,7 +301,7 @@ fn the_gravest_stop_at_once() {
         bench.good(),
         Decision::still(HoldReason::RobotFault, TwistState::Disarmed)
     );
-    assert_eq!(bench.ask(Action::Arm), Outcome::Robot);
+    assert_eq!(bench.ask(Action::Arm), Outcome::RobotFault);
     bench.situation.robot = None;
     bench.good();
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
@@ -487,10 +487,15 @@ fn without_a_robot_it_waits_and_one_that_does_not_follow_disarms() {
     while bench.good().state == TwistState::Braking {}
     let disarmed = Decision::still(HoldReason::NotFollowed, TwistState::Disarmed);
     assert_eq!(bench.good(), disarmed);
-    for cause in [HoldReason::NotFollowed, HoldReason::NoRobot] {
+    for (cause, refusal) in [
+        (HoldReason::NotFollowed, Outcome::NotFollowed),
+        (HoldReason::NoRobot, Outcome::NoRobot),
+        (HoldReason::RobotLost, Outcome::RobotLost),
+        (HoldReason::RobotFault, Outcome::RobotFault),
+    ] {
         bench.situation.robot = Some(cause);
         bench.good();
-        assert_eq!(bench.ask(Action::Arm), Outcome::Robot);
+        assert_eq!(bench.ask(Action::Arm), refusal);
     }
 }
 

@@ -380,9 +380,13 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
     let moves = |(_, record): (_, Option<(TwistState, Hold, [f64; 6])>)| {
         record.filter(|(state, _, _)| *state == TwistState::Moving)
     };
-    for (robot, cause) in [
-        (Some(RobotMode::Fault), Hold::RobotFault),
-        (None, Hold::RobotLost),
+    for (robot, cause, refusal) in [
+        (
+            Some(RobotMode::Fault),
+            Hold::RobotFault,
+            Outcome::RobotFault,
+        ),
+        (None, Hold::RobotLost, Outcome::RobotLost),
     ] {
         // Armed again and again: a busy machine may have disarmed it.
         eventually("motion", || moves(frame(Some(RobotMode::Idle), true)));
@@ -394,7 +398,7 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
             }
             record => (record == disarmed).then_some(()),
         });
-        assert_eq!(frame(robot, true).0, Some(Outcome::Robot), "{cause}");
+        assert_eq!(frame(robot, true).0, Some(refusal), "{cause}");
         // The robot is back: nothing moves by itself.
         for _ in 0..5 {
             let (_, record) = frame(Some(RobotMode::Idle), false);
