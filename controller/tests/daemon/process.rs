@@ -486,6 +486,29 @@ fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
 }
 
 #[test]
+fn while_an_armed_daemon_waits_for_camera_and_robot_nothing_is_a_fault() {
+    let mut bench = Bench::new();
+    let daemon = bench.start(&[]);
+    eventually("a command", || bench.camera.twist.latest().unwrap());
+    bench.attach();
+    // A robot comes and goes before any camera.
+    let state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], ipc::now_ns());
+    bench.robot.robot.publish(&state).unwrap();
+    eventually("disarmed", || {
+        let newest = bench.observer.cycles.latest().unwrap();
+        newest.filter(|record| record.hold() == Some(Hold::RobotLost))
+    });
+    let (code, log) = daemon.terminated().log();
+    assert_eq!(code, 0, "{log}");
+    let said = |level: &str| log.lines().filter(|line| line.contains(level)).count();
+    assert_eq!(said(" WARN "), 1, "{log}");
+    assert!(log.contains("WARN disarmed: robot silent"), "{log}");
+    assert!(log.contains("INFO holding: no robot"), "{log}");
+    assert!(!log.contains("flight record"), "{log}");
+    assert!(!log.contains("NaN"), "{log}");
+}
+
+#[test]
 fn a_second_daemon_is_69_and_the_first_goes_on() {
     let mut bench = Bench::new();
     let first = bench.start(&["--clock", "lockstep"]);
