@@ -26,6 +26,8 @@ pub struct Summary {
     error_px: f64,
     /// Cycles in motion without a known way, until the last one.
     lost: u32,
+    /// Whether the law's twist was sent in some cycle so far.
+    has_steered: bool,
 }
 
 impl Summary {
@@ -50,6 +52,7 @@ impl Summary {
         self.log_changes(record);
         self.log_foresight(record);
         self.phase = record.phase;
+        self.has_steered |= record.hold == Hold::None.code();
         (self.state, self.hold) = (record.state, record.hold);
         self.error_px = record.error_px;
         (self.counts.overruns, self.counts.lost_records) = (record.overruns, record.lost_records);
@@ -75,7 +78,7 @@ impl Summary {
         if let Some(phase) = PhaseCode::from_code(record.phase)
             && record.phase != self.phase
         {
-            let error_us = record.phase_error_ns as f64 / 1e3;
+            let error_us = us(record.phase_error_ns as f64);
             info!(cycle, %phase, error_us, "phase of the grid: {phase}");
         }
         if record.state != self.state || record.hold != self.hold {
@@ -85,10 +88,13 @@ impl Summary {
             ) {
                 (Some(state), Some(cause)) if cause != Hold::None => {
                     let features = record.features_sequence;
-                    warn!(cycle, features, %cause, "{state}: {cause}");
+                    match self.is_expected(cause) {
+                        true => info!(cycle, features, %cause, "{state}: {cause}"),
+                        false => warn!(cycle, features, %cause, "{state}: {cause}"),
+                    }
                 }
                 (Some(state), _) => {
-                    let error_px = record.error_px;
+                    let error_px = tenths(record.error_px);
                     info!(cycle, %state, error_px, "now {state}");
                 }
                 (None, _) => (),
@@ -97,12 +103,18 @@ impl Summary {
         let counts = &self.counts;
         if record.overruns > counts.overruns {
             let missed = record.overruns - counts.overruns;
-            let (receive_ns, step_ns, send_ns) =
-                (record.receive_ns, record.step_ns, record.send_ns);
-            let wake_ns = record.wake_latency_ns;
+            let releases = if missed == 1 { "release" } else { "releases" };
+            let wake_us = us(record.wake_latency_ns as f64);
+            let receive_us = us(record.receive_ns as f64);
+            let (step_us, send_us) = (us(record.step_ns as f64), us(record.send_ns as f64));
             warn!(
                 cycle,
-                missed, wake_ns, receive_ns, step_ns, send_ns, "overrun: {missed} releases missed"
+                missed,
+                wake_us,
+                receive_us,
+                step_us,
+                send_us,
+                "overrun: {missed} {releases} missed"
             );
         }
         if record.lost_records > counts.lost_records {
@@ -114,12 +126,22 @@ impl Summary {
         }
     }
 
+    /// Whether a cause belongs to a normal start, or was asked for: it is no warning then. Camera and
+    /// robot may start later than `vpcd`.
+    fn is_expected(&self, cause: Hold) -> bool {
+        match cause {
+            Hold::NotArmed | Hold::Operator | Hold::Shutdown => true,
+            Hold::NoFeatures | Hold::NoRobot | Hold::Stale => !self.has_steered,
+            _ => false,
+        }
+    }
+
     fn log_foresight(&mut self, record: &CycleRecord) {
         let cycle = record.cycle;
         if record.state == TwistState::Moving.code() && record.knows_no_way() {
             self.lost = self.lost.saturating_add(1);
             if self.lost == LOST_CYCLES {
-                let error_px = record.error_px;
+                let error_px = tenths(record.error_px);
                 warn!(
                     cycle,
                     error_px,
@@ -129,7 +151,7 @@ impl Summary {
             return;
         }
         if self.lost >= LOST_CYCLES {
-            let arrival_s = record.arrival_s;
+            let arrival_s = tenths(record.arrival_s);
             info!(cycle, arrival_s, "foresight: a way is known");
         }
         self.lost = 0;
@@ -148,6 +170,7 @@ impl Summary {
         ) {
             _ if self.counts.cycles == 0 => "starting".to_owned(),
             (Some(state), Some(cause)) if cause != Hold::None => format!("{state}: {cause}"),
+            (Some(state), _) if self.error_px.is_nan() => state.to_string(),
             (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
             (None, _) => "unknown".to_owned(),
         };
@@ -183,10 +206,9 @@ impl Summary {
     /// Writes the end of a run to the log.
     pub fn log_end(&self) {
         for (stage, histogram) in STAGES.iter().zip(&self.times) {
-            let us = |ns: u64| ns as f64 / 1e3;
             let found = histogram.percentiles();
-            let (p50_us, p99_us) = (us(found.p50), us(found.p99));
-            let (p999_us, max_us) = (us(found.p999), us(found.max));
+            let [p50_us, p99_us, p999_us, max_us] =
+                [found.p50, found.p99, found.p999, found.max].map(|ns| us(ns as f64));
             info!(stage, p50_us, p99_us, p999_us, max_us, "time of {stage}");
         }
         let counts = &self.counts;
@@ -202,6 +224,16 @@ impl Summary {
             "stopped"
         );
     }
+}
+
+/// A number of a log line to one decimal; `None`, which leaves the field out, where it is not known.
+fn tenths(x: f64) -> Option<f64> {
+    x.is_finite().then(|| (x * 10.0).round() / 10.0)
+}
+
+/// A time in us to one decimal, from ns.
+fn us(ns: f64) -> Option<f64> {
+    tenths(ns / 1e3)
 }
 
 #[cfg(test)]
@@ -233,6 +265,36 @@ mod tests {
             let words = "; NOT REAL TIME: no SCHED_FIFO, memory not locked; ";
             assert!(status.contains(words), "{status}");
         }
+    }
+
+    #[test]
+    fn numbers_have_a_decimal_and_what_is_not_known_is_left_out() {
+        assert_eq!(tenths(266.093_251_774_574_7), Some(266.1));
+        assert_eq!(us(3_095_379.0), Some(3095.4));
+        assert_eq!(tenths(f64::NAN), None);
+        let mut summary = Summary::default();
+        summary.add(&CycleRecord {
+            state: TwistState::Moving.code(),
+            error_px: f64::NAN,
+            ..record(1)
+        });
+        assert!(summary.status().starts_with("moving; "));
+    }
+
+    #[test]
+    fn to_wait_is_no_warning_until_the_law_has_steered() {
+        let mut summary = Summary::default();
+        let is_expected = |summary: &Summary| {
+            [Hold::NoRobot, Hold::NoFeatures, Hold::Stale].map(|cause| summary.is_expected(cause))
+        };
+        let mut waiting = record(1);
+        waiting.hold = Hold::NoFeatures.code();
+        summary.add(&waiting);
+        assert_eq!(is_expected(&summary), [true; 3]);
+        assert!(!summary.is_expected(Hold::RobotLost) && !summary.is_expected(Hold::Count));
+        summary.add(&record(2));
+        assert_eq!(is_expected(&summary), [false; 3]);
+        assert!(summary.is_expected(Hold::Operator));
     }
 
     #[test]

@@ -219,8 +219,12 @@ impl Supervisor {
             Mode::Disarmed(_) if self.is_stopped => return Outcome::Braking,
             Mode::Disarmed(_) => (),
         }
-        if situation.robot.is_some() {
-            return Outcome::Robot;
+        match situation.robot {
+            None => (),
+            Some(HoldReason::NoRobot) => return Outcome::NoRobot,
+            Some(HoldReason::RobotLost) => return Outcome::RobotLost,
+            Some(HoldReason::NotFollowed) => return Outcome::NotFollowed,
+            Some(_) => return Outcome::RobotFault,
         }
         // Where no way is known it may be armed, and tries again.
         if (situation.decision.hold).is_some_and(|reason| reason != HoldReason::NoWay) {

@@ -22,8 +22,8 @@ use crate::sensor::Flaws;
 
 /// Emulates the camera of a scene, and what carries it, behind shared memory.
 ///
-/// Publishes features, executes the twists that answer them, and judges the run. Prints its verdict
-/// as one JSON line. Exit codes: 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69
+/// Publishes features, executes the twists that answer them, and judges the run. Says its verdict on
+/// standard error, and prints it as one JSON line where standard output is no terminal. Exit codes: 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69
 /// another camera is at work or nobody answers, 78 configuration.
 #[derive(Parser, Debug)]
 #[command(name = "hw-sim", version, allow_negative_numbers = true)]
@@ -44,6 +44,9 @@ pub struct Arguments {
     /// Show a line of progress.
     #[arg(long)]
     pub progress: bool,
+    /// Print each verdict as a JSON line also where standard output is a terminal.
+    #[arg(long)]
+    pub json: bool,
     /// Panda: send the 30 Hz staircase to the robot as it is, to see what it says.
     #[arg(long)]
     pub unshaped: bool,
@@ -197,6 +200,8 @@ pub struct Config {
     pub flaws: Flaws,
     /// Whether to show progress.
     pub progress: bool,
+    /// Whether to print JSON on a terminal, too.
+    pub json: bool,
     /// What carries the camera.
     pub robot: Body,
     /// The robot's cell, where a robot does; its time limit is that of every carrier.
@@ -327,6 +332,7 @@ impl Config {
             record: keys.record,
             flaws,
             progress: arguments.progress,
+            json: arguments.json,
             robot: keys.robot,
             rig,
             scene,

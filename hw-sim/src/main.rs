@@ -1,5 +1,6 @@
 //! `hw-sim`: the emulator as a process.
 
+use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use hw_sim::config::{Arguments, Clock, Config};
@@ -19,9 +20,12 @@ fn begin() -> Result<ExitCode, ExitCode> {
         ExitCode::from(error.exit_code())
     })?;
     let stop = program::stop_on_signals("hw-sim")?;
+    let prints_json = config.json || !std::io::stdout().is_terminal();
     let is_series = config.repeat || config.starts.len() > 1;
     let tell = |outcome: &Outcome, tally: Tally| {
-        println!("{}", serde_json::json!(outcome));
+        if prints_json {
+            println!("{}", serde_json::json!(outcome));
+        }
         let sentence = outcome.sentence();
         if is_series {
             let Tally { runs, arrived } = tally;

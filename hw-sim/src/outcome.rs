@@ -117,6 +117,8 @@ impl Outcome {
             ("reflex", _) => format!("the robot stopped itself {after}, {error}"),
             ("arm_violation", _) => format!("arrived {after}, but the robot exceeded its limits"),
             (_, Some(violation)) => format!("violation {after}: {violation}"),
+            // Before the first frame no error is known.
+            _ if self.frames == 0 => format!("stopped {after}"),
             _ => format!("stopped {after}, {error}"),
         }
     }

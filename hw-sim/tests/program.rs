@@ -158,6 +158,28 @@ fn signals_end_it_with_a_verdict_and_nothing_is_left() {
 }
 
 #[test]
+fn a_terminal_gets_json_only_where_it_is_asked_for() {
+    let place = Place::new();
+    let program = env!("CARGO_BIN_EXE_hw-sim");
+    let config = testkit::root().join("hw-sim/hw-sim.toml");
+    if !testkit::are_installed("hw-sim on a terminal", &["script=util-linux"]) {
+        return;
+    }
+    for flag in ["", "--json"] {
+        let (config, domain) = (config.display(), place.domain());
+        let line = format!(
+            "timeout -s INT 1 {program} --config {config} --domain {} {flag}",
+            domain.display()
+        );
+        let mut script = testkit::command("script");
+        script.args(["-q", "-c", &line, "/dev/null"]);
+        let said = testkit::ended(&mut script).stdout;
+        assert!(said.contains("hw-sim: stopped after 0.0 s"), "{said}");
+        assert_eq!(said.contains("\"verdict\":"), flag == "--json", "{said}");
+    }
+}
+
+#[test]
 fn a_second_camera_is_refused_and_the_first_goes_on() {
     let place = Place::new();
     let mut first = start(&place, &[]);

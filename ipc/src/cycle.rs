@@ -134,8 +134,9 @@ codes! {
         Standstill = 20 => "standstill of the loop",
         /// Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
         Mixed = 21 => "points mixed up",
-        /// The features did not change in any bit, although the camera was commanded to move.
-        Frozen = 22 => "frozen image",
+        /// The features did not change in any bit, although the camera was commanded to move: one
+        /// image comes again and again, or `data_ns` is later than its exposure.
+        Frozen = 22 => "frozen image or wrong stamps",
         /// The last vpcd of this domain was killed or crashed: whatever the configuration says, the
         /// next one begins disarmed.
         Unclean = 24 => "unclean end of the last vpcd",

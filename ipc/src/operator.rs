@@ -37,8 +37,8 @@ codes! {
         Done = 0 => "done",
         /// Refused: no good features are coming, so that nothing could be controlled.
         NoFeatures = 1 => "refused: no good features are coming",
-        /// Refused: the robot reports a fault, or its state stopped coming.
-        Robot = 2 => "refused: the robot is not ready",
+        /// Refused: the robot reports a fault or a reflex.
+        RobotFault = 2 => "refused: the robot reports a fault: clear it at the robot",
         /// Refused: the camera is still braking; ask again when it stands still.
         Braking = 3 => "refused: still braking",
         /// Refused: the controller's memory of motion lacks what the strategy needs, or there is no
@@ -52,6 +52,13 @@ codes! {
         Unknown = 8 => "refused: no such action or strategy",
         /// Refused: it leads to motion, and waited for too long, or is from the future.
         Late = 9 => "refused: it waited for more than a second",
+        /// Refused: no robot has told its state yet, and one is required (`safety.robot`).
+        NoRobot = 10 =>
+            "refused: no robot was heard: start its client, or set safety.robot = \"optional\"",
+        /// Refused: the robot's state came and then stopped coming.
+        RobotLost = 11 => "refused: the robot fell silent: start its client again",
+        /// Refused: what the robot says it carries out is not what it was commanded.
+        NotFollowed = 12 => "refused: the robot does not follow its commands",
     }
 }
 
@@ -118,7 +125,7 @@ impl Request {
 
 message! {
     /// The controller's answer to a request.
-    Reply: "vpc/Reply/2" {
+    Reply: "vpc/Reply/3" {
         /// Head; `data_ns` is the publication of the request.
         stamp: Stamp,
         /// That of the request.

@@ -64,6 +64,8 @@ pub struct Recorder {
     at_exit: bool,
     was_moving: bool,
     was_armed: bool,
+    /// Whether the camera moved since the start: before, there is nothing to explain.
+    has_moved: bool,
     /// The file that is due: for a request; for a moving camera that was held; for one that was
     /// disarmed.
     requested: bool,
@@ -126,6 +128,7 @@ impl Recorder {
             at_exit: false,
             was_moving: false,
             was_armed: false,
+            has_moved: false,
             requested: false,
             fault: None,
             disarmed: None,
@@ -141,13 +144,13 @@ impl Recorder {
         let record = &cycle.record;
         let (is_moving, is_armed) = (is_moving(record), is_armed(record));
         if is_moving {
-            self.is_told = false;
+            (self.is_told, self.has_moved) = (false, true);
         }
         if let Some(reason) = unwanted(record) {
             if self.was_moving {
                 self.fault.get_or_insert(reason);
             }
-            if self.was_armed && !is_armed {
+            if self.has_moved && self.was_armed && !is_armed {
                 self.disarmed.get_or_insert(reason);
             }
         }
@@ -325,9 +328,12 @@ mod tests {
     #[test]
     fn a_camera_is_disarmed_once_and_never_by_its_start() {
         let (disarmed, lost) = (TwistState::Disarmed, Hold::Lost);
-        let braking = (TwistState::Braking, lost);
+        let (moving, braking) = (
+            (TwistState::Moving, Hold::None),
+            (TwistState::Braking, lost),
+        );
         assert_eq!(
-            told_of(&[braking, (disarmed, lost)]).disarmed,
+            told_of(&[moving, braking, (disarmed, lost)]).disarmed,
             Some(HoldReason::Lost)
         );
         assert_eq!(
@@ -335,7 +341,13 @@ mod tests {
             None
         );
         let wanted = (disarmed, Hold::Operator);
-        assert_eq!(told_of(&[braking, wanted]).disarmed, None);
+        assert_eq!(told_of(&[moving, braking, wanted]).disarmed, None);
+        // Armed from the start, and disarmed while it still waited for features.
+        for cause in [Hold::RobotLost, Hold::Overruns, Hold::Standstill] {
+            let waiting = (TwistState::Holding, Hold::NoFeatures);
+            let recorder = told_of(&[waiting, (disarmed, cause)]);
+            assert_eq!((recorder.disarmed, recorder.fault), (None, None));
+        }
     }
 
     #[test]

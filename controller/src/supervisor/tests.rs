@@ -301,7 +301,7 @@ fn the_gravest_stop_at_once() {
         bench.good(),
         Decision::still(HoldReason::RobotFault, TwistState::Disarmed)
     );
-    assert_eq!(bench.ask(Action::Arm), Outcome::Robot);
+    assert_eq!(bench.ask(Action::Arm), Outcome::RobotFault);
     bench.situation.robot = None;
     bench.good();
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
@@ -487,10 +487,15 @@ fn without_a_robot_it_waits_and_one_that_does_not_follow_disarms() {
     while bench.good().state == TwistState::Braking {}
     let disarmed = Decision::still(HoldReason::NotFollowed, TwistState::Disarmed);
     assert_eq!(bench.good(), disarmed);
-    for cause in [HoldReason::NotFollowed, HoldReason::NoRobot] {
+    for (cause, refusal) in [
+        (HoldReason::NotFollowed, Outcome::NotFollowed),
+        (HoldReason::NoRobot, Outcome::NoRobot),
+        (HoldReason::RobotLost, Outcome::RobotLost),
+        (HoldReason::RobotFault, Outcome::RobotFault),
+    ] {
         bench.situation.robot = Some(cause);
         bench.good();
-        assert_eq!(bench.ask(Action::Arm), Outcome::Robot);
+        assert_eq!(bench.ask(Action::Arm), refusal);
     }
 }
 
@@ -506,7 +511,7 @@ fn after_a_suspend_it_is_disarmed() {
 fn where_no_way_is_known_it_stands_armed_and_an_operator_may_arm_it() {
     let mut bench = Bench::moving();
     // The features are good all the while.
-    let mut no_way = |bench: &mut Bench| {
+    let no_way = |bench: &mut Bench| {
         bench.situation.decision = Decision::hold(HoldReason::NoWay);
         bench.situation.good_ns = Some(bench.now + PERIOD);
         bench.cycle()

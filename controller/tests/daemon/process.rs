@@ -408,9 +408,13 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
     let moves = |(_, record): (_, Option<(TwistState, Hold, [f64; 6])>)| {
         record.filter(|(state, _, _)| *state == TwistState::Moving)
     };
-    for (robot, cause) in [
-        (Some(RobotMode::Fault), Hold::RobotFault),
-        (None, Hold::RobotLost),
+    for (robot, cause, refusal) in [
+        (
+            Some(RobotMode::Fault),
+            Hold::RobotFault,
+            Outcome::RobotFault,
+        ),
+        (None, Hold::RobotLost, Outcome::RobotLost),
     ] {
         // Armed again and again: a busy machine may have disarmed it.
         eventually("motion", || moves(frame(Some(RobotMode::Idle), true)));
@@ -422,7 +426,7 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
             }
             record => (record == disarmed).then_some(()),
         });
-        assert_eq!(frame(robot, true).0, Some(Outcome::Robot), "{cause}");
+        assert_eq!(frame(robot, true).0, Some(refusal), "{cause}");
         // The robot is back: nothing moves by itself.
         for _ in 0..5 {
             let (_, record) = frame(Some(RobotMode::Idle), false);
@@ -507,6 +511,29 @@ fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
     let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
     assert_eq!(bench.last_command().state(), Some(TwistState::Stopped));
+}
+
+#[test]
+fn while_an_armed_daemon_waits_for_camera_and_robot_nothing_is_a_fault() {
+    let mut bench = Bench::new();
+    let daemon = bench.start(&[]);
+    eventually("a command", || bench.camera.twist.latest().unwrap());
+    bench.attach();
+    // A robot comes and goes before any camera.
+    let state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], ipc::now_ns());
+    bench.robot.robot.publish(&state).unwrap();
+    eventually("disarmed", || {
+        let newest = bench.observer.cycles.latest().unwrap();
+        newest.filter(|record| record.hold() == Some(Hold::RobotLost))
+    });
+    let (code, log) = daemon.terminated().log();
+    assert_eq!(code, 0, "{log}");
+    let said = |level: &str| log.lines().filter(|line| line.contains(level)).count();
+    assert_eq!(said(" WARN "), 1, "{log}");
+    assert!(log.contains("WARN disarmed: robot silent"), "{log}");
+    assert!(log.contains("INFO holding: no robot"), "{log}");
+    assert!(!log.contains("flight record"), "{log}");
+    assert!(!log.contains("NaN"), "{log}");
 }
 
 #[test]

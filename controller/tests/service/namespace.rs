@@ -135,7 +135,7 @@ fn writes_to_the_journal(machine: &Machine) {
     assert_eq!(entry["SYSLOG_IDENTIFIER"], "vpcd", "{entry}");
     assert_eq!(
         (&entry["PRIORITY"], &entry["VPCD_CYCLE"]),
-        (&"4".into(), &"1".into()),
+        (&"6".into(), &"1".into()),
         "{entry}"
     );
 }

@@ -162,7 +162,8 @@ enum vpc_hold {
     VPC_HOLD_STANDSTILL = 20,
     // Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
     VPC_HOLD_MIXED = 21,
-    // The features did not change in any bit, although the camera was commanded to move.
+    // The features did not change in any bit, although the camera was commanded to move: one image
+    // comes again and again, or `data_ns` is later than its exposure.
     VPC_HOLD_FROZEN = 22,
     // The last vpcd of this domain was killed or crashed: whatever the configuration says, the next
     // one begins disarmed.
@@ -239,8 +240,8 @@ enum vpc_outcome {
     VPC_OUTCOME_DONE = 0,
     // Refused: no good features are coming, so that nothing could be controlled.
     VPC_OUTCOME_NO_FEATURES = 1,
-    // Refused: the robot reports a fault, or its state stopped coming.
-    VPC_OUTCOME_ROBOT = 2,
+    // Refused: the robot reports a fault or a reflex.
+    VPC_OUTCOME_ROBOT_FAULT = 2,
     // Refused: the camera is still braking; ask again when it stands still.
     VPC_OUTCOME_BRAKING = 3,
     // Refused: the controller's memory of motion lacks what the strategy needs, or there is no
@@ -254,6 +255,12 @@ enum vpc_outcome {
     VPC_OUTCOME_UNKNOWN = 8,
     // Refused: it leads to motion, and waited for too long, or is from the future.
     VPC_OUTCOME_LATE = 9,
+    // Refused: no robot has told its state yet, and one is required (`safety.robot`).
+    VPC_OUTCOME_NO_ROBOT = 10,
+    // Refused: the robot's state came and then stopped coming.
+    VPC_OUTCOME_ROBOT_LOST = 11,
+    // Refused: what the robot says it carries out is not what it was commanded.
+    VPC_OUTCOME_NOT_FOLLOWED = 12,
 };
 
 // How a pixel is stored.

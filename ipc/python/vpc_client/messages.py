@@ -149,8 +149,9 @@ class Hold(Code):
     STANDSTILL = 20, "standstill of the loop"
     # Points are swapped (also if the pattern is mirrored), coincide, lie on a line, or jump.
     MIXED = 21, "points mixed up"
-    # The features did not change in any bit, although the camera was commanded to move.
-    FROZEN = 22, "frozen image"
+    # The features did not change in any bit, although the camera was commanded to move: one image
+    # comes again and again, or `data_ns` is later than its exposure.
+    FROZEN = 22, "frozen image or wrong stamps"
     # The last vpcd of this domain was killed or crashed: whatever the configuration says, the next
     # one begins disarmed.
     UNCLEAN = 24, "unclean end of the last vpcd"
@@ -231,8 +232,8 @@ class Outcome(Code):
     DONE = 0, "done"
     # Refused: no good features are coming, so that nothing could be controlled.
     NO_FEATURES = 1, "refused: no good features are coming"
-    # Refused: the robot reports a fault, or its state stopped coming.
-    ROBOT = 2, "refused: the robot is not ready"
+    # Refused: the robot reports a fault or a reflex.
+    ROBOT_FAULT = 2, "refused: the robot reports a fault: clear it at the robot"
     # Refused: the camera is still braking; ask again when it stands still.
     BRAKING = 3, "refused: still braking"
     # Refused: the controller's memory of motion lacks what the strategy needs, or there is no
@@ -246,6 +247,12 @@ class Outcome(Code):
     UNKNOWN = 8, "refused: no such action or strategy"
     # Refused: it leads to motion, and waited for too long, or is from the future.
     LATE = 9, "refused: it waited for more than a second"
+    # Refused: no robot has told its state yet, and one is required (`safety.robot`).
+    NO_ROBOT = 10, "refused: no robot was heard: start its client, or set safety.robot = \"optional\""
+    # Refused: the robot's state came and then stopped coming.
+    ROBOT_LOST = 11, "refused: the robot fell silent: start its client again"
+    # Refused: what the robot says it carries out is not what it was commanded.
+    NOT_FOLLOWED = 12, "refused: the robot does not follow its commands"
 
 
 class Encoding(Code):
@@ -716,7 +723,7 @@ class Reply(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Reply/2"
+        return "vpc/Reply/3"
 
 
 class ImageHeader(Message):

@@ -3,7 +3,7 @@
 //! lockstep from the paper's starts and gets the results of `cargo table`; the camera in C
 //! (`ipc/c/examples/camera.c`) arrives.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::Arc;
 
@@ -148,22 +148,31 @@ fn the_camera_in_c_arrives() {
     );
 }
 
-/// The simulated camera of the client's README, as it stands there, in a domain of the test.
+/// The block of code under a heading of the client's README.
+fn block(heading: &str, language: &str) -> String {
+    let readme = std::fs::read_to_string(root().join("ipc/python/README.md")).unwrap();
+    let (_, rest) = readme.split_once(heading).unwrap();
+    let (_, rest) = rest.split_once(&format!("```{language}\n")).unwrap();
+    rest.split_once("```").unwrap().0.to_owned()
+}
+
+/// A program of the client's README as it stands there, in a domain of the test.
+fn camera_of_the_readme(heading: &str, place: &Place) -> PathBuf {
+    let program = place.path("camera.py");
+    let head = "import vpc_client.domain\nvpc_client.domain.default_directory = lambda:";
+    let lines = block(heading, "python");
+    std::fs::write(&program, format!("{head} {:?}\n{lines}", place.domain())).unwrap();
+    program
+}
+
 #[test]
 fn the_simulated_camera_of_the_readme_runs_as_written() {
     let _turn = turn();
     let Some(python) = Environment::CLIENT.python("the simulated camera of the README") else {
         return;
     };
-    let readme = std::fs::read_to_string(root().join("ipc/python/README.md")).unwrap();
-    let (_, rest) = readme.split_once("## A simulated camera").unwrap();
-    let (_, rest) = rest.split_once("```python\n").unwrap();
-    let (lines, _) = rest.split_once("```").unwrap();
     let place = Place::new();
-    let domain = place.domain();
-    let program = place.path("camera.py");
-    let head = "import vpc_client.domain\nvpc_client.domain.default_directory = lambda:";
-    std::fs::write(&program, format!("{head} {domain:?}\n{lines}")).unwrap();
+    let program = camera_of_the_readme("## A simulated camera", &place);
     let daemon = daemon(&place, "previous");
     let said = python::run(&mut python::script(&python, &program)).unwrap();
     daemon.kill();
@@ -174,4 +183,37 @@ fn the_simulated_camera_of_the_readme_runs_as_written() {
         "{said}"
     );
     assert!(lines[19].starts_with("10 none "), "{said}");
+}
+
+#[test]
+fn the_camera_in_real_time_of_the_readme_arrives_and_is_told_if_a_robot_is_missed() {
+    let _turn = turn();
+    let Some(python) = Environment::CLIENT.python("the camera in real time of the README") else {
+        return;
+    };
+    let heading = "## A camera in real time";
+    let scene = "ipc/scene/scenes/paper-sim.toml";
+    let toml = block(heading, "toml").replace(scene, scene_file().to_str().unwrap());
+    let key = "safety.robot = \"optional\"\n";
+    let run = |toml: &str| {
+        let place = Place::new();
+        let camera = camera_of_the_readme(heading, &place);
+        let config = place.path("alone.toml");
+        std::fs::write(&config, toml).unwrap();
+        let mut vpcd = testkit::command(program("vpcd"));
+        vpcd.arg("--config").arg(&config);
+        vpcd.arg("--domain").arg(place.domain());
+        vpcd.stdout(Stdio::null()).stderr(Stdio::null());
+        let daemon = Running::start(vpcd);
+        let said = python::run(&mut python::script(&python, &camera));
+        daemon.kill();
+        said
+    };
+    assert!(toml.contains(key), "{toml}");
+    let said = run(&toml.replace(key, "")).unwrap_err();
+    let refusal =
+        "arm: refused: no robot was heard: start its client, or set safety.robot = \"optional\"";
+    assert!(said.contains(refusal), "{said}");
+    let said = run(&toml).unwrap();
+    assert!(said.starts_with("arrived after "), "{said}");
 }

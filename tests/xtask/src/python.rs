@@ -105,7 +105,7 @@ fn enumeration(text: &mut String, table: &Table, is_bits: bool) {
             true => writeln!(text, "    {} = {}", value.name, value.number),
             false => {
                 let (name, words) = (constant(value.name), value.text);
-                writeln!(text, "    {name} = {}, \"{words}\"", value.number)
+                writeln!(text, "    {name} = {}, {words:?}", value.number)
             }
         };
     }

@@ -275,7 +275,7 @@ fn codes_have_words() {
     };
     assert_eq!(name(0), "none");
     assert_eq!(name(20), "standstill of the loop");
-    assert_eq!(name(22), "frozen image");
+    assert_eq!(name(22), "frozen image or wrong stamps");
     assert_eq!(name(23), "unknown");
     assert_eq!(name(24), "unclean end of the last vpcd");
 }

@@ -178,9 +178,12 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::Mixed => {
             "the camera must name its points as the scene does, and keep the names: pattern.points"
         }
-        Hold::Frozen => "the camera sends one picture again and again: start its driver again",
+        Hold::Frozen => {
+            "the camera sends one image again and again: start its driver again; or data_ns is later than the exposure, and the motion is not in the image yet"
+        }
         Hold::Order | Hold::Clock => "data_ns must be CLOCK_MONOTONIC of this machine, and grow",
-        Hold::RobotFault | Hold::RobotLost => "clear the fault at the robot, or start its client",
+        Hold::RobotFault => "clear the fault at the robot, then `vpcctl arm`",
+        Hold::RobotLost => "start the robot's client again, then `vpcctl arm`",
         Hold::Overruns | Hold::Standstill => "the machine is overloaded: `vpcd --preflight`",
         Hold::NotArmed | Hold::Operator => "vpcctl arm",
         Hold::NoRobot => {
