@@ -93,7 +93,7 @@ pub fn schema() -> serde_json::Value {
 impl From<&ConfigError> for Exit {
     fn from(error: &ConfigError) -> Self {
         match error {
-            ConfigError::Read { .. } => Self::NoInput,
+            ConfigError::Read { .. } | ConfigError::Named { .. } => Self::NoInput,
             ConfigError::Value { path, .. } if path == toml_schema::COMMAND_LINE => Self::Usage,
             _ => Self::Config,
         }
@@ -101,12 +101,15 @@ impl From<&ConfigError> for Exit {
 }
 
 impl Config {
-    /// Reads the file that the command line names, lays the flags over it, and checks the whole.
+    /// Reads the file that the command line names, lays the flags over it, and checks the whole,
+    /// and that scene and memory can be read.
     ///
     /// # Errors
     /// [`ConfigError`] names file or flag, key, value and what is allowed.
     pub fn read(arguments: &Arguments) -> Result<Self, ConfigError> {
-        Ok(source(arguments)?.1)
+        let (_, config, document) = source(arguments)?;
+        document.readable(&["scene", "memory"])?;
+        Ok(config)
     }
 
     /// Checks the text of a configuration with flags over it; `path` is for messages, and paths in
@@ -129,7 +132,7 @@ impl Config {
     /// # Errors
     /// As [`Config::read`]: only a valid configuration is printed.
     pub fn print(arguments: &Arguments) -> Result<String, ConfigError> {
-        let (mut tables, _) = source(arguments)?;
+        let (mut tables, ..) = source(arguments)?;
         let paths = [
             &mut tables.memory,
             &mut tables.ipc.domain,
@@ -155,18 +158,18 @@ pub(crate) fn named(arguments: &Arguments) -> String {
 }
 
 /// The file that the command line names, with flags over it.
-fn source(arguments: &Arguments) -> Result<(Tables, Config), ConfigError> {
+fn source(arguments: &Arguments) -> Result<(Tables, Config, Document), ConfigError> {
     let file = arguments.config.as_deref();
     let directory = file.and_then(Path::parent).unwrap_or(Path::new(""));
     laid_over(Document::read(file)?, directory, arguments)
 }
 
-/// The tables with every default filled in, and what they come to.
+/// The tables with every default filled in, what they come to, and where they come from.
 fn laid_over(
     mut document: Document,
     directory: &Path,
     flags: &Arguments,
-) -> Result<(Tables, Config), ConfigError> {
+) -> Result<(Tables, Config, Document), ConfigError> {
     document.relative_to(
         directory,
         &["scene", "memory", "ipc.domain", "flight.directory"],
@@ -229,7 +232,7 @@ fn laid_over(
         let allowed = "a memory of motion for the strategies knn and gpr, by the key `memory` or the flag --memory";
         return Err(document.missing("memory", allowed));
     }
-    Ok((tables, config))
+    Ok((tables, config, document))
 }
 
 fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {

@@ -252,6 +252,7 @@ impl Config {
         let (file, paths) = (arguments.config.as_deref(), ["scene", "starts"]);
         let document = Document::with_flags::<Arguments>(file, &paths, &arguments.keys, matches)?;
         let keys: Keys = document.check()?;
+        document.readable(&paths)?;
         Self::of(&document, keys, &arguments)
     }
 

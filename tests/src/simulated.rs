@@ -1,9 +1,9 @@
 //! The daemon's decision step in simulated time: order and age, law, supervisor; the same code as
 //! the daemon's loop runs, without its clock and ports.
 
+use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::Context;
 use controller::arguments::Arguments;
 use controller::config::Config;
 use controller::control::{ControlStep, State};
@@ -49,13 +49,15 @@ impl Simulated {
             text: String::new(),
             masks: Default::default(),
         };
-        let config = Config::read(&Arguments {
+        let arguments = Arguments {
             scene: Some(PATH.into()),
             clock: Some(clock.to_string()),
             arm: true,
             ..Arguments::default()
-        });
-        let mut pace = Pace::new(&config.context("the default configuration")?, scene, PATH)?;
+        };
+        let name = "the default configuration";
+        let config = Config::parse("", name, Path::new(""), &arguments)?;
+        let mut pace = Pace::new(&config, scene, PATH)?;
         // Nothing carries this camera, and as in the paper its run begins in motion.
         (pace.rules.needs_robot, pace.rules.ramp_ns) = (false, 0);
         let control = pace.control(LoadedController::with(files, PATH, memory, settings)?);

@@ -213,7 +213,7 @@ fn what_is_printed_is_the_same_configuration() {
         "scene = 's.toml'\nmemory = 'm'\n[cycle]\nclock = 'lockstep'\n[realtime]\npriority = 5",
     ] {
         let document = Document::parse(text, "v.toml").unwrap();
-        let (tables, config) = laid_over(document, Path::new("/etc"), &flags).unwrap();
+        let (tables, config, _) = laid_over(document, Path::new("/etc"), &flags).unwrap();
         let printed = toml::to_string(&tables).unwrap();
         assert_eq!(parse(&printed, &Arguments::default()).unwrap(), config);
         assert!(printed.contains("np = 7"), "{printed}");

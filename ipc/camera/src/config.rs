@@ -205,6 +205,7 @@ impl Config {
                 }
             },
         };
+        document.readable(&["scene", "calibration"])?;
         let scene = Scene::read(&keys.scene.unwrap_or_default())?;
         let points = scene.pattern.len();
         let targets = match keys.corners_of {

@@ -88,6 +88,7 @@ impl Config {
         let file = arguments.config.as_deref();
         let keys = &arguments.keys;
         let document = Document::with_flags::<Arguments>(file, &["scene"], keys, matches)?;
+        document.readable(&["scene"])?;
         Self::of(&document, document.check()?)
     }
 

@@ -24,6 +24,16 @@ pub enum FileError {
         path: String,
         r#source: std::io::Error,
     },
+    /// The file that a key or a flag names could not be read; of a flag, the path is
+    /// [`COMMAND_LINE`].
+    #[error("{path}: {key} = {value}: cannot read: {source}")]
+    #[allow(missing_docs)]
+    Named {
+        path: String,
+        key: String,
+        value: String,
+        r#source: std::io::Error,
+    },
     /// Wrong syntax, an unknown key or a wrong type, with line and column.
     #[error("{path}: {message}")]
     #[allow(missing_docs)]
@@ -39,7 +49,7 @@ impl FileError {
     /// The exit code of sysexits.h for a configuration: 66 if a file cannot be read, else 78.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Read { .. } => 66,
+            Self::Read { .. } | Self::Named { .. } => 66,
             _ => 78,
         }
     }
@@ -151,6 +161,29 @@ impl Document {
             let error = toml::from_str::<T>(&self.text).err().unwrap_or(error);
             syntax(&self.path, &error)
         })
+    }
+
+    /// Checks that the files that these keys name can be read. Keys that are not given are passed
+    /// over.
+    ///
+    /// # Errors
+    /// [`FileError::Named`] names file or flag, key and value.
+    pub fn readable(&self, keys: &[&str]) -> Result<(), FileError> {
+        for key in keys {
+            let Some(Value::String(value)) = self.table.get(*key) else {
+                continue;
+            };
+            if let Err(source) = std::fs::File::open(value) {
+                let flag = self.flags.get(*key);
+                return Err(FileError::Named {
+                    path: flag.map_or(&*self.path, |_| COMMAND_LINE).to_owned(),
+                    key: flag.map_or(*key, String::as_str).to_owned(),
+                    value: value.clone(),
+                    source,
+                });
+            }
+        }
+        Ok(())
     }
 
     /// Returns the error for a value that no schema refuses, for instance because it depends on

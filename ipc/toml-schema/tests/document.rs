@@ -148,6 +148,28 @@ fn unknown_keys_and_wrong_types_are_shown_in_their_line() {
 }
 
 #[test]
+fn a_file_that_cannot_be_read_is_named_with_its_file_or_flag_and_key() {
+    let mut document = Document::parse("scene = 'no.toml'", "a/b.toml").unwrap();
+    document.relative_to(Path::new("a"), &["scene"]);
+    let refused = |document: &Document| {
+        let error = document.readable(&["scene", "memory"]).unwrap_err();
+        assert_eq!(error.exit_code(), 66);
+        error.to_string()
+    };
+    let message = refused(&document);
+    let words = "a/b.toml: scene = a/no.toml: cannot read: No such file";
+    assert!(message.starts_with(words), "{message}");
+    document.set("scene", "--scene", Some("/none.toml"));
+    let message = refused(&document);
+    let words = "command line: --scene = /none.toml: cannot read: No such file";
+    assert!(message.starts_with(words), "{message}");
+    document.set("scene", "--scene", Some(file!()));
+    let is_here = Path::new(file!()).exists();
+    assert_eq!(document.readable(&["scene"]).is_ok(), is_here);
+    document.readable(&["memory"]).unwrap();
+}
+
+#[test]
 fn a_flag_wins_and_is_refused_by_its_name() {
     let mut document = Document::parse("[camera]\nwidth = 3\nrate = 1.0", "a.toml").unwrap();
     document.set("picture", "--picture", Some("p"));

@@ -18,7 +18,7 @@ pub enum Exit {
     Ok = 0,
     /// `status`: stopped, holding or braking. `doctor`, `check-bridge`: at least one failure.
     Attention = 1,
-    /// The daemon refused the request.
+    /// The daemon refused the request. `init`: a file is there already.
     Refused = 2,
     /// No daemon runs in the domain.
     NoDaemon = 3,
@@ -101,7 +101,7 @@ exits! {
     io::Error => |_| Exit::Software,
     serde_json::Error => |_| Exit::Software,
     FileError => |error| match error {
-        FileError::Read { .. } => Exit::NoInput,
+        FileError::Read { .. } | FileError::Named { .. } => Exit::NoInput,
         _ => Exit::Data,
     },
     RecordError => |error| match error {
