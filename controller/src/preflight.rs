@@ -7,6 +7,7 @@ mod foresight;
 
 use std::fmt::{self, Display, Formatter};
 
+use program::kernel;
 use serde::Serialize;
 
 use crate::realtime::RealtimeRequest;
@@ -216,21 +217,12 @@ fn throttling(facts: &Facts) -> Check {
 }
 
 fn kernel(facts: &Facts) -> Check {
-    let model = if facts.is_rt_kernel {
-        "PREEMPT_RT"
-    } else {
-        ["PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT"]
-            .into_iter()
-            .find(|model| facts.kernel.contains(model))
-            .unwrap_or("no preemption")
-    };
-    let is_rt = model == "PREEMPT_RT";
     check(
         "kernel",
-        (is_rt, State::Note),
-        format!("{model}{} ({})", facts.preemption, facts.kernel),
-        "PREEMPT_RT for bounds in the tens of us; PREEMPT does at 30 Hz",
-        "apt-get install linux-image-rt-amd64; with PREEMPT_DYNAMIC preempt=full on the kernel's command line",
+        (facts.kernel.is_enough(), State::Note),
+        facts.kernel.to_string(),
+        kernel::NEEDED,
+        kernel::REMEDY,
     )
 }
 
@@ -370,6 +362,8 @@ fn contains(list: &str, cpu: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use program::kernel::Kernel;
+
     use super::*;
 
     const WISH: RealtimeRequest = RealtimeRequest {
@@ -389,9 +383,11 @@ mod tests {
             has_lock: true,
             rt_runtime_us: Some(950_000),
             rt_period_us: 1_000_000,
-            is_rt_kernel: true,
-            kernel: "#1 SMP PREEMPT_RT".to_owned(),
-            preemption: String::new(),
+            kernel: Kernel {
+                is_realtime: true,
+                version: "#1 SMP PREEMPT_RT".to_owned(),
+                mode: String::new(),
+            },
             clock_source: "tsc".to_owned(),
             governors: vec!["performance".to_owned()],
             may_hold_idle: true,
@@ -508,8 +504,8 @@ mod tests {
     #[test]
     fn what_30_hz_does_without_is_noted_and_leaves_the_machine_fit() {
         let mut facts = good();
-        facts.is_rt_kernel = false;
-        facts.kernel = "#1 SMP PREEMPT_DYNAMIC".to_owned();
+        facts.kernel.is_realtime = false;
+        facts.kernel.version = "#1 SMP PREEMPT_DYNAMIC".to_owned();
         facts.governors = vec!["powersave".to_owned()];
         (facts.has_smt, facts.may_hold_idle) = (true, false);
         facts.isolated = String::new();

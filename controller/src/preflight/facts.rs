@@ -5,6 +5,7 @@ use std::path::Path;
 use std::thread;
 
 use ipc::{RealTime, now_ns};
+use program::kernel::Kernel;
 use rustix::process::{Resource, getrlimit};
 
 use crate::clock::sleep_until;
@@ -41,12 +42,8 @@ pub struct Facts {
     pub rt_runtime_us: Option<i64>,
     /// `kernel.sched_rt_period_us`.
     pub rt_period_us: i64,
-    /// `/sys/kernel/realtime` says so.
-    pub is_rt_kernel: bool,
-    /// `uname -v`.
-    pub kernel: String,
-    /// The mode of PREEMPT_DYNAMIC, in words that can follow it; empty if it cannot be read.
-    pub preemption: String,
+    /// The kernel.
+    pub kernel: Kernel,
     /// The kernel's clock source.
     pub clock_source: String,
     /// The different frequency governors; empty if there are none.
@@ -75,10 +72,6 @@ impl Facts {
                 .with(RealTime::NO_LOCK),
             Percentiles::default(),
         ));
-        let debug = line("/sys/kernel/debug/sched/preempt");
-        let chosen = debug
-            .split_once('(')
-            .and_then(|(_, rest)| rest.split_once(')'));
         Self {
             priority_limit: getrlimit(Resource::Rtprio).current,
             may_schedule: has_capability(CAP_SYS_NICE),
@@ -92,12 +85,7 @@ impl Facts {
             rt_period_us: line("/proc/sys/kernel/sched_rt_period_us")
                 .parse()
                 .unwrap_or(1_000_000),
-            is_rt_kernel: line("/sys/kernel/realtime") == "1",
-            kernel: rustix::system::uname()
-                .version()
-                .to_string_lossy()
-                .into_owned(),
-            preemption: chosen.map_or(String::new(), |(mode, _)| format!(", preempt={mode}")),
+            kernel: Kernel::read(),
             clock_source: line("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
             governors: governors(),
             // Opening asks for nothing yet; writing would.

@@ -91,7 +91,7 @@ pub fn first_motion(
         bounds.joint_margin
     );
     println!(
-        "Compare these with the desk: hand and load must be what is mounted.\n\
+        "Compare F_T_NE and hand with the end effector at the desk: they must be what is mounted, and so must load.\n\
          The camera will move by {} mm along each of its axes and {} rad about it, and back, at {} mm/s.\n\
          Keep a hand on the stop.",
         1e3 * LENGTHS[0],

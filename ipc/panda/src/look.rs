@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
 use ipc::{Domain, RobotPorts, TwistCommand, now_ns};
 use panda::Pose;
+use program::kernel::{self, Kernel};
 
 use crate::config::Config;
 use crate::drive::DriveError;
@@ -63,7 +64,7 @@ pub fn dry_run(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
         let output = steering.step(&command, &robot::measured(&state), now);
         if states % LINE == 0 {
             let twist = command.in_force(now);
-            println!("vpc/twist in force: {}", list(&twist));
+            println!("vpc/twist in force: {}", list(&twist, 4));
             println!("  would be sent: {}", sent(&output));
         }
         states += 1;
@@ -80,16 +81,13 @@ pub fn dry_run(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
 pub fn preflight(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
     let failed = DriveError::robot(config);
     let mut is_good = true;
+    let kernel = Kernel::read();
+    let word = if kernel.is_enough() { "ok  " } else { "note" };
+    println!("{word}  kernel: {kernel}; needed: {}", kernel::NEEDED);
     let mut check = |is_met: bool, what: &str, found: String| {
         is_good &= is_met;
         println!("{}  {what}: {found}", if is_met { "ok  " } else { "LACK" });
     };
-    let kernel = franka::realtime::has_realtime_kernel();
-    let found = match kernel {
-        true => "PREEMPT_RT".to_owned(),
-        false => "not PREEMPT_RT: expect reflexes under load".to_owned(),
-    };
-    check(kernel, "kernel", found);
     let robot = robot::connect(config).map_err(&failed)?;
     let priority = config.priority;
     let got = franka::realtime::set_current_thread_scheduler_priority(priority);
@@ -167,32 +165,88 @@ pub(crate) fn frames(config: &Config, state: &Told) -> String {
     for (name, pose) in rows {
         text += &format!("  {name:<10} {}\n", words(&pose));
     }
+    text += "  F_T_NE and hand are the end effector of the desk; F_T_NE as its matrix, mm:\n";
+    text += &matrix(&robot::pose(&state.F_T_NE));
+    let mm = |place: &[f64; 3]| list(&place.map(|x| 1e3 * x), 1);
     text + &format!(
-        "  load       {} kg at {} m in the flange\n  hand       {} kg\n",
+        "  hand       {} kg, centre of mass at {} mm in the flange\n  load       {} kg at {} mm in the flange\n",
+        state.m_ee,
+        mm(&state.F_x_Cee),
         state.m_load,
-        list(&state.F_x_Cload),
-        state.m_ee
+        mm(&state.F_x_Cload),
     )
 }
 
-/// m, and a rotation vector in deg.
+/// A place in mm and angles in deg about x, y, z, with R = Rz Ry Rx.
+///
+/// Source: the robot's app "Measure Pose" shows poses so (Basler, rc_visard, "Franka Emika pose
+/// format").
 fn words(pose: &Pose) -> String {
-    let turn = pose.rotation.scaled_axis().map(f64::to_degrees);
-    format!(
-        "at {} m, turned by {} deg",
-        list(pose.translation.vector.as_slice()),
-        list(turn.as_slice())
-    )
+    let place = pose.translation.vector * 1e3;
+    let (x, y, z) = pose.rotation.euler_angles();
+    let turn = [x, y, z].map(f64::to_degrees);
+    let (place, turn) = (list(place.as_slice(), 1), list(&turn, 2));
+    format!("at {place} mm, angles Rx Ry Rz {turn} deg (R = Rz Ry Rx)")
 }
 
-fn list(numbers: &[f64]) -> String {
-    let numbers: Vec<String> = numbers.iter().map(|x| format!("{x:.4}")).collect();
+/// The rows of a transformation, its place in mm.
+///
+/// Source: Franka, RIDE CLI 1.1.1, "End effector commissioning": the end effector's transformation
+/// from the flange is a matrix of 4 x 4.
+fn matrix(pose: &Pose) -> String {
+    let row = |k: usize| {
+        let turn = (0..3).map(|column| rounded(pose.rotation[(k, column)], 4));
+        let turn: String = turn.map(|x| format!("{x:9.4}")).collect();
+        let place = rounded(1e3 * pose.translation.vector[k], 1);
+        format!("   {turn}{place:9.1}\n")
+    };
+    (0..3).map(row).collect()
+}
+
+fn list(numbers: &[f64], digits: usize) -> String {
+    let numbers = numbers.iter().map(|x| rounded(*x, digits));
+    let numbers: Vec<String> = numbers.map(|x| format!("{x:.digits$}")).collect();
     format!("({})", numbers.join(" "))
+}
+
+/// To so many decimals, a zero without a sign.
+fn rounded(x: f64, digits: usize) -> f64 {
+    let scale = 10_f64.powi(digits as i32);
+    (x * scale).round() / scale + 0.0
 }
 
 fn sent(output: &Output) -> String {
     match output {
-        Output::Joint(dq) => format!("joint velocities {} rad/s", list(dq.as_slice())),
-        Output::Cartesian(twist) => format!("end effector {} m/s, rad/s", list(twist.as_slice())),
+        Output::Joint(dq) => format!("joint velocities {} rad/s", list(dq.as_slice(), 4)),
+        Output::Cartesian(twist) => {
+            format!("end effector {} m/s, rad/s", list(twist.as_slice(), 4))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Rotation3, Translation3};
+
+    use super::*;
+
+    #[test]
+    fn a_pose_is_told_as_the_robots_app_and_the_desk_show_it() {
+        let turn = Rotation3::from_euler_angles(0.1, -0.2, 0.3);
+        let by_axes = Rotation3::from_axis_angle(&nalgebra::Vector3::z_axis(), 0.3)
+            * Rotation3::from_axis_angle(&nalgebra::Vector3::y_axis(), -0.2)
+            * Rotation3::from_axis_angle(&nalgebra::Vector3::x_axis(), 0.1);
+        assert!(turn.angle_to(&by_axes) < 1e-9);
+        let pose = Pose::from_parts(Translation3::new(0.01, 0.0, -0.000_000_1), by_axes);
+        assert_eq!(
+            words(&pose),
+            "at (10.0 0.0 0.0) mm, angles Rx Ry Rz (5.73 -11.46 17.19) deg (R = Rz Ry Rx)"
+        );
+        let quarter = Rotation3::from_euler_angles(0.0, 0.0, std::f64::consts::FRAC_PI_2);
+        let pose = Pose::from_parts(Translation3::new(0.0, 0.0, 0.1034), quarter);
+        let rows = "      0.0000  -1.0000   0.0000      0.0\n\
+                    \x20     1.0000   0.0000   0.0000      0.0\n\
+                    \x20     0.0000   0.0000   1.0000    103.4\n";
+        assert_eq!(matrix(&pose), rows);
     }
 }

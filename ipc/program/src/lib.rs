@@ -1,6 +1,9 @@
-//! What the programs beside `vpcd` begin with: command line, log, signals; and how they end.
+//! What the programs begin with: command line, log, signals; how they end; and what they say of the
+//! kernel.
 
 #![forbid(unsafe_code)]
+
+pub mod kernel;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
