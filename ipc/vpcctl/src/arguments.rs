@@ -8,15 +8,16 @@ use clap::{Args, Parser, Subcommand};
 use ipc::{MAX_NEIGHBOURS, StrategyCode};
 
 use crate::check_bridge::CheckBridgeArguments;
+use crate::init::InitArguments;
 use crate::plot::PlotArguments;
 use crate::record::RecordArguments;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
 /// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be fixed
-/// (doctor, check-bridge); 2 the request was refused; 3 no daemon; 4 the daemon does not answer; 5 disarmed
-/// (status); 64 command line; 65 a file is wrong; 66 a file is missing; 69 shared memory, slot or
-/// address not available; 70 failure of vpcctl.
+/// (doctor, check-bridge); 2 the request was refused, or files are there already (init); 3 no
+/// daemon; 4 the daemon does not answer; 5 disarmed (status); 64 command line; 65 a file is wrong;
+/// 66 a file is missing; 69 shared memory, slot or address not available; 70 failure of vpcctl.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "vpcctl", version, max_term_width = 100)]
 pub struct Arguments {
@@ -53,10 +54,13 @@ pub enum Command {
     Recover(RecoverArguments),
     /// Change the strategy.
     Strategy(StrategyArguments),
-    /// Make the daemon write its flight record.
+    /// Make the daemon write its flight record, and print the file.
     Flight(RequestArguments),
     /// Find out what is wrong with this machine or setup, and how to fix it.
     Doctor(DoctorArguments),
+    /// Write a folder of configuration files for a robot: scene, camera, bridge, controller and
+    /// emulator. Nothing is overwritten.
+    Init(InitArguments),
     /// Play vpcd to the program that carries out twists, and judge what it reports: the camera moves
     /// some centimetres along its x axis and back.
     CheckBridge(CheckBridgeArguments),

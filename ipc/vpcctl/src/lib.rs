@@ -8,8 +8,10 @@ pub mod arguments;
 pub mod check_bridge;
 pub mod doctor;
 pub mod exit;
+pub mod flight;
 pub mod foxglove;
 pub mod image_plane;
+pub mod init;
 pub mod latency;
 pub mod manual;
 pub mod metrics;
@@ -21,6 +23,7 @@ pub mod recover;
 pub mod request;
 pub mod serve;
 pub mod server;
+pub mod settings;
 pub mod status;
 pub mod units;
 pub mod view;
@@ -74,7 +77,11 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Arm(with) => return ask(request::plain(Action::Arm), with),
         Command::Disarm(with) => return ask(request::plain(Action::Disarm), with),
         Command::Stop(with) => return ask(request::plain(Action::Stop), with),
-        Command::Flight(with) => return ask(request::plain(Action::Record), with),
+        Command::Flight(with) => {
+            let (text, exit) = flight::flight(&directory, with.timeout)?;
+            output::write(&text)?;
+            return Ok(exit);
+        }
         Command::Recover(with) => {
             let (line, exit) = recover::recover(&directory, with.timeout)?;
             output::write(&line)?;
@@ -122,6 +129,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             let watcher = Watcher::open(&directory)?;
             return serve::run(watcher, plane, with.listen, with.control);
         }
+        Command::Init(with) => init::init(with)?,
         Command::Completions { shell } => {
             String::from_utf8_lossy(&manual::completions(*shell)).into_owned()
         }

@@ -124,7 +124,11 @@ fn open(domain: &Domain, end: Instant) -> Result<OperatorPorts, OpenError> {
 
 /// The outcome of a request in one line, and its exit code.
 fn outcome(reply: &Reply) -> (String, Exit) {
-    let action = word(Action::from_code(reply.action));
+    let action = match Action::from_code(reply.action) {
+        // By the command's name.
+        Some(Action::Record) => "flight".to_owned(),
+        action => word(action),
+    };
     let (outcome, state) = (word(reply.outcome()), word(reply.state()));
     let cause = match reply.hold() {
         Some(hold) if hold != ipc::Hold::None => format!(" ({hold})"),

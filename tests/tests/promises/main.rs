@@ -33,6 +33,7 @@ mod own_robot;
 mod paced;
 mod peers;
 mod phase;
+mod recipe;
 mod refit;
 mod replay;
 mod shutdown;

@@ -8,6 +8,7 @@ use ipc::{CycleRecord, Hold, RealTime};
 use super::Finding;
 use crate::exit::Exit;
 use crate::presence::Presence;
+use crate::settings::Settings;
 use crate::status::{self, Asking, Status, lacks};
 use crate::units::duration;
 use crate::view::word;
@@ -24,7 +25,7 @@ pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
         _ => findings.extend(elsewhere(directory, Path::new(SERVICE))),
     }
     match status::look(directory, watch, Asking::Always) {
-        Ok(status) => findings.extend(health(&status)),
+        Ok(status) => findings.extend(health(&status, &Settings::of(directory))),
         Err(failure) if failure.exit == Exit::NoDaemon => {
             let path = directory.display();
             let remedy =
@@ -80,7 +81,7 @@ fn judge(process: u32, state: char) -> Finding {
     }
 }
 
-fn health(status: &Status) -> Vec<Finding> {
+fn health(status: &Status, settings: &Settings) -> Vec<Finding> {
     let what = "daemon";
     if status.hangs() {
         let remedy = match status.process {
@@ -106,12 +107,8 @@ fn health(status: &Status) -> Vec<Finding> {
         let words = format!("{service}: all subscribers' slots are taken");
         warn("slots", words, "end observers that are not needed");
     }
-    if let Some(robot) = status.view.robot_at(status.now_ns)
-        && robot.faults().0 != 0
-    {
-        let words = status.view.robot_words(status.now_ns);
-        warn("robot", words, "clear the fault at the robot");
-    }
+    findings.push(robot(status, settings));
+    let mut warn = |what, words: String, remedy| findings.push(Finding::warn(what, words, remedy));
     match status.view.latest() {
         Some(last) => findings.extend(cycles(last)),
         None => {
@@ -165,6 +162,38 @@ fn camera(last: &CycleRecord) -> Finding {
     }
 }
 
+/// What the robot's client, its bridge, tells: when, mode and faults.
+fn robot(status: &Status, settings: &Settings) -> Finding {
+    let (what, view, now_ns) = ("robot", &status.view, status.now_ns);
+    let again = "its client (the bridge) ended or hangs: start it again, then `vpcctl arm`";
+    let Some(heard) = &view.robot else {
+        let words = "none is heard on vpc/robot";
+        if status.hold() == Some(Hold::RobotLost) {
+            return Finding::warn(what, words, again);
+        }
+        if settings.does_without_robot() {
+            let words = format!("{words}; safety.robot = \"optional\" does without");
+            return Finding::ok(what, words);
+        }
+        let remedy = "start its client (the bridge, such as vpc-panda) in this domain, or set \
+                      safety.robot = \"optional\"";
+        return Finding::warn(what, words, remedy);
+    };
+    let age = duration(now_ns.saturating_sub(heard.stamp.published_ns));
+    if view.robot_at(now_ns).is_none() {
+        return Finding::warn(what, format!("last heard {age} ago"), again);
+    }
+    let words = format!("{}, heard {age} ago", view.robot_words(now_ns));
+    match heard.faults().0 {
+        0 => Finding::ok(what, words),
+        _ => Finding::warn(
+            what,
+            words,
+            "clear the fault at the robot, or: vpcctl recover",
+        ),
+    }
+}
+
 /// What helps against a cause.
 fn remedy(hold: Hold) -> &'static str {
     match hold {
@@ -203,8 +232,9 @@ fn remedy(hold: Hold) -> &'static str {
 mod tests {
     use super::super::Verdict;
     use super::*;
+    use crate::view::View;
     use crate::view::tests::record;
-    use ipc::{Hold, Order, Received, TwistState};
+    use ipc::{Hold, Order, Received, RobotFaults, RobotState, TwistState};
 
     #[test]
     fn the_state_is_found_behind_a_nasty_name() {
@@ -238,7 +268,7 @@ mod tests {
             let order = Order::First;
             status.view.cycle(&Received { message, order });
             status.now_ns = message.stamp.published_ns;
-            let findings = health(&status);
+            let findings = health(&status, &Settings::default());
             findings
                 .into_iter()
                 .find(|finding| finding.what == "camera")
@@ -250,5 +280,39 @@ mod tests {
         assert_eq!(silent.verdict, Verdict::Warn);
         assert!(silent.found.contains("2.00 s old"), "{silent:?}");
         assert_eq!(seen(7, 33_000_000).unwrap().verdict, Verdict::Ok);
+    }
+
+    #[test]
+    fn a_robot_is_told_of_with_its_age_mode_and_faults_or_missed() {
+        let (mut status, needs) = (Status::default(), Settings::default());
+        let optional = toml::from_str("[safety]\nrobot = 'optional'").unwrap();
+        let missed = robot(&status, &needs);
+        assert_eq!(missed.verdict, Verdict::Warn);
+        assert!(missed.remedy.contains("safety.robot"), "{missed:?}");
+        assert_eq!(robot(&status, &optional).verdict, Verdict::Ok);
+        let mut state = RobotState::free_camera([0.0; 3], [0.0; 3], 0);
+        state.stamp.published_ns = 1_000_000;
+        (status.view.robot, status.now_ns) = (Some(state), 3_000_000);
+        let idle = robot(&status, &needs);
+        assert_eq!(idle.verdict, Verdict::Ok);
+        assert_eq!(idle.found, "idle, heard 2.00 ms ago");
+        state.faults = RobotFaults::REFLEX.0;
+        status.view.robot = Some(state);
+        let reflex = robot(&status, &optional);
+        assert_eq!(reflex.verdict, Verdict::Warn);
+        assert!(reflex.found.contains("reflex"), "{reflex:?}");
+        status.now_ns = 5_000_000_000;
+        let silent = robot(&status, &needs);
+        assert_eq!(
+            (silent.verdict, &*silent.found),
+            (Verdict::Warn, "last heard 5.00 s ago")
+        );
+        // It fell silent before doctor came.
+        status.view = View::default();
+        let message = record(5, TwistState::Disarmed, Hold::RobotLost);
+        let order = Order::First;
+        status.view.cycle(&Received { message, order });
+        let lost = robot(&status, &needs);
+        assert!(lost.remedy.contains("start it again"), "{lost:?}");
     }
 }

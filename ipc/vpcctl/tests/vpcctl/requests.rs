@@ -23,7 +23,7 @@ fn arm_strategy_flight_and_disarm_are_answered_with_their_outcome() {
     );
     assert_eq!(
         ask(&["flight"]),
-        ("record: done; moving, strategy knn5\n".into(), Some(0))
+        ("flight: done; moving, strategy knn5\n".into(), Some(0))
     );
     assert_eq!(
         ask(&["disarm"]),

@@ -1,0 +1,111 @@
+//! The recipe of `README.md` for a real robot, in the folder that `vpcctl init` writes, without a
+//! robot: one line starts emulator, bridge and `vpcd`, and the arm moves once it is armed.
+
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use ipc::{Domain, Observer};
+use rustix::process::{Pid, Signal, kill_process_group};
+
+use crate::fixture::{Ended, Place, ended, eventually, program, root, turn};
+
+/// A memory in seconds.
+const SMALL: &[&str] = &[
+    "--trajectories",
+    "6",
+    "--iterations",
+    "20",
+    "--gpr-samples",
+    "40",
+];
+
+/// A line of a shell, with everything that it starts; ended as a whole.
+struct Line(Child);
+
+impl Line {
+    fn start(line: &str, folder: &Path) -> Self {
+        let programs = program("vpcd");
+        let path = std::env::var("PATH").unwrap();
+        let mut shell = Command::new("sh");
+        shell
+            .args(["-c", line])
+            .current_dir(folder)
+            .process_group(0);
+        shell.env(
+            "PATH",
+            format!("{}:{path}", programs.parent().unwrap().display()),
+        );
+        shell.stdout(Stdio::null()).stderr(Stdio::null());
+        Self(shell.spawn().unwrap())
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        let group = Pid::from_child(&self.0);
+        let _ = kill_process_group(group, Signal::TERM);
+        let _ = self.0.wait();
+    }
+}
+
+/// A program in the folder, run to its end.
+fn run(name: &str, words: &[&str], folder: &Path) -> Ended {
+    ended(Command::new(program(name)).args(words).current_dir(folder))
+}
+
+#[test]
+fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
+    let _turn = turn();
+    // The line finds these by their names.
+    for name in ["hw-sim", "vpc-panda"] {
+        assert!(program(name).exists());
+    }
+    let place = Place::new();
+    let folder = place.path("cell");
+    let (cell, domain) = (folder.to_str().unwrap(), place.domain());
+    let domain = domain.to_str().unwrap();
+    let made = run("vpcctl", &["init", "panda", cell], place.directory());
+    assert_eq!(made.code, Some(0), "{made:?}");
+    // Before step 3 of the recipe, the message names file, key and value.
+    let early = run("vpcd", &["--config", "vpcd.toml", "--check-only"], &folder);
+    assert_eq!(early.code, Some(66), "{early:?}");
+    let words = "vpcd.toml: memory = task.vpcmem: cannot read: No such file";
+    assert!(early.stderr.contains(words), "{early:?}");
+    let build = [&["build", "scene.toml", "-o", "task.vpcmem"], SMALL].concat();
+    let built = run("vpc-memory", &build, &folder);
+    assert_eq!(built.code, Some(0), "{built:?}");
+
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let line = readme
+        .lines()
+        .find(|line| line.starts_with("hw-sim --config hw-sim.toml &"));
+    // An address of its own: others may rehearse on this machine.
+    let own = format!("127.{}.1.1", 10 + std::process::id() % 200);
+    let emulator = folder.join("hw-sim.toml");
+    let text = std::fs::read_to_string(&emulator).unwrap();
+    std::fs::write(emulator, text.replace("127.0.0.1", &own)).unwrap();
+    let line = line.unwrap().replace("127.0.0.1", &own);
+    let line = line.replace("--config", &format!("--domain {domain} --config"));
+    let mut observer = Observer::open(&Domain::join(&place.domain()).unwrap()).unwrap();
+    let running = Line::start(&line, &folder);
+    let ask = |words: &[&str]| {
+        let words = [&["--domain", domain], words].concat();
+        run("vpcctl", &words, &folder)
+    };
+    eventually("motion", || {
+        // Again and again: a busy machine may disarm it.
+        ask(&["arm"]);
+        let newest = observer.robot.latest().unwrap();
+        newest.filter(|state| state.twist.iter().any(|v| v.abs() > 1e-3))
+    });
+    let found = ask(&["doctor"]).stdout;
+    assert!(found.contains("ok    robot"), "{found}");
+    let said = ask(&["flight", "--timeout", "20"]).stdout;
+    let file = Path::new(said.lines().last().unwrap());
+    assert!(
+        said.starts_with("flight: done; ") && file.is_file(),
+        "{said}"
+    );
+    drop(running);
+}
