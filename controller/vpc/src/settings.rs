@@ -1,5 +1,7 @@
 //! Settings of the law.
 
+use core::fmt;
+
 use crate::prediction::Model;
 use crate::problem::SolverOptions;
 use crate::strategy::{MAX_NEIGHBOURS, Strategy};
@@ -90,7 +92,8 @@ pub enum SettingsError {
     /// The window is too long for the scene, the iterations and the period.
     #[error(
         "np = {np} with nc = {nc}, {points} points, {obstacles} parts and areas of occlusions: more work than a period of \
-         {period_ms:.1} ms has room for; allowed: np of at most {most}, or fewer iterations, or a slower camera"
+         {period_ms:.1} ms has room for; allowed: {}fewer iterations, or a slower camera",
+        Shorter(*most)
     )]
     #[allow(missing_docs)]
     Window {
@@ -105,6 +108,18 @@ pub enum SettingsError {
     #[error("workspace: {found} numbers; allowed: {needed} or more")]
     #[allow(missing_docs)]
     Workspace { found: usize, needed: usize },
+}
+
+/// The advice to take a shorter window, where one fits.
+struct Shorter(usize);
+
+impl fmt::Display for Shorter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            0 => Ok(()),
+            most => write!(f, "np of at most {most}, or "),
+        }
+    }
 }
 
 impl Settings {
@@ -159,6 +174,26 @@ impl Settings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_shorter_window_is_advised_only_where_one_fits() {
+        let message = |most| {
+            let refused = SettingsError::Window {
+                np: 9,
+                nc: 1,
+                points: 4,
+                obstacles: 6,
+                period_ms: 4.0,
+                most,
+            };
+            refused.to_string()
+        };
+        assert!(
+            message(5)
+                .ends_with("allowed: np of at most 5, or fewer iterations, or a slower camera")
+        );
+        assert!(message(0).ends_with("allowed: fewer iterations, or a slower camera"));
+    }
 
     #[test]
     fn settings_out_of_range_are_named() {
