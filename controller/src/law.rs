@@ -11,7 +11,8 @@ use crate::loaded::LoadedController;
 /// A twist whose components are all below this share of their limits is near zero: ten times the
 /// changes by which a camera with a noise of 0.3 px regulates.
 const AT_REST: f64 = 0.05;
-/// A camera that has arrived leaves the goal when the error is this multiple of the threshold of convergence.
+/// A camera that has arrived leaves the goal when the error is this multiple of the threshold of
+/// convergence.
 const LEAVES: f64 = 2.0;
 /// Rounding that a command may have beyond the limits, as a share of them.
 const ROUNDING: f64 = 1e-9;
