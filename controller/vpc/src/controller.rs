@@ -73,7 +73,7 @@ pub struct Step {
     pub iterations: u32,
     /// Active-set changes in its quadratic programs.
     pub qp_iterations: u32,
-    /// Counted [`work`] of the solver.
+    /// Counted [work](crate::work) of the solver.
     pub work: u32,
     /// The paper's running cost l(v) of the command that is sent, against the goal.
     pub cost: f64,
