@@ -3,8 +3,9 @@
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
-use crate::fixture::{Manager, Place, ended, is_root};
+use crate::fixture::{Manager, Place, ended, is_root, scene_file};
 
 /// The user `nobody`.
 const NOBODY: u32 = 65534;
@@ -83,9 +84,15 @@ fn directory_and_shared_memory_are_their_owners_alone() {
         assert!(!can_read(path), "{} is read by nobody", path.display());
         assert!(!can_write(path), "{} is written by nobody", path.display());
     }
-    // Nor by the door: a daemon of another user is refused.
-    let mut intruder = place.vpcd();
-    intruder.uid(NOBODY).gid(NOBODY);
+    // Nor by the door: a daemon of another user is refused. It runs a copy: a checkout below a home
+    // directory of mode 700 is closed to it.
+    let program = place.path("vpcd");
+    std::fs::copy(env!("CARGO_BIN_EXE_vpcd"), &program).unwrap();
+    let scene = place.file("scene.toml", std::fs::read_to_string(scene_file()).unwrap());
+    let mut intruder = testkit::command(program);
+    intruder.arg("--scene").arg(scene).arg("--domain");
+    intruder.arg(place.domain()).uid(NOBODY).gid(NOBODY);
+    intruder.stderr(Stdio::piped());
     let (code, message) = ended(intruder);
     assert_eq!(code, 69, "{message}");
     assert!(message.contains("domain"), "{message}");
