@@ -1,9 +1,10 @@
 //! A domain: one set of the contract's services, in a directory of its own.
 
 use std::any::Any;
-use std::fs::DirEntry;
-use std::io;
+use std::fs::{DirEntry, File, OpenOptions};
+use std::io::{self, Read, Write};
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Duration;
@@ -37,6 +38,7 @@ pub(crate) struct Shared {
     services: Vec<Box<dyn OpenService>>,
     node: Option<Node<Service>>,
     config: Config,
+    prefix: String,
     guard: Guard,
 }
 
@@ -63,9 +65,9 @@ impl Domain {
     /// How many files of shared memory a domain has at the moment. It need not be joined for that.
     ///
     /// # Errors
-    /// The directory does not exist, or shared memory cannot be listed.
+    /// The directory does not exist, nobody ever joined it, or shared memory cannot be listed.
     pub fn segments(directory: &Path) -> io::Result<usize> {
-        Ok(ours(&directory.canonicalize()?)?.count())
+        Ok(ours(&shared_memory_prefix(directory)?)?.count())
     }
 
     /// Joins the domain in `directory`, which is created if it is missing. Removes what killed
@@ -81,9 +83,13 @@ impl Domain {
     }
 
     fn try_join(directory: &Path) -> Result<Self, JoinReason> {
-        let (guard, _startup) = Guard::enter(directory, wipe)?;
-        let config = configuration(guard.directory()).ok_or(JoinReason::Path)?;
-        remove_unfinished(guard.directory());
+        let (guard, _startup) = Guard::enter(directory, |directory| {
+            wipe(directory)?;
+            begin_generation(directory)
+        })?;
+        let prefix = shared_memory_prefix(guard.directory())?;
+        let config = configuration(guard.directory(), &prefix).ok_or(JoinReason::Path)?;
+        remove_unfinished(&prefix);
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -93,6 +99,7 @@ impl Domain {
             services,
             node: Some(node),
             config,
+            prefix,
             guard,
         });
         Ok(Self { shared })
@@ -138,7 +145,7 @@ impl Shared {
             reason: "no service of the contract".to_owned(),
         })?;
         create(factory).or_else(|_| {
-            remove_unfinished(self.guard.directory());
+            remove_unfinished(&self.prefix);
             Node::<Service>::try_cleanup_dead_nodes(&self.config);
             create(factory)
         })
@@ -158,7 +165,7 @@ impl Shared {
 
 /// iceoryx2's configuration, made here and not read from a file, with a root and a prefix that no
 /// other domain has.
-fn configuration(directory: &Path) -> Option<Config> {
+fn configuration(directory: &Path, prefix: &str) -> Option<Config> {
     let bytes = directory.as_os_str().as_bytes();
     if bytes.len() > 200 {
         return None;
@@ -168,23 +175,52 @@ fn configuration(directory: &Path) -> Option<Config> {
     config
         .global
         .set_root_path(&iceoryx2::prelude::Path::new(root.as_os_str().as_bytes()).ok()?);
-    config.global.prefix = FileName::new(shared_memory_prefix(directory).as_bytes()).ok()?;
+    config.global.prefix = FileName::new(prefix.as_bytes()).ok()?;
     // Only under the guard: while joining, or opening a port.
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     Some(config)
 }
 
-/// Begin of the names of a domain's shared memory: `vpc_`, 16 hexadecimal digits of the 64-bit
-/// FNV-1a hash of the canonical path, `_`.
-pub fn shared_memory_prefix(directory: &Path) -> String {
-    let hash = directory
-        .as_os_str()
-        .as_bytes()
-        .iter()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, &byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-        });
-    format!("vpc_{hash:016x}_")
+/// Name of the file in the domain's directory that names its generation: a number that whoever is
+/// alone in the domain draws. A domain whose directory was moved takes its generation along, and no
+/// other user knows a name of shared memory before it is taken.
+const GENERATION: &str = "generation";
+
+/// Draws the number. Call this only while no other process is in the domain.
+fn begin_generation(directory: &Path) -> io::Result<()> {
+    let mut drawn = [0; 8];
+    File::open("/dev/urandom")?.read_exact(&mut drawn)?;
+    let text = format!("{:016x}\n", u64::from_le_bytes(drawn));
+    let mut options = OpenOptions::new();
+    let options = options.create(true).truncate(true).write(true).mode(0o600);
+    options
+        .open(directory.join(GENERATION))?
+        .write_all(text.as_bytes())
+}
+
+/// Begin of the names of a domain's shared memory: `vpc_`, the 16 hexadecimal digits of its
+/// generation, `_`.
+///
+/// # Errors
+/// The file cannot be read, or holds something else.
+pub fn shared_memory_prefix(directory: &Path) -> io::Result<String> {
+    let path = directory.join(GENERATION);
+    let trouble = |error: io::Error| {
+        let text = format!("{}: {error}", path.display());
+        io::Error::new(error.kind(), text)
+    };
+    let mut text = String::new();
+    let file = File::open(&path).map_err(trouble)?;
+    file.take(32).read_to_string(&mut text).map_err(trouble)?;
+    match text.trim_end() {
+        digits if digits.len() == 16 && digits.bytes().all(|b| b.is_ascii_hexdigit()) => {
+            Ok(format!("vpc_{digits}_"))
+        }
+        text => Err(trouble(io::Error::new(
+            io::ErrorKind::InvalidData,
+            format!("{text:?}; allowed: 16 hexadecimal digits, as who is alone in the domain writes"),
+        ))),
+    }
 }
 
 /// Removes what dead processes left: our root, and our files in shared memory. Call this only while
@@ -195,20 +231,28 @@ fn wipe(directory: &Path) -> io::Result<()> {
         _ => Ok(()),
     };
     gone(std::fs::remove_dir_all(directory.join("iox2")))?;
-    ours(directory)?.try_for_each(|entry| gone(std::fs::remove_file(entry.path())))
+    // A new domain has no generation yet; one that was damaged is replaced.
+    let Ok(prefix) = shared_memory_prefix(directory) else {
+        return Ok(());
+    };
+    ours(&prefix)?.try_for_each(|entry| gone(std::fs::remove_file(entry.path())))
 }
 
-/// Our files in shared memory.
-fn ours(directory: &Path) -> io::Result<impl Iterator<Item = DirEntry>> {
-    let prefix = shared_memory_prefix(directory);
+/// The files in shared memory with this prefix that belong to this user. Others' are not ours,
+/// whatever they are called.
+fn ours(prefix: &str) -> io::Result<impl Iterator<Item = DirEntry>> {
+    let us = rustix::process::geteuid().as_raw();
     let entries = std::fs::read_dir(SHARED_MEMORY)?.filter_map(Result::ok);
-    Ok(entries.filter(move |entry| entry.file_name().as_bytes().starts_with(prefix.as_bytes())))
+    Ok(entries.filter(move |entry| {
+        let is_named = entry.file_name().as_bytes().starts_with(prefix.as_bytes());
+        is_named && entry.metadata().is_ok_and(|found| found.uid() == us)
+    }))
 }
 
 /// Removes shared memory of size 0 that is old enough to have been left by a killed process.
 /// Returns how many files are too young to tell.
-fn remove_old(directory: &Path) -> usize {
-    let unfinished = ours(directory).into_iter().flatten().filter_map(|entry| {
+fn remove_old(prefix: &str) -> usize {
+    let unfinished = ours(prefix).into_iter().flatten().filter_map(|entry| {
         let found = entry.metadata().ok().filter(|found| found.len() == 0)?;
         let age = found.modified().ok().and_then(|at| at.elapsed().ok());
         let is_old = age.is_some_and(|age| age >= UNFINISHED);
@@ -223,10 +267,10 @@ fn remove_old(directory: &Path) -> usize {
 
 /// Waits until every file of size 0 has a size or is old, and removes the old ones. There is almost
 /// never one.
-fn remove_unfinished(directory: &Path) {
+fn remove_unfinished(prefix: &str) {
     let pause = Duration::from_millis(5);
     for _ in 0..2 * UNFINISHED.as_millis() / pause.as_millis() {
-        if remove_old(directory) == 0 {
+        if remove_old(prefix) == 0 {
             return;
         }
         std::thread::sleep(pause);
@@ -238,18 +282,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_directory_has_its_prefix() {
-        assert_eq!(
-            shared_memory_prefix(Path::new("/tmp/vpc-0")),
-            "vpc_dab3ee1dc20aec86_"
-        );
-        let [a, b] = ["/tmp/a", "/tmp/b"].map(|path| shared_memory_prefix(Path::new(path)));
-        assert_ne!(a, b);
+    fn each_generation_has_its_prefix() {
+        let directory = tempfile::tempdir().unwrap();
+        let prefix = || shared_memory_prefix(directory.path());
+        assert_eq!(prefix().unwrap_err().kind(), io::ErrorKind::NotFound);
+        let drawn = [(); 2].map(|()| {
+            begin_generation(directory.path()).unwrap();
+            prefix().unwrap()
+        });
+        assert_ne!(drawn[0], drawn[1]);
+        assert_eq!(drawn[0].len(), 21);
+        for damaged in ["", "12", "+123456789012345", "dab3ee1dc20aec86x"] {
+            std::fs::write(directory.path().join(GENERATION), damaged).unwrap();
+            let message = prefix().unwrap_err().to_string();
+            assert!(message.contains("generation: "), "{message}");
+            // Who is alone mends it.
+            Domain::join(directory.path()).unwrap();
+            assert!(prefix().is_ok());
+        }
     }
 
     #[test]
     fn a_path_that_iceoryx2_cannot_take_is_refused() {
-        assert!(configuration(Path::new("/tmp/vpc-0")).is_some());
-        assert!(configuration(Path::new(&format!("/tmp/{}", "x".repeat(200)))).is_none());
+        let configuration = |path: &str| configuration(Path::new(path), "vpc_0_");
+        assert!(configuration("/tmp/vpc-0").is_some());
+        assert!(configuration(&format!("/tmp/{}", "x".repeat(200))).is_none());
     }
 }

@@ -31,6 +31,9 @@ pub enum JoinReason {
     /// Other users could replace the locks and the files by which services are found.
     #[error("mode {0:03o} lets other users put files into it; allowed: mode 700 (chmod 700)")]
     Open(u32),
+    /// The directory is not at its path any more.
+    #[error("was moved or replaced since this process joined it; start the process again")]
+    Moved,
     /// iceoryx2 does not take the path.
     #[error("not a usable path; allowed: at most 200 bytes, letters, digits and . - _ /")]
     Path,

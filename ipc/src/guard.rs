@@ -47,6 +47,8 @@ const PAUSE: Duration = Duration::from_millis(1);
 #[derive(Debug)]
 pub(crate) struct Guard {
     directory: PathBuf,
+    /// Device and inode of the directory. They stay its own while `member` is open below it.
+    place: (u64, u64),
     member: File,
 }
 
@@ -70,12 +72,21 @@ impl Guard {
         // Never waits: only the holder of `startup`, which is this process, locks `lock`
         // exclusively.
         flock(&member, FlockOperation::NonBlockingLockShared).map_err(io::Error::from)?;
-        Ok((Self { directory, member }, startup))
+        let guard = Self {
+            place: place(&directory)?,
+            directory,
+            member,
+        };
+        Ok((guard, startup))
     }
 
     /// Waits for the startup lock.
     pub(crate) fn startup(&self) -> Result<Startup, JoinReason> {
-        Startup::take(&self.directory, PATIENCE)
+        // Another directory's lock would protect nothing of ours.
+        match place(&self.directory) {
+            Ok(found) if found == self.place => Startup::take(&self.directory, PATIENCE),
+            _ => Err(JoinReason::Moved),
+        }
     }
 
     /// Leaves; `wipe` runs if no other process is in the domain.
@@ -150,6 +161,12 @@ impl Place {
     }
 }
 
+/// Device and inode of a directory.
+fn place(directory: &Path) -> io::Result<(u64, u64)> {
+    let found = std::fs::symlink_metadata(directory)?;
+    Ok((found.dev(), found.ino()))
+}
+
 /// Tries to lock a file exclusively; false if another process holds a lock on it.
 fn try_lock(file: &File) -> io::Result<bool> {
     match flock(file, FlockOperation::NonBlockingLockExclusive) {
@@ -218,6 +235,21 @@ mod tests {
         drop((second, third));
         let _fourth = enter("fourth");
         assert_eq!(wiped, ["first", "fourth"]);
+    }
+
+    #[test]
+    fn who_was_moved_neither_wipes_nor_opens_at_the_old_place() {
+        let place = tempfile::tempdir().unwrap();
+        let [old, new] = ["old", "new"].map(|name| place.path().join(name));
+        let (guard, startup) = Guard::enter(&old, |_| Ok(())).unwrap();
+        drop(startup);
+        drop(guard.startup().unwrap());
+        std::fs::rename(&old, &new).unwrap();
+        assert!(matches!(guard.startup(), Err(JoinReason::Moved)));
+        let (_other, startup) = Guard::enter(&old, |_| Ok(())).unwrap();
+        drop(startup);
+        let message = guard.startup().unwrap_err().to_string();
+        assert!(message.contains("moved or replaced"), "{message}");
     }
 
     #[test]

@@ -3,27 +3,38 @@
 //!
 //! | Bytes | Written by | Meaning |
 //! |---|---|---|
-//! | 0 to 31 | whoever stops | any other content than before asks for a stop |
-//! | 32 to 63 | the controller | the content that it obeyed, once the zero twist is sent |
+//! | 0 to 31 | whoever stops | the stop that is asked for |
+//! | 32 to 63 | the controller | the stop that it obeyed, once the zero twist is sent |
 //!
-//! Bytes beyond the file's end count as zero. The controller reads the file in each cycle, after
-//! the requests of operators, so that a stop wins over an `arm` of the same cycle. A stop that was
-//! asked for while no controller ran is obeyed by the next one. The file is read and not mapped: a
-//! shell's `>` truncates it, and a mapping would end in SIGBUS then.
+//! The controller leaves the file with both halves equal and with [`OBEYED_AT`] as its time of last
+//! change. Anything else at this path is a stop: other bytes, another length, another time (so the
+//! same words twice, or `touch`), another file, none. The controller looks in each cycle, after the
+//! requests of operators, so that a stop wins over an `arm` of the same cycle. A stop that was asked
+//! for while no controller ran is obeyed by the next one. The file is read and not mapped: a shell's
+//! `>` truncates it, and a mapping would end in SIGBUS then.
 
+use std::ffi::CString;
 use std::fs::{File, OpenOptions};
 use std::io;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use rustix::fs::OFlags;
+use rustix::fs::{AtFlags, CWD, OFlags, StatxFlags, Timespec, Timestamps, futimens, statx};
 
 /// Name of the file in the domain's directory.
 pub const STOP_FILE: &str = "stop";
 
-/// Bytes of each half.
+/// Time of the last change of a file whose stop was obeyed: the beginning of 1970. Nobody else's
+/// write leaves it.
+const OBEYED_AT: Timespec = Timespec {
+    tv_sec: 0,
+    tv_nsec: 0,
+};
+/// Bytes of each half, and of both.
 const HALF: usize = 32;
+const BOTH: usize = 2 * HALF;
 /// Pause between two looks of who waits.
 const POLL: Duration = Duration::from_millis(2);
 
@@ -33,62 +44,111 @@ type Content = [u8; HALF];
 #[derive(Debug)]
 pub struct StopFile {
     file: File,
-    /// What was obeyed last,
-    obeyed: Content,
-    /// and what stands there now.
+    /// Where whoever stops looks for it: the path from the root, for the system call.
+    path: CString,
+    /// Device, as major and minor number, and inode of the open file.
+    place: (u32, u32, u64),
+    /// What is asked for.
     asked: Content,
 }
 
 impl StopFile {
     /// Opens the file in the directory of a domain, or creates it, writable by its owner alone. Who
-    /// else may stop is for its permissions to say; they are kept.
+    /// else may stop is for its permissions to say; they are kept. From then on it has its room on
+    /// the disk, so that a stop needs none.
     ///
     /// # Errors
-    /// [`StopError::File`] if it cannot be used, or is no plain file.
+    /// [`StopError::File`] if it cannot be used, is no plain file or another user's, or if the disk
+    /// has no room for it.
     pub fn open(directory: &Path) -> Result<Self, StopError> {
         let path = directory.join(STOP_FILE);
         let refuse = |source| StopError::File {
             path: path.clone(),
             source,
         };
-        let file = OpenOptions::new()
-            .create(true)
-            .truncate(false)
+        let mut options = OpenOptions::new();
+        options
             .read(true)
             .write(true)
             .mode(0o600)
-            .custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32)
-            .open(&path)
-            .map_err(refuse)?;
-        if !file.metadata().map_err(refuse)?.is_file() {
+            .custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32);
+        let (file, is_new) = match options.clone().create_new(true).open(&path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                (options.open(&path).map_err(refuse)?, false)
+            }
+            result => (result.map_err(refuse)?, true),
+        };
+        let found = file.metadata().map_err(refuse)?;
+        if !found.is_file() {
             return Err(refuse(io::Error::other("not a plain file; remove it")));
         }
-        let (asked, obeyed) = read(&file).map_err(refuse)?;
-        Ok(Self {
+        let (owner, us) = (found.uid(), rustix::process::geteuid().as_raw());
+        if owner != us {
+            let reason = format!("belongs to user {owner}, not to user {us}; remove it");
+            return Err(refuse(io::Error::other(reason)));
+        }
+        let absolute = std::path::absolute(&path).map_err(refuse)?;
+        let absolute = CString::new(absolute.as_os_str().as_bytes())
+            .map_err(|error| refuse(error.into()))?;
+        let (asked, _) = read(&file).map_err(refuse)?;
+        let mut this = Self {
+            place: place(&absolute).map_err(refuse)?.0,
+            path: absolute,
             file,
-            obeyed: obeyed.unwrap_or_default(),
             asked,
-        })
+        };
+        if is_new || !this.is_asked() {
+            this.write_obeyed().map_err(refuse)?;
+            this.file.sync_all().map_err(refuse)?;
+        }
+        Ok(this)
     }
 
     /// Whether a stop was asked for that was not obeyed yet. Two system calls; neither allocates
-    /// nor waits. Also true where the file cannot be read, or was removed or replaced: nobody could
-    /// stop any more.
+    /// nor waits. Also true where the file cannot be read, or the domain's path leads to another
+    /// one or to none: nobody could stop any more.
     pub fn is_asked(&mut self) -> bool {
-        let is_there = self.file.metadata().is_ok_and(|found| found.nlink() > 0);
-        let Ok((asked, _)) = read(&self.file) else {
+        let (Ok((asked, obeyed)), Ok((found, is_as_left))) = (read(&self.file), place(&self.path))
+        else {
             return true;
         };
         self.asked = asked;
-        !is_there || self.asked != self.obeyed
+        found != self.place || !is_as_left || obeyed != Some(asked)
     }
 
-    /// Acknowledges what [`StopFile::is_asked`] saw: the zero twist is sent.
+    /// Acknowledges what [`StopFile::is_asked`] saw: the zero twist is sent. Where that cannot be
+    /// written, the stop stays asked for.
     pub fn obey(&mut self) {
-        self.obeyed = self.asked;
         // Who waits for it will say that it did not come.
-        let _ = self.file.write_at(&self.obeyed, HALF as u64);
+        let _ = self.write_obeyed();
     }
+
+    fn write_obeyed(&self) -> io::Result<()> {
+        let mut both = [0; BOTH];
+        let (first, second) = both.split_at_mut(HALF);
+        first.copy_from_slice(&self.asked);
+        second.copy_from_slice(&self.asked);
+        self.file.write_all_at(&both, 0)?;
+        self.file.set_len(BOTH as u64)?;
+        let times = Timestamps {
+            last_access: OBEYED_AT,
+            last_modification: OBEYED_AT,
+        };
+        Ok(futimens(&self.file, &times)?)
+    }
+}
+
+/// Device and inode of what is at a path, and whether it has the length and the time of an obeyed
+/// stop. Asks no server where the file system has one.
+fn place(path: &CString) -> io::Result<((u32, u32, u64), bool)> {
+    let flags = AtFlags::SYMLINK_NOFOLLOW | AtFlags::STATX_DONT_SYNC;
+    let wanted = StatxFlags::INO | StatxFlags::MTIME | StatxFlags::SIZE;
+    let found = statx(CWD, path, flags, wanted)?;
+    let (time, obeyed) = (found.stx_mtime, OBEYED_AT);
+    let is_as_left = found.stx_size == BOTH as u64
+        && (time.tv_sec, i64::from(time.tv_nsec)) == (obeyed.tv_sec, obeyed.tv_nsec);
+    let device = (found.stx_dev_major, found.stx_dev_minor);
+    Ok(((device.0, device.1, found.stx_ino), is_as_left))
 }
 
 /// Why a stop is not known to have been obeyed.
@@ -115,9 +175,11 @@ pub struct Asked {
 
 impl Asked {
     /// Asks for a stop in the domain of this directory, which need not be joined. Does not wait.
+    /// Where the file cannot be written, as on a full disk that copies on write, it is emptied, and
+    /// where that fails, removed: both are stops.
     ///
     /// # Errors
-    /// [`StopError::File`] if there is no such file, or it may not be written.
+    /// [`StopError::File`] if there is no such file, or nothing of it may be changed.
     pub fn in_domain(directory: &Path) -> Result<Self, StopError> {
         let path = directory.join(STOP_FILE);
         let open = || {
@@ -126,7 +188,9 @@ impl Asked {
             let text = format!("{} {}", std::process::id(), crate::now_ns());
             let pairs = word.iter_mut().zip(text.bytes());
             pairs.for_each(|(to, from)| *to = from);
-            file.write_all_at(&word, 0)?;
+            file.write_all_at(&word, 0)
+                .or_else(|_| file.set_len(0))
+                .or_else(|_| std::fs::remove_file(&path))?;
             Ok(file)
         };
         match open() {
@@ -178,7 +242,7 @@ pub fn stop(directory: &Path, patience: Duration) -> Result<Duration, StopError>
 
 /// What is asked for, and what was obeyed: `None` while the file is too short for it.
 fn read(file: &File) -> io::Result<(Content, Option<Content>)> {
-    let mut both = [0; 2 * HALF];
+    let mut both = [0; BOTH];
     let count = file.read_at(&mut both, 0)?;
     let (asked, obeyed) = both.split_at(HALF);
     let half = |bytes: &[u8]| {
@@ -260,16 +324,62 @@ mod tests {
         };
         for line in [
             "date +%s%N > stop",
-            "date +%s%N > stop",
             "printf %s $$ | dd of=stop conv=notrunc status=none",
+            "printf %s $$ >> stop",
             ": > stop",
+            "echo stop > stop",
+            "cp -p stop same && cp same stop",
+            "touch stop",
         ] {
+            // The same words again are a stop again.
+            for _ in 0..2 {
+                shell(line);
+                assert!(controller.is_asked() && controller.is_asked(), "{line}");
+                controller.obey();
+                assert!(!controller.is_asked(), "{line}");
+                shell("cmp -s -n 32 -i 0:32 stop stop");
+            }
+        }
+        // Also while no controller runs.
+        drop(controller);
+        assert!(!StopFile::open(domain.path()).unwrap().is_asked());
+        shell("touch stop");
+        assert!(StopFile::open(domain.path()).unwrap().is_asked());
+    }
+
+    #[test]
+    fn a_file_that_was_moved_linked_or_replaced_is_a_stop() {
+        for line in [
+            "mv d/stop d/elsewhere",
+            "ln d/stop d/backup; rm d/stop",
+            "rm d/stop; cp -p d/before d/stop",
+            "mv d moved",
+            "mv d moved; cp -rp moved d",
+        ] {
+            let place = tempfile::tempdir().unwrap();
+            let directory = place.path().canonicalize().unwrap().join("d");
+            std::fs::create_dir(&directory).unwrap();
+            let mut controller = StopFile::open(&directory).unwrap();
+            let shell = |line: &str| {
+                let mut shell = testkit::command("sh");
+                let status = shell.args(["-c", line]).current_dir(place.path()).status();
+                assert!(status.unwrap().success(), "{line}");
+            };
+            shell("cp -p d/stop d/before");
+            assert!(!controller.is_asked());
             shell(line);
             assert!(controller.is_asked(), "{line}");
             controller.obey();
-            assert!(!controller.is_asked(), "{line}");
-            shell("cmp -s -n 32 -i 0:32 stop stop");
+            assert!(controller.is_asked(), "{line}: nobody could stop it any more");
         }
+        // The same file by another way is the same file.
+        let place = tempfile::tempdir().unwrap();
+        let [directory, moved] = ["d", "moved"].map(|name| place.path().join(name));
+        std::fs::create_dir(&directory).unwrap();
+        let mut controller = StopFile::open(&directory).unwrap();
+        std::fs::rename(&directory, &moved).unwrap();
+        std::os::unix::fs::symlink(&moved, &directory).unwrap();
+        assert!(!controller.is_asked());
     }
 
     #[test]

@@ -404,12 +404,8 @@ fn a_place_that_a_killed_cleaner_left_taken_is_not_the_last() {
 
 /// Start of the names of a domain's files in /dev/shm.
 fn prefix(directory: &Path) -> String {
-    let path = directory.canonicalize().unwrap();
-    let bytes = path.as_os_str().as_bytes().iter();
-    let hash = bytes.fold(0xcbf2_9ce4_8422_2325_u64, |h, &b| {
-        (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
-    });
-    format!("vpc_{hash:016x}_")
+    let generation = std::fs::read_to_string(directory.join("generation")).unwrap();
+    format!("vpc_{}_", generation.trim_end())
 }
 
 #[test]
@@ -421,6 +417,57 @@ fn shared_memory_that_was_never_finished_is_removed() {
     drop(std::fs::File::create(&unborn).unwrap());
     let _there = Domain::join(&place.domain()).unwrap();
     assert!(!unborn.exists());
+}
+
+#[test]
+fn a_domain_at_work_elsewhere_is_not_wiped() {
+    let place = Place::new();
+    let first = Domain::join(&place.domain()).unwrap();
+    let mut camera = CameraPorts::open(&first).unwrap();
+    let mut observer = Observer::open(&first).unwrap();
+    let segments = prefix(&place.domain());
+    let moved = place.path("moved");
+    std::fs::rename(place.domain(), &moved).unwrap();
+    // Who comes to the old path, is alone there, and leaves again.
+    let second = Domain::join(&place.domain()).unwrap();
+    drop((CameraPorts::open(&second).unwrap(), second));
+    let third = Domain::join(&place.domain()).unwrap();
+    let at_work = CameraPorts::open(&third).unwrap();
+    let files = || {
+        let files = std::fs::read_dir("/dev/shm").unwrap().flatten();
+        let names = files.map(|file| file.file_name().into_string().unwrap());
+        names.filter(|name| name.starts_with(&segments)).count()
+    };
+    assert!(files() > 4);
+    camera.features.publish(&square(0.1)).unwrap();
+    assert!(observer.features.latest().unwrap().is_some());
+    // Who comes to the new path meets the first.
+    let visitor = Domain::join(&moved).unwrap();
+    assert!(matches!(
+        CameraPorts::open(&visitor),
+        Err(OpenError::Taken { .. })
+    ));
+    // Nor does the first wipe the other when it leaves.
+    drop((visitor, camera, observer, first));
+    assert!(place.domain().join("iox2").exists());
+    drop(at_work);
+}
+
+#[test]
+fn files_of_other_users_in_shared_memory_keep_nobody_out() {
+    let place = Place::new();
+    drop(Domain::join(&place.domain()).unwrap());
+    if !testkit::is_root("a file of another user in /dev/shm") {
+        return;
+    }
+    let theirs = Path::new("/dev/shm").join(format!("{}theirs", prefix(&place.domain())));
+    std::fs::write(&theirs, "").unwrap();
+    std::os::unix::fs::chown(&theirs, Some(65534), Some(65534)).unwrap();
+    let domain = Domain::join(&place.domain());
+    let is_there = theirs.exists();
+    std::fs::remove_file(&theirs).unwrap();
+    CameraPorts::open(&domain.unwrap()).unwrap();
+    assert!(is_there, "it is theirs to remove");
 }
 
 #[test]

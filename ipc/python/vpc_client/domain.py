@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import os
+import re
 import shutil
 import time
 import weakref
@@ -43,11 +44,12 @@ class Domain(Opening):
 
     def __init__(self, directory: str | os.PathLike[str] | None = None) -> None:
         self._startup: int | None = None
+        self._prefix: str | None = None
         self.directory = self._claim(default_directory() if directory is None else directory)
-        self._prefix = f"vpc_{_fnv1a(self.directory):016x}_"
         os.makedirs(os.path.join(self.directory, "publishers"), mode=0o700, exist_ok=True)
         self._startup = self._open("startup")
         self._member = self._open("lock")
+        self._inode = _inode(self.directory)
         # Weakly: ports keep their domain.
         self._ports: weakref.WeakSet[Port] = weakref.WeakSet()
         self._node: Any = None
@@ -184,7 +186,13 @@ class Domain(Opening):
     def _join(self) -> None:
         if self._is_alone():
             self._wipe()
+            self._begin_generation()
         fcntl.flock(self._member, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        self._prefix = self._read_prefix()
+        if self._prefix is None:
+            raise BadDomain(
+                f"{self._generation_file()}: damaged; allowed: 16 hexadecimal digits, as who is alone in the domain writes"
+            )
         self._remove_unborn()
 
         iox2.set_log_level(iox2.LogLevel.Error)
@@ -198,7 +206,8 @@ class Domain(Opening):
 
     def _leave(self) -> None:
         self._services, self._node = {}, None
-        if self._is_alone():
+        # Another directory at this path is others' to clear.
+        if self._is_alone() and self._inode == _inode(self.directory):
             self._wipe()
 
     def _service(self, name: str) -> Any:
@@ -236,18 +245,46 @@ class Domain(Opening):
     def _wipe(self) -> None:
         """Removes what processes left that were killed. Call it only while no other process is in the domain."""
         shutil.rmtree(os.path.join(self.directory, "iox2"), ignore_errors=True)
+        self._prefix = self._read_prefix()
+        for path, _ in list(self._segments()):
+            os.unlink(path)
+
+    def _generation_file(self) -> str:
+        return os.path.join(self.directory, "generation")
+
+    def _begin_generation(self) -> None:
+        """Draws the number that names the domain's shared memory. Call it only while no other process is in the domain."""
+        file = os.open(self._generation_file(), os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+        try:
+            os.write(file, (os.urandom(8).hex() + "\n").encode())
+        finally:
+            os.close(file)
+
+    def _read_prefix(self) -> str | None:
+        """Begin of the names of the domain's shared memory; None without a generation."""
+        try:
+            with open(self._generation_file(), encoding="ascii") as file:
+                digits = file.read(32).strip()
+        except (OSError, UnicodeDecodeError):
+            return None
+        return f"vpc_{digits}_" if re.fullmatch("[0-9a-f]{16}", digits) else None
+
+    def _segments(self) -> Iterator[tuple[str, os.stat_result]]:
+        """The domain's shared memory: paths and what the system says of them. Other users' files are not ours."""
+        if self._prefix is None:
+            return
         for entry in os.scandir("/dev/shm"):
-            if entry.name.startswith(self._prefix):
-                os.unlink(entry.path)
+            try:
+                if entry.name.startswith(self._prefix) and entry.stat().st_uid == os.geteuid():
+                    yield entry.path, entry.stat()
+            except FileNotFoundError:
+                pass
 
     def _empty_segments(self) -> Iterator[tuple[str, float]]:
         """Shared memory without a size: its path and its age in s."""
-        for entry in os.scandir("/dev/shm"):
-            try:
-                if entry.name.startswith(self._prefix) and entry.stat().st_size == 0:
-                    yield entry.path, time.time() - entry.stat().st_mtime
-            except FileNotFoundError:
-                pass
+        for path, found in self._segments():
+            if found.st_size == 0:
+                yield path, time.time() - found.st_mtime
 
     def _remove_unborn(self) -> None:
         """Removes shared memory that a killed process created and never gave a size: iceoryx2 would wait for it."""
@@ -324,8 +361,10 @@ class Domain(Opening):
             return create()
 
 
-def _fnv1a(text: str) -> int:
-    value = 0xCBF29CE484222325
-    for byte in os.fsencode(text):
-        value = ((value ^ byte) * 0x100000001B3) % 2**64
-    return value
+def _inode(directory: str) -> tuple[int, int]:
+    """Device and inode of a directory; (0, 0) where there is none."""
+    try:
+        found = os.lstat(directory)
+    except OSError:
+        return 0, 0
+    return found.st_dev, found.st_ino
