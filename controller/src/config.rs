@@ -11,6 +11,7 @@ use vpc::{Settings, Strategy};
 use crate::arguments::Arguments;
 use crate::exit::Exit;
 use crate::realtime::RealtimeRequest;
+use crate::supervisor::AfterArrival;
 
 mod tables;
 #[cfg(test)]
@@ -83,6 +84,8 @@ pub struct Safety {
     pub lost_s: f64,
     /// Whether the camera stands still until a robot was heard.
     pub needs_robot: bool,
+    /// What it does when it has arrived.
+    pub after_arrival: AfterArrival,
 }
 
 /// Returns the JSON Schema of a configuration file.
@@ -215,6 +218,7 @@ fn laid_over(
             brake_s: tables.safety.brake_s,
             lost_s: tables.safety.lost_s,
             needs_robot,
+            after_arrival: tables.safety.after_arrival,
         },
         domain,
         margin_ns: (tables.cycle.margin_ms * 1e6) as u64,

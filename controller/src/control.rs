@@ -97,6 +97,11 @@ impl ControlStep {
         &self.loaded
     }
 
+    /// Whether an operator has armed it.
+    pub fn has_consent(&self) -> bool {
+        self.supervisor.has_consent()
+    }
+
     /// Whether the last twist was zero.
     pub fn is_at_rest(&self) -> bool {
         self.supervisor.is_at_rest()
@@ -109,7 +114,7 @@ impl ControlStep {
             (Some(Action::Strategy), Some(code)) => self.change(code, request.neighbours),
             (None, _) | (Some(Action::Strategy), None) => Outcome::Unknown,
             // Whatever else it says: a stop is a stop.
-            (Some(action), _) => self.supervisor.request(action),
+            (Some(action), _) => self.supervisor.request(action, request.stops),
         };
         if (request.action(), outcome) == (Some(Action::Arm), Outcome::Done) {
             self.loaded.controller.be_patient();
@@ -134,6 +139,8 @@ impl ControlStep {
             hold: hold_code(reason),
             strategy: strategy.code(),
             neighbours,
+            stops: self.supervisor.stops(),
+            reserved: 0,
         }
     }
 
@@ -283,6 +290,7 @@ impl ControlStep {
         let (code, seen) = inputs.robot.wire();
         (record.robot_input, record.robot_seen) = (code.code(), seen);
         record.missed = inputs.missed;
+        record.stops = self.supervisor.stops();
         for (flag, is_set) in [
             (CycleFlags::SHUTDOWN, inputs.shutdown),
             (CycleFlags::SUSPENDED, inputs.suspended),
@@ -396,6 +404,7 @@ mod tests {
             lost_ns: Some(300 * MS),
             needs_robot: false,
             begins: None,
+            after_arrival: Default::default(),
         };
         ControlStep::new(loaded, Some(2 * PERIOD), rules)
     }

@@ -38,8 +38,6 @@ const LEAST_STALE_PERIODS: f64 = 3.0;
 /// Most requests of operators taken in a cycle: as many as can wait in their queues, so that no
 /// operator keeps another one's waiting.
 const REQUESTS: usize = Request::QOS.publishers * Request::QOS.buffer;
-/// Age from which on a request to move is refused, ns.
-const LATE_NS: u64 = 1_000_000_000;
 /// Growth of the time suspended that is no error of its measurement, ns.
 const SUSPENDED_NS: u64 = 1_000_000;
 /// Answers to them and to the stop file.
@@ -105,6 +103,7 @@ impl Pace {
                 lost_ns: (!is_lockstep).then(|| ns(config.safety.lost_s).max(least_ns)),
                 needs_robot: config.safety.needs_robot,
                 begins: (!config.safety.armed).then_some(HoldReason::NotArmed),
+                after_arrival: config.safety.after_arrival,
             },
             margin_ns: config.margin_ns,
             realtime: RealTime::default(),
@@ -140,7 +139,8 @@ fn pause_ns(waited_ns: u64) -> u64 {
 /// is from the future. Those that end it are never late.
 fn is_late(request: &Request, now_ns: u64) -> bool {
     let asked_ns = request.stamp.published_ns;
-    let is_in_time = asked_ns <= now_ns + FUTURE_NS && now_ns <= asked_ns.saturating_add(LATE_NS);
+    let is_in_time =
+        asked_ns <= now_ns + FUTURE_NS && now_ns <= asked_ns.saturating_add(Request::LATE_NS);
     let leads_to_motion = matches!(request.action(), Some(Action::Arm | Action::Strategy));
     leads_to_motion && !is_in_time
 }
@@ -215,6 +215,11 @@ impl Cycle {
     /// Cycles so far.
     pub fn count(&self) -> u64 {
         self.count
+    }
+
+    /// Whether an operator has armed it.
+    pub fn has_consent(&self) -> bool {
+        self.control.has_consent()
     }
 
     /// Whether the last twist was zero.
@@ -481,8 +486,8 @@ mod tests {
             is_late(&request, NOW)
         };
         for action in [Action::Arm, Action::Strategy] {
-            assert!(!asked(action, NOW) && !asked(action, NOW - LATE_NS));
-            assert!(asked(action, NOW - LATE_NS - 1) && asked(action, 0));
+            assert!(!asked(action, NOW) && !asked(action, NOW - Request::LATE_NS));
+            assert!(asked(action, NOW - Request::LATE_NS - 1) && asked(action, 0));
             assert!(asked(action, NOW + 2 * FUTURE_NS) && asked(action, u64::MAX));
         }
         for action in [Action::Stop, Action::Disarm, Action::Status, Action::Record] {

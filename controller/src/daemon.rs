@@ -15,7 +15,7 @@ use crate::cycle::{Cycle, Pace};
 use crate::decision::HoldReason;
 use crate::exit::Exit;
 use crate::flight::{self, About, DumpRequest, Recorder};
-use crate::instance::{Instance, InstanceError};
+use crate::instance::{self, Instance, InstanceError};
 use crate::loaded::{LoadError, LoadedController};
 use crate::log::Log;
 use crate::panicked::Panicked;
@@ -72,8 +72,8 @@ impl Failure {
         match self {
             Self::Config(error) => error.into(),
             Self::Load(error) => error.exit(),
+            Self::Service(_) | Self::Instance(InstanceError::NoState) => Exit::Config,
             Self::Join(_) | Self::Instance(_) | Self::Open(_) | Self::Stop(_) => Exit::Unavailable,
-            Self::Service(_) => Exit::Config,
             Self::Report(_) => Exit::CannotCreate,
             Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
             Self::Recorder(_) | Self::Log(_) | Self::Signals(_) | Self::Send { .. } => {
@@ -209,11 +209,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
-    let instance = Instance::claim(domain.directory())?;
+    let begins_armed = config.safety.armed && config.clock != ClockMode::Lockstep;
+    let state = match begins_armed {
+        true => Some(instance::state_directory()?),
+        false => None,
+    };
+    let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
     if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
         pace.rules.begins = Some(HoldReason::Unclean);
         tracing::warn!(
-            "process {process}, the last vpcd of this domain, was killed or crashed: begins disarmed"
+            "process {process}, a vpcd of this domain, was killed or crashed, and nobody has armed since: begins disarmed"
         );
     }
     let ports = ControllerPorts::open(&domain)?;
@@ -261,6 +266,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         panicked.end(cycle, recorder, log);
     };
     drop(std::panic::take_hook());
+    instance.has_consent = cycle.has_consent();
     drop(cycle);
     let machine = Report {
         realtime: pace.realtime.0,

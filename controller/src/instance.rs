@@ -2,14 +2,22 @@
 //!
 //! The contract allows one publisher of twists in a domain and so refuses a second daemon too, but
 //! it cannot name the first one.
+//!
+//! The file also tells the next daemon of an end that was not clean, until an operator arms. For a
+//! daemon that begins armed that is not enough: the power may fail, and the domain's directory be
+//! gone with the machine. It leaves a second note, in a directory of state that outlives the
+//! machine.
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
-use std::path::Path;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{DirBuilderExt, FileExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
 
 /// Name of the file in the domain's directory.
 pub const FILE: &str = "vpcd.pid";
+/// Most bytes of a note that are read.
+const MOST: u64 = 32;
 
 /// Why the domain could not be claimed.
 #[derive(Debug, thiserror::Error)]
@@ -32,22 +40,33 @@ pub enum InstanceError {
         /// The operating system's reason.
         source: io::Error,
     },
+    /// There is no place for the note.
+    #[error(
+        "safety.armed = true: no directory of state, in which an end that was not clean outlives the machine; allowed: one in STATE_DIRECTORY (systemd: StateDirectory=), XDG_STATE_HOME or HOME"
+    )]
+    NoState,
 }
 
 /// The claim to a domain. The kernel ends it with the process, however that ends.
 #[derive(Debug)]
 pub struct Instance {
     file: File,
-    /// The process that had the domain before, if it ended without giving it back.
+    /// The note that outlives the machine.
+    note: Option<PathBuf>,
+    /// The process that had the domain before, if it ended without giving it back, or one whose
+    /// unclean end no operator has known of yet.
     pub unclean: Option<String>,
+    /// Whether an operator has armed it: an unclean end before is forgotten.
+    pub has_consent: bool,
 }
 
 impl Instance {
-    /// Claims the domain in this directory, which exists, for the calling process.
+    /// Claims the domain in this directory, which exists, for the calling process. `state` is where
+    /// the note goes; `None` for a daemon that moves nothing by itself.
     ///
     /// # Errors
     /// [`InstanceError::Taken`] names the process that has it.
-    pub fn claim(directory: &Path) -> Result<Self, InstanceError> {
+    pub fn claim(directory: &Path, state: Option<&Path>) -> Result<Self, InstanceError> {
         let path = directory.join(FILE);
         let trouble = |source| InstanceError::File {
             path: path.display().to_string(),
@@ -71,15 +90,26 @@ impl Instance {
             }
             Err(TryLockError::Error(source)) => return Err(trouble(source)),
         }
-        // Anything at all was left by an unclean end.
-        let mut left = [0; 32];
-        let count = file.read_at(&mut left, 0).map_err(trouble)?;
-        let left = String::from_utf8_lossy(&left[..count]).trim().to_owned();
-        let unclean = (count > 0).then_some(left);
+        let note = state.map(|state| state.join(name(directory)));
+        let mut left = read(&file).map_err(trouble)?;
+        let us = format!("{}\n", std::process::id());
+        if let Some(note) = &note {
+            let trouble = |source| InstanceError::File {
+                path: note.display().to_string(),
+                source,
+            };
+            let outlived = write_note(note, &us).map_err(trouble)?;
+            left = left.or(outlived);
+        }
         file.set_len(0)
-            .and_then(|()| writeln!(file, "{}", std::process::id()))
+            .and_then(|()| file.write_all_at(us.as_bytes(), 0))
             .map_err(trouble)?;
-        Ok(Self { file, unclean })
+        Ok(Self {
+            file,
+            note,
+            unclean: left,
+            has_consent: false,
+        })
     }
 }
 
@@ -91,12 +121,81 @@ impl Drop for Instance {
         }
         // The file stays, since removing it could race with who locks it; empty, it names nobody.
         let _ = self.file.set_len(0);
+        match &self.unclean {
+            // No operator has known of the end before this one yet.
+            Some(process) if !self.has_consent => {
+                let _ = self.file.write_all_at(process.as_bytes(), 0);
+            }
+            _ => {
+                let _ = self.note.as_ref().map(std::fs::remove_file);
+            }
+        }
     }
+}
+
+/// The directory of state, which is created if it is missing: systemd's, or the user's.
+///
+/// # Errors
+/// [`InstanceError::NoState`] if the environment names none; [`InstanceError::File`] if it cannot be
+/// created.
+pub fn state_directory() -> Result<PathBuf, InstanceError> {
+    let named = |name| std::env::var_os(name).filter(|value| !value.is_empty());
+    let ours = |base: PathBuf| base.join("vpcd");
+    let directory = match named("STATE_DIRECTORY") {
+        // Several are separated by colons.
+        Some(directories) => {
+            let first = directories.as_bytes().split(|&byte| byte == b':').next();
+            first.map(|bytes| PathBuf::from(std::ffi::OsStr::from_bytes(bytes)))
+        }
+        None => named("XDG_STATE_HOME")
+            .map(PathBuf::from)
+            .or_else(|| named("HOME").map(|home| PathBuf::from(home).join(".local/state")))
+            .map(ours),
+    };
+    let directory = directory
+        .filter(|directory| directory.is_absolute())
+        .ok_or(InstanceError::NoState)?;
+    let mut builder = DirBuilder::new();
+    let made = builder.recursive(true).mode(0o700).create(&directory);
+    match made {
+        Ok(()) => Ok(directory),
+        Err(source) => Err(InstanceError::File {
+            path: directory.display().to_string(),
+            source,
+        }),
+    }
+}
+
+/// Name of a domain's note: its path, with `%` before what a name cannot have.
+fn name(directory: &Path) -> String {
+    let text = directory.display().to_string();
+    text.replace('%', "%25").replace('/', "%2F") + ".armed"
+}
+
+/// Writes the note, so that it outlives the power; what stood there before.
+fn write_note(path: &Path, text: &str) -> io::Result<Option<String>> {
+    let mut options = OpenOptions::new();
+    let options = options.create(true).truncate(false).read(true).write(true);
+    let mut file = options.mode(0o600).open(path)?;
+    let left = read(&file)?;
+    file.set_len(0)?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()?;
+    File::open(path.parent().unwrap_or(Path::new("/")))?.sync_all()?;
+    Ok(left)
+}
+
+/// What a note says; anything at all was left by an unclean end.
+fn read(file: &File) -> io::Result<Option<String>> {
+    let mut left = [0; MOST as usize];
+    let count = file.read_at(&mut left, 0)?;
+    let text = String::from_utf8_lossy(&left[..count]).trim().to_owned();
+    Ok((count > 0).then_some(text))
 }
 
 fn holder(file: &mut File) -> String {
     let mut text = String::new();
-    match file.take(32).read_to_string(&mut text) {
+    match file.take(MOST).read_to_string(&mut text) {
         Ok(_) if !text.trim().is_empty() => text.trim().to_owned(),
         _ => "unknown (it is just starting)".to_owned(),
     }
@@ -109,12 +208,14 @@ mod tests {
     #[test]
     fn a_claimed_domain_names_its_process_until_the_claim_is_dropped() {
         let directory = tempfile::tempdir().unwrap();
-        let first = Instance::claim(directory.path()).unwrap();
-        let message = Instance::claim(directory.path()).unwrap_err().to_string();
+        let first = Instance::claim(directory.path(), None).unwrap();
+        let message = Instance::claim(directory.path(), None)
+            .unwrap_err()
+            .to_string();
         let us = format!("process {};", std::process::id());
         assert!(message.contains(&us), "{message}");
         drop(first);
-        let next = Instance::claim(directory.path()).unwrap();
+        let next = Instance::claim(directory.path(), None).unwrap();
         assert_eq!(next.unclean, None);
         drop(next);
         let left = std::fs::read_to_string(directory.path().join(FILE)).unwrap();
@@ -126,17 +227,51 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join(FILE);
         std::fs::write(&file, "99999999999\n").unwrap();
-        let claim = Instance::claim(directory.path()).unwrap();
+        let claim = Instance::claim(directory.path(), None).unwrap();
         assert_eq!(claim.unclean.as_deref(), Some("99999999999"));
         let written = std::fs::read_to_string(&file).unwrap();
         assert_eq!(written, format!("{}\n", std::process::id()));
     }
 
     #[test]
+    fn an_unclean_end_is_told_until_an_operator_has_armed() {
+        let [directory, state] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let claim = || Instance::claim(directory.path(), Some(state.path())).unwrap();
+        let notes = || std::fs::read_dir(state.path()).unwrap().count();
+        let first = claim();
+        assert_eq!((first.unclean.as_deref(), notes()), (None, 1));
+        // As after a kill, and a power cut that empties the directory.
+        std::mem::forget(first);
+        for _ in 0..2 {
+            std::fs::remove_file(directory.path().join(FILE)).unwrap();
+            let failed = claim();
+            assert_eq!(failed.unclean, Some(std::process::id().to_string()));
+        }
+        let mut armed = claim();
+        assert!(armed.unclean.is_some());
+        armed.has_consent = true;
+        drop(armed);
+        assert_eq!((claim().unclean, notes()), (None, 0));
+        // Where it begins disarmed, too.
+        std::fs::write(directory.path().join(FILE), "12\n").unwrap();
+        for _ in 0..2 {
+            let claim = Instance::claim(directory.path(), None).unwrap();
+            assert_eq!(claim.unclean.as_deref(), Some("12"));
+        }
+    }
+
+    #[test]
+    fn each_domain_has_a_note_of_its_own() {
+        let names = ["/a/b", "/a%2Fb", "/a/b/"].map(|path| name(Path::new(path)));
+        assert_eq!(names[0], "%2Fa%2Fb.armed");
+        assert_ne!(names[0], names[1]);
+    }
+
+    #[test]
     fn a_file_that_cannot_be_used_is_named() {
         let directory = tempfile::tempdir().unwrap();
         std::fs::create_dir(directory.path().join(FILE)).unwrap();
-        let error = Instance::claim(directory.path()).unwrap_err();
+        let error = Instance::claim(directory.path(), None).unwrap_err();
         assert!(error.to_string().contains(FILE), "{error}");
     }
 }

@@ -144,6 +144,7 @@ mod tests {
             lost_ns,
             needs_robot: false,
             begins: None,
+            after_arrival: Default::default(),
         })
     }
 

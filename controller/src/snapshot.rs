@@ -6,7 +6,7 @@ use ipc::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 5;
+pub const VERSION: u32 = 6;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -95,6 +95,7 @@ mod tests {
             lost_ns: Some(u64::MAX),
             needs_robot: false,
             begins: None,
+            after_arrival: Default::default(),
         };
         let mut gate = Gate::new(Some(u64::MAX));
         let mut message = Features::new(&[[1.0; 2]; 4], 0);

@@ -12,11 +12,15 @@
 //!   miscounted, not finite, off the image, mixed up, out of order; transport; no way known; a solver
 //!   that failed once or twice.
 //!
-//! Each list begins with its gravest cause. Features are *lost* if the law could use none for
+//! - *Brake, and stand or disarm*: it has arrived, and is not to follow.
+//!
+//! Each list begins with its gravest cause. A start that begins armed disarms if camera and robot do
+//! not come within 5 s. Features are *lost* if the law could use none for
 //! [`Rules::lost_ns`]. After a response the law's twist is taken up again as steeply as it is
 //! braked, and no more so.
 
 use ipc::{Action, Outcome, TwistState};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::decision::{Decision, HoldReason};
@@ -24,6 +28,8 @@ use crate::decision::{Decision, HoldReason};
 /// Cycles in a row with missed releases, or with a solver that failed, after which the camera is
 /// stopped.
 const IN_A_ROW: u32 = 3;
+/// How long a start that begins armed waits for camera and robot, ns.
+const PEERS_NS: u64 = 5_000_000_000;
 /// Relative error of a sum of two twists.
 const ROUNDING: f64 = 1e-9;
 /// A cycle with missed releases adds this to the count, one without subtracts 1. So overruns in
@@ -51,6 +57,21 @@ pub struct Rules {
     pub needs_robot: bool,
     /// Why it begins disarmed; `None` if it begins armed.
     pub begins: Option<HoldReason>,
+    /// What it does when it has arrived.
+    pub after_arrival: AfterArrival,
+}
+
+/// What the controller does from the cycle after its arrival on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum AfterArrival {
+    /// It follows the pattern.
+    #[default]
+    Follow,
+    /// It stands until an operator arms.
+    Hold,
+    /// It disarms.
+    Disarm,
 }
 
 impl Rules {
@@ -103,6 +124,16 @@ pub struct Supervisor {
     is_ramping: bool,
     /// Whether an operator has stopped it since the last cycle.
     is_stopped: bool,
+    /// Stops by operators so far, and whether one came since the last arming.
+    stops: u32,
+    is_stop_new: bool,
+    /// Whether an operator has armed it.
+    has_consent: bool,
+    /// Since when it waits for camera and robot, if it began armed and has not met them yet.
+    waits_since: Option<u64>,
+    has_met: bool,
+    /// Whether it has arrived since the last arming, and is not to follow.
+    has_arrived: bool,
     /// The situation of the last cycle.
     situation: Option<Situation>,
     overruns: u32,
@@ -130,6 +161,12 @@ impl Supervisor {
             sent: Decision::hold(HoldReason::NoFeatures),
             is_ramping: true,
             is_stopped: false,
+            stops: 0,
+            is_stop_new: false,
+            has_consent: false,
+            waits_since: None,
+            has_met: rules.begins.is_some() || rules.lost_ns.is_none(),
+            has_arrived: false,
             situation: None,
             overruns: 0,
             failures: 0,
@@ -157,15 +194,27 @@ impl Supervisor {
         }
     }
 
+    /// Stops by operators so far.
+    pub fn stops(&self) -> u32 {
+        self.stops
+    }
+
+    /// Whether an operator has armed it.
+    pub fn has_consent(&self) -> bool {
+        self.has_consent
+    }
+
     /// Takes an operator's request: arm, disarm, stop. It is judged by the situation of the last
-    /// cycle, and counts from the next cycle on. Other actions do not concern the supervisor.
-    pub fn request(&mut self, action: Action) -> Outcome {
+    /// cycle, and counts from the next cycle on. `seen` is the count of stops that an arming names.
+    /// Other actions do not concern the supervisor.
+    pub fn request(&mut self, action: Action, seen: u32) -> Outcome {
         match action {
-            Action::Arm => return self.arm(),
+            Action::Arm => return self.arm(seen),
             Action::Disarm => self.disarm(HoldReason::Operator),
             Action::Stop => {
                 self.mode = Mode::Disarmed(HoldReason::Operator);
-                self.is_stopped = true;
+                self.stops = self.stops.saturating_add(1);
+                (self.is_stopped, self.is_stop_new) = (true, true);
             }
             Action::Status | Action::Strategy | Action::Record | Action::Recover => (),
         }
@@ -183,15 +232,20 @@ impl Supervisor {
         };
         self.count(situation);
         let cause = self.cause(situation, now_ns, elapsed_ns);
+        let has_waited = self.has_waited(cause, now_ns);
         if let Some(cause) = cause {
             match self.response(cause) {
                 Response::Stop => self.mode = Mode::Disarmed(cause),
                 Response::Disarm => self.disarm(cause),
+                Response::Wait if has_waited => self.disarm(cause),
                 Response::Wait => (),
             }
         }
         let decision = match (self.mode, cause) {
             (Mode::Armed, None) => self.ramped(&situation.decision, elapsed_ns),
+            (Mode::Armed, Some(HoldReason::Arrived)) => {
+                self.braked(HoldReason::Arrived, TwistState::Arrived, elapsed_ns)
+            }
             (Mode::Armed, Some(cause)) => self.braked(cause, TwistState::Holding, elapsed_ns),
             (Mode::Disarming(cause), _) => self.braked(cause, TwistState::Disarmed, elapsed_ns),
             (Mode::Disarmed(cause), _) => Decision::still(cause, TwistState::Disarmed),
@@ -199,13 +253,23 @@ impl Supervisor {
         if decision.state == TwistState::Disarmed {
             self.mode = Mode::Disarmed(decision.hold.unwrap_or(HoldReason::NotArmed));
         }
+        self.has_arrived |= decision.state == TwistState::Arrived
+            && self.rules.after_arrival != AfterArrival::Follow;
         self.sent = decision;
         self.is_stopped = false;
         self.situation = Some(*situation);
         decision
     }
 
-    fn arm(&mut self) -> Outcome {
+    /// Whether it began armed and has waited for too long for camera and robot: they would set it
+    /// in motion when nobody expects it any more.
+    fn has_waited(&mut self, cause: Option<HoldReason>, now_ns: u64) -> bool {
+        self.has_met |= cause.is_none_or(|cause| cause == HoldReason::NoWay);
+        let since = *self.waits_since.get_or_insert(now_ns);
+        !self.has_met && now_ns.saturating_sub(since) > PEERS_NS
+    }
+
+    fn arm(&mut self, seen: u32) -> Outcome {
         let Some(situation) = self.situation else {
             return Outcome::NoFeatures;
         };
@@ -213,10 +277,17 @@ impl Supervisor {
             return Outcome::Shutdown;
         }
         match self.mode {
-            Mode::Armed => return Outcome::Done,
+            Mode::Armed => {
+                (self.has_consent, self.has_arrived) = (true, false);
+                return Outcome::Done;
+            }
             Mode::Disarming(_) => return Outcome::Braking,
             // Its zero goes out before anything moves again.
             Mode::Disarmed(_) if self.is_stopped => return Outcome::Braking,
+            // Who arms must know of it.
+            Mode::Disarmed(_) if seen != self.stops && (seen != 0 || self.is_stop_new) => {
+                return Outcome::Stopped;
+            }
             Mode::Disarmed(_) => (),
         }
         match situation.robot {
@@ -231,6 +302,8 @@ impl Supervisor {
             return Outcome::NoFeatures;
         }
         (self.overruns, self.failures) = (0, 0);
+        (self.is_stop_new, self.has_arrived) = (false, false);
+        (self.has_consent, self.has_met) = (true, true);
         self.mode = Mode::Armed;
         Outcome::Done
     }
@@ -255,6 +328,7 @@ impl Supervisor {
     fn response(&self, cause: HoldReason) -> Response {
         match cause {
             HoldReason::Solver if self.failures < IN_A_ROW => Response::Wait,
+            HoldReason::Arrived if self.rules.after_arrival == AfterArrival::Hold => Response::Wait,
             _ => response(cause),
         }
     }
@@ -286,6 +360,7 @@ impl Supervisor {
             (is_decided(HoldReason::Frozen), HoldReason::Frozen),
             (situation.good_ns.is_some_and(beyond), HoldReason::Lost),
             (is_robot(HoldReason::NoRobot), HoldReason::NoRobot),
+            (self.has_arrived, HoldReason::Arrived),
         ]
         .into_iter()
         .find_map(|(holds, cause)| holds.then_some(cause))
@@ -387,7 +462,8 @@ fn response(cause: HoldReason) -> Response {
         | HoldReason::BadTwist
         | HoldReason::Solver
         | HoldReason::Frozen
-        | HoldReason::Lost => Response::Disarm,
+        | HoldReason::Lost
+        | HoldReason::Arrived => Response::Disarm,
         HoldReason::NoRobot
         | HoldReason::NoFeatures
         | HoldReason::Stale

@@ -147,6 +147,8 @@ codes! {
         /// Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
         /// found.
         NoWay = 27 => "no way known",
+        /// It has arrived, and stands since then, as `safety.after_arrival` wants it.
+        Arrived = 29 => "arrived",
     }
 }
 
@@ -243,7 +245,7 @@ impl StrategyCode {
 
 message! {
     /// Telemetry of one cycle. Numbers of the control law are NaN if it did not run.
-    CycleRecord: "vpc/CycleRecord/4" {
+    CycleRecord: "vpc/CycleRecord/5" {
         /// Head; `data_ns` is when the cycle woke up.
         stamp: Stamp,
         /// Number of the cycle, from 1.
@@ -351,8 +353,8 @@ message! {
         missed: u32,
         /// What happened in this cycle.
         flags: u32 [bits(CycleFlags)],
-        /// Zero.
-        reserved: u32,
+        /// Stops by operators so far.
+        stops: u32,
     }
     // A buffer for recorders: half a minute at 30 Hz, a good part of a second in lockstep.
     "vpc/cycles" from "controller": Qos { history: 0, buffer: 1024, subscribers: 8, publishers: 1 }

@@ -218,7 +218,9 @@ pub fn shared_memory_prefix(directory: &Path) -> io::Result<String> {
         }
         text => Err(trouble(io::Error::new(
             io::ErrorKind::InvalidData,
-            format!("{text:?}; allowed: 16 hexadecimal digits, as who is alone in the domain writes"),
+            format!(
+                "{text:?}; allowed: 16 hexadecimal digits, as who is alone in the domain writes"
+            ),
         ))),
     }
 }

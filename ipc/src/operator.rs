@@ -51,7 +51,7 @@ codes! {
         /// Refused: the code of the action or of the strategy is unknown.
         Unknown = 8 => "refused: no such action or strategy",
         /// Refused: it leads to motion, and waited for too long, or is from the future.
-        Late = 9 => "refused: it waited for more than a second",
+        Late = 9 => "refused: it waited for more than 0.3 s",
         /// Refused: no robot has told its state yet, and one is required (`safety.robot`).
         NoRobot = 10 =>
             "refused: no robot was heard: start its client, or set safety.robot = \"optional\"",
@@ -59,12 +59,15 @@ codes! {
         RobotLost = 11 => "refused: the robot fell silent: start its client again",
         /// Refused: what the robot says it carries out is not what it was commanded.
         NotFollowed = 12 => "refused: the robot does not follow its commands",
+        /// Refused: an operator has stopped it since it was last armed, and the request does not
+        /// name the newest stop.
+        Stopped = 13 => "refused: stopped since it was last armed",
     }
 }
 
 message! {
     /// An operator's request. Several operators may be at work.
-    Request: "vpc/Request/1" {
+    Request: "vpc/Request/2" {
         /// Head; `data_ns` is zero.
         stamp: Stamp,
         /// Chosen by the operator at random; the reply has the same. 0: the stop file.
@@ -75,8 +78,9 @@ message! {
         strategy: u32 [any_code(StrategyCode)],
         /// For strategy knn: neighbours averaged, 1 to 64; else zero.
         neighbours: u32,
-        /// Zero.
-        reserved: u32,
+        /// For action `arm`: the count of stops, as a reply or a cycle tells it, that the operator
+        /// has seen and arms in spite of; 0: none since it was last armed. Else zero.
+        stops: u32,
     }
     // No history: a controller that restarts must not obey a request from before.
     "vpc/requests" from "operators": Qos { history: 0, buffer: 16, subscribers: 8, publishers: 8 }
@@ -85,6 +89,18 @@ message! {
 impl Request {
     /// The id by which a stop by [`StopFile`](crate::StopFile) is answered and recorded.
     pub const STOP_FILE: u64 = 0;
+
+    /// How long a request that leads to motion may wait for the controller, ns: who has had no
+    /// answer by then may give up, and nothing will move.
+    pub const LATE_NS: u64 = 300_000_000;
+
+    /// A request to arm in spite of so many stops; 0: of none since it was last armed.
+    pub fn arm(id: u64, stops: u32) -> Self {
+        Self {
+            stops,
+            ..Self::new(id, Action::Arm)
+        }
+    }
 
     /// A request for an action other than [`Action::Strategy`].
     pub fn new(id: u64, action: Action) -> Self {
@@ -125,7 +141,7 @@ impl Request {
 
 message! {
     /// The controller's answer to a request.
-    Reply: "vpc/Reply/3" {
+    Reply: "vpc/Reply/4" {
         /// Head; `data_ns` is the publication of the request.
         stamp: Stamp,
         /// That of the request.
@@ -144,6 +160,10 @@ message! {
         strategy: u32 [code(StrategyCode)],
         /// Its neighbours (knn), else zero.
         neighbours: u32,
+        /// Stops by operators so far, each request and each change of the stop file.
+        stops: u32,
+        /// Zero.
+        reserved: u32,
     }
     // As many as a cycle may answer.
     "vpc/replies" from "controller": Qos { history: 0, buffer: 256, subscribers: 16, publishers: 1 }
@@ -198,8 +218,7 @@ mod tests {
             outcome: Outcome::NoFeatures.code(),
             state: TwistState::Disarmed.code(),
             hold: Hold::Stale.code(),
-            strategy: 0,
-            neighbours: 0,
+            ..Reply::default()
         };
         reply.stamp.sequence = 1;
         assert_eq!(reply.check(), Ok(()));

@@ -88,8 +88,8 @@ impl StopFile {
             return Err(refuse(io::Error::other(reason)));
         }
         let absolute = std::path::absolute(&path).map_err(refuse)?;
-        let absolute = CString::new(absolute.as_os_str().as_bytes())
-            .map_err(|error| refuse(error.into()))?;
+        let absolute =
+            CString::new(absolute.as_os_str().as_bytes()).map_err(|error| refuse(error.into()))?;
         let (asked, _) = read(&file).map_err(refuse)?;
         let mut this = Self {
             place: place(&absolute).map_err(refuse)?.0,
@@ -370,7 +370,10 @@ mod tests {
             shell(line);
             assert!(controller.is_asked(), "{line}");
             controller.obey();
-            assert!(controller.is_asked(), "{line}: nobody could stop it any more");
+            assert!(
+                controller.is_asked(),
+                "{line}: nobody could stop it any more"
+            );
         }
         // The same file by another way is the same file.
         let place = tempfile::tempdir().unwrap();

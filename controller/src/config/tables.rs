@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use vpc::strategy::{MAX_NEIGHBOURS, Strategy};
 
+use crate::supervisor::AfterArrival;
+
 /// Paths are relative to the file. A flag of the command line wins over the file.
 #[derive(Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -198,6 +200,9 @@ pub struct Safety {
     /// was heard must go on telling it, and carry out what it is told, either way.
     #[schemars(extend("x-default" = "optional in lockstep, else required"))]
     pub robot: Option<Presence>,
+    /// What the controller does from its arrival on: it follows the pattern (`follow`), stands until
+    /// an operator arms (`hold`), or disarms (`disarm`).
+    pub after_arrival: AfterArrival,
 }
 
 /// The values of `safety.robot`.

@@ -28,6 +28,7 @@ impl Bench {
             lost_ns: Some(300 * MS),
             needs_robot: false,
             begins: (!armed).then_some(HoldReason::NotArmed),
+            after_arrival: AfterArrival::Follow,
         };
         Self {
             supervisor: Supervisor::new(rules),
@@ -85,7 +86,7 @@ impl Bench {
     }
 
     fn ask(&mut self, action: Action) -> Outcome {
-        self.supervisor.request(action)
+        self.supervisor.request(action, 0)
     }
 }
 
@@ -381,6 +382,89 @@ fn an_arm_behind_a_stop_in_the_same_cycle_does_not_undo_it() {
     assert_eq!(bench.ask(Action::Stop), Outcome::Done);
     assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
     bench.good();
+    assert_eq!(bench.supervisor.request(Action::Arm, 2), Outcome::Done);
+    bench.resumes();
+}
+
+#[test]
+fn who_arms_after_a_stop_names_the_newest() {
+    let mut bench = Bench::moving();
+    for stops in 1..4 {
+        bench.ask(Action::Stop);
+        bench.good();
+        assert_eq!(bench.supervisor.stops(), stops);
+        for seen in [0, stops - 1, stops + 1, u32::MAX] {
+            let outcome = bench.supervisor.request(Action::Arm, seen);
+            assert_eq!(outcome, Outcome::Stopped, "{seen} of {stops}");
+            assert!(is_still(&bench.good()));
+        }
+        assert_eq!(bench.supervisor.request(Action::Arm, stops), Outcome::Done);
+        bench.resumes();
+        // After that arming a plain one does, and an old count still does not.
+        bench.ask(Action::Disarm);
+        (0..6).for_each(|_| _ = bench.good());
+        let old = bench.supervisor.request(Action::Arm, stops + 1);
+        assert_eq!(old, Outcome::Stopped);
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+        bench.resumes();
+    }
+}
+
+#[test]
+fn who_begins_armed_and_meets_nobody_disarms() {
+    let still = |cause| Decision::still(cause, TwistState::Disarmed);
+    for cause in [HoldReason::NoFeatures, HoldReason::Hidden] {
+        let mut bench = Bench::new(true);
+        bench.situation.good_ns = None;
+        for _ in 0..PEERS_NS / PERIOD {
+            assert_eq!(bench.bad(cause), Decision::hold(cause));
+        }
+        bench.bad(cause);
+        assert_eq!(bench.bad(cause), still(cause));
+        assert_eq!(bench.good(), still(cause));
+        assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+        bench.resumes();
+    }
+    // Who has met them waits for as long as it takes.
+    let mut bench = Bench::moving();
+    bench.situation.robot = Some(HoldReason::NoRobot);
+    for _ in 0..2 * PEERS_NS / PERIOD {
+        assert_ne!(bench.good().state, TwistState::Disarmed);
+    }
+}
+
+#[test]
+fn after_its_arrival_it_does_what_is_wanted() {
+    let at_goal = Decision {
+        state: TwistState::Arrived,
+        ..GOOD
+    };
+    let mut arrives = |after_arrival| {
+        let mut bench = Bench::new(true);
+        bench.supervisor.rules.after_arrival = after_arrival;
+        bench.resumes();
+        bench.situation.decision = at_goal;
+        let told = bench.cycle();
+        assert_eq!((told.state, told.hold), (TwistState::Arrived, None));
+        // The pattern is carried away.
+        (0..8).for_each(|_| _ = bench.good());
+        let last = bench.good();
+        (bench, last)
+    };
+    let (_, last) = arrives(AfterArrival::Follow);
+    assert_eq!(last, GOOD);
+    let (mut bench, last) = arrives(AfterArrival::Hold);
+    assert_eq!(
+        last,
+        Decision::still(HoldReason::Arrived, TwistState::Arrived)
+    );
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    bench.resumes();
+    let (mut bench, last) = arrives(AfterArrival::Disarm);
+    assert_eq!(
+        last,
+        Decision::still(HoldReason::Arrived, TwistState::Disarmed)
+    );
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     bench.resumes();
 }
@@ -525,7 +609,7 @@ fn where_no_way_is_known_it_stands_armed_and_an_operator_may_arm_it() {
     );
     bench.supervisor.request(Action::Disarm);
     no_way(&mut bench);
-    assert_eq!(bench.supervisor.request(Action::Arm), Outcome::Done);
+    assert_eq!(bench.supervisor.request(Action::Arm, 0), Outcome::Done);
     assert_eq!(no_way(&mut bench).state, TwistState::Holding);
     bench.resumes();
 }

@@ -61,6 +61,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             lost_ns: None,
             needs_robot: false,
             begins: None,
+            after_arrival: Default::default(),
         },
         margin_ns: 10_000,
         realtime: ipc::RealTime::default(),

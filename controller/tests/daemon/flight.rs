@@ -73,6 +73,7 @@ impl Bench {
             lost_ns: Some(300_000_000),
             needs_robot: false,
             begins: None,
+            after_arrival: Default::default(),
         };
         ControlStep::new(loaded, Some(2 * PERIOD_NS), rules)
     }

@@ -175,6 +175,8 @@ enum vpc_hold {
     // Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
     // found.
     VPC_HOLD_NO_WAY = 27,
+    // It has arrived, and stands since then, as `safety.after_arrival` wants it.
+    VPC_HOLD_ARRIVED = 29,
 };
 
 // What foresight follows.
@@ -261,6 +263,9 @@ enum vpc_outcome {
     VPC_OUTCOME_ROBOT_LOST = 11,
     // Refused: what the robot says it carries out is not what it was commanded.
     VPC_OUTCOME_NOT_FOLLOWED = 12,
+    // Refused: an operator has stopped it since it was last armed, and the request does not name
+    // the newest stop.
+    VPC_OUTCOME_STOPPED = 13,
 };
 
 // How a pixel is stored.
@@ -499,8 +504,8 @@ typedef struct {
     uint32_t missed;
     // What happened in this cycle. Sum of vpc_cycle_flags bits.
     uint32_t flags;
-    // Zero.
-    uint32_t reserved;
+    // Stops by operators so far.
+    uint32_t stops;
 } vpc_cycle_record;
 
 // All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
@@ -530,8 +535,9 @@ typedef struct {
     uint32_t strategy;
     // For strategy knn: neighbours averaged, 1 to 64; else zero.
     uint32_t neighbours;
-    // Zero.
-    uint32_t reserved;
+    // For action arm: the count of stops, as a reply or a cycle tells it, that the operator has
+    // seen and arms in spite of; 0: none since it was last armed. Else zero.
+    uint32_t stops;
 } vpc_request;
 
 // The controller's answer to a request. Service `vpc/replies`.
@@ -554,6 +560,10 @@ typedef struct {
     uint32_t strategy;
     // Its neighbours (knn), else zero.
     uint32_t neighbours;
+    // Stops by operators so far, each request and each change of the stop file.
+    uint32_t stops;
+    // Zero.
+    uint32_t reserved;
 } vpc_reply;
 
 // Header of an image. The image itself is a slice of `stride * height` bytes, top row first.
@@ -801,8 +811,13 @@ vpc_status vpc_operator_ask(vpc_operator *operator_,
                             vpc_reply *out);
 
 // Lets the control law move the camera, from the next good features on; waits for the answer, at
-// most a second.
+// most a second. VPC_STATUS_REFUSED with VPC_OUTCOME_STOPPED in `out`: an operator has stopped it
+// since it was last armed; vpc_arm_after_stop.
 vpc_status vpc_arm(vpc_operator *operator_, vpc_reply *out);
+
+// Arms in spite of stops: `stops` is the count, as a reply or a cycle tells it, that the operator
+// has seen. Refused if another stop came since.
+vpc_status vpc_arm_after_stop(vpc_operator *operator_, uint32_t stops, vpc_reply *out);
 
 // Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.
 vpc_status vpc_disarm(vpc_operator *operator_, vpc_reply *out);
@@ -925,7 +940,7 @@ static_assert(offsetof(vpc_cycle_record, robot_seen) == 1608, "vpc_cycle_record.
 static_assert(offsetof(vpc_cycle_record, requests) == 1632, "vpc_cycle_record.requests");
 static_assert(offsetof(vpc_cycle_record, missed) == 1636, "vpc_cycle_record.missed");
 static_assert(offsetof(vpc_cycle_record, flags) == 1640, "vpc_cycle_record.flags");
-static_assert(offsetof(vpc_cycle_record, reserved) == 1644, "vpc_cycle_record.reserved");
+static_assert(offsetof(vpc_cycle_record, stops) == 1644, "vpc_cycle_record.stops");
 static_assert(sizeof(vpc_snapshot) == 32808, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");
@@ -938,8 +953,8 @@ static_assert(offsetof(vpc_request, id) == 24, "vpc_request.id");
 static_assert(offsetof(vpc_request, action) == 32, "vpc_request.action");
 static_assert(offsetof(vpc_request, strategy) == 36, "vpc_request.strategy");
 static_assert(offsetof(vpc_request, neighbours) == 40, "vpc_request.neighbours");
-static_assert(offsetof(vpc_request, reserved) == 44, "vpc_request.reserved");
-static_assert(sizeof(vpc_reply) == 64, "vpc_reply");
+static_assert(offsetof(vpc_request, stops) == 44, "vpc_request.stops");
+static_assert(sizeof(vpc_reply) == 72, "vpc_reply");
 static_assert(offsetof(vpc_reply, stamp) == 0, "vpc_reply.stamp");
 static_assert(offsetof(vpc_reply, id) == 24, "vpc_reply.id");
 static_assert(offsetof(vpc_reply, cycle) == 32, "vpc_reply.cycle");
@@ -949,6 +964,8 @@ static_assert(offsetof(vpc_reply, state) == 48, "vpc_reply.state");
 static_assert(offsetof(vpc_reply, hold) == 52, "vpc_reply.hold");
 static_assert(offsetof(vpc_reply, strategy) == 56, "vpc_reply.strategy");
 static_assert(offsetof(vpc_reply, neighbours) == 60, "vpc_reply.neighbours");
+static_assert(offsetof(vpc_reply, stops) == 64, "vpc_reply.stops");
+static_assert(offsetof(vpc_reply, reserved) == 68, "vpc_reply.reserved");
 static_assert(sizeof(vpc_image_header) == 56, "vpc_image_header");
 static_assert(offsetof(vpc_image_header, stamp) == 0, "vpc_image_header.stamp");
 static_assert(offsetof(vpc_image_header, exposure_begin_ns) == 24, "vpc_image_header.exposure_begin_ns");

@@ -52,16 +52,27 @@ pub unsafe extern "C" fn vpc_operator_ask(
     patience_ns: u64,
     out: *mut Reply,
 ) -> Status {
+    let request = Request {
+        action,
+        strategy,
+        neighbours,
+        id: fresh_id(),
+        ..Request::default()
+    };
+    // SAFETY: the header asks for a handle and a place.
+    unsafe { ask(operator, request, patience_ns, out) }
+}
+
+/// Sends this request and waits for the answer.
+unsafe fn ask(
+    operator: *mut Operator,
+    mut request: Request,
+    patience_ns: u64,
+    out: *mut Reply,
+) -> Status {
     boundary::enter(|| {
-        // SAFETY: the header asks for a handle.
+        // SAFETY: the caller has a handle.
         let operator = unsafe { boundary::handle(operator, "operator") }?;
-        let mut request = Request {
-            action,
-            strategy,
-            neighbours,
-            id: fresh_id(),
-            ..Request::default()
-        };
         request.stamp.sequence = 1;
         request.check_codes()?;
         let patience = Duration::from_nanos(patience_ns);
@@ -86,11 +97,24 @@ pub unsafe extern "C" fn vpc_operator_ask(
 const PATIENCE_NS: u64 = 1_000_000_000;
 
 /// Lets the control law move the camera, from the next good features on; waits for the answer, at
-/// most a second.
+/// most a second. VPC_STATUS_REFUSED with VPC_OUTCOME_STOPPED in `out`: an operator has stopped it
+/// since it was last armed; vpc_arm_after_stop.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_arm(operator: *mut Operator, out: *mut Reply) -> Status {
     // SAFETY: the header asks for a handle and a place.
     unsafe { vpc_operator_ask(operator, Action::Arm.code(), 0, 0, PATIENCE_NS, out) }
+}
+
+/// Arms in spite of stops: `stops` is the count, as a reply or a cycle tells it, that the operator
+/// has seen. Refused if another stop came since.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vpc_arm_after_stop(
+    operator: *mut Operator,
+    stops: u32,
+    out: *mut Reply,
+) -> Status {
+    // SAFETY: the header asks for a handle and a place.
+    unsafe { ask(operator, Request::arm(fresh_id(), stops), PATIENCE_NS, out) }
 }
 
 /// Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.

@@ -162,6 +162,8 @@ class Hold(Code):
     # Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
     # found.
     NO_WAY = 27, "no way known"
+    # It has arrived, and stands since then, as `safety.after_arrival` wants it.
+    ARRIVED = 29, "arrived"
 
 
 class ForesightCode(Code):
@@ -246,13 +248,16 @@ class Outcome(Code):
     # Refused: the code of the action or of the strategy is unknown.
     UNKNOWN = 8, "refused: no such action or strategy"
     # Refused: it leads to motion, and waited for too long, or is from the future.
-    LATE = 9, "refused: it waited for more than a second"
+    LATE = 9, "refused: it waited for more than 0.3 s"
     # Refused: no robot has told its state yet, and one is required (`safety.robot`).
     NO_ROBOT = 10, "refused: no robot was heard: start its client, or set safety.robot = \"optional\""
     # Refused: the robot's state came and then stopped coming.
     ROBOT_LOST = 11, "refused: the robot fell silent: start its client again"
     # Refused: what the robot says it carries out is not what it was commanded.
     NOT_FOLLOWED = 12, "refused: the robot does not follow its commands"
+    # Refused: an operator has stopped it since it was last armed, and the request does not name the
+    # newest stop.
+    STOPPED = 13, "refused: stopped since it was last armed"
 
 
 class Encoding(Code):
@@ -561,8 +566,8 @@ class CycleRecord(Message):
         ("missed", ctypes.c_uint32),
         # What happened in this cycle. Sum of `CycleFlags` bits.
         ("flags", ctypes.c_uint32),
-        # Zero.
-        ("reserved", ctypes.c_uint32),
+        # Stops by operators so far.
+        ("stops", ctypes.c_uint32),
     ]
 
     if TYPE_CHECKING:
@@ -618,11 +623,11 @@ class CycleRecord(Message):
         requests: int
         missed: int
         flags: int
-        reserved: int
+        stops: int
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/4"
+        return "vpc/CycleRecord/5"
 
 
 class Snapshot(Message):
@@ -669,8 +674,9 @@ class Request(Message):
         ("strategy", ctypes.c_uint32),
         # For strategy knn: neighbours averaged, 1 to 64; else zero.
         ("neighbours", ctypes.c_uint32),
-        # Zero.
-        ("reserved", ctypes.c_uint32),
+        # For action `arm`: the count of stops, as a reply or a cycle tells it, that the operator
+        # has seen and arms in spite of; 0: none since it was last armed. Else zero.
+        ("stops", ctypes.c_uint32),
     ]
 
     if TYPE_CHECKING:
@@ -679,11 +685,11 @@ class Request(Message):
         action: int
         strategy: int
         neighbours: int
-        reserved: int
+        stops: int
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Request/1"
+        return "vpc/Request/2"
 
 
 class Reply(Message):
@@ -708,6 +714,10 @@ class Reply(Message):
         ("strategy", ctypes.c_uint32),
         # Its neighbours (knn), else zero.
         ("neighbours", ctypes.c_uint32),
+        # Stops by operators so far, each request and each change of the stop file.
+        ("stops", ctypes.c_uint32),
+        # Zero.
+        ("reserved", ctypes.c_uint32),
     ]
 
     if TYPE_CHECKING:
@@ -720,10 +730,12 @@ class Reply(Message):
         hold: int
         strategy: int
         neighbours: int
+        stops: int
+        reserved: int
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Reply/3"
+        return "vpc/Reply/4"
 
 
 class ImageHeader(Message):

@@ -15,25 +15,40 @@ POLL_S = 0.002
 
 def stop(directory: str | os.PathLike[str] | None = None, patience_s: float = 1.0) -> float:
     """Zero at once, without braking, until the next `arm`. Returns after how many seconds the controller had sent the zero
-    twist. The domain in `directory` need not be joined. Raises NoAnswer if no controller obeys in time: the next one of this
-    domain then begins disarmed."""
+    twist. The domain in `directory` need not be joined. A file that cannot be written, as on a full disk, is emptied or
+    removed: both are stops. Raises NoAnswer if no controller obeys in time: the next one of this domain then begins
+    disarmed; BadDomain if the file cannot be used."""
     path = Path(directory or default_directory()) / "stop"
     begin = time.monotonic()
     try:
         file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            _ask(file, path)
+            while not _is_obeyed(file):
+                if time.monotonic() - begin >= patience_s:
+                    raise NoAnswer(
+                        f"{path}: asked for a stop, which no vpcd obeyed within {patience_s} s; it stays asked for, and"
+                        " the next vpcd of this domain begins disarmed"
+                    )
+                time.sleep(POLL_S)
+            return time.monotonic() - begin
+        finally:
+            os.close(file)
     except OSError as error:
         raise BadDomain(f"{path}: cannot stop by it: {error.strerror}") from error
+
+
+def _ask(file: int, path: Path) -> None:
+    words = f"{os.getpid()} {time.monotonic_ns()}".encode().ljust(HALF, b"\0")
     try:
-        os.pwrite(file, f"{os.getpid()} {time.monotonic_ns()}".encode().ljust(HALF, b"\0"), 0)
-        while True:
-            content = os.pread(file, 2 * HALF, 0)
-            if len(content) == 2 * HALF and content[:HALF] == content[HALF:]:
-                return time.monotonic() - begin
-            if time.monotonic() - begin >= patience_s:
-                raise NoAnswer(
-                    f"{path}: asked for a stop, which no vpcd obeyed within {patience_s} s; it stays asked for, and the next"
-                    " vpcd of this domain begins disarmed"
-                )
-            time.sleep(POLL_S)
-    finally:
-        os.close(file)
+        os.pwrite(file, words, 0)
+    except OSError:
+        try:
+            os.ftruncate(file, 0)
+        except OSError:
+            path.unlink()
+
+
+def _is_obeyed(file: int) -> bool:
+    content = os.pread(file, 2 * HALF, 0)
+    return len(content) == 2 * HALF and content[:HALF] == content[HALF:]

@@ -1,4 +1,4 @@
-//! std_srvs/Trigger: arm, disarm, stop. Runs in a thread of its own and waits for nothing, so that
+//! std_srvs/Trigger: arm, arm_after_stop, disarm, stop. Runs in a thread of its own and waits for nothing, so that
 //! no request keeps a stop waiting.
 
 use std::hash::{BuildHasher, RandomState};
@@ -25,8 +25,11 @@ const UNREADABLE: &str = "its request is of another middleware: is the key servi
 /// The servers.
 pub struct Services {
     stop: TriggerServer,
-    asks: [(TriggerServer, Action); 2],
+    asks: [(TriggerServer, Action); 3],
 }
+
+/// Of [`Services::asks`]: arms in spite of the stop that the last refusal of `arm` has told.
+const ARM_AFTER_STOP: usize = 2;
 
 impl Services {
     /// Offers them.
@@ -39,6 +42,7 @@ impl Services {
             asks: [
                 (ros.trigger("arm")?, Action::Arm),
                 (ros.trigger("disarm")?, Action::Disarm),
+                (ros.trigger("arm_after_stop")?, Action::Arm),
             ],
         })
     }
@@ -62,6 +66,8 @@ pub struct RequestServer<'a> {
     ports: OperatorPorts,
     ids: RandomState,
     waiting: Vec<Waiting>,
+    /// The count of stops that the last refusal of `arm` has told.
+    told_stops: u32,
     /// Stops that wait for an answer, and until when.
     stops: Vec<(RmwRequestId, Instant)>,
     /// The newest stop, until a vpcd has obeyed it.
@@ -90,6 +96,7 @@ impl<'a> RequestServer<'a> {
             ports: OperatorPorts::open(domain)?,
             ids: RandomState::new(),
             waiting: Vec::new(),
+            told_stops: 0,
             stops: Vec::new(),
             asked: None,
             is_stopping,
@@ -188,7 +195,11 @@ impl<'a> RequestServer<'a> {
                 continue;
             }
             let request = self.ids.hash_one(ipc::now_ns());
-            match self.ports.requests.publish(&Request::new(request, *action)) {
+            let asked = match server {
+                ARM_AFTER_STOP => Request::arm(request, self.told_stops),
+                _ => Request::new(request, *action),
+            };
+            match self.ports.requests.publish(&asked) {
                 Ok(_) => self.waiting.push(Waiting {
                     server,
                     from,
@@ -215,7 +226,12 @@ impl<'a> RequestServer<'a> {
                 if is_done && is_arm && !waiting.is_before_stop {
                     self.is_stopping.store(false, Ordering::Relaxed);
                 }
-                self.decided(&waiting, is_done, words(&reply));
+                let mut words = words(&reply);
+                if reply.outcome() == Some(Outcome::Stopped) {
+                    self.told_stops = reply.stops;
+                    words += "; look first, then call arm_after_stop";
+                }
+                self.decided(&waiting, is_done, words);
             }
         }
         let now = Instant::now();

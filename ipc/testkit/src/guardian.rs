@@ -51,6 +51,11 @@ pub fn command(program: impl AsRef<OsStr>) -> Command {
     let group = Pid::from_child(&guardian).as_raw_nonzero();
     let mut command = bare(program);
     command.process_group(group.get());
+    // Notes of daemons that were killed are not the user's.
+    let state = std::env::temp_dir().join("vpc-tests-state");
+    command
+        .env("XDG_STATE_HOME", state)
+        .env_remove("STATE_DIRECTORY");
     command
 }
 

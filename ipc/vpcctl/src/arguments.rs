@@ -45,11 +45,11 @@ pub enum Command {
     /// Show the daemon's state live in the terminal; keys command it.
     Watch(WatchArguments),
     /// Let the controller move the camera.
-    Arm(RequestArguments),
+    Arm(ArmArguments),
     /// Brake to zero and stay there until the next arm.
     Disarm(RequestArguments),
     /// Stop at once, without braking, and stay there until the next arm.
-    Stop(RequestArguments),
+    Stop(StopArguments),
     /// Ask the robot's bridge to clear the robot's errors; the controller stays disarmed.
     Recover(RecoverArguments),
     /// Change the strategy.
@@ -83,6 +83,36 @@ pub enum Command {
     Record(RecordArguments),
     /// Draw a recording (paths, commands, latencies) and report deadlines.
     Plot(PlotArguments),
+}
+
+/// The command line of `arm`.
+#[derive(Clone, Debug, Args)]
+pub struct ArmArguments {
+    /// Arm in spite of stops: their count, which the refusal and status tell. Another stop since then
+    /// makes it old.
+    #[arg(
+        long,
+        value_name = "COUNT",
+        default_value_t = 0,
+        hide_default_value = true
+    )]
+    pub stops: u32,
+
+    /// As of every request.
+    #[command(flatten)]
+    pub request: RequestArguments,
+}
+
+/// The command line of `stop`.
+#[derive(Clone, Debug, Args)]
+pub struct StopArguments {
+    /// Stop every vpcd of this user, in whatever domain.
+    #[arg(long, conflicts_with = "domain")]
+    pub all: bool,
+
+    /// As of every request.
+    #[command(flatten)]
+    pub request: RequestArguments,
 }
 
 /// The command line of `status`.

@@ -25,6 +25,7 @@ pub mod serve;
 pub mod server;
 pub mod settings;
 pub mod status;
+pub mod stop;
 pub mod units;
 pub mod view;
 pub mod watch;
@@ -74,9 +75,16 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Ok(exit)
     };
     let text = match &arguments.command {
-        Command::Arm(with) => return ask(request::plain(Action::Arm), with),
+        Command::Arm(with) => return ask(request::arm(with.stops), &with.request),
         Command::Disarm(with) => return ask(request::plain(Action::Disarm), with),
-        Command::Stop(with) => return ask(request::plain(Action::Stop), with),
+        Command::Stop(with) => {
+            let (text, exit) = match with.all {
+                true => stop::stop_all(with.request.timeout),
+                false => stop::stop(&directory, with.request.timeout)?,
+            };
+            output::write(&text)?;
+            return Ok(exit);
+        }
         Command::Flight(with) => {
             let (text, exit) = flight::flight(&directory, with.timeout)?;
             output::write(&text)?;

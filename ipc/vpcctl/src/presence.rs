@@ -1,7 +1,7 @@
 //! Whether a daemon serves a domain, found out without joining it.
 
 use std::os::unix::fs::MetadataExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use ipc::Domain;
 
@@ -59,6 +59,46 @@ impl Presence {
             _ => None,
         }
     }
+}
+
+/// The daemons of this user: process ids, and the directories of their domains, wherever they were
+/// moved; see [`is_gone`].
+pub fn at_work() -> Vec<(u32, PathBuf)> {
+    let us = rustix::process::geteuid().as_raw();
+    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let processes = entries.filter_map(|entry| {
+        let process = entry.file_name().to_str()?.parse().ok()?;
+        let is_ours = entry.metadata().is_ok_and(|found| found.uid() == us);
+        (is_ours && is_daemon(process)).then_some(process)
+    });
+    let mut found: Vec<_> = processes
+        .filter_map(|process| Some((process, domain_of(process)?)))
+        .collect();
+    found.sort();
+    found
+}
+
+/// The directory of the file that this daemon keeps locked.
+fn domain_of(process: u32) -> Option<PathBuf> {
+    let files = std::fs::read_dir(format!("/proc/{process}/fd")).ok()?;
+    files.flatten().find_map(|file| {
+        let path = std::fs::read_link(file.path()).ok()?;
+        let name = path.file_name()?.to_str()?;
+        let directory = path.parent()?;
+        match name.strip_suffix(GONE) {
+            None if name == FILE => Some(directory.to_owned()),
+            Some(FILE) => Some(format!("{}{GONE}", directory.display()).into()),
+            _ => None,
+        }
+    })
+}
+
+/// What Linux adds to the path of a file that was removed.
+const GONE: &str = " (deleted)";
+
+/// Whether this domain's directory, as [`at_work`] names it, was removed.
+pub fn is_gone(domain: &str) -> bool {
+    domain.ends_with(GONE)
 }
 
 /// The process that holds an exclusive `flock` on this inode. Two file systems may use the same

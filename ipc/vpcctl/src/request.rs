@@ -1,13 +1,10 @@
 //! Requests: arm, disarm, stop, strategy, flight.
 
 use std::hash::{BuildHasher, RandomState};
-use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{
-    Action, Domain, OpenError, OperatorPorts, Outcome, Reply, Request, StopError, StrategyCode,
-};
+use ipc::{Action, Domain, OpenError, OperatorPorts, Outcome, Reply, Request, StrategyCode};
 
 use crate::exit::{Exit, Failure};
 use crate::presence::{self, Presence};
@@ -15,6 +12,8 @@ use crate::view::word;
 
 /// Pause between two attempts to get an operator's place.
 const PAUSE: Duration = Duration::from_millis(10);
+/// Until when a request that leads to motion is answered with a refusal, and a little more.
+const LATE: Duration = Duration::from_nanos(Request::LATE_NS * 3 / 2);
 /// A number that no other operator uses: the standard library's hashers are seeded with the
 /// operating system's random numbers.
 fn fresh_id() -> u64 {
@@ -26,13 +25,17 @@ pub fn plain(action: Action) -> Request {
     Request::new(fresh_id(), action)
 }
 
+/// A request to arm in spite of so many stops.
+pub fn arm(stops: u32) -> Request {
+    Request::arm(fresh_id(), stops)
+}
+
 /// A request for another strategy; `neighbours` is for knn, else 0.
 pub fn strategy(strategy: StrategyCode, neighbours: u32) -> Request {
     Request::strategy(fresh_id(), strategy, neighbours)
 }
 
-/// Asks the daemon of this domain, and waits for its answer: a line, and the exit code. `stop` goes
-/// by the stop file, past everything that could keep it waiting.
+/// Asks the daemon of this domain, and waits for its answer: a line, and the exit code.
 ///
 /// # Errors
 /// No daemon, no answer; the domain or its ports cannot be used.
@@ -41,60 +44,22 @@ pub fn ask(
     request: &Request,
     timeout: Duration,
 ) -> Result<(String, Exit), Failure> {
-    match request.action() {
-        Some(Action::Stop) => stop(directory, timeout),
-        _ => Ok(outcome(&send(directory, request, timeout)?)),
-    }
+    Ok(outcome(&send(directory, request, timeout)?))
 }
 
-fn stop(directory: &Path, timeout: Duration) -> Result<(String, Exit), Failure> {
-    let end = Instant::now() + timeout;
-    loop {
-        let left = end.saturating_duration_since(Instant::now());
-        return match ipc::stop(directory, left) {
-            Ok(after) => Ok((stopped(after), Exit::Ok)),
-            Err(StopError::File { source, .. }) if source.kind() == ErrorKind::NotFound => {
-                // The first daemon of this domain may be starting.
-                if directory.is_dir() && !left.is_zero() {
-                    std::thread::sleep(PAUSE);
-                    continue;
-                }
-                Err(match Presence::of(directory).process() {
-                    Some(process) => stop_file_lost(directory, process),
-                    None => Failure::no_daemon(directory),
-                })
-            }
-            Err(error @ StopError::NotObeyed { .. }) => {
-                Err(match Presence::of(directory).process() {
-                    Some(_) => no_answer(directory, timeout),
-                    None => Failure::new(Exit::NoDaemon, error),
-                })
-            }
-            Err(error) => Err(Failure::new(Exit::Unavailable, error)),
-        };
-    }
-}
-
-/// A daemon whose stop file was removed moves nothing.
-fn stop_file_lost(directory: &Path, process: u32) -> Failure {
-    let file = directory.join(ipc::STOP_FILE);
-    let message = format!(
-        "{}: missing, so process {process} has stopped, and moves nothing until it is started again",
-        file.display()
-    );
-    Failure::new(Exit::Unavailable, message)
-}
-
-/// What is said of a stop that was obeyed after this time.
-pub fn stopped(after: Duration) -> String {
-    format!("stop: done after {} ms; disarmed\n", after.as_millis())
-}
-
-fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Reply, Failure> {
+/// Sends a request, and waits for the answer.
+///
+/// # Errors
+/// No daemon, no answer; the domain or its ports cannot be used.
+pub fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Reply, Failure> {
     let end = Instant::now() + timeout;
     let domain = presence::join(directory)?;
     let mut operator = open(&domain, end)?;
-    let left = end.saturating_duration_since(Instant::now());
+    let mut left = end.saturating_duration_since(Instant::now());
+    if let Some(Action::Arm | Action::Strategy) = request.action() {
+        // Who gives up leaves nothing behind that could still move the camera.
+        left = left.max(LATE);
+    }
     let reply = operator.ask(request, left)?;
     reply.ok_or_else(|| no_answer(directory, timeout))
 }
@@ -135,7 +100,11 @@ fn outcome(reply: &Reply) -> (String, Exit) {
         _ => String::new(),
     };
     let strategy = strategy_name(reply.strategy, reply.neighbours);
-    let line = format!("{action}: {outcome}; {state}{cause}, strategy {strategy}\n");
+    let mut line = format!("{action}: {outcome}; {state}{cause}, strategy {strategy}\n");
+    if reply.outcome() == Some(Outcome::Stopped) {
+        let stops = reply.stops;
+        line += &format!("look first; to arm all the same: vpcctl arm --stops {stops}\n");
+    }
     match reply.outcome() {
         Some(Outcome::Done) => (line, Exit::Ok),
         _ => (line, Exit::Refused),
@@ -167,6 +136,8 @@ mod tests {
             hold: Hold::NotArmed.code(),
             strategy: StrategyCode::Knn.code(),
             neighbours: 5,
+            stops: 2,
+            reserved: 0,
         }
     }
 
@@ -179,6 +150,9 @@ mod tests {
         );
         assert_eq!(exit, Exit::Refused);
         assert_eq!(outcome(&reply(Outcome::Done)).1, Exit::Ok);
+        let (line, exit) = outcome(&reply(Outcome::Stopped));
+        assert!(line.ends_with("\nlook first; to arm all the same: vpcctl arm --stops 2\n"));
+        assert_eq!(exit, Exit::Refused);
     }
 
     #[test]

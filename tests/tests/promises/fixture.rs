@@ -126,6 +126,8 @@ pub struct Witness {
     pub observer: Observer,
     operator: OperatorPorts,
     asked: u64,
+    /// The count of stops that the last refusal has told.
+    stops: u32,
     _domain: Domain,
 }
 
@@ -136,17 +138,26 @@ impl Witness {
             observer: Observer::open(&domain).unwrap(),
             operator: OperatorPorts::open(&domain).unwrap(),
             asked: 0,
+            stops: 0,
             _domain: domain,
         }
     }
 
-    /// Asks until there is an answer.
+    /// Asks until there is an answer. Who arms has seen the stop that the last refusal told of.
     pub fn ask(&mut self, action: Action) -> Outcome {
         eventually("an answer", || {
             self.asked += 1;
-            let request = Request::new(self.asked, action);
+            let request = match action {
+                Action::Arm => Request::arm(self.asked, self.stops),
+                _ => Request::new(self.asked, action),
+            };
             let reply = self.operator.ask(&request, Duration::from_millis(200));
-            reply.unwrap()?.outcome()
+            let reply = reply.unwrap()?;
+            self.stops = match reply.outcome() {
+                Some(Outcome::Stopped) => reply.stops,
+                _ => 0,
+            };
+            reply.outcome()
         })
     }
 

@@ -185,6 +185,7 @@ fn control(acceleration: Option<[f64; 2]>) -> (ControlStep, Rules) {
         lost_ns: Some(300 * MS),
         needs_robot: false,
         begins: Some(controller::decision::HoldReason::NotArmed),
+        after_arrival: Default::default(),
     };
     let settings = vpc::Settings {
         foresight_steps: 5,
@@ -239,26 +240,30 @@ fn whatever_the_controller_did_not_write_last_is_a_stop() {
         asked[..count].copy_from_slice(&bytes[..count]);
         asked
     };
-    check(cases, (content(), any::<bool>()), |(content, is_repeated)| {
-        let mut stop = StopFile::open(&place.path("")).unwrap();
-        prop_assert!(!stop.is_asked());
-        for _ in 0..=usize::from(is_repeated) {
-            std::fs::write(&file, &content).unwrap();
+    check(
+        cases,
+        (content(), any::<bool>()),
+        |(content, is_repeated)| {
+            let mut stop = StopFile::open(&place.path("")).unwrap();
+            prop_assert!(!stop.is_asked());
+            for _ in 0..=usize::from(is_repeated) {
+                std::fs::write(&file, &content).unwrap();
+                prop_assert!(stop.is_asked());
+                stop.obey();
+                prop_assert!(!stop.is_asked());
+                let there = std::fs::read(&file).unwrap();
+                prop_assert_eq!(there, [first(&content), first(&content)].concat());
+            }
+            // While no controller runs, also with what it wrote last.
+            drop(stop);
+            let left = std::fs::read(&file).unwrap();
+            std::fs::write(&file, left).unwrap();
+            let mut stop = StopFile::open(&place.path("")).unwrap();
             prop_assert!(stop.is_asked());
             stop.obey();
-            prop_assert!(!stop.is_asked());
-            let there = std::fs::read(&file).unwrap();
-            prop_assert_eq!(there, [first(&content), first(&content)].concat());
-        }
-        // While no controller runs, also with what it wrote last.
-        drop(stop);
-        let left = std::fs::read(&file).unwrap();
-        std::fs::write(&file, left).unwrap();
-        let mut stop = StopFile::open(&place.path("")).unwrap();
-        prop_assert!(stop.is_asked());
-        stop.obey();
-        Ok(())
-    });
+            Ok(())
+        },
+    );
 }
 
 #[test]

@@ -20,6 +20,7 @@ mod failures;
 mod faultless;
 mod fixture;
 mod foresight;
+mod hands;
 mod hang;
 mod hostile;
 mod inputs;

@@ -104,6 +104,8 @@ struct Cast {
     /// Starts of the camera, and recordings, so far.
     starts: usize,
     recordings: usize,
+    /// Stops so far, as the last cycle told.
+    stops: u32,
 }
 
 /// What was seen.
@@ -135,6 +137,7 @@ impl Cast {
             witness,
             starts: 1,
             recordings: 1,
+            stops: 0,
         }
     }
 
@@ -170,12 +173,13 @@ impl Cast {
         tally.moving += commands.iter().filter(moving).count() as u64;
         for record in self.witness.records() {
             tally.cycles += 1;
+            self.stops = record.stops;
             tally.missed += record.overruns.saturating_sub(tally.overruns);
             tally.overruns = record.overruns;
         }
         if commands.last().and_then(|twist| twist.state()) == Some(TwistState::Disarmed) {
             let id = ChaCha8Rng::seed_from_u64(now_ns()).random();
-            self.witness.say(&Request::new(id, Action::Arm));
+            self.witness.say(&Request::arm(id, self.stops));
         }
     }
 

@@ -331,6 +331,7 @@ fn an_operator_in_c_is_heard_and_told() {
             hold: Hold::NotArmed.code(),
             strategy: StrategyCode::Gpr.code(),
             neighbours: 0,
+            ..Reply::default()
         };
         controller.replies.publish(&reply).unwrap();
         let (id, outcome_code) = (request.id, outcome.code());

@@ -211,6 +211,7 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::RobotLost => "start the robot's client again, then `vpcctl arm`",
         Hold::Overruns | Hold::Standstill => "the machine is overloaded: `vpcd --preflight`",
         Hold::NotArmed | Hold::Operator => "vpcctl arm",
+        Hold::Arrived => "vpcctl arm, for the next run; or safety.after_arrival = \"follow\"",
         Hold::NoRobot => {
             "start the robot's client; `safety.robot = \"optional\"` where the robot tells nothing"
         }

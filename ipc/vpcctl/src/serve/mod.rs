@@ -7,7 +7,7 @@ use std::convert::Infallible;
 use std::fs::File;
 use std::io::{self, Read};
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -24,10 +24,10 @@ use tokio::time::Interval;
 
 use crate::exit::{Exit, Failure};
 use crate::image_plane::ImagePlane;
-use crate::request;
 use crate::server::{self, field, is_same_origin, refusal};
 use crate::status::{self, Status};
 use crate::watcher::Watcher;
+use crate::{request, stop};
 use feed::Feed;
 use picture::Pictures;
 
@@ -148,9 +148,16 @@ async fn command(
         status.directory.clone()
     };
     if action == Action::Stop {
-        return stop(&directory).await;
+        return stop_by_file(&directory).await;
     }
-    let asked = move || request::ask(&directory, &request::plain(action), PATIENCE);
+    let request = match action {
+        Action::Arm => {
+            let stops = field(&headers, "x-vpc-stops").and_then(|text| text.parse().ok());
+            request::arm(stops.unwrap_or(0))
+        }
+        _ => request::plain(action),
+    };
+    let asked = move || request::ask(&directory, &request, PATIENCE);
     match tokio::task::spawn_blocking(asked).await {
         Ok(Ok((line, Exit::Ok))) => line.into_response(),
         Ok(Ok((line, _))) => (StatusCode::CONFLICT, line).into_response(),
@@ -160,19 +167,28 @@ async fn command(
 }
 
 /// Stops by the stop file, without a thread, which a machine in trouble may not give.
-async fn stop(directory: &Path) -> Response {
-    let (begin, unavailable) = (Instant::now(), StatusCode::SERVICE_UNAVAILABLE);
+async fn stop_by_file(directory: &Path) -> Response {
+    let begin = Instant::now();
     let asked = match ipc::Asked::in_domain(directory) {
         Ok(asked) => asked,
-        Err(error) => return refusal(unavailable, &error.to_string()),
+        Err(_) => return stop_by_request(directory.to_owned()).await,
     };
     loop {
         match asked.is_obeyed() {
-            Ok(true) => return request::stopped(begin.elapsed()).into_response(),
+            Ok(true) => return stop::stopped(begin.elapsed()).into_response(),
             Ok(false) if begin.elapsed() < PATIENCE => tokio::time::sleep(POLL).await,
-            Ok(false) => return refusal(unavailable, &asked.not_obeyed(PATIENCE).to_string()),
-            Err(error) => return refusal(unavailable, &error.to_string()),
+            Ok(false) | Err(_) => return stop_by_request(directory.to_owned()).await,
         }
+    }
+}
+
+/// Where the file does not get through.
+async fn stop_by_request(directory: PathBuf) -> Response {
+    let stopped = tokio::task::spawn_blocking(move || stop::stop(&directory, Duration::ZERO));
+    match stopped.await {
+        Ok(Ok((line, _))) => line.into_response(),
+        Ok(Err(failure)) => refusal(StatusCode::SERVICE_UNAVAILABLE, &failure.to_string()),
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }
 

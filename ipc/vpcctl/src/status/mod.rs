@@ -162,6 +162,7 @@ impl Status {
             "last_cause": last.map(|change| change.hold.to_string()),
             "last_cause_over_ns": over.flatten().map(|at| now_ns.saturating_sub(at)),
             "answered": self.answered,
+            "stops": view.latest().map(|last| last.stops),
             "strategy": self.strategy(),
             "cycles": view.latest().map(|last| cycles(last, view, now_ns)),
             "robot": robot,
@@ -274,6 +275,12 @@ times     {:>9}{:>10}{:>10}\n",
         };
         let [minor, major, blocked, heap] = view.disturbances;
         let faults = minor + major;
+        let stops = match last.stops {
+            0 => String::new(),
+            stops => format!(
+                "stops     {stops} by operators; to arm after one: vpcctl arm --stops {stops}\n"
+            ),
+        };
         let (error, clearance) = (pixels(last.error_px), pixels(last.clearance_px));
         let (count, age) = (last.count, duration(last.features_age_ns));
         let features = match last.features_sequence {
@@ -287,7 +294,7 @@ times     {:>9}{:>10}{:>10}\n",
 real time {realtime}; {faults} page faults, {blocked} blocked, {heap} heap calls
 features  {features}
 solver    {solver}, {steps} iterations
-twist     {vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s\n"
+twist     {vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s\n{stops}"
         );
         text
     }

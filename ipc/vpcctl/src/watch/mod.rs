@@ -19,7 +19,7 @@ use crate::image_plane::ImagePlane;
 use crate::status::Status;
 use crate::view::word;
 use crate::watcher::Watcher;
-use crate::{output, request};
+use crate::{output, request, stop};
 use palette::Palette;
 use screen::{Screen, draw};
 
@@ -35,6 +35,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 enum Command {
     Quit,
     Ask(Action),
+    ArmAfterStop,
     Strategy(StrategyCode),
 }
 
@@ -45,6 +46,7 @@ fn command(key: &KeyEvent) -> Option<Command> {
         KeyCode::Char('c') if control => Command::Quit,
         KeyCode::Char('q') | KeyCode::Esc => Command::Quit,
         KeyCode::Char('a') => Command::Ask(Action::Arm),
+        KeyCode::Char('A') => Command::ArmAfterStop,
         KeyCode::Char('d') => Command::Ask(Action::Disarm),
         KeyCode::Char('s' | ' ') => Command::Ask(Action::Stop),
         KeyCode::Char('f') => Command::Ask(Action::Record),
@@ -150,6 +152,11 @@ impl Session {
             match command(&key) {
                 Some(Command::Quit) => break,
                 Some(Command::Ask(action)) => self.ask(request::plain(action)),
+                // What is on the screen was seen.
+                Some(Command::ArmAfterStop) => {
+                    let last = self.status.view.latest();
+                    self.ask(request::arm(last.map_or(0, |last| last.stops)));
+                }
                 Some(Command::Strategy(strategy)) => {
                     let is_knn = strategy == StrategyCode::Knn;
                     let neighbours = if is_knn { self.neighbours } else { 0 };
@@ -169,7 +176,11 @@ impl Session {
         let (sender, answer) = mpsc::channel();
         let directory = self.status.directory.clone();
         std::thread::spawn(move || {
-            let line = match request::ask(&directory, &request, PATIENCE) {
+            let answer = match request.action() {
+                Some(Action::Stop) => stop::stop(&directory, PATIENCE),
+                _ => request::ask(&directory, &request, PATIENCE),
+            };
+            let line = match answer {
                 Ok((line, _)) => line,
                 Err(failure) => format!("{action}: {failure}"),
             };
@@ -200,6 +211,7 @@ mod tests {
             assert_eq!(press(code), Some(Command::Ask(Action::Stop)));
         }
         assert_eq!(press(KeyCode::Char('a')), Some(Command::Ask(Action::Arm)));
+        assert_eq!(press(KeyCode::Char('A')), Some(Command::ArmAfterStop));
         assert_eq!(
             press(KeyCode::Char('d')),
             Some(Command::Ask(Action::Disarm))

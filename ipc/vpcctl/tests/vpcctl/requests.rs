@@ -96,17 +96,33 @@ fn a_daemon_that_does_not_answer_is_told_from_none() {
 }
 
 #[test]
-fn a_stop_file_that_was_removed_is_told() {
+fn without_its_file_a_stop_is_what_the_daemon_says() {
     let directory = tempfile::tempdir().unwrap();
-    let _daemon = StandIn::sound(directory.path());
+    let daemon = StandIn::sound(directory.path());
     std::fs::remove_file(directory.path().join(ipc::STOP_FILE)).unwrap();
-    let output = vpcctl(directory.path(), &["stop", "--timeout", "0.2"]);
-    assert_eq!(output.status.code(), Some(69), "{}", stderr(&output));
-    let words = format!(
-        "stop: missing, so process {} has stopped",
-        std::process::id()
-    );
-    assert!(stderr(&output).contains(&words), "{}", stderr(&output));
+    let ask = || vpcctl(directory.path(), &["stop", "--timeout", "0.2"]);
+    let output = ask();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let process = std::process::id();
+    let words = format!("stop: done, by a request; disarmed, says process {process}. ");
+    assert!(stdout(&output).starts_with(&words), "{}", stdout(&output));
+    drop(daemon);
+    // One that says nothing has not stopped, for all that is known.
+    let manner = Manner {
+        answers: false,
+        cycles: true,
+    };
+    let _daemon = StandIn::start(directory.path(), manner);
+    std::fs::remove_file(directory.path().join(ipc::STOP_FILE)).unwrap();
+    let output = ask();
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    for words in [
+        "NOT known to have stopped",
+        "cannot stop by it",
+        "kill -TERM",
+    ] {
+        assert!(stderr(&output).contains(words), "{}", stderr(&output));
+    }
 }
 
 #[test]

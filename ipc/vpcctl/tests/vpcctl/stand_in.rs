@@ -145,6 +145,9 @@ struct Law {
     hold: Hold,
     strategy: StrategyCode,
     neighbours: u32,
+    stops: u32,
+    /// Whether it was stopped since it was last armed.
+    is_stopped: bool,
 }
 
 impl Default for Law {
@@ -155,6 +158,8 @@ impl Default for Law {
             hold: Hold::NotArmed,
             strategy: StrategyCode::Previous,
             neighbours: 0,
+            stops: 0,
+            is_stopped: false,
         }
     }
 }
@@ -164,11 +169,19 @@ impl Law {
         let strategy = StrategyCode::from_code(request.strategy);
         let outcome = match (request.action().unwrap(), strategy.unwrap()) {
             (Action::Strategy, StrategyCode::Gpr) => Outcome::NoMemory,
+            (Action::Arm, _) if self.is_stopped && request.stops != self.stops => Outcome::Stopped,
             _ => Outcome::Done,
         };
         match (request.action().unwrap(), outcome) {
-            (Action::Arm, _) => (self.state, self.hold) = (TwistState::Moving, Hold::None),
-            (Action::Disarm | Action::Stop, _) => {
+            (Action::Arm, Outcome::Done) => {
+                (self.state, self.hold) = (TwistState::Moving, Hold::None);
+                self.is_stopped = false;
+            }
+            (Action::Stop, _) => {
+                (self.state, self.hold) = (TwistState::Disarmed, Hold::Operator);
+                (self.is_stopped, self.stops) = (true, self.stops + 1);
+            }
+            (Action::Disarm, _) => {
                 (self.state, self.hold) = (TwistState::Disarmed, Hold::Operator);
             }
             (Action::Strategy, Outcome::Done) => {
@@ -187,6 +200,8 @@ impl Law {
             hold: self.hold.code(),
             strategy: self.strategy.code(),
             neighbours: self.neighbours,
+            stops: self.stops,
+            reserved: 0,
         }
     }
 
@@ -194,6 +209,7 @@ impl Law {
         self.cycle += 1;
         let mut record = CycleRecord {
             cycle: self.cycle,
+            stops: self.stops,
             status: SolverStatus::Converged.code(),
             wake_latency_ns: 50_000,
             receive_ns: 2_000,
