@@ -431,6 +431,9 @@ mod tests {
                 };
                 let mut request = Request::new(cycle, Action::Status);
                 (request.action, request.neighbours) = (action, random.random());
+                // Who arms has seen the last stop, or not.
+                let stops = [control.supervisor.stops(), random.random()];
+                request.stops = stops[usize::from(random.random_bool(0.5))];
                 control.request(&request, cycle);
             }
             let inputs = Inputs {

@@ -251,7 +251,8 @@ fn write(store: &Store, about: &About, cause: Cause, ring: &Ring, progress: &Ato
     let unix_ms = since.map_or(0, |since| since.as_millis() as u64);
     let (cycles, text) = (ring.len(), cause.text());
     let fill = |path: &Path| file::write(path, about, &text, ring, progress);
-    match store.write(unix_ms, cause.word(), fill) {
+    let most = (cycles * Ring::BYTES_PER_CYCLE) as u64;
+    match store.write(unix_ms, cause.word(), most, fill) {
         Ok(path) => info!(
             cycles,
             cause = text,

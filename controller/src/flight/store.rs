@@ -14,6 +14,9 @@ const SUFFIX: &str = ".mcap";
 /// Suffix of files that are being written.
 const BESIDE: &str = ".mcap.tmp";
 
+/// What a file leaves of the disk, bytes: a record must not be what fills it.
+const RESERVE: u64 = 64 << 20;
+
 /// Why a flight record was not written.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
@@ -32,6 +35,15 @@ pub enum StoreError {
     },
     #[error("{path}: cannot write the flight record: {source}")]
     Write { path: String, source: io::Error },
+    /// The disk would be left without a reserve.
+    #[error(
+        "{directory}: {free} bytes free; needed: {needed}, for the flight record and a reserve of {RESERVE} bytes"
+    )]
+    NoRoom {
+        directory: String,
+        free: u64,
+        needed: u64,
+    },
     #[error(transparent)]
     Recording(#[from] WriteError),
 }
@@ -53,8 +65,8 @@ impl Store {
         }
     }
 
-    /// Makes a file, whole or not at all, readable by this user only, and removes the oldest ones
-    /// beyond those kept. `stamp` orders files by age, `cause` tells them apart: letters, digits
+    /// Makes a file of at most `most` bytes, whole or not at all, readable by this user only, and
+    /// removes the oldest ones beyond those kept. Leaves 64 MiB of the disk. `stamp` orders files by age, `cause` tells them apart: letters, digits
     /// and hyphens. `fill` is called with the path of an empty file, and synchronizes what it
     /// writes to the disk, which may take long.
     ///
@@ -64,9 +76,11 @@ impl Store {
         &self,
         stamp: u64,
         cause: &str,
+        most: u64,
         fill: impl FnOnce(&Path) -> Result<(), WriteError>,
     ) -> Result<PathBuf, StoreError> {
         self.prepare()?;
+        self.check_room(most)?;
         let name = format!("{PREFIX}{stamp:015}-{cause}");
         let path = self.directory.join(format!("{name}{SUFFIX}"));
         let beside = self.directory.join(format!("{name}{BESIDE}"));
@@ -118,6 +132,25 @@ impl Store {
         Ok(())
     }
 
+    fn check_room(&self, most: u64) -> Result<(), StoreError> {
+        let directory = || self.directory.display().to_string();
+        let found =
+            rustix::fs::statvfs(&self.directory).map_err(|error| StoreError::Directory {
+                directory: directory(),
+                source: error.into(),
+            })?;
+        let free = found.f_bavail.saturating_mul(found.f_frsize);
+        let needed = most.saturating_add(RESERVE);
+        match free < needed {
+            true => Err(StoreError::NoRoom {
+                directory: directory(),
+                free,
+                needed,
+            }),
+            false => Ok(()),
+        }
+    }
+
     /// What cannot be removed now is removed after the next file, or by its owner.
     fn prune(&self) {
         let files = self.files();
@@ -161,15 +194,15 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let directory = place.path().join("deep/er");
         let store = Store::new(directory.clone(), 2);
-        store.write(5, "request", text("five")).unwrap();
+        store.write(5, "request", 9, text("five")).unwrap();
         fs::write(directory.join("notes.txt"), "mine").unwrap();
         fs::write(
             directory.join("vpcd-000000000000001-fault.mcap.tmp"),
             "torn",
         )
         .unwrap();
-        store.write(7, "fault", text("seven")).unwrap();
-        let last = store.write(600, "request", text("six hundred")).unwrap();
+        store.write(7, "fault", 9, text("seven")).unwrap();
+        let last = store.write(600, "request", 9, text("six hundred")).unwrap();
         assert_eq!(fs::read(&last).unwrap(), b"six hundred");
         let files = store.files();
         assert_eq!(files.len(), 2);
@@ -179,12 +212,24 @@ mod tests {
     }
 
     #[test]
+    fn a_record_that_would_fill_the_disk_is_not_written() {
+        let place = tempfile::tempdir().unwrap();
+        let store = Store::new(place.path().to_owned(), 2);
+        let found = rustix::fs::statvfs(place.path()).unwrap();
+        let free = found.f_bavail * found.f_frsize;
+        let error = store.write(5, "exit", free, text("x")).unwrap_err();
+        assert!(matches!(error, StoreError::NoRoom { .. }), "{error}");
+        assert!(store.files().is_empty());
+        store.write(5, "exit", 9, text("x")).unwrap();
+    }
+
+    #[test]
     fn where_nothing_can_be_written_the_path_is_named_and_nothing_is_left() {
         let place = tempfile::tempdir().unwrap();
         let taken = place.path().join("taken");
         fs::write(&taken, "a file").unwrap();
         let error = Store::new(taken, 2)
-            .write(5, "request", text("x"))
+            .write(5, "request", 9, text("x"))
             .unwrap_err();
         assert!(
             error.to_string().contains("/taken: cannot be used"),
@@ -192,7 +237,7 @@ mod tests {
         );
         let store = Store::new(place.path().to_owned(), 2);
         fs::create_dir_all(place.path().join("vpcd-000000000000005-exit.mcap/inside")).unwrap();
-        let error = store.write(5, "exit", text("x")).unwrap_err();
+        let error = store.write(5, "exit", 9, text("x")).unwrap_err();
         assert!(
             error.to_string().contains("-exit.mcap: cannot write"),
             "{error}"

@@ -155,7 +155,7 @@ fn braking_is_no_faster_than_the_acceleration_allows() {
         assert_eq!(last, [0.0; 6]);
         // A stop does not wait.
         bench.good();
-        bench.supervisor.request(Action::Stop);
+        bench.supervisor.request(Action::Stop, 0);
         assert_eq!(bench.good().twist, [0.0; 6]);
     }
 }
@@ -439,7 +439,7 @@ fn after_its_arrival_it_does_what_is_wanted() {
         state: TwistState::Arrived,
         ..GOOD
     };
-    let mut arrives = |after_arrival| {
+    let arrives = |after_arrival| {
         let mut bench = Bench::new(true);
         bench.supervisor.rules.after_arrival = after_arrival;
         bench.resumes();
@@ -505,6 +505,7 @@ fn in_lockstep_braking_takes_no_time() {
         lost_ns: None,
         needs_robot: false,
         begins: None,
+        after_arrival: AfterArrival::Follow,
     };
     let mut bench = Bench::moving();
     bench.supervisor = Supervisor::new(rules);
@@ -607,7 +608,7 @@ fn where_no_way_is_known_it_stands_armed_and_an_operator_may_arm_it() {
         last,
         Decision::still(HoldReason::NoWay, TwistState::Holding)
     );
-    bench.supervisor.request(Action::Disarm);
+    bench.supervisor.request(Action::Disarm, 0);
     no_way(&mut bench);
     assert_eq!(bench.supervisor.request(Action::Arm, 0), Outcome::Done);
     assert_eq!(no_way(&mut bench).state, TwistState::Holding);

@@ -29,6 +29,8 @@ const CYCLES: u64 = 3_600;
 const PERIODS: u32 = 10;
 const PERIOD_NS: u64 = 33_333_333;
 const BEGIN_NS: u64 = 1_000_000_000;
+/// In this cycle an operator stops it.
+const STOP: u64 = 2345;
 /// In this cycle much is asked for.
 const FLOOD: u64 = 777;
 
@@ -231,7 +233,7 @@ impl World {
         ];
         let mut requests = Vec::new();
         if cycle.is_multiple_of(50) {
-            requests.push(Request::new(cycle, Action::Arm));
+            requests.push(Request::arm(cycle, u32::from(cycle > STOP)));
         }
         if cycle.is_multiple_of(200) {
             let (strategy, neighbours) = strategies[(cycle / 200) as usize % strategies.len()];
@@ -241,7 +243,7 @@ impl World {
         match cycle {
             FLOOD => requests.extend([Request::new(cycle, Action::Arm); 9]),
             1234 => requests.push(Request::new(cycle, Action::Disarm)),
-            2345 => requests.push(Request::new(cycle, Action::Stop)),
+            STOP => requests.push(Request::new(cycle, Action::Stop)),
             _ => (),
         }
         requests
