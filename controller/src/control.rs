@@ -140,7 +140,7 @@ impl ControlStep {
             strategy: strategy.code(),
             neighbours,
             stops: self.supervisor.stops(),
-            reserved: 0,
+            seen: request.stops,
         }
     }
 

@@ -162,6 +162,7 @@ fn request_of(reply: &Reply) -> Option<Request> {
             Some(Request::strategy(reply.id, strategy, reply.neighbours))
         }
         (Action::Strategy, _) => None,
+        (Action::Arm, _) => Some(Request::arm(reply.id, reply.seen)),
         (action, _) => Some(Request::new(reply.id, action)),
     }
 }

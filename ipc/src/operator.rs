@@ -162,8 +162,8 @@ message! {
         neighbours: u32,
         /// Stops by operators so far, each request and each change of the stop file.
         stops: u32,
-        /// Zero.
-        reserved: u32,
+        /// The count of stops that the request names.
+        seen: u32,
     }
     // As many as a cycle may answer.
     "vpc/replies" from "controller": Qos { history: 0, buffer: 256, subscribers: 16, publishers: 1 }

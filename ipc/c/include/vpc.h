@@ -562,8 +562,8 @@ typedef struct {
     uint32_t neighbours;
     // Stops by operators so far, each request and each change of the stop file.
     uint32_t stops;
-    // Zero.
-    uint32_t reserved;
+    // The count of stops that the request names.
+    uint32_t seen;
 } vpc_reply;
 
 // Header of an image. The image itself is a slice of `stride * height` bytes, top row first.
@@ -965,7 +965,7 @@ static_assert(offsetof(vpc_reply, hold) == 52, "vpc_reply.hold");
 static_assert(offsetof(vpc_reply, strategy) == 56, "vpc_reply.strategy");
 static_assert(offsetof(vpc_reply, neighbours) == 60, "vpc_reply.neighbours");
 static_assert(offsetof(vpc_reply, stops) == 64, "vpc_reply.stops");
-static_assert(offsetof(vpc_reply, reserved) == 68, "vpc_reply.reserved");
+static_assert(offsetof(vpc_reply, seen) == 68, "vpc_reply.seen");
 static_assert(sizeof(vpc_image_header) == 56, "vpc_image_header");
 static_assert(offsetof(vpc_image_header, stamp) == 0, "vpc_image_header.stamp");
 static_assert(offsetof(vpc_image_header, exposure_begin_ns) == 24, "vpc_image_header.exposure_begin_ns");

@@ -716,8 +716,8 @@ class Reply(Message):
         ("neighbours", ctypes.c_uint32),
         # Stops by operators so far, each request and each change of the stop file.
         ("stops", ctypes.c_uint32),
-        # Zero.
-        ("reserved", ctypes.c_uint32),
+        # The count of stops that the request names.
+        ("seen", ctypes.c_uint32),
     ]
 
     if TYPE_CHECKING:
@@ -731,7 +731,7 @@ class Reply(Message):
         strategy: int
         neighbours: int
         stops: int
-        reserved: int
+        seen: int
 
     @staticmethod
     def type_name() -> str:

@@ -137,7 +137,7 @@ mod tests {
             strategy: StrategyCode::Knn.code(),
             neighbours: 5,
             stops: 2,
-            reserved: 0,
+            seen: 0,
         }
     }
 

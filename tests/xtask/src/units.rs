@@ -4,7 +4,13 @@
 use anyhow::{Context, ensure};
 
 /// Directives whose value is the same for all arms.
-const SHARED: [&str; 4] = ["Description", "Documentation", "User", "Group"];
+const SHARED: [&str; 5] = [
+    "Description",
+    "Documentation",
+    "User",
+    "Group",
+    "StateDirectory",
+];
 
 /// What an instance has of its own: in the unit, and in the template.
 const OWN: [(&str, &str); 5] = [

@@ -192,7 +192,14 @@ impl Session {
 
     fn take_answer(&mut self) {
         match self.answer.as_ref().map(Receiver::try_recv) {
-            Some(Ok(line)) => self.message = line.trim_end().to_owned(),
+            Some(Ok(text)) => {
+                // The second line is for a shell.
+                let mut lines = text.lines();
+                self.message = lines.next().unwrap_or_default().to_owned();
+                if lines.next().is_some() {
+                    self.message += "; A arms all the same";
+                }
+            }
             Some(Err(TryRecvError::Empty)) | None => return,
             Some(Err(TryRecvError::Disconnected)) => (),
         }

@@ -28,7 +28,7 @@ fn help() -> String {
     let names = StrategyCode::TABLE.names.iter();
     let strategies = names.map(|name| format!(" {} {}", name.number + 1, name.text));
     let strategies: String = strategies.collect();
-    format!("q quit a arm (A after a stop) d disarm s stop f flight {strategies}")
+    format!("q quit a arm d disarm s stop f flight {strategies}")
 }
 
 /// What is drawn.

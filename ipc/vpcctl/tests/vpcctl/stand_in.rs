@@ -201,7 +201,7 @@ impl Law {
             strategy: self.strategy.code(),
             neighbours: self.neighbours,
             stops: self.stops,
-            reserved: 0,
+            seen: 0,
         }
     }
 
