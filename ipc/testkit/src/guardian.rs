@@ -52,7 +52,7 @@ pub fn command(program: impl AsRef<OsStr>) -> Command {
     let mut command = bare(program);
     command.process_group(group.get());
     // Notes of daemons that were killed are not the user's.
-    let state = std::env::temp_dir().join("vpc-tests-state");
+    let state = std::env::temp_dir().join("state-of-vpc-tests");
     command
         .env("XDG_STATE_HOME", state)
         .env_remove("STATE_DIRECTORY");

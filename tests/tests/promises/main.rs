@@ -13,6 +13,7 @@ mod camera;
 mod clients;
 mod clock;
 mod configuration;
+mod consent;
 mod damage;
 mod deadlines;
 mod delay;
