@@ -84,18 +84,24 @@ impl Drop for Cable {
 }
 
 /// All three processes, the arm in motion. Taken apart in this order.
-struct Cell {
-    observer: Observer,
+pub struct Cell {
+    pub observer: Observer,
     bridge: Running,
-    daemon: Running,
+    pub daemon: Running,
     robot: Running,
     cable: Cable,
-    place: Place,
+    pub place: Place,
 }
 
-fn bridge(cable: &Cable, place: &Place) -> Command {
+/// A robot's name for the bridge, and the version of its interface.
+pub type Model = (&'static str, &'static str);
+/// Both that the bridge knows.
+pub const PANDA: Model = ("panda", "5");
+pub const FR3: Model = ("fr3", "10");
+
+fn bridge(cable: &Cable, place: &Place, (name, _): Model) -> Command {
     let mut bridge = cable.end("vpc-panda");
-    bridge.args(["--robot", "panda:127.0.0.1", "--hand-eye"]);
+    bridge.args(["--robot", &format!("{name}:127.0.0.1"), "--hand-eye"]);
     bridge
         .arg(root().join("ipc/panda/hand-eye.toml"))
         .arg("--scene");
@@ -107,6 +113,11 @@ fn bridge(cable: &Cable, place: &Place) -> Command {
 
 impl Cell {
     fn new(more: &[&str]) -> Self {
+        Self::with(PANDA, more)
+    }
+
+    /// With this robot, and more words for the daemon.
+    pub fn with(model: Model, more: &[&str]) -> Self {
         let (cable, place) = (Cable::plugged(), Place::new());
         let scenes = root().join("ipc/scene/scenes");
         let mut robot = cable.end("hw-sim");
@@ -114,11 +125,12 @@ impl Cell {
         robot.arg(scenes.join("paper-robot.toml")).arg("--starts");
         robot.arg(scenes.join("paper-robot-starts.csv"));
         robot.arg("--domain").arg(place.domain());
+        robot.args(["--fci-version", model.1]);
         let robot = Running::start(robot.stdout(Stdio::piped()).stderr(Stdio::piped()));
         let domain = Domain::join(&place.domain()).unwrap();
         let mut observer = Observer::open(&domain).unwrap();
         eventually("a frame", || observer.features.latest().unwrap());
-        let bridge = Running::start(bridge(&cable, &place));
+        let bridge = Running::start(bridge(&cable, &place, model));
         let mut daemon = testkit::command(program("vpcd"));
         daemon.arg("--config");
         daemon.arg(root().join("controller/vpcd-robot.toml"));
@@ -145,7 +157,7 @@ impl Cell {
     }
 
     /// Waits until the image moves.
-    fn until_it_moves(&mut self) {
+    pub fn until_it_moves(&mut self) {
         eventually("motion", || {
             std::thread::sleep(Duration::from_millis(500));
             let frames = self.frames();
@@ -213,7 +225,7 @@ fn strike(fault: Fault) -> anyhow::Result<u64> {
         }
         Fault::BridgeKilled => {
             // Another one finds the error, and does not clear it unasked.
-            cell.bridge = Running::start(bridge(&cell.cable, &cell.place));
+            cell.bridge = Running::start(bridge(&cell.cable, &cell.place, PANDA));
             recover(&mut cell);
         }
         Fault::BridgeHangs => {
@@ -249,7 +261,7 @@ fn recover(cell: &mut Cell) {
     assert!(!is_at_fault(&cell.state()));
 }
 
-fn is_possible(what: &str) -> bool {
+pub fn is_possible(what: &str) -> bool {
     testkit::is_root(what) && are_installed(what, &["ip=iproute2", "tc=iproute2"])
 }
 

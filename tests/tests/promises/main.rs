@@ -44,4 +44,5 @@ mod soak;
 mod stall;
 mod startup;
 mod stop;
+mod stopping;
 mod watch;
