@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from .domain import default_directory
-from .errors import BadDomain, NoAnswer
+from .errors import BadDomain, NoAnswer, VpcError
 
 HALF = 32
 POLL_S = 0.002
@@ -18,11 +18,18 @@ def stop(directory: str | os.PathLike[str] | None = None, patience_s: float = 1.
     twist. The domain in `directory` need not be joined. Raises NoAnswer if no controller obeys in time: the next one of this
     domain then begins disarmed."""
     path = Path(directory or default_directory()) / "stop"
-    begin = time.monotonic()
     try:
-        file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-    except OSError as error:
-        raise BadDomain(f"{path}: cannot stop by it: {error.strerror}") from error
+        return _stop(path, patience_s)
+    except VpcError:
+        raise
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BadDomain(f"{path}: cannot stop by it: {reason}") from error
+
+
+def _stop(path: Path, patience_s: float) -> float:
+    begin = time.monotonic()
+    file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     try:
         os.pwrite(file, f"{os.getpid()} {time.monotonic_ns()}".encode().ljust(HALF, b"\0"), 0)
         while True:
