@@ -209,6 +209,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
+    signals.stop.begin();
     let instance = Instance::claim(domain.directory())?;
     if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
         pace.rules.begins = Some(HoldReason::Unclean);
