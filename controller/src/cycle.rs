@@ -3,8 +3,8 @@
 
 use heapless::Vec;
 use ipc::{
-    Action, ClockMode, ControllerPorts, CycleFlags, CycleRecord, FUTURE_NS, Features, Message,
-    Order, Outcome, PublishError, RealTime, ReceiveError, Reply, Request, StopFile, TwistCommand,
+    Action, ClockMode, ControllerPorts, CycleFlags, CycleRecord, FUTURE_NS, Features, Order,
+    Outcome, PublishError, RealTime, ReceiveError, Reply, Request, StopFile, TwistCommand,
     TwistState, now_ns, suspended_ns,
 };
 use scene::Scene;
@@ -35,13 +35,10 @@ const WAIT_NS: u64 = 5_000_000;
 /// always allowed.
 const MOST_STALE_S: f64 = 1.0;
 const LEAST_STALE_PERIODS: f64 = 3.0;
-/// Most requests of operators taken in a cycle: as many as can wait in their queues, so that no
-/// operator keeps another one's waiting.
-const REQUESTS: usize = Request::QOS.publishers * Request::QOS.buffer;
 /// Growth of the time suspended that is no error of its measurement, ns.
 const SUSPENDED_NS: u64 = 1_000_000;
 /// Answers to them and to the stop file.
-const REPLIES: usize = REQUESTS + 1;
+const REPLIES: usize = Request::PER_CYCLE + 1;
 
 /// How the loop runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -366,7 +363,7 @@ impl Cycle {
     /// so that it wins. Those without a head are skipped here; the ordinary thread, which also
     /// receives them, logs them.
     fn take_requests(&mut self) {
-        for _ in 0..REQUESTS {
+        for _ in 0..Request::PER_CYCLE {
             match self.ports.requests.oldest() {
                 Ok(Some(request)) => {
                     let outcome = self.answer(&request);

@@ -209,6 +209,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
+    signals.stop.begin();
     let begins_armed = config.safety.armed && config.clock != ClockMode::Lockstep;
     let state = match begins_armed {
         true => Some(instance::state_directory()?),

@@ -9,31 +9,42 @@ use signal_hook::flag;
 
 /// Set once the daemon is to stop.
 #[derive(Clone, Debug, Default)]
-pub struct Stop(Arc<AtomicBool>);
+pub struct Stop {
+    is_asked: Arc<AtomicBool>,
+    /// Whether a signal ends the process at once.
+    is_starting: Arc<AtomicBool>,
+}
 
 impl Stop {
     /// A stop flag that SIGTERM and SIGINT set. Repeating them changes nothing: an impatient
     /// operator must not cut a controlled stop short. SIGQUIT and SIGKILL end a daemon that does
-    /// not stop.
+    /// not stop. Until [`Stop::begin`] the signals end the process, which has moved nothing yet.
     ///
     /// # Errors
     /// If the operating system refuses the handlers.
     pub fn by_signals() -> io::Result<Self> {
         let stop = Self::default();
+        stop.is_starting.store(true, Ordering::Relaxed);
         for signal in [SIGTERM, SIGINT] {
-            flag::register(signal, Arc::clone(&stop.0))?;
+            flag::register_conditional_default(signal, Arc::clone(&stop.is_starting))?;
+            flag::register(signal, Arc::clone(&stop.is_asked))?;
         }
         Ok(stop)
     }
 
+    /// From now on the signals only set the flag.
+    pub fn begin(&self) {
+        self.is_starting.store(false, Ordering::Relaxed);
+    }
+
     /// Asks for the stop.
     pub fn ask(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.is_asked.store(true, Ordering::Relaxed);
     }
 
     /// Whether to stop. Relaxed: no other data is published with the flag.
     pub fn is_asked(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.is_asked.load(Ordering::Relaxed)
     }
 }
 

@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use ipc::{Domain, Publisher, RobotState, Stamp, TwistCommand, TwistState, now_ns};
 use panda::Joints;
+use program::StartUp;
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use scene::Pose;
 
@@ -44,17 +45,19 @@ pub struct Tally {
 }
 
 /// Runs the configured starts one after another, until all are decided or `stop` is set; passes
-/// each outcome to `tell`, with the tally.
+/// each outcome to `tell`, with the tally. `start_up` ends when the domain is joined.
 ///
 /// # Errors
 /// The shared memory cannot be opened, a start is out of the robot's reach, nobody answers in
 /// lockstep, or the recording cannot be written.
 pub fn run(
     config: &Config,
+    start_up: StartUp,
     stop: &AtomicBool,
     mut tell: impl FnMut(&Outcome, Tally),
 ) -> anyhow::Result<Tally> {
     let domain = Domain::join(&config.domain)?;
+    drop(start_up);
     let mut session = Session::open(config, &domain, stop)?;
     let rounds = if config.repeat { usize::MAX } else { 1 };
     let most = config.starts.len().saturating_mul(rounds);

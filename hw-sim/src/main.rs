@@ -19,6 +19,7 @@ fn begin() -> Result<ExitCode, ExitCode> {
         eprintln!("hw-sim: {error}");
         ExitCode::from(error.exit_code())
     })?;
+    let start_up = program::StartUp::begin("hw-sim")?;
     let stop = program::stop_on_signals("hw-sim")?;
     let prints_json = config.json || !std::io::stdout().is_terminal();
     let is_series = config.repeat || config.starts.len() > 1;
@@ -37,7 +38,7 @@ fn begin() -> Result<ExitCode, ExitCode> {
             eprintln!("hw-sim: {sentence}");
         }
     };
-    Ok(match emulator::run(&config, &stop, tell) {
+    Ok(match emulator::run(&config, start_up, &stop, tell) {
         Ok(tally) => {
             if config.clock == Clock::Fixed {
                 eprintln!("hw-sim: no more frames come, so vpcd disarms");

@@ -21,7 +21,7 @@ import sys
 import time
 import tomllib
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 try:
     import numpy as np
@@ -70,6 +70,11 @@ class Measured:
     dq: list
     # Why the robot obeys nobody; None while it is well.
     fault: str | None
+
+    def is_finite(self):
+        base, tool = self.base_from_tool, self.flange_from_tool
+        parts = (base.translation, base.rotation, tool.translation, tool.rotation, self.twist, self.q, self.dq)
+        return all(np.isfinite(part).all() for part in parts)
 
 
 class UniversalRobot:
@@ -215,6 +220,8 @@ class Bridge:
         self.twists, self.states = domain.subscribe("vpc/twist", 4), domain.publisher("vpc/robot")
         self.command, self.has_obeyed, self.is_over, self.fault = None, False, False, None
         self.sent, self.sent_at = np.zeros(6), time.monotonic()
+        # The last finite measurement; when the bridge was ready.
+        self.measured, self.begun_ns = None, vpc_client.now_ns()
 
     def camera_in_base(self, measured):
         """The camera's axes in the base, and where it is from the tool's origin, along base axes."""
@@ -228,7 +235,8 @@ class Bridge:
         for v, x, lower, upper in zip(wanted, place, self.limits.lower, self.limits.upper, strict=False):
             room = upper - x if v > 0.0 else x - lower
             if abs(v) > 0.0:
-                allowed = min(allowed, math.sqrt(2.0 * NEARING * max(room, 0.0)) / abs(v))
+                # max(0, NaN) is 0.
+                allowed = min(allowed, math.sqrt(2.0 * NEARING * max(0.0, room)) / abs(v))
         return allowed
 
     def ramp(self, wanted):
@@ -245,11 +253,18 @@ class Bridge:
 
     def step(self, measured):
         """One cycle of the robot: what to send, None at a fault; tells vpc/robot."""
+        if measured.is_finite():
+            self.measured = measured
+        else:
+            measured = replace(self.measured, fault="its pose, velocity or joints are not finite")
         try:
             self.command = self.twists.latest() or self.command
         except vpc_client.BadMessage as error:
             self.command = None
             print(f"robot_bridge: {error}", file=sys.stderr, flush=True)
+        # What was meant for somebody before us is not obeyed.
+        if self.command is not None and self.command.stamp.published_ns < self.begun_ns:
+            self.command = None
         now = vpc_client.now_ns()
         asked = np.array(vpc_client.twist_in_force(None if self.is_over else self.command, now))
         is_stale = self.is_over or now >= vpc_client.in_force_until_ns(self.command)
@@ -291,7 +306,7 @@ class Bridge:
 
     def run(self, driver):
         """Until SIGTERM or SIGINT, and then until the arm was sent zero."""
-        due, said = time.monotonic(), 0.0
+        due, said, self.begun_ns = time.monotonic(), 0.0, vpc_client.now_ns()
         while not self.is_over or (np.abs(self.sent) > AT_REST).any():
             twist = self.step(driver.measured())
             if self.limits.dry_run:
@@ -349,12 +364,15 @@ def main():
     mount = read_hand_eye(arguments.hand_eye)
     driver = ROBOTS[arguments.robot](arguments.address, (arguments.linear_acceleration, arguments.angular_acceleration))
     measured = driver.measured()
+    if not measured.is_finite():
+        raise BadArgument(f"the robot's state is not finite: {measured}")
     place = measured.base_from_tool.translation
     for axis, x, lower, upper in zip("xyz", place, arguments.lower, arguments.upper, strict=True):
         if not lower <= x <= upper:
             raise BadArgument(f"the tool's {axis} = {x:.4f} m in the base; allowed: the workspace, {lower} to {upper}")
     with vpc_client.Domain(arguments.domain) as domain:
         bridge = Bridge(domain, mount, arguments)
+        bridge.measured = measured
 
         def end(*_):
             bridge.is_over = True

@@ -5,7 +5,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::codes::codes;
 use crate::cycle::{Hold, StrategyCode};
 use crate::field::Stamp;
-use crate::message::{self, Invalid, Qos, message};
+use crate::message::{self, Invalid, Message, Qos, message};
 use crate::twist::TwistState;
 
 codes! {
@@ -89,6 +89,9 @@ message! {
 impl Request {
     /// The id by which a stop by [`StopFile`](crate::StopFile) is answered and recorded.
     pub const STOP_FILE: u64 = 0;
+    /// Most requests that the controller answers in a cycle: as many as can wait in their queues, so
+    /// that no operator keeps another one's waiting.
+    pub const PER_CYCLE: usize = Self::QOS.publishers * Self::QOS.buffer;
 
     /// How long a request that leads to motion may wait for the controller, ns: who has had no
     /// answer by then may give up, and nothing will move.
@@ -189,6 +192,12 @@ impl Reply {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_contract_names_the_requests_of_a_cycle() {
+        let words = format!("at most {} requests per cycle", Request::PER_CYCLE);
+        assert!(include_str!("../CONTRACT.md").contains(&words), "{words}");
+    }
     use crate::message::Message;
 
     #[test]

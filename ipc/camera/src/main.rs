@@ -9,7 +9,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use clap::FromArgMatches;
-use program::{ATTENTION, CONFIG, SOFTWARE, UNAVAILABLE};
+use program::{ATTENTION, CONFIG, SOFTWARE, StartUp, UNAVAILABLE};
 use vpc_camera::config::{Arguments, Command, Config};
 use vpc_camera::metrics::Metrics;
 use vpc_camera::run::{Event, Report, RunError, run};
@@ -41,8 +41,9 @@ fn begin() -> Result<ExitCode, ExitCode> {
         eprintln!("vpc-camera: {error}");
         ExitCode::from(error.exit_code())
     })?;
+    let start_up = program::StartUp::begin("vpc-camera")?;
     let stop = program::stop_on_signals("vpc-camera")?;
-    Ok(watch(config, stop, matches.get_flag("print")))
+    Ok(watch(config, start_up, stop, matches.get_flag("print")))
 }
 
 /// Tells what a command did.
@@ -60,10 +61,10 @@ fn end(command: &str, result: anyhow::Result<String>) -> ExitCode {
 }
 
 /// Runs the loop in a thread of its own, and tells what it does.
-fn watch(config: Config, stop: Arc<AtomicBool>, is_printed: bool) -> ExitCode {
+fn watch(config: Config, start_up: StartUp, stop: Arc<AtomicBool>, is_printed: bool) -> ExitCode {
     let mut log = Log::new(&config, is_printed);
     let (sender, events) = mpsc::channel();
-    let body = move || run(&config, &stop, &sender);
+    let body = move || run(&config, start_up, &stop, &sender);
     let worker = std::thread::Builder::new()
         .name("camera".to_owned())
         .spawn(body);

@@ -5,6 +5,7 @@ use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
 use ipc::{Domain, Features, Publisher};
+use program::StartUp;
 
 use crate::config::{Clock, Config, SourceKind};
 use crate::finder::{Finder, Found};
@@ -72,7 +73,12 @@ pub enum Event {
 ///
 /// # Errors
 /// [`RunError`].
-pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result<(), RunError> {
+pub fn run(
+    config: &Config,
+    start_up: StartUp,
+    stop: &AtomicBool,
+    events: &Sender<Event>,
+) -> Result<(), RunError> {
     let tell = |event| {
         // Nobody listens once the program ends.
         let _ = events.send(event);
@@ -80,6 +86,7 @@ pub fn run(config: &Config, stop: &AtomicBool, events: &Sender<Event>) -> Result
     let domain = Domain::join(&config.domain)?;
     let mut features: Publisher<Features> = domain.publisher()?;
     let mut source = open(config, &domain)?;
+    drop(start_up);
     let mut finder = Finder::new(&config.scene, &config.lens, &config.targets)?;
     let mut mask = MaskCheck::new(&config.scene, Settings::default());
     // The detector's library divides its work among the threads of the pool that it is called from:

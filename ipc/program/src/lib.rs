@@ -8,7 +8,7 @@ pub mod kernel;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{ArgMatches, CommandFactory};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -49,6 +49,33 @@ pub fn log(filter: &str) {
         .init();
 }
 
+/// Until this is dropped, the signals of [`stop_on_signals`] end the program at once: nothing of it
+/// moves yet, and it may wait for a file or a lock.
+#[derive(Debug)]
+pub struct StartUp(Arc<AtomicBool>);
+
+impl StartUp {
+    /// Begins.
+    ///
+    /// # Errors
+    /// The system refuses; that was printed under the program's `name`. The exit code.
+    pub fn begin(name: &str) -> Result<Self, ExitCode> {
+        let is_starting = Arc::new(AtomicBool::new(true));
+        for signal in signals() {
+            let flag = Arc::clone(&is_starting);
+            let registered = signal_hook::flag::register_conditional_default(signal, flag);
+            registered.map_err(|error| refused(name, signal, &error))?;
+        }
+        Ok(Self(is_starting))
+    }
+}
+
+impl Drop for StartUp {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Relaxed);
+    }
+}
+
 /// A flag that SIGINT and SIGTERM set, and SIGHUP unless `nohup` began the program. Repeating them
 /// changes nothing: an impatient operator must not cut short how a robot is stopped. SIGQUIT and
 /// SIGKILL end a program that does not stop.
@@ -57,15 +84,22 @@ pub fn log(filter: &str) {
 /// The system refuses; that was printed under the program's `name`. The exit code.
 pub fn stop_on_signals(name: &str) -> Result<Arc<AtomicBool>, ExitCode> {
     let stop = Arc::new(AtomicBool::new(false));
-    let hangup = (!is_hangup_ignored()).then_some(SIGHUP);
-    for signal in [SIGINT, SIGTERM].into_iter().chain(hangup) {
+    for signal in signals() {
         let registered = signal_hook::flag::register(signal, Arc::clone(&stop));
-        registered.map_err(|error| {
-            eprintln!("{name}: signal {signal}: {error}");
-            ExitCode::from(UNAVAILABLE)
-        })?;
+        registered.map_err(|error| refused(name, signal, &error))?;
     }
     Ok(stop)
+}
+
+/// Those that end a program.
+fn signals() -> impl Iterator<Item = i32> {
+    let hangup = (!is_hangup_ignored()).then_some(SIGHUP);
+    [SIGINT, SIGTERM].into_iter().chain(hangup)
+}
+
+fn refused(name: &str, signal: i32, error: &std::io::Error) -> ExitCode {
+    eprintln!("{name}: signal {signal}: {error}");
+    ExitCode::from(UNAVAILABLE)
 }
 
 /// Whether the process was begun with SIGHUP ignored.

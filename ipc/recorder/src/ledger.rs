@@ -37,6 +37,9 @@ pub enum Notice {
     /// A message broke the contract.
     #[error("{topic}: a message was refused: {reason}")]
     Refused { topic: &'static str, reason: String },
+    /// A page may not connect.
+    #[error("a page was refused; if you trust it: --origin {origin}")]
+    Origin { origin: String },
 }
 
 /// The counts of all topics.

@@ -8,6 +8,7 @@
 #![forbid(unsafe_code)]
 
 mod annotation;
+mod foxglove_server;
 mod ledger;
 pub mod live;
 mod plot;

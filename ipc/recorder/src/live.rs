@@ -1,7 +1,6 @@
-//! A domain live for Foxglove: its WebSocket by the vendor's SDK, with the schemas and views of a
-//! recording.
+//! A domain live for Foxglove: its WebSocket, with the schemas and views of a recording.
 //!
-//! Clients only read. The SDK drops the oldest messages of a client that does not keep up; nobody
+//! Clients only read. The server drops the oldest messages of a client that does not keep up; nobody
 //! waits for it.
 
 use std::collections::HashMap;
@@ -12,14 +11,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use foxglove::messages::RawImage;
-use foxglove::websocket::{ChannelView, Client, ServerListener};
-use foxglove::{ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema};
 use ipc::{CycleRecord, Domain, Image, ImageSubscriber, JoinError, Message, OpenError};
 use ipc::{Order, ReceiveError};
 use panda::Mount;
 use recording::{Encoding, Sink, WallClock, WriteError};
 use scene::{Scene, SceneFiles};
+use tokio::net::TcpListener;
 
+use crate::foxglove_server::Server;
 use crate::ledger::Notice;
 use crate::ports::{self, Failures};
 use crate::recorder::Recorder;
@@ -27,10 +26,6 @@ use crate::scenery::{CAMERA, IMAGE};
 
 /// Sleep between two looks at the queues: the shortest holds 64 messages, so 12,000 a second.
 const PAUSE: Duration = Duration::from_millis(5);
-/// Messages that wait for one client, whatever their size: one that subscribed to nothing but the
-/// images and does not read holds 64 of them, which is 400 MB where an image has 6 MB. With fewer, a
-/// client that reads would lose more when it is held up for a moment.
-const BACKLOG: usize = 64;
 /// Least time between two messages of a topic, ns: of a robot's 1,000 a second every fourth, of a
 /// daemon's 250 cycles all, unless the loop woke up half a millisecond late.
 const APART_NS: u64 = 3_500_000;
@@ -52,6 +47,8 @@ pub struct LiveOptions {
     pub mount: Option<Mount>,
     /// Address to listen at; port 0 takes a free one. Nobody is asked who they are.
     pub address: SocketAddr,
+    /// Origins of the pages that may connect, beside those of this machine.
+    pub origins: Vec<String>,
 }
 
 /// Why nothing was served, or no longer.
@@ -72,7 +69,7 @@ pub enum LiveError {
     #[error("{address}: {source}; allowed: a free address of this machine (port 0: any free port)")]
     Listen {
         address: SocketAddr,
-        source: FoxgloveError,
+        source: std::io::Error,
     },
 }
 
@@ -100,28 +97,19 @@ pub fn serve(
         .enable_all()
         .build()
         .map_err(LiveError::Thread)?;
-    let context = Context::new();
-    let arrivals = Arc::new(Arrivals::default());
     let address = options.address;
-    let host = match address {
-        SocketAddr::V4(address) => address.ip().to_string(),
-        SocketAddr::V6(address) => format!("[{}]", address.ip()),
-    };
-    let server = context
-        .websocket_server()
-        .name("vpcd")
-        .bind(host, address.port())
-        .capabilities([])
-        .message_backlog_size(BACKLOG)
-        .listener(Arc::clone(&arrivals) as Arc<dyn ServerListener>);
-    let server = runtime
-        .block_on(server.start())
-        .map_err(|source| LiveError::Listen { address, source })?;
-    begun(SocketAddr::new(address.ip(), server.port()));
+    let server = Arc::new(Server::default());
+    let bound = runtime.block_on(async {
+        let listener = TcpListener::bind(address).await?;
+        let bound = listener.local_addr()?;
+        tokio::spawn(Arc::clone(&server).accept(listener, options.origins.clone()));
+        Ok(bound)
+    });
+    begun(bound.map_err(|source| LiveError::Listen { address, source })?);
 
     let channels = Channels {
         clock: WallClock::now(),
-        context,
+        server: Arc::clone(&server),
         open: HashMap::new(),
     };
     let mut live = Recorder::new(channels, APART_NS);
@@ -131,6 +119,8 @@ pub fn serve(
     let mut lives = 0;
     // When what stands still was sent.
     let mut sent: Option<Instant> = None;
+    // Whether somebody has subscribed since.
+    let mut has_arrived = false;
     let mut written = Ok(());
     while !stop.load(Ordering::Relaxed) {
         for port in &mut ports {
@@ -155,10 +145,13 @@ pub fn serve(
                 scene = daemons(&options.domain, &mut tell);
             }
         }
-        let (now, has_arrived) = (Instant::now(), arrivals.0.load(Ordering::Relaxed));
+        if let Some(origin) = server.refused() {
+            tell(&Notice::Origin { origin });
+        }
+        has_arrived |= server.has_arrived();
+        let now = Instant::now();
         if is_new || is_due(sent, now, has_arrived) {
-            sent = Some(now);
-            arrivals.0.store(false, Ordering::Relaxed);
+            (sent, has_arrived) = (Some(now), false);
             // The wall clock may have been set meanwhile.
             live.writer.sink.clock = WallClock::now();
             if let Some(scene) = &scene {
@@ -172,7 +165,6 @@ pub fn serve(
         std::thread::sleep(PAUSE);
     }
     // A client that does not read would not let the server end.
-    server.stop().detach_all();
     runtime.shutdown_background();
     Ok(())
 }
@@ -248,21 +240,12 @@ fn raw(image: &Image) -> RawImage {
     }
 }
 
-/// Whether somebody has subscribed since what stands still was sent.
-#[derive(Debug, Default)]
-struct Arrivals(AtomicBool);
-
-impl ServerListener for Arrivals {
-    fn on_subscribe(&self, _: Client, _: ChannelView<'_>) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
 /// The channels of the server.
 pub(crate) struct Channels {
     clock: WallClock,
-    context: Arc<Context>,
-    open: HashMap<&'static str, Arc<RawChannel>>,
+    server: Arc<Server>,
+    /// Numbers of the open channels.
+    open: HashMap<&'static str, usize>,
 }
 
 impl Sink for Channels {
@@ -279,20 +262,9 @@ impl Sink for Channels {
         wall_ns: u64,
         data: impl FnOnce() -> Vec<u8>,
     ) -> Result<(), WriteError> {
-        if !self.open.contains_key(topic) {
-            let Encoding { schema, message } = encoding();
-            let channel = ChannelBuilder::new(topic)
-                .context(&self.context)
-                .message_encoding(message)
-                .schema(Schema::new(schema.0, schema.1, schema.2))
-                .build_raw();
-            // Fails only without an encoding.
-            self.open
-                .extend(channel.ok().map(|channel| (topic, channel)));
-        }
-        if let Some(channel) = self.open.get(topic).filter(|channel| channel.has_sinks()) {
-            channel.log_with_meta(&data(), PartialMetadata::with_log_time(wall_ns));
-        }
+        let open = || self.server.open(topic, encoding());
+        let channel = *self.open.entry(topic).or_insert_with(open);
+        self.server.send(channel, wall_ns, data);
         Ok(())
     }
 }
@@ -308,7 +280,7 @@ mod tests {
     fn nobody() -> Recorder<Channels> {
         let channels = Channels {
             clock: WallClock::now(),
-            context: Context::new(),
+            server: Arc::default(),
             open: HashMap::new(),
         };
         Recorder::new(channels, APART_NS)

@@ -276,6 +276,31 @@ fn a_fault_stays(python: &Path, robot: &str) {
     assert!(ended.stderr.contains(&words), "{}", ended.stderr);
 }
 
+/// An arm that does not know where it is stands, and the bridge says why.
+fn a_lost_place_is_a_fault(python: &Path, robot: &str) {
+    let mut rig = Rig::start(python, robot, WIDE, &[]);
+    rig.follow(TWIST, 10);
+    rig.place.file("log.nan", "");
+    let states = rig.follow(TWIST, 10);
+    let last = states.last().unwrap();
+    assert_eq!(last.mode, RobotMode::Fault.code());
+    let (ended, _) = rig.terminated(TWIST);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let words = "robot_bridge: fault: its pose, velocity or joints are not finite";
+    assert!(ended.stderr.contains(words), "{}", ended.stderr);
+}
+
+/// See `robust.py`.
+fn robust(python: &Path) {
+    let place = Place::new();
+    let directory = place.path("pipe");
+    std::fs::create_dir(&directory).unwrap();
+    let mut script = with_stand_ins(python, "tests/python/robust.py");
+    let said = run(script.arg(directory)).unwrap();
+    assert_eq!(said.matches("refused").count(), 3, "{said}");
+    assert!(said.contains("robust robot_bridge"), "{said}");
+}
+
 /// With `--dry-run` it says what it would send, and sends nothing.
 fn a_dry_run_sends_nothing(python: &Path, robot: &str) {
     let mut rig = Rig::start(python, robot, WIDE, &["--dry-run"]);
@@ -350,11 +375,13 @@ fn the_bridge_in_python_drives_robots_within_limits() {
         Environment::CLIENT.python("the_bridge_in_python_drives_robots_within_limits")
     {
         refusals(&python);
+        robust(&python);
         for robot in ROBOTS {
             the_camera_follows(&python, robot);
             nothing_moves(&python, robot);
             the_caps_hold(&python, robot);
             the_walls_hold(&python, robot);
+            a_lost_place_is_a_fault(&python, robot);
             a_fault_stays(&python, robot);
             a_dry_run_sends_nothing(&python, robot);
         }

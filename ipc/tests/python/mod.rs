@@ -223,6 +223,7 @@ fn messages_go_both_ways(python: &Path) {
         hold: Hold::None.code(),
         strategy: StrategyCode::Gpr.code(),
         neighbours: 0,
+        ..Reply::default()
     };
     controller.replies.publish(&reply).unwrap();
     let mut reply = Reply {

@@ -205,6 +205,11 @@ pub struct ServeArguments {
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765",
         conflicts_with_all = ["listen", "control"])]
     pub foxglove: Option<SocketAddr>,
+
+    /// Let pages of this origin connect, too, such as https://app.foxglove.dev; may be repeated. Pages
+    /// of this machine and programs may connect anyway.
+    #[arg(long, value_name = "URL", requires = "foxglove")]
+    pub origin: Vec<String>,
 }
 
 /// The command line of a request.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use recorder::live::{self, LiveOptions};
 use scene::SceneFiles;
@@ -34,7 +34,10 @@ pub fn run(domain: &Path, arguments: &ServeArguments) -> Result<Exit, Failure> {
         .map(record::mount)
         .transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
+    // Until the server is there the signals end the program, which may wait for the domain's lock.
+    let is_starting = Arc::new(AtomicBool::new(true));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register_conditional_default(signal, Arc::clone(&is_starting))?;
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
     }
     let options = LiveOptions {
@@ -42,6 +45,7 @@ pub fn run(domain: &Path, arguments: &ServeArguments) -> Result<Exit, Failure> {
         scene,
         mount,
         address,
+        origins: arguments.origin.clone(),
     };
     if !address.ip().is_loopback() {
         eprintln!(
@@ -49,6 +53,7 @@ pub fn run(domain: &Path, arguments: &ServeArguments) -> Result<Exit, Failure> {
         );
     }
     let begun = |address| {
+        is_starting.store(false, Ordering::Relaxed);
         // Nobody reads it any more: the server goes on.
         let _ = output::write(&format!("Foxglove: open a connection to ws://{address}\n"));
     };

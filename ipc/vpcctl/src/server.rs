@@ -116,8 +116,14 @@ async fn accept(listener: TcpListener, routes: Router) -> Infallible {
     let mut waiting: VecDeque<Waiting> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Out of descriptors, for instance: others must close first.
-            tokio::time::sleep(GRACE).await;
+            // Out of descriptors, for instance: the oldest makes room, or others must close first.
+            waiting.retain(Waiting::still_waits);
+            match waiting.pop_front() {
+                Some(oldest) => oldest.leave().await,
+                None => tokio::time::sleep(GRACE).await,
+            }
+            // The connection closes with its task.
+            tokio::task::yield_now().await;
             continue;
         };
         let client = Arc::new(Client::default());
@@ -137,11 +143,8 @@ async fn accept(listener: TcpListener, routes: Router) -> Infallible {
             if waiting.len() <= WAITING {
                 break;
             }
-            tokio::time::sleep_until(waiting[0].until).await;
-            if let Some(oldest) = waiting.pop_front()
-                && oldest.still_waits()
-            {
-                oldest.task.abort();
+            if let Some(oldest) = waiting.pop_front() {
+                oldest.leave().await;
             }
         }
     }
@@ -158,6 +161,14 @@ struct Waiting {
 impl Waiting {
     fn still_waits(&self) -> bool {
         !(self.task.is_finished() || self.client.has_asked())
+    }
+
+    /// Drops it once it had its time, unless it asks until then.
+    async fn leave(self) {
+        tokio::time::sleep_until(self.until).await;
+        if self.still_waits() {
+            self.task.abort();
+        }
     }
 }
 
@@ -237,7 +248,8 @@ fn is_plain(headers: &HeaderMap) -> bool {
         return false;
     };
     let name = host.host().trim_matches(['[', ']']);
-    name == "localhost" || name.parse::<IpAddr>().is_ok()
+    // A user's name before the host is none of ours.
+    !host.as_str().contains('@') && (name == "localhost" || name.parse::<IpAddr>().is_ok())
 }
 
 /// Whether the request comes from a page that we served: its origin is the host asked for.
@@ -278,6 +290,7 @@ mod tests {
         let plain = |host: &str| is_plain(&headers(&[(header::HOST, host)]));
         assert!(plain("127.0.0.1:9470") && plain("localhost") && plain("[::1]:9470"));
         assert!(!plain("evil.example:9470") && !plain("localhost.evil.example"));
+        assert!(!plain("evil@127.0.0.1") && !plain("evil:word@localhost:9470"));
         assert!(!is_plain(&HeaderMap::new()));
         let twice = [(header::HOST, "localhost"), (header::HOST, "localhost")];
         assert!(!is_plain(&headers(&twice)));

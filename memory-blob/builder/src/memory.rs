@@ -41,9 +41,9 @@ impl Collection {
             self.periods += trajectory.twists.len();
         }
         self.parts += 1;
-        self.tried += progress.tried;
+        self.tried = self.tried.saturating_add(progress.tried);
         let causes = self.causes.iter_mut().zip(progress.causes);
-        causes.for_each(|(sum, count)| *sum += count);
+        causes.for_each(|(sum, count)| *sum = sum.saturating_add(count));
     }
 
     /// Samples so far.

@@ -201,9 +201,14 @@ impl BuildState {
             postcard::from_bytes(&body).map_err(|error| damaged(path, error.to_string()))?;
         let missing = |name: &str| io::Error::new(io::ErrorKind::NotFound, name.to_owned());
         let mask = |name: &str| body.masks.get(name).cloned().ok_or_else(|| missing(name));
+        let scene = SceneFiles::parse(body.scene, &body.path, &mask)?;
+        for (index, trajectory) in body.progress.trajectories.iter().enumerate() {
+            let checked = trajectory.check(&scene.scene);
+            checked.map_err(|what| damaged(path, format!("trajectory {index}: {what}")))?;
+        }
         Ok(Self {
             header,
-            scene: SceneFiles::parse(body.scene, &body.path, &mask)?,
+            scene,
             progress: body.progress,
         })
     }

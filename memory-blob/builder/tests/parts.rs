@@ -88,6 +88,53 @@ fn made() -> TempDir {
     directory
 }
 
+/// A way to forge a trajectory.
+type Forgery = fn(&mut memory_builder::store::Trajectory);
+
+#[test]
+fn a_forged_part_is_refused_though_its_digest_is_right() {
+    let place = place();
+    let here = place.path();
+    done(
+        here,
+        &format!("build scene.toml --part 0/1 -o whole {FLAGS}"),
+    );
+    let whole = BuildState::read(&here.join("whole")).unwrap();
+    let forgeries: [(Forgery, &str); 10] = [
+        (|t| t.features.truncate(2), "one command fewer"),
+        (|t| t.features.clear(), "one command fewer"),
+        (|t| t.twists.clear(), "one command fewer"),
+        (
+            |t| t.features.iter_mut().for_each(|s| s.truncate(3)),
+            "3 points; expected: 4",
+        ),
+        (
+            |t| t.features.iter_mut().for_each(|s| s.resize(9, [5.0; 2])),
+            "9 points; expected: 4",
+        ),
+        (
+            |t| t.features.iter_mut().for_each(Vec::clear),
+            "0 points; expected: 4",
+        ),
+        (|t| t.features[1][2] = [f64::NAN; 2], "inside the image"),
+        (|t| t.features[1][2] = [1e300; 2], "inside the image"),
+        (|t| t.twists[0] = [f64::NAN; 6], "the limits of the scene"),
+        (|t| t.twists[0] = [50.0; 6], "the limits of the scene"),
+    ];
+    for (forge, words) in forgeries {
+        let (mut state, mut progress) = (whole.clone(), whole.progress.clone());
+        forge(&mut progress.trajectories[1]);
+        let _ = fs::remove_file(here.join("forged"));
+        state.save(&here.join("forged"), &progress).unwrap();
+        let said = refused(here, "merge forged -o forged.vpcmem");
+        assert!(
+            said.contains("trajectory 1: ") && said.contains(words),
+            "{said}"
+        );
+    }
+    done(here, "merge whole -o whole.vpcmem");
+}
+
 fn bytes(path: PathBuf) -> Vec<u8> {
     fs::read(path).unwrap()
 }

@@ -162,6 +162,7 @@ pub fn reply(request: &Request) -> Reply {
         hold: Hold::None.code(),
         strategy: StrategyCode::Gpr.code(),
         neighbours: 0,
+        ..Reply::default()
     }
 }
 

@@ -11,7 +11,7 @@ class RTDEReceiveInterface:
 
     def getActualTCPPose(self):
         self.arm.advance()
-        return [*self.arm.place.tolist(), *stand_in.log(self.arm.turn).tolist()]
+        return [*self.arm.known_place(), *stand_in.log(self.arm.turn).tolist()]
 
     def getActualTCPSpeed(self):
         self.arm.advance()

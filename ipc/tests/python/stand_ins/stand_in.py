@@ -1,5 +1,6 @@
 """An arm whose tool carries out every velocity exactly and at once. In place of a robot's address it takes a path: it
-appends its commands there as JSON lines, with the tool's place before each, and is at fault while PATH.fault exists."""
+appends its commands there as JSON lines, with the tool's place before each, and is at fault while PATH.fault exists; while
+PATH.nan exists it does not know where it is."""
 
 import json
 import os
@@ -59,6 +60,9 @@ class Arm:
     def fault(self):
         """Removing the file is what somebody does at the robot who clears the fault."""
         return os.path.exists(self.path + ".fault")
+
+    def known_place(self):
+        return (self.place * (np.nan if os.path.exists(self.path + ".nan") else 1.0)).tolist()
 
     def move(self, twist, until=np.inf):
         self.advance()

@@ -38,6 +38,8 @@ const PAGE: &str = include_str!("page.html");
 const VIEWS: usize = 5;
 /// Time between two events.
 const EVENT: Duration = Duration::from_millis(50);
+/// What keeps a descriptor.
+const SPARE: &str = "/dev/null";
 /// How long to wait for the daemon's answer.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Pause between two looks whether a stop was obeyed.
@@ -52,6 +54,8 @@ struct Server {
     views: Arc<Semaphore>,
     /// `None` if the page may not command.
     token: Option<String>,
+    /// A descriptor that is free for the stop file where connections took all others.
+    spare: Mutex<Option<File>>,
 }
 
 /// Serves the page until a signal comes; with `control`, the page may arm, disarm and stop.
@@ -70,6 +74,7 @@ pub fn run(
         pictures: Pictures::default(),
         views: Arc::new(Semaphore::new(VIEWS)),
         token: control.then(token).transpose()?,
+        spare: Mutex::new(Some(File::open(SPARE)?)),
     });
     // The part behind # stays in the browser: it is not sent, and not logged.
     let token = server.token.as_ref().map(|token| format!("#{token}"));
@@ -148,7 +153,12 @@ async fn command(
         status.directory.clone()
     };
     if action == Action::Stop {
-        return stop_by_file(&directory).await;
+        // Nothing else runs in this thread until the stop file is open.
+        let spare = || server.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        drop(spare().take());
+        let answer = stop_by_file(&directory).await;
+        *spare() = File::open(SPARE).ok();
+        return answer;
     }
     let request = match action {
         Action::Arm => {

@@ -1,6 +1,8 @@
 //! `serve --foxglove`, read by Foxglove's own client from npm beside a subscriber of the contract.
 
 use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::path::Path;
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -519,4 +521,96 @@ fn foxglove_is_served_to_other_machines_only_if_that_is_said() {
     let refused = vpcctl(&place.domain(), &["serve", "--foxglove", &address]);
     assert_eq!(refused.status.code(), Some(69));
     assert!(stderr(&refused).contains(&address), "{}", stderr(&refused));
+}
+
+/// A WebSocket by hand: the answer to its head from a page of this origin, and the connection.
+fn socket(url: &str, origin: Option<&str>) -> (String, TcpStream) {
+    let host = url.strip_prefix("ws://").unwrap();
+    let mut stream = TcpStream::connect(host).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let origin = origin.map_or_else(String::new, |origin| format!("Origin: {origin}\r\n"));
+    let head = format!(
+        "GET / HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+         Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+         Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n{origin}\r\n"
+    );
+    stream.write_all(head.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    while !answer.ends_with(b"\r\n\r\n") {
+        let mut byte = [0];
+        stream.read_exact(&mut byte).unwrap();
+        answer.push(byte[0]);
+    }
+    let answer = String::from_utf8(answer).unwrap();
+    (answer.lines().next().unwrap().to_owned(), stream)
+}
+
+/// The resident memory of a process, bytes.
+fn resident(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"));
+    let kilobytes = line.unwrap().split_whitespace().nth(1).unwrap();
+    1024 * kilobytes.parse::<u64>().unwrap()
+}
+
+/// `serve --foxglove` with these words, and its address.
+fn serving(place: &Place, words: &[&str]) -> (Running, String) {
+    let mut server = testkit::command(env!("CARGO_BIN_EXE_vpcctl"));
+    server.arg("--domain").arg(place.domain());
+    server
+        .args(["serve", "--foxglove", "127.0.0.1:0"])
+        .args(words);
+    server.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut server = Running::start(server);
+    let line = server.line("Foxglove: open a connection to ws://127.0.0.1:");
+    let url = line.rsplit(' ').next().unwrap().to_owned();
+    (server, url)
+}
+
+#[test]
+fn foreign_pages_may_not_connect_to_foxglove() {
+    let place = Place::new();
+    let (server, url) = serving(&place, &["--origin", "https://app.foxglove.dev"]);
+    let answer = |origin| socket(&url, origin).0;
+    for origin in [
+        None,
+        Some("http://localhost:8080"),
+        Some("https://app.foxglove.dev"),
+    ] {
+        assert!(answer(origin).contains(" 101 "), "{origin:?}");
+    }
+    for origin in [
+        "null",
+        "http://evil.example",
+        "http://localhost.evil.example",
+    ] {
+        assert!(answer(Some(origin)).contains(" 403 "), "{origin}");
+        let told = format!("--origin {origin}\n");
+        testkit::eventually(origin, || server.stderr().contains(&told).then_some(()));
+    }
+}
+
+#[test]
+fn a_client_that_does_not_read_holds_one_image_and_not_64() {
+    let place = Place::new();
+    // 6 MB, as of a camera with 2 megapixels.
+    let header = ImageHeader::new(1920, 1080, ipc::Encoding::Rgb8, 1);
+    let (server, url) = serving(&place, &[]);
+    let (_, mut deaf) = socket(&url, None);
+    let _camera = Camera::start(&place.domain(), header, |u, v| [u as u8, v as u8, 7]);
+    // The channel of the images is announced when the first one comes; its number is a small one.
+    let channels: Vec<_> = (0..40)
+        .map(|id| serde_json::json!({"id": id, "channelId": id}))
+        .collect();
+    let words = serde_json::json!({"op": "subscribe", "subscriptions": channels}).to_string();
+    let length = u16::try_from(words.len()).unwrap().to_be_bytes();
+    let frame = [&[0x81, 0xfe], &length[..], &[0; 4], words.as_bytes()].concat();
+    std::thread::sleep(Duration::from_secs(1));
+    let before = resident(server.id());
+    deaf.write_all(&frame).unwrap();
+    // 64 images of 6 MB come in 4 s.
+    std::thread::sleep(Duration::from_secs(5));
+    let grown = resident(server.id()).saturating_sub(before);
+    // Its own subscription to the camera maps up to five images.
+    assert!((6_000_000..100_000_000).contains(&grown), "{grown} bytes");
 }

@@ -1,9 +1,10 @@
 //! `metrics`, judged by the client library that Prometheus publishes for Python.
 
+use std::borrow::BorrowMut;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use testkit::python::Environment;
 use testkit::{Place, Running, eventually, program, root};
@@ -22,7 +23,25 @@ pub struct Server {
 
 impl Server {
     pub fn start(domain: &Path, words: &[&str]) -> Self {
-        let mut child = testkit::command(env!("CARGO_BIN_EXE_vpcctl"))
+        Self::begin(
+            testkit::command(env!("CARGO_BIN_EXE_vpcctl")),
+            domain,
+            words,
+        )
+    }
+
+    /// One that may open this many files.
+    pub fn with_descriptors(most: u32, domain: &Path, words: &[&str]) -> Self {
+        let mut shell = testkit::command("sh");
+        shell
+            .arg("-c")
+            .arg(format!("ulimit -n {most}; exec \"$0\" \"$@\""));
+        Self::begin(shell.arg(env!("CARGO_BIN_EXE_vpcctl")), domain, words)
+    }
+
+    fn begin(mut command: impl BorrowMut<Command>, domain: &Path, words: &[&str]) -> Self {
+        let mut child = command
+            .borrow_mut()
             .arg("--domain")
             .arg(domain)
             .args(words)

@@ -190,6 +190,30 @@ fn a_stop_gets_through_whatever_others_do() {
 }
 
 #[test]
+fn a_stop_gets_through_where_idle_clients_hold_all_descriptors() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let words = ["serve", "--listen", "127.0.0.1:0", "--control"];
+    let server = Server::with_descriptors(128, directory.path(), &words);
+    let token = server.line.trim().rsplit('#').next().unwrap().to_owned();
+    let host = server.address.clone();
+    let idle: Vec<_> = (0..300).map(|_| server.connect()).collect();
+    let fields = format!("Host: {host}\r\nOrigin: http://{host}\r\nX-Vpc-Token: {token}\r\n");
+    let begin = std::time::Instant::now();
+    for _ in 0..3 {
+        let answer = server.ask("POST /stop", &fields, 1 << 16);
+        assert!(answer.contains("stop: done after"), "{answer}");
+    }
+    // Idle clients are dropped after 5 s in any case.
+    assert!(
+        begin.elapsed() < Duration::from_secs(2),
+        "{:?}",
+        begin.elapsed()
+    );
+    drop(idle);
+}
+
+#[test]
 fn a_server_ends_on_a_signal_though_a_page_reads() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());

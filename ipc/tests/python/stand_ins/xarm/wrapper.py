@@ -49,7 +49,7 @@ class XArmAPI:
 
     def get_position(self, is_radian=None):
         self.arm.advance()
-        place = [round(1000.0 * v, 6) for v in self.arm.place.tolist()]
+        place = [round(1000.0 * v, 6) for v in self.arm.known_place()]
         return 0, place + self._angles(stand_in.to_rpy(self.arm.turn), is_radian)
 
     def get_servo_angle(self, servo_id=None, is_radian=None, is_real=False):
