@@ -10,6 +10,7 @@ use ros2_client::Publisher as Topic;
 use crate::arm::Arm;
 use crate::config::{CommandFrame, Config, Executed, FeaturesKind};
 use crate::eye::Eye;
+use crate::guard;
 use crate::inbox::Inbox;
 use crate::message::{
     AprilTagDetectionArray, CameraInfo, Header, JointState, PolygonStamped, PoseStamped, Twist,
@@ -17,7 +18,7 @@ use crate::message::{
 };
 use crate::outlet::Outlet;
 use crate::refusal::{Counts, Refusal};
-use crate::ros::{Ros, RosError};
+use crate::ros::{Listeners, Ros, RosError};
 use crate::stamp::{self, Clocks};
 
 /// Between two looks: a thirtieth of a period at 30 Hz.
@@ -45,6 +46,10 @@ pub enum BridgeError {
     Receive(#[from] ipc::ReceiveError),
     #[error(transparent)]
     SetBack(#[from] stamp::SetBack),
+    #[error("its guard has ended, which says zero when the gateway cannot")]
+    Guard,
+    #[error("no guard can be started, which says zero when the gateway cannot: {0}")]
+    NoGuard(std::io::Error),
     #[error(transparent)]
     Scene(#[from] crate::agreement::OtherScene),
 }
@@ -105,6 +110,7 @@ struct Robot {
     poses: Option<Inbox<PoseStamped>>,
     joints: Option<Inbox<JointState>>,
     command: Topic<TwistStamped>,
+    listeners: Option<Listeners>,
     frame: String,
 }
 
@@ -206,6 +212,13 @@ impl Bridge {
                 measured_ns = now;
                 if let Some(step) = self.clocks.follow(stamp::measure(), now)? {
                     let _ = tell.try_send(Event::Step(step));
+                }
+                if guard::is_gone() {
+                    return Err(BridgeError::Guard);
+                }
+                let listeners = self.robot.as_mut().and_then(|r| r.listeners.as_mut());
+                if listeners.is_some_and(Listeners::have_left) {
+                    guard::nobody_listens();
                 }
                 // A vpcd that came meanwhile finds the last features.
                 if let Some(features) = &mut ports.features {
@@ -313,13 +326,16 @@ impl Camera {
 impl Robot {
     fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
         let keys = &config.robot;
+        let command = ros.publisher(&keys.command, keys.command_reliability)?;
+        guard::writer(command.guid().to_bytes());
         let mut robot = Self {
             arm: Arm::new(config),
             outlet: Outlet::new(config.zeros_ns, config.scene.limits.velocity()),
             twists: None,
             poses: None,
             joints: None,
-            command: ros.publisher(&keys.command, keys.command_reliability)?,
+            listeners: ros.listeners(&command),
+            command,
             frame: match keys.command_frame {
                 CommandFrame::Camera => config.camera.frame.clone(),
                 CommandFrame::Tool => keys.tool.clone(),
