@@ -68,13 +68,12 @@ fn begin() -> Result<ExitCode, ExitCode> {
     })
 }
 
-/// The library waits for a state for ever where something else comes. A robot without commands stops
-/// by itself.
+/// A robot without commands stops by itself.
 fn end_if_it_hangs() {
     loop {
         std::thread::sleep(LOOK);
-        if robot::hangs() {
-            eprintln!("vpc-panda: datagrams come from the robot, and no new state: ended");
+        if let Some(why) = robot::hangs() {
+            eprintln!("vpc-panda: {why}: ended");
             std::process::exit(UNAVAILABLE.into());
         }
     }

@@ -25,13 +25,22 @@ const LONGEST_WAIT_NS: u64 = 2_000_000_000;
 
 /// Since when a state is waited for, CLOCK_MONOTONIC, ns; 0: none is.
 static WAITS_SINCE_NS: AtomicU64 = AtomicU64::new(0);
+/// A number that was refused; 0: none was.
+static REFUSED: AtomicU64 = AtomicU64::new(0);
 
-/// Whether something keeps the library waiting for a state for too long. It takes the states with the
-/// greatest number, and waits for a greater one as long as datagrams come: after a forged number, for
-/// ever.
-pub fn hangs() -> bool {
+/// Why nothing can come of the library any more, if so. It takes the state with the greatest number,
+/// and waits for a greater one as long as datagrams come: after a forged number, for ever, even where
+/// its motion is dropped.
+pub fn hangs() -> Option<String> {
+    let refused = REFUSED.load(Ordering::Relaxed);
+    if refused > 0 {
+        return Some(format!(
+            "a state with the number {refused} is not the robot's"
+        ));
+    }
     let since = WAITS_SINCE_NS.load(Ordering::Relaxed);
-    since > 0 && now_ns().saturating_sub(since) > LONGEST_WAIT_NS
+    let is_long = since > 0 && now_ns().saturating_sub(since) > LONGEST_WAIT_NS;
+    is_long.then(|| "datagrams come from the robot, and no new state".to_owned())
 }
 
 /// A robot whose states have numbers that are to be expected, from the robot's address alone.
@@ -66,9 +75,9 @@ impl Robot {
         let number = state.time.as_millis();
         let last = self.last_ms.load(Ordering::Relaxed);
         if last > 0 && number.saturating_sub(last) > FAR_MS {
-            return Err(FrankaError::Protocol(format!(
-                "a state with the number {number} came after {last}: not the robot's"
-            )));
+            REFUSED.store(number, Ordering::Relaxed);
+            let why = format!("a state with the number {number} came after {last}");
+            return Err(FrankaError::Protocol(why));
         }
         self.last_ms.store(number, Ordering::Relaxed);
         Ok(state)
