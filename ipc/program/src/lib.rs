@@ -6,13 +6,20 @@
 pub mod kernel;
 
 use std::io::IsTerminal;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use clap::{ArgMatches, CommandFactory};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
+
+/// Between two looks for a signal.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Done, and something wants attention: a finding, a result that was not written.
 pub const ATTENTION: u8 = 1;
@@ -100,6 +107,52 @@ fn signals() -> impl Iterator<Item = i32> {
 fn refused(name: &str, signal: i32, error: &std::io::Error) -> ExitCode {
     eprintln!("{name}: signal {signal}: {error}");
     ExitCode::from(UNAVAILABLE)
+}
+
+/// Ends the process where it is, with the exit code [`ATTENTION`], if it has not ended by itself
+/// within `patience` after `stop` was set. It starts a thread for that, so that nothing that hangs
+/// keeps a signal from ending the program.
+///
+/// # Errors
+/// There is no thread; that was printed under the program's `name`. The exit code.
+pub fn end_within(
+    patience: Duration,
+    stop: &Arc<AtomicBool>,
+    name: &'static str,
+) -> Result<(), ExitCode> {
+    let stop = Arc::clone(stop);
+    let watch = move || {
+        while !stop.load(Ordering::Relaxed) {
+            std::thread::sleep(LOOK);
+        }
+        std::thread::sleep(patience);
+        eprintln!("{name}: not stopped within {patience:?}: ended where it is");
+        std::process::exit(ATTENTION.into());
+    };
+    let thread = std::thread::Builder::new().name("end".to_owned());
+    thread.spawn(watch).map(drop).map_err(|error| {
+        eprintln!("{name}: no thread: {error}");
+        ExitCode::from(UNAVAILABLE)
+    })
+}
+
+/// Tells the service manager, if there is one, after `sd_notify(3)`: `READY=1`, `WATCHDOG=1`. What
+/// it does not take is lost.
+pub fn notify(words: &str) {
+    let Some(path) = std::env::var_os("NOTIFY_SOCKET") else {
+        return;
+    };
+    let address = match path.as_bytes().strip_prefix(b"@") {
+        Some(name) => SocketAddr::from_abstract_name(name),
+        None => SocketAddr::from_pathname(&path),
+    };
+    let socket = UnixDatagram::unbound().and_then(|socket| {
+        socket.set_nonblocking(true)?;
+        Ok(socket)
+    });
+    if let (Ok(address), Ok(socket)) = (address, socket) {
+        let _ = socket.send_to_addr(words.as_bytes(), &address);
+    }
 }
 
 /// Whether the process was begun with SIGHUP ignored.

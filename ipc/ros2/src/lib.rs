@@ -21,6 +21,8 @@ pub mod eye;
 #[cfg(feature = "dds")]
 pub mod frames;
 #[cfg(feature = "dds")]
+pub mod guard;
+#[cfg(feature = "dds")]
 mod inbox;
 #[cfg(feature = "dds")]
 pub mod message;
@@ -36,3 +38,5 @@ pub mod ros;
 pub mod services;
 #[cfg(feature = "dds")]
 pub mod stamp;
+#[cfg(feature = "dds")]
+mod wire;

@@ -1,5 +1,7 @@
 //! `vpc-ros2`: the gateway as a process.
 
+mod tap;
+
 use std::collections::BTreeMap;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,10 +11,12 @@ use std::time::{Duration, Instant};
 use ipc::{CycleRecord, Domain, Subscriber, now_ns};
 use program::{ATTENTION, CONFIG, SOFTWARE, UNAVAILABLE};
 use ros2_client::Publisher;
+use rustix::process::{Resource, getrlimit, setrlimit};
 use vpc_ros2::agreement::{Agreement, OtherScene};
 use vpc_ros2::bridge::{Bridge, BridgeError, Event, Report};
 use vpc_ros2::config::{Arguments, Config, Reliability};
 use vpc_ros2::diagnostics;
+use vpc_ros2::guard;
 use vpc_ros2::message::DiagnosticArray;
 use vpc_ros2::overlay::Overlay;
 use vpc_ros2::ros::Ros;
@@ -30,6 +34,10 @@ const SELDOM: Duration = Duration::from_secs(10);
 /// Between two diagnostics, and two drawings.
 const DIAGNOSTICS: Duration = Duration::from_secs(1);
 const DRAWING: Duration = Duration::from_millis(90);
+/// Most memory of its own, bytes: ten times of what it uses.
+const MOST_MEMORY: u64 = 512 << 20;
+/// Longest time from a signal to the end.
+const LAST: Duration = Duration::from_secs(2);
 /// How long a preflight listens.
 const LISTEN: Duration = Duration::from_secs(3);
 
@@ -38,6 +46,17 @@ fn main() -> ExitCode {
 }
 
 fn begin() -> Result<ExitCode, ExitCode> {
+    let mut words = std::env::args().skip(1);
+    if words.next().as_deref() == Some(guard::ROLE) {
+        // They are for the gateway, whose end it awaits.
+        let _ignored = program::stop_on_signals("vpc-ros2")?;
+        return guard::run(words)
+            .map(|()| ExitCode::SUCCESS)
+            .map_err(|error| {
+                eprintln!("vpc-ros2 {}: {error}", guard::ROLE);
+                ExitCode::from(SOFTWARE)
+            });
+    }
     let matches = program::arguments::<Arguments>()?;
     // What the DDS library has to tell is for its developers.
     program::log("info,rustdds=off,ros2_client=off");
@@ -46,6 +65,8 @@ fn begin() -> Result<ExitCode, ExitCode> {
         ExitCode::from(error.exit_code())
     })?;
     let stop = program::stop_on_signals("vpc-ros2")?;
+    program::end_within(LAST, &stop, "vpc-ros2")?;
+    limit_memory()?;
     let ended = match matches.get_flag("preflight") {
         true => preflight(&config, &stop),
         false => run(&config, &stop),
@@ -59,7 +80,25 @@ fn begin() -> Result<ExitCode, ExitCode> {
     })
 }
 
+/// What the network makes it allocate ends in an abort, not in a machine without memory; and no core
+/// is dumped, which takes time.
+fn limit_memory() -> Result<(), ExitCode> {
+    for (resource, most) in [(Resource::Data, MOST_MEMORY), (Resource::Core, 0)] {
+        let mut limit = getrlimit(resource);
+        limit.current = Some(limit.maximum.map_or(most, |maximum| maximum.min(most)));
+        setrlimit(resource, limit).map_err(|error| {
+            eprintln!("vpc-ros2: {resource:?}: {error}");
+            ExitCode::from(UNAVAILABLE)
+        })?;
+    }
+    Ok(())
+}
+
 fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
+    if config.is_robot() {
+        // Before anything reads the network.
+        guard::start(Duration::from_nanos(config.zeros_ns)).map_err(BridgeError::NoGuard)?;
+    }
     let mut ros = Ros::join(config)?;
     let bridge = Bridge::open(config, &mut ros)?;
     let services = Services::open(&mut ros)?;
@@ -164,7 +203,11 @@ impl Onlooker {
         let mut agreed = Ok(());
         loop {
             match events.recv_timeout(LOOK) {
-                Ok(Event::Report(newest)) => report = newest,
+                // The loop turns, and so does this thread.
+                Ok(Event::Report(newest)) => {
+                    report = newest;
+                    program::notify("READY=1\nWATCHDOG=1");
+                }
                 Ok(event) => log.tell(&event),
                 Err(RecvTimeoutError::Timeout) => (),
                 Err(RecvTimeoutError::Disconnected) => break,

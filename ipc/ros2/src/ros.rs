@@ -1,6 +1,11 @@
 //! The node in the graph of ROS 2, and its quality of service.
 
-use ros2_client::dds::rustdds::{DomainParticipantBuilder, Topic};
+use std::collections::BTreeSet;
+
+use ros2_client::dds::rustdds::dds::statusevents::DomainParticipantStatusEvent as Status;
+use ros2_client::dds::rustdds::{
+    DomainParticipantBuilder, DomainParticipantStatusListener, GUID, StatusEvented, Topic,
+};
 use ros2_client::qos::{History, WhenFull};
 use ros2_client::{
     Context, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile, Server,
@@ -43,6 +48,33 @@ pub struct Ros {
     node: Node,
     name: String,
     services: ServiceMapping,
+    statuses: Option<DomainParticipantStatusListener>,
+}
+
+/// Who listens to a topic of ours.
+pub struct Listeners {
+    writer: GUID,
+    readers: BTreeSet<GUID>,
+    statuses: DomainParticipantStatusListener,
+}
+
+impl Listeners {
+    /// Whether the last one has left since it was asked last.
+    pub fn have_left(&mut self) -> bool {
+        let before = self.readers.len();
+        while let Some(status) = self.statuses.try_recv_status() {
+            match status {
+                Status::RemoteReaderMatched {
+                    local_writer,
+                    remote_reader,
+                } if local_writer == self.writer => _ = self.readers.insert(remote_reader),
+                Status::ReaderLost { guid, .. } => _ = self.readers.remove(&guid),
+                Status::ParticipantLost { id, .. } => self.readers.retain(|r| r.prefix != id),
+                _ => (),
+            }
+        }
+        before > 0 && self.readers.is_empty()
+    }
 }
 
 impl Ros {
@@ -56,6 +88,7 @@ impl Ros {
             builder = builder.with_only_networks(config.interfaces.iter().copied());
         }
         let participant = builder.build().map_err(failed("participant"))?;
+        let statuses = Some(participant.status_listener());
         let context = Context::from_domain_participant(participant);
         let context = context.map_err(failed("context"))?;
         let [namespace, name] = &config.node;
@@ -68,6 +101,7 @@ impl Ros {
         Ok(Self {
             node,
             name,
+            statuses,
             services: match config.services {
                 Services::Fastdds => ServiceMapping::Enhanced,
                 Services::Cyclonedds => ServiceMapping::Cyclone,
@@ -78,6 +112,15 @@ impl Ros {
     /// Its full name: services and overlays are below it.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Who listens to `publisher`; `None` for all publishers but the first that asks.
+    pub fn listeners<M: Serialize>(&mut self, publisher: &Publisher<M>) -> Option<Listeners> {
+        Some(Listeners {
+            writer: publisher.guid(),
+            readers: BTreeSet::new(),
+            statuses: self.statuses.take()?,
+        })
     }
 
     /// Offers a topic.

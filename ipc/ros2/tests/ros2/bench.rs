@@ -211,7 +211,12 @@ impl Bench {
     }
 
     pub fn restart_gateway(&mut self) {
-        self.gateway = gateway(&self.place, &self.config);
+        self.replace_gateway();
+    }
+
+    /// Starts another; the one before.
+    pub fn replace_gateway(&mut self) -> Running {
+        std::mem::replace(&mut self.gateway, gateway(&self.place, &self.config))
     }
 
     pub fn restart_vpcd(&mut self) {
