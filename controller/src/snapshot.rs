@@ -6,7 +6,7 @@ use ipc::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 5;
+pub const VERSION: u32 = 6;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;

@@ -7,9 +7,9 @@
 //!
 //! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
 //! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, overruns, bad
-//!   twist, solver failure, frozen image, features lost.
+//!   twist, solver failure, frozen image, an image that does not follow, features lost.
 //! - *Brake, go on with the next good features*: no robot yet; features stale, invalid, hidden,
-//!   miscounted, not finite, off the image, mixed up, out of order; transport; no way known; a solver
+//!   miscounted, not finite, off the image, mixed up, elsewhere, out of order; transport; no way known; a solver
 //!   that failed once or twice.
 //!
 //! Each list begins with its gravest cause. Features are *lost* if the law could use none for
@@ -284,6 +284,10 @@ impl Supervisor {
             (is_decided(HoldReason::BadTwist), HoldReason::BadTwist),
             (self.failures >= IN_A_ROW, HoldReason::Solver),
             (is_decided(HoldReason::Frozen), HoldReason::Frozen),
+            (
+                is_decided(HoldReason::NotFollowing),
+                HoldReason::NotFollowing,
+            ),
             (situation.good_ns.is_some_and(beyond), HoldReason::Lost),
             (is_robot(HoldReason::NoRobot), HoldReason::NoRobot),
         ]
@@ -387,6 +391,7 @@ fn response(cause: HoldReason) -> Response {
         | HoldReason::BadTwist
         | HoldReason::Solver
         | HoldReason::Frozen
+        | HoldReason::NotFollowing
         | HoldReason::Lost => Response::Disarm,
         HoldReason::NoRobot
         | HoldReason::NoFeatures
@@ -398,6 +403,7 @@ fn response(cause: HoldReason) -> Response {
         | HoldReason::OffImage
         | HoldReason::Transport
         | HoldReason::Mixed
+        | HoldReason::Elsewhere
         | HoldReason::Order
         | HoldReason::NoWay => Response::Wait,
     }
