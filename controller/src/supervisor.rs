@@ -299,7 +299,7 @@ impl Supervisor {
     /// The law's decision; after anything else its twist grows as a whole, so that the camera stays
     /// on the path that the law has looked at.
     fn ramped(&mut self, decision: &Decision, elapsed_ns: u64) -> Decision {
-        self.is_ramping |= self.sent.hold.is_some();
+        self.is_ramping |= self.sent.hold.is_some() || !self.may_follow(&decision.twist);
         let share = match self.rules.change.iter().all(|c| c.is_finite()) {
             // The law keeps to them by itself; but what it decided before it was held stands still.
             true if self.may_follow(&decision.twist) => 1.0,

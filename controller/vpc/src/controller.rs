@@ -101,6 +101,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
     ) -> Result<Self, SettingsError> {
         settings.check()?;
         let mut task = Task::new(scene)?;
+        task.acceleration = settings.acceleration(&scene.limits);
         let stop_s = task.period + task.stop_s(&task.limits);
         // The window is long enough for a stop.
         task.ts = settings

@@ -19,6 +19,7 @@ mod delay;
 mod failures;
 mod faultless;
 mod fixture;
+mod follow;
 mod foresight;
 mod hang;
 mod hostile;
