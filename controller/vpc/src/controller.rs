@@ -421,6 +421,14 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         let model = self.settings.model;
         let measured = InitialState::turned(&self.task, model, &filtered, tilt.as_ref());
         let tilt = measured.tilt;
+        match &commanded {
+            Some((from, to)) if is_live => {
+                let follow = &mut self.state.follow;
+                let added = follow.add(&self.task, &measured, [from, to], exposed_ns);
+                added.inspect_err(|_| self.lose_sight())?;
+            }
+            _ => self.state.follow = Follow::NEW,
+        }
         let initial = if age_ns == 0 || !self.settings.delay_compensation {
             measured
         } else {
@@ -430,14 +438,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
                 Unpredictable::Lost => Refusal::Lost,
             })?
         };
-        match &commanded {
-            Some((from, to)) if is_live => {
-                let follow = &mut self.state.follow;
-                let added = follow.add(&self.task, points, [from, to], exposed_ns);
-                added.inspect_err(|_| self.lose_sight())?;
-            }
-            _ => self.state.follow = Follow::NEW,
-        }
         self.state.seen = points.as_slice().into();
         self.state.filtered = filtered.as_slice().into();
         self.state.tilt = tilt;
@@ -487,8 +487,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             gate::check_leaps(&self.task, points, expected)?;
         }
         let moved_px = features::largest_distance(expected, &filtered);
-        // A robot may be as late as not to have begun.
-        let most_px = moved_px + follow::object_px(&self.task, &filtered, since_s);
+        // A robot may not have begun, or may still be under way.
+        let most_px = moved_px
+            + self.state.follow.ahead_px()
+            + follow::object_px(&self.task, &filtered, since_s);
         gate::check_place(&self.task, points, expected, most_px)?;
         frozen::check(&mut self.state.still_px, points, &seen, moved_px)
             .inspect_err(|_| self.lose_sight())

@@ -9,7 +9,8 @@
 //! | o | `object` | most that an object can take from p by a motion of its own, px |
 //!
 //! The image does not follow if, for every lag of the robot, p + 3 px < abs(c) / 3 and p + o + 3 px
-//! < 0.6 abs(c).
+//! < 0.6 abs(c). The same is asked of what is left of c without the shift that is common to all
+//! points.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -26,6 +27,8 @@ const WINDOWS: [usize; 2] = [4, 8];
 /// Largest lag, slots: a shaper, a low-pass filter and the way there have half a second together,
 /// as in the daemon's watch of the robot.
 const MOST_LAG: usize = 4;
+/// The lag of a usual robot, slots.
+const USUAL_LAG: usize = 2;
 /// Slots kept: the longest window at the largest lag.
 const SLOTS: usize = 12;
 
@@ -36,7 +39,10 @@ const SHARE: f64 = 1.0 / 3.0;
 const LEAST_GAIN: f64 = 0.6;
 /// Six times the deviation of p with a noise of 0.35 px on each coordinate, px.
 const NOISE_PX: f64 = 3.0;
-/// An object may move by itself at this share of the camera's velocity limits in each component:
+/// Where less than this share of the commanded displacement is no common shift, errors of
+/// calibration may hide it.
+const LEAST_SHAPE: f64 = 0.3;
+/// An object may move, and turn about its middle, at this share of the camera's velocity limits:
 /// 0.1 m/s and 0.2 rad/s in the paper's scene.
 const OBJECT: f64 = 0.2;
 
@@ -74,7 +80,7 @@ impl Follow {
         since: [[0.0; 2]; MAX_POINTS],
     };
 
-    /// Adds a measurement, and where the commands since the one before should have taken the points
+    /// Adds a measurement, which may be filtered, and where the commands since the one before should have taken the points
     /// `from` there: `to`.
     ///
     /// # Errors
@@ -82,7 +88,7 @@ impl Follow {
     pub fn add(
         &mut self,
         task: &Task,
-        points: &Points,
+        measured: &InitialState,
         [from, to]: [&Points; 2],
         exposed_ns: u64,
     ) -> Result<(), Refusal> {
@@ -98,17 +104,31 @@ impl Follow {
             commanded: core::mem::take(&mut self.since),
             ..Slot::default()
         };
-        for (to, from) in slot.points.iter_mut().zip(points) {
+        for (to, from) in slot.points.iter_mut().zip(&measured.points) {
             *to = from.map(|x| x as f32);
         }
         self.slots.rotate_right(1);
         let [newest, ..] = &mut self.slots;
         *newest = slot;
         self.count = (self.count + 1).min(SLOTS as u32);
-        let flow = flow(task, points, Mover::Object);
+        let flow = flow(task, measured, Mover::Object);
         WINDOWS
             .into_iter()
             .try_for_each(|window| self.check(task, &flow, window))
+    }
+
+    /// How far a point goes at most on what was commanded of late, px: so far ahead of the image a
+    /// robot's commands may be.
+    pub fn ahead_px(&self) -> f64 {
+        let slots = self.slots.iter().take(USUAL_LAG);
+        let all = slots.map(|slot| &slot.commanded).chain([&self.since]);
+        let mut most = [0.0_f64; MAX_POINTS];
+        for commanded in all {
+            for (sum, [u, v]) in most.iter_mut().zip(commanded) {
+                *sum += libm::hypot(f64::from(*u), f64::from(*v));
+            }
+        }
+        most.into_iter().fold(0.0, f64::max)
     }
 
     /// Checks a window of so many slots.
@@ -122,45 +142,74 @@ impl Follow {
         let mut seen = newest.points;
         add(&mut seen, &oldest.points, -1.0);
         let seconds = newest.exposed_ns.saturating_sub(oldest.exposed_ns) as f64 * 1e-9;
-        let mut least = (f64::INFINITY, 0.0);
-        for lag in 0..=MOST_LAG {
-            let mut commanded = [[0.0; 2]; MAX_POINTS];
-            for slot in self.slots.iter().skip(lag).take(window) {
-                add(&mut commanded, &slot.commanded, 1.0);
-            }
-            let length = libm::sqrt(dot(&commanded, &commanded));
-            let along = dot(&seen, &commanded) / length;
-            let each = flow.iter().zip(&task.limits);
-            let object: f64 = each
-                .map(|(flow, limit)| OBJECT * limit * dot(flow, &commanded).abs())
-                .sum();
-            let object = object * seconds / length;
-            let is_missing = along + NOISE_PX < SHARE * length
-                && along + object + NOISE_PX < LEAST_GAIN * length;
-            // Also for a NaN, where nothing was commanded.
-            if !is_missing {
-                return Ok(());
-            }
-            if length < least.0 {
-                least = (length, along);
+        let object = |along: &Displacement| {
+            // Speed and turning rate, in any direction.
+            let parts = flow
+                .chunks(3)
+                .zip(task.limits.chunks(3))
+                .map(|(flow, limits)| {
+                    let each = flow.iter().zip(limits);
+                    let squares =
+                        each.map(|(flow, limit)| libm::pow(limit * dot(flow, along), 2.0));
+                    libm::sqrt(squares.sum())
+                });
+            OBJECT * seconds * parts.sum::<f64>()
+        };
+        let points = task.pattern.len();
+        for is_shape in [false, true] {
+            let mut least = (f64::INFINITY, 0.0);
+            let mut lags = (0..=MOST_LAG).map(|lag| {
+                let mut commanded = [[0.0; 2]; MAX_POINTS];
+                for slot in self.slots.iter().skip(lag).take(window) {
+                    add(&mut commanded, &slot.commanded, 1.0);
+                }
+                let whole = libm::sqrt(dot(&commanded, &commanded));
+                if is_shape {
+                    remove_shift(&mut commanded, points);
+                }
+                let length = libm::sqrt(dot(&commanded, &commanded));
+                let along = dot(&seen, &commanded) / length;
+                if length < least.0 {
+                    least = (length, along);
+                }
+                // False also for a NaN, where nothing was commanded.
+                length > LEAST_SHAPE * whole
+                    && along + NOISE_PX < SHARE * length
+                    && along + object(&commanded) / length + NOISE_PX < LEAST_GAIN * length
+            });
+            if lags.all(|is_missing| is_missing) {
+                let (commanded_px, seen_px) = least;
+                return Err(Refusal::NotFollowing {
+                    commanded_px,
+                    seen_px,
+                });
             }
         }
-        let (commanded_px, seen_px) = least;
-        Err(Refusal::NotFollowing {
-            commanded_px,
-            seen_px,
-        })
+        Ok(())
+    }
+}
+
+/// Leaves of a displacement what is not common to all points: an object that moves sideways does
+/// not change it.
+fn remove_shift(displacement: &mut Displacement, points: usize) {
+    let count = points.max(1) as f32;
+    let sum = |i: usize| displacement.iter().filter_map(|d| d.get(i)).sum::<f32>();
+    let shift = [sum(0) / count, sum(1) / count];
+    for d in displacement.iter_mut().take(points) {
+        *d = [d[0] - shift[0], d[1] - shift[1]];
     }
 }
 
 /// How far an object can move in the image by itself in so long a time, px.
 pub fn object_px(task: &Task, points: &Points, seconds: f64) -> f64 {
-    OBJECT * seconds * fastest(task, &flow(task, points, Mover::Object))
+    let at = InitialState::new(task, Model::AreaDepth, points);
+    OBJECT * seconds * fastest(task, &flow(task, &at, Mover::Object))
 }
 
 /// How far a camera at its limits can move the points in so long a time, px.
 pub fn camera_px(task: &Task, points: &Points, seconds: f64) -> f64 {
-    seconds * fastest(task, &flow(task, points, Mover::Camera))
+    let at = InitialState::new(task, Model::AreaDepth, points);
+    seconds * fastest(task, &flow(task, &at, Mover::Camera))
 }
 
 /// The velocity of the fastest point with each component of the twist at its limit, px/s.
@@ -185,10 +234,9 @@ enum Mover {
 }
 
 /// Image velocity of each point by a velocity of 1 in each component of the object, or of the
-/// camera with the other sign, px/s, at the depths that the pattern's area gives.
-fn flow(task: &Task, points: &Points, mover: Mover) -> [Displacement; 6] {
-    let depths = InitialState::new(task, Model::AreaDepth, points).depths();
-    let places = points.iter().zip(depths).map(|(&pixel, depth)| {
+/// camera with the other sign, px/s.
+fn flow(task: &Task, at: &InitialState, mover: Mover) -> [Displacement; 6] {
+    let places = at.points.iter().zip(at.depths()).map(|(&pixel, depth)| {
         let [x, y] = camera::normalise(&task.camera, pixel);
         Vector3::new(x, y, 1.0) * depth
     });
@@ -249,6 +297,7 @@ mod tests {
                 .map(|p| [p[0] + speed(s) * PERIOD, p[1]])
                 .collect();
             let seen: Points = from.iter().map(|p| [p[0] + u, p[1]]).collect();
+            let seen = InitialState::new(&task, Model::AreaDepth, &seen);
             let added = follow.add(&task, &seen, [from, &to], (s * 1e9) as u64);
             added.is_err()
         })
