@@ -9,7 +9,7 @@
 //! | o | `object` | most that an object can take from p by a motion of its own, px |
 //!
 //! The image does not follow if, for every lag of the robot, p + 3 px < abs(c) / 3 and p + o + 3 px
-//! < 0.6 abs(c). The same is asked of what is left of c without the shift that is common to all
+//! < 0.5 abs(c). The same is asked of what is left of c without the shift that is common to all
 //! points.
 
 use nalgebra::Vector3;
@@ -27,6 +27,9 @@ const WINDOWS: [usize; 2] = [4, 8];
 /// Largest lag, slots: a shaper, a low-pass filter and the way there have half a second together,
 /// as in the daemon's watch of the robot.
 const MOST_LAG: usize = 4;
+/// Lags looked at in each slot: where commands turn round, the displacement changes quickly with the
+/// lag.
+const STEPS: usize = 4;
 /// The lag of a usual robot, slots.
 const USUAL_LAG: usize = 2;
 /// Slots kept: the longest window at the largest lag.
@@ -36,12 +39,12 @@ const SLOTS: usize = 12;
 const SHARE: f64 = 1.0 / 3.0;
 /// Least share that errors of gain, depth and calibration leave: what is missing from it must be a
 /// motion of the object.
-const LEAST_GAIN: f64 = 0.6;
+const LEAST_GAIN: f64 = 0.5;
 /// Six times the deviation of p with a noise of 0.35 px on each coordinate, px.
 const NOISE_PX: f64 = 3.0;
 /// Where less than this share of the commanded displacement is no common shift, errors of
 /// calibration may hide it.
-const LEAST_SHAPE: f64 = 0.3;
+const LEAST_SHAPE: f64 = 0.25;
 /// An object may move, and turn about its middle, at this share of the camera's velocity limits:
 /// 0.1 m/s and 0.2 rad/s in the paper's scene.
 const OBJECT: f64 = 0.2;
@@ -114,7 +117,7 @@ impl Follow {
         let flow = flow(task, measured, Mover::Object);
         WINDOWS
             .into_iter()
-            .try_for_each(|window| self.check(task, &flow, window))
+            .try_for_each(|window| self.check(task, &measured.points, &flow, window))
     }
 
     /// How far a point goes at most on what was commanded of late, px: so far ahead of the image a
@@ -131,8 +134,33 @@ impl Follow {
         most.into_iter().fold(0.0, f64::max)
     }
 
+    /// What was commanded over a window of so many slots, `step` steps earlier.
+    fn commanded(&self, step: usize, window: usize) -> Displacement {
+        let (lag, part) = (step / STEPS, (step % STEPS) as f32 / STEPS as f32);
+        let mut sum = [[0.0; 2]; MAX_POINTS];
+        for slot in self.slots.iter().skip(lag).take(window) {
+            add(&mut sum, &slot.commanded, 1.0);
+        }
+        // The newest slot leaves the window as the one before its oldest comes in.
+        let [newest, oldest] = [lag, lag + window].map(|i| self.slots.get(i));
+        for (slot, sign) in newest
+            .into_iter()
+            .zip([-part])
+            .chain(oldest.into_iter().zip([part]))
+        {
+            add(&mut sum, &slot.commanded, sign);
+        }
+        sum
+    }
+
     /// Checks a window of so many slots.
-    fn check(&self, task: &Task, flow: &[Displacement; 6], window: usize) -> Result<(), Refusal> {
+    fn check(
+        &self,
+        task: &Task,
+        points: &Points,
+        flow: &[Displacement; 6],
+        window: usize,
+    ) -> Result<(), Refusal> {
         let ([newest, ..], Some(oldest)) = (&self.slots, self.slots.get(window)) else {
             return Ok(());
         };
@@ -155,18 +183,12 @@ impl Follow {
                 });
             OBJECT * seconds * parts.sum::<f64>()
         };
-        let points = task.pattern.len();
-        for is_shape in [false, true] {
+        for without in [Without::Nothing, Without::Shift, Without::Similarity] {
             let mut least = (f64::INFINITY, 0.0);
-            let mut lags = (0..=MOST_LAG).map(|lag| {
-                let mut commanded = [[0.0; 2]; MAX_POINTS];
-                for slot in self.slots.iter().skip(lag).take(window) {
-                    add(&mut commanded, &slot.commanded, 1.0);
-                }
+            let mut lags = (0..=MOST_LAG * STEPS).map(|step| {
+                let mut commanded = self.commanded(step, window);
                 let whole = libm::sqrt(dot(&commanded, &commanded));
-                if is_shape {
-                    remove_shift(&mut commanded, points);
-                }
+                without.leave_out(&mut commanded, points);
                 let length = libm::sqrt(dot(&commanded, &commanded));
                 let along = dot(&seen, &commanded) / length;
                 if length < least.0 {
@@ -189,14 +211,44 @@ impl Follow {
     }
 }
 
-/// Leaves of a displacement what is not common to all points: an object that moves sideways does
-/// not change it.
-fn remove_shift(displacement: &mut Displacement, points: usize) {
-    let count = points.max(1) as f32;
-    let sum = |i: usize| displacement.iter().filter_map(|d| d.get(i)).sum::<f32>();
-    let shift = [sum(0) / count, sum(1) / count];
-    for d in displacement.iter_mut().take(points) {
-        *d = [d[0] - shift[0], d[1] - shift[1]];
+/// What is left out of a displacement, because a slow motion of the object changes it much.
+#[derive(Clone, Copy, PartialEq)]
+enum Without {
+    Nothing,
+    /// The shift that is common to all points, as of an object that moves sideways.
+    Shift,
+    /// Also its turn and growth, as of an object that turns about its normal or comes nearer.
+    Similarity,
+}
+
+impl Without {
+    fn leave_out(self, displacement: &mut Displacement, points: &Points) {
+        let count = points.len().max(1) as f32;
+        let mean = |all: &Displacement| -> [f32; 2] {
+            core::array::from_fn(|i| all.iter().filter_map(|d| d.get(i)).sum::<f32>() / count)
+        };
+        let centre = |all: &mut Displacement| {
+            let [u, v] = mean(all);
+            let used = all.iter_mut().take(points.len());
+            used.for_each(|d| *d = [d[0] - u, d[1] - v]);
+        };
+        if self == Self::Nothing {
+            return;
+        }
+        centre(displacement);
+        if self == Self::Shift {
+            return;
+        }
+        let mut growth = [[0.0; 2]; MAX_POINTS];
+        for (to, from) in growth.iter_mut().zip(points) {
+            *to = from.map(|x| x as f32);
+        }
+        centre(&mut growth);
+        let turn = growth.map(|[u, v]| [-v, u]);
+        for pattern in [growth, turn] {
+            let share = dot(displacement, &pattern) / dot(&pattern, &pattern);
+            add(displacement, &pattern, -share as f32);
+        }
     }
 }
 
