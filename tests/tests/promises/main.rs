@@ -42,5 +42,6 @@ mod silence;
 mod soak;
 mod stall;
 mod startup;
+mod steps;
 mod stop;
 mod watch;
