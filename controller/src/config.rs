@@ -207,10 +207,15 @@ fn laid_over(
     let mut beside = domain.clone().into_os_string();
     beside.push("-flight");
     let directory = tables.flight.directory.get_or_insert(beside.into()).clone();
+    // Lockstep keeps the paper's steps.
+    let brake_s = match clock {
+        ClockMode::Lockstep => 0.0,
+        ClockMode::Fixed | ClockMode::Phase => tables.safety.brake_s,
+    };
     let config = Config {
         scene: tables.scene.clone(),
         memory: tables.memory.clone(),
-        settings: settings(&document, &tables.law)?,
+        settings: settings(&document, &tables.law, brake_s)?,
         clock,
         stale_periods: tables.cycle.stale_periods,
         safety: Safety {
@@ -239,7 +244,7 @@ fn laid_over(
     Ok((tables, config, document))
 }
 
-fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
+fn settings(document: &Document, law: &Law, brake_s: f64) -> Result<Settings, ConfigError> {
     let strategy: Strategy = law
         .strategy
         .parse()
@@ -266,6 +271,7 @@ fn settings(document: &Document, law: &Law) -> Result<Settings, ConfigError> {
         filter_s: law.filter_s,
         filter_px: law.filter_px,
         lambda: law.lambda,
+        brake_s,
         delay_compensation: law.delay_compensation,
     };
     // The law has the last word on its settings.

@@ -60,6 +60,8 @@ pub fn hold_reason(refusal: Refusal) -> HoldReason {
         | Refusal::Coincident { .. }
         | Refusal::Flat { .. } => HoldReason::Mixed,
         Refusal::Frozen { .. } => HoldReason::Frozen,
+        Refusal::NotFollowing { .. } => HoldReason::NotFollowing,
+        Refusal::Elsewhere { .. } => HoldReason::Elsewhere,
         Refusal::Late { .. } => HoldReason::Stale,
     }
 }

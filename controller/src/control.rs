@@ -148,13 +148,17 @@ impl ControlStep {
     /// and counts are the loop's. Never allocates.
     pub fn decide(&mut self, inputs: &Inputs, record: &mut CycleRecord) -> Answer {
         self.record_inputs(inputs, record);
+        let robot = self.robot.look(&inputs.robot, inputs.now_ns);
+        if self.robot.is_idle() {
+            self.loaded.controller.expect_no_motion();
+        }
         let proposed = self.propose(inputs, record);
         let situation = Situation {
             decision: proposed.decision,
             good_ns: self.gate.good_ns(),
             solver_failed: contract::solver_failed(record),
             missed: inputs.missed,
-            robot: self.robot.look(&inputs.robot, inputs.now_ns),
+            robot,
             suspended: inputs.suspended,
             shutdown: inputs.shutdown,
         };
@@ -162,6 +166,14 @@ impl ControlStep {
         if decision.twist != proposed.decision.twist {
             // The law's next prediction would be of a motion that does not happen.
             self.gate.mark_gap();
+        }
+        let is_new_place = matches!(
+            proposed.decision.hold,
+            Some(HoldReason::Mixed | HoldReason::Elsewhere)
+        );
+        if decision.state == TwistState::Disarmed && is_new_place {
+            // Nothing moves before an operator has armed: the object may be anywhere.
+            self.loaded.controller.lose_sight();
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's
         // plan, so that a replay needs no other clock.
@@ -263,16 +275,10 @@ impl ControlStep {
                 self.standing
             }
             Verdict::Repeat => self.standing,
-            Verdict::Hold(reason, stamp) => {
-                if reason == HoldReason::Hidden {
-                    // Points that come back may have other names.
-                    self.loaded.controller.lose_sight();
-                }
-                Answer {
-                    stamp,
-                    decision: Decision::hold(reason),
-                }
-            }
+            Verdict::Hold(reason, stamp) => Answer {
+                stamp,
+                decision: Decision::hold(reason),
+            },
         }
     }
 

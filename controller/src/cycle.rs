@@ -90,9 +90,9 @@ impl Pace {
             stale_periods: config.stale_periods,
             rules: Rules {
                 limits: scene.limits.velocity(),
-                change: scene
-                    .limits
-                    .acceleration()
+                change: config
+                    .settings
+                    .acceleration(&scene.limits)
                     .map(|a| a * scene.sampling_time()),
                 brake_ns,
                 // As steeply as it brakes.

@@ -75,7 +75,7 @@ macro_rules! hold_reasons {
 hold_reasons! {
     NoFeatures Stale Invalid Hidden Count NotFinite OffImage Transport BadTwist Order Clock Solver RobotFault RobotLost
     Overruns NotArmed Operator Shutdown Lost Standstill Mixed Frozen Unclean NoRobot
-    NotFollowed NoWay Arrived
+    NotFollowed NoWay NotFollowing Elsewhere Arrived
 }
 
 impl fmt::Display for HoldReason {

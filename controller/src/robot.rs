@@ -28,6 +28,7 @@ pub struct RobotWatch {
     /// When the last state was published, CLOCK_MONOTONIC, ns; not later than it was looked at.
     heard_ns: Option<u64>,
     at_fault: bool,
+    is_idle: bool,
     /// Since when it has not followed, CLOCK_MONOTONIC, ns.
     strays_ns: Option<u64>,
 }
@@ -51,6 +52,7 @@ impl RobotWatch {
             spans: Default::default(),
             heard_ns: None,
             at_fault: false,
+            is_idle: false,
             strays_ns: None,
         }
     }
@@ -65,8 +67,8 @@ impl RobotWatch {
             self.heard_ns = Some(state.stamp.published_ns.min(now_ns));
             self.at_fault = is_fault(state);
             // One that is idle says that it obeys nobody.
-            let is_idle = state.mode() == Some(RobotMode::Idle);
-            self.strays_ns = match is_idle || self.follows(&state.twist) {
+            self.is_idle = state.mode() == Some(RobotMode::Idle);
+            self.strays_ns = match self.is_idle || self.follows(&state.twist) {
                 true => None,
                 false => self.strays_ns.or(Some(now_ns)),
             };
@@ -83,6 +85,11 @@ impl RobotWatch {
             _ if self.strays_ns.is_some_and(is_long) => Some(HoldReason::NotFollowed),
             _ => None,
         }
+    }
+
+    /// Whether the last message says that the robot obeys nobody.
+    pub fn is_idle(&self) -> bool {
+        self.is_idle
     }
 
     /// Notes what was commanded at `now_ns`.

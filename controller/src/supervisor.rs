@@ -7,9 +7,9 @@
 //!
 //! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
 //! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, overruns, bad
-//!   twist, solver failure, frozen image, features lost.
+//!   twist, solver failure, frozen image, an image that does not follow, features lost.
 //! - *Brake, go on with the next good features*: no robot yet; features stale, invalid, hidden,
-//!   miscounted, not finite, off the image, mixed up, out of order; transport; no way known; a solver
+//!   miscounted, not finite, off the image, mixed up, elsewhere, out of order; transport; no way known; a solver
 //!   that failed once or twice.
 //!
 //! - *Brake, and stand or disarm*: it has arrived, and is not to follow.
@@ -358,6 +358,10 @@ impl Supervisor {
             (is_decided(HoldReason::BadTwist), HoldReason::BadTwist),
             (self.failures >= IN_A_ROW, HoldReason::Solver),
             (is_decided(HoldReason::Frozen), HoldReason::Frozen),
+            (
+                is_decided(HoldReason::NotFollowing),
+                HoldReason::NotFollowing,
+            ),
             (situation.good_ns.is_some_and(beyond), HoldReason::Lost),
             (is_robot(HoldReason::NoRobot), HoldReason::NoRobot),
             (self.has_arrived, HoldReason::Arrived),
@@ -370,7 +374,7 @@ impl Supervisor {
     /// The law's decision; after anything else its twist grows as a whole, so that the camera stays
     /// on the path that the law has looked at.
     fn ramped(&mut self, decision: &Decision, elapsed_ns: u64) -> Decision {
-        self.is_ramping |= self.sent.hold.is_some();
+        self.is_ramping |= self.sent.hold.is_some() || !self.may_follow(&decision.twist);
         let share = match self.rules.change.iter().all(|c| c.is_finite()) {
             // The law keeps to them by itself; but what it decided before it was held stands still.
             true if self.may_follow(&decision.twist) => 1.0,
@@ -462,6 +466,7 @@ fn response(cause: HoldReason) -> Response {
         | HoldReason::BadTwist
         | HoldReason::Solver
         | HoldReason::Frozen
+        | HoldReason::NotFollowing
         | HoldReason::Lost
         | HoldReason::Arrived => Response::Disarm,
         HoldReason::NoRobot
@@ -474,6 +479,7 @@ fn response(cause: HoldReason) -> Response {
         | HoldReason::OffImage
         | HoldReason::Transport
         | HoldReason::Mixed
+        | HoldReason::Elsewhere
         | HoldReason::Order
         | HoldReason::NoWay => Response::Wait,
     }

@@ -147,8 +147,12 @@ codes! {
         /// Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
         /// found.
         NoWay = 27 => "no way known",
+        /// The image does not move as commanded: less than a third of it, or the other way.
+        NotFollowing = 28 => "image does not follow",
+        /// The features are not where object and camera can have come since the last ones.
+        Elsewhere = 29 => "features elsewhere",
         /// It has arrived, and stands since then, as `safety.after_arrival` wants it.
-        Arrived = 29 => "arrived",
+        Arrived = 30 => "arrived",
     }
 }
 

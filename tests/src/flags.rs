@@ -60,6 +60,10 @@ pub struct Common {
     /// Most steps that foresight simulates in a cycle.
     #[arg(long, value_name = "N", default_value_t = Settings::default().foresight_steps)]
     pub foresight_steps: u32,
+    /// Time in which the command goes from zero to its limits, s, where the scene gives no limits of
+    /// acceleration: 0.15 as `vpcd` has it on a real clock; 0: at once, as in the paper.
+    #[arg(long, value_name = "S", default_value_t = Settings::default().brake_s)]
+    pub brake_s: f64,
 }
 
 /// A model by its name in configuration files.
@@ -80,6 +84,7 @@ impl Common {
             delay_compensation: !self.no_compensation,
             model: self.model,
             foresight_steps: self.foresight_steps,
+            brake_s: self.brake_s,
             change_share: self.change_share,
             filter_s: self.filter_s,
             step_s: self.step_s,
@@ -99,6 +104,7 @@ impl Common {
     pub fn check(&self) -> anyhow::Result<()> {
         check("--noise", self.noise, 0.0, 100.0)?;
         check("--drop", self.drop, 0.0, 1.0)?;
+        check("--brake-s", self.brake_s, 0.0, 10.0)?;
         check("--rate", self.rate.unwrap_or(30.0), 1.0, 1000.0)?;
         check("--depth-error", self.depth_error, -0.9, 9.0)
     }

@@ -56,7 +56,8 @@ impl Simulated {
             ..Arguments::default()
         };
         let name = "the default configuration";
-        let config = Config::parse("", name, Path::new(""), &arguments)?;
+        let mut config = Config::parse("", name, Path::new(""), &arguments)?;
+        config.settings = settings;
         let mut pace = Pace::new(&config, scene, PATH)?;
         // Nothing carries this camera, and as in the paper its run begins in motion.
         (pace.rules.needs_robot, pace.rules.ramp_ns) = (false, 0);

@@ -186,8 +186,9 @@ pub struct Safety {
     /// Whether the controller starts armed. Flag: --arm.
     #[schemars(extend("x-default" = "true in lockstep, else false"))]
     pub armed: Option<bool>,
-    /// Time in which a twist at the limits is braked to zero, or longer where the scene's limits of
-    /// acceleration ask for it; without effect in lockstep.
+    /// Time in which a twist at the limits is braked to zero. Without limits of acceleration in the
+    /// scene no command changes faster, and the law plans so; with them a brake may take longer. 0:
+    /// at once. Without effect in lockstep.
     #[default = 0.15]
     #[schemars(range(min = 0, max = 0.15), extend("x-unit" = "s"))]
     pub brake_s: f64,

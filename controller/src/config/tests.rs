@@ -22,6 +22,7 @@ fn an_empty_file_with_a_scene_is_the_default() {
     // The law by itself is the paper's.
     let expected = Settings {
         strategy: vpc::Strategy::Foresight,
+        brake_s: 0.15,
         ..Settings::default()
     };
     assert_eq!(config.settings, expected);

@@ -171,6 +171,7 @@ fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
         HoldReason::OffImage,
         HoldReason::Transport,
         HoldReason::Mixed,
+        HoldReason::Elsewhere,
         HoldReason::Order,
     ] {
         let mut bench = Bench::moving();
@@ -198,7 +199,7 @@ fn features_that_stay_away_disarm() {
 #[test]
 fn graver_causes_brake_and_disarm() {
     type Change = fn(&mut Situation);
-    let cases: [(HoldReason, Change); 5] = [
+    let cases: [(HoldReason, Change); 6] = [
         (HoldReason::Shutdown, |s| s.shutdown = true),
         (HoldReason::RobotLost, |s| {
             s.robot = Some(HoldReason::RobotLost)
@@ -207,6 +208,9 @@ fn graver_causes_brake_and_disarm() {
             s.decision.hold = Some(HoldReason::BadTwist)
         }),
         (HoldReason::Overruns, |s| s.missed = 1),
+        (HoldReason::NotFollowing, |s| {
+            s.decision.hold = Some(HoldReason::NotFollowing)
+        }),
         (HoldReason::Frozen, |s| {
             s.decision.hold = Some(HoldReason::Frozen)
         }),
@@ -557,6 +561,33 @@ fn the_laws_twist_is_taken_up_on_its_path_and_as_steeply_as_it_is_braked() {
     }
     assert!((decision.twist[0] / decision.twist[4] - FAST[0] / FAST[4]).abs() < 1e-9);
     assert!(decision.twist[4] > 0.0099);
+}
+
+#[test]
+fn no_command_of_a_law_that_jumps_changes_by_more_than_a_cycle_allows() {
+    let mut bench = Bench::new(true);
+    let mut rules = bench.supervisor.rules();
+    rules.change = rules.limits.map(|limit| limit * 33.0 / 150.0);
+    bench.supervisor = Supervisor::new(rules);
+    let mut last = [0.0; 6];
+    for cycle in 0..48 {
+        bench.situation.good_ns = Some(bench.now);
+        bench.situation.decision.twist = match cycle / 12 % 2 {
+            0 => FAST,
+            _ => FAST.map(|v| -v),
+        };
+        let twist = bench.cycle().twist;
+        for ((v, before), most) in twist.iter().zip(last).zip(rules.change) {
+            assert!(
+                (v - before).abs() <= most * (1.0 + 1e-9),
+                "{cycle}: {v} after {before}"
+            );
+        }
+        last = twist;
+        if cycle % 12 == 11 {
+            assert_eq!(twist, bench.situation.decision.twist, "{cycle}");
+        }
+    }
 }
 
 #[test]

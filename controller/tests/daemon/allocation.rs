@@ -109,7 +109,12 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         });
         let mut random = ChaCha8Rng::seed_from_u64(2);
         while !done.load(Ordering::Relaxed) {
-            let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
+            let now_ns = ipc::now_ns();
+            let points = match clock {
+                ClockMode::Lockstep => square(&scene, &mut random),
+                ClockMode::Fixed | ClockMode::Phase => round_the_image(now_ns),
+            };
+            let features = Features::new(&points, now_ns);
             let sent = camera.features.publish(&features).unwrap();
             match clock {
                 ClockMode::Lockstep => {
@@ -125,6 +130,14 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         }
         looping.join().unwrap()
     })
+}
+
+/// A square on a way round the image, once in two seconds: features that jump would be refused.
+fn round_the_image(now_ns: u64) -> Vec<[f64; 2]> {
+    let angle = now_ns as f64 * 3e-9;
+    let [u, v] = [angle.cos(), angle.sin()].map(|x| 512.0 + 330.0 * x);
+    let corners = [[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0]];
+    corners.map(|[x, y]| [u + x, v + y]).to_vec()
 }
 
 fn check(strategy: Strategy, clock: ClockMode) {

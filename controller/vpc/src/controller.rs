@@ -5,6 +5,7 @@ use scene::Scene;
 use crate::command::{Law, Present, repeated};
 use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
+use crate::follow::Follow;
 use crate::foresight::{FAR, Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
 use crate::patience::Patience;
@@ -18,7 +19,7 @@ use crate::state::State;
 use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::work::Prices;
-use crate::{DOF, MAX_VARIABLES, Points, Twist, frozen, gate, ibvs, limit};
+use crate::{DOF, MAX_VARIABLES, Points, Twist, follow, frozen, gate, ibvs, limit};
 
 /// The visual predictive controller: task, settings, what one cycle leaves to the next (together
 /// some 40 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
@@ -100,6 +101,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
     ) -> Result<Self, SettingsError> {
         settings.check()?;
         let mut task = Task::new(scene)?;
+        task.acceleration = settings.acceleration(&scene.limits);
         let stop_s = task.period + task.stop_s(&task.limits);
         // The window is long enough for a stop.
         task.ts = settings
@@ -249,34 +251,40 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         Ok(())
     }
 
-    /// Forgets everything of earlier cycles, for a new run. The commands of a live robot stay
-    /// known: it executed them.
+    /// Forgets everything of earlier cycles, for a new run. Of a live robot the commands stay known,
+    /// for it executed them, and so does what was seen: its camera began again, and sees the same
+    /// object.
     pub fn reset(&mut self) {
-        let State {
-            mut history,
-            standing,
-            ..
-        } = self.state;
-        history.restart();
+        let before = self.state;
         let new = State::new(self.settings.strategy);
-        let standing = match history.is_live() {
-            true => standing,
-            false => new.standing,
-        };
-        self.state = State {
-            history,
-            standing,
-            ..new
+        self.state = match before.history.is_live() {
+            false => new,
+            true => State {
+                standing: before.standing,
+                seen: before.seen,
+                filtered: before.filtered,
+                tilt: before.tilt,
+                seen_ns: before.seen_ns,
+                still_px: before.still_px,
+                follow: before.follow,
+                history: before.history,
+                ..new
+            },
         };
     }
 
-    /// Records that points were out of sight since the last step: they may have other names when
-    /// they come back.
+    /// Forgets what was seen: the next features are compared with nothing.
     pub fn lose_sight(&mut self) {
         (self.state.seen, self.state.filtered) = (PlainPoints::NONE, PlainPoints::NONE);
         self.state.tilt = None;
         self.state.seen_ns = 0;
         self.state.still_px = 0.0;
+        self.state.follow = Follow::NEW;
+    }
+
+    /// Forgets what was commanded and seen of late, while a robot says that it obeys nobody.
+    pub fn expect_no_motion(&mut self) {
+        self.state.follow = Follow::NEW;
     }
 
     /// Tries again where no way is known, as an operator asks for.
@@ -395,9 +403,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
         let (expected, tilt) = self.expected_at_exposure(exposed_ns, age_ns).unzip();
         let tilt = tilt.flatten().or(self.state.tilt);
-        if let (true, Some(expected)) = (self.state.history.is_live(), &expected) {
-            self.check_motion(points, expected, exposed_ns)?;
+        let is_live = self.state.history.is_live();
+        if is_live {
+            self.check_motion(points, expected.as_ref(), exposed_ns)?;
         }
+        let commanded = self.state.filtered.get().zip(expected.clone());
         let (filtered, mismatch) = match expected {
             Some(expected) if self.settings.filter_s > 0.0 => {
                 (self.filtered(points, &expected), None)
@@ -411,6 +421,14 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         let model = self.settings.model;
         let measured = InitialState::turned(&self.task, model, &filtered, tilt.as_ref());
         let tilt = measured.tilt;
+        match &commanded {
+            Some((from, to)) if is_live => {
+                let follow = &mut self.state.follow;
+                let added = follow.add(&self.task, &measured, [from, to], exposed_ns);
+                added.inspect_err(|_| self.lose_sight())?;
+            }
+            _ => self.state.follow = Follow::NEW,
+        }
         let initial = if age_ns == 0 || !self.settings.delay_compensation {
             measured
         } else {
@@ -446,23 +464,34 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             .collect()
     }
 
-    /// Refuses features that moved as no camera under these commands moves them.
+    /// Refuses features that moved as no camera under these commands, and no object, moves them.
     fn check_motion(
         &mut self,
         points: &Points,
-        expected: &Points,
+        expected: Option<&Points>,
         exposed_ns: u64,
     ) -> Result<(), Refusal> {
         let (Some(seen), Some(filtered)) = (self.state.seen.get(), self.state.filtered.get())
         else {
             return Ok(());
         };
+        let since_s = exposed_ns.abs_diff(self.state.seen_ns) as f64 * 1e-9;
+        let Some(expected) = expected else {
+            // Any commands within the limits.
+            let most_px = follow::camera_px(&self.task, &filtered, since_s)
+                + follow::object_px(&self.task, &filtered, since_s);
+            return gate::check_place(&self.task, points, &filtered, most_px);
+        };
         gate::check_names(points, expected)?;
-        let since_s = exposed_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
         if since_s < gate::LEAP_PERIODS * self.task.period {
             gate::check_leaps(&self.task, points, expected)?;
         }
         let moved_px = features::largest_distance(expected, &filtered);
+        // A robot may not have begun, or may still be under way.
+        let most_px = moved_px
+            + self.state.follow.ahead_px()
+            + follow::object_px(&self.task, &filtered, since_s);
+        gate::check_place(&self.task, points, expected, most_px)?;
         frozen::check(&mut self.state.still_px, points, &seen, moved_px)
             .inspect_err(|_| self.lose_sight())
     }

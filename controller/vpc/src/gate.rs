@@ -164,13 +164,8 @@ pub fn check_names(points: &Points, expected: &Points) -> Result<(), Refusal> {
 /// # Errors
 /// [`Refusal::Leap`] names the point that is furthest away.
 pub fn check_leaps(task: &Task, points: &Points, expected: &Points) -> Result<(), Refusal> {
-    let pairs = points.iter().zip(expected);
-    let mut away: Vec<(usize, f64), MAX_POINTS> = pairs
-        .map(|(&seen, &expected)| distance(seen, expected))
-        .enumerate()
-        .collect();
-    away.sort_unstable_by(|a, b| a.1.total_cmp(&b.1));
-    let least_px = LEAP * task.camera.width.max(task.camera.height);
+    let away = sorted_distances(points, expected);
+    let least_px = least_leap_px(task);
     match (away.get(away.len().saturating_sub(1) / 2), away.last()) {
         (Some(&(_, usual_px)), Some(&(point, by_px)))
             if by_px > least_px + LEAP_RATIO * usual_px =>
@@ -179,6 +174,39 @@ pub fn check_leaps(task: &Task, points: &Points, expected: &Points) -> Result<()
         }
         _ => Ok(()),
     }
+}
+
+/// Refuses points of which more than half lie further than `most_px` and the margin from where they
+/// are expected: another object, or a view from elsewhere.
+///
+/// # Errors
+/// [`Refusal::Elsewhere`] says how far away they are.
+pub fn check_place(
+    task: &Task,
+    points: &Points,
+    expected: &Points,
+    most_px: f64,
+) -> Result<(), Refusal> {
+    let most_px = most_px + least_leap_px(task);
+    match sorted_distances(points, expected).get(points.len().saturating_sub(1) / 2) {
+        Some(&(_, by_px)) if by_px > most_px => Err(Refusal::Elsewhere { by_px, most_px }),
+        _ => Ok(()),
+    }
+}
+
+/// The points by their distance from where they are expected, px, the nearest first.
+fn sorted_distances(points: &Points, expected: &Points) -> Vec<(usize, f64), MAX_POINTS> {
+    let pairs = points.iter().zip(expected);
+    let mut away: Vec<(usize, f64), MAX_POINTS> = pairs
+        .map(|(&seen, &expected)| distance(seen, expected))
+        .enumerate()
+        .collect();
+    away.sort_unstable_by(|a, b| a.1.total_cmp(&b.1));
+    away
+}
+
+fn least_leap_px(task: &Task) -> f64 {
+    LEAP * task.camera.width.max(task.camera.height)
 }
 
 #[cfg(test)]
@@ -301,5 +329,19 @@ mod tests {
         assert!(leapt(&[0, 3], 80.0).is_err());
         // All of them: the camera was pushed, or the object was.
         assert_eq!(leapt(&[0, 1, 2, 3], 300.0), Ok(()));
+    }
+
+    #[test]
+    fn points_that_are_all_away_are_elsewhere() {
+        let task = task();
+        let expected = &task.goal;
+        let at = |by: f64| check_place(&task, &shifted(expected, [by, 0.0]), expected, 20.0);
+        // 4 % of 1024 px, and the 20.
+        assert_eq!(at(60.0), Ok(()));
+        assert!(matches!(at(62.0), Err(Refusal::Elsewhere { .. })));
+        // One that leaps alone is another matter.
+        let mut one = expected.clone();
+        one[0][0] += 300.0;
+        assert_eq!(check_place(&task, &one, expected, 20.0), Ok(()));
     }
 }

@@ -60,6 +60,7 @@ pub mod cost;
 pub mod delay;
 pub mod features;
 pub mod field;
+mod follow;
 pub mod foresight;
 mod frozen;
 pub mod gate;

@@ -67,6 +67,14 @@ pub enum Refusal {
         "features: no bit changed while {expected_px:.1} px of motion were commanded; allowed: an image that moves"
     )]
     Frozen { expected_px: f64 },
+    #[error(
+        "features: {seen_px:.1} px of motion along the {commanded_px:.1} px that were commanded; allowed: a third or more"
+    )]
+    NotFollowing { commanded_px: f64, seen_px: f64 },
+    #[error(
+        "features: {by_px:.0} px from where the commands since the last ones would put them; allowed: {most_px:.0} px"
+    )]
+    Elsewhere { by_px: f64, most_px: f64 },
     /// The command takes effect `age_ns` after the exposure, and the commands are known for the
     /// last `known_ns` only: where the features are by then is unknown.
     #[error(

@@ -6,7 +6,7 @@ use crate::prediction::Model;
 use crate::problem::SolverOptions;
 use crate::strategy::{MAX_NEIGHBOURS, Strategy};
 use crate::task::TaskError;
-use crate::{MAX_NC, MAX_NP};
+use crate::{MAX_NC, MAX_NP, Twist};
 
 /// Settings of the law; [`Settings::check`] accepts what [`crate::Controller`] runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,6 +43,9 @@ pub struct Settings {
     /// Most steps that foresight simulates in a cycle; never more than a fifth of the sampling time
     /// has room for.
     pub foresight_steps: u32,
+    /// Time in which a component of the twist goes from zero to its limit, s, where the scene gives
+    /// no limit of acceleration; 0: at once.
+    pub brake_s: f64,
     /// Whether features are advanced from their exposure to the instant at which the command takes
     /// effect.
     pub delay_compensation: bool,
@@ -70,6 +73,7 @@ impl Default for Settings {
             filter_px: 1.0,
             lambda: 0.5,
             foresight_steps: 150,
+            brake_s: 0.0,
             delay_compensation: true,
         }
     }
@@ -123,6 +127,18 @@ impl fmt::Display for Shorter {
 }
 
 impl Settings {
+    /// Greatest change of each component of the twist in a second, m/s^2 and rad/s^2: the scene's,
+    /// else from zero to the limit in `brake_s`; infinite where that is 0.
+    pub fn acceleration(&self, limits: &scene::Limits) -> Twist {
+        let mut acceleration = limits.acceleration();
+        for (most, limit) in acceleration.iter_mut().zip(limits.velocity()) {
+            if most.is_infinite() {
+                *most = limit / self.brake_s;
+            }
+        }
+        acceleration
+    }
+
     /// Checks every setting.
     ///
     /// # Errors
@@ -155,6 +171,7 @@ impl Settings {
                 1e5,
                 "1 to 1e5",
             ),
+            ("brake_s", self.brake_s, 0.0, 10.0, "0 to 10 s"),
             ("k", k, 1.0, most_k, "1 to 64"),
         ];
         for (name, value, low, high, allowed) in ranges {

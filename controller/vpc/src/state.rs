@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::delay::History;
 use crate::features::PlainPoints;
+use crate::follow::Follow;
 use crate::foresight::Foresight;
 use crate::patience::Patience;
 use crate::pose::Tilt;
@@ -43,6 +44,8 @@ pub struct State {
     pub is_linked: bool,
     /// Motion that was commanded while `seen` did not change in any bit, px.
     pub still_px: f64,
+    /// What was seen and commanded of late.
+    pub follow: Follow,
     /// The command that was sent last.
     pub standing: Twist,
     /// The commands that were sent.
@@ -66,6 +69,7 @@ impl State {
             seen_ns: 0,
             is_linked: false,
             still_px: 0.0,
+            follow: Follow::NEW,
             standing: [0.0; DOF],
             history: History::new(),
         }

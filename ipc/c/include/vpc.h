@@ -175,8 +175,12 @@ enum vpc_hold {
     // Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
     // found.
     VPC_HOLD_NO_WAY = 27,
+    // The image does not move as commanded: less than a third of it, or the other way.
+    VPC_HOLD_NOT_FOLLOWING = 28,
+    // The features are not where object and camera can have come since the last ones.
+    VPC_HOLD_ELSEWHERE = 29,
     // It has arrived, and stands since then, as `safety.after_arrival` wants it.
-    VPC_HOLD_ARRIVED = 29,
+    VPC_HOLD_ARRIVED = 30,
 };
 
 // What foresight follows.

@@ -162,8 +162,12 @@ class Hold(Code):
     # Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
     # found.
     NO_WAY = 27, "no way known"
+    # The image does not move as commanded: less than a third of it, or the other way.
+    NOT_FOLLOWING = 28, "image does not follow"
+    # The features are not where object and camera can have come since the last ones.
+    ELSEWHERE = 29, "features elsewhere"
     # It has arrived, and stands since then, as `safety.after_arrival` wants it.
-    ARRIVED = 29, "arrived"
+    ARRIVED = 30, "arrived"
 
 
 class ForesightCode(Code):

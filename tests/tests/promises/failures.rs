@@ -191,7 +191,7 @@ fn features_for_which_the_law_has_no_answer_brake_and_disarm() {
                 let height = if flattened.load(Ordering::Relaxed) {
                     1.0
                 } else {
-                    100.0
+                    20.0
                 };
                 // Not the last bit stays: the daemon would take the image for frozen.
                 let [u, v] = [400.0, 300.0].map(|x| x + random.random_range(-0.1..0.1));

@@ -1,4 +1,5 @@
-//! A camera that freezes, with old stamps or new ones, goes silent, pauses, is late, or dies: the
+//! A camera that freezes, with old stamps or new ones or a little noise, shows another object after
+//! a gap, goes silent, pauses, is late, or dies: the
 //! daemon brakes within three periods of the last good features, stands within 300 ms, and stays
 //! so, also before good features, until somebody arms it again.
 
@@ -7,10 +8,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::ensure;
+use hw_sim::FreeCamera;
 use ipc::{Action, CameraPorts, Domain, Features, Outcome, TwistCommand, TwistState, now_ns};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
+use scene::{Pose, Scene};
 
 use crate::fixture::{
     CAMERA_PRIORITY, EndOnDrop, PERIOD_NS, Place, Running, Stage, WAKE_NS, Witness,
@@ -26,14 +29,19 @@ const ZERO_NS: u64 = 300_000_000;
 /// long.
 const FORGOTTEN: u64 = 36;
 
-/// The features of a camera that is far from the goal and does not move, but for its noise: the law
-/// always wants to.
-const FAR: [[f64; 2]; 4] = [
-    [250.0, 250.0],
-    [420.0, 260.0],
-    [410.0, 430.0],
-    [240.0, 420.0],
-];
+/// Time in which it notices that an image does not follow, ns.
+const NOTICED_NS: u64 = 1_500_000_000;
+
+/// Where the object is at first, far from the goal.
+const START: Pose = Pose {
+    translation: [0.25, 0.1, 0.9],
+    rotation: [0.1, -0.2, 0.4],
+};
+/// Where another one is.
+const OTHER: Pose = Pose {
+    translation: [-0.3, -0.2, 0.8],
+    rotation: [-0.2, 0.3, 0.4],
+};
 
 /// What goes wrong with a camera.
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +50,11 @@ enum Fault {
     Freeze,
     /// It sends one image again and again, each time as a new one.
     Image,
+    /// It sends one image again and again, each time with so much noise, px.
+    Noise(f64),
+    /// It loses sight of one point, or starts again; from then on it sees another object.
+    OtherAfterHidden,
+    OtherAfterRestart,
     /// It sends nothing more.
     Silence,
     /// It pauses for 0.4 s and goes on.
@@ -59,7 +72,11 @@ enum Fault {
 }
 
 /// Checks what must follow the last good features: how long until it braked and stood, ns.
-fn check_stop(commands: &[TwistCommand], last_good_ns: u64) -> anyhow::Result<[u64; 2]> {
+fn check_stop(
+    commands: &[TwistCommand],
+    last_good_ns: u64,
+    noticed_ns: u64,
+) -> anyhow::Result<[u64; 2]> {
     let after = |twist: &&TwistCommand| twist.stamp.published_ns > last_good_ns;
     let since = |twist: &TwistCommand| twist.stamp.published_ns - last_good_ns;
     let moves = |twist: &TwistCommand| {
@@ -87,7 +104,7 @@ fn check_stop(commands: &[TwistCommand], last_good_ns: u64) -> anyhow::Result<[u
             "it brakes",
             last_good_ns,
             last_good_ns + brakes,
-            BRAKING_NS + WAKE_NS,
+            noticed_ns + BRAKING_NS + WAKE_NS,
         )?;
     }
     let zero = commands
@@ -100,7 +117,7 @@ fn check_stop(commands: &[TwistCommand], last_good_ns: u64) -> anyhow::Result<[u
         "it stands",
         last_good_ns,
         last_good_ns + zero,
-        ZERO_NS + WAKE_NS,
+        noticed_ns + ZERO_NS + WAKE_NS,
     )?;
     let moves_again = |twist: &TwistCommand| since(twist) > zero && !is_still(twist);
     assert!(
@@ -127,27 +144,53 @@ impl Worst {
     }
 }
 
-/// The features of this instant.
-fn noisy(random: &mut impl Rng) -> Features {
-    let points = FAR.map(|point| point.map(|x| x + random.random_range(-0.1..0.1)));
-    Features::new(&points, now_ns())
-}
-
-/// A camera that works until the flag makes it fail, and works again after `over`.
+/// A camera that moves as commanded until the flag makes it fail, and works again after `over`.
+/// While it fails, it stands.
 fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &AtomicBool) -> u64 {
     let domain = Domain::join(place).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     // Where it is permitted: whatever else the machine does, its frames come in time.
     take_priority(CAMERA_PRIORITY);
     let mut random = ChaCha8Rng::seed_from_u64(3);
-    let mut image = Features::new(&FAR, 0).points;
+    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    let mut eye = FreeCamera::new(&scene, &START);
+    let (mut command, mut since_ns) = (TwistCommand::default(), now_ns());
+    let mut image = [0.0; 2 * ipc::MAX_POINTS];
     let (mut last_good_ns, mut exposure_ns, mut sequence) = (0, 0, 0);
-    let (mut paused, mut older_ns) = (false, 0);
+    let (mut paused, mut is_other, mut older_ns) = (false, false, 0);
     while !end.load(Ordering::Relaxed) {
         let is_failing = fail.load(Ordering::Relaxed) && !over.load(Ordering::Relaxed);
-        let mut features = noisy(&mut random);
+        let at_ns = now_ns();
+        if !is_failing {
+            eye.advance(&command.in_force(at_ns), (at_ns - since_ns) as f64 * 1e-9);
+        }
+        since_ns = at_ns;
+        if let Some(newest) = camera.twist.latest().unwrap() {
+            command = newest.message;
+        }
+        let mut noisy = |points: &mut [f64], px: f64| {
+            let each = points.iter_mut();
+            each.for_each(|x| *x += random.random_range(-px..=px));
+        };
+        let mut features = Features::new(&eye.features().unwrap(), at_ns);
+        let numbers = 2 * features.count as usize;
+        noisy(&mut features.points[..numbers], 0.1);
         match fault {
             Fault::Image if is_failing => features.points = image,
+            Fault::Noise(px) if is_failing => {
+                features.points = image;
+                noisy(&mut features.points[..numbers], px);
+            }
+            Fault::OtherAfterHidden | Fault::OtherAfterRestart if is_failing && !is_other => {
+                (is_other, eye) = (true, FreeCamera::new(&scene, &OTHER));
+                if matches!(fault, Fault::OtherAfterHidden) {
+                    features.visible = 0b1011;
+                } else {
+                    drop(camera);
+                    camera = CameraPorts::open(&domain).unwrap();
+                    continue;
+                }
+            }
             Fault::Freeze if is_failing => features.stamp.data_ns = exposure_ns,
             Fault::Older if is_failing => {
                 older_ns += PERIOD_NS;
@@ -157,13 +200,13 @@ fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &
             Fault::Zeros if is_failing => features.points.iter_mut().for_each(|x| *x *= 1e-3),
             Fault::Line if is_failing => {
                 let v = features.points[1];
-                let heights = features.points.iter_mut().skip(1).step_by(2);
-                heights.take(FAR.len()).for_each(|x| *x = v);
+                let heights = features.points[..numbers].iter_mut().skip(1).step_by(2);
+                heights.for_each(|x| *x = v);
             }
             Fault::Pause if is_failing && !paused => {
                 std::thread::sleep(Duration::from_millis(400));
                 paused = true;
-                features = noisy(&mut random);
+                features.stamp.data_ns = now_ns();
             }
             _ => (),
         }
@@ -172,7 +215,7 @@ fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &
             if late_ns > exposure_ns {
                 sequence += 1;
                 camera.features.skip();
-                features = Features::new(&FAR, late_ns);
+                features.stamp.data_ns = late_ns;
                 features.stamp.sequence = sequence;
                 features.stamp.published_ns = late_ns + 1_000_000;
                 camera.features.publish_verbatim(&features).unwrap();
@@ -197,6 +240,11 @@ fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
     for fault in [
         Fault::Freeze,
         Fault::Image,
+        Fault::Noise(1e-9),
+        Fault::Noise(1e-3),
+        Fault::Noise(0.5),
+        Fault::OtherAfterHidden,
+        Fault::OtherAfterRestart,
         Fault::Silence,
         Fault::Pause,
         Fault::Older,
@@ -241,7 +289,11 @@ fn fail(fault: Fault, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
         end.store(true, Ordering::Relaxed);
         Ok((commands, camera.join().unwrap()))
     })?;
-    check_stop(&commands, last_good_ns)
+    let noticed_ns = match fault {
+        Fault::Noise(_) => NOTICED_NS,
+        _ => 0,
+    };
+    check_stop(&commands, last_good_ns, noticed_ns)
 }
 
 #[test]
@@ -287,7 +339,7 @@ fn end(round: usize, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
     });
     std::thread::sleep(Duration::from_nanos(4 * PERIOD_NS));
     commands.extend(witness.commands());
-    let took = check_stop(&commands, last_good_ns)?;
+    let took = check_stop(&commands, last_good_ns, 0)?;
     witness.set_in_motion();
     Ok(took)
 }

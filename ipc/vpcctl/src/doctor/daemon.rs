@@ -218,6 +218,12 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::NotFollowed => {
             "see why the robot does not move as commanded (its mode, its limits, the frames of its client), then `vpcctl arm`"
         }
+        Hold::NotFollowing => {
+            "the image does not move as commanded: a frozen image, another camera's, a wrong sign or mounting, or a robot that does not obey; mend it, then `vpcctl arm`"
+        }
+        Hold::Elsewhere => {
+            "the features are not where object and camera can be: see whether this is the object, then `vpcctl arm`"
+        }
         Hold::NoWay => {
             "give a memory, one of more trajectories, or more law.foresight_steps; or bring the camera elsewhere by hand"
         }
