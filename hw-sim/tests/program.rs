@@ -4,7 +4,9 @@
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use ipc::{ControllerPorts, Domain, Features, Publisher, Subscriber, TwistCommand, TwistState};
+use ipc::{
+    ControllerPorts, Domain, Features, Observer, Publisher, Subscriber, TwistCommand, TwistState,
+};
 use rustix::process::Signal;
 use serde_json::Value;
 use testkit::{Ended, Place, Running, eventually};
@@ -147,6 +149,11 @@ fn signals_end_it_with_a_verdict_and_nothing_is_left() {
             let place = Place::new();
             let words = ["--robot", robot, "--scene", &scene, "--starts", &starts];
             let running = start(&place, &words);
+            // While it starts, a signal ends it where it is.
+            let domain = Domain::join(&place.domain()).unwrap();
+            let mut observer = Observer::open(&domain).unwrap();
+            eventually("features", || observer.features.latest().unwrap());
+            drop((observer, domain));
             running.signal(signal);
             let ended = running.ended();
             let said = &ended.stderr;

@@ -1,5 +1,6 @@
 //! Soak: daemon, emulator, recorder, page and metrics for an hour, with faults at random: peers
-//! that are killed or hang, floods, a loaded machine, stops, kills and hangs of the daemon itself.
+//! that are killed or hang, floods, a loaded machine, stops, hands on the stop file, loops of arm,
+//! files of other users, kills and hangs of the daemon itself.
 //! No command passes the limits, the robot stands whenever the daemon is gone, and nothing grows:
 //! memory of the daemon, descriptors, segments.
 //!
@@ -21,8 +22,8 @@ use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
 use crate::fixture::{
-    CAMERA_PRIORITY, EndOnDrop, Place, Running, WAKE_NS, Witness, assert_within_limits, program,
-    repeats, tell, turn,
+    CAMERA_PRIORITY, EndOnDrop, Place, Running, WAKE_NS, Witness, assert_within_limits, is_still,
+    program, repeats, tell, turn,
 };
 use crate::load;
 use crate::machine::{on_time, processors};
@@ -55,15 +56,23 @@ enum Fault {
     PageKilled,
     MetricsKilled,
     Stopped,
+    /// A hand on the stop file.
+    Touched,
+    /// Somebody arms in a loop, and has not seen the stop.
+    ArmedInALoop,
+    /// Another user's file in shared memory, with the domain's prefix.
+    Squatted,
     Flooded,
     Loaded,
     DaemonKilled,
     DaemonHangs,
     DaemonTerminated,
+    /// The stop file is moved; only another daemon has one again.
+    StopFileMoved,
 }
 
 /// Those of others, each as often as it stands here.
-const FAULTS: [Fault; 17] = {
+const FAULTS: [Fault; 21] = {
     use Fault::*;
     [
         CameraKilled,
@@ -79,6 +88,10 @@ const FAULTS: [Fault; 17] = {
         MetricsKilled,
         Stopped,
         Stopped,
+        Touched,
+        Touched,
+        ArmedInALoop,
+        Squatted,
         Flooded,
         Flooded,
         Loaded,
@@ -86,10 +99,19 @@ const FAULTS: [Fault; 17] = {
     ]
 };
 /// Those of the daemon.
-const GRAVE: [Fault; 3] = [
+const GRAVE: [Fault; 4] = [
     Fault::DaemonKilled,
     Fault::DaemonHangs,
     Fault::DaemonTerminated,
+    Fault::StopFileMoved,
+];
+/// What a hand does to the stop file.
+const HANDS: [&str; 5] = [
+    "date +%s%N > stop",
+    "echo stop > stop",
+    ": > stop",
+    "touch stop",
+    "echo >> stop",
 ];
 
 /// Who takes part.
@@ -209,6 +231,40 @@ impl Cast {
                 let took = ipc::stop(&self.place.domain(), Duration::from_secs(2));
                 tally.stop = tally.stop.max(took.expect("a stop that is obeyed"));
             }
+            Fault::Touched => {
+                self.shell(HANDS[random.random_range(0..HANDS.len())]);
+                self.stands(tally);
+            }
+            Fault::ArmedInALoop => {
+                let took = ipc::stop(&self.place.domain(), Duration::from_secs(2));
+                tally.stop = tally.stop.max(took.expect("a stop that is obeyed"));
+                std::thread::sleep(Duration::from_millis(150));
+                self.witness.commands();
+                let newest = self.witness.records().last().map(|record| record.stops);
+                let before = newest.expect("cycles") - 1;
+                let begin = Instant::now();
+                while begin.elapsed() < PASSING {
+                    self.witness.say(&Request::arm(random.random(), 0));
+                    self.witness.say(&Request::arm(random.random(), before));
+                    std::thread::sleep(Duration::from_millis(20));
+                    let commands = self.witness.commands();
+                    assert!(
+                        commands.iter().all(is_still),
+                        "armed by who has not seen it"
+                    );
+                }
+            }
+            Fault::Squatted => {
+                let prefix = ipc::shared_memory_prefix(&self.place.domain()).unwrap();
+                let theirs = PathBuf::from(format!("/dev/shm/{prefix}theirs"));
+                std::fs::write(&theirs, "").unwrap();
+                // Only root can: else it is a file of ours that nobody knows.
+                let _ = std::os::unix::fs::chown(&theirs, Some(65534), Some(65534));
+                self.go_on(PASSING, tally);
+                let status = vpcctl(&self.place).arg("status").status();
+                assert!(matches!(status.unwrap().code(), Some(0 | 1 | 5)));
+                let _ = std::fs::remove_file(&theirs);
+            }
             Fault::Flooded => self.flooded(tally, random),
             Fault::Loaded => {
                 let (done, directory) = (AtomicBool::new(false), self.place.path(""));
@@ -219,6 +275,11 @@ impl Cast {
                 });
             }
             Fault::DaemonTerminated => self.daemon.signal(Signal::TERM),
+            Fault::StopFileMoved => {
+                self.shell("mv stop elsewhere");
+                self.stands(tally);
+                self.daemon.signal(Signal::TERM);
+            }
             Fault::DaemonKilled | Fault::DaemonHangs => {
                 self.tend(tally);
                 let watch = Watch::start(&processors(), 1_000_000, WAKE_NS);
@@ -233,6 +294,22 @@ impl Cast {
                 self.daemon.signal(Signal::CONT);
             }
         }
+    }
+
+    /// A line of the shell in the domain's directory.
+    fn shell(&self, line: &str) {
+        let mut shell = testkit::command("/bin/sh");
+        shell.args(["-c", line]).current_dir(self.place.domain());
+        assert!(shell.status().unwrap().success(), "{line}");
+    }
+
+    /// Waits until the camera stands, and stays so, after a stop that nobody acknowledges.
+    fn stands(&mut self, tally: &mut Tally) {
+        let begin = Instant::now();
+        self.witness.until("a zero twist", is_still);
+        tally.stop = tally.stop.max(begin.elapsed());
+        std::thread::sleep(Duration::from_millis(150));
+        assert!(self.witness.commands().iter().all(is_still), "it moves on");
     }
 
     /// Operators who ask without a pause.
