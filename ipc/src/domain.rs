@@ -21,6 +21,11 @@ use crate::service::{self, OpenService};
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
 
+/// Least room in shared memory with which a process joins or opens a port, bytes: what each of that
+/// takes at once is tens of kilobytes. iceoryx2 gives files a size and no pages; where there are none
+/// left, the kernel ends by SIGBUS whoever writes.
+const ROOM: u64 = 1 << 20;
+
 /// Age from which on shared memory of size 0 counts as left by a killed process: its creator gives
 /// it a size at once.
 const UNFINISHED: Duration = Duration::from_millis(300);
@@ -90,6 +95,7 @@ impl Domain {
         let prefix = shared_memory_prefix(guard.directory())?;
         let config = configuration(guard.directory(), &prefix).ok_or(JoinReason::Path)?;
         remove_unfinished(&prefix);
+        has_room()?;
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -115,7 +121,9 @@ impl Shared {
     /// The right to open a port.
     pub(crate) fn startup(&self) -> Result<Startup, OpenError> {
         let startup = self.guard.startup();
-        Ok(startup.map_err(|reason| self.error(reason))?)
+        let startup = startup.map_err(|reason| self.error(reason))?;
+        has_room().map_err(|reason| self.error(reason))?;
+        Ok(startup)
     }
 
     /// Takes a place among those who publish `T`.
@@ -238,6 +246,19 @@ fn wipe(directory: &Path) -> io::Result<()> {
         return Ok(());
     };
     ours(&prefix)?.try_for_each(|entry| gone(std::fs::remove_file(entry.path())))
+}
+
+/// Checks that shared memory has room for what a process writes when it joins or opens a port.
+fn has_room() -> Result<(), JoinReason> {
+    let Ok(found) = rustix::fs::statvfs(SHARED_MEMORY) else {
+        return Ok(());
+    };
+    let (free, needed) = (found.f_bavail.saturating_mul(found.f_frsize), ROOM);
+    // A tmpfs without a limit has no blocks.
+    match found.f_blocks > 0 && free < needed {
+        true => Err(JoinReason::NoRoom { free, needed }),
+        false => Ok(()),
+    }
 }
 
 /// The files in shared memory with this prefix that belong to this user. Others' are not ours,

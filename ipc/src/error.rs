@@ -37,6 +37,12 @@ pub enum JoinReason {
     /// iceoryx2 does not take the path.
     #[error("not a usable path; allowed: at most 200 bytes, letters, digits and . - _ /")]
     Path,
+    /// Writing to shared memory would end this process by SIGBUS.
+    #[error(
+        "/dev/shm has {free} bytes free; needed: {needed}; remove what fills it (du -a /dev/shm | sort -n), or make it larger \
+         (mount -o remount,size=1G /dev/shm); a stop needs none of it"
+    )]
+    NoRoom { free: u64, needed: u64 },
     /// Another process has been joining or leaving for this many seconds.
     #[error(
         "another process has been joining or leaving for {0} s; end it if it is stopped, or use another domain"

@@ -59,6 +59,16 @@ pub enum OpenError {
     },
 }
 
+/// Reads a plain file: a device or a pipe may have no end, and a memory no size that is too large.
+fn plain(path: &Path) -> std::io::Result<Vec<u8>> {
+    match std::fs::metadata(path)?.is_file() {
+        true => std::fs::read(path),
+        false => Err(std::io::Error::other(
+            "not a plain file; allowed: a plain file",
+        )),
+    }
+}
+
 /// A verified memory, copied into sealed memory and mapped read-only.
 #[derive(Debug)]
 pub struct MemoryFile {
@@ -83,7 +93,7 @@ impl MemoryFile {
             path: name.clone(),
             source,
         };
-        let bytes = std::fs::read(path).map_err(read)?;
+        let bytes = plain(path).map_err(read)?;
         let corrupt = |what| OpenError::Corrupt {
             path: name.clone(),
             what,

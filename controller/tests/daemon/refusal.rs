@@ -169,6 +169,29 @@ fn a_missing_file_is_66() {
 }
 
 #[test]
+fn files_without_an_end_are_refused_and_say_what_is_allowed() {
+    let place = Place::new();
+    let mut config = vpcd();
+    config.args(["--check-only", "--config", "/dev/zero"]);
+    let text = [
+        "/dev/zero: cannot read: more than 16777216 bytes",
+        "allowed: up to 16777216",
+    ];
+    assert_refused(ended(config), 66, &text);
+    let mut scene = vpcd();
+    scene.args(["--check-only", "--scene", "/dev/zero"]);
+    assert_refused(ended(scene), 66, &text);
+    let mut memory = vpcd_in(&place);
+    memory.args(["--strategy", "gpr", "--check-only", "--memory", "/dev/zero"]);
+    assert_refused(ended(memory), 66, &["/dev/zero", "allowed: a plain file"]);
+    let head = scene::PAPER_SIM.split("[[occlusion]]").next().unwrap();
+    let mask = "[[occlusion]]\nname = \"m\"\nmask = \"/dev/zero\"\n";
+    place.file("s.toml", format!("{head}{mask}"));
+    let outcome = with_config(&place, "scene = 's.toml'");
+    assert_refused(outcome, 65, &["/dev/zero", "allowed: up to 67108864"]);
+}
+
+#[test]
 fn a_wrong_scene_is_65() {
     let place = Place::new();
     let check = |from: &str, to: &str| {

@@ -20,7 +20,7 @@ mod patch;
 mod picture;
 
 #[cfg(feature = "file")]
-pub use picture::{MaskError, write_mask};
+pub use picture::{MOST_PIXELS, MaskError, write_mask};
 
 /// Most areas of all masks of a scene.
 pub const MAX_AREAS: usize = 32;

@@ -8,6 +8,9 @@ use png::{BitDepth, ColorType, Decoder, Encoder, Transformations};
 
 use crate::{MAX_AREAS, Mask};
 
+/// Most pixels of a mask: more would take a second and hundreds of megabytes.
+pub const MOST_PIXELS: usize = 4096 * 4096;
+
 /// Why an image cannot be a mask.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
@@ -18,6 +21,8 @@ pub enum MaskError {
     Decode(#[from] png::DecodingError),
     #[error("the image is {0}x{1} px; allowed: {2}x{3}, the size of the camera's image")]
     Size(u32, u32, u32, u32),
+    #[error("the image is {0}x{1} px; allowed: up to {MOST_PIXELS} px, for instance 4096x4096")]
+    Large(u32, u32),
     #[error("pixel ({0}, {1}) is coloured, {2:?}; allowed: white, black and greys between")]
     Coloured(usize, usize, [u8; 3]),
     #[error("pixel ({0}, {1}) is transparent; allowed: opaque pixels")]
@@ -47,6 +52,9 @@ impl Mask {
         let (w, h) = reader.info().size();
         if (w, h) != (width, height) {
             return Err(MaskError::Size(w, h, width, height));
+        }
+        if w as usize * h as usize > MOST_PIXELS {
+            return Err(MaskError::Large(w, h));
         }
         let channels = reader.output_color_type().0.samples();
         let mut bytes = vec![0; channels * w as usize * h as usize];
@@ -88,4 +96,24 @@ pub fn write_mask(
     let mut writer = encoder.write_header()?;
     writer.write_image_data(&pixels)?;
     Ok(writer.finish()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_huge_mask_is_refused_before_it_is_decoded() {
+        // A head alone: reading on would fail in other words.
+        let mut png = Vec::new();
+        let mut encoder = Encoder::new(&mut png, 16384, 16384);
+        encoder.set_color(ColorType::Grayscale);
+        let writer = encoder.write_header().unwrap();
+        std::mem::forget(writer);
+        // The decoder wants to see data begin.
+        png.extend([0, 0, 0, 16, b'I', b'D', b'A', b'T']);
+        let refused = Mask::decode(&png, 16384, 16384).unwrap_err().to_string();
+        let words = "16384x16384 px; allowed: up to 16777216 px, for instance 4096x4096";
+        assert!(refused.contains(words), "{refused}");
+    }
 }

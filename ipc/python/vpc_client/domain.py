@@ -24,6 +24,9 @@ from .ports import CameraPorts, OperatorPorts, Port, Publisher, Subscriber, free
 # Publishers that iceoryx2 allows beyond those of the contract: places that kills may leave taken.
 SPARE = 16
 
+# Least room in shared memory with which a process joins or opens a port, bytes.
+ROOM = 1 << 20
+
 # How long joining waits for others that join or leave, and how long to wait for a controller.
 PATIENCE_S = 10.0
 
@@ -169,6 +172,16 @@ class Domain(Opening):
         finally:
             fcntl.flock(self._startup, fcntl.LOCK_UN)
 
+    def _check_room(self) -> None:
+        """Where shared memory is full, SIGBUS ends whoever writes to it."""
+        found = os.statvfs("/dev/shm")
+        free = found.f_bavail * found.f_frsize
+        if found.f_blocks > 0 and free < ROOM:
+            raise BadDomain(
+                f"domain {self.directory}: /dev/shm has {free} bytes free; needed: {ROOM}; remove what fills it (du -a /dev/shm"
+                " | sort -n), or make it larger (mount -o remount,size=1G /dev/shm); a stop needs none of it"
+            )
+
     def _place(self, service: str) -> int | None:
         """A place among the publishers of a service, which closing it frees; None while others have them all."""
         for place in range(1, SERVICES[service].publishers + 1):
@@ -194,6 +207,7 @@ class Domain(Opening):
                 f"{self._generation_file()}: damaged; allowed: 16 hexadecimal digits, as who is alone in the domain writes"
             )
         self._remove_unborn()
+        self._check_room()
 
         iox2.set_log_level(iox2.LogLevel.Error)
         config = iox2.config.default()
@@ -304,7 +318,12 @@ class Domain(Opening):
         allowed = [name for name, known in SERVICES.items() if slices or known.alignment is None]
         if service not in allowed:
             raise BadArgument(f"service {service}; allowed: {', '.join(allowed)}; image_publisher and image_subscriber")
-        port = self._exclusively(create)
+
+        def checked() -> P:
+            self._check_room()
+            return create()
+
+        port = self._exclusively(checked)
         port.domain = self
         self._ports.add(port)
         return port

@@ -16,8 +16,12 @@ use crate::message::Recorded;
 use crate::writer::ORIGIN;
 use crate::{CONFIG_FILE, SCENE_FILE};
 
-/// Longest record, bytes: a damaged length must not take all memory.
-const LONGEST: usize = 256 << 20;
+/// Longest record, bytes: a damaged length must not take all memory. Chunks are decompressed record by
+/// record.
+const LONGEST: usize = 64 << 20;
+/// Most bytes of records for each byte of the file, beside one of the longest: a small file does not become
+/// a large recording. That of an idle vpcd, which changes least, has 19.
+const RATIO: usize = 256;
 
 /// Why a recording could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +31,12 @@ pub enum ReadError {
     Read { path: String, source: io::Error },
     #[error("{path}: not a recording: {source}")]
     Format { path: String, source: McapError },
+    #[error("{path}: {length} bytes become more than {most} bytes of records; allowed: up to that")]
+    Bomb {
+        path: String,
+        length: u64,
+        most: usize,
+    },
     /// A message that is not what its topic says.
     #[error("{path}: message {sequence} of {topic}: {reason}")]
     Message {
@@ -68,7 +78,11 @@ impl Recording {
             path: name.clone(),
             source,
         };
-        let mut file = BufReader::new(File::open(path).map_err(failed)?);
+        let file = File::open(path).map_err(failed)?;
+        let length = file.metadata().map_err(failed)?.len();
+        let mut file = BufReader::new(file);
+        let most = usize::try_from(length).unwrap_or(usize::MAX);
+        let (mut decoded, most) = (0_usize, most.saturating_mul(RATIO).saturating_add(LONGEST));
         let mut reader = LinearReader::new_with_options(
             LinearReaderOptions::default()
                 .with_skip_end_magic(true)
@@ -92,7 +106,14 @@ impl Recording {
                     reader.notify_read(read);
                     continue;
                 }
-                Ok(LinearReadEvent::Record { data, opcode }) => mcap::parse_record(opcode, data),
+                Ok(LinearReadEvent::Record { data, opcode }) => {
+                    decoded = decoded.saturating_add(data.len());
+                    if decoded > most {
+                        let path = name;
+                        return Err(ReadError::Bomb { path, length, most });
+                    }
+                    mcap::parse_record(opcode, data)
+                }
                 Err(error) => Err(error),
             };
             match record {
@@ -214,6 +235,47 @@ impl Recording {
             Reply::TOPIC => put(&mut self.replies, data),
             Snapshot::TOPIC => put(&mut self.snapshots, data),
             _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    /// What reading says of a recording of this many messages of a MiB, in chunks of this size.
+    fn read(messages: usize, chunk: u64) -> Result<Recording, String> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.mcap");
+        let file = File::create(&path).unwrap();
+        let options = mcap::WriteOptions::new().chunk_size(Some(chunk));
+        let mut writer = options.create(io::BufWriter::new(file)).unwrap();
+        let channel = writer.add_channel(0, "/a", "json", &BTreeMap::new());
+        let header = mcap::records::MessageHeader {
+            channel_id: channel.unwrap(),
+            sequence: 0,
+            log_time: 0,
+            publish_time: 0,
+        };
+        for _ in 0..messages {
+            let data = vec![b' '; 1 << 20];
+            writer.write_to_known_channel(&header, &data).unwrap();
+        }
+        writer.finish().unwrap();
+        assert!(std::fs::metadata(&path).unwrap().len() < 100_000);
+        Recording::read(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_small_file_does_not_become_a_large_recording() {
+        assert_eq!(read(40, 1 << 22).unwrap().cut, None);
+        for chunk in [1 << 22, 1 << 30] {
+            let said = read(120, chunk).unwrap_err();
+            assert!(
+                said.contains("bytes of records; allowed: up to that"),
+                "{said}"
+            );
         }
     }
 }

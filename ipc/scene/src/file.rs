@@ -62,7 +62,7 @@ struct Painted {
     parts: Vec<Part>,
     /// PNG image of the camera's size, relative to the scene file: white (from half grey on) is
     /// forbidden, black free.
-    #[schemars(extend("x-allowed" = "an opaque grey PNG of the image's size, at most 32 white areas"))]
+    #[schemars(extend("x-allowed" = "an opaque grey PNG of the image's size, up to 4096x4096 px, at most 32 white areas"))]
     mask: Option<String>,
 }
 
@@ -85,7 +85,7 @@ impl Scene {
     /// # Errors
     /// As [`Scene::read`].
     pub fn parse(text: &str, path: &str) -> Result<Self, FileError> {
-        Self::parse_with(text, path, &|mask| std::fs::read(beside(path, mask)))
+        Self::parse_with(text, path, &|mask| read_mask(&beside(path, mask)))
     }
 
     /// As [`Scene::parse`], with masks from elsewhere: `masks` returns the PNG file of a name in
@@ -109,10 +109,17 @@ impl Scene {
     }
 }
 
+/// Reads a file that is to be a mask.
+pub(crate) fn read_mask(path: &Path) -> std::io::Result<Vec<u8>> {
+    toml_schema::read_bytes(path, MOST_MASK)
+}
+
 fn beside(path: &str, mask: &str) -> std::path::PathBuf {
     Path::new(path).parent().unwrap_or(Path::new("")).join(mask)
 }
 
+/// Largest mask file, bytes: four for each pixel that a mask may have, not compressed.
+const MOST_MASK: u64 = 4 * mask::MOST_PIXELS as u64;
 /// Longest time that a stop from the velocity limits may take, s.
 const MAX_STOP_S: f64 = 5.0;
 

@@ -3,13 +3,14 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
-use std::{fs, io};
 
 use sha2::{Digest, Sha256};
 use toml_schema::FileError;
 
 use crate::Scene;
+use crate::file::read_mask;
 
 /// A scene with its files, as they were read: one may be painted over meanwhile.
 #[derive(Clone, Debug)]
@@ -31,12 +32,9 @@ impl SceneFiles {
     /// As [`Scene::read`].
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let name = path.display().to_string();
-        let text = fs::read_to_string(path).map_err(|source| FileError::Read {
-            path: name.clone(),
-            source,
-        })?;
+        let text = toml_schema::read_text(path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
-        Self::parse(text, &name, &|mask| fs::read(directory.join(mask)))
+        Self::parse(text, &name, &|mask| read_mask(&directory.join(mask)))
     }
 
     /// Parses the text of a scene file; `path` is for messages, and `mask` returns the PNG file of

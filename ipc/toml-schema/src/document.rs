@@ -1,6 +1,8 @@
 //! A configuration file, overridden by the flags of the command line.
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
 use schemars::JsonSchema;
@@ -68,15 +70,35 @@ impl FileError {
     }
 }
 
-/// Reads a file.
+/// Largest text file, bytes: a configuration has some thousands, a table of starts some millions.
+pub const MOST_TEXT: u64 = 16 << 20;
+
+/// Reads a file of at most [`MOST_TEXT`].
 ///
 /// # Errors
 /// [`FileError::Read`].
 pub fn read_text(path: &Path) -> Result<String, FileError> {
-    std::fs::read_to_string(path).map_err(|source| FileError::Read {
+    let text = read_bytes(path, MOST_TEXT).and_then(|bytes| {
+        String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
+    });
+    text.map_err(|source| FileError::Read {
         path: path.display().to_string(),
         source,
     })
+}
+
+/// Reads a file or a pipe, or as much of a device as is allowed.
+///
+/// # Errors
+/// It cannot be read, or it has more than `most` bytes.
+pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        let message = format!("more than {most} bytes; allowed: up to {most}");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
+    }
+    Ok(bytes)
 }
 
 /// A configuration file with the flags of the command line over it.

@@ -30,7 +30,7 @@ mod schema;
 #[cfg(feature = "yaml")]
 mod yaml;
 
-pub use document::{COMMAND_LINE, Document, FileError, read_text};
+pub use document::{COMMAND_LINE, Document, FileError, MOST_TEXT, read_bytes, read_text};
 #[cfg(feature = "flags")]
 pub use flags::arguments;
 pub use judge::{Refusal, check};

@@ -1,9 +1,13 @@
 //! YAML files of other tools: their numbers, with errors that name file, key and value.
 
 use saphyr::{LoadableYamlNode, Yaml};
+use saphyr_parser::{Event, Parser};
 
 use crate::document::FileError;
 use crate::judge::Refusal;
+
+/// Most lists and tables in each other; calibrations have four.
+const DEEPEST: u32 = 32;
 
 /// The contents of a YAML file.
 #[derive(Debug)]
@@ -34,6 +38,7 @@ impl YamlFile {
             path: path.to_owned(),
             message,
         };
+        bounded(text).map_err(syntax)?;
         let documents = Yaml::load_from_str(text).map_err(|error| syntax(error.to_string()))?;
         let root = documents.into_iter().next();
         Ok(Self {
@@ -142,6 +147,35 @@ impl<'a> YamlNode<'a> {
     }
 }
 
+/// Checks that nothing in a text takes more than the text does: no value is repeated by an alias, and
+/// lists and tables are in each other [`DEEPEST`] times at most. What is no YAML passes.
+fn bounded(text: &str) -> Result<(), String> {
+    let mut depth = 0_u32;
+    for event in Parser::new_from_str(text) {
+        match event {
+            Err(_) => break,
+            Ok((Event::Alias(_), at)) => {
+                let line = at.start.line();
+                return Err(format!(
+                    "line {line}: an alias; allowed: none, write the value again"
+                ));
+            }
+            Ok((Event::SequenceStart(..) | Event::MappingStart(..), at)) => {
+                depth += 1;
+                if depth > DEEPEST {
+                    let line = at.start.line();
+                    return Err(format!(
+                        "line {line}: more than {DEEPEST} lists and tables in each other; allowed: up to {DEEPEST}"
+                    ));
+                }
+            }
+            Ok((Event::SequenceEnd | Event::MappingEnd, _)) => depth = depth.saturating_sub(1),
+            Ok(_) => (),
+        }
+    }
+    Ok(())
+}
+
 /// A value without the type that OpenCV gives it.
 fn untagged<'a>(value: &'a Yaml<'static>) -> &'a Yaml<'static> {
     value.get_tagged_node().unwrap_or(value)
@@ -190,6 +224,26 @@ mod tests {
         let matrix = file.root().get("a", "a matrix").unwrap();
         assert_eq!(matrix.numbers("data").unwrap(), [1.0, -2.0, 0.05, 3.0]);
         assert_eq!(file.root().number("b").unwrap(), 7.0);
+    }
+
+    #[test]
+    fn a_text_takes_no_more_than_its_size() {
+        let said = |text: &str| YamlFile::parse(text, "a.yaml").unwrap_err().to_string();
+        let mut laughs = "a0: &a0 [x,x,x,x,x,x,x,x,x,x]\n".to_owned();
+        for i in 1..10 {
+            let again = vec![format!("*a{}", i - 1); 10].join(",");
+            laughs += &format!("a{i}: &a{i} [{again}]\n");
+        }
+        assert_eq!(
+            said(&laughs),
+            "a.yaml: line 2: an alias; allowed: none, write the value again"
+        );
+        let lists = format!("a: {}1{}", "[".repeat(100), "]".repeat(100));
+        let tables = (0..20_000).map(|i| format!("{}k:\n", " ".repeat(i % 6000)));
+        let deep: String = tables.take(6000).collect();
+        for text in [lists, deep + &" ".repeat(6000) + "1\n"] {
+            assert!(said(&text).contains("allowed: up to 32"), "{}", said(&text));
+        }
     }
 
     #[test]

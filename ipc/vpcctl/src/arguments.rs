@@ -206,8 +206,8 @@ pub struct ServeArguments {
         conflicts_with_all = ["listen", "control"])]
     pub foxglove: Option<SocketAddr>,
 
-    /// Let pages of this origin connect, too, such as https://app.foxglove.dev; may be repeated. Pages
-    /// of this machine and programs may connect anyway.
+    /// Let the pages of this origin connect, too, as Foxglove's web app needs; may be repeated.
+    /// Programs, and pages of this machine, may connect in any case.
     #[arg(long, value_name = "URL", requires = "foxglove")]
     pub origin: Vec<String>,
 }

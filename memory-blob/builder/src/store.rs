@@ -63,7 +63,10 @@ impl Trajectory {
         let most = [scene.limits.linear, scene.limits.angular].map(|most| most * (1.0 + OVER));
         for twist in &self.twists {
             let most = std::iter::repeat_n(most[0], 3).chain([most[1]; 3]);
-            let over = twist.iter().zip(most).find(|(v, most)| !(v.abs() <= *most));
+            let over = twist
+                .iter()
+                .zip(most)
+                .find(|(v, most)| !(-*most..=*most).contains(*v));
             if let Some((v, most)) = over {
                 return Err(format!(
                     "a velocity of {v}; allowed: up to {most:.6}, the limits of the scene"

@@ -156,8 +156,18 @@ impl Cell {
             .collect()
     }
 
+    /// Arms, as soon as camera and robot are there, and waits until the image moves.
+    pub fn set_in_motion(&mut self) {
+        eventually("arming", || {
+            let mut vpcctl = testkit::command(program("vpcctl"));
+            let arm = vpcctl.arg("--domain").arg(self.place.domain()).arg("arm");
+            (ended(arm).code == Some(0)).then_some(())
+        });
+        self.until_it_moves();
+    }
+
     /// Waits until the image moves.
-    pub fn until_it_moves(&mut self) {
+    fn until_it_moves(&mut self) {
         eventually("motion", || {
             std::thread::sleep(Duration::from_millis(500));
             let frames = self.frames();
@@ -181,8 +191,8 @@ fn distance(a: &[f64; 8], b: &[f64; 8]) -> f64 {
 
 /// One fault: how long until the arm stood, ns.
 fn strike(fault: Fault) -> anyhow::Result<u64> {
-    let mut cell = Cell::new(&["--arm"]);
-    cell.until_it_moves();
+    let mut cell = Cell::new(&[]);
+    cell.set_in_motion();
     let struck_ns = now_ns();
     match fault {
         Fault::DaemonKilled => cell.daemon.signal(Signal::KILL),
@@ -294,8 +304,8 @@ fn a_robot_that_is_gone_ends_the_bridge_and_disarms_the_controller() {
     if !is_possible("a robot that is gone") {
         return;
     }
-    let mut cell = Cell::new(&["--arm"]);
-    cell.until_it_moves();
+    let mut cell = Cell::new(&[]);
+    cell.set_in_motion();
     cell.robot.signal(Signal::KILL);
     let said = cell.bridge.ended();
     assert_eq!(said.code, Some(69), "{said:?}");

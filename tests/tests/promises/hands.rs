@@ -54,6 +54,10 @@ fn stopped_by(number: usize, line: &str, is_usable: bool) -> anyhow::Result<u64>
     let mut worst = 0;
     for round in 0..rounds {
         if round > 0 {
+            stage.camera.signal(rustix::process::Signal::KILL);
+            eventually("the camera's end", || {
+                (!stage.camera.is_running()).then_some(())
+            });
             stage.camera = moving_camera(&stage, number + round);
             stage.witness.set_in_motion();
         }

@@ -41,8 +41,8 @@ fn speed(state: &RobotState) -> [f64; 2] {
 }
 
 fn stop(model: Model, way: Way) -> anyhow::Result<Stopped> {
-    let mut cell = Cell::with(model, &["--arm"]);
-    cell.until_it_moves();
+    let mut cell = Cell::with(model, &[]);
+    cell.set_in_motion();
     let mut states = Vec::new();
     while let Some(state) = cell.observer.robot.oldest().unwrap() {
         states.push(state.message);

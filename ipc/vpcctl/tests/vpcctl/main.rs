@@ -4,6 +4,7 @@ mod browser;
 mod check_bridge;
 mod doctor;
 mod foxglove;
+mod full;
 mod metrics;
 mod monitoring;
 mod recordings;

@@ -11,6 +11,8 @@ use super::is_named;
 
 /// Most pixels in a row, and most rows: those of `vpc/image`.
 pub(super) const MOST_SIDE: u32 = 8192;
+/// Largest PGM file, bytes: its pixels and a head.
+const MOST_PGM: u64 = (MOST_SIDE as u64).pow(2) + (64 << 10);
 
 /// A grey image with its name; rows follow each other without a gap.
 #[derive(Debug, Default)]
@@ -63,7 +65,8 @@ impl Picture {
     }
 
     fn read_pgm(path: &Path, name: String) -> Result<Self, SourceError> {
-        let bytes = std::fs::read(path).map_err(|error| SourceError::system(&name, error))?;
+        let read = toml_schema::read_bytes(path, MOST_PGM);
+        let bytes = read.map_err(|error| SourceError::system(&name, error))?;
         let refuse = |found: String, allowed: &str| SourceError::value(&name, found, allowed);
         let Some(([width, height, white], mut pixels)) = pgm_header(&bytes) else {
             let found = "no header of a PGM file".to_owned();
