@@ -193,8 +193,8 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// The camera rests at the goal for a while, obeying the controller, so that this stays armed.
-    /// In lockstep time does not pass between runs.
+    /// The camera rests at the goal for a while, obeying the controller. In lockstep time does not
+    /// pass between runs.
     fn rest(&mut self) -> anyhow::Result<()> {
         if self.is_live() {
             let mut cell = self.cell(&self.config.scene.goal, true)?;

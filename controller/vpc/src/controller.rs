@@ -488,10 +488,13 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         }
         let moved_px = features::largest_distance(expected, &filtered);
         // A robot may not have begun, or may still be under way.
-        let most_px = moved_px
-            + self.state.follow.ahead_px()
-            + follow::object_px(&self.task, &filtered, since_s);
+        let object_px = follow::object_px(&self.task, &filtered, since_s);
+        let most_px = moved_px + self.state.follow.ahead_px() + object_px;
         gate::check_place(&self.task, points, expected, most_px)?;
+        if gate::is_push(&self.task, points, expected, 2.0 * moved_px + object_px) {
+            // Further than a command of the wrong sign would take it: no matter of the commands.
+            self.state.follow = Follow::NEW;
+        }
         frozen::check(&mut self.state.still_px, points, &seen, moved_px)
             .inspect_err(|_| self.lose_sight())
     }

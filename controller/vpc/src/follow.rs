@@ -10,7 +10,7 @@
 //!
 //! The image does not follow if, for every lag of the robot, p + 3 px < abs(c) / 3 and p + o + 3 px
 //! < 0.5 abs(c). The same is asked of what is left of c without the shift that is common to all
-//! points.
+//! points, and without their common turn and growth.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -83,8 +83,8 @@ impl Follow {
         since: [[0.0; 2]; MAX_POINTS],
     };
 
-    /// Adds a measurement, which may be filtered, and where the commands since the one before should have taken the points
-    /// `from` there: `to`.
+    /// Adds a measurement, which may be filtered, and where the commands since the one before should
+    /// have taken the points `from` there: `to`.
     ///
     /// # Errors
     /// [`Refusal::NotFollowing`] if the image does not follow the commands.
@@ -96,7 +96,8 @@ impl Follow {
         exposed_ns: u64,
     ) -> Result<(), Refusal> {
         for (sum, (from, to)) in self.since.iter_mut().zip(from.iter().zip(to)) {
-            *sum = core::array::from_fn(|i| sum[i] + (to[i] - from[i]) as f32);
+            let each = sum.iter_mut().zip(from.iter().zip(to));
+            each.for_each(|(sum, (from, to))| *sum += (to - from) as f32);
         }
         let [newest, ..] = &self.slots;
         if self.count > 0 && exposed_ns.saturating_sub(newest.exposed_ns) < SLOT_NS {
@@ -142,13 +143,10 @@ impl Follow {
             add(&mut sum, &slot.commanded, 1.0);
         }
         // The newest slot leaves the window as the one before its oldest comes in.
-        let [newest, oldest] = [lag, lag + window].map(|i| self.slots.get(i));
-        for (slot, sign) in newest
-            .into_iter()
-            .zip([-part])
-            .chain(oldest.into_iter().zip([part]))
-        {
-            add(&mut sum, &slot.commanded, sign);
+        for (i, sign) in [(lag, -part), (lag + window, part)] {
+            if let Some(slot) = self.slots.get(i) {
+                add(&mut sum, &slot.commanded, sign);
+            }
         }
         sum
     }
@@ -172,15 +170,12 @@ impl Follow {
         let seconds = newest.exposed_ns.saturating_sub(oldest.exposed_ns) as f64 * 1e-9;
         let object = |along: &Displacement| {
             // Speed and turning rate, in any direction.
-            let parts = flow
-                .chunks(3)
-                .zip(task.limits.chunks(3))
-                .map(|(flow, limits)| {
-                    let each = flow.iter().zip(limits);
-                    let squares =
-                        each.map(|(flow, limit)| libm::pow(limit * dot(flow, along), 2.0));
-                    libm::sqrt(squares.sum())
-                });
+            let kinds = flow.chunks(3).zip(task.limits.chunks(3));
+            let parts = kinds.map(|(flow, limits)| {
+                let each = flow.iter().zip(limits);
+                let each = each.map(|(flow, limit)| limit * dot(flow, along));
+                libm::sqrt(each.map(|x| x * x).sum())
+            });
             OBJECT * seconds * parts.sum::<f64>()
         };
         for without in [Without::Nothing, Without::Shift, Without::Similarity] {
@@ -269,7 +264,8 @@ fn fastest(task: &Task, flow: &[Displacement; 6]) -> f64 {
     let mut most = [[0.0_f64; 2]; MAX_POINTS];
     for (flow, limit) in flow.iter().zip(&task.limits) {
         for (sum, rate) in most.iter_mut().zip(flow) {
-            *sum = core::array::from_fn(|i| sum[i] + limit * f64::from(rate[i]).abs());
+            let each = sum.iter_mut().zip(rate);
+            each.for_each(|(sum, rate)| *sum += limit * f64::from(*rate).abs());
         }
     }
     let each = most.iter().map(|[u, v]| libm::hypot(*u, *v));

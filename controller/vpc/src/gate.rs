@@ -188,10 +188,23 @@ pub fn check_place(
     most_px: f64,
 ) -> Result<(), Refusal> {
     let most_px = most_px + least_leap_px(task);
-    match sorted_distances(points, expected).get(points.len().saturating_sub(1) / 2) {
-        Some(&(_, by_px)) if by_px > most_px => Err(Refusal::Elsewhere { by_px, most_px }),
+    match usual_px(points, expected) {
+        by_px if by_px > most_px => Err(Refusal::Elsewhere { by_px, most_px }),
         _ => Ok(()),
     }
+}
+
+/// Whether more than half of the points lie further than `most_px` and half of the margin of
+/// [`check_place`] from where they are expected: camera or object was pushed.
+pub fn is_push(task: &Task, points: &Points, expected: &Points, most_px: f64) -> bool {
+    usual_px(points, expected) > most_px + 0.5 * least_leap_px(task)
+}
+
+/// Within what distance of where they are expected the nearer half of the points lie, px.
+fn usual_px(points: &Points, expected: &Points) -> f64 {
+    let away = sorted_distances(points, expected);
+    let usual = away.get(points.len().saturating_sub(1) / 2);
+    usual.map_or(0.0, |(_, by_px)| *by_px)
 }
 
 /// The points by their distance from where they are expected, px, the nearest first.

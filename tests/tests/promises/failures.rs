@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use controller::clock::sleep_until;
+use hw_sim::FreeCamera;
 use ipc::{
     CameraPorts, CycleRecord, Domain, Features, Hold, RecallCode, SolverStatus, TwistState, now_ns,
 };
@@ -14,6 +15,7 @@ use memory_blob::MemoryFile;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Pid;
+use scene::{Pose, Scene};
 
 use crate::fixture::{
     CAMERA_PRIORITY, EndOnDrop, PERIOD_NS, Place, Running, Stage, Witness, assert_within_limits,
@@ -186,17 +188,28 @@ fn features_for_which_the_law_has_no_answer_brake_and_disarm() {
             let domain = Domain::join(&place.domain()).unwrap();
             let mut camera = CameraPorts::open(&domain).unwrap();
             let mut random = ChaCha8Rng::seed_from_u64(1);
+            let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+            let far = Pose {
+                translation: [0.1, 0.0, 3.2],
+                rotation: [0.0; 3],
+            };
+            let mut eye = FreeCamera::new(&scene, &far);
+            let mut twist = [0.0; 6];
             while !ended.load(Ordering::Relaxed) {
-                // Seen as a line, nearly: the interaction matrix is singular.
-                let height = if flattened.load(Ordering::Relaxed) {
-                    1.0
-                } else {
-                    20.0
-                };
+                eye.advance(&twist, PERIOD_NS as f64 * 1e-9);
+                if let Some(newest) = camera.twist.latest().unwrap() {
+                    twist = newest.message.twist;
+                }
+                let mut points = eye.features().unwrap();
+                if flattened.load(Ordering::Relaxed) {
+                    // Seen as a line, nearly: the interaction matrix is singular.
+                    let middle = points.iter().map(|p| p[1]).sum::<f64>() / points.len() as f64;
+                    let heights = points.iter_mut().map(|p| &mut p[1]);
+                    heights.for_each(|v| *v = middle + 0.01 * (*v - middle));
+                }
                 // Not the last bit stays: the daemon would take the image for frozen.
-                let [u, v] = [400.0, 300.0].map(|x| x + random.random_range(-0.1..0.1));
-                let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
-                let points = square.map(|[x, y]| [u + 100.0 * x, v + height * y]);
+                let shift = random.random_range(-0.1..0.1);
+                points.iter_mut().for_each(|p| p[0] += shift);
                 let features = Features::new(&points, now_ns());
                 camera.features.publish(&features).unwrap();
                 std::thread::sleep(Duration::from_nanos(PERIOD_NS));

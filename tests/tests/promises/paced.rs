@@ -137,7 +137,7 @@ impl Track {
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
         let domain = Domain::join(&self.place.domain()).unwrap();
         let mut observer = Observer::open(&domain).unwrap();
-        let mut camera = Camera::new(&self.scene, &starts, &self.place.domain());
+        let mut camera = Camera::new(&self.scene, &starts, &self.place.domain()).nudged();
         keep(None, 0);
         take_priority(CAMERA_PRIORITY);
         let mut records = Vec::new();

@@ -230,11 +230,11 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
         let domain = stage.place.domain();
         let (ended, moving) = (&ended, &moving);
         let direct = threads.spawn(move || Direct::listen(&domain, ended, moving));
-        let _daemon = stage.daemon();
         let _robot = stage.start(
             "hw-sim",
             &["--config", "hw-sim/hw-sim-robot.toml", "--start", "3"],
         );
+        let _daemon = stage.daemon();
         wait("motion", || moving.load(Ordering::Relaxed) > 90);
         for topic in STILL {
             wait(topic, || has(&early, topic, 3));
