@@ -233,7 +233,7 @@ impl Bridge<'_> {
     }
 
     /// It never recovers by itself.
-    fn take_requests(&mut self, robot: &franka::Robot, state: &Told) -> Result<(), DriveError> {
+    fn take_requests(&mut self, robot: &robot::Robot, state: &Told) -> Result<(), DriveError> {
         if !self.is_asked()? {
             return Ok(());
         }
@@ -260,7 +260,7 @@ impl Bridge<'_> {
     }
 
     /// A motion, from rest to rest.
-    fn carry_out(&mut self, robot: &franka::Robot, state: &Told) -> Result<(), End> {
+    fn carry_out(&mut self, robot: &robot::Robot, state: &Told) -> Result<(), End> {
         let measured = robot::measured(state);
         let mount = self.config.mount(&measured.flange_from_ee);
         let Config {

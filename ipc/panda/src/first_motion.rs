@@ -135,7 +135,7 @@ pub fn first_motion(
 /// All moves, from rest to rest.
 fn carry_out(
     config: &Config,
-    robot: &franka::Robot,
+    robot: &robot::Robot,
     state: &Told,
     stop: &AtomicBool,
 ) -> Result<Vec<Move>, FirstMotionError> {

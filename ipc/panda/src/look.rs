@@ -127,7 +127,7 @@ pub fn preflight(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError>
 }
 
 /// The least success rate while the arm is held where it is.
-fn rate(config: &Config, robot: &franka::Robot, stop: &AtomicBool) -> Result<f64, FrankaError> {
+fn rate(config: &Config, robot: &robot::Robot, stop: &AtomicBool) -> Result<f64, FrankaError> {
     let still = Output::still(config.interface);
     let mut motion = Motion::begin(robot, config.interface)?;
     let mut least: f64 = 1.0;

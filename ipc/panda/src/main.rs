@@ -11,7 +11,7 @@ use program::{ATTENTION, SOFTWARE, UNAVAILABLE};
 use vpc_panda::config::{Arguments, Config};
 use vpc_panda::drive::{DriveError, Event, drive};
 use vpc_panda::first_motion::{FirstMotionError, first_motion};
-use vpc_panda::look;
+use vpc_panda::{look, robot};
 
 // Counts what the loop allocates, which is nothing.
 #[global_allocator]
@@ -19,6 +19,9 @@ static METER: Meter = Meter;
 
 /// Events that wait for the log.
 const QUEUE: usize = 256;
+/// Longest time from a signal to the end: it brakes, ends the motion, and waits for the robot to say
+/// that it is idle.
+const LAST: Duration = Duration::from_secs(3);
 /// How often the log looks.
 const LOOK: Duration = Duration::from_millis(20);
 /// Between two lines about the same thing.
@@ -36,6 +39,8 @@ fn begin() -> Result<ExitCode, ExitCode> {
         ExitCode::from(error.exit_code())
     })?;
     let stop = program::stop_on_signals("vpc-panda")?;
+    program::end_within(LAST, &stop, "vpc-panda")?;
+    std::thread::spawn(end_if_it_hangs);
     let words = |error: &dyn Display| error.to_string();
     let is_asked = |flag: &str| matches.get_flag(flag);
     let looked_at = if is_asked("dry_run") {
@@ -61,6 +66,17 @@ fn begin() -> Result<ExitCode, ExitCode> {
             ExitCode::from(UNAVAILABLE)
         }
     })
+}
+
+/// A robot without commands stops by itself.
+fn end_if_it_hangs() {
+    loop {
+        std::thread::sleep(LOOK);
+        if let Some(why) = robot::hangs() {
+            eprintln!("vpc-panda: {why}: ended");
+            std::process::exit(UNAVAILABLE.into());
+        }
+    }
 }
 
 fn run(config: Config, stop: &Arc<AtomicBool>) -> ExitCode {

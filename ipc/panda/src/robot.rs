@@ -1,23 +1,94 @@
 //! The robot behind the vendor's interface: what its states say, in our types.
 
+use std::ops::Deref;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use franka::{
-    ActiveMotionGenerator, CartesianVelocities, FciVersion, FrankaResult, JointVelocities,
-    MoveControllerMode, RealtimeConfig, RobotMode as Mode, RobotOptions, RobotState as Told,
-    VersionPolicy,
+    ActiveMotionGenerator, CartesianVelocities, FciVersion, FrankaError, FrankaResult,
+    JointVelocities, MoveControllerMode, RealtimeConfig, RobotMode as Mode, RobotOptions,
+    RobotState as Told, VersionPolicy,
 };
-use ipc::{RobotFaults, RobotMode, RobotState};
+use ipc::{RobotFaults, RobotMode, RobotState, now_ns};
 use nalgebra::{Matrix4, Rotation3, Translation3};
 use panda::limits::Setpoint;
 use panda::{Chain, Echo, Errors, Flag, JOINTS, Joints, Model, Mount, Pose, Twist};
 
 use crate::config::{Config, Interface};
+use crate::datagrams;
 use crate::steering::{Limited, Measured, Output};
+
+/// How far the number of a state may be ahead, ms: what is further is not the robot's.
+const FAR_MS: u64 = 10_000;
+/// Longest wait for a state with a new number: by then the library's own time-out of 1 s has passed,
+/// unless something else comes.
+const LONGEST_WAIT_NS: u64 = 2_000_000_000;
+
+/// Since when a state is waited for, CLOCK_MONOTONIC, ns; 0: none is.
+static WAITS_SINCE_NS: AtomicU64 = AtomicU64::new(0);
+/// A number that was refused; 0: none was.
+static REFUSED: AtomicU64 = AtomicU64::new(0);
+
+/// Why nothing can come of the library any more, if so. It takes the state with the greatest number,
+/// and waits for a greater one as long as datagrams come: after a forged number, for ever, even where
+/// its motion is dropped.
+pub fn hangs() -> Option<String> {
+    let refused = REFUSED.load(Ordering::Relaxed);
+    if refused > 0 {
+        return Some(format!(
+            "a state with the number {refused} is not the robot's"
+        ));
+    }
+    let since = WAITS_SINCE_NS.load(Ordering::Relaxed);
+    let is_long = since > 0 && now_ns().saturating_sub(since) > LONGEST_WAIT_NS;
+    is_long.then(|| "datagrams come from the robot, and no new state".to_owned())
+}
+
+/// A robot whose states have numbers that are to be expected, from the robot's address alone.
+pub struct Robot {
+    robot: franka::Robot,
+    /// The last number; 0: none.
+    last_ms: AtomicU64,
+}
+
+impl Deref for Robot {
+    type Target = franka::Robot;
+
+    fn deref(&self) -> &franka::Robot {
+        &self.robot
+    }
+}
+
+impl Robot {
+    /// Waits for the next state, while no motion runs.
+    ///
+    /// # Errors
+    /// The robot is gone, or the state is not its.
+    pub fn read_once(&self) -> FrankaResult<Told> {
+        self.awaited(|| self.robot.read_once())
+    }
+
+    fn awaited(&self, read: impl FnOnce() -> FrankaResult<Told>) -> FrankaResult<Told> {
+        WAITS_SINCE_NS.store(now_ns(), Ordering::Relaxed);
+        let state = read();
+        WAITS_SINCE_NS.store(0, Ordering::Relaxed);
+        let state = state?;
+        let number = state.time.as_millis();
+        let last = self.last_ms.load(Ordering::Relaxed);
+        if last > 0 && number.saturating_sub(last) > FAR_MS {
+            REFUSED.store(number, Ordering::Relaxed);
+            let why = format!("a state with the number {number} came after {last}");
+            return Err(FrankaError::Protocol(why));
+        }
+        self.last_ms.store(number, Ordering::Relaxed);
+        Ok(state)
+    }
+}
 
 /// Connects with the robot's version of the interface: a Panda's is 5, an FR3's 10.
 ///
 /// # Errors
 /// The robot does not answer, has another client, or speaks another version.
-pub fn connect(config: &Config) -> FrankaResult<franka::Robot> {
+pub fn connect(config: &Config) -> FrankaResult<Robot> {
     let version = match config.model {
         Model::Panda => FciVersion::V5,
         Model::Fr3 => FciVersion::V10,
@@ -25,12 +96,19 @@ pub fn connect(config: &Config) -> FrankaResult<franka::Robot> {
     let options = RobotOptions::new(RealtimeConfig::Ignore);
     let options = options.with_version(VersionPolicy::Exact(version));
     // It takes the highest real-time priority for the thread that connects: one that ends here.
-    std::thread::scope(|scope| {
+    let robot = std::thread::scope(|scope| {
         let connecting = scope.spawn(|| franka::Robot::with_options(&config.robot, options));
         connecting.join().unwrap_or_else(|_| {
             let why = "the client library panicked".to_owned();
-            Err(franka::FrankaError::Network(why))
+            Err(FrankaError::Network(why))
         })
+    })?;
+    datagrams::of_robot_alone(&config.robot).map_err(|why| {
+        FrankaError::Network(format!("no socket for the robot's datagrams alone: {why}"))
+    })?;
+    Ok(Robot {
+        robot,
+        last_ms: AtomicU64::new(0),
     })
 }
 
@@ -137,10 +215,13 @@ fn bits(errors: &franka::Errors) -> u32 {
 }
 
 /// A motion under way.
-pub enum Motion<'a> {
-    /// Of joint velocities.
+pub struct Motion<'a> {
+    robot: &'a Robot,
+    generator: Generator<'a>,
+}
+
+enum Generator<'a> {
     Joint(ActiveMotionGenerator<'a, JointVelocities>),
-    /// Of velocities of the end effector.
     Cartesian(ActiveMotionGenerator<'a, CartesianVelocities>),
 }
 
@@ -149,14 +230,15 @@ impl<'a> Motion<'a> {
     ///
     /// # Errors
     /// The robot refuses, or is gone.
-    pub fn begin(robot: &'a franka::Robot, interface: Interface) -> FrankaResult<Self> {
+    pub fn begin(robot: &'a Robot, interface: Interface) -> FrankaResult<Self> {
         let tracked = MoveControllerMode::JointImpedance;
-        Ok(match interface {
-            Interface::Joint => Self::Joint(robot.start_joint_velocity_control(tracked)?),
+        let generator = match interface {
+            Interface::Joint => Generator::Joint(robot.start_joint_velocity_control(tracked)?),
             Interface::Cartesian => {
-                Self::Cartesian(robot.start_cartesian_velocity_control(tracked)?)
+                Generator::Cartesian(robot.start_cartesian_velocity_control(tracked)?)
             }
-        })
+        };
+        Ok(Self { robot, generator })
     }
 
     /// Waits for the next state.
@@ -164,11 +246,13 @@ impl<'a> Motion<'a> {
     /// # Errors
     /// The robot ended the motion, or is gone.
     pub fn state(&mut self) -> FrankaResult<Told> {
-        let (state, _) = match self {
-            Self::Joint(motion) => motion.read_once()?,
-            Self::Cartesian(motion) => motion.read_once()?,
-        };
-        Ok(state)
+        self.robot.awaited(|| {
+            let (state, _) = match &mut self.generator {
+                Generator::Joint(motion) => motion.read_once()?,
+                Generator::Cartesian(motion) => motion.read_once()?,
+            };
+            Ok(state)
+        })
     }
 
     /// Answers the last state; the last answer of a motion ends it.
@@ -176,13 +260,13 @@ impl<'a> Motion<'a> {
     /// # Errors
     /// The robot ended the motion, or is gone.
     pub fn answer(&mut self, output: &Output, is_last: bool) -> FrankaResult<()> {
-        match (self, output) {
-            (Self::Joint(motion), Output::Joint(dq)) => {
+        match (&mut self.generator, output) {
+            (Generator::Joint(motion), Output::Joint(dq)) => {
                 let mut command = JointVelocities::new((*dq).into());
                 command.motion_finished = is_last;
                 motion.write_once(&command, None)
             }
-            (Self::Cartesian(motion), Output::Cartesian(twist)) => {
+            (Generator::Cartesian(motion), Output::Cartesian(twist)) => {
                 let mut command = CartesianVelocities::new((*twist).into());
                 command.motion_finished = is_last;
                 motion.write_once(&command, None)

@@ -8,11 +8,15 @@ pub mod kernel;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use clap::{ArgMatches, CommandFactory};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tracing_subscriber::EnvFilter;
+
+/// Between two looks for a signal.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Done, and something wants attention: a finding, a result that was not written.
 pub const ATTENTION: u8 = 1;
@@ -66,6 +70,33 @@ pub fn stop_on_signals(name: &str) -> Result<Arc<AtomicBool>, ExitCode> {
         })?;
     }
     Ok(stop)
+}
+
+/// Ends the process where it is, with the exit code [`ATTENTION`], if it has not ended by itself
+/// within `patience` after `stop` was set. It starts a thread for that, so that nothing that hangs
+/// keeps a signal from ending the program.
+///
+/// # Errors
+/// There is no thread; that was printed under the program's `name`. The exit code.
+pub fn end_within(
+    patience: Duration,
+    stop: &Arc<AtomicBool>,
+    name: &'static str,
+) -> Result<(), ExitCode> {
+    let stop = Arc::clone(stop);
+    let watch = move || {
+        while !stop.load(Ordering::Relaxed) {
+            std::thread::sleep(LOOK);
+        }
+        std::thread::sleep(patience);
+        eprintln!("{name}: not stopped within {patience:?}: ended where it is");
+        std::process::exit(ATTENTION.into());
+    };
+    let thread = std::thread::Builder::new().name("end".to_owned());
+    thread.spawn(watch).map(drop).map_err(|error| {
+        eprintln!("{name}: no thread: {error}");
+        ExitCode::from(UNAVAILABLE)
+    })
 }
 
 /// Whether the process was begun with SIGHUP ignored.

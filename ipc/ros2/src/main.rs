@@ -36,6 +36,8 @@ const DIAGNOSTICS: Duration = Duration::from_secs(1);
 const DRAWING: Duration = Duration::from_millis(90);
 /// Most memory of its own, bytes: ten times of what it uses.
 const MOST_MEMORY: u64 = 512 << 20;
+/// Longest time from a signal to the end.
+const LAST: Duration = Duration::from_secs(2);
 /// How long a preflight listens.
 const LISTEN: Duration = Duration::from_secs(3);
 
@@ -63,6 +65,7 @@ fn begin() -> Result<ExitCode, ExitCode> {
         ExitCode::from(error.exit_code())
     })?;
     let stop = program::stop_on_signals("vpc-ros2")?;
+    program::end_within(LAST, &stop, "vpc-ros2")?;
     limit_memory()?;
     let ended = match matches.get_flag("preflight") {
         true => preflight(&config, &stop),

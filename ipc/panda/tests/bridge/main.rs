@@ -2,6 +2,7 @@
 
 mod configuration;
 mod first_motion;
+mod forged;
 mod motion;
 
 use std::path::Path;

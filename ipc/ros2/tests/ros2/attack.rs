@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use serde_json::json;
-use testkit::{Ended, eventually, tell};
+use testkit::{Ended, PATIENCE, eventually, tell, within};
 
 use crate::bench::{Bench, Via};
 
@@ -40,7 +40,7 @@ impl Stranger {
         bench.restart_peer();
         let mut stranger = Self {
             socket,
-            ports: ports(bench.gateway.id()),
+            ports: Vec::new(),
             heard: Vec::new(),
         };
         eventually("a peer that tells of itself", || {
@@ -106,7 +106,12 @@ fn endless(prefix: &[u8; 12]) -> Vec<u8> {
         prefix,
         7,
         1,
-        &[&[0; 4], &[0, 0, 3, 0xc2], &numbers, &[1, 0, 0, 0]],
+        &[
+            &[0; 4],
+            &[0, 0, 3, 0xc2],
+            &numbers,
+            &[0xff, 0xff, 0xff, 0x7f],
+        ],
     );
     assert_eq!(packet.len(), 52);
     packet
@@ -226,14 +231,16 @@ impl Dice {
     }
 }
 
-/// Waits until the robot stands; how long it took, and zeros that came since `zeros`.
-fn stands(bench: &mut Bench, since: Instant, zeros: u64) -> (Duration, u64) {
+/// Waits for a zero; how long it took, since this instant, in which there were `zeros`.
+fn stands(bench: &mut Bench, since: Instant, zeros: u64) -> Duration {
     let peer = &mut bench.peer;
-    eventually("a zero", || {
-        let status = peer.status();
-        let came = status["zeros"].as_u64().unwrap() - zeros;
-        (came > 0 && status["speed"] == json!(0.0)).then_some((since.elapsed(), came))
-    })
+    let mut last = json!(null);
+    let found = within(PATIENCE, || {
+        last = peer.status();
+        let came = last["zeros"].as_u64().unwrap() - zeros;
+        (came > 0 && last["speed"] == json!(0.0)).then(|| since.elapsed())
+    });
+    found.unwrap_or_else(|| panic!("no zero: {last}; {}", bench.gateway.stderr()))
 }
 
 fn said(ended: &Ended) -> &str {
@@ -245,14 +252,15 @@ fn a_packet_that_hangs_the_library_brings_zeros_and_ends_the_gateway() {
     let Some(mut bench) = Bench::new("attack", Via::Dds, 149, false) else {
         return;
     };
-    let stranger = Stranger::join(&mut bench);
+    let mut stranger = Stranger::join(&mut bench);
     bench.peer.set_off(5);
+    stranger.ports = ports(bench.gateway.id());
     let zeros = bench.peer.status()["zeros"].as_u64().unwrap();
     let since = Instant::now();
     for peer in stranger.peers() {
         stranger.send(&endless(&peer));
     }
-    let (after, _) = stands(&mut bench, since, zeros);
+    let after = stands(&mut bench, since, zeros);
     let ended = bench.replace_gateway().ended();
     let words = said(&ended);
     tell(format_args!("zeros {after:?} after 52 bytes: {words}"));
@@ -264,7 +272,7 @@ fn a_packet_that_hangs_the_library_brings_zeros_and_ends_the_gateway() {
     let zeros = bench.peer.status()["zeros"].as_u64().unwrap();
     let since = Instant::now();
     bench.gateway.signal(Signal::KILL);
-    let (after, _) = stands(&mut bench, since, zeros);
+    let after = stands(&mut bench, since, zeros);
     tell(format_args!("zeros {after:?} after SIGKILL"));
     assert!(after < STANDS, "{after:?}");
 }
@@ -280,6 +288,8 @@ fn mutated_packets_do_not_keep_the_robot_moving() {
     let mut ends = 0;
     for _ in 0..ROUNDS {
         bench.peer.set_off(5);
+        stranger.ports = ports(bench.gateway.id());
+        let zeros = bench.peer.status()["zeros"].as_u64().unwrap();
         for sent in 0..PACKETS {
             let seed = dice.below(seeds.len());
             stranger.send(&dice.mutate(&seeds[seed]));
@@ -288,21 +298,16 @@ fn mutated_packets_do_not_keep_the_robot_moving() {
             }
         }
         // What lives obeys; what hangs or has ended has said zero.
-        let zeros = bench.peer.status()["zeros"].as_u64().unwrap();
         let since = Instant::now();
         bench.vpcd.signal(Signal::STOP);
-        std::thread::sleep(STANDS);
-        let is_running = bench.gateway.is_running();
+        let after = stands(&mut bench, since, zeros);
         bench.vpcd.signal(Signal::CONT);
-        if is_running {
-            let (after, _) = stands(&mut bench, since, zeros);
-            tell(format_args!("zeros {after:?} after vpcd stopped"));
-        } else {
+        assert!(after < STANDS, "{after:?}");
+        if !bench.gateway.is_running() {
             ends += 1;
             let ended = bench.replace_gateway().ended();
-            let (signal, words) = (ended.signal, &ended.stderr);
-            tell(format_args!("it has ended by signal {signal:?}: {words}"));
-            stranger.ports = ports(bench.gateway.id());
+            let last = ended.stderr.lines().last().unwrap_or_default();
+            tell(format_args!("signal {:?}: {last}", ended.signal));
         }
     }
     let (all, ports) = (ROUNDS * PACKETS, stranger.ports.len());
