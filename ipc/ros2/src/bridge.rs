@@ -26,8 +26,9 @@ const PAUSE: Duration = Duration::from_millis(1);
 /// Between two measurements of the clocks, and two reports, ns.
 const MEASURE_NS: u64 = 10_000_000;
 const REPORT_NS: u64 = 200_000_000;
-/// Zero twists at the end, and between two of them.
+/// Zero twists at the end, twists that brake before them at most, and between two of them.
 const LAST_ZEROS: u32 = 10;
+const LAST_BRAKES: u32 = 50;
 const LAST_PAUSE: Duration = Duration::from_millis(20);
 
 /// Why the loop ended.
@@ -169,10 +170,7 @@ impl Bridge {
         let ended = self.work(&mut ports, stop, is_stopping, tell);
         // However it ends, the robot is told to stand.
         if let Some(robot) = &mut self.robot {
-            for _ in 0..LAST_ZEROS {
-                robot.stand(&self.clocks, &mut self.report, tell);
-                std::thread::sleep(LAST_PAUSE);
-            }
+            robot.end(&self.clocks, &mut self.report, tell);
         }
         self.count();
         let _ = tell.try_send(Event::Report(self.report.clone()));
@@ -325,12 +323,12 @@ impl Camera {
 
 impl Robot {
     fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
-        let keys = &config.robot;
+        let (keys, limits) = (&config.robot, &config.scene.limits);
         let command = ros.publisher(&keys.command, keys.command_reliability)?;
         guard::writer(command.guid().to_bytes());
         let mut robot = Self {
             arm: Arm::new(config),
-            outlet: Outlet::new(config.zeros_ns, config.scene.limits.velocity()),
+            outlet: Outlet::new(config.zeros_ns, limits.velocity(), limits.acceleration()),
             twists: None,
             poses: None,
             joints: None,
@@ -413,16 +411,39 @@ impl Robot {
             }
             Err(error) => return Err(error.into()),
         }
-        if self.outlet.is_zero_due(now_ns()) {
-            self.stand(clocks, report, tell);
+        if let Some(twist) = self.outlet.due(now_ns()) {
+            self.send_own(twist, clocks, report, tell);
         }
         Ok(())
     }
 
-    /// Sends a zero that nobody commanded.
-    fn stand(&mut self, clocks: &Clocks, report: &mut Report, tell: &SyncSender<Event>) {
-        let is_sent = self.send([0.0; 6], clocks, report, tell);
-        report.sent[1] += u64::from(is_sent);
+    /// Brakes, and sends zeros.
+    fn end(&mut self, clocks: &Clocks, report: &mut Report, tell: &SyncSender<Event>) {
+        let mut zeros = 0;
+        for sent in 0..LAST_BRAKES + LAST_ZEROS {
+            let twist = match sent < LAST_BRAKES && !report.is_stopping {
+                true => self.outlet.brake(now_ns()),
+                false => self.outlet.stand(now_ns()),
+            };
+            self.send_own(twist, clocks, report, tell);
+            zeros += u32::from(twist == [0.0; 6]);
+            if zeros == LAST_ZEROS {
+                break;
+            }
+            std::thread::sleep(LAST_PAUSE);
+        }
+    }
+
+    /// Sends a twist that nobody commanded.
+    fn send_own(
+        &mut self,
+        twist: [f64; 6],
+        clocks: &Clocks,
+        report: &mut Report,
+        tell: &SyncSender<Event>,
+    ) {
+        let is_sent = self.send(twist, clocks, report, tell);
+        report.sent[1] += u64::from(is_sent && twist == [0.0; 6]);
     }
 
     /// Sends a twist of the camera in the frame of the command; returns whether it could.
@@ -437,6 +458,7 @@ impl Robot {
         let twist = self.arm.command(&camera, now);
         // To stand is the same in every frame.
         if twist.is_none() && camera != [0.0; 6] {
+            self.outlet.stand(now);
             let _ = tell.try_send(Event::NoFrame);
         }
         let message = TwistStamped {

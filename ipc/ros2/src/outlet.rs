@@ -4,17 +4,32 @@ use ipc::{TwistCommand, TwistState};
 
 use crate::arm::Command;
 
-/// Between two zero twists that nobody commanded, ns.
+/// Between two twists that nobody commanded, ns.
 const ZERO_PERIOD_NS: u64 = 20_000_000;
+/// Time from zero to a limit, s: vpcd's own, too, where the scene has no limits of acceleration.
+const RAMP_S: f64 = 0.15;
+/// A twist changes from the last one by no more than fits into the time between them, which counts
+/// as this at most, and as late by the other, as commands come a little irregularly; ns.
+const MOST_STEP_NS: u64 = 40_000_000;
+const LATE_NS: u64 = 5_000_000;
 
 /// Decides what is sent. vpcd's commands go out once each, as they come, with what they allow at
-/// that instant. When one ends and none has followed, zeros go out for a while; then silence, so
-/// that the robot's own time-out acts, too.
+/// that instant, and never jump: the twist changes by what the scene's limits of acceleration
+/// allow, or by its limits in 0.15 s. When a command ends and none has followed, it brakes so, and
+/// zeros go out for a while; then silence, so that the robot's own time-out acts, too.
+///
+/// At once to zero it goes for a stop, and where vpcd says that it stands: vpcd brakes by itself
+/// where there is time.
 #[derive(Clone, Debug)]
 pub struct Outlet {
     zeros_ns: u64,
     /// The scene's limits of the camera's velocity, m/s and rad/s.
     limits: [f64; 6],
+    /// Most change of each in a second.
+    slopes: [f64; 6],
+    /// What was sent last, and when, ns.
+    sent: [f64; 6],
+    sent_ns: u64,
     command: TwistCommand,
     /// Whether it was beyond the limits.
     is_limited: bool,
@@ -30,9 +45,15 @@ pub struct Outlet {
 
 impl Outlet {
     /// One that has sent nothing; zeros follow for so long, ns. Each component of a twist is cut to
-    /// its limit, m/s and rad/s.
-    pub fn new(zeros_ns: u64, limits: [f64; 6]) -> Self {
+    /// its limit, m/s and rad/s, and changes by no more than `acceleration`, m/s^2 and rad/s^2.
+    pub fn new(zeros_ns: u64, limits: [f64; 6], acceleration: [f64; 6]) -> Self {
         Self {
+            slopes: std::array::from_fn(|k| match acceleration[k].is_finite() {
+                true => acceleration[k],
+                false => limits[k] / RAMP_S,
+            }),
+            sent: [0.0; 6],
+            sent_ns: 0,
             zeros_ns,
             limits,
             is_limited: false,
@@ -63,7 +84,41 @@ impl Outlet {
         let twist = command.in_force(now_ns);
         let cut = std::array::from_fn(|k| twist[k].clamp(-self.limits[k], self.limits[k]));
         self.is_limited = cut != twist;
-        Some(if self.is_stopped { [0.0; 6] } else { cut })
+        let is_law = matches!(
+            command.state(),
+            Some(TwistState::Moving | TwistState::Arrived)
+        );
+        Some(match self.is_stopped || cut == [0.0; 6] && !is_law {
+            true => self.stand(now_ns),
+            false => self.ramped(cut, now_ns),
+        })
+    }
+
+    /// Zero, at once.
+    pub fn stand(&mut self, now_ns: u64) -> [f64; 6] {
+        (self.sent, self.sent_ns) = ([0.0; 6], now_ns);
+        self.sent
+    }
+
+    /// The next twist on the way to zero.
+    pub fn brake(&mut self, now_ns: u64) -> [f64; 6] {
+        self.ramped([0.0; 6], now_ns)
+    }
+
+    /// The next twist on the straight way from the last one to this.
+    fn ramped(&mut self, to: [f64; 6], now_ns: u64) -> [f64; 6] {
+        let elapsed_ns = now_ns.saturating_sub(self.sent_ns).min(MOST_STEP_NS) + LATE_NS;
+        let most = self.slopes.map(|slope| slope * 1e-9 * elapsed_ns as f64);
+        let apart: [f64; 6] = std::array::from_fn(|k| to[k] - self.sent[k]);
+        // Without a change 0 / 0 is no number, and no minimum.
+        let each = std::iter::zip(apart, most).map(|(apart, most)| most / apart.abs());
+        let share = each.fold(1.0, f64::min);
+        self.sent = match share < 1.0 {
+            true => std::array::from_fn(|k| self.sent[k] + share * apart[k]),
+            false => to,
+        };
+        self.sent_ns = now_ns;
+        self.sent
     }
 
     /// A command came that is refused: it is as none, and what was in force is so no longer.
@@ -72,21 +127,29 @@ impl Outlet {
         self.command = ended.valid_for_ns(0);
     }
 
-    /// Looks at the clock: whether a zero twist is due, which nobody commands.
-    pub fn is_zero_due(&mut self, now_ns: u64) -> bool {
+    /// Looks at the clock: the twist that is due, which nobody commands.
+    pub fn due(&mut self, now_ns: u64) -> Option<[f64; 6]> {
         if now_ns < self.command.in_force_until_ns() && !self.is_stopped {
-            return false;
+            return None;
         }
         if self.was_in_force {
             self.was_in_force = false;
-            self.zeros_until_ns = now_ns + self.zeros_ns;
             self.zero_ns = now_ns;
+            self.zeros_until_ns = now_ns + self.zeros_ns;
         }
-        let is_due = (self.zero_ns..self.zeros_until_ns).contains(&now_ns);
-        if is_due {
-            self.zero_ns = now_ns + ZERO_PERIOD_NS;
+        if now_ns < self.zero_ns || now_ns >= self.zeros_until_ns {
+            return None;
         }
-        is_due
+        self.zero_ns = now_ns + ZERO_PERIOD_NS;
+        let twist = match self.is_stopped {
+            true => self.stand(now_ns),
+            false => self.brake(now_ns),
+        };
+        if twist != [0.0; 6] {
+            // They follow when it stands.
+            self.zeros_until_ns = now_ns + ZERO_PERIOD_NS + self.zeros_ns;
+        }
+        Some(twist)
     }
 
     /// What vpcd's command is at this instant.
@@ -116,16 +179,22 @@ mod tests {
         command
     }
 
+    /// That changes as it is told.
+    fn outlet() -> Outlet {
+        Outlet::new(500 * MS, [1.0; 6], [1e9; 6])
+    }
+
     #[test]
     fn each_command_goes_out_once_and_then_zeros_and_then_silence() {
-        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
-        assert!(!outlet.is_zero_due(BEGIN));
+        let mut outlet = outlet();
+        assert_eq!(outlet.due(BEGIN), None);
         assert_eq!(outlet.command(BEGIN), Command::None);
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.1; 6]));
         let mut sent = Vec::new();
         for ms in 0..2000 {
             let now = BEGIN + ms * MS;
-            if outlet.is_zero_due(now) {
+            if let Some(twist) = outlet.due(now) {
+                assert_eq!(twist, [0.0; 6]);
                 sent.push(ms);
             }
         }
@@ -140,12 +209,12 @@ mod tests {
 
     #[test]
     fn what_robots_do_not_obey_is_not_passed_on() {
-        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
+        let mut outlet = outlet();
         // Of lockstep, and one that was under way for too long.
         let mut lockstep = command(BEGIN, 0.1);
         lockstep.valid_until_ns = u64::MAX;
         assert_eq!(outlet.take(&lockstep, BEGIN), None);
-        assert!(!outlet.is_zero_due(BEGIN));
+        assert_eq!(outlet.due(BEGIN), None);
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN + 100 * MS), None);
         // From the future: in force later, and zero now.
         let future = command(BEGIN + 50 * MS, 0.1);
@@ -154,20 +223,20 @@ mod tests {
 
     #[test]
     fn a_refused_command_ends_the_one_before() {
-        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
+        let mut outlet = outlet();
         let now = ipc::now_ns();
         assert_eq!(outlet.take(&command(now, 0.1), now), Some([0.1; 6]));
         outlet.refuse();
-        assert!(outlet.is_zero_due(now + MS));
+        assert_eq!(outlet.due(now + MS), Some([0.0; 6]));
     }
 
     #[test]
     fn after_a_stop_only_zeros_go_out() {
-        let mut outlet = Outlet::new(500 * MS, [1.0; 6]);
+        let mut outlet = outlet();
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.1; 6]));
         // At once, though a command is in force.
         outlet.stop(true);
-        assert!(outlet.is_zero_due(BEGIN + MS));
+        assert_eq!(outlet.due(BEGIN + MS), Some([0.0; 6]));
         assert_eq!(outlet.take(&command(BEGIN, 0.1), BEGIN), Some([0.0; 6]));
         outlet.stop(false);
         let now = BEGIN + 30 * MS;
@@ -176,11 +245,56 @@ mod tests {
 
     #[test]
     fn a_twist_is_cut_to_the_limits_of_the_scene() {
-        let mut outlet = Outlet::new(500 * MS, [0.5, 0.5, 0.5, 1.0, 1.0, 1.0]);
+        let mut outlet = Outlet::new(500 * MS, [0.5, 0.5, 0.5, 1.0, 1.0, 1.0], [1e9; 6]);
         let cut = [-0.5, -0.5, -0.5, -1.0, -1.0, -1.0];
         assert_eq!(outlet.take(&command(BEGIN, -50.0), BEGIN), Some(cut));
         assert_eq!(outlet.command(BEGIN), Command::Limited);
         assert_eq!(outlet.take(&command(BEGIN, 0.4), BEGIN), Some([0.4; 6]));
         assert_eq!(outlet.command(BEGIN), Command::InForce);
+    }
+
+    /// The largest change of two twists that follow each other.
+    fn jump(sent: &[f64]) -> f64 {
+        let pairs = sent.iter().zip(&sent[1..]);
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn twists_rise_turn_and_fall_in_steps_and_stand_at_once_for_a_stop() {
+        // From zero to the limit in 0.15 s: at most 45 ms of it at a time.
+        let mut outlet = Outlet::new(500 * MS, [1.0; 6], [f64::INFINITY; 6]);
+        let mut sent = vec![0.0];
+        let mut now = BEGIN;
+        for wanted in [1.0, -1.0] {
+            for _ in 0..14 {
+                now += 30 * MS;
+                sent.push(outlet.take(&command(now, wanted), now).unwrap()[0]);
+            }
+            assert_eq!(sent.last(), Some(&wanted));
+        }
+        assert!(jump(&sent) < 0.045 / 0.15 + 1e-6, "{sent:?}");
+        // It ends, at full speed: it stands within 0.15 s, and zeros follow for half a second.
+        let mut fall = vec![-1.0];
+        for ms in 0..2000 {
+            let twist = outlet.due(now + ms * MS);
+            fall.extend(twist.map(|twist| twist[0]));
+            if ms == 250 {
+                assert_eq!(fall.last(), Some(&0.0));
+            }
+        }
+        assert!(jump(&fall) < 0.045 / 0.15 + 1e-6, "{fall:?}");
+        let zeros = fall.iter().filter(|twist| **twist == 0.0).count();
+        assert!((25..=26).contains(&zeros), "{fall:?}");
+
+        // By the scene's own limit; then a stop.
+        let mut outlet = Outlet::new(500 * MS, [1.0; 6], [2.0; 6]);
+        let twist = outlet.take(&command(BEGIN, 1.0), BEGIN).unwrap()[0];
+        assert!((twist - 2.0 * 0.045).abs() < 1e-9, "{twist}");
+        let mut stands = command(BEGIN, 0.0);
+        stands.state = TwistState::Disarmed.code();
+        assert_eq!(outlet.take(&stands, BEGIN), Some([0.0; 6]));
+        outlet.take(&command(BEGIN, 1.0), BEGIN).unwrap();
+        outlet.stop(true);
+        assert_eq!(outlet.due(BEGIN + MS), Some([0.0; 6]));
     }
 }
