@@ -127,6 +127,29 @@ fn all_units_share_user_and_directory_and_leave_it_to_each_other() {
 }
 
 #[test]
+fn what_reads_a_network_is_bounded_in_memory_and_time() {
+    let names = units();
+    let texts = names.iter().map(|name| (name, installed(name)));
+    let reading = texts.filter(|(_, unit)| {
+        let families = values(unit, "RestrictAddressFamilies").concat();
+        families.contains("AF_INET")
+    });
+    let mut count = 0;
+    for (name, unit) in reading {
+        count += 1;
+        assert_eq!(values(&unit, "MemoryMax").len(), 1, "{name}");
+        let scores = values(&unit, "OOMScoreAdjust");
+        assert!(!scores.concat().contains('-'), "{name}: {scores:?}");
+        assert_eq!(values(&unit, "TimeoutStopSec"), ["5s"], "{name}");
+        if name.starts_with("vpc-ros2") {
+            assert_eq!(values(&unit, "WatchdogSec"), ["2s"], "{name}");
+            assert_eq!(values(&unit, "Type"), ["notify"], "{name}");
+        }
+    }
+    assert_eq!(count, 4);
+}
+
+#[test]
 fn the_default_configuration_runs_as_installed_and_fits_the_unit() {
     let place = Place::new();
     let root = root();

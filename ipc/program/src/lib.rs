@@ -6,6 +6,9 @@
 pub mod kernel;
 
 use std::io::IsTerminal;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -97,6 +100,25 @@ pub fn end_within(
         eprintln!("{name}: no thread: {error}");
         ExitCode::from(UNAVAILABLE)
     })
+}
+
+/// Tells the service manager, if there is one, after `sd_notify(3)`: `READY=1`, `WATCHDOG=1`. What
+/// it does not take is lost.
+pub fn notify(words: &str) {
+    let Some(path) = std::env::var_os("NOTIFY_SOCKET") else {
+        return;
+    };
+    let address = match path.as_bytes().strip_prefix(b"@") {
+        Some(name) => SocketAddr::from_abstract_name(name),
+        None => SocketAddr::from_pathname(&path),
+    };
+    let socket = UnixDatagram::unbound().and_then(|socket| {
+        socket.set_nonblocking(true)?;
+        Ok(socket)
+    });
+    if let (Ok(address), Ok(socket)) = (address, socket) {
+        let _ = socket.send_to_addr(words.as_bytes(), &address);
+    }
 }
 
 /// Whether the process was begun with SIGHUP ignored.

@@ -203,7 +203,11 @@ impl Onlooker {
         let mut agreed = Ok(());
         loop {
             match events.recv_timeout(LOOK) {
-                Ok(Event::Report(newest)) => report = newest,
+                // The loop turns, and so does this thread.
+                Ok(Event::Report(newest)) => {
+                    report = newest;
+                    program::notify("READY=1\nWATCHDOG=1");
+                }
                 Ok(event) => log.tell(&event),
                 Err(RecvTimeoutError::Timeout) => (),
                 Err(RecvTimeoutError::Disconnected) => break,
