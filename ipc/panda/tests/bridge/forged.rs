@@ -156,3 +156,16 @@ fn a_signal_ends_it_while_the_robot_does_not_answer() {
     assert_eq!(ended.code, Some(1), "{ended:?}");
     assert!(ended.stderr.contains("not stopped within 3s"), "{ended:?}");
 }
+
+#[test]
+fn a_signal_ends_it_at_whatever_point_of_its_start() {
+    let robot = Robot::start(5, "");
+    for ms in [0, 3, 10, 30, 60, 100, 200, 400] {
+        let bridge = Running::start(robot.bridge("panda").stderr(Stdio::piped()));
+        std::thread::sleep(Duration::from_millis(ms));
+        bridge.signal(Signal::TERM);
+        let (_, ended) = timed(bridge);
+        let is_so = ended.code == Some(0) || ended.signal == Some(15);
+        assert!(is_so, "after {ms} ms: {ended:?}");
+    }
+}

@@ -3,9 +3,9 @@
 use std::net::{Ipv4Addr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
-use testkit::{Ended, PATIENCE, eventually, tell, within};
+use testkit::{PATIENCE, eventually, tell, within};
 
 use crate::bench::{Bench, Via};
 
@@ -243,10 +243,6 @@ fn stands(bench: &mut Bench, since: Instant, zeros: u64) -> Duration {
     found.unwrap_or_else(|| panic!("no zero: {last}; {}", bench.gateway.stderr()))
 }
 
-fn said(ended: &Ended) -> &str {
-    &ended.stderr
-}
-
 #[test]
 fn a_packet_that_hangs_the_library_brings_zeros_and_ends_the_gateway() {
     let Some(mut bench) = Bench::new("attack", Via::Dds, 149, false) else {
@@ -262,19 +258,44 @@ fn a_packet_that_hangs_the_library_brings_zeros_and_ends_the_gateway() {
     }
     let after = stands(&mut bench, since, zeros);
     let ended = bench.replace_gateway().ended();
-    let words = said(&ended);
+    let words = &ended.stderr;
     tell(format_args!("zeros {after:?} after 52 bytes: {words}"));
     assert!(after < STANDS, "{after:?}: {words}");
     assert_eq!(ended.code, None, "{words}");
     assert!(words.contains("zeros are sent for 500 ms"), "{words}");
-    // Killed, it stands as well; and it goes on when it is started again.
-    bench.peer.set_off(5);
-    let zeros = bench.peer.status()["zeros"].as_u64().unwrap();
-    let since = Instant::now();
-    bench.gateway.signal(Signal::KILL);
-    let after = stands(&mut bench, since, zeros);
-    tell(format_args!("zeros {after:?} after SIGKILL"));
-    assert!(after < STANDS, "{after:?}");
+}
+
+#[test]
+fn gateway_or_guard_that_hang_or_are_killed_bring_zeros() {
+    let Some(mut bench) = Bench::new("guard", Via::Dds, 151, false) else {
+        return;
+    };
+    for (signal, is_guard) in [
+        (Signal::STOP, false),
+        (Signal::KILL, false),
+        (Signal::KILL, true),
+    ] {
+        bench.peer.set_off(5);
+        let zeros = bench.peer.status()["zeros"].as_u64().unwrap();
+        let since = Instant::now();
+        match is_guard {
+            true => kill_process(guard(bench.gateway.id()), signal).unwrap(),
+            false => bench.gateway.signal(signal),
+        }
+        let after = stands(&mut bench, since, zeros);
+        let who = if is_guard { "guard" } else { "gateway" };
+        tell(format_args!("{who}, {signal:?}: zeros {after:?} after"));
+        assert!(after < STANDS, "{after:?}");
+        let ended = bench.replace_gateway().ended();
+        assert_eq!(ended.code, is_guard.then_some(69), "{}", ended.stderr);
+    }
+}
+
+/// The only child of a process.
+fn guard(gateway: u32) -> Pid {
+    let children = std::fs::read_to_string(format!("/proc/{gateway}/task/{gateway}/children"));
+    let only = children.unwrap().trim().parse().unwrap();
+    Pid::from_raw(only).unwrap()
 }
 
 #[test]

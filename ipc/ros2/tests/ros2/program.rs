@@ -1,7 +1,9 @@
 //! The program: its configuration, its places, its launch file.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
+use rustix::process::Signal;
 use testkit::{Place, Running, ended, program, root, scene_file};
 
 fn gateway(place: &Place, keys: &str) -> Command {
@@ -129,4 +131,18 @@ fn the_launch_file_starts_the_programs_with_their_files() {
         "vpcd --config /etc/vpcd/vpcd.toml --domain /run/x\n\
          vpc-ros2 --config /etc/vpcd/vpc-ros2.toml --domain /run/x --ros-domain-id 17\n"
     );
+}
+
+#[test]
+fn a_signal_ends_it_at_whatever_point_of_its_start() {
+    for ms in [0, 3, 10, 30, 60, 100, 200, 400] {
+        let place = Place::new();
+        let gateway = Running::start(gateway(&place, "").stderr(Stdio::piped()));
+        std::thread::sleep(Duration::from_millis(ms));
+        gateway.signal(Signal::TERM);
+        // 2 s, and a loaded machine. At first there is none who handles it.
+        let ended = gateway.ended_within(Duration::from_secs(4));
+        let is_so = ended.code == Some(0) || ended.signal == Some(15);
+        assert!(is_so, "after {ms} ms: {ended:?}");
+    }
 }
