@@ -6,7 +6,9 @@ use crate::arm::Command;
 
 /// Between two twists that nobody commanded, ns.
 const ZERO_PERIOD_NS: u64 = 20_000_000;
-/// Time from zero to a limit, s: vpcd's own, too, where the scene has no limits of acceleration.
+/// Where the scene has no limits of acceleration: time in which a command may go from a limit to the
+/// opposite one, and in which it brakes from a limit, as vpcd does, s. The law of such a scene turns
+/// at once, and passes occlusions closely: half as steep, starts took 8 % longer.
 const RAMP_S: f64 = 0.15;
 /// A twist changes from the last one by no more than fits into the time between them, which counts
 /// as this at most, and as late by the other, as commands come a little irregularly; ns.
@@ -15,8 +17,8 @@ const LATE_NS: u64 = 5_000_000;
 
 /// Decides what is sent. vpcd's commands go out once each, as they come, with what they allow at
 /// that instant, and never jump: the twist changes by what the scene's limits of acceleration
-/// allow, or by its limits in 0.15 s. When a command ends and none has followed, it brakes so, and
-/// zeros go out for a while; then silence, so that the robot's own time-out acts, too.
+/// allow, or from a limit to the opposite one in 0.15 s. When a command ends and none has followed,
+/// it brakes, from the limits in 0.15 s, and zeros go out for a while; then silence, so that the robot's own time-out acts, too.
 ///
 /// At once to zero it goes for a stop, and where vpcd says that it stands: vpcd brakes by itself
 /// where there is time.
@@ -25,8 +27,9 @@ pub struct Outlet {
     zeros_ns: u64,
     /// The scene's limits of the camera's velocity, m/s and rad/s.
     limits: [f64; 6],
-    /// Most change of each in a second.
-    slopes: [f64; 6],
+    /// Most change of each in a second, where it is commanded, and where it brakes.
+    turns: [f64; 6],
+    falls: [f64; 6],
     /// What was sent last, and when, ns.
     sent: [f64; 6],
     sent_ns: u64,
@@ -47,11 +50,15 @@ impl Outlet {
     /// One that has sent nothing; zeros follow for so long, ns. Each component of a twist is cut to
     /// its limit, m/s and rad/s, and changes by no more than `acceleration`, m/s^2 and rad/s^2.
     pub fn new(zeros_ns: u64, limits: [f64; 6], acceleration: [f64; 6]) -> Self {
-        Self {
-            slopes: std::array::from_fn(|k| match acceleration[k].is_finite() {
+        let within = |share: f64| {
+            std::array::from_fn(|k| match acceleration[k].is_finite() {
                 true => acceleration[k],
-                false => limits[k] / RAMP_S,
-            }),
+                false => share * limits[k] / RAMP_S,
+            })
+        };
+        Self {
+            turns: within(2.0),
+            falls: within(1.0),
             sent: [0.0; 6],
             sent_ns: 0,
             zeros_ns,
@@ -90,7 +97,7 @@ impl Outlet {
         );
         Some(match self.is_stopped || cut == [0.0; 6] && !is_law {
             true => self.stand(now_ns),
-            false => self.ramped(cut, now_ns),
+            false => self.ramped(cut, self.turns, now_ns),
         })
     }
 
@@ -102,13 +109,13 @@ impl Outlet {
 
     /// The next twist on the way to zero.
     pub fn brake(&mut self, now_ns: u64) -> [f64; 6] {
-        self.ramped([0.0; 6], now_ns)
+        self.ramped([0.0; 6], self.falls, now_ns)
     }
 
     /// The next twist on the straight way from the last one to this.
-    fn ramped(&mut self, to: [f64; 6], now_ns: u64) -> [f64; 6] {
+    fn ramped(&mut self, to: [f64; 6], slopes: [f64; 6], now_ns: u64) -> [f64; 6] {
         let elapsed_ns = now_ns.saturating_sub(self.sent_ns).min(MOST_STEP_NS) + LATE_NS;
-        let most = self.slopes.map(|slope| slope * 1e-9 * elapsed_ns as f64);
+        let most = slopes.map(|slope| slope * 1e-9 * elapsed_ns as f64);
         let apart: [f64; 6] = std::array::from_fn(|k| to[k] - self.sent[k]);
         // Without a change 0 / 0 is no number, and no minimum.
         let each = std::iter::zip(apart, most).map(|(apart, most)| most / apart.abs());
@@ -261,7 +268,7 @@ mod tests {
 
     #[test]
     fn twists_rise_turn_and_fall_in_steps_and_stand_at_once_for_a_stop() {
-        // From zero to the limit in 0.15 s: at most 45 ms of it at a time.
+        // From limit to limit in 0.15 s: at most 45 ms of it at a time.
         let mut outlet = Outlet::new(500 * MS, [1.0; 6], [f64::INFINITY; 6]);
         let mut sent = vec![0.0];
         let mut now = BEGIN;
@@ -272,7 +279,7 @@ mod tests {
             }
             assert_eq!(sent.last(), Some(&wanted));
         }
-        assert!(jump(&sent) < 0.045 / 0.15 + 1e-6, "{sent:?}");
+        assert!(jump(&sent) < 2.0 * 0.045 / 0.15 + 1e-6, "{sent:?}");
         // It ends, at full speed: it stands within 0.15 s, and zeros follow for half a second.
         let mut fall = vec![-1.0];
         for ms in 0..2000 {
