@@ -267,9 +267,14 @@ fn a_packet_that_hangs_the_library_brings_zeros_and_ends_the_gateway() {
 
 #[test]
 fn gateway_or_guard_that_hang_or_are_killed_bring_zeros() {
-    let Some(mut bench) = Bench::new("guard", Via::Dds, 151, false) else {
-        return;
-    };
+    for (via, domain) in [(Via::Dds, 151), (Via::Rcl, 152)] {
+        if let Some(bench) = Bench::new("guard", via, domain, false) {
+            hang_and_kill(bench);
+        }
+    }
+}
+
+fn hang_and_kill(mut bench: Bench) {
     for (signal, is_guard) in [
         (Signal::STOP, false),
         (Signal::KILL, false),
@@ -284,7 +289,10 @@ fn gateway_or_guard_that_hang_or_are_killed_bring_zeros() {
         }
         let after = stands(&mut bench, since, zeros);
         let who = if is_guard { "guard" } else { "gateway" };
-        tell(format_args!("{who}, {signal:?}: zeros {after:?} after"));
+        let via = bench.plan.via;
+        tell(format_args!(
+            "{via:?}: {who}, {signal:?}: zeros {after:?} after"
+        ));
         assert!(after < STANDS, "{after:?}");
         let ended = bench.replace_gateway().ended();
         assert_eq!(ended.code, is_guard.then_some(69), "{}", ended.stderr);
