@@ -7,7 +7,7 @@
 
 use std::io::{IoSlice, IoSliceMut};
 use std::mem::MaybeUninit;
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
@@ -30,6 +30,8 @@ pub const ROLE: &str = "--guard";
 /// After a twist that is not zero the next one has left within this: vpcd's command ends after
 /// 100 ms, and zeros follow.
 const SILENCE: Duration = Duration::from_millis(200);
+/// What the gateway gets when the guard itself was as late.
+const GRACE: Duration = Duration::from_millis(50);
 /// Between two zeros.
 const PERIOD: Duration = Duration::from_millis(20);
 /// Most places that twists go to, and how long one is kept to which none goes any more.
@@ -46,6 +48,8 @@ static GUARDED: OnceLock<Guarded> = OnceLock::new();
 struct Guarded {
     guard: OwnedFd,
     writer: OnceLock<Guid>,
+    /// Whether it has seen anything leave.
+    sees: AtomicBool,
     is_gone: AtomicBool,
     _child: Child,
 }
@@ -72,11 +76,18 @@ pub fn start(zeros: Duration) -> std::io::Result<()> {
     let guarded = Guarded {
         guard: ours,
         writer: OnceLock::new(),
+        sees: AtomicBool::new(false),
         is_gone: AtomicBool::new(false),
         _child: child,
     };
-    let _ = GUARDED.set(guarded);
-    Ok(())
+    let guarded = GUARDED.get_or_init(|| guarded);
+    // To itself: whoever links this program otherwise learns it now.
+    let probe = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
+    probe.send_to(&[0], probe.local_addr()?)?;
+    match guarded.sees.load(Ordering::Relaxed) {
+        true => Ok(()),
+        false => Err(std::io::Error::other("it does not see what leaves")),
+    }
 }
 
 /// Names the writer of twists.
@@ -100,6 +111,7 @@ pub fn sent(socket: BorrowedFd, datagram: &[u8], to: SocketAddr) {
     let Some(guarded) = GUARDED.get() else {
         return;
     };
+    guarded.sees.store(true, Ordering::Relaxed);
     let writer = guarded.writer.get();
     if writer.is_some_and(|writer| Sent::read(datagram, writer).is_some()) {
         guarded.tell(&to.to_string(), datagram, Some(socket));
@@ -195,7 +207,14 @@ impl Guard {
             let left = Timespec::try_from(left).unwrap_or_default();
             let mut polled = [PollFd::new(&socket, PollFlags::IN)];
             match poll(&mut polled, self.is_moving.then_some(&left)) {
-                Ok(0) => return Ok(false),
+                Ok(0) => {
+                    let late = self.at.elapsed().saturating_sub(SILENCE);
+                    if late < GRACE {
+                        return Ok(false);
+                    }
+                    // This machine stood still, and the gateway with it.
+                    self.at += late + GRACE;
+                }
                 Ok(_) if !self.take(socket)? => return Ok(true),
                 Ok(_) | Err(rustix::io::Errno::INTR) => (),
                 Err(error) => return Err(error.into()),

@@ -34,7 +34,7 @@ const SELDOM: Duration = Duration::from_secs(10);
 /// Between two diagnostics, and two drawings.
 const DIAGNOSTICS: Duration = Duration::from_secs(1);
 const DRAWING: Duration = Duration::from_millis(90);
-/// Most memory of its own, bytes: ten times of what it uses.
+/// Most memory of its own, bytes: twenty times what it uses.
 const MOST_MEMORY: u64 = 512 << 20;
 /// Longest time from a signal to the end.
 const LAST: Duration = Duration::from_secs(2);
