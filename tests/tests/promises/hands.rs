@@ -8,8 +8,8 @@ use ipc::{Action, Hold, Outcome, now_ns};
 use testkit::is_root;
 
 use crate::fixture::{
-    CAMERA_PRIORITY, Ended, PERIOD_NS, Running, Stage, Witness, ended, eventually, is_still,
-    not_run, program, tell, turn,
+    CAMERA_PRIORITY, Ended, PERIOD_NS, Running, Stage, Witness, are_installed, ended, eventually,
+    is_still, not_run, program, tell, turn,
 };
 use crate::machine::on_time;
 use crate::stall::{fairly, in_time};
@@ -59,6 +59,7 @@ fn stopped_by(number: usize, line: &str, is_usable: bool) -> anyhow::Result<u64>
                 (!stage.camera.is_running()).then_some(())
             });
             stage.camera = moving_camera(&stage, number + round);
+            is_seen(&mut stage.witness);
             stage.witness.set_in_motion();
         }
         stage.witness.commands();
@@ -96,6 +97,15 @@ fn stands(witness: &mut Witness, since_ns: u64) -> anyhow::Result<u64> {
     assert_eq!(hold, Some(Hold::Operator));
     // It may come before the shell has ended.
     in_time("zero", since_ns.min(zero_ns), zero_ns, ZERO_NS)
+}
+
+/// Waits until the daemon has seen a camera that has just started, another one than before.
+fn is_seen(witness: &mut Witness) {
+    while witness.observer.features.oldest().unwrap().is_some() {}
+    eventually("its features", || {
+        witness.observer.features.oldest().unwrap()
+    });
+    std::thread::sleep(Duration::from_nanos(4 * PERIOD_NS));
 }
 
 fn moving_camera(stage: &Stage, start: usize) -> Running {
@@ -165,6 +175,7 @@ fn on_a_full_disk_a_stop_is_a_stop() {
     let _daemon = Running::start(place.vpcd(""));
     for (number, way) in ["vpcctl", "python", "shell"].into_iter().enumerate() {
         let _camera = Running::start(on_time(place.hw_sim(number), CAMERA_PRIORITY));
+        is_seen(&mut witness);
         witness.set_in_motion();
         disk.fill();
         witness.commands();
@@ -232,4 +243,48 @@ fn without_room_for_the_stop_file_nothing_starts() {
         .unwrap_err()
         .to_string();
     assert!(message.contains("No space left on device"), "{message}");
+}
+
+/// In a process namespace of its own, so that it stops nobody else's.
+#[test]
+fn a_stop_names_daemons_at_work_elsewhere_and_stops_all() {
+    let what = "a process namespace";
+    if !is_root(what) || !are_installed(what, &["unshare=util-linux"]) {
+        return;
+    }
+    let place = crate::fixture::Place::new();
+    let script = format!(
+        r#"
+        for name in a b; do
+            {vpcd} --scene {scene} --clock lockstep --domain $name 2>log-$name &
+        done
+        for name in a b; do
+            until [ -s $name/stop ] && [ -s $name/vpcd.pid ]; do sleep 0.02; done
+        done
+        {vpcctl} --domain c stop; echo "elsewhere: $?"
+        {vpcctl} stop --all; echo "all: $?"
+        for name in a b; do cmp -n 32 -i 0:32 $name/stop $name/stop && echo "$name obeyed"; done
+        mv b moved; {vpcctl} stop --all; echo "moved: $?"
+        kill -KILL -1
+        "#,
+        vpcd = program("vpcd").display(),
+        vpcctl = program("vpcctl").display(),
+        scene = crate::fixture::scene_file().display(),
+    );
+    let mut unshare = testkit::command("unshare");
+    unshare.args(["--pid", "--fork", "--mount-proc", "/bin/sh", "-c", &script]);
+    let Ended { stdout, stderr, .. } = ended(unshare.current_dir(place.directory()));
+    let all = format!("{stdout}\n{stderr}");
+    let directory = place.directory().canonicalize().unwrap();
+    for name in ["a", "b"] {
+        let elsewhere = format!(
+            "is at work in {0}/{name}: vpcctl --domain {0}/{name} stop, or vpcctl stop --all",
+            directory.display()
+        );
+        assert!(stderr.contains(&elsewhere), "{all}");
+        assert!(stdout.contains(&format!("{name} obeyed")), "{all}");
+    }
+    for words in ["elsewhere: 3", "all: 0", "moved: 0", "/moved: stop: done"] {
+        assert!(stdout.contains(words), "{words}: {all}");
+    }
 }
