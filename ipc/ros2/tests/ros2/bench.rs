@@ -110,12 +110,16 @@ impl Peer {
         kill_process(Pid::from_child(&self.child), signal).expect("our child");
     }
 
-    /// Arms, as soon as vpcd lets it.
+    /// Arms, as soon as vpcd lets it; after a stop by the second step that its refusal names.
     pub fn arm(&mut self) {
         let mut last = Value::Null;
         let end = Instant::now() + PATIENCE;
         while Instant::now() < end {
             last = self.ask("call arm");
+            let words = last["message"].as_str().unwrap_or_default();
+            if words.contains("arm_after_stop") {
+                last = self.ask("call arm_after_stop");
+            }
             if last["success"] == json!(true) {
                 return;
             }
