@@ -9,9 +9,8 @@
 //! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, overruns, bad
 //!   twist, solver failure, frozen image, an image that does not follow, features lost.
 //! - *Brake, go on with the next good features*: no robot yet; features stale, invalid, hidden,
-//!   miscounted, not finite, off the image, mixed up, elsewhere, out of order; transport; no way known; a solver
-//!   that failed once or twice.
-//!
+//!   miscounted, not finite, off the image, mixed up, elsewhere, out of order; transport; no way
+//!   known; a solver that failed once or twice.
 //! - *Brake, and stand or disarm*: it has arrived, and is not to follow.
 //!
 //! Each list begins with its gravest cause. A start that begins armed disarms if camera and robot do
