@@ -52,7 +52,7 @@ fn installed(script: &Path) -> Result<PathBuf, String> {
         written(&directory.join("package.json"), &wanted)?;
         let mut npm = crate::command("npm");
         npm.args(["install", "--no-audit", "--no-fund", "--ignore-scripts"]);
-        npm.args(["--fetch-retries", "1", "--prefix"])
+        npm.args(["--prefer-offline", "--fetch-retries", "1", "--prefix"])
             .arg(&directory);
         run(&mut npm)?;
         written(&note, &wanted)?;

@@ -234,6 +234,18 @@ fn messages_go_both_ways(python: &Path) {
     };
     reply.stamp.data_ns = 99;
     controller.replies.publish(&reply).unwrap();
+    let request = eventually("an arm from Python", || {
+        controller.requests.oldest().unwrap()
+    });
+    assert_eq!((request.action(), request.stops), (Some(Action::Arm), 7));
+    let armed = Reply {
+        id: request.id,
+        action: request.action,
+        outcome: Outcome::Done.code(),
+        stops: 7,
+        ..reply
+    };
+    controller.replies.publish(&armed).unwrap();
 
     let Ended {
         code, stdout: text, ..

@@ -301,8 +301,9 @@ fn an_operator_in_c_is_heard_and_told() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
-    for (words, action, strategy, neighbours, outcome) in [
+    for (words, action, strategy, number, outcome) in [
         (&["arm"][..], Action::Arm, 0, 0, Outcome::NoFeatures),
+        (&["arm", "3"], Action::Arm, 0, 3, Outcome::Done),
         (&["stop"], Action::Stop, 0, 0, Outcome::Done),
         (
             &["knn", "5"],
@@ -317,9 +318,14 @@ fn an_operator_in_c_is_heard_and_told() {
         let operator = Running::start(command);
         let request = eventually("a request", || controller.requests.oldest().unwrap());
         assert_eq!(
-            (request.action(), request.strategy, request.neighbours),
-            (Some(action), strategy, neighbours)
+            (
+                request.action(),
+                request.strategy,
+                request.neighbours + request.stops
+            ),
+            (Some(action), strategy, number)
         );
+        assert_eq!(request.stops > 0, words == ["arm", "3"]);
         let reply = Reply {
             stamp: Stamp::default(),
             // To somebody else first: it must be passed over.

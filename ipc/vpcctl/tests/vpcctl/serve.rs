@@ -95,6 +95,18 @@ fn only_the_page_with_the_token_commands_and_only_with_control() {
         done.starts_with("HTTP/1.1 200") && done.contains("arm: done; moving"),
         "{done}"
     );
+    // After a stop it takes a second step, which names that stop.
+    let stop = vpcctl(directory.path(), &["stop"]);
+    assert_eq!(stop.status.code(), Some(0), "{}", stderr(&stop));
+    let refused = post(&server, &host, &origin, &token);
+    assert!(
+        refused.starts_with("HTTP/1.1 409") && refused.ends_with("vpcctl arm --stops 1\n"),
+        "{refused}"
+    );
+    let fields =
+        format!("Host: {host}\r\nOrigin: {origin}\r\nX-Vpc-Token: {token}\r\nX-Vpc-Stops: 1\r\n");
+    let done = server.ask("POST /arm", &fields, 1 << 16);
+    assert!(done.starts_with("HTTP/1.1 200"), "{done}");
 }
 
 #[test]
