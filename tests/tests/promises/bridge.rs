@@ -11,7 +11,8 @@ use ipc::{Domain, Observer, RobotFaults, RobotMode, RobotState, now_ns};
 use rustix::process::Signal;
 
 use crate::fixture::{
-    PERIOD_NS, Place, Running, WAKE_NS, are_installed, ended, eventually, program, root, tell, turn,
+    PATIENCE, PERIOD_NS, Place, Running, WAKE_NS, are_installed, ended, eventually, program, root,
+    tell, turn, within,
 };
 use crate::stall::{fairly, in_time};
 
@@ -168,7 +169,7 @@ impl Cell {
 
     /// Waits until the image moves.
     fn until_it_moves(&mut self) {
-        eventually("motion", || {
+        let moves = within(PATIENCE, || {
             std::thread::sleep(Duration::from_millis(500));
             let frames = self.frames();
             let [.., (_, a), (_, b)] = frames.as_slice() else {
@@ -176,6 +177,14 @@ impl Cell {
             };
             (distance(a, b) > MOVES_PX).then_some(())
         });
+        if moves.is_none() {
+            let mut vpcctl = testkit::command(program("vpcctl"));
+            let status = vpcctl.arg("--domain").arg(self.place.domain());
+            panic!(
+                "armed, it does not move: {:#?}",
+                ended(status.arg("status"))
+            );
+        }
     }
 
     /// The newest state that the bridge told.
