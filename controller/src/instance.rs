@@ -136,8 +136,8 @@ impl Drop for Instance {
 /// The directory of state, which is created if it is missing: systemd's, or the user's.
 ///
 /// # Errors
-/// [`InstanceError::NoState`] if the environment names none; [`InstanceError::File`] if it cannot be
-/// created.
+/// [`InstanceError::NoState`] if the environment names none; [`InstanceError::File`] if it cannot
+/// be created.
 pub fn state_directory() -> Result<PathBuf, InstanceError> {
     let named = |name| std::env::var_os(name).filter(|value| !value.is_empty());
     let ours = |base: PathBuf| base.join("vpcd");

@@ -13,10 +13,9 @@
 //!   known; a solver that failed once or twice.
 //! - *Brake, and stand or disarm*: it has arrived, and is not to follow.
 //!
-//! Each list begins with its gravest cause. A start that begins armed disarms if camera and robot do
-//! not come within 5 s. Features are *lost* if the law could use none for
-//! [`Rules::lost_ns`]. After a response the law's twist is taken up again as steeply as it is
-//! braked, and no more so.
+//! Each list begins with its gravest cause. A start that begins armed disarms if camera and robot
+//! do not come within 5 s. Features are *lost* if the law could use none for [`Rules::lost_ns`].
+//! After a response the law's twist is taken up again as steeply as it is braked, and no more so.
 
 use ipc::{Action, Outcome, TwistState};
 use schemars::JsonSchema;

@@ -22,10 +22,10 @@ use crate::sensor::Flaws;
 
 /// Emulates the camera of a scene, and what carries it, behind shared memory.
 ///
-/// Publishes features, executes the twists that answer them, and judges the run. Says its verdict on
-/// standard error, and prints it as one JSON line where standard output is no terminal. Exit codes:
-/// 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69 another camera is at work or nobody
-/// answers, 78 configuration.
+/// Publishes features, executes the twists that answer them, and judges the run. Says its verdict
+/// on standard error, and prints it as one JSON line where standard output is no terminal. Exit
+/// codes: 0 arrived, 1 not arrived, 64 usage, 66 a file is missing, 69 another camera is at work or
+/// nobody answers, 78 configuration.
 #[derive(Parser, Debug)]
 #[command(name = "hw-sim", version, allow_negative_numbers = true)]
 pub struct Arguments {

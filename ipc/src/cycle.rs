@@ -144,8 +144,8 @@ codes! {
         NoRobot = 25 => "no robot",
         /// What the robot says it carries out is not what it was commanded.
         NotFollowed = 26 => "not followed",
-        /// Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way is
-        /// found.
+        /// Foresight knows no way, and nothing has improved for 5 s: the camera stands until a way
+        /// is found.
         NoWay = 27 => "no way known",
         /// The image does not move as commanded: less than a third of it, or the other way.
         NotFollowing = 28 => "image does not follow",

@@ -22,8 +22,8 @@ use crate::service::{self, OpenService};
 const SHARED_MEMORY: &str = "/dev/shm";
 
 /// Least room in shared memory with which a process joins or opens a port, bytes: what each of that
-/// takes at once is tens of kilobytes. iceoryx2 gives files a size and no pages; where there are none
-/// left, the kernel ends by SIGBUS whoever writes.
+/// takes at once is tens of kilobytes. iceoryx2 gives files a size and no pages; where there are
+/// none left, the kernel ends by SIGBUS whoever writes.
 const ROOM: u64 = 1 << 20;
 
 /// Age from which on shared memory of size 0 counts as left by a killed process: its creator gives
@@ -189,9 +189,9 @@ fn configuration(directory: &Path, prefix: &str) -> Option<Config> {
     Some(config)
 }
 
-/// Name of the file in the domain's directory that names its generation: a number that whoever is
-/// alone in the domain draws. A domain whose directory was moved takes its generation along, and no
-/// other user knows a name of shared memory before it is taken.
+/// Name of the file in the domain's directory that holds its generation: a random number, drawn by
+/// each process that finds nobody else in the domain. A domain whose directory was moved takes its
+/// generation along, and no other user knows a name of shared memory before it is taken.
 const GENERATION: &str = "generation";
 
 /// Draws the number. Call this only while no other process is in the domain.
@@ -227,7 +227,7 @@ pub fn shared_memory_prefix(directory: &Path) -> io::Result<String> {
         text => Err(trouble(io::Error::new(
             io::ErrorKind::InvalidData,
             format!(
-                "{text:?}; allowed: 16 hexadecimal digits, as who is alone in the domain writes"
+                "{text:?}; allowed: 16 hexadecimal digits; stop every process of this domain, then start again"
             ),
         ))),
     }

@@ -89,8 +89,8 @@ message! {
 impl Request {
     /// The id by which a stop by [`StopFile`](crate::StopFile) is answered and recorded.
     pub const STOP_FILE: u64 = 0;
-    /// Most requests that the controller answers in a cycle: as many as can wait in their queues, so
-    /// that no operator keeps another one's waiting.
+    /// Most requests that the controller answers in a cycle: as many as can wait in their queues,
+    /// so that no operator keeps another one's waiting.
     pub const PER_CYCLE: usize = Self::QOS.publishers * Self::QOS.buffer;
 
     /// How long a request that leads to motion may wait for the controller, ns: who has had no

@@ -9,9 +9,9 @@
 //! The controller leaves the file with both halves equal and with [`OBEYED_AT`] as its time of last
 //! change. Anything else at this path is a stop: other bytes, another length, another time (so the
 //! same words twice, or `touch`), another file, none. The controller looks in each cycle, after the
-//! requests of operators, so that a stop wins over an `arm` of the same cycle. A stop that was asked
-//! for while no controller ran is obeyed by the next one. The file is read and not mapped: a shell's
-//! `>` truncates it, and a mapping would end in SIGBUS then.
+//! requests of operators, so that a stop wins over an `arm` of the same cycle. A stop that was
+//! asked for while no controller ran is obeyed by the next one. The file is read and not mapped: a
+//! shell's `>` truncates it, and a mapping would end in SIGBUS then.
 
 use std::ffi::CString;
 use std::fs::{File, OpenOptions};

@@ -60,8 +60,8 @@ pub struct Common {
     /// Most steps that foresight simulates in a cycle.
     #[arg(long, value_name = "N", default_value_t = Settings::default().foresight_steps)]
     pub foresight_steps: u32,
-    /// Time in which the command goes from zero to its limits, s, where the scene gives no limits of
-    /// acceleration: 0.15 as `vpcd` has it on a real clock; 0: at once, as in the paper.
+    /// Time in which the command goes from zero to its limits, s, where the scene gives no limits
+    /// of acceleration: 0.15 as `vpcd` has it on a real clock; 0: at once, as in the paper.
     #[arg(long, value_name = "S", default_value_t = Settings::default().brake_s)]
     pub brake_s: f64,
 }

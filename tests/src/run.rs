@@ -37,8 +37,8 @@ pub struct Run {
     /// s; `None` if that was not so in the scene's time.
     #[serde(default)]
     pub standstill_s: Option<f64>,
-    /// Error of the object's pose in the camera frame at the end of a run that arrived: translation,
-    /// mm, and rotation, mrad.
+    /// Error of the object's pose in the camera frame at the end of a run that arrived:
+    /// translation, mm, and rotation, mrad.
     #[serde(default)]
     pub pose_error: Option<[f64; 2]>,
     /// Least clearance of a point from a border in a frame, px; negative inside.
@@ -231,8 +231,8 @@ fn pose_error(scene: &Scene, camera: &FreeCamera) -> [f64; 2] {
     ]
 }
 
-/// The angle between two rotations, rad: by the sine of its half, which is exact where the arc cosine
-/// of a trace is a NaN.
+/// The angle between two rotations, rad: by the sine of its half, which is exact where the arc
+/// cosine of a trace is a NaN.
 fn angle(a: &Rotation3<f64>, b: &Rotation3<f64>) -> f64 {
     let apart = (a.matrix() - b.matrix()).norm();
     2.0 * (apart / 8.0_f64.sqrt()).min(1.0).asin()

@@ -79,8 +79,9 @@ pub struct Law {
     /// How features are predicted.
     #[serde(with = "Model")]
     pub model: vpc::Model,
-    /// Most steps that foresight simulates between two frames; never more than a fifth of the control
-    /// period has room for. One takes 5 us with 3 steps ahead in the paper's scene, 60 us with 30.
+    /// Most steps that foresight simulates between two frames; never more than a fifth of the
+    /// control period has room for. One takes 5 us with 3 steps ahead in the paper's scene, 60 us
+    /// with 30.
     #[default = 150]
     #[schemars(range(min = 1, max = 1e5))]
     pub foresight_steps: u32,
@@ -93,8 +94,8 @@ pub struct Law {
     #[default = 2.0]
     #[schemars(range(min = 1, max = 100))]
     pub hysteresis: f64,
-    /// Clearance kept from every border: of each feature, or of the edge of a marker where the scene
-    /// gives `marker_size`.
+    /// Clearance kept from every border: of each feature, or of the edge of a marker where the
+    /// scene gives `marker_size`.
     #[schemars(range(min = 0, max = 1e3), extend("x-unit" = "px"))]
     pub margin_px: f64,
     /// Weight of the change of the command from one period to the next, as a share of R; 0 in the
@@ -201,8 +202,8 @@ pub struct Safety {
     /// was heard must go on telling it, and carry out what it is told, either way.
     #[schemars(extend("x-default" = "optional in lockstep, else required"))]
     pub robot: Option<Presence>,
-    /// What the controller does from its arrival on: it follows the pattern (`follow`), stands until
-    /// an operator arms (`hold`), or disarms (`disarm`).
+    /// What the controller does from its arrival on: it follows the pattern (`follow`), stands
+    /// until an operator arms (`hold`), or disarms (`disarm`).
     pub after_arrival: AfterArrival,
 }
 

@@ -66,9 +66,9 @@ impl Store {
     }
 
     /// Makes a file of at most `most` bytes, whole or not at all, readable by this user only, and
-    /// removes the oldest ones beyond those kept. Leaves 64 MiB of the disk. `stamp` orders files by age, `cause` tells them apart: letters, digits
-    /// and hyphens. `fill` is called with the path of an empty file, and synchronizes what it
-    /// writes to the disk, which may take long.
+    /// removes the oldest ones beyond those kept. Leaves 64 MiB of the disk. `stamp` orders files
+    /// by age, `cause` tells them apart: letters, digits and hyphens. `fill` is called with the
+    /// path of an empty file, and synchronizes what it writes to the disk, which may take long.
     ///
     /// # Errors
     /// [`StoreError`]; nothing is left of the file then.

@@ -251,9 +251,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         Ok(())
     }
 
-    /// Forgets everything of earlier cycles, for a new run. Of a live robot the commands stay known,
-    /// for it executed them, and so does what was seen: its camera began again, and sees the same
-    /// object.
+    /// Forgets everything of earlier cycles, for a new run. Of a live robot the commands stay
+    /// known, for it executed them, and so does what was seen: its camera began again, and sees the
+    /// same object.
     pub fn reset(&mut self) {
         let before = self.state;
         let new = State::new(self.settings.strategy);

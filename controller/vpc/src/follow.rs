@@ -27,8 +27,8 @@ const WINDOWS: [usize; 2] = [4, 8];
 /// Largest lag, slots: a shaper, a low-pass filter and the way there have half a second together,
 /// as in the daemon's watch of the robot.
 const MOST_LAG: usize = 4;
-/// Lags looked at in each slot: where commands turn round, the displacement changes quickly with the
-/// lag.
+/// Lags looked at in each slot: where commands turn round, the displacement changes quickly with
+/// the lag.
 const STEPS: usize = 4;
 /// The lag of a usual robot, slots.
 const USUAL_LAG: usize = 2;
@@ -83,8 +83,8 @@ impl Follow {
         since: [[0.0; 2]; MAX_POINTS],
     };
 
-    /// Adds a measurement, which may be filtered, and where the commands since the one before should
-    /// have taken the points `from` there: `to`.
+    /// Adds a measurement, which may be filtered, and where the commands since the one before
+    /// should have taken the points `from` there: `to`.
     ///
     /// # Errors
     /// [`Refusal::NotFollowing`] if the image does not follow the commands.

@@ -19,8 +19,8 @@ static METER: Meter = Meter;
 
 /// Events that wait for the log.
 const QUEUE: usize = 256;
-/// Longest time from a signal to the end: it brakes, ends the motion, and waits for the robot to say
-/// that it is idle.
+/// Longest time from a signal to the end: it brakes, ends the motion, and waits for the robot to
+/// say that it is idle.
 const LAST: Duration = Duration::from_secs(3);
 /// How often the log looks.
 const LOOK: Duration = Duration::from_millis(20);

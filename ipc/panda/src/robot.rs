@@ -19,8 +19,8 @@ use crate::steering::{Limited, Measured, Output};
 
 /// How far the number of a state may be ahead, ms: what is further is not the robot's.
 const FAR_MS: u64 = 10_000;
-/// Longest wait for a state with a new number: by then the library's own time-out of 1 s has passed,
-/// unless something else comes.
+/// Longest wait for a state with a new number: by then the library's own time-out of 1 s has
+/// passed, unless something else comes.
 const LONGEST_WAIT_NS: u64 = 2_000_000_000;
 
 /// Since when a state is waited for, CLOCK_MONOTONIC, ns; 0: none is.
@@ -28,9 +28,9 @@ static WAITS_SINCE_NS: AtomicU64 = AtomicU64::new(0);
 /// A number that was refused; 0: none was.
 static REFUSED: AtomicU64 = AtomicU64::new(0);
 
-/// Why nothing can come of the library any more, if so. It takes the state with the greatest number,
-/// and waits for a greater one as long as datagrams come: after a forged number, for ever, even where
-/// its motion is dropped.
+/// Why nothing can come of the library any more, if so. It takes the state with the greatest
+/// number, and waits for a greater one as long as datagrams come: after a forged number, for ever,
+/// even where its motion is dropped.
 pub fn hangs() -> Option<String> {
     let refused = REFUSED.load(Ordering::Relaxed);
     if refused > 0 {
@@ -43,7 +43,7 @@ pub fn hangs() -> Option<String> {
     is_long.then(|| "datagrams come from the robot, and no new state".to_owned())
 }
 
-/// A robot whose states have numbers that are to be expected, from the robot's address alone.
+/// A robot. It accepts states from the robot's address only, and ends at an implausible number.
 pub struct Robot {
     robot: franka::Robot,
     /// The last number; 0: none.

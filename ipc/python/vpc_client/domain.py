@@ -204,7 +204,8 @@ class Domain(Opening):
         self._prefix = self._read_prefix()
         if self._prefix is None:
             raise BadDomain(
-                f"{self._generation_file()}: damaged; allowed: 16 hexadecimal digits, as who is alone in the domain writes"
+                f"{self._generation_file()}: damaged; allowed: 16 hexadecimal digits; stop every process of this domain, then"
+                " start again"
             )
         self._remove_unborn()
         self._check_room()

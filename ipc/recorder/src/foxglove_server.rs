@@ -1,7 +1,7 @@
 //! Foxglove's WebSocket protocol `foxglove.sdk.v1`, as much of it as clients need that only read.
 //!
-//! The SDK's own server neither asks for a page's origin nor bounds what a client that does not read
-//! makes it hold. Source: github.com/foxglove/ws-protocol, `docs/spec.md`.
+//! The SDK's own server neither asks for a page's origin nor bounds what a client that does not
+//! read makes it hold. Source: github.com/foxglove/ws-protocol, `docs/spec.md`.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::{IpAddr, SocketAddr};
@@ -154,8 +154,8 @@ impl Server {
         self.state().refused.take()
     }
 
-    /// Accepts clients without end; `origins` are those of the pages that may connect beside pages of
-    /// this machine.
+    /// Accepts clients without end; `origins` are those of the pages that may connect beside pages
+    /// of this machine.
     pub(crate) async fn accept(self: Arc<Self>, listener: TcpListener, origins: Vec<String>) {
         let (origins, places) = (Arc::new(origins), Arc::new(Semaphore::new(CLIENTS)));
         while let Ok(place) = Arc::clone(&places).acquire_owned().await {

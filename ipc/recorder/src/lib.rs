@@ -1,6 +1,6 @@
-//! Records a domain, with topics that Foxglove draws, or serves the same to Foxglove live, and shows
-//! what was recorded. The files themselves are the crate `recording`'s, whose `README.md` tells
-//! topics and decisions.
+//! Records a domain, with topics that Foxglove draws, or serves the same to Foxglove live, and
+//! shows what was recorded. The files themselves are the crate `recording`'s, whose `README.md`
+//! tells topics and decisions.
 //!
 //! - [`record()`] subscribes to a domain and writes what is published and what Foxglove draws,
 //! - [`live::serve`] sends the same to Foxglove while it happens,

@@ -1,7 +1,7 @@
 //! A domain live for Foxglove: its WebSocket, with the schemas and views of a recording.
 //!
-//! Clients only read. The server drops the oldest messages of a client that does not keep up; nobody
-//! waits for it.
+//! Clients only read. The server drops the oldest messages of a client that does not keep up;
+//! nobody waits for it.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;

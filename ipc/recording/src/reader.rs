@@ -16,11 +16,11 @@ use crate::message::Recorded;
 use crate::writer::ORIGIN;
 use crate::{CONFIG_FILE, SCENE_FILE};
 
-/// Longest record, bytes: a damaged length must not take all memory. Chunks are decompressed record by
-/// record.
+/// Longest record, bytes: a damaged length must not take all memory. Chunks are decompressed record
+/// by record.
 const LONGEST: usize = 64 << 20;
-/// Most bytes of records for each byte of the file, beside one of the longest: a small file does not become
-/// a large recording. That of an idle vpcd, which changes least, has 19.
+/// Most bytes of records for each byte of the file, beside one of the longest: a small file does
+/// not become a large recording. That of an idle vpcd, which changes least, has 19.
 const RATIO: usize = 256;
 
 /// Why a recording could not be read.

@@ -3,7 +3,8 @@
 //! The gateway parses the network by a library that one datagram can hang. The guard never reads
 //! from a network. It gets, from the instant of sending, a copy of each twist as it left, with the
 //! address and the socket. When the gateway ends, or a twist that is not zero has no successor in
-//! time, it kills the gateway and sends zeros to the same addresses, in the name of the same writer.
+//! time, it kills the gateway and sends zeros to the same addresses, in the name of the same
+//! writer.
 
 use std::io::{IoSlice, IoSliceMut};
 use std::mem::MaybeUninit;

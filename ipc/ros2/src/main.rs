@@ -48,7 +48,7 @@ fn main() -> ExitCode {
 fn begin() -> Result<ExitCode, ExitCode> {
     let mut words = std::env::args().skip(1);
     if words.next().as_deref() == Some(guard::ROLE) {
-        // They are for the gateway, whose end it awaits.
+        // The guard ends with the gateway, not by a signal.
         let _ignored = program::stop_on_signals("vpc-ros2")?;
         return guard::run(words)
             .map(|()| ExitCode::SUCCESS)
@@ -80,8 +80,8 @@ fn begin() -> Result<ExitCode, ExitCode> {
     })
 }
 
-/// What the network makes it allocate ends in an abort, not in a machine without memory; and no core
-/// is dumped, which takes time.
+/// What the network makes it allocate ends in an abort, not in a machine without memory; and no
+/// core is dumped, which takes time.
 fn limit_memory() -> Result<(), ExitCode> {
     for (resource, most) in [(Resource::Data, MOST_MEMORY), (Resource::Core, 0)] {
         let mut limit = getrlimit(resource);

@@ -6,9 +6,9 @@ use crate::arm::Command;
 
 /// Between two twists that nobody commanded, ns.
 const ZERO_PERIOD_NS: u64 = 20_000_000;
-/// Where the scene has no limits of acceleration: time in which a command may go from a limit to the
-/// opposite one, and in which it brakes from a limit, as vpcd does, s. The law of such a scene turns
-/// at once, and passes occlusions closely: half as steep, starts took 8 % longer.
+/// Where the scene has no limits of acceleration: time in which a command may go from a limit to
+/// the opposite one, and in which it brakes from a limit, as vpcd does, s. The law of such a scene
+/// turns at once, and passes occlusions closely: half as steep, starts took 8 % longer.
 const RAMP_S: f64 = 0.15;
 /// A twist changes from the last one by no more than fits into the time between them, which counts
 /// as this at most, and as late by the other, as commands come a little irregularly; ns.
@@ -18,7 +18,8 @@ const LATE_NS: u64 = 5_000_000;
 /// Decides what is sent. vpcd's commands go out once each, as they come, with what they allow at
 /// that instant, and never jump: the twist changes by what the scene's limits of acceleration
 /// allow, or from a limit to the opposite one in 0.15 s. When a command ends and none has followed,
-/// it brakes, from the limits in 0.15 s, and zeros go out for a while; then silence, so that the robot's own time-out acts, too.
+/// it brakes, from the limits in 0.15 s, and zeros go out for a while; then silence, so that the
+/// robot's own time-out acts, too.
 ///
 /// At once to zero it goes for a stop, and where vpcd says that it stands: vpcd brakes by itself
 /// where there is time.

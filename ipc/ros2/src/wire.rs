@@ -98,9 +98,9 @@ impl Sent {
         })
     }
 
-    /// The same with a zero twist, as the sample `number` at `seconds` and `nanoseconds` of the wall
-    /// clock. A heartbeat follows that says that this is the writer's only sample, so that reliable
-    /// receivers wait for none that they miss.
+    /// The same with a zero twist, as the sample `number` at `seconds` and `nanoseconds` of the
+    /// wall clock. A heartbeat follows that says that this is the writer's only sample, so that
+    /// reliable receivers wait for none that they miss.
     pub fn zero(&self, number: u64, seconds: u32, nanoseconds: u32) -> Vec<u8> {
         let mut zero = self.clone();
         let halves = [(number >> 32) as u32, number as u32].map(u32::to_le_bytes);

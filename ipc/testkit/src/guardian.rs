@@ -16,8 +16,8 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use rustix::process::Pid;
 
-/// What the guardian does. `vpcd` and `hw-sim` leave their domain on SIGTERM; what is left after 5 s
-/// is killed. A line of `/proc/PID/stat` has state, parent and group behind the name in brackets.
+/// What the guardian does. `vpcd` and `hw-sim` leave their domain on SIGTERM; what is left after 5
+/// s is killed. A line of `/proc/PID/stat` has state, parent and group behind the name in brackets.
 const SCRIPT: &str = r#"
 trap '' HUP INT TERM
 read -r _

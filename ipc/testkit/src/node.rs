@@ -7,9 +7,9 @@ use std::sync::{Mutex, PoisonError};
 use crate::python::run;
 use crate::{are_installed, not_run, root, target_directory};
 
-/// A script, ready to run with the packages that the `package.json` beside it names; its path is from
-/// the root of the repository. `None`, after [`not_run`], where the machine has no Node.js or no
-/// network.
+/// A script, ready to run with the packages that the `package.json` beside it names; its path is
+/// from the root of the repository. `None`, after [`not_run`], where the machine has no Node.js or
+/// no network.
 pub fn script(test: &str, script: &str) -> Option<Command> {
     static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
     let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);

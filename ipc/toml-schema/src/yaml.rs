@@ -147,8 +147,8 @@ impl<'a> YamlNode<'a> {
     }
 }
 
-/// Checks that nothing in a text takes more than the text does: no value is repeated by an alias, and
-/// lists and tables are in each other [`DEEPEST`] times at most. What is no YAML passes.
+/// Checks that nothing in a text takes more than the text does: no value is repeated by an alias,
+/// and lists and tables are in each other [`DEEPEST`] times at most. What is no YAML passes.
 fn bounded(text: &str) -> Result<(), String> {
     let mut depth = 0_u32;
     for event in Parser::new_from_str(text) {

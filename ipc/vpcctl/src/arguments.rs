@@ -61,8 +61,8 @@ pub enum Command {
     /// Write a folder of configuration files for a robot: scene, camera, bridge, controller and
     /// emulator. Nothing is overwritten.
     Init(InitArguments),
-    /// Play vpcd to the program that carries out twists, and judge what it reports: the camera moves
-    /// some centimetres along its x axis and back.
+    /// Play vpcd to the program that carries out twists, and judge what it reports: the camera
+    /// moves some centimetres along its x axis and back.
     CheckBridge(CheckBridgeArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
@@ -88,8 +88,8 @@ pub enum Command {
 /// The command line of `arm`.
 #[derive(Clone, Debug, Args)]
 pub struct ArmArguments {
-    /// Arm in spite of stops: their count, which the refusal and status tell. Another stop since then
-    /// makes it old.
+    /// Arm in spite of stops: their count, which the refusal and status tell. Another stop since
+    /// then makes it old.
     #[arg(
         long,
         value_name = "COUNT",
@@ -195,8 +195,8 @@ pub struct ServeArguments {
     #[arg(long)]
     pub control: bool,
 
-    /// Hand-eye calibration of the camera on the flange: TOML, or YAML of easy_handeye or OpenCV. With
-    /// it, Foxglove shows the arm where it stands.
+    /// Hand-eye calibration of the camera on the flange: TOML, or YAML of easy_handeye or OpenCV.
+    /// With it, Foxglove shows the arm where it stands.
     #[arg(long, value_name = "FILE", requires = "foxglove")]
     pub hand_eye: Option<PathBuf>,
 

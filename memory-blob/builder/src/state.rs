@@ -236,8 +236,8 @@ impl BuildState {
         Ok(state)
     }
 
-    /// Replaces the file at `path` by this state with new progress, atomically. It keeps a file of the
-    /// same part that is complete, or has more batches: another process works on the part, too.
+    /// Replaces the file at `path` by this state with new progress, atomically. It keeps a file of
+    /// the same part that is complete, or has more batches: another process works on the part, too.
     ///
     /// # Errors
     /// [`StateError`] if the file cannot be written, or if another build has written it since: that

@@ -18,8 +18,8 @@ const LEAST_AHEAD: f64 = 0.05;
 /// slides round such a corner by itself.
 const SLIDE: f64 = 0.015;
 
-/// How far outside the image a point may be: the centre of a marker that is allowed to touch the edge,
-/// and the solver's tolerance, px.
+/// How far outside the image a point may be: the centre of a marker that is allowed to touch the
+/// edge, and the solver's tolerance, px.
 const EDGE_PX: f64 = 2.0;
 /// Share by which a command may exceed the limits: rounding.
 const OVER: f64 = 1e-6;

@@ -1,5 +1,5 @@
-//! Nothing moves that nobody asked for: after an unclean end, after a long wait for camera and robot,
-//! and after somebody else's stop.
+//! Nothing moves that nobody asked for: after an unclean end, after a long wait for camera and
+//! robot, and after somebody else's stop.
 
 use std::fs::File;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,8 +18,8 @@ use crate::machine::on_time;
 const LONG: Duration = Duration::from_millis(6_500);
 const ARMED: &str = "[safety]\narmed = true";
 
-/// Starts a camera and the daemon, armed: the daemon, and why it is disarmed after its first cycles.
-/// The camera ends with the function.
+/// Starts a camera and the daemon, armed: the daemon, and why it is disarmed after its first
+/// cycles. The camera ends with the function.
 fn starts(place: &Place, witness: &mut Witness) -> (Running, Option<Hold>) {
     let _camera = Running::start(on_time(place.hw_sim(1), CAMERA_PRIORITY));
     eventually("a camera", || witness.observer.features.oldest().unwrap());

@@ -166,8 +166,8 @@ impl Witness {
         self.operator.requests.publish(request).unwrap();
     }
 
-    /// Arms, and waits until the camera moves. Where a standstill of the machine disarms it at once,
-    /// it is armed again.
+    /// Arms, and waits until the camera moves. Where a standstill of the machine disarms it at
+    /// once, it is armed again.
     pub fn set_in_motion(&mut self) {
         for _ in 0..3 {
             eventually("arming", || {

@@ -1,5 +1,5 @@
-//! An image that does not follow the commands disarms, and one that follows as badly as a laboratory
-//! lets it does not: the daemon's decision step in simulated time, with random errors.
+//! An image that does not follow the commands disarms, and one that follows as badly as a
+//! laboratory lets it does not: the daemon's decision step in simulated time, with random errors.
 
 use hw_sim::FreeCamera;
 use ipc::{ClockMode, Features, Hold, TwistState};

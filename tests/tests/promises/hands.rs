@@ -1,5 +1,5 @@
-//! A stop by a hand on the files, and on a disk that is full: whatever happens to the stop file, the
-//! camera stands, and nobody says so who does not know.
+//! A stop by a hand on the files, and on a disk that is full: whatever happens to the stop file,
+//! the camera stands, and nobody says so who does not know.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;

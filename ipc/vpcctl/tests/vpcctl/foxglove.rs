@@ -353,7 +353,8 @@ fn layout_names_what_is_served(received: &Received) {
     assert!(count > 20, "{count}");
 }
 
-/// Compares all cycles and features with those that were received without Foxglove; how many cycles.
+/// Compares all cycles and features with those that were received without Foxglove; how many
+/// cycles.
 fn messages_are_the_daemons(received: &Received, direct: &Direct) -> usize {
     for (_, read) in received.of("/vpc/features") {
         let number = read["stamp"]["sequence"].as_u64().unwrap();

@@ -1,4 +1,5 @@
-//! A full `/dev/shm`: whoever would write to it says so instead of dying by SIGBUS, and the stop works.
+//! A full `/dev/shm`: whoever would write to it says so instead of dying by SIGBUS, and the stop
+//! works.
 
 use testkit::python::run;
 use testkit::{Place, program, root};
