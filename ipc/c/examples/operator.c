@@ -16,7 +16,7 @@ int main(int count, char **words) {
         fprintf(stderr, "operator: DOMAIN status|arm|disarm|stop|previous|knn|gpr|ibvs [STOPS|NEIGHBOURS]\n");
         return 2;
     }
-    uint32_t action = VPC_ACTION_STRATEGY, strategy = 0, neighbours = count > 3 ? (uint32_t)atoi(words[3]) : 0;
+    uint32_t action = VPC_ACTION_STRATEGY, strategy = 0, number = count > 3 ? (uint32_t)atoi(words[3]) : 0;
     for (uint32_t code = 0; code < 4; code++) {
         if (strcmp(words[2], ACTIONS[code]) == 0) action = code;
     }
@@ -30,9 +30,9 @@ int main(int count, char **words) {
     vpc_status status = vpc_domain_join(strcmp(words[1], "-") != 0 ? words[1] : NULL, &domain);
     if (status == VPC_STATUS_OK) status = vpc_operator_open(domain, &operator_);
     if (status == VPC_STATUS_OK && action == VPC_ACTION_ARM) {
-        status = vpc_arm_after_stop(operator_, neighbours, &reply);
+        status = vpc_arm_after_stop(operator_, number, &reply);
     } else if (status == VPC_STATUS_OK) {
-        status = vpc_operator_ask(operator_, action, strategy, neighbours, 2000000000u, &reply);
+        status = vpc_operator_ask(operator_, action, strategy, number, 2000000000u, &reply);
     }
     if (status == VPC_STATUS_OK || status == VPC_STATUS_REFUSED) {
         printf("%s; now %s (%s), %s\n", vpc_outcome_name(reply.outcome), vpc_state_name(reply.state),

@@ -62,8 +62,8 @@ impl Presence {
 }
 
 /// The daemons of this user: process ids, and the directories of their domains, wherever they were
-/// moved; see [`is_gone`].
-pub fn at_work() -> Vec<(u32, PathBuf)> {
+/// moved; `None` where the directory was removed.
+pub fn at_work() -> Vec<(u32, Option<PathBuf>)> {
     let us = rustix::process::geteuid().as_raw();
     let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
     let processes = entries.filter_map(|entry| {
@@ -78,16 +78,17 @@ pub fn at_work() -> Vec<(u32, PathBuf)> {
     found
 }
 
-/// The directory of the file that this daemon keeps locked.
-fn domain_of(process: u32) -> Option<PathBuf> {
+/// The directory of the file that this daemon keeps locked, as [`at_work`] tells it; `None` if it
+/// has no such file.
+fn domain_of(process: u32) -> Option<Option<PathBuf>> {
     let files = std::fs::read_dir(format!("/proc/{process}/fd")).ok()?;
     files.flatten().find_map(|file| {
         let path = std::fs::read_link(file.path()).ok()?;
         let name = path.file_name()?.to_str()?;
         let directory = path.parent()?;
         match name.strip_suffix(GONE) {
-            None if name == FILE => Some(directory.to_owned()),
-            Some(FILE) => Some(format!("{}{GONE}", directory.display()).into()),
+            None if name == FILE => Some(Some(directory.to_owned())),
+            Some(FILE) => Some(None),
             _ => None,
         }
     })
@@ -95,11 +96,6 @@ fn domain_of(process: u32) -> Option<PathBuf> {
 
 /// What Linux adds to the path of a file that was removed.
 const GONE: &str = " (deleted)";
-
-/// Whether this domain's directory, as [`at_work`] names it, was removed.
-pub fn is_gone(domain: &str) -> bool {
-    domain.ends_with(GONE)
-}
 
 /// The process that holds an exclusive `flock` on this inode. Two file systems may use the same
 /// inode number: the process that the file names is preferred.

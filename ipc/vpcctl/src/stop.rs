@@ -1,7 +1,6 @@
 //! `vpcctl stop`: by the stop file, past everything that could keep it waiting. Where that does not
 //! get through, it asks the daemon; nothing is called stopped that did not say so.
 
-use std::fmt::Write as _;
 use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -88,12 +87,11 @@ fn by_request(
 fn elsewhere() -> String {
     let mut text = String::new();
     for (process, domain) in presence::at_work() {
-        let domain = domain.display();
-        _ = match presence::is_gone(&domain.to_string()) {
-            true => write!(text, "; {}", unreachable(process)),
-            false => write!(
-                text,
-                "; process {process} is at work in {domain}: vpcctl --domain {domain} stop, or vpcctl stop --all"
+        text += &match domain {
+            None => format!("; {}", unreachable(process)),
+            Some(domain) => format!(
+                "; process {process} is at work in {0}: vpcctl --domain {0} stop, or vpcctl stop --all",
+                domain.display()
             ),
         };
     }
@@ -116,12 +114,18 @@ pub fn stop_all(timeout: Duration) -> (String, Exit) {
         );
     }
     for (process, domain) in daemons {
-        let (line, exit) = match presence::is_gone(&domain.to_string_lossy()) {
-            true => (unreachable(process) + "\n", Exit::NoAnswer),
-            false => stop(&domain, timeout)
-                .unwrap_or_else(|failure| (format!("{failure}\n"), failure.exit)),
+        let exit = match domain {
+            None => {
+                text += &(unreachable(process) + "\n");
+                Exit::NoAnswer
+            }
+            Some(domain) => {
+                let (line, exit) = stop(&domain, timeout)
+                    .unwrap_or_else(|failure| (format!("{failure}\n"), failure.exit));
+                text += &format!("{}: {line}", domain.display());
+                exit
+            }
         };
-        _ = write!(text, "{}: {line}", domain.display());
         if exit as u8 > worst as u8 {
             worst = exit;
         }

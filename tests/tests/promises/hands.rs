@@ -1,15 +1,17 @@
 //! A stop by a hand on the files, and on a disk that is full: whatever happens to the stop file,
 //! the camera stands, and nobody says so who does not know.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ipc::{Action, Hold, Outcome, now_ns};
+use rustix::process::Signal;
 use testkit::is_root;
 
 use crate::fixture::{
-    CAMERA_PRIORITY, Ended, PERIOD_NS, Running, Stage, Witness, are_installed, ended, eventually,
-    is_still, not_run, program, tell, turn,
+    CAMERA_PRIORITY, Ended, PERIOD_NS, Place, Running, Stage, Witness, are_installed, ended,
+    eventually, is_still, not_run, program, root, scene_file, tell, turn,
 };
 use crate::machine::on_time;
 use crate::stall::{fairly, in_time};
@@ -54,7 +56,7 @@ fn stopped_by(number: usize, line: &str, is_usable: bool) -> anyhow::Result<u64>
     let mut worst = 0;
     for round in 0..rounds {
         if round > 0 {
-            stage.camera.signal(rustix::process::Signal::KILL);
+            stage.camera.signal(Signal::KILL);
             eventually("the camera's end", || {
                 (!stage.camera.is_running()).then_some(())
             });
@@ -130,6 +132,9 @@ struct SmallDisk(PathBuf);
 
 impl SmallDisk {
     fn mount(path: PathBuf, kib: u32) -> Option<Self> {
+        if !is_root("a file system of its own") {
+            return None;
+        }
         std::fs::create_dir(&path).unwrap();
         let mut mount = testkit::command("mount");
         mount.args([
@@ -148,7 +153,6 @@ impl SmallDisk {
     }
 
     fn fill(&self) {
-        use std::io::Write;
         let mut file = std::fs::File::create(self.0.join("fill")).unwrap();
         while file.write(&[1; 512]).is_ok_and(|count| count > 0) {}
     }
@@ -164,10 +168,7 @@ impl Drop for SmallDisk {
 #[test]
 fn on_a_full_disk_a_stop_is_a_stop() {
     let _turn = turn();
-    if !is_root("a file system of its own") {
-        return;
-    }
-    let place = crate::fixture::Place::new();
+    let place = Place::new();
     let Some(disk) = SmallDisk::mount(place.domain(), 4096) else {
         return;
     };
@@ -186,7 +187,7 @@ fn on_a_full_disk_a_stop_is_a_stop() {
             }
             "python" => {
                 // Without iceoryx2: the function needs the file alone.
-                let path = crate::fixture::root().join("ipc/python/vpc_client");
+                let path = root().join("ipc/python/vpc_client");
                 let script = format!(
                     "import importlib.util, sys, types\n\
                      package = types.ModuleType('p'); package.__path__ = ['{0}']; sys.modules['p'] = package\n\
@@ -229,10 +230,7 @@ fn on_a_full_disk_a_stop_is_a_stop() {
 #[test]
 fn without_room_for_the_stop_file_nothing_starts() {
     let _turn = turn();
-    if !is_root("a file system of its own") {
-        return;
-    }
-    let place = crate::fixture::Place::new();
+    let place = Place::new();
     let Some(disk) = SmallDisk::mount(place.domain(), 64) else {
         return;
     };
@@ -252,7 +250,7 @@ fn a_stop_names_daemons_at_work_elsewhere_and_stops_all() {
     if !is_root(what) || !are_installed(what, &["unshare=util-linux"]) {
         return;
     }
-    let place = crate::fixture::Place::new();
+    let place = Place::new();
     let script = format!(
         r#"
         for name in a b; do
@@ -269,7 +267,7 @@ fn a_stop_names_daemons_at_work_elsewhere_and_stops_all() {
         "#,
         vpcd = program("vpcd").display(),
         vpcctl = program("vpcctl").display(),
-        scene = crate::fixture::scene_file().display(),
+        scene = scene_file().display(),
     );
     let mut unshare = testkit::command("unshare");
     unshare.args(["--pid", "--fork", "--mount-proc", "/bin/sh", "-c", &script]);
