@@ -221,7 +221,7 @@ impl Trio<'_> {
         while TcpStream::connect(&at).is_err() {
             self.wait(begun, "hw-sim does not listen")?;
         }
-        let hand_eye = text(&crate::root().join("ipc/panda/hand-eye.toml"));
+        let hand_eye = text(&crate::root().join("ipc/clients/panda/hand-eye.toml"));
         let robot = format!("{robot}:{}", self.address);
         let panda = begin(
             "vpc-panda",

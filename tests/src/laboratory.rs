@@ -318,7 +318,7 @@ impl Laboratory<'_> {
         hw_sim.insert("seed".to_owned(), i64::try_from(self.number)?.into());
         self.write("hw-sim.toml", &hw_sim)?;
 
-        let mut camera = shipped("ipc/camera/vpc-camera.toml")?;
+        let mut camera = shipped("ipc/clients/camera/vpc-camera.toml")?;
         self.write("calibration.toml", &told)?;
         camera.insert("scene".to_owned(), path(scene)?);
         camera.insert("source".to_owned(), "shm".into());

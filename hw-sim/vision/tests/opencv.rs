@@ -1,4 +1,4 @@
-//! The camera client for OpenCV (`ipc/python/opencv_camera.py`) on rendered frames: its points
+//! The camera client for OpenCV (`ipc/clients/python/opencv_camera.py`) on rendered frames: its points
 //! against the truth.
 
 use std::fs::File;
@@ -20,7 +20,7 @@ const OPENCV: Environment = Environment {
 
 /// The client on files, as far as it goes without shared memory.
 fn camera(python: &Path, scene: &Path, arguments: &[&str]) -> Ended {
-    let client = root().join("ipc/python/opencv_camera.py");
+    let client = root().join("ipc/clients/python/opencv_camera.py");
     let mut camera = script(python, &client);
     camera.arg("--scene").arg(scene).arg("--dry");
     ended(camera.args(arguments))

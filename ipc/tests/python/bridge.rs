@@ -22,7 +22,7 @@ const VALID_NS: u64 = 100_000_000;
 const WIDE: [f64; 6] = [0.1, -0.5, 0.05, 0.9, 0.6, 0.9];
 
 fn hand_eye() -> PathBuf {
-    sources("panda/hand-eye.toml")
+    sources("clients/panda/hand-eye.toml")
 }
 
 struct Rig {
@@ -39,7 +39,7 @@ impl Rig {
         let domain = Domain::join(&place.domain()).unwrap();
         let controller = ControllerPorts::open(&domain).unwrap();
         let observer = Observer::open(&domain).unwrap();
-        let mut bridge = with_stand_ins(python, "python/robot_bridge.py");
+        let mut bridge = with_stand_ins(python, "clients/python/robot_bridge.py");
         bridge.arg(robot).arg(place.path("log")).arg("--hand-eye");
         bridge.arg(hand_eye()).arg("--domain").arg(place.domain());
         let (lower, upper) = workspace.split_at(3);
@@ -323,7 +323,7 @@ fn refusals(python: &Path) {
     );
     let log = place.path("log");
     let refused = |robot: &str, hand_eye: &Path, more: &[&str]| {
-        let mut bridge = with_stand_ins(python, "python/robot_bridge.py");
+        let mut bridge = with_stand_ins(python, "clients/python/robot_bridge.py");
         bridge.arg(robot).arg(&log).arg("--hand-eye").arg(hand_eye);
         bridge.args(["--lower", "0", "0", "0", "--upper", "1", "1", "1"]);
         bridge.arg("--domain").arg(place.domain()).args(more);

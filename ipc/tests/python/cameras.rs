@@ -33,7 +33,7 @@ fn images_are_honest(python: &Path, camera: &str, log: &str, arguments: &[&str],
     let domain = Domain::join(&place.domain()).unwrap();
     let mut images = domain.image_subscriber().unwrap();
     let log = place.path(log);
-    let mut program = with_stand_ins(python, &format!("python/{camera}_camera.py"));
+    let mut program = with_stand_ins(python, &format!("clients/python/{camera}_camera.py"));
     let serial = if camera == "aravis" {
         "--camera"
     } else {
@@ -91,7 +91,7 @@ fn images_are_honest(python: &Path, camera: &str, log: &str, arguments: &[&str],
 fn refusals(python: &Path) {
     let place = Place::new();
     let refused = |camera: &str, arguments: &[&str]| {
-        let mut program = with_stand_ins(python, &format!("python/{camera}_camera.py"));
+        let mut program = with_stand_ins(python, &format!("clients/python/{camera}_camera.py"));
         program.args(arguments).arg("--domain").arg(place.domain());
         run(&mut program).unwrap_err()
     };

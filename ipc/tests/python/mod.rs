@@ -1,4 +1,4 @@
-//! The client in Python (`ipc/python`) against this crate: the same layouts, the same guard, real
+//! The client in Python (`ipc/clients/python`) against this crate: the same layouts, the same guard, real
 //! messages both ways, its camera driven to the goal, its logger's tables, its package installed.
 //! Needs Python 3.11 and, the first time, the network.
 
@@ -35,7 +35,7 @@ fn script(python: &Path, within: &str) -> Command {
 /// A script of the tree that finds the stand-ins for libraries.
 fn with_stand_ins(python: &Path, within: &str) -> Command {
     let mut command = script(python, within);
-    let paths = [sources("python"), sources("tests/python/stand_ins")];
+    let paths = [sources("clients/python"), sources("tests/python/stand_ins")];
     command.env("PYTHONPATH", std::env::join_paths(paths).unwrap());
     command
 }
@@ -277,7 +277,7 @@ fn driven(python: &Path, start: [f64; 6], twist: [f64; 6]) -> (String, Vec<[f64;
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
-    let mut camera = script(python, "python/camera.py");
+    let mut camera = script(python, "clients/python/camera.py");
     camera
         .arg("--scene")
         .arg(sources("scene/scenes/paper-sim.toml"));
@@ -476,7 +476,7 @@ fn the_logger_fills_tables(python: &Path, format: &str) {
     let mut camera = CameraPorts::open(&domain).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut recorder = RecorderPort::open(&domain).unwrap();
-    let mut logger = script(python, "python/logger.py");
+    let mut logger = script(python, "clients/python/logger.py");
     logger
         .arg("--domain")
         .arg(&domain_at)
@@ -567,7 +567,7 @@ fn files(directory: &Path) -> BTreeSet<PathBuf> {
 /// against what is installed, and runs away from the tree.
 fn the_package_installs(python: &Path) {
     let place = Place::new();
-    let (tree, installed) = (sources("python"), place.path("installed"));
+    let (tree, installed) = (sources("clients/python"), place.path("installed"));
     let in_python = |arguments: &[&str]| {
         let mut command = testkit::command(python);
         command.args(arguments).env("PYTHONPATH", &installed);

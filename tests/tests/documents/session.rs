@@ -190,7 +190,7 @@ fn the_commands_about_recordings_run() {
 
 #[test]
 fn the_commands_of_the_operators_readme_run() {
-    let mut readme = Session::at_work("ipc/vpcctl/README.md");
+    let mut readme = Session::at_work("controller/vpcctl/README.md");
     // In front of the occlusion the camera stands; it may still be on its way.
     readme.ends("vpcctl status", &[0, 1], &[]);
     readme.ends("vpcctl watch", &[64], &[]);

@@ -104,7 +104,7 @@ fn bridge(cable: &Cable, place: &Place, (name, _): Model) -> Command {
     let mut bridge = cable.end("vpc-panda");
     bridge.args(["--robot", &format!("{name}:127.0.0.1"), "--hand-eye"]);
     bridge
-        .arg(root().join("ipc/panda/hand-eye.toml"))
+        .arg(root().join("ipc/clients/panda/hand-eye.toml"))
         .arg("--scene");
     bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
     bridge.arg("--domain").arg(place.domain());

@@ -1,7 +1,7 @@
 //! Clients in other languages work as well as Rust's: the camera in Python
-//! (`ipc/python/camera.py`), with mathematics and a referee of its own, runs with `vpcd` in
+//! (`ipc/clients/python/camera.py`), with mathematics and a referee of its own, runs with `vpcd` in
 //! lockstep from the paper's starts and gets the results of `cargo table`; the camera in C
-//! (`ipc/c/examples/camera.c`) arrives.
+//! (`ipc/clients/c/examples/camera.c`) arrives.
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -62,7 +62,7 @@ fn table(spec: &str, count: usize) -> Vec<Outcome> {
 /// The outcomes of the camera in Python against the real daemon.
 fn stand_in(python: &Path, place: &Place, starts: usize) -> Vec<Outcome> {
     let json = place.path("runs.json");
-    let mut camera = python::script(python, &root().join("ipc/python/camera.py"));
+    let mut camera = python::script(python, &root().join("ipc/clients/python/camera.py"));
     camera.arg("--scene").arg(scene_file());
     camera.arg("--starts").arg(starts_file());
     camera.arg("--first").arg(starts.to_string());
@@ -128,7 +128,7 @@ fn the_camera_in_c_arrives() {
     }
     let library = program("libvpcclient.so");
     let place = Place::new();
-    let source = root().join("ipc/c/examples/camera.c");
+    let source = root().join("ipc/clients/c/examples/camera.c");
     let camera = testkit::c::compiled(&place, &source, &library);
     let daemon = daemon(&place, "gpr");
     let starts = read_starts(&starts_file()).unwrap();
@@ -150,7 +150,7 @@ fn the_camera_in_c_arrives() {
 
 /// The block of code under a heading of the client's README.
 fn block(heading: &str, language: &str) -> String {
-    let readme = std::fs::read_to_string(root().join("ipc/python/README.md")).unwrap();
+    let readme = std::fs::read_to_string(root().join("ipc/clients/python/README.md")).unwrap();
     let (_, rest) = readme.split_once(heading).unwrap();
     let (_, rest) = rest.split_once(&format!("```{language}\n")).unwrap();
     rest.split_once("```").unwrap().0.to_owned()

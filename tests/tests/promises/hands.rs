@@ -187,7 +187,7 @@ fn on_a_full_disk_a_stop_is_a_stop() {
             }
             "python" => {
                 // Without iceoryx2: the function needs the file alone.
-                let path = root().join("ipc/python/vpc_client");
+                let path = root().join("ipc/clients/python/vpc_client");
                 let script = format!(
                     "import importlib.util, sys, types\n\
                      package = types.ModuleType('p'); package.__path__ = ['{0}']; sys.modules['p'] = package\n\

@@ -25,15 +25,15 @@ struct Artefact {
 
 const ARTEFACTS: &[Artefact] = &[
     Artefact {
-        path: "ipc/c/include/vpc.h",
+        path: "ipc/clients/c/include/vpc.h",
         make: |_| c_header::make(),
     },
     Artefact {
-        path: "ipc/python/vpc_client/messages.py",
+        path: "ipc/clients/python/vpc_client/messages.py",
         make: |_| Ok(python::messages()),
     },
     Artefact {
-        path: "ipc/python/vpc_client/opening.py",
+        path: "ipc/clients/python/vpc_client/opening.py",
         make: |_| Ok(python::opening()),
     },
     Artefact {
@@ -57,19 +57,19 @@ const ARTEFACTS: &[Artefact] = &[
         make: |_| Ok(schema_file(hw_sim::config::schema())),
     },
     Artefact {
-        path: "ipc/camera/vpc-camera.schema.json",
+        path: "ipc/clients/camera/vpc-camera.schema.json",
         make: |_| Ok(schema_file(vpc_camera::config::schema())),
     },
     Artefact {
-        path: "ipc/calib/board/board.schema.json",
+        path: "ipc/clients/calib/board/board.schema.json",
         make: |_| Ok(schema_file(tag_board::schema())),
     },
     Artefact {
-        path: "ipc/panda/vpc-panda.schema.json",
+        path: "ipc/clients/panda/vpc-panda.schema.json",
         make: |_| Ok(schema_file(vpc_panda::config::schema())),
     },
     Artefact {
-        path: "ipc/ros2/vpc-ros2.schema.json",
+        path: "ipc/clients/ros2/vpc-ros2.schema.json",
         make: |_| Ok(schema_file(vpc_ros2::config::schema())),
     },
     Artefact {

@@ -1,4 +1,4 @@
-//! `ipc/python/vpc_client/messages.py`: structures, codes and services in ctypes; and `opening.py`:
+//! `ipc/clients/python/vpc_client/messages.py`: structures, codes and services in ctypes; and `opening.py`:
 //! the types of their ports.
 
 use std::fmt::Write as _;

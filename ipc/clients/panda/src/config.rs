@@ -1,0 +1,248 @@
+//! Configuration of the bridge: a file, then flags, then checks.
+
+use std::path::PathBuf;
+
+use clap::{ArgMatches, Args, Parser, ValueEnum};
+use nalgebra::Vector3;
+use panda::{Model, Mount, Twist};
+use scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
+use toml_schema::{Document, FileError};
+
+use hand_eye::{Frame, HandEye};
+
+/// Drives a Franka Panda or FR3 by what vpcd commands.
+///
+/// Connects to the robot's interface, carries out vpc/twist within its own limits, and tells
+/// vpc/robot. The arm stands when no command is in force. Exit codes: 0 stopped by SIGTERM with a
+/// robot that is idle, or all is well; 1 the robot was not idle then, a check failed, or a mistake
+/// was found; 64 usage, 66 a file is missing, 69 the robot or the shared memory cannot be used, 70
+/// a defect, 78 configuration.
+#[derive(Parser, Debug)]
+#[command(name = "vpc-panda", version)]
+pub struct Arguments {
+    /// Configuration file (TOML), documented in ipc/clients/panda/vpc-panda.toml; flags win over it.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub keys: Keys,
+    /// Connect, read, and print frames and what would be sent, for three seconds; move nothing.
+    #[arg(long, conflicts_with = "preflight")]
+    pub dry_run: bool,
+    /// Check machine, network and robot; hold the arm where it is for two seconds.
+    #[arg(long)]
+    pub preflight: bool,
+    /// Move each axis of the camera by 5 mm or 0.02 rad and back, compare the image with the scene,
+    /// and name likely mistakes; asks before anything moves.
+    #[arg(long, conflicts_with_all = ["dry_run", "preflight"])]
+    pub first_motion: bool,
+    /// With --first-motion: do not ask.
+    #[arg(long, requires = "first_motion")]
+    pub yes: bool,
+}
+
+/// The paths of scene and hand-eye file are relative to the file. Some keys have a flag, which
+/// wins.
+#[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+#[schemars(title = "vpc-panda", extend("required" = ["robot", "scene", "hand_eye"]))]
+pub struct Keys {
+    /// Which robot, and the address of its control unit.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "panda:ADDRESS or fr3:ADDRESS, such as panda:172.16.0.2"))]
+    pub robot: Option<String>,
+    /// The scene file of vpcd: its limits hold here, too, and first-motion needs its pattern.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    pub scene: Option<PathBuf>,
+    /// The camera in the flange, as a hand-eye calibration found it.
+    #[arg(long)]
+    #[schemars(extend("x-allowed" = "a file: TOML, or YAML of easy_handeye or OpenCV"))]
+    pub hand_eye: Option<PathBuf>,
+    /// The frame that the hand-eye file is about.
+    #[arg(long, value_enum, default_value_t)]
+    pub hand_eye_frame: Frame,
+    /// What the robot is commanded.
+    #[arg(long, value_enum, default_value_t)]
+    pub interface: Interface,
+    /// Directory of the shared memory.
+    #[arg(long)]
+    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    pub domain: Option<PathBuf>,
+    /// SCHED_FIFO priority of the loop, above vpcd's.
+    #[arg(skip = 85)]
+    #[default = 85]
+    #[schemars(range(min = 1, max = 99))]
+    pub priority: i32,
+    /// Greatest speed of the camera.
+    #[arg(skip = 0.05)]
+    #[default = 0.05]
+    #[schemars(range(min = 0.001, max = 0.5), extend("x-unit" = "m/s"))]
+    pub linear: f64,
+    /// Greatest speed of the camera's turn.
+    #[arg(skip = 0.25)]
+    #[default = 0.25]
+    #[schemars(range(min = 0.001, max = 1), extend("x-unit" = "rad/s"))]
+    pub angular: f64,
+    /// Distance that joints keep from the ends of their ranges.
+    #[arg(skip = 0.1)]
+    #[default = 0.1]
+    #[schemars(range(min = 0.01, max = 1), extend("x-unit" = "rad"))]
+    pub joint_margin: f64,
+    /// Greatest share of the joints' own speed limits.
+    #[arg(skip = 0.3)]
+    #[default = 0.3]
+    #[schemars(range(min = 0.01, max = 0.9))]
+    pub joint_speed: f64,
+    #[arg(skip)]
+    #[allow(missing_docs)]
+    pub workspace: Workspace,
+}
+
+/// Where the end effector's origin may be, in the robot's base.
+#[derive(Clone, Copy, Debug, PartialEq, SmartDefault, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Workspace {
+    /// Least x, y, z.
+    #[default(_code = "[0.2, -0.5, 0.05]")]
+    #[schemars(inner(range(min = -1.5, max = 1.5)), extend("x-unit" = "m"))]
+    pub lower: [f64; 3],
+    /// Greatest x, y, z.
+    #[default(_code = "[0.8, 0.5, 0.9]")]
+    #[schemars(inner(range(min = -1.5, max = 1.5)), extend("x-unit" = "m"))]
+    pub upper: [f64; 3],
+}
+
+/// What the robot is commanded.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Deserialize, Serialize, JsonSchema,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Interface {
+    /// Joint velocities, by inverse kinematics of the bridge's own: each limit is checked before
+    /// anything is sent.
+    #[default]
+    Joint,
+    /// Velocities of the end effector, by the robot's inverse kinematics.
+    Cartesian,
+}
+
+/// The bridge's own limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Greatest speed of the camera, m/s.
+    pub linear: f64,
+    /// Greatest speed of its turn, rad/s.
+    pub angular: f64,
+    /// Greatest size of each component, by the scene, m/s and rad/s.
+    pub axes: [f64; 6],
+    /// Distance that joints keep from the ends of their ranges, rad.
+    pub joint_margin: f64,
+    /// Greatest share of the joints' own speed limits, 0 to 1.
+    pub joint_speed: f64,
+    /// Where the end effector's origin may be.
+    pub workspace: Workspace,
+}
+
+impl Bounds {
+    /// A twist of the camera, as long as allowed, its directions kept; zero where it is not finite.
+    pub fn cut(&self, twist: &Twist) -> Twist {
+        if !twist.iter().all(|x| x.is_finite()) {
+            return Twist::zeros();
+        }
+        let length = |first: usize| Vector3::from_fn(|k, _| twist[first + k]).norm();
+        let share = |length: f64, most: f64| most / length.max(most);
+        let axes = (0..6).map(|k| share(twist[k].abs(), self.axes[k]));
+        let speeds = [
+            share(length(0), self.linear),
+            share(length(3), self.angular),
+        ];
+        twist * axes.chain(speeds).fold(1.0, f64::min)
+    }
+}
+
+/// A checked configuration.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Which robot.
+    pub model: Model,
+    /// The address of its control unit.
+    pub robot: String,
+    /// The scene of vpcd.
+    pub scene: Scene,
+    /// The camera on the flange, or on the end effector.
+    pub hand_eye: HandEye,
+    /// What the robot is commanded.
+    pub interface: Interface,
+    /// Directory of the shared memory.
+    pub domain: PathBuf,
+    /// SCHED_FIFO priority of the loop.
+    pub priority: i32,
+    /// The bridge's own limits.
+    pub bounds: Bounds,
+}
+
+impl Config {
+    /// Reads the file that the command line names, lays the flags over it, and checks the whole.
+    ///
+    /// # Errors
+    /// [`FileError`] names the file or flag, key, value and what is allowed.
+    pub fn load(matches: &ArgMatches) -> Result<Self, FileError> {
+        let arguments: Arguments = toml_schema::arguments(matches)?;
+        let (file, paths) = (arguments.config.as_deref(), ["scene", "hand_eye"]);
+        let document = Document::with_flags::<Arguments>(file, &paths, &arguments.keys, matches)?;
+        let keys: Keys = document.check()?;
+        document.readable(&paths)?;
+        Self::of(&document, keys)
+    }
+
+    fn of(document: &Document, keys: Keys) -> Result<Self, FileError> {
+        let Workspace { lower, upper } = keys.workspace;
+        for k in 0..3 {
+            if lower[k] >= upper[k] {
+                let key = format!("workspace.lower[{k}]");
+                let allowed = format!("below workspace.upper[{k}] = {}", upper[k]);
+                return Err(document.refuse(&key, lower[k], allowed));
+            }
+        }
+        let robot = keys.robot.unwrap_or_default();
+        let named = robot.split_once(':').filter(|(_, at)| !at.is_empty());
+        let named = named.and_then(|(model, at)| Some((model.parse::<Model>().ok()?, at)));
+        let Some((model, address)) = named else {
+            let allowed = "panda:ADDRESS or fr3:ADDRESS".to_owned();
+            return Err(document.refuse("robot", &robot, allowed));
+        };
+        let scene = Scene::read(&keys.scene.unwrap_or_default())?;
+        let file = keys.hand_eye.unwrap_or_default();
+        Ok(Self {
+            model,
+            robot: address.to_owned(),
+            hand_eye: hand_eye::read(&file, keys.hand_eye_frame)?,
+            interface: keys.interface,
+            domain: keys.domain.unwrap_or_else(ipc::default_directory),
+            priority: keys.priority,
+            bounds: Bounds {
+                linear: keys.linear,
+                angular: keys.angular,
+                axes: scene.limits.velocity(),
+                joint_margin: keys.joint_margin,
+                joint_speed: keys.joint_speed,
+                workspace: keys.workspace,
+            },
+            scene,
+        })
+    }
+
+    /// The camera on a flange whose end effector is there.
+    pub fn mount(&self, flange_from_ee: &panda::Pose) -> Mount {
+        self.hand_eye.mount(flange_from_ee)
+    }
+}
+
+/// Returns the JSON Schema of a configuration file.
+pub fn schema() -> serde_json::Value {
+    toml_schema::schema::<Keys>()
+}

@@ -1,0 +1,75 @@
+//! What is wrong in a configuration is named, with what is allowed.
+
+use std::collections::BTreeMap;
+
+use testkit::{Ended, Place, ended, root};
+
+/// Runs the bridge with what it needs, and these flags in the place of some.
+fn said(place: &Place, flags: &[(&'static str, &str)]) -> Ended {
+    let file = |path: &str| root().join(path).display().to_string();
+    let mut all = BTreeMap::from([
+        ("--robot", "panda:127.0.0.254".to_owned()),
+        ("--hand-eye", file("ipc/clients/panda/hand-eye.toml")),
+        ("--scene", file("ipc/scene/scenes/paper-robot.toml")),
+        ("--domain", place.domain().display().to_string()),
+    ]);
+    all.extend(
+        flags
+            .iter()
+            .map(|(flag, value)| (*flag, (*value).to_owned())),
+    );
+    all.retain(|_, value| !value.is_empty());
+    let mut bridge = testkit::command(env!("CARGO_BIN_EXE_vpc-panda"));
+    for (flag, value) in all {
+        bridge.args([flag, &value]);
+    }
+    ended(bridge)
+}
+
+#[test]
+fn a_bad_configuration_is_refused_by_name() {
+    let place = Place::new();
+    let file = |name: &str, text: &str| place.file(name, text).display().to_string();
+    let walls = "[workspace]\nlower = [0.9, 0, 0]\nupper = [0.8, 0.1, 0.1]\n";
+    let walls = file("walls.toml", walls);
+    let fast = file("fast.toml", "linear = 2.0\n");
+    let odd = file("odd.toml", "speed = 2.0\n");
+    let broken = file("hand-eye.yaml", "camera: 1\n");
+    for (flag, value, code, words) in [
+        ("--robot", "", 78, "robot"),
+        (
+            "--robot",
+            "ur5:10.0.0.2",
+            78,
+            "panda:ADDRESS or fr3:ADDRESS",
+        ),
+        ("--robot", "10.0.0.2", 78, "10.0.0.2"),
+        ("--robot", "panda:", 78, "panda:ADDRESS"),
+        ("--hand-eye", "", 78, "hand_eye"),
+        (
+            "--hand-eye",
+            "/nowhere.toml",
+            66,
+            "/nowhere.toml: cannot read",
+        ),
+        ("--hand-eye", &broken, 78, "no hand-eye calibration"),
+        ("--scene", "", 78, "scene"),
+        ("--scene", "/nowhere.toml", 66, "/nowhere.toml: cannot read"),
+        ("--config", &walls, 78, "workspace.lower[0] = 0.9"),
+        ("--config", &fast, 78, "linear = 2"),
+        ("--config", &odd, 78, "speed"),
+        ("--interface", "torque", 64, "joint, cartesian"),
+    ] {
+        let said = said(&place, &[(flag, value)]);
+        assert_eq!(said.code, Some(code), "{flag} {value}: {said:?}");
+        assert!(said.stderr.contains(words), "{flag} {value}: {said:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_does_not_answer_is_named() {
+    let place = Place::new();
+    let said = said(&place, &[("--robot", "fr3:127.0.0.254")]);
+    assert_eq!(said.code, Some(69), "{said:?}");
+    assert!(said.stderr.contains("robot 127.0.0.254: "), "{said:?}");
+}

@@ -1,0 +1,63 @@
+//! franka-sim as a process.
+
+use std::net::Ipv4Addr;
+use std::process::Stdio;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use testkit::python::{Environment, script};
+use testkit::{Ended, Running};
+
+const FRANKA_SIM: Environment = Environment {
+    name: "python-franka-sim",
+    requirements: &[],
+    packages: &["franka-sim==1.1.7", "mujoco==3.2.7", "numpy==1.26.4"],
+};
+
+/// A robot at an address of its own; stopped when it is dropped.
+pub struct Emulator {
+    running: Running,
+    address: Ipv4Addr,
+}
+
+impl Emulator {
+    /// A robot that waits for a client. `None`, after [`testkit::not_run`], where franka-sim cannot
+    /// be had.
+    pub fn start(test: &str) -> Option<Self> {
+        Self::start_at(test, &panda::READY)
+    }
+
+    /// The same with these joints, rad.
+    pub fn start_at(test: &str, q: &[f64; 7]) -> Option<Self> {
+        let python = FRANKA_SIM.python(test)?;
+        let address = own_address();
+        let program = testkit::root().join("ipc/clients/panda/tests/franka_sim/emulator.py");
+        let mut command = script(&python, &program);
+        command
+            .arg(address.to_string())
+            .args(q.map(|q| q.to_string()))
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let mut running = Running::start(command);
+        running.line("Server ready for new client connection");
+        Some(Self { running, address })
+    }
+
+    /// Where it listens, on the port of the interface.
+    pub fn address(&self) -> Ipv4Addr {
+        self.address
+    }
+
+    /// Stops it; its log.
+    pub fn stopped(self) -> String {
+        let Ended { stdout, stderr, .. } = self.running.terminated();
+        stdout + &stderr
+    }
+}
+
+/// A loopback address that no other test of this machine has, as clients connect to one port: 127,
+/// then eighteen bits of the process, then six of the robot.
+fn own_address() -> Ipv4Addr {
+    static TAKEN: AtomicU32 = AtomicU32::new(0);
+    let test = 1 + TAKEN.fetch_add(1, Ordering::Relaxed);
+    Ipv4Addr::from(127 << 24 | (std::process::id() & 0x3_ffff) << 6 | (test % 64))
+}

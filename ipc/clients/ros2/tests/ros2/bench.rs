@@ -1,0 +1,291 @@
+//! `vpcd`, the gateway, and a peer in Python, which is camera and robot.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::PathBuf;
+use std::process::{Child, ChildStdin, Stdio};
+use std::sync::MutexGuard;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
+use testkit::python::{Environment, script};
+use testkit::{
+    PATIENCE, Place, Running, eventually, memory_file, program, root, scene_file, starts_file,
+    tell, within,
+};
+
+/// Who speaks ROS 2 at the other end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Via {
+    /// CycloneDDS, with ROS 2's names and types.
+    Dds,
+    /// rclpy over Fast DDS.
+    Rcl,
+}
+
+const DDS: Environment = Environment {
+    name: "ros2-dds",
+    requirements: &["ipc/clients/python/requirements.txt"],
+    packages: &["cyclonedds==11.0.1"],
+};
+
+/// Wheels of ROS 2 itself: empy alone comes as source.
+const RCL: Environment = Environment {
+    name: "ros2-rcl",
+    requirements: &["ipc/clients/python/requirements.txt"],
+    packages: &[
+        "--no-binary=empy",
+        "ros-rclpy==9.1.2",
+        "ros-rmw-fastrtps-cpp==9.3.3",
+        "ros-diagnostic-msgs==5.5.1",
+        "ros-geometry-msgs==5.5.1",
+        "ros-sensor-msgs==5.5.1",
+        "ros-std-srvs==5.5.1",
+        "ros-visualization-msgs==5.5.1",
+    ],
+};
+
+/// Tries of a run that a machine's standstill ends.
+const TRIES: usize = 3;
+
+/// The peer.
+pub struct Peer {
+    child: Child,
+    stdin: ChildStdin,
+    answers: Receiver<String>,
+}
+
+impl Peer {
+    fn start(bench: &Plan) -> Self {
+        let mut command = script(
+            &bench.python,
+            &root().join("ipc/clients/ros2/tests/ros2/peer.py"),
+        );
+        command.arg(if bench.via == Via::Dds { "dds" } else { "rcl" });
+        command.arg(bench.ros_domain_id.to_string());
+        command.arg(scene_file()).arg(starts_file());
+        if bench.is_in_base {
+            command.arg("--base");
+        }
+        command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn().expect("python");
+        let (stdin, stdout) = (child.stdin.take(), child.stdout.take());
+        let (sender, answers) = channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(stdout.unwrap())
+                .lines()
+                .map_while(Result::ok)
+            {
+                let _ = sender.send(line);
+            }
+        });
+        Self {
+            child,
+            stdin: stdin.unwrap(),
+            answers,
+        }
+    }
+
+    /// Sends a command without waiting for its answer.
+    pub fn send(&mut self, command: &str) {
+        writeln!(self.stdin, "{command}").expect("the peer is there");
+    }
+
+    /// The next answer.
+    pub fn answer(&mut self) -> Value {
+        let line = self.answers.recv_timeout(PATIENCE);
+        let line = line.expect("the peer answers");
+        // NaN is no JSON, and no answer has one.
+        serde_json::from_str(&line).unwrap_or_else(|why| panic!("{why}: {line}"))
+    }
+
+    pub fn ask(&mut self, command: &str) -> Value {
+        self.send(command);
+        self.answer()
+    }
+
+    pub fn status(&mut self) -> Value {
+        self.ask("status")
+    }
+
+    pub fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child), signal).expect("our child");
+    }
+
+    /// Arms, as soon as vpcd lets it; after a stop by the second step that its refusal names.
+    pub fn arm(&mut self) {
+        let mut last = Value::Null;
+        let end = Instant::now() + PATIENCE;
+        while Instant::now() < end {
+            last = self.ask("call arm");
+            let words = last["message"].as_str().unwrap_or_default();
+            if words.contains("arm_after_stop") {
+                last = self.ask("call arm_after_stop");
+            }
+            if last["success"] == json!(true) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        panic!("arm: {last}");
+    }
+
+    /// From a start to its end, judged by the referee.
+    pub fn run(&mut self, start: usize) -> Value {
+        let mut run = Value::Null;
+        for tried in 1..=TRIES {
+            self.place(start);
+            run = self.ask("run");
+            run["tries"] = json!(tried);
+            match run["reason"].as_str() {
+                // A machine that stands still: vpcd says so, and must be armed again.
+                Some(words) if words.starts_with("disarmed") => {
+                    tell(format_args!("{start}: {run}"))
+                }
+                _ => break,
+            }
+        }
+        run
+    }
+
+    /// From a start until it moves.
+    pub fn set_off(&mut self, start: usize) {
+        self.place(start);
+        eventually("motion", || {
+            (self.status()["speed"].as_f64()? > 0.05).then_some(())
+        });
+    }
+
+    fn place(&mut self, start: usize) {
+        self.ask("call disarm");
+        self.ask(&format!("place {start}"));
+        // Until the jump is over.
+        std::thread::sleep(Duration::from_millis(100));
+        self.arm();
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// How a bench is made.
+pub struct Plan {
+    pub via: Via,
+    pub ros_domain_id: u16,
+    pub is_in_base: bool,
+    python: PathBuf,
+}
+
+/// Everything at work.
+pub struct Bench {
+    pub peer: Peer,
+    pub vpcd: Running,
+    pub gateway: Running,
+    pub plan: Plan,
+    config: PathBuf,
+    pub place: Place,
+    _turn: MutexGuard<'static, ()>,
+}
+
+impl Bench {
+    /// `None`, after `not_run`, where there is no Python with what is needed.
+    pub fn new(test: &str, via: Via, ros_domain_id: u16, is_in_base: bool) -> Option<Self> {
+        let environment = if via == Via::Dds { DDS } else { RCL };
+        let python = environment.python(test)?;
+        let turn = testkit::turn();
+        let plan = Plan {
+            via,
+            ros_domain_id,
+            is_in_base,
+            python,
+        };
+        let place = Place::new();
+        let config = place.file("vpc-ros2.toml", plan.config());
+        Some(Self {
+            peer: Peer::start(&plan),
+            vpcd: vpcd(&place),
+            gateway: gateway(&place, &config),
+            plan,
+            config,
+            place,
+            _turn: turn,
+        })
+    }
+
+    pub fn restart_gateway(&mut self) {
+        self.replace_gateway();
+    }
+
+    /// Starts another; the one before.
+    pub fn replace_gateway(&mut self) -> Running {
+        std::mem::replace(&mut self.gateway, gateway(&self.place, &self.config))
+    }
+
+    pub fn restart_vpcd(&mut self) {
+        self.vpcd = vpcd(&self.place);
+    }
+
+    pub fn restart_peer(&mut self) {
+        self.peer = Peer::start(&self.plan);
+    }
+
+    /// Waits until a status of /diagnostics is so; that status.
+    pub fn diagnosed(&mut self, name: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+        let name = format!("/vpcd: {name}");
+        let mut last = Value::Null;
+        let found = within(PATIENCE, || {
+            last = self.peer.status()["diagnostics"][&name].clone();
+            std::thread::sleep(Duration::from_millis(50));
+            is_so(&last).then(|| last.clone())
+        });
+        found.unwrap_or_else(|| panic!("{name}: {last}"))
+    }
+}
+
+impl Plan {
+    fn config(&self) -> String {
+        let Self {
+            via,
+            ros_domain_id,
+            is_in_base,
+            ..
+        } = self;
+        let scene = scene_file();
+        let (services, camera) = match via {
+            Via::Dds => ("cyclonedds", "features = \"tags\""),
+            Via::Rcl => ("fastdds", "features = \"points\"\ntopic = \"/points\""),
+        };
+        let robot = match is_in_base {
+            true => {
+                "executed = \"pose\"\npose = \"/tool_pose\"\ncommand_frame = \"base\"\n\
+                 [mount]\ntranslation = [0.05, -0.02, 0.08]\nrotation_deg = [5.0, -40.0, 90.0]\n"
+            }
+            false => "",
+        };
+        format!(
+            "scene = {scene:?}\nros_domain_id = {ros_domain_id}\ninterfaces = [\"127.0.0.1\"]\n\
+             services = \"{services}\"\n[camera]\n{camera}\n[robot]\n\
+             joints = [\"shoulder\", \"elbow\", \"wrist\"]\n{robot}"
+        )
+    }
+}
+
+fn vpcd(place: &Place) -> Running {
+    let mut command = testkit::command(program("vpcd"));
+    command.arg("--scene").arg(scene_file());
+    command.arg("--memory").arg(memory_file());
+    command.arg("--domain").arg(place.domain());
+    Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()))
+}
+
+fn gateway(place: &Place, config: &PathBuf) -> Running {
+    let mut command = testkit::command(program("vpc-ros2"));
+    command.arg("--config").arg(config);
+    command.arg("--domain").arg(place.domain());
+    Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
+}

@@ -1,0 +1,148 @@
+//! The program: its configuration, its places, its launch file.
+
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use rustix::process::Signal;
+use testkit::{Place, Running, ended, program, root, scene_file};
+
+fn gateway(place: &Place, keys: &str) -> Command {
+    let scene = scene_file();
+    let text =
+        format!("scene = {scene:?}\nros_domain_id = 147\ninterfaces = [\"127.0.0.1\"]\n{keys}");
+    let mut command = testkit::command(program("vpc-ros2"));
+    command
+        .arg("--config")
+        .arg(place.file("vpc-ros2.toml", text));
+    command.arg("--domain").arg(place.domain());
+    command
+}
+
+#[test]
+fn the_file_that_ships_shows_the_defaults_and_is_valid() {
+    let file = root().join("ipc/clients/ros2/vpc-ros2.toml");
+    let mut command = testkit::command(program("vpc-ros2"));
+    command
+        .arg("--config")
+        .arg(file)
+        .args(["--preflight", "--ros-domain-id", "147"]);
+    let ended = ended(command);
+    assert_eq!(ended.code, Some(1), "{}", ended.stderr);
+    for topic in ["/detections", "/camera/camera_info", "/vpcd/executed_twist"] {
+        let line = format!("FAIL  {topic}: nothing came: ");
+        assert!(ended.stdout.contains(&line), "{}", ended.stdout);
+    }
+}
+
+#[test]
+fn keys_that_do_not_go_together_are_refused_with_what_is_allowed() {
+    let place = Place::new();
+    for (keys, words) in [
+        (
+            "[camera]\ntags = [1, 2]",
+            "camera.tags = [1, 2]; allowed: 4 different numbers",
+        ),
+        (
+            "[camera]\ntopic = \"detections\"",
+            "camera.topic = detections; allowed: an absolute name",
+        ),
+        (
+            "[camera]\nfeatures = \"none\"\n[robot]\nexecuted = \"none\"",
+            "unless the robot is played",
+        ),
+        (
+            "[robot]\ncommand_frame = \"base\"",
+            "robot.pose = ; allowed: a topic",
+        ),
+        (
+            "[robot]\njoints = [\"a\", \"a\"]",
+            "at most 7 different names",
+        ),
+        ("[robot]\ntool = \"base_link\"", "three different names"),
+        (
+            "[robot]\ntwist = \"/servo_node/delta_twist_cmds\"",
+            "robot.twist = /servo_node/delta_twist_cmds; allowed: a topic of the robot",
+        ),
+        ("node = \"vpcd\"", "node = vpcd; allowed: an absolute name"),
+        ("[robot]\nspeed = 1.0", "speed"),
+        ("[camera]\nmax_age_ms = 1.0", "max_age_ms"),
+    ] {
+        let ended = ended(gateway(&place, keys));
+        assert_eq!(ended.code, Some(78), "{keys}: {}", ended.stderr);
+        assert!(ended.stderr.contains(words), "{keys}: {}", ended.stderr);
+    }
+}
+
+#[test]
+fn another_scene_than_that_of_vpcd_ends_it() {
+    let _turn = testkit::turn();
+    let place = Place::new();
+    let mut vpcd = testkit::command(program("vpcd"));
+    vpcd.arg("--scene").arg(scene_file());
+    vpcd.arg("--memory").arg(testkit::memory_file());
+    vpcd.arg("--domain").arg(place.domain());
+    let vpcd = Running::start(vpcd.stderr(std::process::Stdio::null()));
+    let text = std::fs::read_to_string(scene_file()).unwrap();
+    let scene = place.file("other.toml", text.replace("fx = 800.0", "fx = 600.0"));
+    let mut command = gateway(&place, "");
+    command.arg("--scene").arg(scene);
+    let ended = ended(command);
+    assert_eq!(ended.code, Some(78), "{}", ended.stderr);
+    let words = "vpcd's scene has camera Camera {";
+    assert!(ended.stderr.contains(words), "{}", ended.stderr);
+    drop(vpcd);
+}
+
+#[test]
+fn a_second_camera_of_the_domain_is_refused() {
+    let _turn = testkit::turn();
+    let place = Place::new();
+    let mut first = Running::start(
+        gateway(&place, "[robot]\nexecuted = \"none\"").stderr(std::process::Stdio::piped()),
+    );
+    first.line("in ROS domain 147");
+    let domain = ipc::Domain::join(&place.domain()).unwrap();
+    testkit::eventually("the camera's place", || {
+        domain.publisher::<ipc::Features>().is_err().then_some(())
+    });
+    let second = ended(gateway(&place, ""));
+    assert_eq!(second.code, Some(69), "{}", second.stderr);
+    assert!(
+        second
+            .stderr
+            .contains("vpc/features: another publisher is at work"),
+        "{}",
+        second.stderr
+    );
+    // The robot's place is free: it plays the camera only.
+    assert!(domain.publisher::<ipc::RobotState>().is_ok());
+    assert_eq!(first.terminated().code, Some(0));
+}
+
+#[test]
+fn the_launch_file_starts_the_programs_with_their_files() {
+    let stub = root().join("ipc/clients/ros2/tests/ros2/launch_stub.py");
+    let file = root().join("ipc/clients/ros2/launch/vpcd.launch.py");
+    let mut python = testkit::command("python3");
+    let ended = ended(python.arg(stub).arg(file).env("ROS_DOMAIN_ID", "17"));
+    assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+    assert_eq!(
+        ended.stdout,
+        "vpcd --config /etc/vpcd/vpcd.toml --domain /run/x\n\
+         vpc-ros2 --config /etc/vpcd/vpc-ros2.toml --domain /run/x --ros-domain-id 17\n"
+    );
+}
+
+#[test]
+fn a_signal_ends_it_at_whatever_point_of_its_start() {
+    for ms in [0, 3, 10, 30, 60, 100, 200, 400] {
+        let place = Place::new();
+        let gateway = Running::start(gateway(&place, "").stderr(Stdio::piped()));
+        std::thread::sleep(Duration::from_millis(ms));
+        gateway.signal(Signal::TERM);
+        // 2 s, and a loaded machine. At first there is none who handles it.
+        let ended = gateway.ended_within(Duration::from_secs(4));
+        let is_so = ended.code == Some(0) || ended.signal == Some(15);
+        assert!(is_so, "after {ms} ms: {ended:?}");
+    }
+}

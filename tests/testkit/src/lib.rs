@@ -1,0 +1,172 @@
+//! Test fixtures that several crates share: for tests, and for the programs of `system-tests`.
+//!
+//! - [`Place`]: a temporary directory with a domain in it.
+//! - [`command`]: what every process is started by, so that it ends with this one.
+//! - [`program`], [`Running`], [`ended`]: programs of this workspace as processes.
+//! - [`eventually`]: waits for a condition.
+//! - [`c`]: programs in C.
+//! - [`python`]: virtual environments for tests in Python; [`node`]: packages of npm.
+//! - [`not_run`]: what a test calls if the machine lacks something.
+//!
+//! Environment variables: `VPC_STRICT=1` turns every "NOT RUN" into a failure, unless its reason
+//! contains one of the comma-separated phrases of `VPC_STRICT_EXCEPT`, and takes programs as they
+//! are built; `VPC_LONG=1` runs tests at full length.
+
+#![forbid(unsafe_code)]
+
+pub mod c;
+mod guardian;
+pub mod node;
+mod place;
+mod process;
+mod program;
+pub mod python;
+
+use std::fmt::Display;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+pub use guardian::{command, end_children};
+pub use place::Place;
+pub use process::{Ended, Running, ended};
+pub use program::{program, target_directory};
+
+/// How long to wait for anything that is expected to happen, on a loaded machine.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Prints a line to standard error, past the test harness, which captures `println!`.
+pub fn tell(line: impl Display) {
+    let _ = std::io::stderr().write_all(format!("{line}\n").as_bytes());
+}
+
+/// Reports that a test, or a part of it, does not run on this machine.
+///
+/// Returns from the test after calling it: a test that did nothing must not look like one that
+/// passed.
+///
+/// # Panics
+/// With `VPC_STRICT=1`, unless `VPC_STRICT_EXCEPT` has a phrase of the reason.
+pub fn not_run(what: &str, why: impl Display) {
+    // The harness names the thread of a test after it; `.ci/run` reads that.
+    let thread = std::thread::current();
+    let test = thread.name().unwrap_or("main");
+    let line = format!("NOT RUN ({test}): {what}: {why}");
+    let except = std::env::var("VPC_STRICT_EXCEPT").unwrap_or_default();
+    let mut phrases = except.split(',').filter(|phrase| !phrase.is_empty());
+    let is_excepted = phrases.any(|phrase| line.contains(phrase));
+    assert!(is_excepted || !is_set("VPC_STRICT"), "{line}");
+    tell(line);
+}
+
+/// Returns whether this process is root; calls [`not_run`] if not.
+pub fn is_root(what: &str) -> bool {
+    let is_root = rustix::process::geteuid().is_root();
+    if !is_root {
+        not_run(what, "needs root");
+    }
+    is_root
+}
+
+/// Returns whether all programs are installed; calls [`not_run`] with those that are not.
+///
+/// Each is given as `program` or `program=package`, where the Debian package has another name.
+pub fn are_installed(what: &str, programs: &[&str]) -> bool {
+    let lacks: Vec<_> = programs
+        .iter()
+        .map(|program| program.split_once('=').unwrap_or((program, program)))
+        .filter(|(program, _)| !is_installed(program))
+        .collect();
+    if lacks.is_empty() {
+        return true;
+    }
+    let names: Vec<_> = lacks.iter().map(|(program, _)| *program).collect();
+    let packages: Vec<_> = lacks.iter().map(|(_, package)| *package).collect();
+    let (names, packages) = (names.join(", "), packages.join(" "));
+    not_run(
+        what,
+        format_args!("{names} missing (apt-get install {packages})"),
+    );
+    false
+}
+
+fn is_installed(program: &str) -> bool {
+    let found = crate::command("sh")
+        .args([
+            "-c",
+            "PATH=$PATH:/usr/sbin:/sbin command -v \"$0\"",
+            program,
+        ])
+        .stdout(Stdio::null())
+        .status();
+    found.is_ok_and(|status| status.success())
+}
+
+/// Returns whether tests run at full length.
+pub fn is_long() -> bool {
+    is_set("VPC_LONG")
+}
+
+/// The number of repetitions: `long` with `VPC_LONG=1`, else `short`, which it prints.
+pub fn repeats(what: &str, short: usize, long: usize) -> usize {
+    if is_long() {
+        return long;
+    }
+    tell(format_args!("{what}: {short} times; VPC_LONG=1: {long}"));
+    short
+}
+
+fn is_set(switch: &str) -> bool {
+    std::env::var_os(switch).is_some_and(|value| !value.is_empty() && value != "0")
+}
+
+/// Waits until no other test of this executable holds the turn: for tests that measure time.
+pub fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Calls `attempt` every half millisecond until it returns `Some`.
+///
+/// # Panics
+/// After [`PATIENCE`].
+pub fn eventually<T>(what: &str, attempt: impl FnMut() -> Option<T>) -> T {
+    within(PATIENCE, attempt).unwrap_or_else(|| panic!("{what}: did not happen in {PATIENCE:?}"))
+}
+
+/// Calls `attempt` every half millisecond until it returns `Some`; `None` when `patience` is over.
+pub fn within<T>(patience: Duration, mut attempt: impl FnMut() -> Option<T>) -> Option<T> {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = attempt() {
+            return Some(value);
+        }
+        if start.elapsed() > patience {
+            return None;
+        }
+        std::thread::sleep(Duration::from_micros(500));
+    }
+}
+
+/// The root of the repository.
+pub fn root() -> &'static Path {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.ancestors().nth(2).expect("tests/testkit")
+}
+
+/// The scene file of the paper's simulation.
+pub fn scene_file() -> PathBuf {
+    root().join("ipc/scene/scenes/paper-sim.toml")
+}
+
+/// The hundred starts of the paper's simulation.
+pub fn starts_file() -> PathBuf {
+    root().join("ipc/scene/scenes/paper-sim-starts.csv")
+}
+
+/// The default memory of the paper's simulation.
+pub fn memory_file() -> PathBuf {
+    root().join("memory-blob/default/paper-sim.vpcmem")
+}

@@ -1,0 +1,115 @@
+//! Virtual environments for tests in Python, made at the first use.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Mutex, PoisonError};
+
+use crate::{not_run, root, target_directory};
+
+/// Runs a command to its end; its standard output.
+///
+/// # Errors
+/// The last line of standard error, where it fails.
+pub fn run(command: &mut Command) -> Result<String, String> {
+    let output: crate::Ended = command.output().map_err(|error| error.to_string())?.into();
+    if output.code == Some(0) {
+        return Ok(output.stdout);
+    }
+    let last = output.stderr.lines().rfind(|line| !line.trim().is_empty());
+    Err(last.unwrap_or("no reason given").to_owned())
+}
+
+/// A virtual environment in the target directory.
+#[derive(Clone, Debug)]
+pub struct Environment {
+    /// The name of its directory.
+    pub name: &'static str,
+    /// Requirement files, from the root of the repository. Name those that they include, too: a
+    /// change of any file makes the environment again.
+    pub requirements: &'static [&'static str],
+    /// More packages, as pip takes them.
+    pub packages: &'static [&'static str],
+}
+
+impl Environment {
+    /// What the client in `ipc/clients/python`, its examples and its installation need.
+    pub const CLIENT: Self = Self {
+        name: "python-client",
+        requirements: &[
+            "ipc/clients/python/requirements.txt",
+            "ipc/clients/python/requirements-logger.txt",
+            "ipc/clients/python/requirements-parquet.txt",
+        ],
+        packages: &["hatchling>=1.25", "mypy>=2,<3", "pillow"],
+    };
+
+    /// The interpreter. `None`, after [`not_run`], where the machine has no Python 3.11 or no
+    /// network.
+    pub fn python(&self, test: &str) -> Option<PathBuf> {
+        static MADE: Mutex<BTreeMap<&str, Result<PathBuf, String>>> = Mutex::new(BTreeMap::new());
+        let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
+        match made.entry(self.name).or_insert_with(|| self.make()) {
+            Ok(python) => Some(python.clone()),
+            Err(reason) => {
+                not_run(test, format_args!("Python: {reason}"));
+                None
+            }
+        }
+    }
+
+    fn make(&self) -> Result<PathBuf, String> {
+        run(crate::command("python3").args(["-c", "import tomllib, venv"]))
+            .map_err(|reason| format!("python3 3.11 or later is missing: {reason}"))?;
+        let mut wanted = self.packages.join("\n");
+        for file in self.requirements {
+            let text = std::fs::read_to_string(root().join(file));
+            wanted += &text.map_err(|error| format!("{file}: {error}"))?;
+        }
+        let directory = target_directory().join("tmp").join(self.name);
+        // Written at the end: without it, or with other contents, the environment is made again.
+        let note = directory.join("wanted.txt");
+        let python = directory.join("bin/python");
+        if std::fs::read_to_string(&note).is_ok_and(|done| done == wanted) {
+            return Ok(python);
+        }
+        run(crate::command("python3")
+            .args(["-m", "venv", "--clear"])
+            .arg(&directory))
+        .map_err(|reason| format!("no virtual environment: {reason}"))?;
+        let mut pip = crate::command(&python);
+        pip.args([
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+        ]);
+        pip.args([
+            "--only-binary",
+            ":all:",
+            "--timeout",
+            "10",
+            "--retries",
+            "1",
+        ]);
+        pip.args(self.packages);
+        for file in self.requirements {
+            pip.arg("-r").arg(root().join(file));
+        }
+        run(&mut pip).map_err(|reason| format!("pip cannot install the packages: {reason}"))?;
+        std::fs::write(note, wanted).map_err(|error| error.to_string())?;
+        Ok(python)
+    }
+}
+
+/// A program in Python, ready to run: it finds the client in the tree and writes no byte code
+/// there.
+pub fn script(python: &Path, program: &Path) -> Command {
+    let mut command = crate::command(python);
+    command
+        .arg(program)
+        .env("PYTHONPATH", root().join("ipc/clients/python"));
+    command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command
+}
