@@ -46,7 +46,7 @@ impl LoadError {
 /// The law with its scene and memory of motion.
 pub struct LoadedController {
     /// The law.
-    pub controller: vpc::Controller<Vec<f64>>,
+    pub controller: vpc::Law<Vec<f64>>,
     memory: Option<Arc<MemoryFile>>,
     files: SceneFiles,
 }
@@ -92,7 +92,7 @@ impl LoadedController {
         memory: Option<Arc<MemoryFile>>,
         settings: Settings,
     ) -> Result<Self, LoadError> {
-        let controller = vpc::Controller::new(&files.scene, settings, |len| vec![0.0; len]);
+        let controller = vpc::Law::new(&files.scene, settings, |len| vec![0.0; len]);
         let controller = controller.map_err(|source| LoadError::Task {
             path: path.to_owned(),
             source,

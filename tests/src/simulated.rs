@@ -14,7 +14,7 @@ use hw_sim::sensor::Frame;
 use ipc::{ClockMode, CycleRecord, Features};
 use memory_blob::MemoryFile;
 use scene::{Scene, SceneFiles};
-use vpc::{Controller, Settings};
+use vpc::{Law, Settings};
 
 /// When a run begins: any time but zero, which means that a time is unknown, ns.
 const BEGIN_NS: u64 = 1_000_000_000;
@@ -90,7 +90,7 @@ impl Simulated {
     }
 
     /// The law.
-    pub fn law(&self) -> &Controller<Vec<f64>> {
+    pub fn law(&self) -> &Law<Vec<f64>> {
         &self.control.loaded().controller
     }
 

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use scene::Scene;
-use vpc::{Controller, Measurement, MotionMemory, Settings, Strategy};
+use vpc::{Law, Measurement, MotionMemory, Settings, Strategy};
 
 /// Cycles that are measured.
 const CYCLES: u32 = 50;
@@ -33,7 +33,7 @@ impl Cost {
             strategy: Strategy::Foresight,
             ..settings
         };
-        let mut law = Controller::new(scene, settings, |len| vec![0.0; len]).ok()?;
+        let mut law = Law::new(scene, settings, |len| vec![0.0; len]).ok()?;
         let mut pose = scene.goal;
         let depth = pose.translation[2];
         pose.translation[0] += AWAY * depth;

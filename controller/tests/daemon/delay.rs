@@ -5,7 +5,7 @@ use std::time::Duration;
 use hw_sim::FreeCamera;
 use ipc::{CameraPorts, Domain, Features, Stamp};
 use scene::Scene;
-use vpc::{Controller, Measurement, Settings};
+use vpc::{Law, Measurement, Settings};
 
 use crate::fixture::{Place, Running, scene_file, vpcd_in};
 
@@ -31,7 +31,7 @@ fn distances(config: &str) -> Vec<f64> {
     let daemon = Running::start(command);
 
     let mut camera = FreeCamera::new(&scene, &start);
-    let mut present = Controller::new(&scene, Settings::default(), |len| vec![0.0; len]).unwrap();
+    let mut present = Law::new(&scene, Settings::default(), |len| vec![0.0; len]).unwrap();
     let begin_ns = ipc::now_ns();
     let time_ns = |k: u64| begin_ns + (k as f64 * 1e9 * scene.sampling_time()).round() as u64;
     let mut under_way = Vec::new();

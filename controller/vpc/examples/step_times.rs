@@ -13,7 +13,7 @@ use memory_blob::MemoryFile;
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::{Motion, rotation};
-use vpc::{Asked, Controller, Measurement, MotionMemory, Settings, Strategy, camera};
+use vpc::{Asked, Law, Measurement, MotionMemory, Settings, Strategy, camera};
 
 const STARTS: usize = 25;
 const REPLAYS: usize = 7;
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 np,
                 ..Settings::default()
             };
-            let mut controller = Controller::new(&scene, settings, |len| vec![0.0; len])?;
+            let mut controller = Law::new(&scene, settings, |len| vec![0.0; len])?;
             let mut cycles = Cycles::default();
             for start in starts.iter().take(STARTS) {
                 cycles.run(&scene, &mut controller, &file.view(), start);
@@ -66,8 +66,8 @@ fn markers() -> Result<(), Box<dyn std::error::Error>> {
             ..Settings::default()
         };
         let mut laws = [
-            Controller::new(&scene, settings, |len| vec![0.0; len])?,
-            Controller::new(&points, settings, |len| vec![0.0; len])?,
+            Law::new(&scene, settings, |len| vec![0.0; len])?,
+            Law::new(&points, settings, |len| vec![0.0; len])?,
         ];
         let (mut times, mut ratios) = ([const { Vec::new() }; 2], Vec::new());
         for start in starts.iter().take(STARTS) {
@@ -112,7 +112,7 @@ fn markers() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// What an exact camera sees from a start until the law arrives or the scene's time is up.
-fn seen(scene: &Scene, law: &mut Controller<Vec<f64>>, start: &Pose) -> Vec<Measurement> {
+fn seen(scene: &Scene, law: &mut Law<Vec<f64>>, start: &Pose) -> Vec<Measurement> {
     law.reset();
     let mut points = placed(scene, start);
     let mut seen = Vec::new();
@@ -152,7 +152,7 @@ impl Cycles {
     fn run(
         &mut self,
         scene: &Scene,
-        controller: &mut Controller<Vec<f64>>,
+        controller: &mut Law<Vec<f64>>,
         memory: &dyn MotionMemory,
         start: &Pose,
     ) {
@@ -185,7 +185,7 @@ impl Cycles {
 
     fn replay(
         &mut self,
-        controller: &mut Controller<Vec<f64>>,
+        controller: &mut Law<Vec<f64>>,
         memory: &dyn MotionMemory,
         seen: &[Measurement],
     ) {

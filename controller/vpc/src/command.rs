@@ -9,7 +9,7 @@ use crate::solver::Solver;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist};
 
-/// What a command is decided from.
+/// The inputs of a command.
 #[derive(Clone, Copy)]
 pub(crate) struct Present<'a> {
     /// The features, and what the model knows of their depth.
@@ -22,14 +22,14 @@ pub(crate) struct Present<'a> {
     pub warm: &'a Plan,
 }
 
-/// Predictive control towards a given target.
+/// The policy: predictive control towards a given target, one command at a time.
 #[derive(Clone, Copy)]
-pub(crate) struct Law<'a> {
+pub(crate) struct Policy<'a> {
     pub task: &'a Task,
     pub settings: &'a Settings,
 }
 
-impl Law<'_> {
+impl Policy<'_> {
     /// Solves the optimal-control problem, and limits its first command. `aim` is the goal or a way
     /// point; `target` the same, corrected by the mismatch. Where the warm start leads into a
     /// violation, it begins again from braking: that is feasible unless a constraint is already

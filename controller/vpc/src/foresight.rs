@@ -20,7 +20,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::command::{Law, Present};
+use crate::command::{Policy, Present};
 use crate::features::{self, MAX_INPUTS, PlainPoints};
 use crate::guide::{Guide, Kind};
 use crate::pose::Tilt;
@@ -234,7 +234,7 @@ enum RollOut {
 
 /// What one cycle thinks with.
 pub(crate) struct Thinker<'a> {
-    pub law: Law<'a>,
+    pub policy: Policy<'a>,
     pub solver: &'a mut Solver<'a>,
     pub memory: Option<&'a dyn MotionMemory>,
     /// Where futures begin: the features in the next period, the command in force until then, and
@@ -263,7 +263,7 @@ impl Thinker<'_> {
     pub(crate) fn think(&mut self, foresight: &mut Foresight) {
         let points = &self.initial.points;
         let is_far =
-            features::largest_error(points, &self.law.task.goal) >= FAR * self.converged_px;
+            features::largest_error(points, &self.policy.task.goal) >= FAR * self.converged_px;
         foresight.tried = 0;
         let answers = self.ask();
         if !is_far && foresight.guide != Guide::GOAL {
@@ -299,7 +299,7 @@ impl Thinker<'_> {
 
     /// Lets a period pass: what is expected gets nearer.
     fn pass(&self, foresight: &mut Foresight) {
-        let passed = self.law.task.period / self.law.task.ts;
+        let passed = self.policy.task.period / self.policy.task.ts;
         foresight.trusted += passed;
         if let Some(suspended) = &mut foresight.suspended {
             suspended.since += passed;
@@ -407,8 +407,8 @@ impl Thinker<'_> {
 
     /// What k-NN and the Gaussian process infer for the next period, near an occlusion.
     fn ask(&self) -> [Option<(Kind, Recall)>; 2] {
-        let (task, points) = (self.law.task, &self.initial.points);
-        let is_near = recall::clearance(task, self.initial) < self.law.settings.trigger_px;
+        let (task, points) = (self.policy.task, &self.initial.points);
+        let is_near = recall::clearance(task, self.initial) < self.policy.settings.trigger_px;
         let memory = self.memory.filter(|_| is_near);
         let kinds = [
             (Kind::Neighbour, Strategy::Knn { k: 1 }),
@@ -471,7 +471,7 @@ impl Thinker<'_> {
     /// where the rest of the sample's trajectory alone costs more than `most`.
     fn over_sample(&self, then: Guide, number: u64, most: f64) -> Option<Guide> {
         let points = &self.initial.points;
-        let input = self.law.task.recall_input(points);
+        let input = self.policy.task.recall_input(points);
         let mut found = [0.0; MAX_INPUTS];
         let found = found.get_mut(..input.len())?;
         let memory = self.memory?;
@@ -487,7 +487,7 @@ impl Thinker<'_> {
     /// The guide that steps aside first, then goes on as `then`: the features shifted, turned and
     /// shrunk at random.
     fn aside(&self, then: Guide, number: u64) -> Guide {
-        let task = self.law.task;
+        let task = self.policy.task;
         let points = &self.initial.points;
         let [u, v, turn, size] = [1, 2, 3, 4].map(|k| uniform(number, k));
         let count = points.len() as f64;
@@ -520,7 +520,7 @@ impl Thinker<'_> {
             tilt: self.initial.tilt,
             standing: *self.standing,
             previous: *self.previous,
-            is_from_front: gate::is_from_front(self.law.task, &self.initial.points),
+            is_from_front: gate::is_from_front(self.policy.task, &self.initial.points),
             step: 0,
             cost: 0.0,
             nearest_px: f64::INFINITY,
@@ -534,7 +534,7 @@ impl Thinker<'_> {
     /// Simulates the law under a guide until its future is known, at a cost of at most `most` from
     /// now on, or until the budget is used up.
     fn roll_out(&mut self, mut now: Suspended, most: f64) -> RollOut {
-        let Law { task, settings } = self.law;
+        let Policy { task, settings } = self.policy;
         let mut initial = match now.step {
             0 => self.initial.clone(),
             _ => {
@@ -590,11 +590,11 @@ impl Thinker<'_> {
                 interval: task.ts,
                 warm: &now.previous,
             };
-            let (twist, solution) = self.law.command(self.solver, &present, aim, aim);
+            let (twist, solution) = self.policy.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost,
-                false => self.law.running_cost(self.solver, &initial, &twist),
+                false => self.policy.running_cost(self.solver, &initial, &twist),
             };
             if self.solver.done() >= self.most_work {
                 self.budget = 0;
@@ -628,7 +628,7 @@ mod tests {
     use scene::Scene;
 
     use super::*;
-    use crate::{Controller, Measurement, Settings, Task};
+    use crate::{Law, Measurement, Settings, Task};
 
     /// A memory whose samples are the goal, shifted.
     struct Shifted(Points);
@@ -663,7 +663,7 @@ mod tests {
             strategy: Strategy::Foresight,
             ..Settings::default()
         };
-        let mut law = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
         let mut arrived = 0;
         for k in 0..300_u64 {
             // Now and then somewhere else, so that what was promised is wrong.

@@ -7,7 +7,7 @@
 //! exposure to now) -> [`recall`] (warm start and way point from the memory, when features come
 //! near a constraint), [`foresight`] (what is tracked) -> [`solver`] (bounded sequential quadratic
 //! programming over the [`prediction`]) -> [`limit`] (never more than allowed) -> *camera twist*.
-//! [`Controller::step`] follows it.
+//! [`Law::step`] follows it.
 //!
 //! # Symbols
 //! | Paper | Here | Meaning, unit |
@@ -23,12 +23,12 @@
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use vpc::{Controller, Measurement, Settings};
+//! use vpc::{Law, Measurement, Settings};
 //! let scene = scene::Scene::parse(scene::PAPER_SIM, "paper-sim.toml")?;
 //! // The law needs no heap: an array that lives long enough will do as well.
-//! let mut controller = Controller::new(&scene, Settings::default(), |len| vec![0.0; len])?;
+//! let mut law = Law::new(&scene, Settings::default(), |len| vec![0.0; len])?;
 //! let points = [[700.0, 500.0], [900.0, 500.0], [900.0, 700.0], [700.0, 700.0]];
-//! let step = controller.step(&Measurement::from_points(&points), None)?;
+//! let step = law.step(&Measurement::from_points(&points), None)?;
 //! assert!(step.twist[0].abs() <= scene.limits.linear);
 //! # Ok(())
 //! # }
@@ -55,7 +55,7 @@ pub mod camera;
 pub mod clearance;
 mod command;
 pub mod constraint;
-pub mod controller;
+
 pub mod cost;
 pub mod delay;
 pub mod features;
@@ -68,6 +68,7 @@ pub mod guide;
 mod ibvs;
 mod interaction;
 pub(crate) mod intersample;
+pub mod law;
 pub mod limit;
 pub mod measurement;
 pub mod motion;
@@ -89,8 +90,8 @@ pub mod task;
 pub mod work;
 mod workspace;
 
-pub use controller::{Controller, Step};
 pub use features::Points;
+pub use law::{Law, Step};
 pub use measurement::{Measurement, Refusal};
 pub use prediction::Model;
 pub use problem::{SolverOptions, Status};

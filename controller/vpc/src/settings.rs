@@ -8,7 +8,7 @@ use crate::strategy::{MAX_NEIGHBOURS, Strategy};
 use crate::task::TaskError;
 use crate::{MAX_NC, MAX_NP, Twist};
 
-/// Settings of the law; [`Settings::check`] accepts what [`crate::Controller`] runs.
+/// Settings of the law; [`Settings::check`] accepts what [`crate::Law`] runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Where warm start and target come from.
@@ -79,7 +79,7 @@ impl Default for Settings {
     }
 }
 
-/// Why a controller cannot be set up.
+/// Why a law cannot be set up.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SettingsError {
     /// The scene gives no task.

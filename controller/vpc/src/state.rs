@@ -12,8 +12,8 @@ use crate::prediction::Plan;
 use crate::strategy::Strategy;
 use crate::{DOF, MAX_VARIABLES, Twist};
 
-/// All that a [`Controller`](crate::Controller) remembers from one cycle to the next. Put into
-/// another controller of the same task and settings it gives the same commands from there on, bit
+/// All that a [`Law`](crate::Law) remembers from one cycle to the next. Put into
+/// another law of the same task and settings it gives the same commands from there on, bit
 /// for bit: solver and previews are workspace, written before they are read.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct State {
@@ -53,7 +53,7 @@ pub struct State {
 }
 
 impl State {
-    /// The state of a controller before its first cycle.
+    /// The state of a law before its first cycle.
     pub const fn new(strategy: Strategy) -> Self {
         Self {
             strategy,
@@ -79,7 +79,7 @@ impl State {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Controller, Measurement, Settings};
+    use crate::{Law, Measurement, Settings};
 
     /// One period of the scene's camera, ns.
     const PERIOD: u64 = 33_333_333;
@@ -92,15 +92,15 @@ mod tests {
     }
 
     #[test]
-    fn a_restored_controller_goes_on_with_the_same_bits() {
+    fn a_restored_law_goes_on_with_the_same_bits() {
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         for (nc, age_ns) in [(1, 0), (3, 0), (1, 4 * PERIOD)] {
             let settings = Settings {
                 nc,
                 ..Settings::default()
             };
-            let mut first = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
-            let mut second = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+            let mut first = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+            let mut second = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
             for k in 0..150 {
                 // The second one has another past: what is not in the state must not matter.
                 let _ = second.step(&view(300 - k, age_ns), None);
@@ -130,7 +130,7 @@ mod tests {
 
     fn every_part_matters(settings: Settings) {
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-        let mut law = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
         for k in 0..20 {
             let twist = law.step(&view(k, 0), None).unwrap().twist;
             law.sent(&twist, PERIOD * k as u64);
@@ -175,7 +175,7 @@ mod tests {
     fn the_tilt_matters_where_two_poses_look_alike() {
         // 10 m away the pattern is small.
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-        let mut law = Controller::new(&scene, Settings::default(), |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(&scene, Settings::default(), |len| vec![0.0; len]).unwrap();
         let pose = scene::Pose {
             translation: [0.3, 0.2, 10.0],
             rotation: [0.0, 0.5, 0.0],

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use scene::{Limits, Pose, Scene};
 use vpc::motion::Motion;
-use vpc::{Controller, Measurement, Settings, Strategy, Task, Twist, camera, constraint, task};
+use vpc::{Law, Measurement, Settings, Strategy, Task, Twist, camera, constraint, task};
 
 const ACCELERATION: Limits = Limits {
     linear: 0.5,
@@ -48,7 +48,7 @@ fn run(law: &Scene, judge: &Task, start: &Pose, strategy: Strategy) -> Seen {
         strategy,
         ..Settings::default()
     };
-    let mut controller = Controller::new(law, settings, |len| vec![0.0; len]).unwrap();
+    let mut controller = Law::new(law, settings, |len| vec![0.0; len]).unwrap();
     let mut points: Vec<_> = task::placed(&law.pattern, start).collect();
     let (mut seen, mut standing) = (Seen::default(), [0.0; 6]);
     let period = law.sampling_time();

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::{Motion, rotation};
-use vpc::{Controller, DOF, Measurement, Model, Refusal, Settings, Twist, camera};
+use vpc::{DOF, Law, Measurement, Model, Refusal, Settings, Twist, camera};
 
 /// A camera that obeys exactly, in simulated time.
 struct World {
@@ -37,13 +37,13 @@ impl World {
         }
     }
 
-    fn controller(&self, compensated: bool) -> Controller<Vec<f64>> {
+    fn controller(&self, compensated: bool) -> Law<Vec<f64>> {
         let settings = Settings {
             delay_compensation: compensated,
             filter_s: self.filter_s,
             ..Settings::default()
         };
-        Controller::new(&self.scene, settings, |len| vec![0.0; len]).unwrap()
+        Law::new(&self.scene, settings, |len| vec![0.0; len]).unwrap()
     }
 
     fn features(&self) -> Vec<[f64; 2]> {
@@ -199,7 +199,7 @@ fn every_model_and_the_classic_law_step_on_late_features() {
             strategy,
             ..Settings::default()
         };
-        let mut law = Controller::new(&world.scene, settings, |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(&world.scene, settings, |len| vec![0.0; len]).unwrap();
         law.sent(&[0.3, -0.2, 0.1, 0.2, -0.3, 0.4], 0);
         let seen = Measurement::from_points(&world.features());
         let late = law.step(&seen.clone().taken(0, 100_000_000), None).unwrap();

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::Motion;
-use vpc::{Controller, Measurement, Model, Settings, Strategy, Task, camera, constraint, task};
+use vpc::{Law, Measurement, Model, Settings, Strategy, Task, camera, constraint, task};
 
 /// Instants of a period that are judged.
 const INSTANTS: u32 = 4;
@@ -34,7 +34,7 @@ struct Seen {
 }
 
 /// Runs a law from a start with an exact camera and judges the markers of `scene`.
-fn run(law: &mut Controller<Vec<f64>>, scene: &Scene, start: &Pose, seconds: f64) -> Seen {
+fn run(law: &mut Law<Vec<f64>>, scene: &Scene, start: &Pose, seconds: f64) -> Seen {
     let judge = Task::new(&Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()).unwrap();
     let edges = edges(scene);
     let mut points: Vec<_> = task::placed(&scene.pattern, start).collect();
@@ -87,7 +87,7 @@ fn edges(scene: &Scene) -> Vec<[f64; 3]> {
 fn worst(scene: &Scene, law: &Scene, settings: Settings) -> (f64, usize) {
     let (_, starts) = tags();
     let runs = starts.iter().step_by(4).map(|start| {
-        let mut law = Controller::new(law, settings, |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(law, settings, |len| vec![0.0; len]).unwrap();
         run(&mut law, scene, start, 25.0)
     });
     let runs: Vec<_> = runs.collect();
@@ -151,7 +151,7 @@ fn the_trigger_and_the_clearance_count_from_the_markers_edge() {
     let mut points = scene.clone();
     points.marker_size = 0.0;
     let [seen, bare] = [&scene, &points].map(|scene| {
-        let mut law = Controller::new(scene, Settings::default(), |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(scene, Settings::default(), |len| vec![0.0; len]).unwrap();
         let goal = law.task().goal.clone();
         let step = law.step(&Measurement::from_points(&goal), None).unwrap();
         step.clearance_px

@@ -3,7 +3,7 @@
 use scene::{Area, Scene, write_mask};
 use vpc::clearance::Clearance;
 use vpc::obstacle::Obstacle;
-use vpc::{Controller, Measurement, Settings, Strategy, Task, constraint, field};
+use vpc::{Law, Measurement, Settings, Strategy, Task, constraint, field};
 
 /// The paper's simulated scene with a painted mask instead of its occlusions.
 fn painted(is_white: impl Fn(u32, u32) -> bool) -> Scene {
@@ -216,7 +216,7 @@ fn deepest(scene: &Scene, start: [f64; 3]) -> (f64, f64) {
         strategy: Strategy::Previous,
         ..Settings::default()
     };
-    let mut controller = Controller::new(scene, settings, |len| vec![0.0; len]).unwrap();
+    let mut controller = Law::new(scene, settings, |len| vec![0.0; len]).unwrap();
     let task = controller.task().clone();
     let mut points: Vec<nalgebra::Vector3<f64>> = task
         .pattern

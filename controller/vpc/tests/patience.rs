@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::Motion;
-use vpc::{Controller, Measurement, Settings, Strategy, camera, task};
+use vpc::{Law, Measurement, Settings, Strategy, camera, task};
 
 /// The paper's scene with a wall across the whole image instead of its occlusions.
 fn walled() -> Scene {
@@ -21,7 +21,7 @@ fn the_camera_stands_where_no_way_is_known_until_there_is_one() {
         foresight_steps: 20,
         ..Settings::default()
     };
-    let mut law = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+    let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
     // Small, and above the wall.
     let start = Pose {
         translation: [0.0, -1.2, 2.2],
@@ -29,7 +29,7 @@ fn the_camera_stands_where_no_way_is_known_until_there_is_one() {
     };
     let period = scene.sampling_time();
     let mut points: Vec<Vector3<f64>> = task::placed(&scene.pattern, &start).collect();
-    let cycle = |law: &mut Controller<Vec<f64>>, points: &mut Vec<Vector3<f64>>, k: u64| {
+    let cycle = |law: &mut Law<Vec<f64>>, points: &mut Vec<Vector3<f64>>, k: u64| {
         let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into()).unwrap();
         let pixels: Vec<_> = points.iter().map(see).collect();
         let now_ns = (k as f64 * period * 1e9) as u64;

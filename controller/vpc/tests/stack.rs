@@ -1,7 +1,7 @@
 //! A controller of any size is made, steps and thinks on the stack of a small thread.
 
 use scene::{Pose, Scene, write_mask};
-use vpc::{Controller, Measurement, MotionMemory, Settings, SolverOptions, Strategy, Task};
+use vpc::{Law, Measurement, MotionMemory, Settings, SolverOptions, Strategy, Task};
 
 /// Stack of the thread, bytes.
 const STACK: usize = 256 << 10;
@@ -101,7 +101,7 @@ fn run(scene: &Scene, settings: Settings) -> usize {
             numbers = len;
             vec![f64::NAN; len]
         };
-        let mut law = Controller::new(scene, settings, lend).unwrap();
+        let mut law = Law::new(scene, settings, lend).unwrap();
         let [x, y, z] = scene.goal.translation;
         let start = Pose {
             translation: [x + 0.1, y - 0.1, 1.2 * z],
@@ -150,7 +150,7 @@ fn a_controller_lives_on_a_stack_of_256_kib() {
 #[test]
 fn a_workspace_that_is_too_short_is_refused() {
     let lend = |len: usize| vec![0.0; len - 1];
-    let refused = Controller::new(&usual(), Settings::default(), lend).map(|_| ());
+    let refused = Law::new(&usual(), Settings::default(), lend).map(|_| ());
     let message = refused.unwrap_err().to_string();
     assert!(message.starts_with("workspace: "), "{message}");
     assert!(message.contains(" numbers; allowed: "), "{message}");

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::Motion;
-use vpc::{Controller, Measurement, Settings, State, Strategy, Twist, camera, task};
+use vpc::{Law, Measurement, Settings, State, Strategy, Twist, camera, task};
 
 const CYCLES: u64 = 40;
 
@@ -23,12 +23,7 @@ impl Run {
     }
 
     /// One cycle by this controller: the command, and the state afterwards.
-    fn cycle(
-        &self,
-        scene: &Scene,
-        controller: &mut Controller<Vec<f64>>,
-        now_ns: u64,
-    ) -> (Twist, State) {
+    fn cycle(&self, scene: &Scene, controller: &mut Law<Vec<f64>>, now_ns: u64) -> (Twist, State) {
         let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into()).unwrap();
         let pixels: Vec<_> = self.points.iter().map(see).collect();
         controller.restore(&self.state);
@@ -48,7 +43,7 @@ fn another_past_of_the_workspace_changes_nothing() {
         strategy: Strategy::Foresight,
         ..Settings::default()
     };
-    let controller = || Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+    let controller = || Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
     let (mut one, mut other) = (controller(), controller());
     let fresh = one.state();
     // Two runs at a time: each controller computes them in another order.

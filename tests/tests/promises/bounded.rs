@@ -11,7 +11,7 @@ use scene::Scene;
 use vpc::gate::{check_sense, check_shape};
 use vpc::solver::Size;
 use vpc::work::Prices;
-use vpc::{Controller, Measurement, Settings, SettingsError, Strategy, Task, constraint};
+use vpc::{Law, Measurement, Settings, SettingsError, Strategy, Task, constraint};
 
 use crate::fixture::{repeats, speed, tell};
 
@@ -88,7 +88,7 @@ fn check(np: usize, problems: usize) {
         np,
         ..Settings::default()
     };
-    let mut controller = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+    let mut controller = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
     let task = controller.task().clone();
     let prices = Prices::of(Size::of(&task, np, settings.nc));
     let budget = prices.budget(settings.solver.max_iterations);
@@ -193,7 +193,7 @@ fn thinking_ahead_is_bounded_by_what_a_step_costs() {
             np,
             ..Settings::default()
         };
-        let mut law = Controller::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
         let task = law.task().clone();
         let prices = Prices::of(Size::of(&task, np, 1));
         // The step that passes the share of the period is the last.
@@ -245,7 +245,7 @@ fn a_window_that_the_period_has_no_room_for_is_refused_with_one_that_fits() {
     };
     let mut scene = dense(3.0);
     scene.camera.rate_hz = 120.0;
-    let new = |np| Controller::new(&scene, settings(np), |len| vec![0.0; len]).map(|_| ());
+    let new = |np| Law::new(&scene, settings(np), |len| vec![0.0; len]).map(|_| ());
     let Err(SettingsError::Window { most, .. }) = new(40) else {
         unreachable!("np 40 has no room");
     };

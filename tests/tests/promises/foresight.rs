@@ -16,7 +16,7 @@ use system_tests::run::{Run, run};
 use system_tests::simulated::Simulated;
 use system_tests::spec::Spec;
 use vpc::foresight::Outcome;
-use vpc::{Controller, Measurement, MotionMemory, Settings, Task};
+use vpc::{Law, Measurement, MotionMemory, Settings, Task};
 
 use crate::fixture::{memory_file, repeats, tell, turn};
 
@@ -131,7 +131,7 @@ fn bare(
     start: &Pose,
     noise: &mut Noise,
 ) -> Bare {
-    let mut law = Controller::new(scene, settings, |len| vec![0.0; len]).unwrap();
+    let mut law = Law::new(scene, settings, |len| vec![0.0; len]).unwrap();
     let (ts, np) = (scene.sampling_time(), settings.np as f64);
     let normal = Normal::new(0.0, noise.px).unwrap();
     let mut camera = FreeCamera::new(scene, start);

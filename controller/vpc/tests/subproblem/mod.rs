@@ -135,7 +135,7 @@ impl Case {
         Solver::new(self.size(), options, workspace).unwrap()
     }
 
-    /// The solution from the starts of `Controller::step`: the warm start, and standing still.
+    /// The solution from the starts of `Law::step`: the warm start, and standing still.
     pub fn solve(&self, solver: &mut Solver<'_>, warm: &Twist) -> Solution {
         solver.solve_from(&self.problem(), &[plan(warm), [0.0; MAX_VARIABLES]])
     }

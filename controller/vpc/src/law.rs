@@ -2,7 +2,7 @@
 
 use scene::Scene;
 
-use crate::command::{Law, Present, repeated};
+use crate::command::{Policy, Present, repeated};
 use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
 use crate::follow::Follow;
@@ -21,11 +21,11 @@ use crate::task::Task;
 use crate::work::Prices;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, follow, frozen, gate, ibvs, limit};
 
-/// The visual predictive controller: task, settings, what one cycle leaves to the next (together
+/// The visual predictive control law: task, settings, what one cycle leaves to the next (together
 /// some 40 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
 /// `&mut [f64]` where there is no heap.
 #[derive(Clone)]
-pub struct Controller<W> {
+pub struct Law<W> {
     task: Task,
     settings: Settings,
     off_image_px: f64,
@@ -87,8 +87,8 @@ pub struct Step {
     pub error_px: f64,
 }
 
-impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
-    /// A controller for a scene. `lend` receives how many numbers of workspace this problem takes
+impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
+    /// The law for a scene. `lend` receives how many numbers of workspace this problem takes
     /// (2,000 in the paper's scene, 56,000 at most), and returns so many or more, of any value.
     ///
     /// # Errors
@@ -132,7 +132,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         })
     }
 
-    /// From now on this controller steers a robot in real time: each command is obeyed for at most
+    /// From now on this law steers a robot in real time: each command is obeyed for at most
     /// `validity_ns`, and what moved the camera before the first is unknown. Without this call,
     /// time is simulated: the camera stands still before the first command and obeys each until the
     /// next.
@@ -175,7 +175,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             return;
         };
         let mut thinker = Thinker {
-            law: Law {
+            policy: Policy {
                 task: &self.task,
                 settings: &self.settings,
             },
@@ -223,7 +223,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
         }
     }
 
-    /// Continues from a state of this controller, or of another one of the same task and settings.
+    /// Continues from a state of this law, or of another one of the same task and settings.
     pub fn restore(&mut self, state: &State) {
         self.settings.strategy = state.strategy;
         self.state = *state;
@@ -360,7 +360,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             }
         }
         self.predict(&initial, &step.twist);
-        let law = Law {
+        let policy = Policy {
             task: &self.task,
             settings: &self.settings,
         };
@@ -371,7 +371,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             self.workspace.as_mut(),
         );
         step.cost = solver.map_or(0.0, |mut solver| {
-            law.running_cost(&mut solver, &initial, &step.twist)
+            policy.running_cost(&mut solver, &initial, &step.twist)
         });
         self.root = Some(initial);
         self.spent = step.cost / self.settings.np as f64;
@@ -574,7 +574,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
     ) {
         let aim = tracked.as_ref().unwrap_or(&self.task.goal);
         let target = corrected(aim, mismatch);
-        let law = Law {
+        let policy = Policy {
             task: &self.task,
             settings: &self.settings,
         };
@@ -593,7 +593,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
             step.status = Status::NumericalFailure;
             return;
         };
-        let (twist, solution) = law.command(&mut solver, &present, aim, &target);
+        let (twist, solution) = policy.command(&mut solver, &present, aim, &target);
         step.twist = twist;
         step.status = solution.status;
         step.iterations = solution.iterations;
@@ -615,7 +615,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Controller<W> {
     }
 }
 
-/// What a controller may do in a period, in counted [work](crate::work).
+/// What the law may do in a period, in counted [work](crate::work).
 #[derive(Clone, Copy, Debug)]
 struct Share {
     /// Most work of a solution.
