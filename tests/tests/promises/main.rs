@@ -1,4 +1,4 @@
-//! What the README promises, a file for each promise: whole processes over shared memory, and
+//! The promises of `tests/PROMISES.md`, a file for each: whole processes over shared memory, and
 //! faults injected into them. One executable, because each that links iceoryx2 takes a minute to
 //! build.
 //!

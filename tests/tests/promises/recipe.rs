@@ -1,5 +1,6 @@
-//! The recipe of `README.md` for a real robot, in the folder that `vpcctl init` writes, without a
-//! robot: one line starts emulator, bridge and `vpcd`, and the arm moves once it is armed.
+//! The recipe of `ipc/clients/panda/README.md` for a real robot, in the folder that `vpcctl init`
+//! writes, without a robot: one line starts emulator, bridge and `vpcd`, and the arm moves once it is
+//! armed.
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;
@@ -80,7 +81,7 @@ fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
     let built = run("vpc-memory", &build, &folder);
     assert_eq!(built.code, Some(0), "{built:?}");
 
-    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let readme = std::fs::read_to_string(root().join("ipc/clients/panda/README.md")).unwrap();
     let line = readme
         .lines()
         .find(|line| line.starts_with("hw-sim --config hw-sim.toml &"));
