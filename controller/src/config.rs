@@ -11,7 +11,7 @@ use vpc::{Settings, Strategy};
 use crate::arguments::Arguments;
 use crate::exit::Exit;
 use crate::realtime::RealtimeRequest;
-use crate::supervisor::AfterArrival;
+use decision::supervisor::AfterArrival;
 
 mod tables;
 #[cfg(test)]

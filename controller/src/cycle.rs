@@ -11,15 +11,15 @@ use scene::Scene;
 
 use crate::clock::{Grid, sleep_until};
 use crate::config::{Config, ConfigError};
-use crate::control::{Answer, ControlStep};
-use crate::decision::HoldReason;
 use crate::flight::{DumpRequest, Producer};
-use crate::input::{Input, Inputs};
-use crate::loaded::LoadedController;
 use crate::pll::CameraPll;
 use crate::shutdown::Stop;
-use crate::supervisor::Rules;
 use crate::usage::Usage;
+use decision::control::{Answer, ControlStep};
+use decision::decision::HoldReason;
+use decision::input::{Input, Inputs};
+use decision::loaded::LoadedController;
+use decision::supervisor::Rules;
 
 /// How long before its release a cycle is rehearsed, ns: several times what a decision takes, and
 /// so short that nobody else uses the caches in between.

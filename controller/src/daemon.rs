@@ -8,15 +8,15 @@ use std::time::Duration;
 
 use clap::Parser;
 use ipc::{ClockMode, ControllerPorts, Domain, RealTime, StopFile};
+use memory_blob::OpenError;
+use scene::FileError;
 
 use crate::arguments::{Arguments, Command};
 use crate::config::{self, Config, ConfigError};
 use crate::cycle::{Cycle, Pace};
-use crate::decision::HoldReason;
 use crate::exit::Exit;
 use crate::flight::{self, About, DumpRequest, Recorder};
 use crate::instance::{self, Instance, InstanceError};
-use crate::loaded::{LoadError, LoadedController};
 use crate::log::Log;
 use crate::panicked::Panicked;
 use crate::preflight::{Cost, Facts};
@@ -27,6 +27,8 @@ use crate::shutdown::{Hangup, Stop};
 use crate::summary::Summary;
 use crate::telemetry::{RecorderError, Telemetry};
 use crate::{log, preflight, realtime, replay, stack};
+use decision::decision::HoldReason;
+use decision::loaded::{LoadError, LoadedController};
 
 /// Failures to send in a row after which the daemon ends: a broken segment stays broken.
 const MOST_FAILURES: u32 = 30;
@@ -71,7 +73,7 @@ impl Failure {
     pub fn exit(&self) -> Exit {
         match self {
             Self::Config(error) => error.into(),
-            Self::Load(error) => error.exit(),
+            Self::Load(error) => error.into(),
             Self::Service(_) | Self::Instance(InstanceError::NoState) => Exit::Config,
             Self::Join(_) | Self::Instance(_) | Self::Open(_) | Self::Stop(_) => Exit::Unavailable,
             Self::Report(_) => Exit::CannotCreate,
@@ -79,6 +81,16 @@ impl Failure {
             Self::Recorder(_) | Self::Log(_) | Self::Signals(_) | Self::Send { .. } => {
                 Exit::Software
             }
+        }
+    }
+}
+
+impl From<&LoadError> for Exit {
+    fn from(error: &LoadError) -> Self {
+        match error {
+            LoadError::Scene(FileError::Read { .. })
+            | LoadError::Memory(OpenError::Read { .. }) => Self::NoInput,
+            _ => Self::Data,
         }
     }
 }
@@ -156,7 +168,7 @@ fn preflight(arguments: &Arguments) -> Exit {
                 let memory = view.as_ref().map(|view| view as &dyn vpc::MotionMemory);
                 facts.foresight = Cost::measure(loaded.scene(), config.settings, memory);
             }
-            Err(error) => return failed(&error, error.exit()),
+            Err(error) => return failed(&error, Exit::from(&error)),
         }
     }
     let found = preflight::judge(&facts, wanted);

@@ -3,8 +3,8 @@
 //! `README.md`).
 //!
 //! A cycle receives, checks order and age, runs the law, asks the supervisor what may go out, and
-//! sends: [`input`] -> [`gate`] -> [`law`] -> [`supervisor`] -> [`cycle`]. The three in
-//! the middle make [`control`], a pure function of inputs and state that [`mod@replay`] repeats.
+//! sends. The crate [`decision`] decides; [`cycle`] receives before and sends after it, and
+//! [`mod@replay`] repeats its decisions.
 //!
 //! # The workspace
 //! This is the first page of the documentation of all crates: `cargo doc --workspace --no-deps`,
@@ -25,19 +25,12 @@
 pub mod arguments;
 pub mod clock;
 pub mod config;
-pub mod contract;
-pub mod control;
 pub mod cycle;
 pub mod daemon;
-pub mod decision;
 pub mod exit;
 pub mod flight;
-pub mod gate;
 pub mod histogram;
-pub mod input;
 pub mod instance;
-pub mod law;
-pub mod loaded;
 pub mod log;
 pub mod lossy;
 pub mod panicked;
@@ -47,12 +40,9 @@ pub mod published;
 pub mod realtime;
 pub mod replay;
 pub mod report;
-pub mod robot;
 pub mod service;
 pub mod shutdown;
-pub mod snapshot;
 pub mod stack;
 pub mod summary;
-pub mod supervisor;
 pub mod telemetry;
 pub mod usage;

@@ -2,7 +2,7 @@
 //! differs.
 //!
 //! A cycle's decision is a function of what it received, of the instant for which it decided, and
-//! of the state that earlier cycles left ([`crate::control`]). All of it is in a recording: each
+//! of the state that earlier cycles left ([`decision::control`]). All of it is in a recording: each
 //! record has the stamps of the messages that its cycle received, each reply has the cycle that
 //! took its request, and every second or so there is a snapshot of the state. So a replay can begin
 //! at any snapshot. If something is missing, it continues at the next one.
@@ -17,8 +17,8 @@ use ipc::{CycleFlags, CycleRecord, Reply, Request};
 use recording::Recording;
 use serde::Serialize;
 
-use crate::control::ControlStep;
-use crate::snapshot::{self, SnapshotError};
+use decision::control::ControlStep;
+use decision::snapshot::{self, SnapshotError};
 use source::Source;
 
 pub use difference::Difference;

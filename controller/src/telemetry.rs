@@ -14,8 +14,8 @@ use tracing::{debug, error, info, warn};
 
 use crate::flight::{Consumer, DumpRequest, Recorder};
 use crate::service::Notifier;
-use crate::snapshot;
 use crate::summary::Summary;
+use decision::snapshot;
 
 /// Pause between two looks at the queue.
 const PAUSE: Duration = Duration::from_millis(5);

@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use controller::arguments::Arguments;
 use controller::config::Config;
-use controller::control::{ControlStep, State};
 use controller::cycle::Pace;
-use controller::input::{Input, Inputs};
-use controller::loaded::LoadedController;
+use decision::control::{ControlStep, State};
+use decision::input::{Input, Inputs};
+use decision::loaded::LoadedController;
 use hw_sim::sensor::Frame;
 use ipc::{ClockMode, CycleRecord, Features};
 use memory_blob::MemoryFile;

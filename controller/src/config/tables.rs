@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use vpc::strategy::{MAX_NEIGHBOURS, Strategy};
 
-use crate::supervisor::AfterArrival;
+use decision::supervisor::AfterArrival;
 
 /// Paths are relative to the file. A flag of the command line wins over the file.
 #[derive(Deserialize, Serialize, JsonSchema)]

@@ -12,7 +12,7 @@ use scene::SceneFiles;
 use sha2::{Digest, Sha256};
 
 use super::ring::Ring;
-use crate::loaded::LoadedController;
+use decision::loaded::LoadedController;
 
 /// Entries about the origin of a flight record, beside those of every recording.
 pub mod origin {

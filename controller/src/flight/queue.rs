@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use ipc::{CycleRecord, Features, Reply, RobotState};
 use rtrb::RingBuffer;
 
-use crate::control::{ControlStep, State};
-use crate::input::{Input, Inputs};
-use crate::snapshot;
+use decision::control::{ControlStep, State};
+use decision::input::{Input, Inputs};
+use decision::snapshot;
 
 /// Cycles that the queue holds: many pauses' worth of lockstep cycles.
 pub const CAPACITY: usize = 8192;

@@ -15,7 +15,7 @@ use super::queue::FlightCycle;
 use super::ring::Ring;
 use super::store::Store;
 use crate::config::{Config, ConfigError, FlightConfig};
-use crate::decision::HoldReason;
+use decision::decision::HoldReason;
 
 /// A fault within this time of the last written one is only logged: features that come and go must
 /// not fill a disk. A fault that disarms is always written, because it may be the last one.
@@ -289,7 +289,7 @@ mod tests {
 
     use super::super::file::origin;
     use crate::arguments::Arguments;
-    use crate::loaded::LoadedController;
+    use decision::loaded::LoadedController;
 
     fn cycle(number: u64, state: TwistState, hold: Hold) -> FlightCycle {
         let record = CycleRecord {

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use ipc::{Reply, Snapshot};
 
 use super::queue::FlightCycle;
-use crate::snapshot;
+use decision::snapshot;
 
 /// Room for replies, whatever the room for cycles.
 const LEAST_REPLIES: usize = 1024;

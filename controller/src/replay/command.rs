@@ -12,13 +12,13 @@ use serde_json::{Value, json};
 use super::{Difference, ReplayError, Report, replay};
 use crate::arguments::{Arguments, ReplayArguments};
 use crate::config::{Config, ConfigError};
-use crate::control::ControlStep;
 use crate::cycle::Pace;
 use crate::exit::Exit;
 use crate::flight::file::{self, origin};
-use crate::loaded::{LoadError, LoadedController};
 use crate::log;
-use crate::snapshot::SnapshotError;
+use decision::control::ControlStep;
+use decision::loaded::{LoadError, LoadedController};
+use decision::snapshot::SnapshotError;
 
 /// Why a recording cannot be replayed.
 #[derive(Debug, thiserror::Error)]
@@ -55,7 +55,7 @@ impl CommandError {
         match self {
             Self::Read(ReadError::Read { .. }) => Exit::NoInput,
             Self::Config(error) => error.into(),
-            Self::Load(error) => error.exit(),
+            Self::Load(error) => error.into(),
             Self::Until { .. } => Exit::Usage,
             _ => Exit::Data,
         }

@@ -4,7 +4,7 @@ use ipc::{Values, Wire};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::control::State;
+use decision::control::State;
 
 /// The first value that differs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, thiserror::Error)]

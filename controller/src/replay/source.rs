@@ -8,7 +8,7 @@ use ipc::{
 };
 use recording::Recording;
 
-use crate::input::{Input, Inputs};
+use decision::input::{Input, Inputs};
 
 /// The messages of a recording by what the records say of them.
 pub struct Source<'a> {

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use controller::cycle::{Cycle, Pace};
 use controller::flight::{DumpRequest, Recorder, queue};
-use controller::loaded::LoadedController;
 use controller::service::Notifier;
 use controller::shutdown::Stop;
-use controller::supervisor::Rules;
 use controller::telemetry::Telemetry;
+use decision::loaded::LoadedController;
+use decision::supervisor::Rules;
 use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features, StopFile};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

@@ -4,13 +4,13 @@ use std::sync::atomic::AtomicU64;
 
 use controller::arguments::Arguments;
 use controller::config::Config;
-use controller::control::ControlStep;
 use controller::flight::{About, Ring, file, queue};
-use controller::input::{Input, Inputs};
-use controller::loaded::LoadedController;
 use controller::replay::{Difference, ReplayError, Report, replay};
-use controller::snapshot;
-use controller::supervisor::Rules;
+use decision::control::ControlStep;
+use decision::input::{Input, Inputs};
+use decision::loaded::LoadedController;
+use decision::snapshot;
+use decision::supervisor::Rules;
 use ipc::{
     Action, CycleFlags, CycleRecord, Features, Hold, InputCode, RecallCode, Request, RobotState,
     Stamp, StrategyCode, TwistState,

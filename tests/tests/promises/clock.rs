@@ -1,6 +1,6 @@
 //! A wall clock that jumps by hours while everything runs: nothing happens. Gaps of the monotonic
 //! clock are in `hang.rs`, and by a clock moved by hand in the unit tests of
-//! `controller/src/supervisor.rs`.
+//! `controller/decision/src/supervisor.rs`.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -14,12 +14,12 @@ use std::net::TcpStream;
 use std::process::Stdio;
 use std::time::Duration;
 
-use controller::control::{Answer, ControlStep};
-use controller::decision::Decision;
-use controller::input::{Input, Inputs};
-use controller::loaded::LoadedController;
 use controller::replay::replay;
-use controller::supervisor::Rules;
+use decision::control::{Answer, ControlStep};
+use decision::decision::Decision;
+use decision::input::{Input, Inputs};
+use decision::loaded::LoadedController;
+use decision::supervisor::Rules;
 use ipc::{
     Action, CycleRecord, Domain, Features, Request, RobotState, STOP_FILE, Stamp, StopFile,
     TwistState,
@@ -184,7 +184,7 @@ fn control(acceleration: Option<[f64; 2]>) -> (ControlStep, Rules) {
         ramp_ns: BRAKE_NS,
         lost_ns: Some(300 * MS),
         needs_robot: false,
-        begins: Some(controller::decision::HoldReason::NotArmed),
+        begins: Some(decision::decision::HoldReason::NotArmed),
         after_arrival: Default::default(),
     };
     let settings = vpc::Settings {

@@ -7,8 +7,6 @@ use memory_blob::{MemoryFile, OpenError};
 use scene::{FileError, Scene, SceneFiles};
 use vpc::{MotionMemory, Settings, SettingsError, Strategy};
 
-use crate::exit::Exit;
-
 /// Why the control law could not be loaded.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
@@ -29,18 +27,6 @@ pub enum LoadError {
         lacking: &'static str,
         strategy: Strategy,
     },
-}
-
-impl LoadError {
-    /// The exit code that it asks for.
-    pub fn exit(&self) -> Exit {
-        match self {
-            Self::Scene(FileError::Read { .. }) | Self::Memory(OpenError::Read { .. }) => {
-                Exit::NoInput
-            }
-            _ => Exit::Data,
-        }
-    }
 }
 
 /// The law with its scene and memory of motion.
