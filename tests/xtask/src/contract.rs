@@ -32,11 +32,18 @@ fn services() -> String {
     text
 }
 
+/// Messages that only observers and replays read: the C header alone has their fields.
+const IN_THE_HEADER: [&str; 2] = ["CycleRecord", "Snapshot"];
+
 fn messages() -> String {
     let mut text = String::new();
     for message in structs() {
         let (name, size, about) = (message.name, message.size, doc::one_line(message.doc));
         let _ = writeln!(text, "**{name}** ({size} bytes). {about}\n");
+        if IN_THE_HEADER.contains(&name) {
+            text += "Fields and offsets: [`vpc.h`](clients/c/include/vpc.h).\n\n";
+            continue;
+        }
         text += "| Offset | Type | Field | Meaning |\n|---|---|---|---|\n";
         for field in message.fields {
             let kind = doc::kind(field, str::to_owned, |length| format!("[{length}]"));
