@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use ipc::ClockMode;
+use messages::ClockMode;
 use toml_schema::Document;
 use vpc::{Settings, Strategy};
 

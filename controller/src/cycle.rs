@@ -2,10 +2,10 @@
 //! without a bound.
 
 use heapless::Vec;
-use ipc::{
-    Action, ClockMode, ControllerPorts, CycleFlags, CycleRecord, FUTURE_NS, Features, Order,
-    Outcome, PublishError, RealTime, ReceiveError, Reply, Request, StopFile, TwistCommand,
-    TwistState, now_ns, suspended_ns,
+use ipc::{ControllerPorts, PublishError, ReceiveError, StopFile, now_ns, suspended_ns};
+use messages::{
+    Action, ClockMode, CycleFlags, CycleRecord, FUTURE_NS, Features, Order, Outcome, RealTime,
+    Reply, Request, TwistCommand, TwistState,
 };
 use scene::Scene;
 
@@ -405,7 +405,9 @@ impl Cycle {
         let decision = &answer.decision;
         let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state);
         let command = match self.pace.clock {
-            ClockMode::Fixed | ClockMode::Phase => command.valid_for_ns(self.pace.stale_ns()),
+            ClockMode::Fixed | ClockMode::Phase => {
+                command.valid_until(now_ns().saturating_add(self.pace.stale_ns()))
+            }
             ClockMode::Lockstep => command,
         };
         let sent = self.ports.twist.publish(&command);

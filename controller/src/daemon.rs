@@ -7,8 +7,9 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use ipc::{ClockMode, ControllerPorts, Domain, RealTime, StopFile};
+use ipc::{ControllerPorts, Domain, StopFile};
 use memory_blob::OpenError;
+use messages::{ClockMode, RealTime};
 use scene::FileError;
 
 use crate::arguments::{Arguments, Command};

@@ -1,6 +1,6 @@
 //! `vpcd`, the daemon: configuration, the real-time loop, telemetry, shutdown. The control law is
-//! the crate `vpc`; what travels through shared memory is the crate `ipc` (tour and decisions:
-//! `README.md`).
+//! the crate `vpc`; what travels through shared memory is the crate `messages`, and its
+//! transport the crate `ipc` (tour and decisions: `README.md`).
 //!
 //! A cycle receives, checks order and age, runs the law, asks the supervisor what may go out, and
 //! sends. The crate [`decision`] decides; [`cycle`] receives before and sends after it, and
@@ -14,7 +14,7 @@
 //! |---|---|
 //! | [`vpc`] | the control law: `no_std`, no heap, no unsafe code |
 //! | [`memory_blob`], [`memory_builder`](../memory_builder/index.html) | the memory of motion: its file and queries; `vpc-memory`, which builds it |
-//! | [`ipc`] | the shared-memory contract: messages, domain, ports |
+//! | [`messages`], [`ipc`] | the shared-memory contract: messages; domain and ports |
 //! | [`scene`], [`mask`](../mask/index.html), [`toml_schema`] | the scene file; painted occlusions; configuration files with a JSON Schema |
 //! | [`recording`], [`recorder`](../recorder/index.html) | recordings (MCAP); recording a domain for Foxglove |
 //! | [`vpcctl`](../vpcctl/index.html), [`figures`](../figures/index.html) | status, live views, requests; pictures |

@@ -7,7 +7,7 @@
 //! margin + spread*; the grid moves there by at most [`SLEW`] of a period per cycle. Without frames
 //! it runs free.
 
-use ipc::{FUTURE_NS, PhaseCode, Stamp};
+use messages::{FUTURE_NS, PhaseCode, Stamp};
 
 /// Largest departure of an interval from the nominal period, as a share of it: small enough for the
 /// law's model of one period.

@@ -3,7 +3,7 @@
 
 use std::io;
 
-use ipc::RealTime;
+use messages::RealTime;
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::{Resource, getrlimit};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};

@@ -13,7 +13,7 @@ mod source;
 
 use std::ops::Range;
 
-use ipc::{CycleFlags, CycleRecord, Reply, Request};
+use messages::{CycleFlags, CycleRecord, Reply, Request};
 use recording::Recording;
 use serde::Serialize;
 
@@ -154,7 +154,7 @@ fn repeat_request(control: &mut ControlStep, reply: &Reply) -> Result<(), Box<Di
 }
 
 fn request_of(reply: &Reply) -> Option<Request> {
-    use ipc::{Action, Outcome, StrategyCode};
+    use messages::{Action, Outcome, StrategyCode};
     match (Action::from_code(reply.action)?, reply.outcome()?) {
         (_, Outcome::Unknown | Outcome::Late) => None,
         (Action::Strategy, Outcome::Done) => {

@@ -1,6 +1,6 @@
 //! Sums over the records of a run.
 
-use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RecallCode, TwistState};
+use messages::{CycleRecord, Hold, PhaseCode, RealTime, RecallCode, TwistState};
 use tracing::{info, warn};
 
 use crate::histogram::Histogram;
@@ -176,7 +176,10 @@ impl Summary {
         };
         let realtime = RealTime(self.counts.realtime);
         let degraded = match realtime.is_degraded() {
-            true => format!("; NOT REAL TIME: {}", realtime.lacks().join(", ")),
+            true => {
+                let lacks: Vec<_> = realtime.lacks().collect();
+                format!("; NOT REAL TIME: {}", lacks.join(", "))
+            }
             false => String::new(),
         };
         let phase = match PhaseCode::from_code(self.phase) {

@@ -6,10 +6,8 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ipc::{
-    Action, Domain, JoinError, Message, OpenError, Outcome, ReceiveError, RecorderPort, Reply,
-    Request,
-};
+use ipc::{Domain, JoinError, OpenError, ReceiveError, RecorderPort};
+use messages::{Action, Message, Outcome, Reply, Request};
 use tracing::{debug, error, info, warn};
 
 use crate::flight::{Consumer, DumpRequest, Recorder};

@@ -1,6 +1,6 @@
 //! What a section of the loop's thread cost besides time: page faults, blocking calls, heap calls.
 
-use ipc::CycleRecord;
+use messages::CycleRecord;
 
 /// Counters of the calling thread at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

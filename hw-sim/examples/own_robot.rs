@@ -22,10 +22,8 @@ use hw_sim::camera::project;
 use hw_sim::pose::from_scene;
 use hw_sim::robot::arm::base_from_object;
 use hw_sim::robot::calibration::HandEye;
-use ipc::{
-    Domain, Features, Publisher, RobotFaults, RobotMode, RobotState, Subscriber, TwistCommand,
-    now_ns,
-};
+use ipc::{Domain, Publisher, Subscriber, now_ns};
+use messages::{Features, RobotFaults, RobotMode, RobotState, TwistCommand};
 use nalgebra::Rotation3;
 use panda::{
     Chain, Command, Echo, JOINTS, Mode, Model, Motion, MotionKind, Mount, Pose, RobotSettings,
@@ -84,7 +82,7 @@ impl Bridge {
             shaper: Shaper::new(ShaperSettings::default())?,
             limits: scene.limits.velocity(),
             // A zero twist that is no longer valid: stand still.
-            command: TwistCommand::zero(ipc::TwistState::Stopped),
+            command: TwistCommand::zero(messages::TwistState::Stopped),
         })
     }
 

@@ -1,7 +1,7 @@
 //! What the process steps: a camera, what carries it, and a referee, in simulated time and without
 //! ports.
 
-use ipc::{RobotFaults, RobotMode, RobotState};
+use messages::{RobotFaults, RobotMode, RobotState};
 
 use crate::camera::Points;
 use crate::eye::{EyeError, Shot};

@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use ipc::{Domain, Publisher, RobotState, Stamp, TwistCommand, TwistState, now_ns};
+use ipc::{Domain, Publisher, now_ns};
+use messages::{RobotState, Stamp, TwistCommand, TwistState};
 use panda::Joints;
 use program::StartUp;
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};

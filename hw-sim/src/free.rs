@@ -1,7 +1,7 @@
 //! The paper's hand-held camera: it moves exactly as told, at once. A command takes effect when it
 //! was sent.
 
-use ipc::RobotState;
+use messages::RobotState;
 use scene::{Pose, Scene};
 
 use crate::camera::{FreeCamera, Points, outlines};

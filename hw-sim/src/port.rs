@@ -2,10 +2,8 @@
 
 use std::time::Duration;
 
-use ipc::{
-    CameraPorts, Domain, Encoding, Features, ImageHeader, ImagePorts, OpenError, ReceiveError,
-    Sent, Stamp, TwistCommand,
-};
+use ipc::{CameraPorts, Domain, ImagePorts, OpenError, ReceiveError, Sent};
+use messages::{Encoding, Features, ImageHeader, Stamp, TwistCommand};
 use scene::Scene;
 
 use crate::eye::{Shot, Sight};

@@ -2,7 +2,7 @@
 //! It has neither clock nor port: the process steps it in real time or in lockstep, and the table
 //! in process.
 
-use ipc::RobotState;
+use messages::RobotState;
 use panda::Mode;
 use scene::{Pose, Scene};
 

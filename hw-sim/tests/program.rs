@@ -4,9 +4,8 @@
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use ipc::{
-    ControllerPorts, Domain, Features, Observer, Publisher, Subscriber, TwistCommand, TwistState,
-};
+use ipc::{ControllerPorts, Domain, Observer, Publisher, Subscriber};
+use messages::{Features, TwistCommand, TwistState};
 use rustix::process::Signal;
 use serde_json::Value;
 use testkit::{Ended, Place, Running, eventually};

@@ -11,7 +11,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use ipc::{CameraPorts, Domain, Features};
+use ipc::{CameraPorts, Domain};
+use messages::Features;
 
 const FOCAL_PX: f64 = 800.0;
 const CENTRE_PX: f64 = 512.0;

@@ -7,7 +7,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use ipc::{Domain, Observer, Order, TwistState};
+use ipc::{Domain, Observer};
+use messages::{Order, TwistState};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let directory = std::env::args_os().nth(1);

@@ -12,10 +12,10 @@ use std::time::Duration;
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::prelude::{Config, FileName, SemanticString, SignalHandlingMode};
 use iceoryx2::service::ipc::Service;
+use messages::Message;
 
 use crate::error::{JoinError, JoinReason, OpenError};
 use crate::guard::{Guard, Place, Startup};
-use crate::message::Message;
 use crate::service::{self, OpenService};
 
 /// Where Linux keeps POSIX shared memory.

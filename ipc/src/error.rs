@@ -5,9 +5,7 @@ use std::io;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::SendError;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenOrCreateError;
-
-use crate::field::Stamp;
-use crate::message::Invalid;
+use messages::{Invalid, Stamp};
 
 /// A domain could not be joined.
 #[derive(Debug, thiserror::Error)]

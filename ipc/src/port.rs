@@ -1,19 +1,16 @@
 //! Typed ports: sequence numbers, time stamps, checks. They do not touch the heap once a connection
 //! is made.
 
-use std::ops::Deref;
-
 use iceoryx2::port::SendError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::service::ipc::Service;
+use messages::{Message, Order, Payload, Received, Stamp};
 
 use crate::domain::Domain;
 use crate::error::{OpenError, PublishError, ReceiveError};
-use crate::field::Stamp;
 use crate::guard::Place;
-use crate::message::{Message, Payload};
-use crate::service::Factory;
+use crate::service::{Carried, Factory};
 
 impl Domain {
     /// Opens a publisher of `T`.
@@ -90,7 +87,7 @@ pub struct Sent {
 #[derive(Debug)]
 pub struct Publisher<T: Message> {
     // Ports before the place and the domain: fields are dropped in this order.
-    port: iceoryx2::port::publisher::Publisher<Service, T, ()>,
+    port: iceoryx2::port::publisher::Publisher<Service, Carried<T>, ()>,
     sequence: u64,
     _place: Place,
     _domain: Domain,
@@ -118,7 +115,7 @@ impl<T: Message> Publisher<T> {
     pub fn publish_verbatim(&mut self, message: &T) -> Result<Sent, PublishError> {
         let send = || {
             let sample = self.port.loan_uninit()?;
-            sample.write_payload(*message).send()
+            sample.write_payload(Carried(*message)).send()
         };
         let receivers = send().map_err(not_delivered::<T>)?;
         let Stamp {
@@ -157,59 +154,10 @@ pub(crate) fn not_delivered<T: Message>(reason: SendError) -> PublishError {
     }
 }
 
-/// Where a message stands in the sequence of its service.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// The first one that this subscriber sees.
-    First,
-    /// The successor of the one before.
-    Next,
-    /// So many between were missed or overwritten.
-    Gap {
-        #[allow(missing_docs)]
-        missed: u64,
-    },
-    /// The same one again, by the history of the service.
-    Repeated,
-    /// The publisher started again.
-    Restarted,
-}
-
-impl Order {
-    /// Where `stamp` stands after `last`.
-    pub fn after(last: Option<Stamp>, stamp: &Stamp) -> Self {
-        let Some(last) = last else { return Self::First };
-        match stamp.sequence.checked_sub(last.sequence) {
-            None => Self::Restarted,
-            Some(0) if stamp.published_ns == last.published_ns => Self::Repeated,
-            Some(0) => Self::Restarted,
-            Some(1) => Self::Next,
-            Some(n) => Self::Gap { missed: n - 1 },
-        }
-    }
-}
-
-/// A received message that passed its checks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Received<T> {
-    /// The message.
-    pub message: T,
-    /// Where it stands in the sequence of its service.
-    pub order: Order,
-}
-
-impl<T> Deref for Received<T> {
-    type Target = T;
-
-    fn deref(&self) -> &T {
-        &self.message
-    }
-}
-
 /// A subscriber of a service.
 #[derive(Debug)]
 pub struct Subscriber<T: Message> {
-    port: iceoryx2::port::subscriber::Subscriber<Service, T, ()>,
+    port: iceoryx2::port::subscriber::Subscriber<Service, Carried<T>, ()>,
     buffer: usize,
     last: Option<Stamp>,
     _domain: Domain,
@@ -253,7 +201,7 @@ impl<T: Message> Subscriber<T> {
 
     fn take(&self) -> Result<Option<T>, ReceiveError> {
         let sample = self.port.receive().map_err(no_connection::<T>)?;
-        Ok(sample.map(|sample| *sample))
+        Ok(sample.map(|sample| sample.0))
     }
 
     fn accept(&mut self, message: T) -> Result<Received<T>, ReceiveError> {
@@ -270,28 +218,5 @@ pub(crate) fn no_connection<T: Message>(reason: iceoryx2::port::ReceiveError) ->
     ReceiveError::Transport {
         service: T::SERVICE,
         reason,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn gaps_repeats_and_restarts_are_told_apart() {
-        let stamp = |sequence, published_ns| Stamp {
-            sequence,
-            published_ns,
-            data_ns: 0,
-        };
-        let after = |sequence, published_ns| {
-            Order::after(Some(stamp(5, 500)), &stamp(sequence, published_ns))
-        };
-        assert_eq!(Order::after(None, &stamp(5, 500)), Order::First);
-        assert_eq!(after(6, 600), Order::Next);
-        assert_eq!(after(9, 600), Order::Gap { missed: 3 });
-        assert_eq!(after(5, 500), Order::Repeated);
-        assert_eq!(after(5, 900), Order::Restarted);
-        assert_eq!(after(1, 600), Order::Restarted);
     }
 }

@@ -2,11 +2,14 @@
 
 use std::time::Duration;
 
+use messages::{
+    CycleRecord, Features, Received, Reply, Request, RobotState, Snapshot, TwistCommand,
+};
+
 use crate::domain::Domain;
 use crate::error::{AskError, OpenError, ReceiveError};
 use crate::image::ImagePublisher;
-use crate::port::{Publisher, Received, Sent, Subscriber};
-use crate::{CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCommand};
+use crate::port::{Publisher, Sent, Subscriber};
 
 /// Commands that a camera keeps.
 const COMMANDS: usize = 4;

@@ -10,74 +10,53 @@ use iceoryx2::service::builder::publish_subscribe::{
 };
 use iceoryx2::service::ipc;
 use iceoryx2::service::port_factory::publish_subscribe;
+use messages::{
+    CycleRecord, Features, ImageHeader, Message, Payload, Reply, Request, RobotState, SERVICES,
+    Snapshot, TwistCommand,
+};
 
 use crate::error::JoinReason;
-use crate::field::Struct;
-use crate::message::{Message, Payload, Qos};
-use crate::{
-    CycleRecord, Features, ImageHeader, Reply, Request, RobotState, Snapshot, TwistCommand,
-};
 
 /// Most processes in one domain.
 pub const MAX_NODES: usize = 32;
 /// Publishers that iceoryx2 allows beyond those of the contract: places that kills may leave taken.
 const SPARE: usize = 16;
 
-/// One service of the contract.
-#[derive(Clone, Copy, Debug)]
-#[allow(missing_docs)]
-pub struct Service {
-    pub name: &'static str,
-    /// Who publishes.
-    pub publisher: &'static str,
-    pub qos: Qos,
-    pub payload: Payload,
-    /// What it carries, or the user header of what it carries.
-    pub message: Struct,
-}
+/// A message as iceoryx2 carries it: the message itself, under its own type name.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(transparent)]
+pub(crate) struct Carried<T>(pub T);
 
-impl Service {
-    const fn of<T: Message>() -> Self {
-        Self {
-            name: T::SERVICE,
-            publisher: T::PUBLISHER,
-            qos: T::QOS,
-            payload: T::PAYLOAD,
-            message: Struct::of::<T>(),
-        }
+// SAFETY: only `messages::wire!` implements `Message`, for `repr(C)` structs of numbers, arrays of
+// numbers and stamps, without padding: plain data that means the same in every process. The wrapper
+// is transparent, and the type name stands for that layout in every language.
+#[allow(unsafe_code)]
+unsafe impl<T: Message> ZeroCopySend for Carried<T> {
+    unsafe fn type_name() -> &'static str {
+        T::TYPE_NAME
     }
 }
 
-macro_rules! services {
-    ($($message:ident: $open:ident,)+) => {
-        /// All services of the contract.
-        pub const SERVICES: &[Service] = &[$(Service::of::<$message>(),)+];
-
-        /// Opens all services, so that each exists from the first participant to the last.
-        pub(crate) fn open_all(
-            node: &Node<ipc::Service>,
-        ) -> Result<Vec<Box<dyn OpenService>>, JoinReason> {
-            Ok(vec![$(Box::new($open::<$message>(node)?),)+])
-        }
-    };
-}
-
-services! {
-    Features: open,
-    TwistCommand: open,
-    RobotState: open,
-    CycleRecord: open,
-    Snapshot: open,
-    Request: open,
-    Reply: open,
-    ImageHeader: open_slices,
+/// Opens all services, so that each exists from the first participant to the last.
+pub(crate) fn open_all(node: &Node<ipc::Service>) -> Result<Vec<Box<dyn OpenService>>, JoinReason> {
+    let services: [Box<dyn OpenService>; SERVICES.len()] = [
+        Box::new(open::<Features>(node)?),
+        Box::new(open::<TwistCommand>(node)?),
+        Box::new(open::<RobotState>(node)?),
+        Box::new(open::<CycleRecord>(node)?),
+        Box::new(open::<Snapshot>(node)?),
+        Box::new(open::<Request>(node)?),
+        Box::new(open::<Reply>(node)?),
+        Box::new(open_slices::<ImageHeader>(node)?),
+    ];
+    Ok(services.into())
 }
 
 /// An opened service that carries `T`.
-pub(crate) type Factory<T> = publish_subscribe::PortFactory<ipc::Service, T, ()>;
+pub(crate) type Factory<T> = publish_subscribe::PortFactory<ipc::Service, Carried<T>, ()>;
 
 /// An opened service that carries slices of bytes under the header `T`.
-pub(crate) type SliceFactory<T> = publish_subscribe::PortFactory<ipc::Service, [u8], T>;
+pub(crate) type SliceFactory<T> = publish_subscribe::PortFactory<ipc::Service, [u8], Carried<T>>;
 
 /// An opened service, whatever it carries.
 pub(crate) trait OpenService: Any + Debug {}
@@ -88,7 +67,9 @@ impl<T: Message> OpenService for SliceFactory<T> {}
 /// Opens a service, or creates it.
 fn open<T: Message>(node: &Node<ipc::Service>) -> Result<Factory<T>, JoinReason> {
     let name = name::<T>()?;
-    let builder = node.service_builder(&name).publish_subscribe::<T>();
+    let builder = node
+        .service_builder(&name)
+        .publish_subscribe::<Carried<T>>();
     let factory = with_settings::<T, _, _>(builder).open_or_create();
     factory.map_err(refused::<T>)
 }
@@ -102,7 +83,7 @@ fn open_slices<T: Message>(node: &Node<ipc::Service>) -> Result<SliceFactory<T>,
     {
         builder = builder.payload_alignment(alignment);
     }
-    let factory = with_settings::<T, _, _>(builder.user_header::<T>()).open_or_create();
+    let factory = with_settings::<T, _, _>(builder.user_header::<Carried<T>>()).open_or_create();
     factory.map_err(refused::<T>)
 }
 

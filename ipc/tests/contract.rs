@@ -13,9 +13,10 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ipc::{
-    CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, Observer, OpenError, Order,
-    ReceiveError, RecorderPort, RobotPorts, RobotState, TwistCommand, TwistState,
+    CameraPorts, ControllerPorts, Domain, Observer, OpenError, ReceiveError, RecorderPort,
+    RobotPorts,
 };
+use messages::{CycleRecord, Features, Hold, Order, RobotState, TwistCommand, TwistState};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::{Signal, getpid, kill_process};
@@ -142,7 +143,7 @@ fn every_message_goes_round() {
     );
     controller
         .twist
-        .publish(&command.valid_for_ns(1_000_000_000))
+        .publish(&command.valid_until(ipc::now_ns() + 1_000_000_000))
         .unwrap();
     let answer = camera.twist.latest().unwrap().unwrap();
     assert!(answer.answers(sent.sequence, sent.published_ns) && answer.is_valid_at(ipc::now_ns()));

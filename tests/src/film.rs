@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use figures::{Animation, Photo, Points, View};
-use ipc::{CycleRecord, Domain, Features, Image, ImageSubscriber, Subscriber};
+use ipc::{Domain, Image, ImageSubscriber, Subscriber};
+use messages::{CycleRecord, Features};
 use scene::Scene;
 
 /// Images from one of the film to the next.

@@ -12,7 +12,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use ipc::{CycleRecord, Domain, Hold, Subscriber};
+use ipc::{Domain, Subscriber};
+use messages::{CycleRecord, Hold};
 use scene::Scene;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};

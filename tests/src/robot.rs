@@ -8,7 +8,7 @@ use hw_sim::eye::Shot;
 use hw_sim::recording::ArmRecord;
 use hw_sim::rig::{Rig, RigError, RigSettings};
 use hw_sim::robot::inspector::ArmReport;
-use ipc::{CycleRecord, Features, Hold, TwistState};
+use messages::{CycleRecord, Features, Hold, TwistState};
 use scene::{Pose, Scene};
 use serde::Serialize;
 

@@ -10,7 +10,7 @@ use hw_sim::cost::running_cost;
 use hw_sim::referee::INSTANTS;
 use hw_sim::sensor::{Flaws, Sensor};
 use hw_sim::{End, FreeCamera, Referee};
-use ipc::{CycleRecord, Hold, SolverStatus, TwistState};
+use messages::{CycleRecord, Hold, SolverStatus, TwistState};
 use nalgebra::Rotation3;
 use scene::{Pose, Scene};
 use serde::{Deserialize, Deserializer, Serialize};

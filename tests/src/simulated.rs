@@ -11,8 +11,8 @@ use decision::control::{ControlStep, State};
 use decision::input::{Input, Inputs};
 use decision::loaded::LoadedController;
 use hw_sim::sensor::Frame;
-use ipc::{ClockMode, CycleRecord, Features};
 use memory_blob::MemoryFile;
+use messages::{ClockMode, CycleRecord, Features};
 use scene::{Scene, SceneFiles};
 use vpc::{Law, Settings};
 

@@ -1,6 +1,8 @@
 //! Conversions between the codes of the contract and the types of the control law.
 
-use ipc::{CycleRecord, Features, ForesightCode, RecallCode, SolverStatus, Stamp, StrategyCode};
+use messages::{
+    CycleRecord, Features, ForesightCode, RecallCode, SolverStatus, Stamp, StrategyCode,
+};
 use vpc::foresight::{Foresight, Outcome, PLACES};
 use vpc::guide::Kind;
 use vpc::{Asked, Measurement, Refusal, Status, Step, Strategy};
@@ -9,9 +11,9 @@ use crate::decision::HoldReason;
 
 // A step takes all the points that a message can have: more than the law has room for would panic
 // in the loop. And a path has its places and points side by side in both.
-const _: () = assert!(ipc::MAX_POINTS == vpc::MAX_POINTS);
-const _: () = assert!(ipc::PATH_PLACES == PLACES);
-const _: () = assert!(ipc::MAX_NEIGHBOURS as usize == vpc::strategy::MAX_NEIGHBOURS);
+const _: () = assert!(messages::MAX_POINTS == vpc::MAX_POINTS);
+const _: () = assert!(messages::PATH_PLACES == PLACES);
+const _: () = assert!(messages::MAX_NEIGHBOURS as usize == vpc::strategy::MAX_NEIGHBOURS);
 
 /// Code of a strategy, and the neighbours of k-NN or 0.
 pub fn strategy_code(strategy: Strategy) -> (StrategyCode, u32) {

@@ -2,7 +2,7 @@
 //! earlier cycles left, with no clock and no port: the loop calls it live, a replay calls it again,
 //! and both get the same bits.
 
-use ipc::{
+use messages::{
     Action, CycleFlags, CycleRecord, Features, Outcome, Reply, Request, Stamp, StrategyCode,
     TwistState,
 };
@@ -320,7 +320,7 @@ impl ControlStep {
 
 #[cfg(test)]
 mod tests {
-    use ipc::{Features, RobotState};
+    use messages::{Features, RobotState};
     use rand::{Rng, RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use scene::SceneFiles;

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use ipc::{Hold, TwistState};
+use messages::{Hold, TwistState};
 use serde::{Deserialize, Serialize};
 
 /// A command, before it becomes a message.

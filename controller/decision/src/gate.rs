@@ -4,7 +4,7 @@
 //! It checks messages: their order, their age, and whether all points were visible. The law then
 //! checks the numbers against the scene.
 
-use ipc::{FUTURE_NS, Features, Order, Stamp};
+use messages::{FUTURE_NS, Features, Order, Stamp};
 use serde::{Deserialize, Serialize};
 
 use crate::decision::HoldReason;
@@ -360,7 +360,7 @@ mod tests {
         gate.judge(&came(1, 0), 1);
         let invalid = message(0, 30).stamp;
         let refused = Input::from(Err(ReceiveError::Invalid {
-            invalid: ipc::Message::check(&message(0, 30)).unwrap_err(),
+            invalid: messages::Message::check(&message(0, 30)).unwrap_err(),
             stamp: invalid,
         }));
         assert_eq!(

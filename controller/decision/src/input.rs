@@ -1,6 +1,7 @@
 //! What a cycle receives.
 
-use ipc::{Features, InputCode, ReceiveError, Received, RobotState, Stamp};
+use ipc::ReceiveError;
+use messages::{Features, InputCode, Received, RobotState, Stamp};
 
 /// What came from one port.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +33,7 @@ pub struct Inputs {
     pub shutdown: bool,
 }
 
-impl<T: ipc::Message> Input<T> {
+impl<T: messages::Message> Input<T> {
     /// The code and the head of the message for a cycle's record.
     pub fn wire(&self) -> (InputCode, Stamp) {
         match self {

@@ -1,6 +1,6 @@
 //! What to command: one step of the law, and a last check of its twist.
 
-use ipc::{CycleRecord, Features, TwistState};
+use messages::{CycleRecord, Features, TwistState};
 use scene::{Limits, Scene};
 
 use crate::contract;
@@ -78,7 +78,7 @@ fn is_within(twist: &[f64; 6], limits: &Limits) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use ipc::SolverStatus;
+    use messages::SolverStatus;
     use scene::SceneFiles;
     use vpc::{Settings, Strategy};
 

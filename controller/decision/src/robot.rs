@@ -1,7 +1,7 @@
 //! The robot's state by its messages: not there, at fault, silent, not following, or fine. Pure;
 //! the time is an argument.
 
-use ipc::{RobotFaults, RobotMode, RobotState};
+use messages::{RobotFaults, RobotMode, RobotState};
 use serde::{Deserialize, Serialize};
 
 use crate::decision::HoldReason;

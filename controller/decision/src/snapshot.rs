@@ -1,7 +1,7 @@
 //! The state of the control step as it is published and recorded: `postcard` bytes in a
 //! [`Snapshot`].
 
-use ipc::Snapshot;
+use messages::Snapshot;
 
 use crate::control::State;
 
@@ -57,7 +57,7 @@ pub fn decode(snapshot: &Snapshot) -> Result<State, SnapshotError> {
 
 #[cfg(test)]
 mod tests {
-    use ipc::{Features, Stamp, TwistState};
+    use messages::{Features, Stamp, TwistState};
 
     use super::*;
     use crate::control::Answer;
@@ -117,7 +117,7 @@ mod tests {
         );
         let mut robot = RobotWatch::new(&rules);
         robot.sent(&[f64::MIN_POSITIVE / 4.0; 6], u64::MAX);
-        let mut state = ipc::RobotState::free_camera([0.0; 3], [0.0; 3], 0);
+        let mut state = messages::RobotState::free_camera([0.0; 3], [0.0; 3], 0);
         state.stamp = STAMP;
         robot.look(&Input::Message(state), u64::MAX);
         let mut law = vpc::State::new(vpc::Strategy::Knn { k: usize::MAX });

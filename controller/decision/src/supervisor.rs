@@ -17,7 +17,7 @@
 //! do not come within 5 s. Features are *lost* if the law could use none for [`Rules::lost_ns`].
 //! After a response the law's twist is taken up again as steeply as it is braked, and no more so.
 
-use ipc::{Action, Outcome, TwistState};
+use messages::{Action, Outcome, TwistState};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use ipc::Order;
+use messages::Order;
 
 /// Counts of one topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

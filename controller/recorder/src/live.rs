@@ -11,8 +11,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use foxglove::messages::RawImage;
-use ipc::{CycleRecord, Domain, Image, ImageSubscriber, JoinError, Message, OpenError};
-use ipc::{Order, ReceiveError};
+use ipc::ReceiveError;
+use ipc::{Domain, Image, ImageSubscriber, JoinError, OpenError};
+use messages::Order;
+use messages::{CycleRecord, Message};
 use panda::Mount;
 use recording::{Encoding, Sink, WallClock, WriteError};
 use scene::{Scene, SceneFiles};
@@ -272,7 +274,7 @@ impl Sink for Channels {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use ipc::{Encoding, ImageHeader};
+    use messages::{Encoding, ImageHeader};
 
     use super::*;
     use crate::ports::MOST_FAILURES;

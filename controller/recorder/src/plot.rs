@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use figures::{Comparison, FigureError, ImagePlane, Latency, Times, Velocity};
-use ipc::{ClockMode, CycleRecord, MAX_POINTS};
+use messages::{ClockMode, CycleRecord, MAX_POINTS};
 use scene::{FileError, Scene};
 
 use crate::report::Report;
@@ -130,7 +130,7 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     let error = error.map_or_else(String::new, |error| format!(", error {error:.1} px"));
     let strategy = run
         .first()
-        .and_then(|cycle| ipc::StrategyCode::from_code(cycle.strategy))
+        .and_then(|cycle| messages::StrategyCode::from_code(cycle.strategy))
         .map_or_else(String::new, |strategy| format!(", {strategy}"));
     let plane = ImagePlane {
         scene,

@@ -1,9 +1,7 @@
 //! The queues of a domain, and what is to be done with each message.
 
-use ipc::{
-    CycleRecord, Domain, Features, OpenError, ReceiveError, Reply, Request, RobotState, Snapshot,
-    Subscriber, TwistCommand,
-};
+use ipc::{Domain, OpenError, ReceiveError, Subscriber};
+use messages::{CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCommand};
 use recording::{Sink, WriteError};
 
 use crate::ledger::Notice;

@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
-use ipc::{CycleRecord, Domain, JoinError, Message, OpenError, ReceiveError};
+use ipc::{Domain, JoinError, OpenError, ReceiveError};
+use messages::{CycleRecord, Message};
 use panda::Mount;
 use recording::{RecordingFile, WriteError};
 use scene::SceneFiles;

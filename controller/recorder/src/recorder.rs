@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use foxglove::messages::log::Level;
-use ipc::Order;
+use messages::Order;
 use recording::{CONFIG_FILE, RecordingFile, SCENE_FILE, Sink, WriteError};
 use scene::{Scene, SceneFiles};
 
@@ -177,7 +177,7 @@ impl<S: Sink> Recorder<S> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use ipc::{CycleRecord, Message, Stamp};
+    use messages::{CycleRecord, Message, Stamp};
     use recording::{Encoding, WallClock};
 
     use super::*;

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use ipc::{ClockMode, CycleRecord, TwistState};
+use messages::{ClockMode, CycleRecord, TwistState};
 use serde::Serialize;
 
 use recording::Recording;

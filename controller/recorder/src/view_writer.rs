@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use foxglove::messages::{Log, Timestamp, log::Level};
 use foxglove::{Encode, Schema};
-use ipc::Stamp;
+use messages::Stamp;
 use panda::Mount;
 use recording::{Encoding, Sink, WriteError};
 use scene::Scene;

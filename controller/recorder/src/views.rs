@@ -3,7 +3,7 @@
 use foxglove::messages::{
     FrameTransform, ImageAnnotations, Pose, PoseInFrame, log::Level, points_annotation::Type,
 };
-use ipc::{
+use messages::{
     CycleRecord, Features, Hold, MAX_POINTS, Reply, Request, RobotState, Snapshot, Stamp,
     TwistCommand, TwistState,
 };

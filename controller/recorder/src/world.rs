@@ -6,7 +6,7 @@ use foxglove::messages::{
     Color, CubePrimitive, Duration, LinePrimitive, Point3, Pose, SceneEntity, SceneUpdate,
     SpherePrimitive, TextPrimitive, Timestamp, Vector3, line_primitive::Type,
 };
-use ipc::CycleRecord;
+use messages::CycleRecord;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use panda::{Chain, Joints};
 use scene::{Camera, Scene};

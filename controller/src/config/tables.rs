@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use ipc::ClockMode;
+use messages::ClockMode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;

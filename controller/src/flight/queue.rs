@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use ipc::{CycleRecord, Features, Reply, RobotState};
+use messages::{CycleRecord, Features, Reply, RobotState};
 use rtrb::RingBuffer;
 
 use decision::control::{ControlStep, State};

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use ipc::{CycleRecord, Reply, Snapshot, TwistState};
+use messages::{CycleRecord, Reply, Snapshot, TwistState};
 use tracing::{info, warn};
 
 use super::file::{self, About};
@@ -284,7 +284,7 @@ fn unwanted(record: &CycleRecord) -> Option<HoldReason> {
 mod tests {
     use super::*;
 
-    use ipc::Hold;
+    use messages::Hold;
     use recording::Recording;
 
     use super::super::file::origin;

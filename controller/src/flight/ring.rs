@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ipc::{Reply, Snapshot};
+use messages::{Reply, Snapshot};
 
 use super::queue::FlightCycle;
 use decision::snapshot;

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::thread;
 
-use ipc::{RealTime, now_ns};
+use ipc::now_ns;
+use messages::RealTime;
 use program::kernel::Kernel;
 use rustix::process::{Resource, getrlimit};
 

@@ -3,8 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use ipc::{CycleRecord, StrategyCode};
 use memory_blob::hex;
+use messages::{CycleRecord, StrategyCode};
 use recording::{CONFIG_FILE, ReadError, Recorded, Recording, SCENE_FILE};
 use scene::SceneFiles;
 use serde_json::{Value, json};

@@ -1,6 +1,6 @@
 //! The first value that differs, with its bits.
 
-use ipc::{Values, Wire};
+use messages::{Values, Wire};
 use serde::Serialize;
 use serde_json::Value;
 

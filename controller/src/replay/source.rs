@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use ipc::{
+use messages::{
     CycleFlags, CycleRecord, Features, InputCode, Message, Reply, RobotState, Snapshot, Stamp,
 };
 use recording::Recording;

@@ -10,7 +10,8 @@ use controller::shutdown::Stop;
 use controller::telemetry::Telemetry;
 use decision::loaded::LoadedController;
 use decision::supervisor::Rules;
-use ipc::{CameraPorts, ClockMode, ControllerPorts, Domain, Features, StopFile};
+use ipc::{CameraPorts, ControllerPorts, Domain, StopFile};
+use messages::{ClockMode, Features};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use vpc::{Settings, Strategy};
@@ -64,7 +65,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             after_arrival: Default::default(),
         },
         margin_ns: 10_000,
-        realtime: ipc::RealTime::default(),
+        realtime: messages::RealTime::default(),
     };
 
     let domain = Domain::join(&place.domain()).unwrap();
@@ -97,7 +98,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
                     let Some(record) = record else { continue };
                     tally.stepped += u64::from(record.status != 0);
                     // Foresight asks for samples in its simulations.
-                    let is_followed = record.recalled == ipc::RecallCode::Followed.code();
+                    let is_followed = record.recalled == messages::RecallCode::Followed.code();
                     tally.recalled += u64::from(is_followed || record.candidates > 0);
                 }
             }

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use hw_sim::FreeCamera;
-use ipc::{CameraPorts, Domain, Features, Stamp};
+use ipc::{CameraPorts, Domain};
+use messages::{Features, Stamp};
 use scene::Scene;
 use vpc::{Law, Measurement, Settings};
 

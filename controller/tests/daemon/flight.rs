@@ -11,11 +11,11 @@ use decision::input::{Input, Inputs};
 use decision::loaded::LoadedController;
 use decision::snapshot;
 use decision::supervisor::Rules;
-use ipc::{
+use messages::{
     Action, CycleFlags, CycleRecord, Features, Hold, InputCode, RecallCode, Request, RobotState,
     Stamp, StrategyCode, TwistState,
 };
-use ipc::{ValuesMut, Wire};
+use messages::{ValuesMut, Wire};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use recording::Recording;

@@ -5,9 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use hw_sim::FreeCamera;
-use ipc::{
-    Action, CameraPorts, Domain, Features, Hold, Observer, OperatorPorts, Order, Outcome, Request,
-    RobotMode, RobotPorts, RobotState, StrategyCode, TwistCommand, TwistState,
+use ipc::{CameraPorts, Domain, Observer, OperatorPorts, RobotPorts};
+use messages::{
+    Action, Features, Hold, Order, Outcome, Request, RobotMode, RobotState, StrategyCode,
+    TwistCommand, TwistState,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

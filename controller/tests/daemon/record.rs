@@ -4,10 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use ipc::{
-    Action, CameraPorts, CycleRecord, Domain, Features, OperatorPorts, Outcome, Request,
-    StrategyCode,
-};
+use ipc::{CameraPorts, Domain, OperatorPorts};
+use messages::{Action, CycleRecord, Features, Outcome, Request, StrategyCode};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use recording::{Recording, RecordingFile, Sink};

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
-use ipc::{MAX_NEIGHBOURS, StrategyCode};
+use messages::{MAX_NEIGHBOURS, StrategyCode};
 
 use crate::check_bridge::CheckBridgeArguments;
 use crate::init::InitArguments;

@@ -8,9 +8,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use clap::Args;
-use ipc::{
-    Domain, MOST_OBEYED_NS, Publisher, RobotState, Subscriber, TwistCommand, TwistState, now_ns,
-};
+use ipc::{Domain, Publisher, Subscriber, now_ns};
+use messages::{MOST_OBEYED_NS, RobotState, TwistCommand, TwistState};
 use scene::Scene;
 
 use crate::arguments::seconds;
@@ -271,9 +270,9 @@ impl Play {
 
     /// Sends a command along the camera's x axis.
     fn command(&mut self, speed: f64, claim: Claim) -> Result<(), Failure> {
-        let mut command = TwistCommand::zero(TwistState::Moving).valid_for_ns(3 * PERIOD_NS);
-        command.twist[0] = speed;
         let now = now_ns();
+        let mut command = TwistCommand::zero(TwistState::Moving).valid_until(now + 3 * PERIOD_NS);
+        command.twist[0] = speed;
         self.sequence += 1;
         (command.stamp.sequence, command.stamp.published_ns) = (self.sequence, now);
         match claim {

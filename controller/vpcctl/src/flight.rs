@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use ipc::Action;
+use messages::Action;
 
 use crate::exit::{Exit, Failure};
 use crate::request;

@@ -1,6 +1,6 @@
 //! The stages of a cycle and statistics of their durations.
 
-use ipc::CycleRecord;
+use messages::CycleRecord;
 use serde::Serialize;
 
 /// The stages of a cycle: waking up after the release (0 in lockstep), receiving and checking,

@@ -35,7 +35,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser;
-use ipc::{Action, Request};
+use messages::{Action, Request};
 
 use arguments::{Arguments, Command, RequestArguments};
 use exit::{Exit, Failure};

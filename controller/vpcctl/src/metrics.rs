@@ -10,7 +10,7 @@ use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::Html;
 use axum::routing::get;
-use ipc::{CycleRecord, Hold, PhaseCode, RealTime, RobotFaults, RobotMode, Table, TwistState};
+use messages::{CycleRecord, Hold, PhaseCode, RealTime, RobotFaults, RobotMode, Table, TwistState};
 
 use crate::exit::{Exit, Failure};
 use crate::latency::{BOUNDS, Histogram, STAGES};
@@ -275,7 +275,7 @@ fn image(out: &mut Text, view: &View, now_ns: u64) {
 
 #[cfg(test)]
 mod tests {
-    use ipc::{Order, Received};
+    use messages::{Order, Received};
 
     use super::*;
     use crate::view::tests::{images, record};
@@ -317,7 +317,7 @@ mod tests {
     #[test]
     fn every_family_has_one_head_before_its_samples() {
         let mut view = view();
-        let mut robot = ipc::RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], 0);
+        let mut robot = messages::RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], 0);
         robot.stamp.published_ns = 30_000_000;
         view.robot = Some(robot);
         images(&mut view, &[1, 2]);

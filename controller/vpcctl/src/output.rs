@@ -2,7 +2,7 @@
 
 use std::io::{self, ErrorKind, IsTerminal, Write};
 
-use ipc::{Hold, TwistState};
+use messages::{Hold, TwistState};
 
 use crate::exit::{Exit, Failure};
 

@@ -110,8 +110,8 @@ mod tests {
             summary(Path::new("a.mcap"), &ledger),
             "a.mcap: no messages\n"
         );
-        ledger.record("/vpc/twist", ipc::Order::First);
-        ledger.record("/vpc/twist", ipc::Order::Gap { missed: 3 });
+        ledger.record("/vpc/twist", messages::Order::First);
+        ledger.record("/vpc/twist", messages::Order::Gap { missed: 3 });
         assert_eq!(
             summary(Path::new("a.mcap"), &ledger),
             "a.mcap: /vpc/twist 2 (lost 3)\n"

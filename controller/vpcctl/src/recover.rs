@@ -4,7 +4,8 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{Action, OpenError, Publisher, Request, RobotMode, RobotState, Subscriber};
+use ipc::{OpenError, Publisher, Subscriber};
+use messages::{Action, Request, RobotMode, RobotState};
 
 use crate::exit::{Exit, Failure};
 use crate::presence;

@@ -4,7 +4,8 @@ use std::hash::{BuildHasher, RandomState};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{Action, Domain, OpenError, OperatorPorts, Outcome, Reply, Request, StrategyCode};
+use ipc::{Domain, OpenError, OperatorPorts};
+use messages::{Action, Outcome, Reply, Request, StrategyCode};
 
 use crate::exit::{Exit, Failure};
 use crate::presence::{self, Presence};
@@ -96,7 +97,7 @@ fn outcome(reply: &Reply) -> (String, Exit) {
     };
     let (outcome, state) = (word(reply.outcome()), word(reply.state()));
     let cause = match reply.hold() {
-        Some(hold) if hold != ipc::Hold::None => format!(" ({hold})"),
+        Some(hold) if hold != messages::Hold::None => format!(" ({hold})"),
         _ => String::new(),
     };
     let strategy = strategy_name(reply.strategy, reply.neighbours);
@@ -123,7 +124,7 @@ pub fn strategy_name(code: u32, neighbours: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ipc::{Hold, Stamp, TwistState};
+    use messages::{Hold, Stamp, TwistState};
 
     fn reply(outcome: Outcome) -> Reply {
         Reply {

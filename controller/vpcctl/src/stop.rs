@@ -5,7 +5,8 @@ use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{Action, StopError, TwistState};
+use ipc::StopError;
+use messages::{Action, TwistState};
 
 use crate::exit::{Exit, Failure};
 use crate::presence::{self, Presence};

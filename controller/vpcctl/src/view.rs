@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use ipc::{CycleRecord, Features, Hold, ImageHeader, Order, Received, RobotState, TwistState};
+use messages::{CycleRecord, Features, Hold, ImageHeader, Order, Received, RobotState, TwistState};
 
 use crate::latency::{Histogram, STAGES, durations};
 use crate::units::duration;
@@ -80,7 +80,7 @@ impl View {
         for (histogram, ns) in self.histograms.iter_mut().zip(durations(&record)) {
             histogram.count(ns);
         }
-        self.recalled += u64::from(record.recalled == ipc::RecallCode::Followed.code());
+        self.recalled += u64::from(record.recalled == messages::RecallCode::Followed.code());
         *self.held.entry(record.hold).or_default() += 1;
         let faults = [record.minor_faults, record.major_faults];
         let calls = [record.blocked, record.allocations];
@@ -279,7 +279,7 @@ pub(crate) mod tests {
     /// Takes in images with these numbers, of a camera of 100 Hz.
     pub fn images(view: &mut View, numbers: &[u64]) {
         for &number in numbers {
-            let mut header = ImageHeader::new(640, 480, ipc::Encoding::Mono8, 0);
+            let mut header = ImageHeader::new(640, 480, messages::Encoding::Mono8, 0);
             (header.stamp.sequence, header.stamp.published_ns) = (number, number * 10_000_000);
             view.add_image(&header, Order::Next);
         }

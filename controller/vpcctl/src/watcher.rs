@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
-use ipc::{CycleRecord, Domain, Features, Image, ImageSubscriber, Message, OpenError};
-use ipc::{ReceiveError, RobotState, Subscriber};
+use ipc::{Domain, Image, ImageSubscriber, OpenError};
+use ipc::{ReceiveError, Subscriber};
+use messages::RobotState;
+use messages::{CycleRecord, Features, Message};
 
 use crate::exit::Failure;
 use crate::presence;

@@ -1,7 +1,7 @@
 //! What an arm adds to the state of the cell: beyond the contract's fields it stands in `room`, as
 //! `CONTRACT.md` lists.
 
-use ipc::{RobotFaults, RobotMode, RobotState};
+use messages::{RobotFaults, RobotMode, RobotState};
 use panda::{JOINTS, Mode, State};
 
 use crate::cell::raise;

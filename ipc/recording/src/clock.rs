@@ -1,6 +1,8 @@
 //! Monotonic time, as in messages, to wall time, as in recordings.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use rustix::time::{ClockId, clock_gettime};
 
 /// Readings of both clocks taken together. All stamps of a recording are translated by the same
 /// difference, so that intervals stay exact even if the wall clock jumps.
@@ -15,11 +17,14 @@ pub struct WallClock {
 impl WallClock {
     /// Reads both clocks.
     pub fn now() -> Self {
+        let ns = |since: Duration| since.as_nanos() as u64;
+        let monotonic = Duration::try_from(clock_gettime(ClockId::Monotonic));
         let wall = SystemTime::now().duration_since(UNIX_EPOCH);
         Self {
-            monotonic_ns: ipc::now_ns(),
+            // It starts at 0 when the machine does.
+            monotonic_ns: monotonic.map_or(0, ns),
             // A machine that believes in a year before 1970 gets recordings from 1970.
-            wall_ns: wall.map_or(0, |since| since.as_nanos() as u64),
+            wall_ns: wall.map_or(0, ns),
         }
     }
 

@@ -10,7 +10,7 @@ use std::fmt::{Display, Write};
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use ipc::{Field, Meaning, Values, ValuesMut, Wire};
+use messages::{Field, Meaning, Values, ValuesMut, Wire};
 use serde_json::{Map, Value};
 
 /// Name of the list of numbers that JSON does not have.

@@ -1,6 +1,6 @@
 //! The messages of the contract in a recording: JSON schemas and JSON.
 
-use ipc::{Field, Kind, Meaning, Message, Stamp, Wire};
+use messages::{Field, Kind, Meaning, Message, Stamp, Wire};
 use serde_json::{Map, Value, json};
 
 use crate::field::{self, FieldError, NON_FINITE};
@@ -130,7 +130,7 @@ fn constant(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use ipc::{CycleRecord, Features, Snapshot};
+    use messages::{CycleRecord, Features, Snapshot};
 
     use super::*;
 
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn codes_and_bits_have_their_names_beside_them() {
         let record = CycleRecord {
-            hold: ipc::Hold::Stale.code(),
+            hold: messages::Hold::Stale.code(),
             flags: 5,
             ..CycleRecord::default()
         };

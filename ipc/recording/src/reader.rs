@@ -5,10 +5,12 @@ use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
-use ipc::{CycleRecord, Features, Message, Reply, Request, RobotState, Snapshot, TwistCommand};
 use mcap::McapError;
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use messages::{
+    CycleRecord, Features, Message, Reply, Request, RobotState, Snapshot, TwistCommand,
+};
 use scene::{FileError, Scene};
 
 use crate::clock::WallClock;

@@ -42,8 +42,8 @@ pub enum WriteError {
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// # let directory = tempfile::tempdir()?;
 /// # let path = directory.path().join("fault.mcap");
-/// # let features = [ipc::Features::new(&[[1.0; 2]; 4], 0); 2];
-/// # let cycles = [ipc::CycleRecord::default(); 3];
+/// # let features = [messages::Features::new(&[[1.0; 2]; 4], 0); 2];
+/// # let cycles = [messages::CycleRecord::default(); 3];
 /// use recording::{CONFIG_FILE, Recording, RecordingFile, SCENE_FILE, Sink};
 ///
 /// let mut file = RecordingFile::create(&path, false)?;

@@ -4,9 +4,10 @@ use std::os::unix::fs::MetadataExt;
 use std::time::Duration;
 
 use ipc::{
-    ControllerPorts, Domain, Encoding, Features, ImageHeader, ImagePorts, ImagePublisher,
-    ImageSubscriber, LoanError, OpenError, Order, ReceiveError, TwistCommand, TwistState,
+    ControllerPorts, Domain, ImagePorts, ImagePublisher, ImageSubscriber, LoanError, OpenError,
+    ReceiveError,
 };
+use messages::{Encoding, Features, ImageHeader, Order, TwistCommand, TwistState};
 use testkit::{Place, eventually};
 
 use crate::{STEADY_KILLS, prefix, working};
@@ -132,7 +133,7 @@ fn rows_leave_out_what_follows_them() {
 fn wrong_images_are_refused_where_they_are_made_and_where_they_come() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
-    for most in [0, ipc::MOST_IMAGE_BYTES + 1, usize::MAX] {
+    for most in [0, messages::MOST_IMAGE_BYTES + 1, usize::MAX] {
         let error = domain.image_publisher(most).unwrap_err().to_string();
         let words = format!("images of {most} bytes; allowed: 1 to 268435456");
         assert!(error.contains(&words), "{error}");

@@ -9,7 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use ipc::{CameraPorts, ControllerPorts, Domain, Features, Message, TwistCommand, TwistState};
+use ipc::{CameraPorts, ControllerPorts, Domain};
+use messages::{Features, Message, TwistCommand, TwistState};
 use rustix::process::{Pid, Signal, kill_process};
 use testkit::{Place, are_installed, is_long, tell};
 

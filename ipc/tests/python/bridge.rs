@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use ipc::{
-    ControllerPorts, Domain, Observer, RobotFaults, RobotMode, RobotState, TwistCommand, TwistState,
-};
+use ipc::{ControllerPorts, Domain, Observer};
+use messages::{RobotFaults, RobotMode, RobotState, TwistCommand, TwistState};
 use testkit::python::{Environment, run};
 use testkit::{Ended, Place, Running, eventually};
 
@@ -87,7 +86,9 @@ impl Rig {
     }
 
     fn follow(&mut self, twist: [f64; 6], frames: u32) -> Vec<RobotState> {
-        self.drive(twist, frames, |command| command.valid_for_ns(VALID_NS))
+        self.drive(twist, frames, |command| {
+            command.valid_until(ipc::now_ns() + VALID_NS)
+        })
     }
 
     /// What judge.py says of the stand-in's log, for a camera that was to move so.

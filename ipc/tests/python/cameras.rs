@@ -6,7 +6,8 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;
 
-use ipc::{Domain, Encoding};
+use ipc::Domain;
+use messages::Encoding;
 use testkit::python::{Environment, run};
 use testkit::{Place, Running, eventually};
 

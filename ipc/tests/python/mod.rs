@@ -11,10 +11,10 @@ use std::mem::offset_of;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use ipc::{
-    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Encoding, Features, Hold,
-    ImageHeader, Observer, Outcome, Payload, Qos, RecorderPort, Reply, RobotMode, RobotState,
-    Stamp, StrategyCode, Struct, TwistCommand, TwistState,
+use ipc::{CameraPorts, ControllerPorts, Domain, Observer, RecorderPort};
+use messages::{
+    Action, CycleRecord, Encoding, Features, Hold, ImageHeader, Outcome, Payload, Qos, Reply,
+    RobotMode, RobotState, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
 };
 
 use testkit::python::{Environment, run};
@@ -54,7 +54,7 @@ fn layout(lines: &mut String, message: &Struct) {
 fn layouts_agree(python: &Path) {
     let theirs = run(script(python, "tests/python/peer.py").arg("layout")).unwrap();
     let mut ours = String::new();
-    for service in ipc::SERVICES {
+    for service in messages::SERVICES {
         let Qos {
             history,
             buffer,
@@ -73,7 +73,7 @@ fn layouts_agree(python: &Path) {
         );
     }
     layout(&mut ours, &Struct::of::<Stamp>());
-    for service in ipc::SERVICES {
+    for service in messages::SERVICES {
         layout(&mut ours, &service.message);
     }
     for (theirs, ours) in theirs.lines().zip(ours.lines()) {
@@ -107,7 +107,7 @@ fn safety_agrees(python: &Path) {
     let expected: Vec<_> = cases
         .iter()
         .map(|&(valid_until_ns, now_ns)| {
-            let mut command = ipc::TwistCommand::zero(ipc::TwistState::Moving);
+            let mut command = messages::TwistCommand::zero(messages::TwistState::Moving);
             command.stamp.published_ns = SENT;
             (command.valid_until_ns, command.twist) = (valid_until_ns, [0.5; 6]);
             words.push(format!("{SENT},{valid_until_ns},{now_ns}"));

@@ -7,7 +7,8 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-use ipc::{Domain, Observer, RobotFaults, RobotMode, RobotState, now_ns};
+use ipc::{Domain, Observer, now_ns};
+use messages::{RobotFaults, RobotMode, RobotState};
 use rustix::process::Signal;
 
 use crate::fixture::{
@@ -318,7 +319,8 @@ fn a_robot_that_is_gone_ends_the_bridge_and_disarms_the_controller() {
     cell.robot.signal(Signal::KILL);
     let said = cell.bridge.ended();
     assert_eq!(said.code, Some(69), "{said:?}");
-    let disarmed = |twist: &ipc::TwistCommand| twist.state() == Some(ipc::TwistState::Disarmed);
+    let disarmed =
+        |twist: &messages::TwistCommand| twist.state() == Some(messages::TwistState::Disarmed);
     eventually("a controller that disarms", || {
         let twist = cell.observer.twist.oldest().unwrap()?;
         disarmed(&twist).then_some(())

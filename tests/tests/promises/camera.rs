@@ -4,7 +4,8 @@
 use std::path::Path;
 
 use hw_sim::{FreeCamera, Referee};
-use ipc::{CameraPorts, Domain, Features, RobotPorts, RobotState, Sent, TwistCommand, now_ns};
+use ipc::{CameraPorts, Domain, RobotPorts, Sent, now_ns};
+use messages::{Features, RobotState, TwistCommand};
 use scene::{Pose, Scene};
 
 /// Frames after which it begins elsewhere, wherever it is.

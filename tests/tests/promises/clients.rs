@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::Arc;
 
-use ipc::ClockMode;
 use memory_blob::MemoryFile;
+use messages::ClockMode;
 use scene::{Scene, read_starts};
 use serde_json::Value;
 use system_tests::run::run;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::ensure;
-use ipc::Hold;
+use messages::Hold;
 use rustix::process::Signal;
 
 use crate::fixture::{Place, Stage, not_run, turn};

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use ipc::{Action, Hold, Outcome, TwistState};
+use messages::{Action, Hold, Outcome, TwistState};
 use rustix::process::Signal;
 
 use crate::fixture::{

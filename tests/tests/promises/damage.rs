@@ -10,7 +10,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Context;
-use ipc::{Action, Domain, OperatorPorts, Request, TwistState};
+use ipc::{Domain, OperatorPorts};
+use messages::{Action, Request, TwistState};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

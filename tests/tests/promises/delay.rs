@@ -2,7 +2,7 @@
 //! frames later.
 
 use hw_sim::sensor::Flaws;
-use ipc::ClockMode;
+use messages::ClockMode;
 use scene::Scene;
 use system_tests::run::{Reason, Run, flawed, time};
 use system_tests::simulated::Simulated;

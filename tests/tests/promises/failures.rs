@@ -8,10 +8,9 @@ use std::time::Duration;
 
 use controller::clock::sleep_until;
 use hw_sim::FreeCamera;
-use ipc::{
-    CameraPorts, CycleRecord, Domain, Features, Hold, RecallCode, SolverStatus, TwistState, now_ns,
-};
+use ipc::{CameraPorts, Domain, now_ns};
 use memory_blob::MemoryFile;
+use messages::{CycleRecord, Features, Hold, RecallCode, SolverStatus, TwistState};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Pid;

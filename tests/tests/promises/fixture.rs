@@ -6,10 +6,8 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{
-    Action, CycleRecord, Domain, Hold, Observer, OperatorPorts, Outcome, Request, TwistCommand,
-    TwistState,
-};
+use ipc::{Domain, Observer, OperatorPorts};
+use messages::{Action, CycleRecord, Hold, Outcome, Request, TwistCommand, TwistState};
 use rand::{Rng, RngExt};
 pub use testkit::{
     Ended, PATIENCE, Running, are_installed, ended, eventually, memory_file, not_run, program,

@@ -2,7 +2,7 @@
 //! laboratory lets it does not: the daemon's decision step in simulated time, with random errors.
 
 use hw_sim::FreeCamera;
-use ipc::{ClockMode, Features, Hold, TwistState};
+use messages::{ClockMode, Features, Hold, TwistState};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use hw_sim::FreeCamera;
-use ipc::ClockMode;
 use memory_blob::MemoryFile;
+use messages::ClockMode;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};

@@ -5,7 +5,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use ipc::{Action, Hold, Outcome, now_ns};
+use ipc::now_ns;
+use messages::{Action, Hold, Outcome};
 use rustix::process::Signal;
 use testkit::is_root;
 

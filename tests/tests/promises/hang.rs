@@ -5,7 +5,8 @@
 use std::time::Duration;
 
 use anyhow::ensure;
-use ipc::{Hold, TwistState, now_ns};
+use ipc::now_ns;
+use messages::{Hold, TwistState};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;

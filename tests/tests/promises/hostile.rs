@@ -7,10 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::ensure;
-use ipc::{
-    CameraPorts, Domain, Features, Observer, OperatorPorts, Request, RobotPorts, RobotState, Stamp,
-    now_ns,
-};
+use ipc::{CameraPorts, Domain, Observer, OperatorPorts, RobotPorts, now_ns};
+use messages::{Features, Request, RobotState, Stamp};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -100,7 +98,7 @@ fn nasty_state(sequence: u64, random: &mut impl Rng) -> RobotState {
 }
 
 fn nasty_request(id: u64, random: &mut impl Rng) -> Request {
-    let mut request = Request::new(id, ipc::Action::Status);
+    let mut request = Request::new(id, messages::Action::Status);
     request.stamp = nasty_stamp(id + 1, random);
     request.action = match nasty_count(random) {
         // Neither stop nor disarm: the law is to be reached.
@@ -203,7 +201,7 @@ fn flood(place: &Path, end: &AtomicBool) {
     let mut id = 0;
     while !end.load(Ordering::Relaxed) {
         id += 1;
-        let request = Request::new(id, ipc::Action::Status);
+        let request = Request::new(id, messages::Action::Status);
         operator.requests.publish(&request).unwrap();
         // A processor of its own it does not get.
         if id % 64 == 0 {

@@ -20,11 +20,9 @@ use decision::decision::Decision;
 use decision::input::{Input, Inputs};
 use decision::loaded::LoadedController;
 use decision::supervisor::Rules;
-use ipc::{
-    Action, CycleRecord, Domain, Features, Request, RobotState, STOP_FILE, Stamp, StopFile,
-    TwistState,
-};
+use ipc::{Domain, STOP_FILE, StopFile};
 use memory_blob::MemoryFile;
+use messages::{Action, CycleRecord, Features, Request, RobotState, Stamp, TwistState};
 use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};

@@ -6,7 +6,8 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use anyhow::ensure;
-use ipc::{Action, Outcome, Request, now_ns};
+use ipc::now_ns;
+use messages::{Action, Outcome, Request};
 use rustix::process::Signal;
 use serde_json::Value;
 

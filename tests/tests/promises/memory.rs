@@ -5,8 +5,9 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use ipc::{CameraPorts, Domain, Features};
+use ipc::{CameraPorts, Domain};
 use memory_blob::MemoryFile;
+use messages::Features;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

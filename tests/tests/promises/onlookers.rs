@@ -162,7 +162,7 @@ fn send_images(domain: &Path, done: &AtomicBool) {
     let domain = ipc::Domain::join(domain).unwrap();
     let mut camera = domain.image_publisher(640 * 480).unwrap();
     while !done.load(Ordering::Relaxed) {
-        let header = ipc::ImageHeader::new(640, 480, ipc::Encoding::Mono8, ipc::now_ns());
+        let header = messages::ImageHeader::new(640, 480, messages::Encoding::Mono8, ipc::now_ns());
         let mut image = camera.loan(&header).unwrap();
         let pixels = image.iter_mut().enumerate();
         pixels.for_each(|(k, pixel)| *pixel = (k.wrapping_mul(0x9e37_79b9) >> 7) as u8);

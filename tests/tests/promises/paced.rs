@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use controller::clock::sleep_until;
 use controller::report::Report;
-use ipc::{CycleRecord, Domain, Observer, now_ns};
+use ipc::{Domain, Observer, now_ns};
+use messages::CycleRecord;
 use scene::Scene;
 
 use crate::camera::Camera;

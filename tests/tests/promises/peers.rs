@@ -5,7 +5,8 @@ use std::os::unix::net::UnixDatagram;
 use std::process::Stdio;
 use std::time::Duration;
 
-use ipc::{Action, Domain, Hold, Outcome, TwistState, now_ns};
+use ipc::{Domain, now_ns};
+use messages::{Action, Hold, Outcome, TwistState};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;

@@ -9,7 +9,8 @@
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use ipc::{Domain, Observer, PhaseCode};
+use ipc::{Domain, Observer};
+use messages::PhaseCode;
 use rustix::process::Signal;
 
 use crate::fixture::{PERIOD_NS, Place, Running, WAKE_NS, eventually, program, root, tell, turn};

@@ -5,8 +5,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use ipc::{CycleRecord, RecallCode};
-use ipc::{Values, Wire};
+use messages::{CycleRecord, RecallCode};
+use messages::{Values, Wire};
 use recording::{Recording, RecordingFile, Sink};
 use rustix::process::Signal;
 use serde_json::Value;

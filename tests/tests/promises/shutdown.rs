@@ -4,7 +4,8 @@
 use std::time::Duration;
 
 use anyhow::ensure;
-use ipc::{TwistCommand, TwistState, now_ns};
+use ipc::now_ns;
+use messages::{TwistCommand, TwistState};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;

@@ -9,7 +9,8 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use hw_sim::FreeCamera;
-use ipc::{Action, CameraPorts, Domain, Features, Outcome, TwistCommand, TwistState, now_ns};
+use ipc::{CameraPorts, Domain, now_ns};
+use messages::{Action, Features, Outcome, TwistCommand, TwistState};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
@@ -155,7 +156,7 @@ fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     let mut eye = FreeCamera::new(&scene, &START);
     let (mut command, mut since_ns) = (TwistCommand::default(), now_ns());
-    let mut image = [0.0; 2 * ipc::MAX_POINTS];
+    let mut image = [0.0; 2 * messages::MAX_POINTS];
     let (mut last_good_ns, mut exposure_ns, mut sequence) = (0, 0, 0);
     let (mut paused, mut is_other, mut older_ns) = (false, false, 0);
     while !end.load(Ordering::Relaxed) {

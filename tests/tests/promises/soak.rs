@@ -16,7 +16,8 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use ipc::{Action, Domain, OperatorPorts, Request, TwistState, now_ns};
+use ipc::{Domain, OperatorPorts, now_ns};
+use messages::{Action, Request, TwistState};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
@@ -191,7 +192,7 @@ impl Cast {
     fn tend(&mut self, tally: &mut Tally) {
         let commands = self.witness.commands();
         commands.iter().for_each(assert_within_limits);
-        let moving = |twist: &&ipc::TwistCommand| twist.state() == Some(TwistState::Moving);
+        let moving = |twist: &&messages::TwistCommand| twist.state() == Some(TwistState::Moving);
         tally.moving += commands.iter().filter(moving).count() as u64;
         for record in self.witness.records() {
             tally.cycles += 1;

@@ -4,7 +4,8 @@
 use std::process::Stdio;
 use std::time::Duration;
 
-use ipc::{Domain, TwistState};
+use ipc::Domain;
+use messages::TwistState;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;

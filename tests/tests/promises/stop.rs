@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
-use ipc::{Action, Domain, Message, OpenError, OperatorPorts, Request, STOP_FILE, now_ns};
+use ipc::{Domain, OpenError, OperatorPorts, STOP_FILE, now_ns};
+use messages::{Action, Message, Request};
 
 use crate::fixture::{
     CAMERA_PRIORITY, EndOnDrop, PERIOD_NS, Place, Running, Witness, eventually, is_still, program,

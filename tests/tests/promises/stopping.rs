@@ -4,7 +4,8 @@
 
 use std::time::Duration;
 
-use ipc::{Action, OperatorPorts, Request, RobotState, now_ns};
+use ipc::{OperatorPorts, now_ns};
+use messages::{Action, Request, RobotState};
 use rustix::process::Signal;
 
 use crate::bridge::{Cell, FR3, Model, PANDA, is_possible};

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use anyhow::Context;
-use ipc::{Struct, Table};
+use messages::{Struct, Table};
 
 use crate::doc::{self, constant, snake, structs, tables, wrapped};
 
@@ -85,7 +85,7 @@ fn enumeration(text: &mut String, table: &Table) {
 
 /// Messages and codes.
 fn messages() -> String {
-    let mut text = format!("\n#define VPC_MAX_POINTS {}\n", ipc::MAX_POINTS);
+    let mut text = format!("\n#define VPC_MAX_POINTS {}\n", messages::MAX_POINTS);
     text += "\n// Handles: membership of a domain, and the ports of a role.\n";
     for handle in HANDLES.map(name) {
         let _ = writeln!(text, "typedef struct {handle} {handle};");

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Context;
-use ipc::{Payload, SERVICES};
+use messages::{Payload, SERVICES};
 
 use crate::doc::{self, structs, tables};
 

@@ -1,6 +1,6 @@
 //! Documentation of messages as text.
 
-use ipc::{Field, Kind, Meaning, Qos, SERVICES, Stamp, Struct, Table};
+use messages::{Field, Kind, Meaning, Qos, SERVICES, Stamp, Struct, Table};
 
 /// All structs on the wire, parts first.
 pub fn structs() -> impl Iterator<Item = Struct> {

@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use ipc::{Field, Meaning, Payload, SERVICES, Struct, Table};
+use messages::{Field, Meaning, Payload, SERVICES, Struct, Table};
 
 use crate::doc::{self, constant, structs, tables, wrapped};
 
@@ -140,7 +140,7 @@ fn check(field: &Field) -> Option<String> {
 
 /// The module `messages`.
 pub fn messages() -> String {
-    let mut text = format!("{HEAD}\nMAX_POINTS = {}\n", ipc::MAX_POINTS);
+    let mut text = format!("{HEAD}\nMAX_POINTS = {}\n", messages::MAX_POINTS);
     for is_bits in [false, true] {
         for table in tables(is_bits) {
             enumeration(&mut text, table, is_bits);

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use ipc::{
-    Action, CameraPorts, ControllerPorts, CycleRecord, Domain, Features, Hold, OperatorPorts,
-    Outcome, RecorderPort, Reply, Request, RobotMode, RobotPorts, RobotState, Stamp, StrategyCode,
-    TwistCommand, TwistState,
+use ipc::{CameraPorts, ControllerPorts, Domain, OperatorPorts, RecorderPort, RobotPorts};
+use messages::{
+    Action, CycleRecord, Features, Hold, Outcome, Reply, Request, RobotMode, RobotState, Stamp,
+    StrategyCode, TwistCommand, TwistState,
 };
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

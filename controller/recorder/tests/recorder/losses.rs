@@ -3,7 +3,7 @@
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use ipc::{Features, Stamp};
+use messages::{Features, Stamp};
 use recorder::{Account, Notice, Options, record};
 use recording::Recording;
 

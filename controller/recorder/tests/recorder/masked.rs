@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ipc::{CycleRecord, Order};
+use messages::{CycleRecord, Order};
 use recorder::Recorder;
 use recording::Recording;
 use scene::SceneFiles;

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Duration;
 
-use ipc::{Reply, Stamp};
+use messages::{Reply, Stamp};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use recorder::Account;

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use ipc::{CycleRecord, Hold, RealTime};
+use messages::{CycleRecord, Hold, RealTime};
 
 use super::Finding;
 use crate::exit::Exit;
@@ -239,7 +239,7 @@ mod tests {
     use super::super::Verdict;
     use super::*;
     use crate::view::tests::record;
-    use ipc::{Hold, Order, Received, RobotFaults, RobotState, TwistState};
+    use messages::{Hold, Order, Received, RobotFaults, RobotState, TwistState};
 
     #[test]
     fn the_state_is_found_behind_a_nasty_name() {

@@ -1,6 +1,6 @@
 //! The events that a page receives.
 
-use ipc::{CycleRecord, Hold};
+use messages::{CycleRecord, Hold};
 use serde_json::{Value, json};
 
 use crate::image_plane::ImagePlane;
@@ -131,7 +131,7 @@ fn scene(plane: &ImagePlane, view: &View) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use ipc::{Order, Received, TwistState};
+    use messages::{Order, Received, TwistState};
 
     use super::*;
     use crate::image_plane::tests::{painted, paper};

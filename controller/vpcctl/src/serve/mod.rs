@@ -18,7 +18,7 @@ use axum::response::sse::{Event, Sse};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{get, post};
 use futures_util::stream::{self, Stream, StreamExt};
-use ipc::Action;
+use messages::Action;
 use tokio::sync::Semaphore;
 use tokio::time::Interval;
 

@@ -7,7 +7,8 @@ use axum::body::Bytes;
 use axum::http::header::{CONTENT_TYPE, ETAG, IF_NONE_MATCH};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
-use ipc::{Image, ImageHeader};
+use ipc::Image;
+use messages::ImageHeader;
 
 use crate::server::field;
 
@@ -112,7 +113,7 @@ fn picture(image: &Image, tag: HeaderValue) -> Option<Picture> {
 
 #[cfg(test)]
 mod tests {
-    use ipc::Encoding;
+    use messages::Encoding;
 
     use super::*;
 

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc::{Action, Domain, OpenError, OperatorPorts, Reply};
+use ipc::{Domain, OpenError, OperatorPorts};
+use messages::{Action, Reply};
 
 use super::Status;
 use crate::exit::Failure;

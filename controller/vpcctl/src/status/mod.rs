@@ -7,8 +7,9 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use ipc::{ClockMode, CycleRecord, ForesightCode, Hold, PhaseCode, RealTime, ReceiveError, Reply};
-use ipc::{SolverStatus, TwistState};
+use ipc::ReceiveError;
+use messages::{ClockMode, CycleRecord, ForesightCode, Hold, PhaseCode, RealTime, Reply};
+use messages::{SolverStatus, TwistState};
 use serde_json::{Value, json};
 
 pub use look::{Asking, look, watch_until};
@@ -364,14 +365,16 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
 
 /// What is missing of the real time that was asked for; `None` if none was.
 pub fn lacks(realtime: RealTime) -> Option<Vec<&'static str>> {
-    realtime.has(RealTime::ASKED).then(|| realtime.lacks())
+    realtime
+        .has(RealTime::ASKED)
+        .then(|| realtime.lacks().collect())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::view::tests::record;
-    use ipc::{Order, Received};
+    use messages::{Order, Received};
 
     fn status(state: TwistState, hold: Hold, silence_ns: u64) -> Status {
         let mut status = Status::default();

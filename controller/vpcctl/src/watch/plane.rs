@@ -1,6 +1,6 @@
 //! The image plane in Braille: occlusions, trails, way point, goal, features.
 
-use ipc::CycleRecord;
+use messages::CycleRecord;
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};

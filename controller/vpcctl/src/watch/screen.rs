@@ -1,6 +1,6 @@
 //! The screen: draws a view at an instant; pure.
 
-use ipc::{Hold, StrategyCode};
+use messages::{Hold, StrategyCode};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -252,7 +252,7 @@ fn past_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
 
 #[cfg(test)]
 mod tests {
-    use ipc::{CycleRecord, Order, Received, RobotFaults, RobotState, TwistState};
+    use messages::{CycleRecord, Order, Received, RobotFaults, RobotState, TwistState};
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 

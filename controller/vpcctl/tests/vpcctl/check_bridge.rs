@@ -4,7 +4,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{Domain, Publisher, RobotState, Subscriber, TwistCommand, now_ns};
+use ipc::{Domain, Publisher, Subscriber, now_ns};
+use messages::{RobotState, TwistCommand};
 
 use crate::{stderr, stdout, vpcctl};
 
@@ -36,7 +37,7 @@ fn bridge(directory: &Path, sin: Sin, end: &AtomicBool) {
     let domain = Domain::join(directory).unwrap();
     let mut twists: Subscriber<TwistCommand> = domain.subscriber(4).unwrap();
     let mut states: Publisher<RobotState> = domain.publisher().unwrap();
-    let mut newest = TwistCommand::zero(ipc::TwistState::Stopped);
+    let mut newest = TwistCommand::zero(messages::TwistState::Stopped);
     while !end.load(Ordering::Relaxed) {
         if let Some(command) = twists.latest().unwrap() {
             newest = command.message;

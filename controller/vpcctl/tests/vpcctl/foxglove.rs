@@ -8,7 +8,8 @@ use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use ipc::{CycleRecord, Domain, Features, Hold, ImageHeader, Message, Stamp, TwistState};
+use ipc::Domain;
+use messages::{CycleRecord, Features, Hold, ImageHeader, Message, Stamp, TwistState};
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
 use serde_json::Value;
 use testkit::{Place, Running, node, program, root};
@@ -267,7 +268,7 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
     );
 
     // The daemon was killed: another comes, and a camera.
-    let header = ImageHeader::new(32, 20, ipc::Encoding::Rgb8, 1);
+    let header = ImageHeader::new(32, 20, messages::Encoding::Rgb8, 1);
     let _camera = Camera::start(&stage.place.domain(), header, |u, v| [u as u8, v as u8, 7]);
     let begun_ns = ipc::now_ns();
     let _daemon = stage.daemon();
@@ -595,7 +596,7 @@ fn foreign_pages_may_not_connect_to_foxglove() {
 fn a_client_that_does_not_read_holds_one_image_and_not_64() {
     let place = Place::new();
     // 6 MB, as of a camera with 2 megapixels.
-    let header = ImageHeader::new(1920, 1080, ipc::Encoding::Rgb8, 1);
+    let header = ImageHeader::new(1920, 1080, messages::Encoding::Rgb8, 1);
     let (server, url) = serving(&place, &[]);
     let (_, mut deaf) = socket(&url, None);
     let _camera = Camera::start(&place.domain(), header, |u, v| [u as u8, v as u8, 7]);

@@ -5,7 +5,8 @@ use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use ipc::{Domain, Encoding, ImageHeader, RobotMode, RobotPorts, RobotState};
+use ipc::{Domain, RobotPorts};
+use messages::{Encoding, ImageHeader, RobotMode, RobotState};
 use serde_json::Value;
 use testkit::python::run;
 use testkit::{Running, are_installed, eventually};

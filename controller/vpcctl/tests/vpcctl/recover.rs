@@ -4,7 +4,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{Action, Domain, Request, RobotMode, RobotPorts, RobotState, Subscriber, now_ns};
+use ipc::{Domain, RobotPorts, Subscriber, now_ns};
+use messages::{Action, Request, RobotMode, RobotState};
 
 use crate::{stderr, stdout, vpcctl};
 

@@ -1,6 +1,7 @@
 //! `arm`, `disarm`, `stop`, `strategy`, `flight`.
 
-use ipc::{CycleRecord, Domain, Observer};
+use ipc::{Domain, Observer};
+use messages::CycleRecord;
 
 use crate::stand_in::{Manner, StandIn};
 use crate::{stderr, stdout, vpcctl};

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{Encoding, ImageHeader};
+use messages::{Encoding, ImageHeader};
 
 use crate::browser::Browser;
 use crate::metrics::Server;

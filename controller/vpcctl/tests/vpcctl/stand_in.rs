@@ -8,8 +8,10 @@ use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use ipc::{Action, ControllerPorts, CycleRecord, Domain, Hold, Outcome, RecorderPort, Reply};
-use ipc::{ImageHeader, Request, SolverStatus, Stamp, StopFile, StrategyCode, TwistState};
+use ipc::StopFile;
+use ipc::{ControllerPorts, Domain, RecorderPort};
+use messages::{Action, CycleRecord, Hold, Outcome, Reply};
+use messages::{ImageHeader, Request, SolverStatus, Stamp, StrategyCode, TwistState};
 
 /// Period of its loop.
 const PERIOD: Duration = Duration::from_millis(10);

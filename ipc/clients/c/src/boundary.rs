@@ -6,9 +6,8 @@ use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::thread::ThreadId;
 
-use ipc::{
-    AskError, Invalid, JoinError, LoanError, OpenError, PublishError, ReceiveError, StopError,
-};
+use ipc::{AskError, JoinError, LoanError, OpenError, PublishError, ReceiveError, StopError};
+use messages::Invalid;
 
 use crate::status::Status;
 

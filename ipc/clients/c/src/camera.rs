@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use ipc::{CameraPorts, Features, Message, Stamp, TwistCommand};
+use ipc::CameraPorts;
+use messages::{Features, Message, Stamp, TwistCommand};
 
 use crate::boundary::{self, Fault, Handle};
 use crate::domain::Domain;
@@ -60,8 +61,8 @@ pub unsafe extern "C" fn vpc_features_of(
         if points.is_null() {
             return Err(Fault::null("points"));
         }
-        if !(1..=ipc::MAX_POINTS as u32).contains(&count) {
-            let words = format!("count = {count}; allowed: 1 to {}", ipc::MAX_POINTS);
+        if !(1..=messages::MAX_POINTS as u32).contains(&count) {
+            let words = format!("count = {count}; allowed: 1 to {}", messages::MAX_POINTS);
             return Err(Fault::new(Status::Argument, words));
         }
         // SAFETY: the header asks for 2 `count` numbers, and `count` was looked at.

@@ -1,6 +1,7 @@
 //! Images: pointers into shared memory, at both ends.
 
-use ipc::{Image, ImageHeader, LoanedImage, Order};
+use ipc::{Image, LoanedImage};
+use messages::{ImageHeader, Order};
 
 use crate::boundary::{self, Fault, Handle};
 use crate::camera::Sent;

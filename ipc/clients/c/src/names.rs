@@ -2,7 +2,7 @@
 
 use std::ffi::c_char;
 
-use ipc::{Encoding, Hold, Outcome, SolverStatus, StrategyCode, Table, TwistState};
+use messages::{Encoding, Hold, Outcome, SolverStatus, StrategyCode, Table, TwistState};
 
 fn name(table: &Table, code: u32) -> *const c_char {
     table

@@ -1,6 +1,7 @@
 //! An observer: receives everything.
 
-use ipc::{CycleRecord, Features, Message, Order, RobotState, Subscriber, TwistCommand};
+use ipc::Subscriber;
+use messages::{CycleRecord, Features, Message, Order, RobotState, TwistCommand};
 
 use crate::boundary::{self, Fault, Handle};
 use crate::domain::Domain;

@@ -4,7 +4,8 @@ use std::ffi::c_char;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::time::Duration;
 
-use ipc::{Action, OperatorPorts, Outcome, Reply, Request};
+use ipc::OperatorPorts;
+use messages::{Action, Outcome, Reply, Request};
 
 use crate::boundary::{self, Fault, Handle};
 use crate::domain::{self, Domain};

@@ -1,6 +1,7 @@
 //! The robot that carries the camera.
 
-use ipc::{Message, RobotPorts, RobotState, TwistCommand};
+use ipc::RobotPorts;
+use messages::{Message, RobotState, TwistCommand};
 
 use crate::boundary::{self, Fault, Handle};
 use crate::domain::Domain;

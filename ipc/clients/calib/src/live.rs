@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::CommandFactory;
-use ipc::{Domain, ReceiveError, RobotState};
+use ipc::{Domain, ReceiveError};
+use messages::RobotState;
 use toml_schema::FileError;
 use vpc_camera::config::{self, Config};
 use vpc_camera::grey::Grey;

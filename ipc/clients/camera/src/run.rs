@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
-use ipc::{Domain, Features, Publisher};
+use ipc::{Domain, Publisher};
+use messages::Features;
 use program::StartUp;
 
 use crate::config::{Clock, Config, SourceKind};

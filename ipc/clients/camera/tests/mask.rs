@@ -7,7 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use clap::Parser;
-use ipc::{Domain, Encoding, ImageHeader};
+use ipc::Domain;
+use messages::{Encoding, ImageHeader};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Occlusion, Pose, Scene};

@@ -4,10 +4,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
-use ipc::{
-    Action, Domain, MOST_OBEYED_NS, ReceiveError, Request, RobotPorts, Subscriber, TwistCommand,
-    now_ns,
-};
+use ipc::{Domain, ReceiveError, RobotPorts, Subscriber, now_ns};
+use messages::{Action, MOST_OBEYED_NS, Request, TwistCommand};
 use panda::Model;
 use rtrb::Producer;
 use rustix::mm::{MlockAllFlags, mlockall};

@@ -7,7 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use franka::{RobotMode as Mode, RobotState as Told};
-use ipc::{Domain, Features, MOST_OBEYED_NS, RobotPorts, Subscriber, TwistCommand, now_ns};
+use ipc::{Domain, RobotPorts, Subscriber, now_ns};
+use messages::{Features, MOST_OBEYED_NS, TwistCommand};
 use panda::Pose;
 
 use crate::config::Config;

@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
-use ipc::{Domain, RobotPorts, TwistCommand, now_ns};
+use ipc::{Domain, RobotPorts, now_ns};
+use messages::TwistCommand;
 use panda::Pose;
 use program::kernel::{self, Kernel};
 

@@ -8,7 +8,8 @@ use franka::{
     JointVelocities, MoveControllerMode, RealtimeConfig, RobotMode as Mode, RobotOptions,
     RobotState as Told, VersionPolicy,
 };
-use ipc::{RobotFaults, RobotMode, RobotState, now_ns};
+use ipc::now_ns;
+use messages::{RobotFaults, RobotMode, RobotState};
 use nalgebra::{Matrix4, Rotation3, Translation3};
 use panda::limits::Setpoint;
 use panda::{Chain, Echo, Errors, Flag, JOINTS, Joints, Model, Mount, Pose, Twist};

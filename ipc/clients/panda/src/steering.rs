@@ -4,7 +4,7 @@
 //! What is beyond a limit slows the camera down along its way, by one share for all axes: it never
 //! turns it elsewhere.
 
-use ipc::TwistCommand;
+use messages::TwistCommand;
 use nalgebra::Vector3;
 use panda::ik::{VelocityIk, joint_velocities};
 use panda::limits::{BRAKING, Exceeded, PERIOD, Setpoint};

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ipc::{RobotFaults, RobotMode, RobotState};
+use messages::{RobotFaults, RobotMode, RobotState};
 use nalgebra::{Isometry3, UnitQuaternion};
 
 use crate::config::{CommandFrame, Config, RobotKeys};

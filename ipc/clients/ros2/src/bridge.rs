@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
-use ipc::{Domain, Features, Publisher, ReceiveError, RobotPorts, now_ns};
+use ipc::{Domain, Publisher, ReceiveError, RobotPorts, now_ns};
+use messages::Features;
 use ros2_client::Publisher as Topic;
 
 use crate::arm::Arm;
@@ -71,7 +72,7 @@ pub enum Event {
     /// Something could not be sent, and why.
     NotSent(&'static str, String),
     /// A command of vpcd was refused.
-    Command(ipc::Invalid),
+    Command(messages::Invalid),
     /// A service was asked for something.
     Service(String),
 }
@@ -359,7 +360,7 @@ impl Robot {
         tell: &SyncSender<Event>,
     ) -> Result<(), BridgeError> {
         let (arm, outlet) = (&mut self.arm, &self.outlet);
-        let mut publish = |state: Option<ipc::RobotState>| {
+        let mut publish = |state: Option<messages::RobotState>| {
             if let (Some(ports), Some(state)) = (&mut ports, state) {
                 ports.robot.publish(&state)?;
             }

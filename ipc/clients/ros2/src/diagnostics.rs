@@ -1,6 +1,6 @@
 //! diagnostic_msgs/DiagnosticArray on /diagnostics, once a second: vpcd, and the gateway.
 
-use ipc::{CycleRecord, Hold, RealTime, TwistState};
+use messages::{CycleRecord, Hold, RealTime, TwistState};
 
 use crate::bridge::Report;
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time};
@@ -48,7 +48,7 @@ fn vpcd(cycle: Option<(&CycleRecord, u64)>, now_ns: u64) -> DiagnosticStatus {
     };
     let state = TwistState::from_code(cycle.state);
     let hold = cycle.hold().filter(|hold| *hold != Hold::None);
-    let lacks = RealTime(cycle.realtime).lacks();
+    let lacks: Vec<_> = RealTime(cycle.realtime).lacks().collect();
     let level = match (state, hold) {
         (Some(TwistState::Disarmed), Some(Hold::NotArmed | Hold::Operator)) => OK,
         (Some(TwistState::Disarmed), _) => ERROR,

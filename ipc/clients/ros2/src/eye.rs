@@ -1,6 +1,6 @@
 //! From tags, or points in order, to features. Pure.
 
-use ipc::Features;
+use messages::Features;
 use scene::Scene;
 
 use crate::camera_info;

@@ -8,7 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
-use ipc::{CycleRecord, Domain, Subscriber, now_ns};
+use ipc::{Domain, Subscriber, now_ns};
+use messages::CycleRecord;
 use program::{ATTENTION, CONFIG, SOFTWARE, UNAVAILABLE};
 use ros2_client::Publisher;
 use rustix::process::{Resource, getrlimit, setrlimit};

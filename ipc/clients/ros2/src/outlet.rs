@@ -1,6 +1,6 @@
 //! The dead man: which twist goes to the robot, and when. Pure.
 
-use ipc::{TwistCommand, TwistState};
+use messages::{TwistCommand, TwistState};
 
 use crate::arm::Command;
 
@@ -131,8 +131,7 @@ impl Outlet {
 
     /// A command came that is refused: it is as none, and what was in force is so no longer.
     pub fn refuse(&mut self) {
-        let ended = TwistCommand::zero(TwistState::Stopped);
-        self.command = ended.valid_for_ns(0);
+        self.command = TwistCommand::default();
     }
 
     /// Looks at the clock: the twist that is due, which nobody commands.

@@ -1,7 +1,7 @@
 //! Drawings over the camera's image: seen points, goal, foreseen path. visualization_msgs/
 //! ImageMarker, one topic each, which Foxglove draws.
 
-use ipc::CycleRecord;
+use messages::CycleRecord;
 use ros2_client::Publisher;
 use scene::Scene;
 

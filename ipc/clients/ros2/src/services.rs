@@ -7,7 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
-use ipc::{Action, Asked, Domain, OperatorPorts, Outcome, Reply, Request};
+use ipc::{Asked, Domain, OperatorPorts};
+use messages::{Action, Outcome, Reply, Request};
 use ros2_client::RmwRequestId;
 
 use crate::bridge::Event;

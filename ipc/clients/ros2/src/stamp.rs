@@ -145,7 +145,7 @@ impl Clocks {
         if now_ns < self.doubt_until_ns {
             return Err(StampError::Step((self.doubt_until_ns - now_ns) / 1_000_000));
         }
-        if age < -(ipc::FUTURE_NS as i64) {
+        if age < -(messages::FUTURE_NS as i64) {
             return Err(StampError::Future(-ms(age)));
         }
         if age > self.max_age_ns as i64 {

@@ -3,7 +3,8 @@
 use std::ffi::CStr;
 use std::ptr::{null, null_mut};
 
-use ipc::{ControllerPorts, Encoding, Features, ImageHeader, RobotState, TwistCommand, TwistState};
+use ipc::ControllerPorts;
+use messages::{Encoding, Features, ImageHeader, RobotState, TwistCommand, TwistState};
 use vpcclient::boundary::{Fault, enter, vpc_message};
 use vpcclient::camera::{vpc_camera_close, vpc_camera_open, vpc_camera_publish};
 use vpcclient::domain::{vpc_domain_join, vpc_domain_leave};

@@ -6,10 +6,10 @@ use std::mem::offset_of;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use ipc::{
-    Action, ControllerPorts, CycleRecord, Domain, Encoding, Hold, ImageHeader, Outcome, RealTime,
-    RecorderPort, Reply, RobotFaults, SERVICES, Stamp, StrategyCode, Struct, TwistCommand,
-    TwistState,
+use ipc::{ControllerPorts, Domain, RecorderPort};
+use messages::{
+    Action, CycleRecord, Encoding, Hold, ImageHeader, Outcome, RealTime, Reply, RobotFaults,
+    SERVICES, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
 };
 use testkit::{Ended, Place, Running, eventually};
 use vpcclient::camera::Sent;

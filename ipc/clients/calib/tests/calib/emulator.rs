@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use hw_sim::robot::calibration::HandEye;
-use ipc::{Domain, RobotState, TwistCommand, TwistState};
+use ipc::Domain;
+use messages::{RobotState, TwistCommand, TwistState};
 use rustix::process::Signal;
 use testkit::{Place, Running, program, within};
 use vision_calibration_core::{Iso3, Vec3};
@@ -108,7 +109,9 @@ impl Pilot {
                     linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
                 ];
             }
-            twist.publish(&command.valid_for_ns(80_000_000)).unwrap();
+            twist
+                .publish(&command.valid_until(ipc::now_ns() + 80_000_000))
+                .unwrap();
             std::thread::sleep(Duration::from_millis(10));
         }
     }

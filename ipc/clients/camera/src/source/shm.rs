@@ -3,7 +3,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{Domain, Encoding, Image, ImageSubscriber, Order, ReceiveError};
+use ipc::{Domain, Image, ImageSubscriber, ReceiveError};
+use messages::{Encoding, Order};
 
 use super::{Frame, Next, Source, SourceError, luma};
 use crate::grey::Grey;

@@ -7,7 +7,8 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use ipc::{Domain, RobotState, Subscriber};
+use ipc::{Domain, Subscriber};
+use messages::RobotState;
 use rustix::process::Signal;
 use testkit::{Ended, PATIENCE, Running, eventually, tell};
 

@@ -9,7 +9,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use ipc::{Domain, Features, Subscriber};
+use ipc::{Domain, Subscriber};
+use messages::Features;
 use testkit::{Place, Running, eventually, program, root};
 
 /// The emulated robot in a domain of its own, with an address of its own.

@@ -4,10 +4,8 @@
 use std::process::Stdio;
 use std::time::Duration;
 
-use ipc::{
-    Action, Domain, Publisher, Request, RobotMode, RobotState, Subscriber, TwistCommand,
-    TwistState, now_ns,
-};
+use ipc::{Domain, Publisher, Subscriber, now_ns};
+use messages::{Action, Request, RobotMode, RobotState, TwistCommand, TwistState};
 use rustix::process::Signal;
 use testkit::{Running, ended, eventually};
 

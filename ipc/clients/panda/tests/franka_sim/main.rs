@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use emulator::Emulator;
 use franka::{RealtimeConfig, RobotMode as Mode, RobotOptions};
 use hand_eye::Frame;
-use ipc::{ControllerPorts, Domain, RobotFaults, RobotMode, RobotState, TwistCommand, TwistState};
+use ipc::{ControllerPorts, Domain};
+use messages::{RobotFaults, RobotMode, RobotState, TwistCommand, TwistState};
 use panda::{Chain, Joints, Mount, Pose, Twist};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -154,7 +155,8 @@ impl Bench {
                 _ => (Instant::now() > silent_until).then_some(command),
             };
             if let Some(twist) = twist {
-                let mut sent = TwistCommand::zero(TwistState::Moving).valid_for_ns(VALID_NS);
+                let mut sent =
+                    TwistCommand::zero(TwistState::Moving).valid_until(ipc::now_ns() + VALID_NS);
                 sent.twist = twist.into();
                 self.controller.twist.publish(&sent).unwrap();
             }

@@ -103,7 +103,10 @@ fn a_second_camera_of_the_domain_is_refused() {
     first.line("in ROS domain 147");
     let domain = ipc::Domain::join(&place.domain()).unwrap();
     testkit::eventually("the camera's place", || {
-        domain.publisher::<ipc::Features>().is_err().then_some(())
+        domain
+            .publisher::<messages::Features>()
+            .is_err()
+            .then_some(())
     });
     let second = ended(gateway(&place, ""));
     assert_eq!(second.code, Some(69), "{}", second.stderr);
@@ -115,7 +118,7 @@ fn a_second_camera_of_the_domain_is_refused() {
         second.stderr
     );
     // The robot's place is free: it plays the camera only.
-    assert!(domain.publisher::<ipc::RobotState>().is_ok());
+    assert!(domain.publisher::<messages::RobotState>().is_ok());
     assert_eq!(first.terminated().code, Some(0));
 }
 

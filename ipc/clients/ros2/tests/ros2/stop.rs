@@ -4,7 +4,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{Domain, StopFile, TwistCommand, TwistState};
+use ipc::{Domain, StopFile};
+use messages::{TwistCommand, TwistState};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use testkit::eventually;
@@ -22,7 +23,8 @@ fn command(domain: &Path, is_over: &AtomicBool) {
         domain.publisher::<TwistCommand>().ok()
     });
     while !is_over.load(Ordering::Relaxed) {
-        let mut twist = TwistCommand::zero(TwistState::Moving).valid_for_ns(VALID_NS);
+        let mut twist =
+            TwistCommand::zero(TwistState::Moving).valid_until(ipc::now_ns() + VALID_NS);
         twist.twist[0] = 0.01;
         port.publish(&twist).unwrap();
         port.refresh().unwrap();

@@ -1,7 +1,5 @@
 //! Where the robot and its camera are.
 
-use iceoryx2::prelude::ZeroCopySend;
-
 use crate::codes::{bits, codes};
 use crate::field::Stamp;
 use crate::message::{Qos, message};

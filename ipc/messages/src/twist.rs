@@ -1,7 +1,5 @@
 //! What the controller commands.
 
-use iceoryx2::prelude::ZeroCopySend;
-
 use crate::codes::codes;
 use crate::features::Features;
 use crate::field::Stamp;
@@ -59,7 +57,7 @@ message! {
 
 impl TwistCommand {
     /// The answer to `features`, valid for ever: what lockstep wants. See
-    /// [`TwistCommand::valid_for_ns`].
+    /// [`TwistCommand::valid_until`].
     pub fn answer(features: &Features, twist: [f64; 6], state: TwistState) -> Self {
         Self::answer_to(&features.stamp, twist, state)
     }
@@ -83,10 +81,12 @@ impl TwistCommand {
         Self::answer_to(&Stamp::default(), [0.0; 6], state)
     }
 
-    /// The same command, valid from now for this long, ns.
-    pub fn valid_for_ns(mut self, duration: u64) -> Self {
-        self.valid_until_ns = crate::now_ns().saturating_add(duration);
-        self
+    /// The same command, valid until this instant, CLOCK_MONOTONIC, ns.
+    pub fn valid_until(self, valid_until_ns: u64) -> Self {
+        Self {
+            valid_until_ns,
+            ..self
+        }
     }
 
     /// Whether this is the answer to the features message with this sequence number and time of

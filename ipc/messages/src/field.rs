@@ -2,8 +2,6 @@
 //! the `repr(C)` struct, its default, the check that it has no padding, and the table
 //! [`Wire::FIELDS`].
 
-use iceoryx2::prelude::ZeroCopySend;
-
 use crate::codes::Table;
 
 /// One field of a struct on the wire.
@@ -65,8 +63,15 @@ impl Meaning {
     }
 }
 
-/// A struct on the wire: plain `repr(C)` data without padding.
-pub trait Wire: ZeroCopySend + Copy + Default + 'static {
+mod sealed {
+    /// Implemented by `wire!` alone: the transport relies on what the macro checks.
+    pub trait Sealed {}
+}
+pub(crate) use sealed::Sealed;
+
+/// A struct on the wire: plain `repr(C)` data without padding, pointers or references. Only this
+/// crate implements it.
+pub trait Wire: Sealed + Copy + Default + 'static {
     /// Name in Rust.
     const NAME: &'static str;
     /// Name that iceoryx2 compares. It ends in a number that rises with each change of the layout.
@@ -223,8 +228,7 @@ macro_rules! wire {
     }) => {
         $(#[doc = $doc])+
         #[repr(C)]
-        #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend $(, $($derive),+)?)]
-        #[type_name($type_name)]
+        #[derive(Clone, Copy, Debug, PartialEq $(, $($derive),+)?)]
         pub struct $name {
             $(
                 $(#[doc = $field_doc])+
@@ -237,6 +241,8 @@ macro_rules! wire {
             size_of::<$name>() == 0 $(+ size_of::<$type>())+,
             concat!(stringify!($name), " has padding: add or move a field of 4 bytes"),
         );
+
+        impl $crate::field::Sealed for $name {}
 
         impl Default for $name {
             fn default() -> Self {

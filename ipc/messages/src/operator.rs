@@ -1,7 +1,5 @@
 //! Requests of operators, and the controller's replies.
 
-use iceoryx2::prelude::ZeroCopySend;
-
 use crate::codes::codes;
 use crate::cycle::{Hold, StrategyCode};
 use crate::field::Stamp;
@@ -87,7 +85,7 @@ message! {
 }
 
 impl Request {
-    /// The id by which a stop by [`StopFile`](crate::StopFile) is answered and recorded.
+    /// The id by which a stop by the stop file is answered and recorded.
     pub const STOP_FILE: u64 = 0;
     /// Most requests that the controller answers in a cycle: as many as can wait in their queues,
     /// so that no operator keeps another one's waiting.
@@ -196,7 +194,10 @@ mod tests {
     #[test]
     fn the_contract_names_the_requests_of_a_cycle() {
         let words = format!("at most {} requests per cycle", Request::PER_CYCLE);
-        assert!(include_str!("../CONTRACT.md").contains(&words), "{words}");
+        assert!(
+            include_str!("../../CONTRACT.md").contains(&words),
+            "{words}"
+        );
     }
     use crate::message::Message;
 

@@ -1,7 +1,5 @@
 //! The state of the controller, from which a replay can begin.
 
-use iceoryx2::prelude::ZeroCopySend;
-
 use crate::field::Stamp;
 use crate::message::{Qos, message};
 

@@ -1,10 +1,10 @@
 //! What the camera saw.
 
-use iceoryx2::prelude::ZeroCopySend;
-
-use crate::MAX_POINTS;
 use crate::field::Stamp;
 use crate::message::{Qos, message};
+
+/// Most points that one message carries.
+pub const MAX_POINTS: usize = 8;
 
 message! {
     /// Image features of one frame.

@@ -1,10 +1,7 @@
 //! What one cycle of the controller did, and how long it took.
 
-use iceoryx2::prelude::ZeroCopySend;
-
-use crate::MAX_POINTS;
 use crate::codes::{bits, codes};
-use crate::features::pairs;
+use crate::features::{MAX_POINTS, pairs};
 use crate::field::Stamp;
 use crate::message::{Qos, message};
 use crate::twist::TwistState;
@@ -75,9 +72,9 @@ bits! {
 
 impl RealTime {
     /// What was asked for and is missing, in words.
-    pub fn lacks(self) -> Vec<&'static str> {
+    pub fn lacks(self) -> impl Iterator<Item = &'static str> {
         let missing = self.names().filter(|name| name.number != Self::ASKED.0);
-        missing.map(|name| name.text).collect()
+        missing.map(|name| name.text)
     }
 
     /// Whether something that was asked for is missing.
