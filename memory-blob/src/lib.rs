@@ -56,7 +56,7 @@ pub use file::{MemoryFile, OpenError};
 #[cfg(feature = "file")]
 pub use format::hex;
 #[cfg(feature = "file")]
-pub use replace::{create, is_among, replace};
+pub use replace::replace;
 #[cfg(feature = "file")]
 pub use report::Report;
 

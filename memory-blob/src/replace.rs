@@ -4,9 +4,9 @@ use std::ffi::OsString;
 use std::fs::{self, File, Permissions};
 use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use tempfile::{Builder, NamedTempFile, PersistError};
+use tempfile::Builder;
 
 /// Puts `bytes` in the place of the file at `path`, whose directory is made if it is missing. At
 /// every moment, also after a power cut, the path holds the old file or the new one, whole: the new
@@ -17,31 +17,6 @@ use tempfile::{Builder, NamedTempFile, PersistError};
 /// # Errors
 /// The operating system's.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    put(path, bytes, |beside| beside.persist(path))
-}
-
-/// Like [`replace`] where there is no file yet. Of several that create the same path at once the
-/// first one succeeds.
-///
-/// # Errors
-/// [`io::ErrorKind::AlreadyExists`] if there is a file, which stays; the operating system's.
-pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    put(path, bytes, |beside| beside.persist_noclobber(path))
-}
-
-/// Whether there is a file at `path` and it is one of `files`, also if they name it otherwise.
-pub fn is_among(path: &Path, files: &[PathBuf]) -> bool {
-    let mut files = files.iter().filter_map(|file| file.canonicalize().ok());
-    path.canonicalize()
-        .is_ok_and(|path| files.any(|file| file == path))
-}
-
-/// Writes a file beside `path`, and gives it that name by `persist`.
-fn put(
-    path: &Path,
-    bytes: &[u8],
-    persist: impl FnOnce(NamedTempFile) -> Result<File, PersistError>,
-) -> io::Result<()> {
     let directory = path
         .parent()
         .filter(|directory| !directory.as_os_str().is_empty())
@@ -58,7 +33,7 @@ fn put(
         .tempfile_in(directory)?;
     beside.write_all(bytes)?;
     beside.as_file().sync_all()?;
-    persist(beside).map_err(|error| error.error)?;
+    beside.persist(path).map_err(|error| error.error)?;
     File::open(directory)?.sync_all()
 }
 
@@ -92,44 +67,6 @@ mod tests {
         fs::create_dir_all(path.join("inside")).unwrap();
         replace(&path, b"new").unwrap_err();
         assert_eq!(names(directory.path()), ["file"]);
-    }
-
-    #[test]
-    fn of_all_that_create_one_path_the_first_succeeds_and_its_file_stays() {
-        let directory = TempDir::new().unwrap();
-        let path = directory.path().join("file");
-        let created: Vec<_> = std::thread::scope(|scope| {
-            let create = |byte: u8| create(&path, &[byte; 1000]).map_err(|error| error.kind());
-            let all: Vec<_> = (0..8)
-                .map(|byte| scope.spawn(move || create(byte)))
-                .collect();
-            all.into_iter().map(|one| one.join().unwrap()).collect()
-        });
-        let first = created.iter().position(Result::is_ok).unwrap();
-        assert_eq!(fs::read(&path).unwrap(), [first as u8; 1000]);
-        let others = created
-            .iter()
-            .filter(|one| **one == Err(io::ErrorKind::AlreadyExists));
-        assert_eq!(others.count(), 7);
-        assert_eq!(names(directory.path()), ["file"]);
-    }
-
-    #[test]
-    fn a_file_is_itself_by_any_name() {
-        let directory = TempDir::new().unwrap();
-        let [one, two, link] = ["one", "two", "link"].map(|name| directory.path().join(name));
-        assert!(!is_among(&one, std::slice::from_ref(&one)), "there is none");
-        for path in [&one, &two] {
-            fs::write(path, "").unwrap();
-        }
-        std::os::unix::fs::symlink(&one, &link).unwrap();
-        assert!(is_among(
-            &directory.path().join("./one"),
-            &[two.clone(), one.clone()]
-        ));
-        assert!(is_among(&one, std::slice::from_ref(&link)));
-        assert!(is_among(&link, std::slice::from_ref(&one)));
-        assert!(!is_among(&two, &[one, link]));
     }
 
     #[test]

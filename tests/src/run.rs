@@ -13,12 +13,12 @@ use hw_sim::{End, FreeCamera, Referee};
 use messages::{CycleRecord, Hold, SolverStatus, TwistState};
 use nalgebra::Rotation3;
 use scene::{Pose, Scene};
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::Serialize;
 
 use crate::simulated::Simulated;
 
 /// What happened in a run.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Run {
     /// Whether the goal was reached in time without a violation.
     pub success: bool,
@@ -35,20 +35,16 @@ pub struct Run {
     pub change: Option<f64>,
     /// Time from the begin until the daemon calls it arrived: at the goal, and the twist near zero,
     /// s; `None` if that was not so in the scene's time.
-    #[serde(default)]
     pub standstill_s: Option<f64>,
     /// Error of the object's pose in the camera frame at the end of a run that arrived:
     /// translation, mm, and rotation, mrad.
-    #[serde(default)]
     pub pose_error: Option<[f64; 2]>,
     /// Least clearance of a point from a border in a frame, px; negative inside.
-    #[serde(deserialize_with = "or_infinite")]
     pub least_clearance_px: f64,
     /// The same at the instants between frames.
-    #[serde(deserialize_with = "or_infinite")]
     pub least_between_px: f64,
     /// Where markers have a size: least clearance of any marker's edge at all these instants, px.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub least_edge_px: Option<f64>,
     /// Time of each decision until the run was decided, us: filled by [`time`].
     pub cycles_us: Vec<f64>,
@@ -65,13 +61,8 @@ pub struct Run {
     pub history: Vec<Moment>,
 }
 
-/// A clearance: infinite, which JSON writes as null, where there was no frame.
-fn or_infinite<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    Ok(Option::deserialize(from)?.unwrap_or(f64::INFINITY))
-}
-
 /// Why a run failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
     /// A feature went too deep into an occlusion or out of the image.

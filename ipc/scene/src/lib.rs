@@ -29,8 +29,6 @@ mod file;
 #[cfg(feature = "file")]
 mod files;
 #[cfg(feature = "file")]
-mod share;
-#[cfg(feature = "file")]
 mod starts;
 #[cfg(feature = "file")]
 mod text;
@@ -48,8 +46,6 @@ pub use file::schema;
 pub use files::SceneFiles;
 #[cfg(feature = "file")]
 pub use mask::write_mask;
-#[cfg(feature = "file")]
-pub use share::{NotWhole, Share};
 #[cfg(feature = "file")]
 pub use starts::{parse_starts, read_starts, starts_csv};
 #[cfg(feature = "file")]

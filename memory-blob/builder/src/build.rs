@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use scene::{Pose, Scene, Share};
+use scene::{Pose, Scene};
 use serde::{Deserialize, Serialize};
 use vpc::Task;
 
@@ -60,17 +60,14 @@ pub enum BuildError {
     },
 }
 
-/// Collects the trajectories of a part until there are enough, or `stop` is set; calls `report`
-/// after each batch. Going on from the progress of an earlier call gives the same memory as one
-/// uninterrupted call. A part is guided by its own trajectories and failures only, so that it needs
-/// no other.
+/// Collects trajectories until there are enough, or `stop` is set; calls `report` after each batch.
+/// Going on from the progress of an earlier call gives the same memory as one uninterrupted call.
 ///
 /// # Errors
 /// [`BuildError`] where the scene leaves nothing to build.
 pub fn collect(
     scene: &Scene,
     settings: &BuildSettings,
-    part: Share,
     mut progress: Progress,
     stop: &AtomicBool,
     report: &mut dyn FnMut(&Progress),
@@ -81,11 +78,11 @@ pub fn collect(
         .trajectories
         .iter()
         .for_each(|t| store.add(&task, settings, t));
-    let wanted = part.range(settings.trajectories).len();
+    let wanted = settings.trajectories;
     let mut barren = 0;
     while progress.trajectories.len() < wanted && !stop.load(Ordering::Relaxed) {
         let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-        rng.set_stream(stream(part, progress.batches));
+        rng.set_stream(progress.batches + 1);
         let adapting = progress.trajectories.len() as f64 >= settings.adapt_after * wanted as f64;
         let failures = adapting.then_some(progress.failures.as_slice());
         let starts = draw_starts(scene, &task, settings, failures, &mut rng)?;
@@ -132,12 +129,6 @@ pub fn collect(
     Ok(progress)
 }
 
-/// The stream of random numbers of a batch: of one seed, no two parts share a stream, and the whole
-/// has those of part 0.
-fn stream(part: Share, batch: u64) -> u64 {
-    (u64::from(part.index()) << 40) + batch + 1
-}
-
 /// The starts of a batch: uniform without `failures`; with them, a share from a mixture over the
 /// latest.
 fn draw_starts(
@@ -156,21 +147,4 @@ fn draw_starts(
             start::valid(scene, task, mixture.as_ref().filter(|_| adapted), rng)
         })
         .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_two_batches_of_any_parts_share_random_numbers() {
-        let part = |index: u32| format!("{index}/100000").parse::<Share>().unwrap();
-        let pairs = (0..100).flat_map(|index| (0..100).map(move |batch| (index, batch)));
-        let mut streams: Vec<u64> = pairs.map(|(i, batch)| stream(part(i), batch)).collect();
-        streams.sort_unstable();
-        streams.dedup();
-        assert_eq!(streams.len(), 100 * 100);
-        assert!(stream(part(99_999), 1 << 30) > stream(part(99_998), 1 << 30));
-        assert_eq!(stream(Share::default(), 5), 6);
-    }
 }

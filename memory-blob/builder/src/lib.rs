@@ -4,13 +4,13 @@
 //! [`build`] draws starts and collects the trajectories that [`trajectory`] finds step by step with
 //! [`solution`]; starts that the controller leaves stuck go to [`planner`]. [`store`] keeps samples
 //! and way points, [`subsample`] chooses those that [`regression`] is fitted to, and [`memory`]
-//! writes the file. A build may be made in parts, whose [`state`]s [`merge`] joins. Decisions, promises and times stand in the crate's `README.md`.
+//! writes the file. [`state`] keeps an
+//! unfinished build. Decisions, promises and times stand in the crate's `README.md`.
 
 pub mod build;
 pub mod clearance;
 pub mod lbfgs;
 pub mod memory;
-pub mod merge;
 pub mod mixture;
 pub mod paint;
 pub mod planner;

@@ -34,10 +34,6 @@ enum Command {
     /// there and ends with the same file. The same seed gives the same file whatever the number of
     /// threads.
     Build(command::build::Build),
-    /// Join the parts that `vpc-memory build --part` made to one memory, and fit the regression.
-    ///
-    /// The order of the files makes no difference: the same parts give the same memory to the bit.
-    Merge(command::merge::Merge),
     /// Say what is in a memory.
     Inspect {
         /// The memory.
@@ -168,7 +164,6 @@ fn growth(text: &str) -> Result<(String, f64), String> {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Build(build) => build.run().map(|said| print(&said)),
-        Command::Merge(merge) => merge.run().map(|said| print(&said)),
         Command::Inspect { file } => {
             open(&file, None).map(|file| print(&Report::of(&file).to_string()))
         }

@@ -12,52 +12,7 @@ use crate::state::TOOL;
 use crate::store::Store;
 use crate::subsample;
 
-/// What the trajectories of all parts come to; the trajectories themselves are not kept.
-#[derive(Clone, Debug)]
-pub struct Collection {
-    store: Store,
-    parts: u32,
-    tried: u64,
-    causes: [u64; 4],
-    periods: usize,
-}
-
-impl Collection {
-    /// Nothing yet.
-    pub fn new(task: &Task) -> Self {
-        Self {
-            store: Store::new(task),
-            parts: 0,
-            tried: 0,
-            causes: [0; 4],
-            periods: 0,
-        }
-    }
-
-    /// Adds a part; the order of parts is that of the samples in the memory.
-    pub fn add(&mut self, task: &Task, settings: &BuildSettings, progress: &Progress) {
-        for trajectory in &progress.trajectories {
-            self.store.add(task, settings, trajectory);
-            self.periods += trajectory.twists.len();
-        }
-        self.parts += 1;
-        self.tried = self.tried.saturating_add(progress.tried);
-        let causes = self.causes.iter_mut().zip(progress.causes);
-        causes.for_each(|(sum, count)| *sum = sum.saturating_add(count));
-    }
-
-    /// Samples so far.
-    pub fn samples(&self) -> usize {
-        self.store.inputs.len()
-    }
-
-    /// Trajectories so far, and starts tried for them.
-    pub fn trajectories(&self) -> (usize, u64) {
-        (self.store.trajectories(), self.tried)
-    }
-}
-
-/// The contents of the memory that a collection makes.
+/// The contents of the memory that the trajectories of a build make.
 ///
 /// # Errors
 /// [`NotPositiveDefinite`] where no process fits the samples.
@@ -65,10 +20,14 @@ pub fn contents(
     scene: &Scene,
     task: &Task,
     settings: &BuildSettings,
-    collection: Collection,
+    progress: &Progress,
 ) -> Result<Contents, NotPositiveDefinite> {
-    let provenance = provenance(settings, &collection);
-    let store = collection.store;
+    let mut store = Store::new(task);
+    let trajectories = &progress.trajectories;
+    trajectories
+        .iter()
+        .for_each(|t| store.add(task, settings, t));
+    let provenance = provenance(settings, progress, &store);
     let kept = subsample::indices(task, settings, &store);
     let regression = fit(task, settings, &store, &kept)?;
     let index = |values: &[usize]| values.iter().map(|&i| i as u32).collect();
@@ -152,15 +111,16 @@ pub fn refit(
     })
 }
 
-fn provenance(settings: &BuildSettings, collection: &Collection) -> Map<String, Value> {
-    let [stuck, no_solution, violation, time_out] = collection.causes;
-    let mut provenance = json!({
+fn provenance(settings: &BuildSettings, progress: &Progress, store: &Store) -> Map<String, Value> {
+    let [stuck, no_solution, violation, time_out] = progress.causes;
+    let periods = progress.trajectories.iter().map(|t| t.twists.len());
+    let provenance = json!({
         "tool": TOOL,
         "settings": settings,
-        "starts_tried": collection.tried,
-        "trajectories": collection.store.trajectories(),
-        "control_periods": collection.periods,
-        "samples": collection.store.inputs.len(),
+        "starts_tried": progress.tried,
+        "trajectories": store.trajectories(),
+        "control_periods": periods.sum::<usize>(),
+        "samples": store.inputs.len(),
         "failed_starts": {
             "stuck": stuck,
             "no_solution": no_solution,
@@ -168,8 +128,5 @@ fn provenance(settings: &BuildSettings, collection: &Collection) -> Map<String, 
             "time_out": time_out,
         },
     });
-    if collection.parts > 1 {
-        provenance["parts"] = json!(collection.parts);
-    }
     provenance.as_object().cloned().unwrap_or_default()
 }

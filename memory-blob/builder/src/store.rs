@@ -1,6 +1,5 @@
 //! The memory while it grows: samples (x, y) of the successful trajectories, asked by k-NN.
 
-use scene::Scene;
 use serde::{Deserialize, Serialize};
 use vpc::features::{self, MAX_INPUTS, largest_distance};
 use vpc::prediction::{InitialState, Radii};
@@ -18,12 +17,6 @@ const LEAST_AHEAD: f64 = 0.05;
 /// slides round such a corner by itself.
 const SLIDE: f64 = 0.015;
 
-/// How far outside the image a point may be: the centre of a marker that is allowed to touch the
-/// edge, and the solver's tolerance, px.
-const EDGE_PX: f64 = 2.0;
-/// Share by which a command may exceed the limits: rounding.
-const OVER: f64 = 1e-6;
-
 /// A successful trajectory: features and commands, one a control period.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trajectory {
@@ -31,50 +24,6 @@ pub struct Trajectory {
     pub features: Vec<Vec<[f64; 2]>>,
     /// Commands; one fewer than features.
     pub twists: Vec<Twist>,
-}
-
-impl Trajectory {
-    /// Checks what every trajectory of a build in this scene keeps to. The file of a part may come
-    /// from anywhere, and its digest tells only that it is whole.
-    ///
-    /// # Errors
-    /// What was found, and what is allowed.
-    pub fn check(&self, scene: &Scene) -> Result<(), String> {
-        let (features, twists) = (self.features.len(), self.twists.len());
-        if features != twists + 1 {
-            return Err(format!(
-                "{features} features and {twists} commands; expected: one command fewer"
-            ));
-        }
-        let count = scene.pattern.len();
-        let size = [scene.camera.width, scene.camera.height].map(f64::from);
-        let [width, height] = size.map(|side| -EDGE_PX..=side - 1.0 + EDGE_PX);
-        for points in &self.features {
-            if points.len() != count {
-                return Err(format!("{} points; expected: {count}", points.len()));
-            }
-            let outside = |[u, v]: &&[f64; 2]| !(width.contains(u) && height.contains(v));
-            if let Some([u, v]) = points.iter().find(outside) {
-                return Err(format!(
-                    "a point at ({u}, {v}) px; allowed: inside the image"
-                ));
-            }
-        }
-        let most = [scene.limits.linear, scene.limits.angular].map(|most| most * (1.0 + OVER));
-        for twist in &self.twists {
-            let most = std::iter::repeat_n(most[0], 3).chain([most[1]; 3]);
-            let over = twist
-                .iter()
-                .zip(most)
-                .find(|(v, most)| !(-*most..=*most).contains(*v));
-            if let Some((v, most)) = over {
-                return Err(format!(
-                    "a velocity of {v}; allowed: up to {most:.6}, the limits of the scene"
-                ));
-            }
-        }
-        Ok(())
-    }
 }
 
 /// Samples of a memory, row by row.

@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use memory_blob::Contents;
 use memory_builder::build::{Progress, collect};
-use memory_builder::memory::{self, Collection};
+use memory_builder::memory;
 use memory_builder::settings::BuildSettings;
-use memory_builder::state::BuildState;
-use scene::{Scene, SceneFiles, Share};
+use memory_builder::state::BuildIdentity;
+use scene::{Scene, SceneFiles};
 use vpc::Task;
 
 fn settings() -> BuildSettings {
@@ -35,7 +35,6 @@ fn built(threads: usize) -> Progress {
         collect(
             &scene(),
             &settings(),
-            Share::default(),
             Progress::default(),
             &never,
             &mut |_| (),
@@ -45,9 +44,7 @@ fn built(threads: usize) -> Progress {
 }
 
 fn contents(task: &Task, settings: &BuildSettings, progress: &Progress) -> Contents {
-    let mut collection = Collection::new(task);
-    collection.add(task, settings, progress);
-    memory::contents(&scene(), task, settings, collection).unwrap()
+    memory::contents(&scene(), task, settings, progress).unwrap()
 }
 
 #[test]
@@ -71,26 +68,24 @@ fn an_interrupted_build_goes_on_to_the_same_memory() {
     let directory = tempfile::TempDir::new().unwrap();
     let path = directory.path().join("state");
     let files = SceneFiles::parse(scene::PAPER_SIM.to_owned(), "sim", &|_| unreachable!()).unwrap();
-    let part = Share::default();
+    let build = BuildIdentity::new(&files, &settings());
     let mut progress = Progress::default();
     let mut interruptions = 0;
     while progress.trajectories.len() < settings().trajectories {
         let stop = AtomicBool::new(false);
         let mut after_a_batch = |_: &Progress| stop.store(true, Ordering::Relaxed);
         // Through the file, as after a Ctrl-C.
-        let mut state = BuildState::resume(&path, files.clone(), &settings(), part).unwrap();
-        let resumed = std::mem::take(&mut state.progress);
+        let resumed = build.resume(&path).unwrap();
         assert_eq!(resumed, progress);
         progress = collect(
             &files.scene,
             &settings(),
-            part,
             resumed,
             &stop,
             &mut after_a_batch,
         )
         .unwrap();
-        state.save(&path, &progress).unwrap();
+        build.save(&path, &progress).unwrap();
         interruptions += 1;
     }
     assert!(interruptions >= 2);

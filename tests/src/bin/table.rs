@@ -1,7 +1,6 @@
 //! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
 //! paper's Table I.
 
-use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -11,16 +10,16 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
-use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use hw_sim::robot::truth::Truth;
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
-use memory_blob::{MemoryFile, is_among};
+use memory_blob::MemoryFile;
 use messages::ClockMode;
-use scene::{Pose, Scene, SceneFiles, Share, read_starts};
+use scene::{Pose, Scene, read_starts};
 use serde::Serialize;
 use system_tests::children::{Children, attended};
-use system_tests::document::{self, Document, Origin};
+use system_tests::document::{self, Document};
 use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, RobotFlags};
 use system_tests::pictures::{self, Draw};
@@ -45,11 +44,11 @@ use vpc::Task;
 #[command(name = "table", version)]
 struct Cli {
     /// Scene file (TOML).
-    #[arg(long, required = false, required_unless_present = "merge")]
+    #[arg(long)]
     scene: PathBuf,
     /// Start poses: a file (CSV: tx,ty,tz,rx,ry,rz), or COUNT@SEED: so many that `vpc-memory starts`
     /// draws by this seed.
-    #[arg(long, required = false, required_unless_present = "merge")]
+    #[arg(long)]
     starts: Source,
     /// Memory of motion: a file, or COUNT@SEED: one of so many trajectories that `vpc-memory build`
     /// makes by this seed; 900@1 if none is given. Several make a table each.
@@ -63,12 +62,6 @@ struct Cli {
     /// Write rows and runs to this file (JSON).
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Run part I of N parts of the starts, I from 0 to N - 1; --merge joins what they write.
-    #[arg(long, value_name = "I/N", requires = "json", conflicts_with_all = ["plots", "cold"])]
-    part: Option<Share>,
-    /// Run nothing: print the table of these parts, written by --part and --json, in any order.
-    #[arg(long, value_name = "FILES", num_args = 1..)]
-    merge: Vec<PathBuf>,
     /// Draw pictures into this directory.
     #[arg(long)]
     plots: Option<PathBuf>,
@@ -120,51 +113,11 @@ enum Body {
 const MORE: &str =
     "All columns, and the starts that failed: --wide. What each column means: --help.";
 
-/// What to do.
-enum Work {
-    /// Run from starts.
-    Run(Box<Cli>, Settings),
-    /// Merge parts; write the whole where a file is given; print a wide table, or a narrow one.
-    Merge(Vec<PathBuf>, Option<PathBuf>, bool),
-}
-
-/// Flags with their values.
-type Settings = BTreeMap<String, Vec<String>>;
-
-/// Flags that name files or a part of the work, or say how it is printed: they may differ between
-/// parts of one table.
-const PLACES: [&str; 8] = [
-    "scene", "starts", "memory", "json", "plots", "part", "merge", "wide",
-];
-
-/// All other flags with their values, given or by default.
-fn settings(matches: &ArgMatches) -> Settings {
-    let command = Cli::command();
-    let ids = command.get_arguments().map(|flag| flag.get_id().as_str());
-    let values = ids.filter(|id| !PLACES.contains(id)).filter_map(|id| {
-        let raw = matches.try_get_raw(id).ok().flatten()?;
-        let values = raw.map(|value| value.to_string_lossy().into_owned());
-        Some((id.to_owned(), values.collect()))
-    });
-    values.collect()
-}
-
 /// The command line, unless it holds a flag that the chosen body ignores: a margin that changes
 /// nothing must not pass for one that does nothing.
-fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Work, clap::Error> {
+fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
     let matches = Cli::command().try_get_matches_from(arguments)?;
     let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
-    if let Some(files) = matches.get_many("merge") {
-        let command = Cli::command();
-        let mut ids = command.get_arguments().map(|flag| flag.get_id().as_str());
-        if let Some(id) = ids.find(|id| !["merge", "json", "wide"].contains(id) && given(id)) {
-            let words = format!("--{} does not go with --merge", id.replace('_', "-"));
-            return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
-        }
-        let json = matches.get_one("json").cloned();
-        let is_wide = matches.get_flag("wide");
-        return Ok(Work::Merge(files.cloned().collect(), json, is_wide));
-    }
     let cli = Cli::from_arg_matches(&matches)?;
     let none = || clap::Command::new("");
     let bodies = [
@@ -179,10 +132,6 @@ fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Work
             return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
         }
     }
-    if cli.part.is_some() && cli.robot != Body::Free {
-        let words = "--part goes with --robot free";
-        return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
-    }
     let common = Common::augment_args(none());
     let mut ids = common.get_arguments().map(|flag| flag.get_id().as_str());
     match ids.find(|id| cli.robot == Body::Fci && *id != "strategies" && given(id)) {
@@ -190,45 +139,19 @@ fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Work
             let words = format!("--{} does not go with --robot fci", id.replace('_', "-"));
             Err(Cli::command().error(ErrorKind::ArgumentConflict, words))
         }
-        None => Ok(Work::Run(Box::new(cli), settings(&matches))),
+        None => Ok(cli),
     }
 }
 
 fn main() -> ExitCode {
     attended("table", |children| {
-        match parse(arguments()).unwrap_or_else(|error| error.exit()) {
-            Work::Run(cli, settings) => table(children, &cli, settings)?,
-            Work::Merge(files, json, is_wide) => merged(&files, json.as_deref(), is_wide)?,
-        }
+        let cli = parse(arguments()).unwrap_or_else(|error| error.exit());
+        table(children, &cli)?;
         Ok(ExitCode::SUCCESS)
     })
 }
 
-/// The table of parts.
-fn merged(files: &[PathBuf], json: Option<&Path>, is_wide: bool) -> anyhow::Result<()> {
-    if let Some(json) = json.filter(|json| is_among(json, files)) {
-        bail!("--json {}: allowed: a file that is no part", json.display());
-    }
-    let (document, all) = document::merge(files)?;
-    let mut out = std::io::stdout().lock();
-    writeln!(out, "{}", document.text(is_wide))?;
-    say_failures(&mut out, &all, 0, is_wide)?;
-    if let Some(path) = json {
-        let whole = Document {
-            command: command(),
-            title: document.title,
-            origin: document.origin,
-            part: document.part,
-            rows: document.rows,
-            runs: document::records(&all, 0),
-        };
-        write(path, &serde_json::to_vec(&whole)?)?;
-        writeln!(out, "wrote {}", path.display())?;
-    }
-    Ok(())
-}
-
-fn table(children: &Children, cli: &Cli, settings: Settings) -> anyhow::Result<()> {
+fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     cli.common.check()?;
     if cli.memory.len() > 1 && (cli.json.is_some() || cli.plots.is_some()) {
         bail!(
@@ -236,8 +159,7 @@ fn table(children: &Children, cli: &Cli, settings: Settings) -> anyhow::Result<(
             cli.memory.len()
         );
     }
-    let files = SceneFiles::read(&cli.scene)?;
-    let mut scene = files.scene.clone();
+    let mut scene = Scene::read(&cli.scene)?;
     let fingerprint = scene.fingerprint();
     let starts = made(children, cli, &cli.starts, Product::Starts, |path| {
         Ok(read_starts(path)?)
@@ -256,11 +178,9 @@ fn table(children: &Children, cli: &Cli, settings: Settings) -> anyhow::Result<(
         if cli.memory.len() > 1 {
             println!("memory {}", source.map_or(String::new(), Source::to_string));
         }
-        let digest = memory.as_ref().map(|memory| memory.digest());
-        let origin = Origin::new(files.digest(), digest, &starts, settings.clone());
         match cli.robot {
-            Body::Free => free(cli, &scene, &starts, memory.as_ref(), origin),
-            Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref(), origin),
+            Body::Free => free(cli, &scene, &starts, memory.as_ref()),
+            Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
             Body::Fci => by_interface(children, cli, source, starts.len()),
         }?;
     }
@@ -273,7 +193,6 @@ fn free(
     scene: &Scene,
     starts: &[Pose],
     memory: Option<&Arc<MemoryFile>>,
-    origin: Origin,
 ) -> anyhow::Result<()> {
     let Common { noise, drop, .. } = cli.common;
     let CameraFlags {
@@ -287,26 +206,18 @@ fn free(
         ..Truth::default()
     };
     let believed = wrong.scene(scene);
-    let part = cli.part.unwrap_or_default();
-    if let (Some(_), Some(path)) = (cli.part, &cli.json)
-        && document::is_there(path, &origin, part)?
-    {
-        println!("{}: part {part} is there; nothing to run", path.display());
-        return Ok(());
-    }
-    let chosen = part.range(starts.len());
-    let bar = bar(cli.common.strategies.len() * chosen.len());
+    let bar = bar(cli.common.strategies.len() * starts.len());
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
     for &spec in &cli.common.strategies {
         if bar.is_hidden() {
-            eprintln!("table: {spec} from {} starts", chosen.len());
+            eprintln!("table: {spec} from {} starts", starts.len());
         }
         let settings = cli.common.settings(spec);
         let memory = memory.cloned();
         let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
-        let mut runs = Vec::with_capacity(chosen.len());
+        let mut runs = Vec::with_capacity(starts.len());
         let mut caches = Caches::default();
-        for (start, pose) in chosen.clone().zip(&starts[chosen.clone()]) {
+        for (start, pose) in starts.iter().enumerate() {
             bar.set_message(format!("{spec}, start {start}"));
             let flaws = Flaws {
                 noise_px: noise,
@@ -330,22 +241,16 @@ fn free(
     }
     bar.finish_and_clear();
     let title = title(cli, starts.len());
-    let above = match cli.part {
-        Some(part) => format!("{title}; part {part}"),
-        None => title.clone(),
-    };
     let text = column::markdown(&row::COLUMNS, &rows, cli.wide);
-    let text = format!("{above}\n\n{text}{told}");
+    let text = format!("{title}\n\n{text}{told}");
     let document = Document {
         command: command(),
         title,
-        origin,
-        part,
         rows,
-        runs: document::records(&all, chosen.start),
+        runs: document::records(&all, 0),
     };
     let memory = memory.map(AsRef::as_ref);
-    finish(cli, scene, memory, &text, &document, &all, chosen.start)
+    finish(cli, scene, memory, &text, &document, &all, 0)
 }
 
 /// Scene, starts, and the camera's flaws: those that it has.
@@ -389,7 +294,6 @@ fn on_robot(
     scene: &Scene,
     starts: &[Pose],
     memory: Option<&Arc<MemoryFile>>,
-    origin: Origin,
 ) -> anyhow::Result<()> {
     let count = cli.arm.only.map_or(starts.len(), |_| 1);
     let bar = bar(cli.common.strategies.len() * count);
@@ -403,8 +307,6 @@ fn on_robot(
     let document = Document {
         command: command(),
         title: cli.scene.display().to_string(),
-        origin,
-        part: Share::default(),
         rows,
         runs: document::records(&all, first),
     };
@@ -479,10 +381,7 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
     writeln!(out, "{text}")?;
     say_failures(&mut out, all, first, cli.wide)?;
     if let Some(path) = &cli.json {
-        match cli.part {
-            Some(_) => document.write_part(path)?,
-            None => write(path, &serde_json::to_vec(document)?)?,
-        }
+        write(path, &serde_json::to_vec(document)?)?;
         writeln!(out, "wrote {}", path.display())?;
     }
     if let Some(directory) = &cli.plots {
@@ -549,14 +448,6 @@ mod tests {
             ),
             ("--delay 4 --robot panda", "--delay goes with --robot free"),
             ("--jobs 4", "--jobs goes with --robot fci"),
-            (
-                "--part 0/2 --json f --robot panda",
-                "--part goes with --robot free",
-            ),
-            ("--part 2/2 --json f", "allowed: I/N with I from 0 to N - 1"),
-            ("--part 0/2", "--json"),
-            ("--part 0/2 --json f --cold", "--cold"),
-            ("--merge a b", "--scene does not go with --merge"),
             (
                 "--noise 1 --robot fci",
                 "--noise does not go with --robot fci",

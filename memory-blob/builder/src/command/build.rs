@@ -1,4 +1,4 @@
-//! `vpc-memory build`, of a whole memory or of a part of one.
+//! `vpc-memory build`.
 
 use std::fs;
 use std::io::IsTerminal;
@@ -11,10 +11,11 @@ use anyhow::{Context, bail};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::Report;
-use memory_builder::build;
-use memory_builder::memory::{self, Collection};
-use memory_builder::state::BuildState;
-use scene::{SceneFiles, Share};
+use memory_builder::build::{self, Progress};
+use memory_builder::memory;
+use memory_builder::settings::BuildSettings;
+use memory_builder::state::BuildIdentity;
+use scene::{Scene, SceneFiles};
 use vpc::Task;
 
 use crate::{Overrides, open};
@@ -23,13 +24,9 @@ use crate::{Overrides, open};
 pub struct Build {
     /// Scene file (TOML).
     scene: PathBuf,
-    /// The memory to write; with --part, the part.
+    /// The memory to write.
     #[arg(short, long)]
     output: PathBuf,
-    /// Make part I of N parts, I from 0 to N - 1, each on any machine; `vpc-memory merge` joins
-    /// them. --trajectories and the seed are those of all parts.
-    #[arg(long, value_name = "I/N")]
-    part: Option<Share>,
     /// Write what has been collected at least every so many seconds, so that after a kill the same
     /// command goes on from there.
     #[arg(long, value_name = "SECONDS", default_value_t = 60)]
@@ -42,7 +39,7 @@ pub struct Build {
 }
 
 /// Sets how many threads work; `None`: as many as there are processors.
-pub fn set_threads(threads: Option<usize>) -> anyhow::Result<()> {
+fn set_threads(threads: Option<usize>) -> anyhow::Result<()> {
     if let Some(threads) = threads.filter(|threads| !(1..=1024).contains(threads)) {
         bail!("--threads = {threads}; allowed: 1 to 1024");
     }
@@ -60,50 +57,52 @@ impl Build {
         let scene = SceneFiles::read(&self.scene)?;
         let grown = settings.grown(&scene.scene)?;
         let task = Task::new(&grown).with_context(|| self.scene.display().to_string())?;
-        let part = self.part.unwrap_or_default();
-        if part.count() as usize > settings.trajectories {
-            let (count, most) = (part.count(), settings.trajectories);
-            bail!("--part {part}: {count} parts; allowed: at most one a trajectory, {most}");
-        }
-        let (each, guide) = (
-            part.range(settings.trajectories).len(),
-            settings.guide_after,
-        );
-        if self.part.is_some() && each <= guide {
-            eprintln!(
-                "vpc-memory: warning: {each} trajectories in part {part}: the first {guide} of each part are planned without the guidance of others; fewer parts make better trajectories"
-            );
-        }
         set_threads(self.threads)?;
-        // A part is the state of a build, finished or not.
-        let path = match self.part {
-            Some(_) => self.output.clone(),
-            None => beside(&self.output),
-        };
-        let mut state = BuildState::resume(&path, scene, &settings, part)?;
-        let begun = std::mem::take(&mut state.progress);
+        let path = beside(&self.output);
+        let clock = Instant::now();
+        let progress = self.collect(&BuildIdentity::new(&scene, &settings), &grown, &settings)?;
+        let collected = clock.elapsed();
+        memory::contents(&scene.scene, &task, &settings, &progress)?.write(&self.output)?;
+        if path.exists() {
+            fs::remove_file(&path).with_context(|| path.display().to_string())?;
+        }
+        let file = open(&self.output, Some(&scene.scene))?;
+        Ok(format!(
+            "{}: {} bytes; {} trajectories of {} starts in {:.1} s, regression in {:.1} s\n{}",
+            self.output.display(),
+            file.size(),
+            progress.trajectories.len(),
+            progress.tried,
+            collected.as_secs_f64(),
+            (clock.elapsed() - collected).as_secs_f64(),
+            Report::of(&file),
+        ))
+    }
 
+    /// Collects all trajectories, from where an earlier build was interrupted; a signal saves those
+    /// that there are and ends the program.
+    fn collect(
+        &self,
+        build: &BuildIdentity,
+        scene: &Scene,
+        settings: &BuildSettings,
+    ) -> anyhow::Result<Progress> {
+        let path = beside(&self.output);
+        let begun = build.resume(&path)?;
         let stop = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop))?;
             signal_hook::flag::register(signal, Arc::clone(&stop))?;
         }
-        let bar = progress_bar(state.header.wanted, begun.trajectories.len());
-        let (clock, mut saved, mut failed) = (Instant::now(), Instant::now(), None);
-        let progress = build::collect(&grown, &settings, part, begun, &stop, &mut |progress| {
-            let found = progress.trajectories.len() as f64;
-            bar.set_position(progress.trajectories.len() as u64);
-            bar.set_message(format!(
-                "{:.0} % of {} starts",
-                100.0 * found / progress.tried as f64,
-                progress.tried
-            ));
+        let bar = progress_bar(settings.trajectories, begun.trajectories.len());
+        let (mut saved, mut failed) = (Instant::now(), None);
+        let progress = build::collect(scene, settings, begun, &stop, &mut |progress| {
+            say(&bar, progress);
             if saved.elapsed() >= Duration::from_secs(self.checkpoint_s) {
-                failed = failed.take().or(state.save(&path, progress).err());
-                stop.store(
-                    failed.is_some() || stop.load(Ordering::Relaxed),
-                    Ordering::Relaxed,
-                );
+                failed = build.save(&path, progress).err();
+                if failed.is_some() {
+                    stop.store(true, Ordering::Relaxed);
+                }
                 saved = Instant::now();
             }
         })?;
@@ -111,46 +110,20 @@ impl Build {
         if let Some(error) = failed {
             return Err(error.into());
         }
-        let is_complete = progress.trajectories.len() >= state.header.wanted;
-        if self.part.is_some() || !is_complete {
-            state.save(&path, &progress)?;
-        }
-        if !is_complete {
-            let found = progress.trajectories.len();
+        let found = progress.trajectories.len();
+        if found < settings.trajectories {
+            build.save(&path, &progress)?;
             eprintln!(
                 "vpc-memory: stopped at {found} trajectories; the same command goes on from {}",
                 path.display()
             );
             std::process::exit(130);
         }
-        let collected = clock.elapsed();
-        let said = format!(
-            "{} trajectories of {} starts in {:.1} s",
-            progress.trajectories.len(),
-            progress.tried,
-            collected.as_secs_f64()
-        );
-        if self.part.is_some() {
-            return Ok(format!("{}: part {part}, {said}\n", path.display()));
-        }
-        let mut collection = Collection::new(&task);
-        collection.add(&task, &settings, &progress);
-        memory::contents(&state.scene.scene, &task, &settings, collection)?.write(&self.output)?;
-        if path.exists() {
-            fs::remove_file(&path).with_context(|| path.display().to_string())?;
-        }
-        let file = open(&self.output, Some(&state.scene.scene))?;
-        Ok(format!(
-            "{}: {} bytes; {said}, regression in {:.1} s\n{}",
-            self.output.display(),
-            file.size(),
-            (clock.elapsed() - collected).as_secs_f64(),
-            Report::of(&file),
-        ))
+        Ok(progress)
     }
 }
 
-/// Where an unfinished build of a whole memory is kept.
+/// Where an unfinished build is kept.
 fn beside(output: &Path) -> PathBuf {
     let mut path = output.as_os_str().to_owned();
     path.push(".partial");
@@ -169,4 +142,12 @@ fn progress_bar(total: usize, begun: usize) -> ProgressBar {
     );
     bar.set_position(begun as u64);
     bar
+}
+
+/// Shows on the bar how many trajectories there are, and from how many starts.
+fn say(bar: &ProgressBar, progress: &Progress) {
+    let (found, tried) = (progress.trajectories.len(), progress.tried);
+    bar.set_position(found as u64);
+    let share = 100.0 * found as f64 / tried as f64;
+    bar.set_message(format!("{share:.0} % of {tried} starts"));
 }

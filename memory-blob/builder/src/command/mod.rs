@@ -2,7 +2,6 @@
 
 pub mod build;
 pub mod mask;
-pub mod merge;
 pub mod new;
 pub mod preview;
 mod seen;
