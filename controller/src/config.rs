@@ -1,12 +1,12 @@
 //! Configuration: a TOML file, overridden by flags and checked into a [`Config`] whose existence
-//! means that it is valid. Every key is declared in `tables.rs`, from which `CONFIGURATION.md` and
-//! `vpcd.schema.json` are made.
+//! means that it is valid. Every key is declared in `tables.rs`, those of `[law]` in
+//! `vpc::Settings`; `CONFIGURATION.md` and `vpcd.schema.json` are made from them.
 
 use std::path::{Path, PathBuf};
 
 use messages::ClockMode;
 use toml_schema::Document;
-use vpc::{Settings, Strategy};
+use vpc::{Settings, SettingsError};
 
 use crate::arguments::Arguments;
 use crate::exit::Exit;
@@ -17,7 +17,7 @@ mod tables;
 #[cfg(test)]
 mod tests;
 
-use tables::{Law, Presence, Tables};
+use tables::{Presence, Tables};
 
 pub use toml_schema::FileError as ConfigError;
 
@@ -215,7 +215,13 @@ fn laid_over(
     let config = Config {
         scene: tables.scene.clone(),
         memory: tables.memory.clone(),
-        settings: settings(&document, &tables.law, brake_s)?,
+        settings: check(
+            &document,
+            Settings {
+                brake_s,
+                ..tables.law
+            },
+        )?,
         clock,
         stale_periods: tables.cycle.stale_periods,
         safety: Safety {
@@ -244,39 +250,17 @@ fn laid_over(
     Ok((tables, config, document))
 }
 
-fn settings(document: &Document, law: &Law, brake_s: f64) -> Result<Settings, ConfigError> {
-    let strategy: Strategy = law
-        .strategy
-        .parse()
-        .map_err(|_| document.refuse("law.strategy", &law.strategy, "a strategy"))?;
-    if law.nc > law.np {
-        return Err(document.refuse("law.nc", law.nc, "1 to 4, at most np"));
+/// Checks what the schema does not say.
+fn check(document: &Document, settings: Settings) -> Result<Settings, ConfigError> {
+    match settings.check() {
+        Ok(()) => Ok(settings),
+        Err(SettingsError::Range {
+            name,
+            value,
+            allowed,
+        }) => Err(document.refuse(&format!("law.{name}"), value, allowed)),
+        Err(error) => Err(document.refuse("law", error, "what the law allows")),
     }
-    let settings = Settings {
-        strategy,
-        np: law.np,
-        step_s: law.step_s,
-        nc: law.nc,
-        solver: vpc::SolverOptions {
-            max_iterations: law.iterations,
-            tolerance: law.tolerance,
-            intersample: law.intersample,
-        },
-        model: law.model,
-        foresight_steps: law.foresight_steps,
-        trigger_px: law.trigger_px,
-        hysteresis: law.hysteresis,
-        margin_px: law.margin_px,
-        change_share: law.change_share,
-        filter_s: law.filter_s,
-        filter_px: law.filter_px,
-        lambda: law.lambda,
-        brake_s,
-        delay_compensation: law.delay_compensation,
-    };
-    // The law has the last word on its settings.
-    let checked = settings.check().map(|()| settings);
-    checked.map_err(|error| document.refuse("law", error, "what the law allows"))
 }
 
 fn realtime(

@@ -1,7 +1,10 @@
 //! Flags of `cargo table`.
 
-use clap::{Args, FromArgMatches};
-use vpc::{Model, Settings};
+use clap::error::ErrorKind;
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+use toml::Value;
+use toml_schema::{Document, FileError};
+use vpc::Settings;
 
 use crate::spec::Spec;
 
@@ -36,64 +39,83 @@ pub struct Common {
     /// Seed of noise and losses; each start adds its index.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// How the law predicts features: pose, area-depth, target-depth.
-    #[arg(long, value_parser = model, default_value = "pose")]
-    pub model: Model,
     /// Constraints hold at the sampling instants only, as in the paper.
     #[arg(long)]
     pub at_samples_only: bool,
-    /// Weight of the change of the command, as a share of R; 0 in the paper.
-    #[arg(long, value_name = "X", default_value_t = Settings::default().change_share)]
-    pub change_share: f64,
-    /// Time constant of the filter of the features, s; 0: none, as in the paper.
-    #[arg(long, value_name = "S", default_value_t = Settings::default().filter_s)]
-    pub filter_s: f64,
-    /// Greatest distance of a filtered feature from the measured one, px.
-    #[arg(long, value_name = "PX", default_value_t = Settings::default().filter_px)]
-    pub filter_px: f64,
-    /// Length of a step of the preview, s; where the camera's period or a stop takes longer, that.
-    #[arg(long, value_name = "S", default_value_t = Settings::default().step_s)]
-    pub step_s: f64,
     /// Rate of the camera instead of the scene's, Hz.
     #[arg(long, value_name = "HZ")]
     pub rate: Option<f64>,
-    /// Most steps that foresight simulates in a cycle.
-    #[arg(long, value_name = "N", default_value_t = Settings::default().foresight_steps)]
-    pub foresight_steps: u32,
+    /// Keys of the law.
+    #[command(flatten)]
+    pub law: LawFlags,
     /// Time in which the command goes from zero to its limits, s, where the scene gives no limits
     /// of acceleration: 0.15 as `vpcd` has it on a real clock; 0: at once, as in the paper.
     #[arg(long, value_name = "S", default_value_t = Settings::default().brake_s)]
     pub brake_s: f64,
 }
 
-/// A model by its name in configuration files.
-fn model(word: &str) -> Result<Model, &'static str> {
-    match word {
-        "pose" => Ok(Model::Pose),
-        "area-depth" => Ok(Model::AreaDepth),
-        "target-depth" => Ok(Model::TargetDepth),
-        _ => Err("allowed: pose, area-depth, target-depth"),
+/// The keys of the law that are flags of `cargo table`, too, each with its flag.
+const KEYS: [(&str, &str); 6] = [
+    ("model", "model"),
+    ("change_share", "change-share"),
+    ("filter_s", "filter-s"),
+    ("filter_px", "filter-px"),
+    ("step_s", "step-s"),
+    ("foresight_steps", "foresight-steps"),
+];
+
+/// The law's settings with the flags of [`KEYS`]. The declaration of a key gives the flag's
+/// meaning, default and range.
+#[derive(Clone, Copy, Debug)]
+pub struct LawFlags(Settings);
+
+impl Args for LawFlags {
+    fn augment_args(command: Command) -> Command {
+        let schema = toml_schema::schema::<Settings>();
+        KEYS.into_iter().fold(command, |command, (key, flag)| {
+            let meaning = schema["properties"][key]["description"].as_str();
+            let default = &schema["properties"][key]["default"];
+            let help = format!("{} [default: {default}]", meaning.unwrap_or_default());
+            command.arg(Arg::new(key).long(flag).help(help))
+        })
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for LawFlags {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let refused = |error: FileError| clap::Error::raw(ErrorKind::ValueValidation, error);
+        let mut document = Document::read(None).map_err(refused)?;
+        for (key, flag) in KEYS {
+            let value = matches.get_one::<String>(key).map(|text| {
+                let number = text.parse().map(Value::Integer);
+                let number = number.or_else(|_| text.parse().map(Value::Float));
+                number.unwrap_or_else(|_| Value::String(text.clone()))
+            });
+            document.set(key, &format!("--{flag}"), value);
+        }
+        document.check().map(Self).map_err(refused)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
     }
 }
 
 impl Common {
     /// The law's settings for one of the strategies.
     pub fn settings(&self, spec: Spec) -> Settings {
-        let settings = spec.settings();
         Settings {
+            strategy: spec.strategy,
+            np: spec.np,
             delay_compensation: !self.no_compensation,
-            model: self.model,
-            foresight_steps: self.foresight_steps,
+            intersample: !self.at_samples_only,
             brake_s: self.brake_s,
-            change_share: self.change_share,
-            filter_s: self.filter_s,
-            step_s: self.step_s,
-            filter_px: self.filter_px,
-            solver: vpc::SolverOptions {
-                intersample: !self.at_samples_only,
-                ..settings.solver
-            },
-            ..settings
+            ..self.law.0
         }
     }
 
@@ -183,6 +205,6 @@ fn check(flag: &str, value: f64, least: f64, most: f64) -> anyhow::Result<()> {
 
 /// Flags with the defaults of the command line.
 pub fn defaults<F: Args + FromArgMatches>() -> F {
-    let matches = F::augment_args(clap::Command::new("defaults")).get_matches_from(["defaults"]);
+    let matches = F::augment_args(Command::new("defaults")).get_matches_from(["defaults"]);
     F::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }

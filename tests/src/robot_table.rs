@@ -15,7 +15,7 @@ use rand_distr::{Distribution, UnitSphere};
 use rayon::prelude::*;
 use scene::{Pose, Scene};
 use serde::Serialize;
-use vpc::{Settings, SolverOptions};
+use vpc::Settings;
 
 use crate::column::{self, Column};
 use crate::flags::{Common, RobotFlags};
@@ -57,11 +57,8 @@ pub struct RobotRow {
 /// The law's settings for the robot: the paper's on-line settings of its second experiment.
 fn law(flags: &RobotFlags, base: Settings) -> Settings {
     Settings {
-        solver: SolverOptions {
-            max_iterations: 10,
-            tolerance: 1e-6,
-            ..base.solver
-        },
+        iterations: 10,
+        tolerance: 1e-6,
         trigger_px: flags.trigger,
         hysteresis: flags.hysteresis,
         margin_px: flags.margin,

@@ -6,7 +6,7 @@ use messages::ClockMode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
-use vpc::strategy::{MAX_NEIGHBOURS, Strategy};
+use vpc::Settings;
 
 use decision::supervisor::AfterArrival;
 
@@ -23,8 +23,8 @@ pub struct Tables {
     /// and gpr need one; foresight finds far more ways with one. It is opened whenever it is named,
     /// so that an operator can change the strategy later. Flag: --memory.
     pub memory: Option<PathBuf>,
-    #[serde(default)]
-    pub law: Law,
+    #[serde(default = "Settings::daemon")]
+    pub law: Settings,
     #[serde(default)]
     pub cycle: Cycle,
     #[serde(default)]
@@ -37,107 +37,6 @@ pub struct Tables {
     pub log: Log,
     #[serde(default)]
     pub flight: Flight,
-}
-
-/// The control law.
-#[derive(Deserialize, Serialize, JsonSchema, SmartDefault)]
-#[serde(deny_unknown_fields, default)]
-pub struct Law {
-    /// How the goal is reached: by whole futures over the memory, simulated between two frames, the
-    /// best of which is followed (`foresight`); or as in the paper, where warm start and target
-    /// come from the previous cycle (`previous`), the nearest sample of the memory (`knn`) or the
-    /// mean of several (`knn5`), or regression over the memory (`gpr`). `ibvs` is the classic law
-    /// without prediction. Flag: --strategy.
-    #[default = "foresight"]
-    #[schemars(extend("enum" = strategies(), "x-allowed" = vpc::strategy::ALLOWED))]
-    pub strategy: String,
-    /// Steps predicted. Flag: --np.
-    #[default = 3]
-    #[schemars(range(min = 1, max = vpc::MAX_NP))]
-    pub np: usize,
-    /// Length of a step; where the camera's period and a stop from the limits take longer, that.
-    /// Flag of `cargo table`: --step-s.
-    #[default = 0.033]
-    #[schemars(range(min = 1e-3, max = 10), extend("x-unit" = "s"))]
-    pub step_s: f64,
-    /// Free commands in the prediction; the last is held to its end.
-    #[default = 1]
-    #[schemars(range(min = 1, max = vpc::MAX_NC), extend("x-allowed" = "1 to 4, at most np"))]
-    pub nc: usize,
-    /// Most iterations of the solver.
-    #[default = 10]
-    #[schemars(range(min = 1, max = 1000))]
-    pub iterations: u32,
-    /// Optimality at which the solver stops.
-    #[default = 1e-3]
-    #[schemars(range(min = 1e-15, max = 1))]
-    pub tolerance: f64,
-    /// Whether constraints hold between the sampling instants of the next period, too, and not only
-    /// at the instants, as in the paper.
-    #[default = true]
-    pub intersample: bool,
-    /// How features are predicted.
-    #[serde(with = "Model")]
-    pub model: vpc::Model,
-    /// Most steps that foresight simulates between two frames; never more than a fifth of the
-    /// control period has room for. One takes 5 us with 3 steps ahead in the paper's scene, 60 us
-    /// with 30.
-    #[default = 150]
-    #[schemars(range(min = 1, max = 1e5))]
-    pub foresight_steps: u32,
-    /// The memory is asked when a feature, or the edge of a marker that has a size, comes this
-    /// close to an occlusion.
-    #[default = 20.0]
-    #[schemars(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
-    pub trigger_px: f64,
-    /// The memory is asked until every feature is this many times `trigger_px` away.
-    #[default = 2.0]
-    #[schemars(range(min = 1, max = 100))]
-    pub hysteresis: f64,
-    /// Clearance kept from every border: of each feature, or of the edge of a marker where the
-    /// scene gives `marker_size`.
-    #[schemars(range(min = 0, max = 1e3), extend("x-unit" = "px"))]
-    pub margin_px: f64,
-    /// Weight of the change of the command from one period to the next, as a share of R; 0 in the
-    /// paper.
-    #[default = 0.03]
-    #[schemars(range(min = 0, max = 10))]
-    pub change_share: f64,
-    /// Time constant with which the predicted features follow the measured ones. 0: no filter, as
-    /// in the paper.
-    #[default = 0.15]
-    #[schemars(range(min = 0, max = 10), extend("x-unit" = "s"))]
-    pub filter_s: f64,
-    /// Greatest distance of a filtered feature from the measured one: some three times the noise.
-    #[default = 1.0]
-    #[schemars(range(min = 0, max = 100), extend("x-unit" = "px"))]
-    pub filter_px: f64,
-    /// Gain of ibvs.
-    #[default = 0.5]
-    #[schemars(range(min = 1e-6, max = 100), extend("x-unit" = "per s"))]
-    pub lambda: f64,
-    /// Whether features are advanced from their exposure to now by the commands sent since.
-    #[default = true]
-    pub delay_compensation: bool,
-}
-
-/// Every word that is a strategy.
-fn strategies() -> Vec<String> {
-    let averaged = (2..=MAX_NEIGHBOURS).map(|k| Strategy::Knn { k });
-    let strategies = Strategy::ALL.into_iter().chain(averaged);
-    strategies.map(|strategy| strategy.to_string()).collect()
-}
-
-/// The values of `law.model`.
-#[derive(Deserialize, Serialize, JsonSchema)]
-#[serde(remote = "vpc::Model", rename_all = "kebab-case")]
-pub enum Model {
-    /// With the depths of the points at the goal, as in the paper.
-    TargetDepth,
-    /// With one depth for all points, from the area of the features.
-    AreaDepth,
-    /// By the pose of the known pattern.
-    Pose,
 }
 
 /// When a cycle runs.

@@ -633,9 +633,10 @@ impl Share {
     /// [`SettingsError::Window`] if too few iterations, or too few steps of foresight, fit into the
     /// period.
     fn of(task: &Task, settings: &Settings) -> Result<Self, SettingsError> {
-        let Settings { np, nc, solver, .. } = *settings;
+        let Settings {
+            np, nc, iterations, ..
+        } = *settings;
         let period_ns = 1e9 * task.period;
-        let iterations = solver.max_iterations;
         let needed = match settings.strategy {
             Strategy::Foresight => FEWEST_STEPS.min(settings.foresight_steps),
             _ => 0,
@@ -670,7 +671,7 @@ fn solver<'w>(
     share: &Share,
     workspace: &'w mut [f64],
 ) -> Option<Solver<'w>> {
-    Some(Solver::new(size, settings.solver, workspace)?.with_budget(share.solution))
+    Some(Solver::new(size, settings.solver(), workspace)?.with_budget(share.solution))
 }
 
 /// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.

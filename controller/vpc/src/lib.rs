@@ -51,6 +51,9 @@
     )
 )]
 
+#[cfg(feature = "file")]
+extern crate alloc;
+
 pub mod camera;
 pub mod clearance;
 mod command;

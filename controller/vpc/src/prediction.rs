@@ -34,15 +34,21 @@ use crate::{
 pub type Radii = Vec<f64, MAX_POINTS>;
 
 /// How features move under a camera velocity.
+///
+/// The first is the paper's: the interaction matrix with the depths that the points have at the
+/// goal. The second has one depth Z = Z* sqrt(a*/a), and needs no more geometry. The third is the
+/// paper's "global model": the pose by homography, then exact rigid motion; where no pose fits the
+/// features it falls back to [`Model::AreaDepth`] for the cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "file", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "file", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "file", serde(rename_all = "kebab-case"))]
 pub enum Model {
-    /// The paper's: the interaction matrix with the depths that the points have at the goal.
+    /// With the depths of the points at the goal, as in the paper.
     TargetDepth,
-    /// The interaction matrix with one depth Z = Z* sqrt(a*/a), from the measured area; no more
-    /// geometry needed.
+    /// With one depth for all points, from the area of the features.
     AreaDepth,
-    /// The paper's "global model": pose of the known pattern by homography, then exact rigid
-    /// motion. Where no pose fits the features it falls back to [`Model::AreaDepth`] for the cycle.
+    /// By the pose of the known pattern.
     #[default]
     Pose,
 }

@@ -2,82 +2,166 @@
 
 use core::fmt;
 
+#[cfg(feature = "file")]
+use alloc::string::ToString;
+
+#[cfg(feature = "file")]
+use serde::{Deserialize, Serialize};
+
 use crate::prediction::Model;
 use crate::problem::SolverOptions;
+#[cfg(feature = "file")]
+use crate::strategy::{self, Allowed};
 use crate::strategy::{MAX_NEIGHBOURS, Strategy};
 use crate::task::TaskError;
 use crate::{MAX_NC, MAX_NP, Twist};
 
-/// Settings of the law; [`Settings::check`] accepts what [`crate::Law`] runs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
-    /// Where warm start and target come from.
-    pub strategy: Strategy,
-    /// Steps previewed, 1 to 40.
-    pub np: usize,
-    /// Length of a step, s; never shorter than the sampling time and a stop from the limits.
-    pub step_s: f64,
-    /// Free commands, 1 to 4 and at most `np`.
-    pub nc: usize,
-    /// When the solver stops.
-    pub solver: SolverOptions,
-    /// How features are predicted.
-    pub model: Model,
-    /// The memory is asked from here on: clearance of any feature, with its marker, from an
-    /// occlusion, px.
-    pub trigger_px: f64,
-    /// The memory is asked until every feature is this many times further away than `trigger_px`,
-    /// at least 1.
-    pub hysteresis: f64,
-    /// Extra clearance kept from every border by each feature with its marker, px.
-    pub margin_px: f64,
-    /// Weight of the change of the command from one period to the next, as a share of R.
-    pub change_share: f64,
-    /// Time constant of the filter of the features, s; 0: no filter, and the target is corrected by
-    /// the mismatch instead, as in the paper.
-    pub filter_s: f64,
-    /// Greatest distance of a filtered feature from the measured one, px.
-    pub filter_px: f64,
-    /// Gain of the classic law, 1/s.
-    pub lambda: f64,
-    /// Most steps that foresight simulates in a cycle; never more than a fifth of the sampling time
-    /// has room for.
-    pub foresight_steps: u32,
-    /// Time in which a component of the twist goes from zero to its limit, s, where the scene gives
-    /// no limit of acceleration; 0: at once.
-    pub brake_s: f64,
-    /// Whether features are advanced from their exposure to the instant at which the command takes
-    /// effect.
-    pub delay_compensation: bool,
+/// Declares the settings: what [`Settings`], its default, [`Settings::check`] and, with the feature
+/// `file`, table `[law]` of the configuration of `vpcd` and its JSON Schema have in common.
+/// `#[allowed(..)]` gives the least and the greatest value and the unit; `#[key(..)]` is
+/// `#[schemars(..)]` with the feature `file`, and nothing without it.
+macro_rules! settings {
+    ($(#[$meta:meta])* pub struct $name:ident {$(
+        $(#[doc = $text:literal])+
+        #[default($default:expr)]
+        $(#[allowed($low:literal to $high:literal $(, $unit:literal)?)])?
+        $(#[key($($key:tt)*)])?
+        $(#[with = $with:literal])?
+        pub $field:ident: $type:ty,
+    )+}) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        #[cfg_attr(feature = "file", derive(Serialize, Deserialize, schemars::JsonSchema))]
+        #[cfg_attr(feature = "file", serde(deny_unknown_fields, default = "Settings::daemon"))]
+        pub struct $name {$(
+            $(#[doc = $text])+
+            $(#[cfg_attr(feature = "file", schemars(
+                range(min = $low, max = $high) $(, extend("x-unit" = $unit))?
+            ))])?
+            $(#[cfg_attr(feature = "file", schemars($($key)*))])?
+            $(#[cfg_attr(feature = "file", serde(with = $with))])?
+            pub $field: $type,
+        )+}
+
+        impl Default for $name {
+            /// The paper's on-line settings for its simulations.
+            fn default() -> Self {
+                Self {$($field: $default,)+}
+            }
+        }
+
+        impl $name {
+            /// Checks each setting for itself.
+            fn check_ranges(&self) -> Result<(), SettingsError> {
+                $($(in_range(
+                    stringify!($field),
+                    self.$field as f64,
+                    [$low as f64, $high as f64],
+                    concat!(stringify!($low), " to ", stringify!($high) $(, " ", $unit)?),
+                )?;)?)+
+                Ok(())
+            }
+        }
+    };
 }
 
-impl Default for Settings {
-    /// The paper's on-line settings for its simulations.
-    fn default() -> Self {
-        Self {
-            strategy: Strategy::Previous,
-            np: 3,
-            step_s: 0.033,
-            nc: 1,
-            solver: SolverOptions {
-                max_iterations: 10,
-                tolerance: 1e-3,
-                intersample: true,
-            },
-            model: Model::Pose,
-            trigger_px: 20.0,
-            hysteresis: 2.0,
-            margin_px: 0.0,
-            change_share: 0.03,
-            filter_s: 0.15,
-            filter_px: 1.0,
-            lambda: 0.5,
-            foresight_steps: 150,
-            brake_s: 0.0,
-            delay_compensation: true,
-        }
+settings! {
+    /// The control law.
+    pub struct Settings {
+        /// How the goal is reached: by whole futures over the memory, simulated between two frames,
+        /// the best of which is followed (`foresight`); or as in the paper, where warm start and
+        /// target come from the previous cycle (`previous`), the nearest sample of the memory
+        /// (`knn`) or the mean of several (`knn5`), or regression over the memory (`gpr`). `ibvs`
+        /// is the classic law without prediction. Flag: --strategy.
+        #[default(Strategy::Previous)]
+        #[key(with = "alloc::string::String", extend("enum" = strategy::words(), "x-allowed" = Allowed.to_string()))]
+        #[with = "strategy::word"]
+        pub strategy: Strategy,
+        /// Steps predicted. Flag: --np.
+        #[default(3)]
+        #[allowed(1 to 40)]
+        pub np: usize,
+        /// Length of a step; where the camera's period and a stop from the limits take longer,
+        /// that. Flag of `cargo table`: --step-s.
+        #[default(0.033)]
+        #[allowed(0.001 to 10, "s")]
+        pub step_s: f64,
+        /// Free commands in the prediction; the last is held to its end.
+        #[default(1)]
+        #[allowed(1 to 4)]
+        #[key(extend("x-allowed" = FREE_COMMANDS))]
+        pub nc: usize,
+        /// Most iterations of the solver.
+        #[default(10)]
+        #[allowed(1 to 1000)]
+        pub iterations: u32,
+        /// Optimality at which the solver stops.
+        #[default(1e-3)]
+        #[allowed(1e-15 to 1)]
+        pub tolerance: f64,
+        /// Whether constraints hold between the sampling instants of the next period, too, and not
+        /// only at the instants, as in the paper.
+        #[default(true)]
+        pub intersample: bool,
+        /// How features are predicted.
+        #[default(Model::Pose)]
+        pub model: Model,
+        /// Most steps that foresight simulates between two frames; never more than a fifth of the
+        /// control period has room for. One takes 5 us with 3 steps ahead in the paper's scene, 60
+        /// us with 30.
+        #[default(150)]
+        #[allowed(1 to 1e5)]
+        pub foresight_steps: u32,
+        /// The memory is asked when a feature, or the edge of a marker that has a size, comes this
+        /// close to an occlusion.
+        #[default(20.0)]
+        #[allowed(0 to 1e4, "px")]
+        pub trigger_px: f64,
+        /// The memory is asked until every feature is this many times `trigger_px` away.
+        #[default(2.0)]
+        #[allowed(1 to 100)]
+        pub hysteresis: f64,
+        /// Clearance kept from every border: of each feature, or of the edge of a marker where the
+        /// scene gives `marker_size`.
+        #[default(0.0)]
+        #[allowed(0 to 1e3, "px")]
+        pub margin_px: f64,
+        /// Weight of the change of the command from one period to the next, as a share of R; 0 in
+        /// the paper.
+        #[default(0.03)]
+        #[allowed(0 to 10)]
+        pub change_share: f64,
+        /// Time constant with which the predicted features follow the measured ones. 0: no filter,
+        /// as in the paper.
+        #[default(0.15)]
+        #[allowed(0 to 10, "s")]
+        pub filter_s: f64,
+        /// Greatest distance of a filtered feature from the measured one: some three times the
+        /// noise.
+        #[default(1.0)]
+        #[allowed(0 to 100, "px")]
+        pub filter_px: f64,
+        /// Gain of ibvs.
+        #[default(0.5)]
+        #[allowed(1e-6 to 100, "per s")]
+        pub lambda: f64,
+        /// Whether features are advanced from their exposure to now by the commands sent since.
+        #[default(true)]
+        pub delay_compensation: bool,
+        /// Time in which a component of the twist goes from zero to its limit, where the scene
+        /// gives no limit of acceleration; 0: at once. The daemon takes `safety.brake_s`.
+        #[default(0.0)]
+        #[allowed(0 to 10, "s")]
+        #[key(skip)]
+        pub brake_s: f64,
     }
 }
+
+// The literals above.
+const _: () = assert!(MAX_NP == 40 && MAX_NC == 4);
+
+/// What is allowed for `nc`.
+const FREE_COMMANDS: &str = "1 to 4, at most np";
 
 /// Why a law cannot be set up.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -144,48 +228,48 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Range`] names the first one that is wrong.
     pub fn check(&self) -> Result<(), SettingsError> {
-        let k = match self.strategy {
-            Strategy::Knn { k } => k as f64,
-            _ => 1.0,
-        };
-        let (most_np, most_k) = (MAX_NP as f64, MAX_NEIGHBOURS as f64);
+        self.check_ranges()?;
         let most_nc = MAX_NC.min(self.np) as f64;
-        let iterations = f64::from(self.solver.max_iterations);
-        let ranges = [
-            ("np", self.np as f64, 1.0, most_np, "1 to 40"),
-            ("step_s", self.step_s, 1e-3, 10.0, "0.001 to 10 s"),
-            ("nc", self.nc as f64, 1.0, most_nc, "1 to 4, at most np"),
-            ("iterations", iterations, 1.0, 1e3, "1 to 1000"),
-            ("tolerance", self.solver.tolerance, 1e-15, 1.0, "1e-15 to 1"),
-            ("trigger_px", self.trigger_px, 0.0, 1e4, "0 to 1e4 px"),
-            ("hysteresis", self.hysteresis, 1.0, 100.0, "1 to 100"),
-            ("margin_px", self.margin_px, 0.0, 1e3, "0 to 1e3 px"),
-            ("change_share", self.change_share, 0.0, 10.0, "0 to 10"),
-            ("filter_s", self.filter_s, 0.0, 10.0, "0 to 10 s"),
-            ("filter_px", self.filter_px, 0.0, 100.0, "0 to 100 px"),
-            ("lambda", self.lambda, 1e-6, 100.0, "1e-6 to 100 per s"),
-            (
-                "foresight_steps",
-                f64::from(self.foresight_steps),
-                1.0,
-                1e5,
-                "1 to 1e5",
-            ),
-            ("brake_s", self.brake_s, 0.0, 10.0, "0 to 10 s"),
-            ("k", k, 1.0, most_k, "1 to 64"),
-        ];
-        for (name, value, low, high, allowed) in ranges {
-            // A NaN is in no range.
-            if !(low..=high).contains(&value) {
-                return Err(SettingsError::Range {
-                    name,
-                    value,
-                    allowed,
-                });
-            }
+        in_range("nc", self.nc as f64, [1.0, most_nc], FREE_COMMANDS)?;
+        match self.strategy {
+            Strategy::Knn { k } => in_range("k", k as f64, [1.0, MAX_NEIGHBOURS as f64], "1 to 64"),
+            _ => Ok(()),
         }
-        Ok(())
     }
+
+    /// The defaults of `vpcd`: the paper's, with foresight.
+    pub fn daemon() -> Self {
+        Self {
+            strategy: Strategy::Foresight,
+            ..Self::default()
+        }
+    }
+
+    /// When the solver stops.
+    pub fn solver(&self) -> SolverOptions {
+        SolverOptions {
+            max_iterations: self.iterations,
+            tolerance: self.tolerance,
+            intersample: self.intersample,
+        }
+    }
+}
+
+fn in_range(
+    name: &'static str,
+    value: f64,
+    [low, high]: [f64; 2],
+    allowed: &'static str,
+) -> Result<(), SettingsError> {
+    // A NaN is in no range.
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(SettingsError::Range {
+        name,
+        value,
+        allowed,
+    })
 }
 
 #[cfg(test)]
@@ -234,7 +318,7 @@ mod tests {
                 .contains("NaN")
         );
         assert!(
-            check(|s| s.solver.tolerance = -1.0)
+            check(|s| s.tolerance = -1.0)
                 .unwrap_err()
                 .contains("tolerance = -1")
         );

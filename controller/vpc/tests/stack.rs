@@ -1,7 +1,7 @@
 //! A controller of any size is made, steps and thinks on the stack of a small thread.
 
 use scene::{Pose, Scene, write_mask};
-use vpc::{Law, Measurement, MotionMemory, Settings, SolverOptions, Strategy, Task};
+use vpc::{Law, Measurement, MotionMemory, Settings, Strategy, Task};
 
 /// Stack of the thread, bytes.
 const STACK: usize = 256 << 10;
@@ -136,10 +136,7 @@ fn a_controller_lives_on_a_stack_of_256_kib() {
         np: vpc::MAX_NP,
         nc: vpc::MAX_NC,
         foresight_steps: 5,
-        solver: SolverOptions {
-            max_iterations: 3,
-            ..foresight.solver
-        },
+        iterations: 3,
         ..foresight
     };
     let largest = run(&largest(), longest);

@@ -91,7 +91,7 @@ fn check(np: usize, problems: usize) {
     let mut controller = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
     let task = controller.task().clone();
     let prices = Prices::of(Size::of(&task, np, settings.nc));
-    let budget = prices.budget(settings.solver.max_iterations);
+    let budget = prices.budget(settings.iterations);
     let bound = prices.decision(budget);
     let mut random = ChaCha8Rng::seed_from_u64(np as u64);
     // Of problems that begin clear of all occlusions, and of the others.
@@ -110,7 +110,7 @@ fn check(np: usize, problems: usize) {
         };
         assert!(speed(&step.twist) <= 1.0, "{points:?}: {:?}", step.twist);
         // Two starts, each with its iterations and its share of the budget.
-        assert!(step.iterations <= 2 * settings.solver.max_iterations);
+        assert!(step.iterations <= 2 * settings.iterations);
         assert!(step.work <= bound, "{points:?}: {} > {bound}", step.work);
         let inside = points
             .iter()
@@ -198,7 +198,7 @@ fn thinking_ahead_is_bounded_by_what_a_step_costs() {
         let prices = Prices::of(Size::of(&task, np, 1));
         // The step that passes the share of the period is the last.
         let share = (0.2 * 1e9 * task.period) as u64;
-        let budget = prices.budget(settings.solver.max_iterations);
+        let budget = prices.budget(settings.iterations);
         let most = share + 2 * u64::from(prices.decision(budget));
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let (mut thought, mut greatest) = (0, 0);

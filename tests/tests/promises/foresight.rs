@@ -100,7 +100,7 @@ fn no_run_is_deep_at_any_instant_and_without_the_mechanism_some_are() {
         assert!(row.deepest_px <= DEEPEST_PX, "{text}: {}", row.deepest_px);
     }
     let (row, _) = row("previous:3", &starts, |settings| {
-        settings.solver.intersample = false;
+        settings.intersample = false;
     });
     assert!(row.deepest_px > 2.0 * DEEPEST_PX, "{}", row.deepest_px);
 }
