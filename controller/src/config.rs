@@ -5,13 +5,14 @@
 use std::path::{Path, PathBuf};
 
 use messages::ClockMode;
+use scene::Scene;
 use toml_schema::Document;
 use vpc::{Settings, SettingsError};
 
 use crate::arguments::Arguments;
 use crate::exit::Exit;
 use crate::realtime::RealtimeRequest;
-use decision::supervisor::AfterArrival;
+use decision::{Rules, Safety};
 
 mod tables;
 #[cfg(test)]
@@ -20,6 +21,11 @@ mod tests;
 use tables::{Presence, Tables};
 
 pub use toml_schema::FileError as ConfigError;
+
+/// Longest time without new features for which commands may be valid, s, and the periods that are
+/// always allowed.
+const MOST_STALE_S: f64 = 1.0;
+const LEAST_STALE_PERIODS: f64 = 3.0;
 
 /// A valid configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,10 +40,7 @@ pub struct Config {
     pub settings: Settings,
     /// What starts a cycle.
     pub clock: ClockMode,
-    /// Periods for which the last command may stand without new features; the camera brakes so
-    /// early that it never stands longer.
-    pub stale_periods: f64,
-    /// Settings of the supervisor.
+    /// Settings of the supervisor and of the gate.
     pub safety: Safety,
     /// Directory of the shared-memory domain.
     pub domain: PathBuf,
@@ -71,21 +74,6 @@ impl FlightConfig {
     pub fn cycles(&self, rate_hz: f64) -> usize {
         (self.minutes * 60.0 * rate_hz).round() as usize
     }
-}
-
-/// The part of the configuration for the supervisor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Safety {
-    /// Whether the controller starts armed.
-    pub armed: bool,
-    /// Time in which a twist at the limits is braked to zero, s.
-    pub brake_s: f64,
-    /// Time without usable features after which the camera is disarmed, s.
-    pub lost_s: f64,
-    /// Whether the camera stands still until a robot was heard.
-    pub needs_robot: bool,
-    /// What it does when it has arrived.
-    pub after_arrival: AfterArrival,
 }
 
 /// Returns the JSON Schema of a configuration file.
@@ -127,6 +115,22 @@ impl Config {
         arguments: &Arguments,
     ) -> Result<Self, ConfigError> {
         Ok(laid_over(Document::parse(text, path)?, directory, arguments)?.1)
+    }
+
+    /// The rules of the control step on this scene; `source` names the configuration.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] if commands would be valid for too long.
+    pub fn rules(&self, scene: &Scene, source: &str) -> Result<Rules, ConfigError> {
+        let most = (MOST_STALE_S / scene.sampling_time()).max(LEAST_STALE_PERIODS);
+        let periods = self.safety.stale_periods;
+        if self.clock != ClockMode::Lockstep && periods > most {
+            let rate_hz = scene.camera.rate_hz;
+            let allowed = format!("at most {most} at the scene's {rate_hz} Hz, {MOST_STALE_S} s");
+            let key = "cycle.stale_periods";
+            return Err(ConfigError::value(source, key, periods, allowed));
+        }
+        Ok(Rules::new(scene, &self.settings, &self.safety, self.clock))
     }
 
     /// Returns the whole configuration that file and flags come to, with all defaults and absolute
@@ -223,11 +227,11 @@ fn laid_over(
             },
         )?,
         clock,
-        stale_periods: tables.cycle.stale_periods,
         safety: Safety {
             armed,
             brake_s: tables.safety.brake_s,
             lost_s: tables.safety.lost_s,
+            stale_periods: tables.cycle.stale_periods,
             needs_robot,
             after_arrival: tables.safety.after_arrival,
         },

@@ -1,25 +1,19 @@
 //! The loop: wake, receive, decide, send, slack, rehearse. Nothing here allocates, logs, or waits
 //! without a bound.
 
+use decision::{Answer, ControlStep, Input, Inputs};
 use heapless::Vec;
 use ipc::{ControllerPorts, PublishError, ReceiveError, StopFile, now_ns, suspended_ns};
 use messages::{
     Action, ClockMode, CycleFlags, CycleRecord, FUTURE_NS, Features, Order, Outcome, RealTime,
-    Reply, Request, TwistCommand, TwistState,
+    Received, Reply, Request, TwistCommand, TwistState,
 };
-use scene::Scene;
 
 use crate::clock::{Grid, sleep_until};
-use crate::config::{Config, ConfigError};
 use crate::flight::{DumpRequest, Producer};
 use crate::pll::CameraPll;
 use crate::shutdown::Stop;
 use crate::usage::Usage;
-use decision::control::{Answer, ControlStep};
-use decision::decision::HoldReason;
-use decision::input::{Input, Inputs};
-use decision::loaded::LoadedController;
-use decision::supervisor::Rules;
 
 /// How long before its release a cycle is rehearsed, ns: several times what a decision takes, and
 /// so short that nobody else uses the caches in between.
@@ -31,10 +25,6 @@ const POLL_NS: u64 = 20_000;
 /// Longest wait in lockstep before the stop flag is checked, and longest sleep, ns.
 const WAIT_NS: u64 = 5_000_000;
 
-/// Longest time without new features for which commands may be valid, s, and the periods that are
-/// always allowed.
-const MOST_STALE_S: f64 = 1.0;
-const LEAST_STALE_PERIODS: f64 = 3.0;
 /// Growth of the time suspended that is no error of its measurement, ns.
 const SUSPENDED_NS: u64 = 1_000_000;
 /// Answers to them and to the stop file.
@@ -47,82 +37,19 @@ pub struct Pace {
     pub clock: ClockMode,
     /// The period of the fixed clock, ns; unused in lockstep.
     pub period_ns: u64,
-    /// Periods for which a command is valid without new features.
-    pub stale_periods: f64,
-    /// Settings of the supervisor.
-    pub rules: Rules,
     /// Clock `phase`: how far after the expected arrival of features a cycle begins, ns.
     pub margin_ns: u64,
     /// The real-time properties that the thread has. Under SCHED_FIFO polling only sleeps.
     pub realtime: RealTime,
 }
 
-impl Pace {
-    /// How the loop of this configuration runs on this scene; real time is not asked for yet.
-    ///
-    /// # Errors
-    /// [`ConfigError::Value`] if commands would be valid for too long; `source` names the
-    /// configuration.
-    pub fn new(config: &Config, scene: &Scene, source: &str) -> Result<Self, ConfigError> {
-        let most = (MOST_STALE_S / scene.sampling_time()).max(LEAST_STALE_PERIODS);
-        let is_lockstep = config.clock == ClockMode::Lockstep;
-        if !is_lockstep && config.stale_periods > most {
-            let rate_hz = scene.camera.rate_hz;
-            let allowed = format!("at most {most} at the scene's {rate_hz} Hz, {MOST_STALE_S} s");
-            let key = "cycle.stale_periods";
-            return Err(ConfigError::value(
-                source,
-                key,
-                config.stale_periods,
-                allowed,
-            ));
-        }
-        let ns = |seconds: f64| (seconds * 1e9) as u64;
-        // Never before the command has gone stale and a brake has had time to begin.
-        let least_ns = ns((config.stale_periods + 2.0) * scene.sampling_time());
-        let brake_ns = match is_lockstep {
-            true => 0,
-            false => ns(config.safety.brake_s),
-        };
-        Ok(Self {
-            clock: config.clock,
-            period_ns: ns(scene.sampling_time()),
-            stale_periods: config.stale_periods,
-            rules: Rules {
-                limits: scene.limits.velocity(),
-                change: config
-                    .settings
-                    .acceleration(&scene.limits)
-                    .map(|a| a * scene.sampling_time()),
-                brake_ns,
-                // As steeply as it brakes.
-                ramp_ns: brake_ns,
-                lost_ns: (!is_lockstep).then(|| ns(config.safety.lost_s).max(least_ns)),
-                needs_robot: config.safety.needs_robot,
-                begins: (!config.safety.armed).then_some(HoldReason::NotArmed),
-                after_arrival: config.safety.after_arrival,
-            },
-            margin_ns: config.margin_ns,
-            realtime: RealTime::default(),
-        })
-    }
-
-    /// The control step of such a loop before its first cycle.
-    pub fn control(&self, mut loaded: LoadedController) -> ControlStep {
-        let stale_ns = match self.clock {
-            // Looked at once a period: what would be too old at the next release is too old now.
-            ClockMode::Fixed | ClockMode::Phase => {
-                loaded.controller.go_live(self.stale_ns());
-                Some(self.stale_ns().saturating_sub(self.period_ns))
-            }
-            ClockMode::Lockstep => None,
-        };
-        ControlStep::new(loaded, stale_ns, self.rules)
-    }
-
-    /// Age from which on features and commands are stale, ns.
-    fn stale_ns(&self) -> u64 {
-        (self.stale_periods * self.period_ns as f64) as u64
+/// What came from a port.
+fn input<T>(received: Result<Option<Received<T>>, ReceiveError>) -> Input<T> {
+    match received {
+        Ok(Some(received)) => Input::Message(received.message),
+        Ok(None) => Input::Nothing,
+        Err(ReceiveError::Invalid { stamp, .. }) => Input::Refused(stamp),
+        Err(ReceiveError::Transport { .. }) => Input::Failed,
     }
 }
 
@@ -144,13 +71,13 @@ fn is_late(request: &Request, now_ns: u64) -> bool {
 
 /// The loop with all it owns. With other threads it shares the queue of its records and the flag
 /// for the flight record.
-pub struct Cycle {
+pub struct Cycle<'m> {
     pace: Pace,
     ports: ControllerPorts,
     stop_file: StopFile,
     /// Whether it asked for a stop that is not acknowledged yet.
     is_stopping: bool,
-    control: ControlStep,
+    control: ControlStep<'m>,
     grid: Grid,
     /// Moves the grid, in the clock `phase`.
     pll: Option<CameraPll>,
@@ -172,13 +99,13 @@ pub struct Cycle {
     waits_since_ns: Option<u64>,
 }
 
-impl Cycle {
+impl<'m> Cycle<'m> {
     /// A loop that starts now.
     pub fn new(
         pace: Pace,
         ports: ControllerPorts,
         stop_file: StopFile,
-        control: ControlStep,
+        control: ControlStep<'m>,
         mut producer: Producer,
         dump: DumpRequest,
     ) -> Self {
@@ -263,14 +190,12 @@ impl Cycle {
     /// Most cycles that braking from the limits to zero takes, and one to begin with; none in
     /// lockstep.
     pub fn braking_cycles(&self) -> u64 {
-        let rules = self.pace.rules;
-        match self.pace.clock {
-            ClockMode::Fixed | ClockMode::Phase => {
-                let by_time = rules.brake_ns.div_ceil(self.pace.period_ns);
-                by_time.max(rules.stop_cycles(&rules.limits).ceil() as u64) + 1
-            }
-            ClockMode::Lockstep => 0,
+        if self.pace.clock == ClockMode::Lockstep {
+            return 0;
         }
+        let rules = self.control.rules();
+        let by_time = rules.brake_ns.div_ceil(self.pace.period_ns);
+        by_time.max(rules.stop_cycles(&rules.limits).ceil() as u64) + 1
     }
 
     /// Sends the zero twist that ends a run, whatever came before.
@@ -303,7 +228,7 @@ impl Cycle {
         let woken_ns = now_ns();
         self.woken = Usage::now();
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
-        let features: Input<Features> = self.ports.features.latest().into();
+        let features: Input<Features> = input(self.ports.features.latest());
         if let (Some(pll), Input::Message(message)) = (&mut self.pll, &features) {
             pll.hear(&message.stamp, woken_ns);
         }
@@ -325,7 +250,7 @@ impl Cycle {
                 Ok(Some(received)) if received.order == Order::Repeated => (),
                 received => {
                     self.waits_since_ns = None;
-                    return Some((woken_ns, received.into()));
+                    return Some((woken_ns, input(received)));
                 }
             }
             if woken_ns >= begin_ns + WAIT_NS {
@@ -342,7 +267,7 @@ impl Cycle {
 
     /// Takes what came from robot and operators, and the time for which the cycle decides.
     fn receive(&mut self, features: Input<Features>, stop: &Stop) -> Inputs {
-        let robot = self.ports.robot.latest().into();
+        let robot = input(self.ports.robot.latest());
         self.take_requests();
         let missed = self.grid.missed() - self.missed;
         self.missed = self.grid.missed();
@@ -404,11 +329,9 @@ impl Cycle {
     fn send(&mut self, answer: &Answer, record: &mut CycleRecord) -> Result<(), PublishError> {
         let decision = &answer.decision;
         let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state);
-        let command = match self.pace.clock {
-            ClockMode::Fixed | ClockMode::Phase => {
-                command.valid_until(now_ns().saturating_add(self.pace.stale_ns()))
-            }
-            ClockMode::Lockstep => command,
+        let command = match self.control.rules().valid_ns {
+            Some(valid_ns) => command.valid_until(now_ns().saturating_add(valid_ns)),
+            None => command,
         };
         let sent = self.ports.twist.publish(&command);
         match sent {
@@ -474,6 +397,19 @@ mod tests {
         assert_eq!(pause_ns(0), 20_000);
         assert_eq!(pause_ns(8_000_000), 1_000_000);
         assert_eq!(pause_ns(3_600_000_000_000), 5_000_000);
+    }
+
+    #[test]
+    fn a_message_that_breaks_the_contract_is_refused_with_its_head() {
+        let mut message = Features::new(&[[1.0; 2]; 4], 5);
+        (message.stamp.sequence, message.count) = (7, 99);
+        let (invalid, stamp) = (
+            messages::Message::check(&message).unwrap_err(),
+            message.stamp,
+        );
+        let found = input::<Features>(Err(ReceiveError::Invalid { invalid, stamp }));
+        assert_eq!(found, Input::Refused(stamp));
+        assert_eq!(input::<Features>(Ok(None)), Input::Nothing);
     }
 
     #[test]

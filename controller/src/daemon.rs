@@ -7,10 +7,9 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use decision::HoldReason;
 use ipc::{ControllerPorts, Domain, StopFile};
-use memory_blob::OpenError;
 use messages::{ClockMode, RealTime};
-use scene::FileError;
 
 use crate::arguments::{Arguments, Command};
 use crate::config::{self, Config, ConfigError};
@@ -18,6 +17,7 @@ use crate::cycle::{Cycle, Pace};
 use crate::exit::Exit;
 use crate::flight::{self, About, DumpRequest, Recorder};
 use crate::instance::{self, Instance, InstanceError};
+use crate::loaded::{LoadError, Loaded};
 use crate::log::Log;
 use crate::panicked::Panicked;
 use crate::preflight::{Cost, Facts};
@@ -28,8 +28,6 @@ use crate::shutdown::{Hangup, Stop};
 use crate::summary::Summary;
 use crate::telemetry::{RecorderError, Telemetry};
 use crate::{log, preflight, realtime, replay, stack};
-use decision::decision::HoldReason;
-use decision::loaded::{LoadError, LoadedController};
 
 /// Failures to send in a row after which the daemon ends: a broken segment stays broken.
 const MOST_FAILURES: u32 = 30;
@@ -82,16 +80,6 @@ impl Failure {
             Self::Recorder(_) | Self::Log(_) | Self::Signals(_) | Self::Send { .. } => {
                 Exit::Software
             }
-        }
-    }
-}
-
-impl From<&LoadError> for Exit {
-    fn from(error: &LoadError) -> Self {
-        match error {
-            LoadError::Scene(FileError::Read { .. })
-            | LoadError::Memory(OpenError::Read { .. }) => Self::NoInput,
-            _ => Self::Data,
         }
     }
 }
@@ -161,14 +149,8 @@ fn preflight(arguments: &Arguments) -> Exit {
     let wanted = wanted.unwrap_or(usual);
     let mut facts = Facts::gather(wanted);
     if let Some(config) = config.filter(|c| c.settings.strategy == vpc::Strategy::Foresight) {
-        let loaded =
-            LoadedController::open(&config.scene, config.memory.as_deref(), config.settings);
-        match loaded {
-            Ok(loaded) => {
-                let view = loaded.memory().map(memory_blob::MemoryFile::view);
-                let memory = view.as_ref().map(|view| view as &dyn vpc::MotionMemory);
-                facts.foresight = Cost::measure(loaded.scene(), config.settings, memory);
-            }
+        match Loaded::open(&config.scene, config.memory.as_deref(), config.settings) {
+            Ok(loaded) => facts.foresight = Cost::measure(&loaded),
             Err(error) => return failed(&error, Exit::from(&error)),
         }
     }
@@ -206,10 +188,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // First of all: a hang-up while the memory is read must not kill.
     let signals = Signals::handle()?;
     let config = Config::read(arguments)?;
-    let loaded = LoadedController::open(&config.scene, config.memory.as_deref(), config.settings)?;
+    let loaded = Loaded::open(&config.scene, config.memory.as_deref(), config.settings)?;
     let rate_hz = loaded.scene().camera.rate_hz;
     let (room, source) = (realtime::memory_bytes(), config::named(arguments));
-    let mut pace = Pace::new(&config, loaded.scene(), &source)?;
+    let rules = config.rules(loaded.scene(), &source)?;
+    let mut control = loaded.control(rules)?;
     Recorder::check_room(&config.flight, rate_hz, room, source)?;
     if arguments.check_only {
         println!("{}", describe(&config, &loaded));
@@ -218,7 +201,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         return Ok(());
     }
-    let period = Duration::from_nanos(pace.period_ns);
+    let period_ns = decision::rules::ns(loaded.scene().sampling_time());
+    let period = Duration::from_nanos(period_ns);
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
@@ -230,7 +214,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
     if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
-        pace.rules.begins = Some(HoldReason::Unclean);
+        control.begin_disarmed(HoldReason::Unclean);
         tracing::warn!(
             "process {process}, a vpcd of this domain, was killed or crashed, and nobody has armed since: begins disarmed"
         );
@@ -254,21 +238,20 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(warning) = loaded.warning() {
         tracing::warn!("{warning}");
     }
-    pace.realtime = match config.realtime {
+    let realtime = match config.realtime {
         Some(wanted) => realtime::enter(wanted),
         None => {
             realtime::precise_sleep();
             RealTime::default()
         }
     };
-    let mut cycle = Cycle::new(
-        pace,
-        ports,
-        stop_file,
-        pace.control(loaded),
-        producer,
-        signals.dump,
-    );
+    let pace = Pace {
+        clock: config.clock,
+        period_ns,
+        margin_ns: config.margin_ns,
+        realtime,
+    };
+    let mut cycle = Cycle::new(pace, ports, stop_file, control, producer, signals.dump);
     let panicked = Panicked::in_this_thread();
     let outcome = {
         let turn = || turn(&mut cycle, &signals.stop, &progress, arguments.cycles);
@@ -283,7 +266,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     instance.has_consent = cycle.has_consent();
     drop(cycle);
     let machine = Report {
-        realtime: pace.realtime.0,
+        realtime: realtime.0,
         stack_used_bytes: config.realtime.map_or(0, |_| stack::used()),
         locked_kib: realtime::status_kib("VmLck").unwrap_or(0),
         ..Report::default()
@@ -300,8 +283,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Leaves scene and configuration in the domain, where viewers and recorders find them. They do
 /// without if these cannot be written.
-fn publish(loaded: &LoadedController, config: &str, domain: &Path) -> Option<Published> {
-    let published = Published::write(loaded.scene_files(), config, domain);
+fn publish(loaded: &Loaded, config: &str, domain: &Path) -> Option<Published> {
+    let published = Published::write(&loaded.files, config, domain);
     let warn = |error: &std::io::Error| {
         let domain = domain.display();
         tracing::warn!(%error, "{domain}: viewers lack scene and configuration: {error}");
@@ -374,9 +357,9 @@ fn turn(
 }
 
 /// What runs, in one line.
-fn describe(config: &Config, loaded: &LoadedController) -> String {
-    let settings = loaded.controller.settings();
-    let memory = match (&config.memory, loaded.memory()) {
+fn describe(config: &Config, loaded: &Loaded) -> String {
+    let settings = &loaded.settings;
+    let memory = match (&config.memory, &loaded.memory) {
         (Some(path), Some(memory)) => format!("{} ({} bytes)", path.display(), memory.size()),
         _ => "none".to_owned(),
     };

@@ -31,6 +31,7 @@ pub mod exit;
 pub mod flight;
 pub mod histogram;
 pub mod instance;
+pub mod loaded;
 pub mod log;
 pub mod lossy;
 pub mod panicked;

@@ -17,7 +17,7 @@ use messages::{CycleFlags, CycleRecord, Reply, Request};
 use recording::Recording;
 use serde::Serialize;
 
-use decision::control::ControlStep;
+use decision::ControlStep;
 use decision::snapshot::{self, SnapshotError};
 use source::Source;
 

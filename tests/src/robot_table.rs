@@ -1,8 +1,6 @@
 //! `cargo table -- --robot panda`: strategies on the same starts against the emulated robot, in
 //! simulated time.
 
-use std::sync::Arc;
-
 use anyhow::Context;
 use hw_sim::rig::RigSettings;
 use hw_sim::robot::bridge::Shaping;
@@ -103,7 +101,7 @@ fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> Rig
 pub fn table(
     scene: &Scene,
     starts: &[Pose],
-    memory: Option<&Arc<MemoryFile>>,
+    memory: Option<&MemoryFile>,
     flags: &RobotFlags,
     common: &Common,
     tick: &(dyn Fn() + Sync),
@@ -118,7 +116,6 @@ pub fn table(
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
-            let memory = memory.cloned();
             let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
             let cell = cell(scene, flags, common, start);
             let run = run(scene, &cell, &mut daemon, &starts[start]);

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::time::Instant;
 
-use decision::input::Inputs;
+use decision::Inputs;
 use hw_sim::camera::outlines;
 use hw_sim::cost::running_cost;
 use hw_sim::referee::INSTANTS;

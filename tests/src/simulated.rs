@@ -1,20 +1,13 @@
 //! The daemon's decision step in simulated time: order and age, law, supervisor; the same code as
 //! the daemon's loop runs, without its clock and ports.
 
-use std::path::Path;
-use std::sync::Arc;
-
-use controller::arguments::Arguments;
-use controller::config::Config;
-use controller::cycle::Pace;
-use decision::control::{ControlStep, State};
-use decision::input::{Input, Inputs};
-use decision::loaded::LoadedController;
+use decision::control::State;
+use decision::{ControlStep, Input, Inputs, Rules, Safety};
 use hw_sim::sensor::Frame;
 use memory_blob::MemoryFile;
 use messages::{ClockMode, CycleRecord, Features};
-use scene::{Scene, SceneFiles};
-use vpc::{Law, Settings};
+use scene::Scene;
+use vpc::{Law, Settings, SettingsError};
 
 /// When a run begins: any time but zero, which means that a time is unknown, ns.
 const BEGIN_NS: u64 = 1_000_000_000;
@@ -23,45 +16,35 @@ const BEGIN_NS: u64 = 1_000_000_000;
 const ROUNDING: f64 = 1e-9;
 
 /// A daemon that is armed, with the configuration that it has by itself but for the law.
-pub struct Simulated {
-    control: ControlStep,
+pub struct Simulated<'m> {
+    control: ControlStep<'m>,
     /// Its state before the first cycle.
     fresh: Box<State>,
     /// Number of the last frame.
     sequence: u64,
 }
 
-impl Simulated {
+impl<'m> Simulated<'m> {
     /// A daemon for this scene, as the law believes it to be.
     ///
     /// # Errors
     /// If scene and settings give no task.
     pub fn new(
         scene: &Scene,
-        memory: Option<Arc<MemoryFile>>,
+        memory: Option<&'m MemoryFile>,
         settings: Settings,
         clock: ClockMode,
-    ) -> anyhow::Result<Self> {
-        const PATH: &str = "the scene";
-        let files = SceneFiles {
-            scene: scene.clone(),
-            path: PATH.into(),
-            text: String::new(),
-            masks: Default::default(),
-        };
-        let arguments = Arguments {
-            scene: Some(PATH.into()),
-            clock: Some(clock.to_string()),
-            arm: true,
-            ..Arguments::default()
-        };
-        let name = "the default configuration";
-        let mut config = Config::parse("", name, Path::new(""), &arguments)?;
-        config.settings = settings;
-        let mut pace = Pace::new(&config, scene, PATH)?;
+    ) -> Result<Self, SettingsError> {
         // Nothing carries this camera, and as in the paper its run begins in motion.
-        (pace.rules.needs_robot, pace.rules.ramp_ns) = (false, 0);
-        let control = pace.control(LoadedController::with(files, PATH, memory, settings)?);
+        let safety = Safety {
+            armed: true,
+            needs_robot: false,
+            ..Safety::default()
+        };
+        let mut rules = Rules::new(scene, &settings, &safety, clock);
+        rules.ramp_ns = 0;
+        let memory = memory.map(MemoryFile::view);
+        let control = ControlStep::new(scene, settings, memory, rules)?;
         let fresh = Box::new(control.state());
         Ok(Self {
             control,
@@ -91,7 +74,7 @@ impl Simulated {
 
     /// The law.
     pub fn law(&self) -> &Law<Vec<f64>> {
-        &self.control.loaded().controller
+        self.control.law()
     }
 
     /// What a cycle receives `now_ns` after the begin of the run: the frame that arrives, if any.

@@ -2,20 +2,26 @@
 //! earlier cycles left, with no clock and no port: the loop calls it live, a replay calls it again,
 //! and both get the same bits.
 
+use alloc::vec;
+use alloc::vec::Vec;
+
+use memory_blob::Memory;
 use messages::{
     Action, CycleFlags, CycleRecord, Features, Outcome, Reply, Request, Stamp, StrategyCode,
     TwistState,
 };
+use scene::Scene;
 use serde::{Deserialize, Serialize};
+use vpc::{Law, MotionMemory, Settings, SettingsError};
 
 use crate::contract;
 use crate::decision::{Decision, HoldReason, hold_code};
-use crate::gate::{Gate, Verdict};
+use crate::gate::{Gate, Link, Verdict};
 use crate::input::{Input, Inputs};
-use crate::law;
-use crate::loaded::LoadedController;
+use crate::law::{self, Bounds};
 use crate::robot::RobotWatch;
-use crate::supervisor::{Rules, Situation, Supervisor};
+use crate::rules::{Rules, ns};
+use crate::supervisor::{Situation, Supervisor};
 
 /// What a cycle is to send.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,29 +44,53 @@ pub struct State {
     pub standing: Answer,
 }
 
-/// Decides cycle by cycle: gate, law and supervisor, with what a cycle leaves to the next.
-pub struct ControlStep {
+/// Decides cycle by cycle: gate, law and supervisor, with what a cycle leaves to the next. The
+/// memory of motion is borrowed.
+pub struct ControlStep<'m> {
     gate: Gate,
     robot: RobotWatch,
-    loaded: LoadedController,
+    law: Law<Vec<f64>>,
+    memory: Option<Memory<'m>>,
+    bounds: Bounds,
     supervisor: Supervisor,
     standing: Answer,
 }
 
-impl ControlStep {
-    /// Before the first cycle. Features are stale after `stale_ns` of silence, never in lockstep
-    /// (`None`).
-    pub fn new(loaded: LoadedController, stale_ns: Option<u64>, rules: Rules) -> Self {
-        Self {
+impl<'m> ControlStep<'m> {
+    /// Before the first cycle.
+    ///
+    /// # Errors
+    /// [`SettingsError`] if scene and settings give no task.
+    pub fn new(
+        scene: &Scene,
+        settings: Settings,
+        memory: Option<Memory<'m>>,
+        rules: Rules,
+    ) -> Result<Self, SettingsError> {
+        let mut law = Law::new(scene, settings, |len| vec![0.0; len])?;
+        if let Some(valid_ns) = rules.valid_ns {
+            law.go_live(valid_ns);
+        }
+        // Looked at once a period: what would be too old at the next release is too old now.
+        let period_ns = ns(scene.sampling_time());
+        let stale_ns = rules.valid_ns.map(|valid| valid.saturating_sub(period_ns));
+        Ok(Self {
             gate: Gate::new(stale_ns),
             robot: RobotWatch::new(&rules),
-            loaded,
+            law,
+            memory,
+            bounds: Bounds::of(scene),
             supervisor: Supervisor::new(rules),
             standing: Answer {
                 stamp: Stamp::default(),
                 decision: Decision::hold(HoldReason::NoFeatures),
             },
-        }
+        })
+    }
+
+    /// Before the first cycle: begins disarmed, whatever the rules say.
+    pub fn begin_disarmed(&mut self, reason: HoldReason) {
+        self.supervisor.begin_disarmed(reason);
     }
 
     /// What the cycles so far leave to the next. A copy; never allocates.
@@ -69,14 +99,16 @@ impl ControlStep {
         let Self {
             gate,
             robot,
-            loaded,
+            law,
+            memory: _,
+            bounds: _,
             supervisor,
             standing,
         } = self;
         State {
             gate: *gate,
             robot: *robot,
-            law: loaded.controller.state(),
+            law: law.state(),
             supervisor: *supervisor,
             standing: *standing,
         }
@@ -87,14 +119,19 @@ impl ControlStep {
     pub fn restore(&mut self, state: &State) {
         self.gate = state.gate;
         self.robot = state.robot;
-        self.loaded.controller.restore(&state.law);
+        self.law.restore(&state.law);
         self.supervisor = state.supervisor;
         self.standing = state.standing;
     }
 
-    /// The law with its scene and memory.
-    pub fn loaded(&self) -> &LoadedController {
-        &self.loaded
+    /// The law.
+    pub fn law(&self) -> &Law<Vec<f64>> {
+        &self.law
+    }
+
+    /// The rules of the supervisor.
+    pub fn rules(&self) -> Rules {
+        self.supervisor.rules()
     }
 
     /// Whether an operator has armed it.
@@ -117,7 +154,7 @@ impl ControlStep {
             (Some(action), _) => self.supervisor.request(action, request.stops),
         };
         if (request.action(), outcome) == (Some(Action::Arm), Outcome::Done) {
-            self.loaded.controller.be_patient();
+            self.law.be_patient();
         }
         self.reply(request, cycle, outcome)
     }
@@ -150,7 +187,7 @@ impl ControlStep {
         self.record_inputs(inputs, record);
         let robot = self.robot.look(&inputs.robot, inputs.now_ns);
         if self.robot.is_idle() {
-            self.loaded.controller.expect_no_motion();
+            self.law.expect_no_motion();
         }
         let proposed = self.propose(inputs, record);
         let situation = Situation {
@@ -173,12 +210,12 @@ impl ControlStep {
         );
         if decision.state == TwistState::Disarmed && is_new_place {
             // Nothing moves before an operator has armed: the object may be anywhere.
-            self.loaded.controller.lose_sight();
+            self.law.lose_sight();
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's
         // plan, so that a replay needs no other clock.
         let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);
-        self.loaded.controller.sent(&decision.twist, effective_ns);
+        self.law.sent(&decision.twist, effective_ns);
         self.robot.sent(&decision.twist, inputs.now_ns);
         record.features_sequence = proposed.stamp.sequence;
         record.twist = decision.twist;
@@ -193,7 +230,7 @@ impl ControlStep {
     /// Thinks ahead in the slack of a cycle, after its command was sent. Never allocates; its work
     /// is bounded.
     pub fn think(&mut self) {
-        self.loaded.think();
+        self.law.think(motion(&self.memory));
     }
 
     /// Decides on the features that are expected at `now_ns`, and forgets it: code and data of the
@@ -218,8 +255,8 @@ impl ControlStep {
     /// The newest features that are expected at `now_ns`: whole periods after the last ones, with
     /// the points where the law expects them; `None` where nothing is expected.
     fn expected(&self, now_ns: u64) -> Option<Features> {
-        let controller = &self.loaded.controller;
-        let period_ns = (controller.task().period * 1e9) as u64;
+        let law = &self.law;
+        let period_ns = (law.task().period * 1e9) as u64;
         let mut stamp = self.standing.stamp;
         let periods = now_ns.checked_sub(stamp.published_ns)? / period_ns;
         let since_ns = periods.max(1) * period_ns;
@@ -228,7 +265,7 @@ impl ControlStep {
         if stamp.data_ns != 0 {
             stamp.data_ns = stamp.data_ns.checked_add(since_ns)?;
         }
-        let points = controller.expected(contract::exposed_ns(&stamp))?;
+        let points = law.expected(contract::exposed_ns(&stamp))?;
         Some(Features {
             stamp,
             ..Features::new(&points, stamp.data_ns)
@@ -246,7 +283,7 @@ impl ControlStep {
 
     /// The last decision could not be sent: which command the camera obeys is unknown.
     pub fn unsent(&mut self) {
-        self.loaded.controller.forget_sent();
+        self.law.forget_sent();
     }
 
     /// What gate and law would send.
@@ -256,14 +293,7 @@ impl ControlStep {
                 (record.count, record.points) = (features.count, features.points);
                 let effective_ns = self.effective_ns(&features.stamp, inputs.now_ns);
                 let has_arrived = self.standing.decision.state == TwistState::Arrived;
-                let decision = law::decide(
-                    &mut self.loaded,
-                    &features,
-                    effective_ns,
-                    link,
-                    has_arrived,
-                    record,
-                );
+                let decision = self.run_law(&features, effective_ns, link, has_arrived, record);
                 match decision.hold {
                     None | Some(HoldReason::NoWay) => self.gate.approve(),
                     Some(reason) => _ = self.gate.hold(reason),
@@ -282,14 +312,40 @@ impl ControlStep {
         }
     }
 
+    /// What to command on these features by a command that takes effect at `effective_ns`, on the
+    /// clock of their exposure; the numbers of the step go into `record`. `had_arrived` is whether
+    /// the last decision was [`TwistState::Arrived`].
+    fn run_law(
+        &mut self,
+        features: &Features,
+        effective_ns: u64,
+        link: Link,
+        had_arrived: bool,
+        record: &mut CycleRecord,
+    ) -> Decision {
+        match link {
+            Link::Next => (),
+            Link::Broken => self.law.skip_mismatch(),
+            Link::New => self.law.reset(),
+        }
+        let measurement = contract::measurement(features, effective_ns);
+        match self.law.step(&measurement, motion(&self.memory)) {
+            Ok(step) => {
+                contract::record_step(&step, record);
+                self.bounds.decide(&step, had_arrived && link != Link::New)
+            }
+            Err(refusal) => Decision::hold(contract::hold_reason(refusal)),
+        }
+    }
+
     /// What was received, and under which settings it is decided.
     fn record_inputs(&self, inputs: &Inputs, record: &mut CycleRecord) {
         let (strategy, neighbours) = self.strategy();
-        record.np = self.loaded.controller.settings().np as u32;
+        record.np = self.law.settings().np as u32;
         (record.strategy, record.neighbours) = (strategy.code(), neighbours);
         if strategy == StrategyCode::Foresight {
-            let controller = &self.loaded.controller;
-            contract::record_foresight(controller.foreseen(), controller.task().ts, record);
+            let law = &self.law;
+            contract::record_foresight(law.foreseen(), law.task().ts, record);
         }
         let (code, seen) = inputs.features.wire();
         (record.features_input, record.features_seen) = (code.code(), seen);
@@ -306,202 +362,27 @@ impl ControlStep {
     }
 
     fn strategy(&self) -> (StrategyCode, u32) {
-        contract::strategy_code(self.loaded.controller.settings().strategy)
+        contract::strategy_code(self.law.settings().strategy)
     }
 
     fn change(&mut self, code: StrategyCode, neighbours: u32) -> Outcome {
         match contract::strategy(code, neighbours) {
             None => Outcome::Neighbours,
-            Some(strategy) if self.loaded.set_strategy(strategy) => Outcome::Done,
+            Some(strategy)
+                if law::has_memory(self.memory.as_ref(), strategy)
+                    && self.law.set_strategy(strategy).is_ok() =>
+            {
+                Outcome::Done
+            }
             Some(_) => Outcome::NoMemory,
         }
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use messages::{Features, RobotState};
-    use rand::{Rng, RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
-    use scene::SceneFiles;
-
-    use super::*;
-    use crate::input::Input;
-
-    const MS: u64 = 1_000_000;
-    const PERIOD: u64 = 33 * MS;
-    const LIMITS: [f64; 6] = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
-    /// Features far from the goal: the law always wants to move.
-    const FAR: [[f64; 2]; 4] = [
-        [250.0, 250.0],
-        [420.0, 260.0],
-        [410.0, 430.0],
-        [240.0, 420.0],
-    ];
-
-    fn nasty_instant(now_ns: u64, random: &mut impl Rng) -> u64 {
-        match random.random_range(0..6) {
-            0 => random.random(),
-            1 => [0, 1, 1 << 63, u64::MAX - 1, u64::MAX][random.random_range(0..5)],
-            _ => now_ns.saturating_add(PERIOD) - random.random_range(0..20 * PERIOD),
-        }
-    }
-
-    fn nasty_stamp(now_ns: u64, random: &mut impl Rng) -> Stamp {
-        Stamp {
-            sequence: nasty_instant(now_ns, random),
-            published_ns: nasty_instant(now_ns, random),
-            data_ns: nasty_instant(now_ns, random),
-        }
-    }
-
-    /// A number that makes a message any of: the first, the next, one after a gap, a repeated one,
-    /// a restarted one.
-    fn any_number(random: &mut impl Rng) -> u64 {
-        [1, 7, 8, 9, random.random()][random.random_range(0..5)]
-    }
-
-    /// What a camera sends: good features mostly, so that the law has a say; anything else now and
-    /// then.
-    fn features(now_ns: u64, number: u64, random: &mut impl Rng) -> Input<Features> {
-        let points = FAR.map(|point| point.map(|x| x + random.random_range(-0.1..0.1)));
-        let mut message = Features::new(&points, now_ns - 20 * MS);
-        (message.stamp.sequence, message.stamp.published_ns) = (number, now_ns - MS);
-        match random.random_range(0..40) {
-            0 => message.stamp = nasty_stamp(now_ns, random),
-            1 => message.stamp.sequence = any_number(random),
-            2 => message.points = message.points.map(|x| x * random.random_range(-1e9..1e9)),
-            3 => message.points[random.random_range(0..8)] = f64::NAN,
-            4 => message.count = random.random(),
-            5 => message.visible = random.random(),
-            6 => return Input::Nothing,
-            7 => return Input::Refused(nasty_stamp(now_ns, random)),
-            8 => return Input::Failed,
-            _ => (),
-        }
-        Input::Message(message)
-    }
-
-    fn robot(now_ns: u64, random: &mut impl Rng) -> Input<RobotState> {
-        let mut message = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now_ns);
-        message.stamp.published_ns = now_ns;
-        match random.random_range(0..40) {
-            0 => message.stamp = nasty_stamp(now_ns, random),
-            1 => message.mode = random.random(),
-            2 => message.faults = random.random(),
-            3..20 => return Input::Nothing,
-            _ => (),
-        }
-        Input::Message(message)
-    }
-
-    /// In real time, at rest and not armed.
-    fn control() -> ControlStep {
-        let text = scene::PAPER_SIM.to_owned();
-        let files = SceneFiles::parse(text, "sim", &|_| unreachable!("no masks")).unwrap();
-        let mut loaded =
-            LoadedController::of(files, "sim", None, vpc::Settings::default()).unwrap();
-        loaded.controller.go_live(3 * PERIOD);
-        let rules = Rules {
-            limits: LIMITS,
-            change: [f64::INFINITY; 6],
-            brake_ns: 150 * MS,
-            ramp_ns: 150 * MS,
-            lost_ns: Some(300 * MS),
-            needs_robot: false,
-            begins: None,
-            after_arrival: Default::default(),
-        };
-        ControlStep::new(loaded, Some(2 * PERIOD), rules)
-    }
-
-    #[test]
-    fn in_real_time_no_input_whatsoever_panics_or_passes_the_limits() {
-        let mut random = ChaCha8Rng::seed_from_u64(1);
-        let mut control = control();
-        let mut now_ns = 1 << 40;
-        let (mut moving, mut still) = (0, 0);
-        for cycle in 0..30_000 {
-            now_ns += match random.random_range(0..200) {
-                0 => random.random_range(0..3000 * MS),
-                1 => 0,
-                _ => PERIOD,
-            };
-            // No clock should.
-            now_ns -= if random.random_bool(0.005) { 2 * MS } else { 0 };
-            if random.random_bool(0.3) {
-                let action = if random.random_bool(0.9) {
-                    Action::Arm.code()
-                } else {
-                    random.random_range(0..7)
-                };
-                let mut request = Request::new(cycle, Action::Status);
-                (request.action, request.neighbours) = (action, random.random());
-                // Who arms has seen the last stop, or not.
-                let stops = [control.supervisor.stops(), random.random()];
-                request.stops = stops[usize::from(random.random_bool(0.5))];
-                control.request(&request, cycle);
-            }
-            let inputs = Inputs {
-                now_ns,
-                features: features(now_ns, cycle + 1, &mut random),
-                robot: robot(now_ns, &mut random),
-                missed: match random.random_range(0..20) {
-                    0 => random.random(),
-                    _ => 0,
-                },
-                suspended: random.random_bool(0.002),
-                shutdown: false,
-            };
-            let Answer { decision, .. } = control.decide(&inputs, &mut CycleRecord::default());
-            let mut shares = decision.twist.iter().zip(LIMITS);
-            // A NaN is not within.
-            let is_within = shares.all(|(v, limit)| v.abs() <= limit * (1.0 + 1e-9));
-            assert!(is_within, "{decision:?} after {inputs:?}");
-            match decision.twist == [0.0; 6] {
-                true => still += 1,
-                false => moving += 1,
-            }
-        }
-        // There was work, and there were faults.
-        assert!(moving > 3000 && still > 3000, "{moving} and {still}");
-    }
-
-    #[test]
-    fn a_rehearsal_runs_the_law_and_changes_nothing() {
-        let mut random = ChaCha8Rng::seed_from_u64(2);
-        let (mut plain, mut rehearsing) = (control(), control());
-        let mut by_the_law = 0;
-        for cycle in 0..3000 {
-            let now_ns = (1 << 40) + cycle * PERIOD;
-            if random.random_bool(0.3) {
-                for control in [&mut plain, &mut rehearsing] {
-                    control.request(&Request::new(cycle, Action::Arm), cycle);
-                }
-            }
-            let instant = match random.random_range(0..10) {
-                0 => nasty_instant(now_ns, &mut random),
-                _ => now_ns,
-            };
-            let rehearsed = rehearsing.rehearse(instant);
-            by_the_law += u32::from(rehearsed.is_some_and(|answer| answer.decision.hold.is_none()));
-            let inputs = Inputs {
-                now_ns,
-                features: features(now_ns, cycle + 1, &mut random),
-                robot: robot(now_ns, &mut random),
-                missed: 0,
-                suspended: false,
-                shutdown: false,
-            };
-            let told = [&mut plain, &mut rehearsing].map(|control| {
-                let mut record = CycleRecord::default();
-                control.decide(&inputs, &mut record);
-                control.think();
-                // As text: a NaN is no other than itself.
-                format!("{record:?} {:?}", control.state())
-            });
-            assert!(told[0] == told[1], "cycle {cycle}: {inputs:?}");
-        }
-        assert!(by_the_law > 100, "{by_the_law}");
-    }
+/// The memory as the law takes it.
+fn motion<'a>(memory: &'a Option<Memory<'_>>) -> Option<&'a dyn MotionMemory> {
+    memory.as_ref().map(|memory| memory as &dyn MotionMemory)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,6 +1,6 @@
 //! What the law, the gate before it, or the supervisor behind it decides to send.
 
-use std::fmt;
+use core::fmt;
 
 use messages::{Hold, TwistState};
 use serde::{Deserialize, Serialize};

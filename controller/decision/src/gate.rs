@@ -199,8 +199,6 @@ impl Gate {
 
 #[cfg(test)]
 mod tests {
-    use ipc::ReceiveError;
-
     use super::*;
 
     const LIMIT: u64 = 100;
@@ -359,12 +357,8 @@ mod tests {
         let mut gate = Gate::new(Some(LIMIT));
         gate.judge(&came(1, 0), 1);
         let invalid = message(0, 30).stamp;
-        let refused = Input::from(Err(ReceiveError::Invalid {
-            invalid: messages::Message::check(&message(0, 30)).unwrap_err(),
-            stamp: invalid,
-        }));
         assert_eq!(
-            gate.judge(&refused, 31),
+            gate.judge(&Input::Refused(invalid), 31),
             Verdict::Hold(HoldReason::Invalid, invalid)
         );
         assert_eq!(

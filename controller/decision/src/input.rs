@@ -1,7 +1,6 @@
 //! What a cycle receives.
 
-use ipc::ReceiveError;
-use messages::{Features, InputCode, Received, RobotState, Stamp};
+use messages::{Features, InputCode, RobotState, Stamp};
 
 /// What came from one port.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,17 +40,6 @@ impl<T: messages::Message> Input<T> {
             Self::Message(message) => (InputCode::Message, *message.stamp()),
             Self::Refused(stamp) => (InputCode::Refused, *stamp),
             Self::Failed => (InputCode::Failed, Stamp::default()),
-        }
-    }
-}
-
-impl<T> From<Result<Option<Received<T>>, ReceiveError>> for Input<T> {
-    fn from(received: Result<Option<Received<T>>, ReceiveError>) -> Self {
-        match received {
-            Ok(Some(received)) => Self::Message(received.message),
-            Ok(None) => Self::Nothing,
-            Err(ReceiveError::Invalid { stamp, .. }) => Self::Refused(stamp),
-            Err(ReceiveError::Transport { .. }) => Self::Failed,
         }
     }
 }

@@ -1,7 +1,26 @@
-//! The decision of a cycle of `vpcd`: order and age of what was received, the control law, and the
-//! supervisor. A pure function of its inputs and of what earlier cycles left: the daemon calls it
-//! live, a replay calls it again, and both get the same bits.
+//! The decision of a cycle of `vpcd`: whether what was received may reach the control law, one step
+//! of it, and whether its twist may go out. A pure function of its inputs and of what earlier cycles
+//! left: the daemon calls it live, a replay calls it again, and both get the same bits.
+//!
+//! Without `std` there is no clock, no file, no thread and no environment here: the compiler keeps
+//! the function pure. The time is an argument. [`ControlStep::decide`] calls, in this order, the
+//! [`gate`], the law ([`law`], [`contract`]), the watch of the robot ([`robot`]) and the
+//! [`supervisor`]. Each module uses only those above it:
+//!
+//! - [`rules`]: limits and times, from scene and settings
+//! - [`input`]: what a cycle received
+//! - [`decision`]: what is to be sent, or why not
+//! - [`contract`]: codes of messages and types of the law
+//! - [`gate`]: order and age of the features
+//! - [`robot`]: a robot that is at fault, silent, or not following
+//! - [`law`]: the last check of the law's twist
+//! - [`supervisor`]: armed, braking, disarmed
+//! - [`control`]: the whole decision
+//! - [`snapshot`]: its state as bytes
+#![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
+
+extern crate alloc;
 
 pub mod contract;
 pub mod control;
@@ -9,7 +28,12 @@ pub mod decision;
 pub mod gate;
 pub mod input;
 pub mod law;
-pub mod loaded;
 pub mod robot;
+pub mod rules;
 pub mod snapshot;
 pub mod supervisor;
+
+pub use control::{Answer, ControlStep};
+pub use decision::{Decision, HoldReason};
+pub use input::{Input, Inputs};
+pub use rules::{AfterArrival, Rules, Safety};

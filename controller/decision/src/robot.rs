@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::HoldReason;
 use crate::input::Input;
-use crate::supervisor::Rules;
+use crate::rules::Rules;
 
 /// Spans of time whose commands a robot may still be carrying out, and the length of each, ns: a
 /// shaper, a low-pass filter and the way there have half a second together.
@@ -148,9 +148,10 @@ mod tests {
             change: [f64::INFINITY; 6],
             brake_ns: 0,
             ramp_ns: 0,
+            valid_ns: None,
             lost_ns,
             needs_robot: false,
-            begins: None,
+            begins_armed: true,
             after_arrival: Default::default(),
         })
     }

@@ -1,12 +1,16 @@
 //! The state of the control step as it is published and recorded: `postcard` bytes in a
 //! [`Snapshot`].
 
+use alloc::borrow::ToOwned;
+use alloc::format;
+use alloc::string::{String, ToString};
+
 use messages::Snapshot;
 
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 6;
+pub const VERSION: u32 = 7;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -65,7 +69,8 @@ mod tests {
     use crate::gate::Gate;
     use crate::input::Input;
     use crate::robot::RobotWatch;
-    use crate::supervisor::{Rules, Situation, Supervisor};
+    use crate::rules::Rules;
+    use crate::supervisor::{Situation, Supervisor};
 
     const STAMP: Stamp = Stamp {
         sequence: u64::MAX,
@@ -92,9 +97,10 @@ mod tests {
             change: [f64::MAX; 6],
             brake_ns: u64::MAX,
             ramp_ns: u64::MAX,
+            valid_ns: Some(u64::MAX),
             lost_ns: Some(u64::MAX),
             needs_robot: false,
-            begins: None,
+            begins_armed: true,
             after_arrival: Default::default(),
         };
         let mut gate = Gate::new(Some(u64::MAX));

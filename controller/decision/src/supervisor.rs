@@ -18,10 +18,10 @@
 //! After a response the law's twist is taken up again as steeply as it is braked, and no more so.
 
 use messages::{Action, Outcome, TwistState};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::decision::{Decision, HoldReason};
+use crate::rules::{AfterArrival, Rules};
 
 /// Cycles in a row with missed releases, or with a solver that failed, after which the camera is
 /// stopped.
@@ -33,53 +33,6 @@ const ROUNDING: f64 = 1e-9;
 /// A cycle with missed releases adds this to the count, one without subtracts 1. So overruns in
 /// more than one of three cycles also stop the camera, if they last.
 const OVERRUN: u32 = 2;
-
-/// The settings of the supervisor.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Rules {
-    /// Largest magnitude of each component of the twist, m/s and rad/s.
-    pub limits: [f64; 6],
-    /// Greatest change of each from one cycle to the next; infinite without such a limit.
-    pub change: [f64; 6],
-    /// Time in which a twist at the limits is braked to zero, ns; 0: as fast as the acceleration
-    /// allows.
-    pub brake_ns: u64,
-    /// Time in which, after an arming or a brake, the law's twist is taken up from zero to the
-    /// limits, ns; 0: at once.
-    pub ramp_ns: u64,
-    /// Time without usable features, or of standstill of the loop, or in which a robot that was
-    /// heard is silent or does not follow, after which the camera is disarmed, ns; `None` in
-    /// lockstep, where time does not pass.
-    pub lost_ns: Option<u64>,
-    /// Whether the camera stands still until a robot was heard.
-    pub needs_robot: bool,
-    /// Why it begins disarmed; `None` if it begins armed.
-    pub begins: Option<HoldReason>,
-    /// What it does when it has arrived.
-    pub after_arrival: AfterArrival,
-}
-
-/// What the controller does from the cycle after its arrival on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum AfterArrival {
-    /// It follows the pattern.
-    #[default]
-    Follow,
-    /// It stands until an operator arms.
-    Hold,
-    /// It disarms.
-    Disarm,
-}
-
-impl Rules {
-    /// Cycles that a stop from this twist takes at the greatest change; a share of one counts as
-    /// that.
-    pub fn stop_cycles(&self, twist: &[f64; 6]) -> f64 {
-        let each = twist.iter().zip(self.change);
-        each.map(|(v, most)| v.abs() / most).fold(0.0, f64::max)
-    }
-}
 
 /// What the supervisor decides from in a cycle, apart from the time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -154,7 +107,10 @@ impl Supervisor {
     pub fn new(rules: Rules) -> Self {
         Self {
             rules,
-            mode: rules.begins.map_or(Mode::Armed, Mode::Disarmed),
+            mode: match rules.begins_armed {
+                true => Mode::Armed,
+                false => Mode::Disarmed(HoldReason::NotArmed),
+            },
             last: None,
             sent: Decision::hold(HoldReason::NoFeatures),
             is_ramping: true,
@@ -163,12 +119,17 @@ impl Supervisor {
             is_stop_new: false,
             has_consent: false,
             waits_since: None,
-            has_met: rules.begins.is_some() || rules.lost_ns.is_none(),
+            has_met: !rules.begins_armed || rules.lost_ns.is_none(),
             has_arrived: false,
             situation: None,
             overruns: 0,
             failures: 0,
         }
+    }
+
+    /// Before the first cycle: begins disarmed, whatever the rules say.
+    pub fn begin_disarmed(&mut self, cause: HoldReason) {
+        (self.mode, self.has_met) = (Mode::Disarmed(cause), true);
     }
 
     /// Its settings.
@@ -397,7 +358,7 @@ impl Supervisor {
 
     /// Whether a twist is no further from the last one than a cycle's change.
     fn may_follow(&self, twist: &[f64; 6]) -> bool {
-        let pairs = std::iter::zip(twist, self.sent.twist).zip(self.rules.change);
+        let pairs = core::iter::zip(twist, self.sent.twist).zip(self.rules.change);
         let mut each = pairs.map(|((v, sent), most)| (v - sent).abs() <= most * (1.0 + ROUNDING));
         each.all(|is_within| is_within)
     }
@@ -405,7 +366,7 @@ impl Supervisor {
     /// The largest share of a twist to which no component has to grow by more than a cycle's
     /// change.
     fn share_by_change(&self, twist: &[f64; 6]) -> f64 {
-        let pairs = std::iter::zip(twist, self.sent.twist).zip(self.rules.change);
+        let pairs = core::iter::zip(twist, self.sent.twist).zip(self.rules.change);
         let each = pairs.map(|((v, sent), most)| (sent * v.signum() + most) / v.abs());
         each.fold(1.0, f64::min).max(0.0)
     }

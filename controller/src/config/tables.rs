@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use vpc::Settings;
 
-use decision::supervisor::AfterArrival;
+use decision::Safety as Chosen;
 
 /// Paths are relative to the file. A flag of the command line wins over the file.
 #[derive(Deserialize, Serialize, JsonSchema)]
@@ -51,7 +51,7 @@ pub struct Cycle {
     pub margin_ms: f64,
     /// Longest time that a command is valid without new features; at most 1 s or 3 periods, except
     /// in lockstep. A robot in real time obeys no command for longer than 100 ms.
-    #[default = 3.0]
+    #[default(Chosen::default().stale_periods)]
     #[schemars(range(min = 2, max = 1000), extend("x-unit" = "periods"))]
     pub stale_periods: f64,
 }
@@ -89,12 +89,12 @@ pub struct Safety {
     /// Time in which a twist at the limits is braked to zero. Without limits of acceleration in the
     /// scene no command changes faster, and the law plans so; with them a brake may take longer. 0:
     /// at once. Without effect in lockstep.
-    #[default = 0.15]
+    #[default(Chosen::default().brake_s)]
     #[schemars(range(min = 0, max = 0.15), extend("x-unit" = "s"))]
     pub brake_s: f64,
     /// Time without usable features, or without a message of the robot, after which the controller
     /// disarms; at least two periods more than `cycle.stale_periods`; without effect in lockstep.
-    #[default = 0.3]
+    #[default(Chosen::default().lost_s)]
     #[schemars(range(min = 0.1, max = 10), extend("x-unit" = "s"))]
     pub lost_s: f64,
     /// Whether the camera stands still until a robot has told its state (`required`). A robot that
@@ -103,7 +103,20 @@ pub struct Safety {
     pub robot: Option<Presence>,
     /// What the controller does from its arrival on: it follows the pattern (`follow`), stands
     /// until an operator arms (`hold`), or disarms (`disarm`).
-    pub after_arrival: AfterArrival,
+    #[serde(with = "AfterArrival")]
+    pub after_arrival: decision::AfterArrival,
+}
+
+/// What the controller does from the cycle after its arrival on.
+#[derive(Deserialize, Serialize, JsonSchema)]
+#[serde(remote = "decision::AfterArrival", rename_all = "kebab-case")]
+pub enum AfterArrival {
+    /// It follows the pattern.
+    Follow,
+    /// It stands until an operator arms.
+    Hold,
+    /// It disarms.
+    Disarm,
 }
 
 /// The values of `safety.robot`.

@@ -27,7 +27,7 @@ fn an_empty_file_with_a_scene_is_the_default() {
     };
     assert_eq!(config.settings, expected);
     assert_eq!(
-        (config.clock, config.stale_periods),
+        (config.clock, config.safety.stale_periods),
         (ClockMode::Fixed, 3.0)
     );
     assert_eq!(config.domain, ipc::default_directory());

@@ -12,7 +12,7 @@ use scene::SceneFiles;
 use sha2::{Digest, Sha256};
 
 use super::ring::Ring;
-use decision::loaded::LoadedController;
+use crate::loaded::Loaded;
 
 /// Entries about the origin of a flight record, beside those of every recording.
 pub mod origin {
@@ -34,12 +34,12 @@ pub struct About {
 }
 
 impl About {
-    /// About a controller under this configuration; `text` is the whole of it.
-    pub fn new(text: String, loaded: &LoadedController) -> Self {
+    /// About what was loaded by this configuration; `text` is the whole of it.
+    pub fn new(text: String, loaded: &Loaded) -> Self {
         Self {
             config: text,
-            scene: loaded.scene_files().clone(),
-            memory_sha256: loaded.memory().map(|memory| hex(memory.digest())),
+            scene: loaded.files.clone(),
+            memory_sha256: (loaded.memory.as_ref()).map(|memory| hex(memory.digest())),
         }
     }
 }

@@ -7,9 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use messages::{CycleRecord, Features, Reply, RobotState};
 use rtrb::RingBuffer;
 
-use decision::control::{ControlStep, State};
-use decision::input::{Input, Inputs};
-use decision::snapshot;
+use decision::control::State;
+use decision::{ControlStep, Input, Inputs, snapshot};
 
 /// Cycles that the queue holds: many pauses' worth of lockstep cycles.
 pub const CAPACITY: usize = 8192;

@@ -15,7 +15,7 @@ use super::queue::FlightCycle;
 use super::ring::Ring;
 use super::store::Store;
 use crate::config::{Config, ConfigError, FlightConfig};
-use decision::decision::HoldReason;
+use decision::HoldReason;
 
 /// A fault within this time of the last written one is only logged: features that come and go must
 /// not fill a disk. A fault that disarms is always written, because it may be the last one.
@@ -289,7 +289,7 @@ mod tests {
 
     use super::super::file::origin;
     use crate::arguments::Arguments;
-    use decision::loaded::LoadedController;
+    use crate::loaded::Loaded;
 
     fn cycle(number: u64, state: TwistState, hold: Hold) -> FlightCycle {
         let record = CycleRecord {
@@ -361,7 +361,7 @@ mod tests {
             scene.display()
         );
         let config = Config::parse(&text, "v.toml", place.path(), &Arguments::default()).unwrap();
-        let loaded = LoadedController::open(&config.scene, None, config.settings).unwrap();
+        let loaded = Loaded::open(&config.scene, None, config.settings).unwrap();
         let mut recorder = Recorder::new(&config, About::new(text, &loaded), 30.0);
         let store = Store::new(config.flight.directory.clone(), 10);
         let start = Instant::now();

@@ -2,8 +2,10 @@
 
 use std::time::Instant;
 
-use scene::Scene;
+use memory_blob::MemoryFile;
 use vpc::{Law, Measurement, MotionMemory, Settings, Strategy};
+
+use crate::loaded::Loaded;
 
 /// Cycles that are measured.
 const CYCLES: u32 = 50;
@@ -24,14 +26,13 @@ pub struct Cost {
 impl Cost {
     /// Lets the law look at a pattern away from the goal again and again; `None` where it refuses
     /// that.
-    pub fn measure(
-        scene: &Scene,
-        settings: Settings,
-        memory: Option<&dyn MotionMemory>,
-    ) -> Option<Self> {
+    pub fn measure(loaded: &Loaded) -> Option<Self> {
+        let scene = loaded.scene();
+        let view = loaded.memory.as_ref().map(MemoryFile::view);
+        let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
         let settings = Settings {
             strategy: Strategy::Foresight,
-            ..settings
+            ..loaded.settings
         };
         let mut law = Law::new(scene, settings, |len| vec![0.0; len]).ok()?;
         let mut pose = scene.goal;

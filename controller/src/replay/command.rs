@@ -3,6 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use decision::Rules;
+use decision::snapshot::SnapshotError;
 use memory_blob::hex;
 use messages::{CycleRecord, StrategyCode};
 use recording::{CONFIG_FILE, ReadError, Recorded, Recording, SCENE_FILE};
@@ -12,13 +14,10 @@ use serde_json::{Value, json};
 use super::{Difference, ReplayError, Report, replay};
 use crate::arguments::{Arguments, ReplayArguments};
 use crate::config::{Config, ConfigError};
-use crate::cycle::Pace;
 use crate::exit::Exit;
 use crate::flight::file::{self, origin};
+use crate::loaded::{LoadError, Loaded};
 use crate::log;
-use decision::control::ControlStep;
-use decision::loaded::{LoadError, LoadedController};
-use decision::snapshot::SnapshotError;
 
 /// Why a recording cannot be replayed.
 #[derive(Debug, thiserror::Error)]
@@ -73,7 +72,8 @@ pub fn run(arguments: &ReplayArguments) -> Exit {
 fn attempt(arguments: &ReplayArguments) -> Result<Exit, CommandError> {
     let path = arguments.file.display().to_string();
     let recording = read(&arguments.file, &path)?;
-    let mut control = control(&recording, &path, arguments)?;
+    let (loaded, rules) = load(&recording, &path, arguments)?;
+    let mut control = loaded.control(rules)?;
     let outcome = match replay(&mut control, &recording, arguments.until) {
         Ok(report) => Ok(report),
         Err(ReplayError::Difference(difference)) => Err(difference),
@@ -118,12 +118,12 @@ fn read(file: &Path, path: &str) -> Result<Recording, CommandError> {
     })
 }
 
-/// The control step of the daemon that was recorded, but for its state.
-fn control(
+/// What the control step of the daemon that was recorded is made of.
+fn load(
     recording: &Recording,
     path: &str,
     arguments: &ReplayArguments,
-) -> Result<ControlStep, CommandError> {
+) -> Result<(Loaded, Rules), CommandError> {
     let Some(scene) = recording.scene_toml() else {
         return Err(CommandError::Lacking {
             path: path.to_owned(),
@@ -137,9 +137,8 @@ fn control(
     let files = files.map_err(LoadError::from)?;
     let config = config(recording, arguments)?;
     let memory = config.memory.as_deref();
-    let loaded = LoadedController::of(files, SCENE_FILE, memory, config.settings)?;
-    if let (Some(found), Some(expected)) =
-        (loaded.memory(), recording.origin(origin::MEMORY_SHA256))
+    let loaded = Loaded::of(files, memory, config.settings)?;
+    if let (Some(found), Some(expected)) = (&loaded.memory, recording.origin(origin::MEMORY_SHA256))
         && hex(found.digest()) != expected
     {
         return Err(CommandError::OtherMemory {
@@ -148,7 +147,8 @@ fn control(
             expected: expected.to_owned(),
         });
     }
-    Ok(Pace::new(&config, loaded.scene(), "the recording")?.control(loaded))
+    let rules = config.rules(loaded.scene(), "the recording")?;
+    Ok((loaded, rules))
 }
 
 /// The attached configuration, with the scene that is attached as well, and with the strategy of

@@ -8,7 +8,7 @@ use messages::{
 };
 use recording::Recording;
 
-use decision::input::{Input, Inputs};
+use decision::{Input, Inputs};
 
 /// The messages of a recording by what the records say of them.
 pub struct Source<'a> {

@@ -8,9 +8,9 @@ use controller::flight::{DumpRequest, Recorder, queue};
 use controller::service::Notifier;
 use controller::shutdown::Stop;
 use controller::telemetry::Telemetry;
-use decision::loaded::LoadedController;
-use decision::supervisor::Rules;
+use decision::{ControlStep, Rules};
 use ipc::{CameraPorts, ControllerPorts, Domain, StopFile};
+use memory_blob::MemoryFile;
 use messages::{ClockMode, Features};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -49,21 +49,23 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         foresight_steps: PERIODS,
         ..Settings::default()
     };
-    let loaded = LoadedController::open(&scene_file(), Some(&memory), settings).unwrap();
+    let memory = MemoryFile::open(&memory, None).unwrap();
+    let rules = Rules {
+        limits: [0.5, 0.5, 0.5, 1.0, 1.0, 1.0],
+        change: [f64::INFINITY; 6],
+        // Stale a period of the scene before.
+        valid_ns: (clock != ClockMode::Lockstep).then_some(38_333_333),
+        brake_ns: 150_000_000,
+        ramp_ns: 150_000_000,
+        lost_ns: None,
+        needs_robot: false,
+        begins_armed: true,
+        after_arrival: Default::default(),
+    };
+    let control = ControlStep::new(&scene, settings, Some(memory.view()), rules).unwrap();
     let pace = Pace {
         clock,
         period_ns: 100_000,
-        stale_periods: 50.0,
-        rules: Rules {
-            limits: [0.5, 0.5, 0.5, 1.0, 1.0, 1.0],
-            change: [f64::INFINITY; 6],
-            brake_ns: 150_000_000,
-            ramp_ns: 150_000_000,
-            lost_ns: None,
-            needs_robot: false,
-            begins: None,
-            after_arrival: Default::default(),
-        },
         margin_ns: 10_000,
         realtime: messages::RealTime::default(),
     };
@@ -85,8 +87,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             };
             let recorder = telemetry.start(&place.domain()).unwrap();
             let stop_file = StopFile::open(domain.directory()).unwrap();
-            let mut cycle =
-                Cycle::new(pace, ports, stop_file, pace.control(loaded), producer, dump);
+            let mut cycle = Cycle::new(pace, ports, stop_file, control, producer, dump);
             let mut tally = Tally::default();
             let never = Stop::default();
             while cycle.count() < WARM_UP + CYCLES {

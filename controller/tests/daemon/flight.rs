@@ -5,12 +5,9 @@ use std::sync::atomic::AtomicU64;
 use controller::arguments::Arguments;
 use controller::config::Config;
 use controller::flight::{About, Ring, file, queue};
+use controller::loaded::Loaded;
 use controller::replay::{Difference, ReplayError, Report, replay};
-use decision::control::ControlStep;
-use decision::input::{Input, Inputs};
-use decision::loaded::LoadedController;
-use decision::snapshot;
-use decision::supervisor::Rules;
+use decision::{ControlStep, Input, Inputs, Rules, snapshot};
 use messages::{
     Action, CycleFlags, CycleRecord, Features, Hold, InputCode, RecallCode, Request, RobotState,
     Stamp, StrategyCode, TwistState,
@@ -36,7 +33,7 @@ const FLOOD: u64 = 777;
 
 /// A control step with a memory, and what a file says about it.
 struct Bench {
-    config: Config,
+    loaded: Loaded,
     place: Place,
 }
 
@@ -52,32 +49,27 @@ impl Bench {
         let scene = scene::Scene::read(&path).unwrap();
         let memory = place.path("m.vpcmem");
         write_memory(&scene, &memory, &mut ChaCha8Rng::seed_from_u64(1));
-        let arguments = Arguments {
-            scene: Some(path),
-            memory: Some(memory),
-            ..Arguments::default()
+        let settings = vpc::Settings {
+            foresight_steps: PERIODS,
+            ..vpc::Settings::default()
         };
-        let mut config = Config::read(&arguments).unwrap();
-        config.settings.foresight_steps = PERIODS;
-        Self { config, place }
+        let loaded = Loaded::open(&path, Some(&memory), settings).unwrap();
+        Self { loaded, place }
     }
 
-    fn control(&self) -> ControlStep {
-        let config = &self.config;
-        let memory = config.memory.as_deref();
-        let mut loaded = LoadedController::open(&config.scene, memory, config.settings).unwrap();
-        loaded.controller.go_live(100_000_000);
+    fn control(&self) -> ControlStep<'_> {
         let rules = Rules {
-            limits: loaded.scene().limits.velocity(),
+            limits: self.loaded.scene().limits.velocity(),
             change: [f64::INFINITY; 6],
+            valid_ns: Some(3 * PERIOD_NS),
             brake_ns: 150_000_000,
             ramp_ns: 150_000_000,
             lost_ns: Some(300_000_000),
             needs_robot: false,
-            begins: None,
+            begins_armed: true,
             after_arrival: Default::default(),
         };
-        ControlStep::new(loaded, Some(2 * PERIOD_NS), rules)
+        self.loaded.control(rules).unwrap()
     }
 
     /// Flies for so many cycles and keeps the last `kept`. The last bit of a pixel in the cycle
@@ -101,8 +93,8 @@ impl Bench {
 }
 
 /// The loop without ports, and the ordinary thread's part.
-struct Flight {
-    control: ControlStep,
+struct Flight<'m> {
+    control: ControlStep<'m>,
     world: World,
     producer: queue::Producer,
     consumer: queue::Consumer,
@@ -110,13 +102,13 @@ struct Flight {
     cycle: u64,
 }
 
-impl Flight {
-    fn new(bench: &Bench, begin_ns: u64, kept: usize) -> Self {
+impl<'m> Flight<'m> {
+    fn new(bench: &'m Bench, begin_ns: u64, kept: usize) -> Self {
         let control = bench.control();
         let (mut producer, consumer) = queue::queue();
         producer.begin(&control, begin_ns);
         Self {
-            world: World::new(control.loaded().scene().clone(), begin_ns),
+            world: World::new(bench.loaded.scene().clone(), begin_ns),
             control,
             producer,
             consumer,
@@ -331,7 +323,7 @@ fn run_a_is_run_b_is_the_replay_of_a_byte_by_byte() {
         scene: Some(scene_file()),
         ..Arguments::default()
     });
-    let about = About::new(text.unwrap(), bench.control().loaded());
+    let about = About::new(text.unwrap(), &bench.loaded);
     file::write(&path, &about, "request", &ring, &AtomicU64::new(0)).unwrap();
     let read = Recording::read(&path).unwrap();
     assert!(read.cut.is_none() && bits(&read) == bits(&a));
@@ -350,7 +342,7 @@ fn a_recording_tells_how_large_the_markers_are_and_without_that_it_does_not_repl
     let bench = Bench::of(scene::TAGS_ROBOT);
     let ring = bench.fly(1000, 1000, None);
     let path = bench.place.file("a.mcap", "");
-    let about = About::new(String::new(), bench.control().loaded());
+    let about = About::new(String::new(), &bench.loaded);
     file::write(&path, &about, "request", &ring, &AtomicU64::new(0)).unwrap();
     let read = Recording::read(&path).unwrap();
     assert_eq!(read.scene_toml(), Some(scene::TAGS_ROBOT));
@@ -612,7 +604,7 @@ fn lost_records_are_counted_and_the_next_snapshot_comes_at_once() {
 fn a_damaged_file_is_seen_to_be() {
     let bench = Bench::new();
     let ring = bench.fly(200, 200, None);
-    let about = About::new("[law]\n".to_owned(), bench.control().loaded());
+    let about = About::new("[law]\n".to_owned(), &bench.loaded);
     let path = bench.place.file("f.mcap", "");
     file::write(&path, &about, "request", &ring, &AtomicU64::new(0)).unwrap();
     let bytes = std::fs::read(&path).unwrap();
@@ -638,7 +630,7 @@ fn another_law_is_found() {
     let bench = Bench::new();
     let flown = recording(&bench.fly(700, 700, None));
     let mut other = Bench::new();
-    other.config.settings.lambda *= 1.0 + f64::EPSILON;
+    other.loaded.settings.lambda *= 1.0 + f64::EPSILON;
     let found = difference(other.replay(&flown));
     // The gain of IBVS, which is the strategy from cycle 600 on.
     assert!((600..700).contains(&found.cycle), "{found}");

@@ -5,7 +5,6 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{ExitCode, Stdio};
-use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
@@ -225,12 +224,11 @@ impl<'a> Demo<'a> {
 
     /// Runs the strategies with the camera that flies freely.
     fn compare(&self) -> anyhow::Result<Vec<(Spec, run::Run)>> {
-        let memory = Arc::new(self.memory()?);
+        let memory = self.memory()?;
         let mut runs = Vec::new();
         for text in ["previous:3", "gpr:3", "foresight:3"] {
             let spec: Spec = text.parse().map_err(anyhow::Error::msg)?;
-            let memory = Some(memory.clone());
-            let clock = ClockMode::Fixed;
+            let (memory, clock) = (Some(&memory), ClockMode::Fixed);
             let mut daemon = Simulated::new(&self.scene, memory, spec.settings(), clock)?;
             let start = &self.starts[self.start];
             runs.push((spec, run::run(&self.scene, &mut daemon, start)));
@@ -252,7 +250,7 @@ impl<'a> Demo<'a> {
             drop: 0.01,
             ..defaults()
         };
-        let memory = Arc::new(self.memory()?);
+        let memory = self.memory()?;
         let memory = Some(&memory);
         let all = robot_table::table(&self.scene, &self.starts, memory, &flags, &common, &|| ())?;
         let runs = all

@@ -4,7 +4,6 @@
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -174,7 +173,7 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     for source in sources {
         let open = |path: &Path| Ok(MemoryFile::open(path, Some(fingerprint.bytes()))?);
         let open = |source| made(children, cli, source, Product::Memory, open);
-        let memory = source.map(open).transpose()?.map(Arc::new);
+        let memory = source.map(open).transpose()?;
         if cli.memory.len() > 1 {
             println!("memory {}", source.map_or(String::new(), Source::to_string));
         }
@@ -192,7 +191,7 @@ fn free(
     cli: &Cli,
     scene: &Scene,
     starts: &[Pose],
-    memory: Option<&Arc<MemoryFile>>,
+    memory: Option<&MemoryFile>,
 ) -> anyhow::Result<()> {
     let Common { noise, drop, .. } = cli.common;
     let CameraFlags {
@@ -213,7 +212,6 @@ fn free(
             eprintln!("table: {spec} from {} starts", starts.len());
         }
         let settings = cli.common.settings(spec);
-        let memory = memory.cloned();
         let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
         let mut runs = Vec::with_capacity(starts.len());
         let mut caches = Caches::default();
@@ -249,7 +247,6 @@ fn free(
         rows,
         runs: document::records(&all, 0),
     };
-    let memory = memory.map(AsRef::as_ref);
     finish(cli, scene, memory, &text, &document, &all, 0)
 }
 
@@ -293,7 +290,7 @@ fn on_robot(
     cli: &Cli,
     scene: &Scene,
     starts: &[Pose],
-    memory: Option<&Arc<MemoryFile>>,
+    memory: Option<&MemoryFile>,
 ) -> anyhow::Result<()> {
     let count = cli.arm.only.map_or(starts.len(), |_| 1);
     let bar = bar(cli.common.strategies.len() * count);

@@ -5,7 +5,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::sync::Arc;
 
 use memory_blob::MemoryFile;
 use messages::ClockMode;
@@ -44,9 +43,9 @@ fn daemon(place: &Place, strategy: &str) -> Running {
 fn table(spec: &str, count: usize) -> Vec<Outcome> {
     let scene = Scene::read(&scene_file()).unwrap();
     let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes()));
-    let memory = Some(Arc::new(memory.unwrap()));
+    let memory = memory.unwrap();
     let settings = spec.parse::<Spec>().unwrap().settings();
-    let mut daemon = Simulated::new(&scene, memory, settings, ClockMode::Lockstep).unwrap();
+    let mut daemon = Simulated::new(&scene, Some(&memory), settings, ClockMode::Lockstep).unwrap();
     let starts = read_starts(&starts_file()).unwrap();
     let outcome = |start| {
         let run = run(&scene, &mut daemon, start);

@@ -1,8 +1,6 @@
 //! Foresight arrives from starts that no setting was chosen on, no run is deep inside an occlusion
 //! at any instant, and in the exact model a run costs no more than was foreseen.
 
-use std::sync::Arc;
-
 use hw_sim::FreeCamera;
 use memory_blob::MemoryFile;
 use messages::ClockMode;
@@ -41,9 +39,9 @@ fn starts(scene: &Scene, count: usize) -> Vec<Pose> {
     draws.filter(valid).take(count).collect()
 }
 
-fn memory(scene: &Scene) -> Arc<MemoryFile> {
+fn memory(scene: &Scene) -> MemoryFile {
     let memory = MemoryFile::open(&memory_file(), Some(scene.fingerprint().bytes()));
-    Arc::new(memory.unwrap())
+    memory.unwrap()
 }
 
 /// Runs of a strategy with changed settings from each start, and their row.
@@ -56,7 +54,7 @@ fn row(text: &str, starts: &[Pose], change: fn(&mut Settings)) -> (Row, Vec<Run>
     let runs: Vec<Run> = starts
         .par_iter()
         .map_init(
-            || Simulated::new(&scene, Some(memory.clone()), settings, ClockMode::Fixed).unwrap(),
+            || Simulated::new(&scene, Some(&memory), settings, ClockMode::Fixed).unwrap(),
             |daemon, start| run(&scene, daemon, start),
         )
         .collect();

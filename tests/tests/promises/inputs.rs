@@ -15,11 +15,7 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use controller::replay::replay;
-use decision::control::{Answer, ControlStep};
-use decision::decision::Decision;
-use decision::input::{Input, Inputs};
-use decision::loaded::LoadedController;
-use decision::supervisor::Rules;
+use decision::{Answer, ControlStep, Decision, HoldReason, Input, Inputs, Rules};
 use ipc::{Domain, STOP_FILE, StopFile};
 use memory_blob::MemoryFile;
 use messages::{Action, CycleRecord, Features, Request, RobotState, Stamp, TwistState};
@@ -142,7 +138,7 @@ fn edited_scenes_and_masks_are_read_or_refused_by_name() {
         match SceneFiles::parse(text, "odd.toml", &|_| Ok(png.clone())) {
             // What is taken for a scene can be steered in.
             Ok(files) => {
-                let _ = LoadedController::of(files, "odd.toml", None, vpc::Settings::default());
+                let _ = vpc::Law::new(&files.scene, vpc::Settings::default(), |len| vec![0.0; len]);
             }
             Err(error) => prop_assert!(error.to_string().contains("odd.toml"), "{}", error),
         }
@@ -164,34 +160,31 @@ fn an_edited_memory_is_refused() {
 }
 
 /// A scene's controller in real time, with limits of acceleration (m/s^2, rad/s^2) or without.
-fn control(acceleration: Option<[f64; 2]>) -> (ControlStep, Rules) {
+fn control(acceleration: Option<[f64; 2]>) -> (ControlStep<'static>, Rules) {
     let mut text = scene::PAPER_SIM.to_owned();
     if let Some([linear, angular]) = acceleration {
         let limits =
             format!("[limits]\nlinear_acceleration = {linear}\nangular_acceleration = {angular}\n");
         text = text.replace("[limits]\n", &limits);
     }
-    let files = SceneFiles::parse(text, "sim", &|_| unreachable!("no masks")).unwrap();
-    let limits = &files.scene.limits;
+    let scene = Scene::parse(&text, "sim").unwrap();
     let rules = Rules {
-        limits: limits.velocity(),
-        change: limits
-            .acceleration()
-            .map(|a| a * files.scene.sampling_time()),
+        limits: scene.limits.velocity(),
+        change: (scene.limits.acceleration()).map(|a| a * scene.sampling_time()),
+        valid_ns: Some(3 * PERIOD_NS),
         brake_ns: BRAKE_NS,
         ramp_ns: BRAKE_NS,
         lost_ns: Some(300 * MS),
         needs_robot: false,
-        begins: Some(decision::decision::HoldReason::NotArmed),
+        begins_armed: false,
         after_arrival: Default::default(),
     };
     let settings = vpc::Settings {
         foresight_steps: 5,
         ..vpc::Settings::default()
     };
-    let mut loaded = LoadedController::of(files, "sim", None, settings).unwrap();
-    loaded.controller.go_live(3 * PERIOD_NS);
-    (ControlStep::new(loaded, Some(2 * PERIOD_NS), rules), rules)
+    let control = ControlStep::new(&scene, settings, None, rules).unwrap();
+    (control, rules)
 }
 
 #[test]
@@ -510,7 +503,7 @@ fn no_sequence_of_inputs_breaks_what_holds_of_the_twist() {
                 sequence: 0,
                 points: begin,
             };
-            let mut before = Decision::still(rules.begins.unwrap(), TwistState::Disarmed);
+            let mut before = Decision::still(HoldReason::NotArmed, TwistState::Disarmed);
             for (cycle, event) in events.iter().enumerate() {
                 for (action, strategy) in &event.requests {
                     let mut request = Request::new(cycle as u64 + 1, Action::Status);

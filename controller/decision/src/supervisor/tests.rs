@@ -25,9 +25,10 @@ impl Bench {
             change: [f64::INFINITY; 6],
             brake_ns: 150 * MS,
             ramp_ns: 150 * MS,
+            valid_ns: Some(100 * MS),
             lost_ns: Some(300 * MS),
             needs_robot: false,
-            begins: (!armed).then_some(HoldReason::NotArmed),
+            begins_armed: armed,
             after_arrival: AfterArrival::Follow,
         };
         Self {
@@ -504,11 +505,12 @@ fn in_lockstep_braking_takes_no_time() {
     let rules = Rules {
         limits: [1.0; 6],
         change: [f64::INFINITY; 6],
+        valid_ns: None,
         brake_ns: 0,
         ramp_ns: 0,
         lost_ns: None,
         needs_robot: false,
-        begins: None,
+        begins_armed: true,
         after_arrival: AfterArrival::Follow,
     };
     let mut bench = Bench::moving();
@@ -548,7 +550,7 @@ fn the_laws_twist_is_taken_up_on_its_path_and_as_steeply_as_it_is_braked() {
     assert_eq!(bench.resumes(), 2);
     // Where the law keeps limits of acceleration it is not held back.
     let mut rules = bench.supervisor.rules();
-    (rules.change, rules.begins) = ([0.01; 6], None);
+    (rules.change, rules.begins_armed) = ([0.01; 6], true);
     bench.supervisor = Supervisor::new(rules);
     bench.situation.decision.twist = [0.01, 0.0, 0.005, 0.0, 0.01, 0.0];
     let decision = bench.situation.decision;

@@ -1,0 +1,365 @@
+//! The whole decision with any inputs; and the law's part of it.
+
+use messages::{RobotState, SolverStatus};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use vpc::Strategy;
+
+use super::*;
+use crate::rules::Safety;
+
+const MS: u64 = 1_000_000;
+const PERIOD: u64 = 33 * MS;
+const LIMITS: [f64; 6] = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
+/// Features far from the goal: the law always wants to move.
+const FAR: [[f64; 2]; 4] = [
+    [250.0, 250.0],
+    [420.0, 260.0],
+    [410.0, 430.0],
+    [240.0, 420.0],
+];
+
+fn nasty_instant(now_ns: u64, random: &mut impl Rng) -> u64 {
+    match random.random_range(0..6) {
+        0 => random.random(),
+        1 => [0, 1, 1 << 63, u64::MAX - 1, u64::MAX][random.random_range(0..5)],
+        _ => now_ns.saturating_add(PERIOD) - random.random_range(0..20 * PERIOD),
+    }
+}
+
+fn nasty_stamp(now_ns: u64, random: &mut impl Rng) -> Stamp {
+    Stamp {
+        sequence: nasty_instant(now_ns, random),
+        published_ns: nasty_instant(now_ns, random),
+        data_ns: nasty_instant(now_ns, random),
+    }
+}
+
+/// A number that makes a message any of: the first, the next, one after a gap, a repeated one,
+/// a restarted one.
+fn any_number(random: &mut impl Rng) -> u64 {
+    [1, 7, 8, 9, random.random()][random.random_range(0..5)]
+}
+
+/// What a camera sends: good features mostly, so that the law has a say; anything else now and
+/// then.
+fn features(now_ns: u64, number: u64, random: &mut impl Rng) -> Input<Features> {
+    let points = FAR.map(|point| point.map(|x| x + random.random_range(-0.1..0.1)));
+    let mut message = Features::new(&points, now_ns - 20 * MS);
+    (message.stamp.sequence, message.stamp.published_ns) = (number, now_ns - MS);
+    match random.random_range(0..40) {
+        0 => message.stamp = nasty_stamp(now_ns, random),
+        1 => message.stamp.sequence = any_number(random),
+        2 => message.points = message.points.map(|x| x * random.random_range(-1e9..1e9)),
+        3 => message.points[random.random_range(0..8)] = f64::NAN,
+        4 => message.count = random.random(),
+        5 => message.visible = random.random(),
+        6 => return Input::Nothing,
+        7 => return Input::Refused(nasty_stamp(now_ns, random)),
+        8 => return Input::Failed,
+        _ => (),
+    }
+    Input::Message(message)
+}
+
+fn robot(now_ns: u64, random: &mut impl Rng) -> Input<RobotState> {
+    let mut message = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now_ns);
+    message.stamp.published_ns = now_ns;
+    match random.random_range(0..40) {
+        0 => message.stamp = nasty_stamp(now_ns, random),
+        1 => message.mode = random.random(),
+        2 => message.faults = random.random(),
+        3..20 => return Input::Nothing,
+        _ => (),
+    }
+    Input::Message(message)
+}
+
+fn control_with(settings: Settings, rules: Rules) -> ControlStep<'static> {
+    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    ControlStep::new(&scene, settings, None, rules).unwrap()
+}
+
+/// In real time, at rest.
+fn control() -> ControlStep<'static> {
+    let rules = Rules {
+        valid_ns: Some(3 * PERIOD),
+        limits: LIMITS,
+        change: [f64::INFINITY; 6],
+        brake_ns: 150 * MS,
+        ramp_ns: 150 * MS,
+        lost_ns: Some(300 * MS),
+        needs_robot: false,
+        begins_armed: true,
+        after_arrival: Default::default(),
+    };
+    control_with(Settings::default(), rules)
+}
+
+#[test]
+fn in_real_time_no_input_whatsoever_panics_or_passes_the_limits() {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut control = control();
+    let mut now_ns = 1 << 40;
+    let (mut moving, mut still) = (0, 0);
+    for cycle in 0..30_000 {
+        now_ns += match random.random_range(0..200) {
+            0 => random.random_range(0..3000 * MS),
+            1 => 0,
+            _ => PERIOD,
+        };
+        // No clock should.
+        now_ns -= if random.random_bool(0.005) { 2 * MS } else { 0 };
+        if random.random_bool(0.3) {
+            let action = if random.random_bool(0.9) {
+                Action::Arm.code()
+            } else {
+                random.random_range(0..7)
+            };
+            let mut request = Request::new(cycle, Action::Status);
+            (request.action, request.neighbours) = (action, random.random());
+            // Who arms has seen the last stop, or not.
+            let stops = [control.supervisor.stops(), random.random()];
+            request.stops = stops[usize::from(random.random_bool(0.5))];
+            control.request(&request, cycle);
+        }
+        let inputs = Inputs {
+            now_ns,
+            features: features(now_ns, cycle + 1, &mut random),
+            robot: robot(now_ns, &mut random),
+            missed: match random.random_range(0..20) {
+                0 => random.random(),
+                _ => 0,
+            },
+            suspended: random.random_bool(0.002),
+            shutdown: false,
+        };
+        let Answer { decision, .. } = control.decide(&inputs, &mut CycleRecord::default());
+        let mut shares = decision.twist.iter().zip(LIMITS);
+        // A NaN is not within.
+        let is_within = shares.all(|(v, limit)| v.abs() <= limit * (1.0 + 1e-9));
+        assert!(is_within, "{decision:?} after {inputs:?}");
+        match decision.twist == [0.0; 6] {
+            true => still += 1,
+            false => moving += 1,
+        }
+    }
+    // There was work, and there were faults.
+    assert!(moving > 3000 && still > 3000, "{moving} and {still}");
+}
+
+#[test]
+fn a_rehearsal_runs_the_law_and_changes_nothing() {
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let (mut plain, mut rehearsing) = (control(), control());
+    let mut by_the_law = 0;
+    for cycle in 0..3000 {
+        let now_ns = (1 << 40) + cycle * PERIOD;
+        if random.random_bool(0.3) {
+            for control in [&mut plain, &mut rehearsing] {
+                control.request(&Request::new(cycle, Action::Arm), cycle);
+            }
+        }
+        let instant = match random.random_range(0..10) {
+            0 => nasty_instant(now_ns, &mut random),
+            _ => now_ns,
+        };
+        let rehearsed = rehearsing.rehearse(instant);
+        by_the_law += u32::from(rehearsed.is_some_and(|answer| answer.decision.hold.is_none()));
+        let inputs = Inputs {
+            now_ns,
+            features: features(now_ns, cycle + 1, &mut random),
+            robot: robot(now_ns, &mut random),
+            missed: 0,
+            suspended: false,
+            shutdown: false,
+        };
+        let told = [&mut plain, &mut rehearsing].map(|control| {
+            let mut record = CycleRecord::default();
+            control.decide(&inputs, &mut record);
+            control.think();
+            // As text: a NaN is no other than itself.
+            format!("{record:?} {:?}", control.state())
+        });
+        assert!(told[0] == told[1], "cycle {cycle}: {inputs:?}");
+    }
+    assert!(by_the_law > 100, "{by_the_law}");
+}
+
+/// Simulated time, in which the law alone decides.
+fn law() -> ControlStep<'static> {
+    law_with(Settings::default())
+}
+
+fn law_with(settings: Settings) -> ControlStep<'static> {
+    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    let safety = Safety::default();
+    let rules = Rules::new(&scene, &settings, &safety, messages::ClockMode::Lockstep);
+    control_with(settings, rules)
+}
+
+fn displaced(law: &ControlStep, offset: f64) -> Features {
+    let goal = law.law.task().goal.clone();
+    let points: Vec<_> = goal.iter().map(|p| [p[0] + offset, p[1]]).collect();
+    Features::new(&points, 0)
+}
+
+#[test]
+fn on_the_way_it_moves_and_at_the_goal_it_has_arrived() {
+    let mut law = law();
+    let mut record = CycleRecord::default();
+    let (far, near) = (displaced(&law, 60.0), displaced(&law, 0.0));
+    let decision = law.run_law(&far, 0, Link::New, false, &mut record);
+    assert_eq!((decision.state, decision.hold), (TwistState::Moving, None));
+    assert!(decision.twist.iter().any(|v| v.abs() > 1e-3));
+    assert!((record.error_px - 60.0).abs() < 1e-6 && record.cost > 0.0);
+    let decision = law.run_law(&near, 0, Link::New, false, &mut record);
+    assert_eq!(decision.state, TwistState::Arrived);
+}
+
+#[test]
+fn it_arrives_at_rest_and_leaves_when_it_is_clearly_away() {
+    let mut law = law();
+    let mut state = |offset: f64, had_arrived: bool| {
+        let features = displaced(&law, offset);
+        let record = &mut CycleRecord::default();
+        law.run_law(&features, 0, Link::Next, had_arrived, record)
+            .state
+    };
+    // The threshold is 2 px.
+    assert_eq!(state(0.5, false), TwistState::Arrived);
+    assert_eq!(state(3.0, false), TwistState::Moving);
+    assert_eq!(state(3.0, true), TwistState::Arrived);
+    assert_eq!(state(5.0, true), TwistState::Moving);
+}
+
+#[test]
+fn what_the_law_refuses_is_held_with_its_cause() {
+    let mut law = law();
+    let mut off = displaced(&law, 0.0);
+    off.points[0] = 1e6;
+    let mut nan = displaced(&law, 0.0);
+    nan.points[1] = f64::NAN;
+    let mut five = displaced(&law, 0.0);
+    five.count = 5;
+    let mut mixed = displaced(&law, 0.0);
+    mixed.points[..4].rotate_left(2);
+    let mut zeros = displaced(&law, 0.0);
+    zeros.points.fill(0.0);
+    for (bad, cause) in [
+        (off, HoldReason::OffImage),
+        (nan, HoldReason::NotFinite),
+        (five, HoldReason::Count),
+        (mixed, HoldReason::Mixed),
+        (zeros, HoldReason::Mixed),
+    ] {
+        let decision = law.run_law(&bad, 0, Link::Next, false, &mut CycleRecord::default());
+        assert_eq!(decision, Decision::hold(cause));
+    }
+}
+
+#[test]
+fn where_the_law_has_no_answer_the_camera_is_held() {
+    let mut law = law_with(Settings {
+        strategy: Strategy::Ibvs,
+        ..Settings::default()
+    });
+    // Seen as a line, nearly: the interaction matrix is singular.
+    let points = [
+        [300.0, 299.0],
+        [500.0, 299.0],
+        [500.0, 301.0],
+        [300.0, 301.0],
+    ];
+    let mut record = CycleRecord::default();
+    let decision = law.run_law(&Features::new(&points, 0), 0, Link::New, false, &mut record);
+    assert_eq!(decision, Decision::hold(HoldReason::Solver));
+    assert_eq!(record.status, SolverStatus::NumericalFailure.code());
+}
+
+#[test]
+fn on_a_live_robot_features_from_before_the_first_command_are_stale() {
+    let mut law = law();
+    law.law.go_live(100);
+    let mut far = displaced(&law, 60.0);
+    // The instant of the exposure is not known: it is no later than this.
+    far.stamp.published_ns = 30;
+    let step = |law: &mut ControlStep| {
+        law.run_law(&far, 50, Link::New, false, &mut CycleRecord::default())
+    };
+    assert_eq!(step(&mut law), Decision::hold(HoldReason::Stale));
+    law.law.sent(&[0.0; 6], 0);
+    assert_eq!(step(&mut law).state, TwistState::Moving);
+    law.law.forget_sent();
+    assert_eq!(step(&mut law), Decision::hold(HoldReason::Stale));
+}
+
+#[test]
+fn a_live_robot_whose_image_ignores_the_commands_is_not_believed() {
+    const PERIOD: u64 = 33_000_000;
+    let mut law = law();
+    law.law.go_live(3 * PERIOD);
+    let mut frame = displaced(&law, 60.0);
+    let mut holds = Vec::new();
+    for k in 1..20 {
+        frame.stamp.data_ns = k * PERIOD;
+        law.law.sent(&[0.1, 0.0, 0.0, 0.0, 0.0, 0.0], k * PERIOD);
+        let decision = law.run_law(
+            &frame,
+            k * PERIOD,
+            Link::Next,
+            false,
+            &mut CycleRecord::default(),
+        );
+        holds.push(decision.hold);
+    }
+    assert!(holds.contains(&Some(HoldReason::Frozen)), "{holds:?}");
+    // The points by other names, in the place of the old ones: until they were out of sight.
+    frame.points[..8].rotate_left(2);
+    let mut step = |law: &mut ControlStep, k: u64| {
+        frame.stamp.data_ns = k * PERIOD;
+        law.run_law(
+            &frame,
+            k * PERIOD,
+            Link::Next,
+            false,
+            &mut CycleRecord::default(),
+        )
+        .hold
+    };
+    assert_eq!(step(&mut law, 20), Some(HoldReason::Mixed));
+    law.law.lose_sight();
+    assert_eq!(step(&mut law, 21), None);
+}
+
+#[test]
+fn on_a_live_robot_a_point_that_leaps_is_not_believed_at_once() {
+    const PERIOD: u64 = 33_000_000;
+    let mut law = law();
+    law.law.go_live(100 * PERIOD);
+    law.law.sent(&[0.0; 6], 0);
+    let good = displaced(&law, 60.0);
+    let mut leapt = good;
+    leapt.points[0] += 100.0;
+    let mut step = |k: u64, mut frame: Features| {
+        frame.stamp.data_ns = k * PERIOD;
+        // No two images are the same.
+        frame.points[1] += 1e-6 * k as f64;
+        law.run_law(
+            &frame,
+            k * PERIOD,
+            Link::Next,
+            false,
+            &mut CycleRecord::default(),
+        )
+        .hold
+    };
+    assert_eq!(step(1, good), None);
+    assert_eq!(step(2, leapt), Some(HoldReason::Mixed));
+    assert_eq!(step(3, good), None);
+    // It stays where it went: whoever it was is now the point.
+    for k in 4..7 {
+        assert_eq!(step(k, leapt), Some(HoldReason::Mixed), "{k}");
+    }
+    assert_eq!(step(7, leapt), None);
+}
