@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use scene::{Part, Scene};
+use scene::Scene;
 
 use crate::canvas::{Canvas, colour, label, ticks};
 
@@ -51,7 +51,7 @@ impl Frame {
         ));
         let shade = format!("{SHADE} clip-path=\"url(#{clip})\"");
         for part in scene.parts() {
-            let corners = outline(part, 240).map(|corner| self.at(corner));
+            let corners = part.outline(240).map(|corner| self.at(corner));
             let corners: Vec<_> = corners.map(|[x, y]| format!("{x:.2} {y:.2}")).collect();
             self.canvas
                 .path(&format!("M{}Z", corners.join("L")), &shade);
@@ -152,18 +152,4 @@ impl Frame {
         self.canvas.text(MARGIN[0], y, 10.0, "start", words);
         self.canvas
     }
-}
-
-/// Corners of the border of a part, |x|^p + |y|^p = 1, at equal steps of the direction from its
-/// centre.
-pub fn outline(part: &Part, corners: usize) -> impl Iterator<Item = [f64; 2]> + use<> {
-    let part = *part;
-    (0..corners).map(move |i| {
-        let (s, c) = (std::f64::consts::TAU * i as f64 / corners as f64).sin_cos();
-        let radius = (c.abs().powf(part.p) + s.abs().powf(part.p)).powf(-1.0 / part.p);
-        [
-            part.center[0] + part.half[0] * radius * c,
-            part.center[1] + part.half[1] * radius * s,
-        ]
-    })
 }

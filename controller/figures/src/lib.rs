@@ -20,7 +20,6 @@ mod view;
 pub use animation::Animation;
 pub use canvas::Canvas;
 pub use comparison::{Comparison, side_by_side};
-pub use frame::outline;
 pub use image_plane::ImagePlane;
 pub use joints::Joints;
 pub use latency::{Latency, Times};

@@ -3,7 +3,7 @@
 use scene::Scene;
 
 use crate::canvas::colour;
-use crate::{Canvas, Photo, Points, outline};
+use crate::{Canvas, Photo, Points};
 
 /// Width of the drawing, px.
 const WIDTH: f64 = 400.0;
@@ -41,7 +41,7 @@ impl View<'_> {
         let height = (scale * self.scene.camera.height).round();
         let mut canvas = Canvas::over(self.photo.clone(), WIDTH, height);
         for part in self.scene.parts() {
-            canvas.polyline(outline(part, 120).map(at), OCCLUSION);
+            canvas.polyline(part.outline(120).map(at), OCCLUSION);
         }
         for way in &self.foreseen {
             canvas.polyline(way.iter().copied().map(at), FORESEEN);

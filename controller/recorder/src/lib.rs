@@ -26,5 +26,4 @@ pub use plot::{PlotError, plot};
 pub use record::{Options, RecordError, record};
 pub use recorder::Recorder;
 pub use report::{Report, StageTimes};
-pub use scenery::goal;
 pub use views::Viewed;

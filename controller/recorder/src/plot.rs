@@ -8,7 +8,6 @@ use messages::{ClockMode, CycleRecord, MAX_POINTS};
 use scene::{FileError, Scene};
 
 use crate::report::Report;
-use crate::scenery::goal;
 use recording::Recording;
 
 /// Periods without a record for which the last command is drawn; after that the camera has stopped.
@@ -72,7 +71,7 @@ pub fn plot(
         let plane = ImagePlane {
             scene,
             path: path.collect(),
-            goal: goal(scene),
+            goal: scene.goal_px().collect(),
             way_points: Vec::new(),
             foreseen: Vec::new(),
             title: "features (no cycles)".to_owned(),
@@ -135,7 +134,7 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     let plane = ImagePlane {
         scene,
         path: run.iter().map(|c| pairs(&c.points, c.count)).collect(),
-        goal: goal(scene),
+        goal: scene.goal_px().collect(),
         way_points: way_points
             .map(|c| pairs(&c.way_point, c.way_point_count))
             .collect(),

@@ -77,7 +77,7 @@ impl ImagePlane {
 
     /// The goal of each feature (u, v), px; empty without a scene.
     pub fn goal(&self) -> Vec<[f64; 2]> {
-        self.scene.as_ref().map(recorder::goal).unwrap_or_default()
+        self.scene.iter().flat_map(Scene::goal_px).collect()
     }
 
     /// The parts of all occlusions that are not painted.
@@ -103,7 +103,7 @@ impl ImagePlane {
         let painted = |mask: &Mask| {
             pixels(1).any(|row| pixels(0).any(|column| mask.is_forbidden(column, row)))
         };
-        self.parts().any(|part| covers(part, middle))
+        self.parts().any(|part| part.covers(middle))
             || self.scene.iter().flat_map(Scene::masks).any(painted)
     }
 
@@ -121,12 +121,6 @@ impl ImagePlane {
 
 fn modified(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(path).ok()?.modified().ok()
-}
-
-/// Whether a point (px) is in a part.
-fn covers(part: &Part, point: [f64; 2]) -> bool {
-    let reach = |i: usize| ((point[i] - part.center[i]).abs() / part.half[i]).powf(part.p);
-    reach(0) + reach(1) < 1.0
 }
 
 #[cfg(test)]
@@ -211,7 +205,7 @@ pub(crate) mod tests {
     fn the_centre_of_every_part_is_covered() {
         let plane = paper();
         assert!(plane.parts().count() > 0);
-        assert!(plane.parts().all(|part| covers(part, part.center)));
+        assert!(plane.parts().all(|part| part.covers(part.center)));
         let bare = ImagePlane::default();
         assert!(!bare.touches([10.0, 10.0], [10.0, 10.0]));
     }

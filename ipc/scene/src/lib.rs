@@ -3,9 +3,9 @@
 //!
 //! A scene file (TOML) names the camera, the pattern that it looks at, the goal, the limits, the
 //! weights of the cost, what counts as success, the region of random starts, and the occlusions of
-//! the image. This crate holds the types and their checks, and **no mathematics**: controller and
-//! emulator each bring their own, so that one mistake cannot hide on both sides. The `README.md`
-//! explains the decisions that may surprise.
+//! the image. This crate holds the types and their checks, and **no mathematics of control**:
+//! controller and emulator each bring their own, so that one mistake cannot hide on both sides. The
+//! `README.md` explains the decisions that may surprise.
 //!
 //! Without the feature `file` the crate is `no_std` and never allocates, so that the control law
 //! can use it.
@@ -28,6 +28,8 @@ mod model;
 mod file;
 #[cfg(feature = "file")]
 mod files;
+#[cfg(feature = "file")]
+mod shape;
 #[cfg(feature = "file")]
 mod starts;
 #[cfg(feature = "file")]

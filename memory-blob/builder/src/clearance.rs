@@ -39,11 +39,10 @@ pub fn of_pixel(scene: &Scene, pixel: [f64; 2]) -> f64 {
 
 /// Euclidean distance of a pixel (u, v) from the area that a part covers, px: zero inside.
 pub fn distance(part: &Part, pixel: [f64; 2]) -> f64 {
-    let q = offset(part, pixel);
-    let covered: f64 = (0..2).map(|k| (q[k] / part.half[k]).powf(part.p)).sum();
-    if covered < 1.0 {
+    if part.covers(pixel) {
         return 0.0;
     }
+    let q = offset(part, pixel);
     let (mut low, mut high) = (0.0, std::f64::consts::FRAC_PI_2);
     let mut angle: f64 = 0.25 * std::f64::consts::PI;
     let mut distance: f64 = 0.0;
@@ -104,8 +103,8 @@ impl Tangent {
 
 /// Distance of a pixel from the bounding box of a part, px: never above the distance from the part.
 fn distance_from_box(part: &Part, pixel: [f64; 2]) -> f64 {
-    let q = offset(part, pixel);
-    let out = |k: usize| (q[k] - part.half[k]).max(0.0);
+    let [low, high] = part.bounds();
+    let out = |k: usize| (low[k] - pixel[k]).max(pixel[k] - high[k]).max(0.0);
     out(0).hypot(out(1))
 }
 

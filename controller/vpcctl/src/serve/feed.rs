@@ -15,6 +15,8 @@ const CYCLES: usize = 50;
 const SCENE: u64 = 100;
 /// Most changes of state in an event.
 const CHANGES: usize = 6;
+/// Corners of the outline of an occlusion's part.
+const CORNERS: usize = 128;
 
 /// The events of one page. The first one has all that is known, each later one what is new.
 #[derive(Debug)]
@@ -112,13 +114,14 @@ fn row(record: &CycleRecord) -> Value {
     ])
 }
 
-/// The image plane. Parts are [centre u, v, half width, half height, exponent], painted pixels are
-/// rectangles [u, v, width, height], all in px.
+/// The image plane. Parts are the corners [u, v] of their outlines, painted pixels are rectangles
+/// [u, v, width, height], all in px.
 fn scene(plane: &ImagePlane, view: &View) -> Value {
-    let parts = plane.parts().map(|part| {
-        let ([u, v], [width, height]) = (part.center, part.half);
-        [u, v, width, height, part.p]
-    });
+    // A twentieth of a pixel is less than a screen shows.
+    let rounded = |corner: [f64; 2]| corner.map(|x| (x * 10.0).round() / 10.0);
+    let parts = plane
+        .parts()
+        .map(|part| part.outline(CORNERS).map(rounded).collect::<Vec<_>>());
     json!({
         "known": plane.has_scene(),
         "size": plane.size(view),
@@ -159,16 +162,16 @@ mod tests {
     }
 
     #[test]
-    fn every_part_is_told_with_its_exponent() {
+    fn every_part_is_told_as_its_outline() {
         let plane = paper();
         let told = scene(&plane, &View::default());
-        let parts: Vec<[f64; 5]> = serde_json::from_value(told["parts"].clone()).unwrap();
+        let parts: Vec<Vec<[f64; 2]>> = serde_json::from_value(told["parts"].clone()).unwrap();
         assert_eq!(parts.len(), plane.parts().count());
         for (told, part) in parts.iter().zip(plane.parts()) {
-            assert_eq!(
-                (told[0], told[3], told[4]),
-                (part.center[0], part.half[1], part.p)
-            );
+            assert_eq!(told.len(), CORNERS);
+            // The first direction is that of u.
+            let [u, v] = [part.bounds()[1][0], part.center[1]];
+            assert!((told[0][0] - u).abs() <= 0.051 && (told[0][1] - v).abs() <= 0.051);
         }
     }
 

@@ -415,7 +415,6 @@ fn drawings_are_of_these_messages(received: &Received, scene: &scene::Scene) {
         }
     }
     assert!(drawn > 200, "{drawn}");
-    let goal = recorder::goal(scene);
     let wanted = Isometry3::new(scene.goal.translation.into(), scene.goal.rotation.into());
     let wanted = wanted.inverse().translation.vector.into();
     let mut ways = 0;
@@ -432,7 +431,7 @@ fn drawings_are_of_these_messages(received: &Received, scene: &scene::Scene) {
             continue;
         }
         let lines = marks["points"].as_array().unwrap();
-        for (line, goal) in lines.iter().zip(&goal) {
+        for (line, goal) in lines.iter().zip(scene.goal_px()) {
             let end = self::place(line["points"].as_array().unwrap().last().unwrap());
             let miss = (end[0] - 0.5 - goal[0]).hypot(end[1] - 0.5 - goal[1]);
             assert!(miss < 25.0, "the path ends {miss} px from the goal");

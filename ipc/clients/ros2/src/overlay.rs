@@ -38,7 +38,7 @@ impl Overlay {
         };
         Ok(Self {
             publishers: [open("seen")?, open("goal")?, open("foreseen")?],
-            goal: recorder::goal(scene),
+            goal: scene.goal_px().collect(),
             frame: frame.to_owned(),
         })
     }

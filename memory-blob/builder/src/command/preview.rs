@@ -231,7 +231,10 @@ fn stride(task: &Task) -> f64 {
 fn thin(scene: &Scene, stride: f64) -> Vec<(&str, f64)> {
     let thinnest = scene.occlusions.iter().map(|occlusion| {
         let parts = occlusion.parts.iter();
-        let parts = parts.map(|part| 2.0 * part.half[0].min(part.half[1]));
+        let parts = parts.map(|part| {
+            let [low, high] = part.bounds();
+            (high[0] - low[0]).min(high[1] - low[1])
+        });
         let areas = occlusion.mask.iter().flat_map(|mask| mask.areas());
         let thickness = parts
             .chain(areas.map(thickness))

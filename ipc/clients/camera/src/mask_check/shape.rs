@@ -1,6 +1,6 @@
 //! An occlusion by its distances.
 
-use scene::{Occlusion, Part};
+use scene::Occlusion;
 
 use crate::distance;
 
@@ -14,20 +14,9 @@ pub struct Shape {
 impl Shape {
     /// An occlusion in an image of this size.
     pub fn of(occlusion: &Occlusion, width: usize, height: usize) -> Self {
-        let covers = |k: usize| {
-            let (column, row) = (k % width, k / width);
-            let of_part = |part: &Part| {
-                let term = |k: usize, x: usize| {
-                    ((x as f64 - part.center[k]).abs() / part.half[k]).powf(part.p)
-                };
-                term(0, column) + term(1, row) < 1.0
-            };
-            occlusion.parts.iter().any(of_part)
-                || occlusion
-                    .mask
-                    .is_some_and(|mask| mask.is_forbidden(column, row))
-        };
-        let inside: Vec<bool> = (0..width * height).map(covers).collect();
+        let inside: Vec<bool> = (0..width * height)
+            .map(|k| occlusion.covers_pixel(k % width, k / width))
+            .collect();
         let outside: Vec<bool> = inside.iter().map(|is| !is).collect();
         let to_inside = distance::to_set(&inside, width);
         let to_outside = distance::to_set(&outside, width);
