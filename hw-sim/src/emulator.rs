@@ -18,7 +18,7 @@ use crate::eye::Shot;
 use crate::free::FreeCell;
 use crate::late_frames::LateFrames;
 use crate::lateness::Lateness;
-use crate::outcome::Outcome;
+use crate::outcome::{Outcome, Verdict};
 use crate::port::Ports;
 use crate::pose::to_scene;
 use crate::priority;
@@ -76,7 +76,7 @@ pub fn run(
         }
         session.drive(cell.as_mut(), None)?;
         let outcome = session.outcome(*number, cell.as_mut());
-        tally.runs += usize::from(outcome.verdict != "stopped");
+        tally.runs += usize::from(outcome.verdict != Verdict::Stopped);
         tally.arrived += usize::from(outcome.is_success());
         tell(&outcome, tally);
         if config.rig.arm.fci.is_some() {

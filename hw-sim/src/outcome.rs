@@ -1,6 +1,8 @@
 //! What a run came to: a line of JSON for programs, a sentence for people.
 
-use serde::Serialize;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
 
 use crate::late_frames::LateFrames;
 use crate::lateness::LatenessReport;
@@ -8,14 +10,40 @@ use crate::progress::Progress;
 use crate::referee::End;
 use crate::robot::inspector::ArmReport;
 
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// At the goal, without a violation.
+    Arrived,
+    /// A point was deeper in an occlusion, or farther outside the image, than the scene allows.
+    Violation,
+    /// Not at the goal in time.
+    TimeOut,
+    /// The pattern was behind the camera.
+    LostSight,
+    /// Ended from outside.
+    Stopped,
+    /// Of an arm: the robot stopped itself.
+    Reflex,
+    /// Of an arm: it arrived, but its referee saw a limit exceeded.
+    ArmViolation,
+}
+
+/// As in the line of JSON.
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
 /// What a run came to.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
     /// Which start, from 0.
     pub start: usize,
-    /// `arrived`, `violation`, `time_out`, `lost_sight` or `stopped`; of an arm, too, `reflex`, and
-    /// `arm_violation` where it arrived but its referee saw a limit exceeded.
-    pub verdict: &'static str,
+    /// How it ended.
+    pub verdict: Verdict,
     /// Seconds from start to verdict.
     pub time_s: f64,
     /// Frames exposed.
@@ -62,12 +90,12 @@ impl Outcome {
     /// Of a run from this start, without what only an arm knows.
     pub fn new(start: usize, progress: &Progress, violation_px: f64) -> Self {
         let (verdict, violation) = match &progress.end {
-            None => ("stopped", None),
-            Some(End::Arrived) => ("arrived", None),
-            Some(End::TimeOut) => ("time_out", None),
-            Some(End::LostSight) => ("lost_sight", None),
-            Some(End::Reflex) => ("reflex", None),
-            Some(End::Violation(violation)) => ("violation", Some(violation.to_string())),
+            None => (Verdict::Stopped, None),
+            Some(End::Arrived) => (Verdict::Arrived, None),
+            Some(End::TimeOut) => (Verdict::TimeOut, None),
+            Some(End::LostSight) => (Verdict::LostSight, None),
+            Some(End::Reflex) => (Verdict::Reflex, None),
+            Some(End::Violation(violation)) => (Verdict::Violation, Some(violation.to_string())),
         };
         Self {
             start,
@@ -92,7 +120,7 @@ impl Outcome {
 
     /// Whether the goal was reached without a violation.
     pub fn is_success(&self) -> bool {
-        self.verdict == "arrived"
+        self.verdict == Verdict::Arrived
     }
 
     /// The outcome as a sentence.
@@ -107,19 +135,24 @@ impl Outcome {
     fn verdict_sentence(&self) -> String {
         let after = format!("after {:.1} s", self.time_s);
         let error = format!("{:.1} px from the goal", self.error_px);
-        match (self.verdict, &self.violation) {
-            ("arrived", _) => {
+        match self.verdict {
+            Verdict::Arrived => {
                 let (clearance, joints) = (self.clearance(), self.joints());
                 format!("arrived at the goal {after}; {clearance}{joints}")
             }
-            ("time_out", _) => format!("did not arrive in time: {error} {after}"),
-            ("lost_sight", _) => format!("lost sight of the pattern {after}"),
-            ("reflex", _) => format!("the robot stopped itself {after}, {error}"),
-            ("arm_violation", _) => format!("arrived {after}, but the robot exceeded its limits"),
-            (_, Some(violation)) => format!("violation {after}: {violation}"),
+            Verdict::TimeOut => format!("did not arrive in time: {error} {after}"),
+            Verdict::LostSight => format!("lost sight of the pattern {after}"),
+            Verdict::Reflex => format!("the robot stopped itself {after}, {error}"),
+            Verdict::ArmViolation => {
+                format!("arrived {after}, but the robot exceeded its limits")
+            }
+            Verdict::Violation => {
+                let violation = self.violation.as_deref().unwrap_or_default();
+                format!("violation {after}: {violation}")
+            }
             // Before the first frame no error is known.
-            _ if self.frames == 0 => format!("stopped {after}"),
-            _ => format!("stopped {after}, {error}"),
+            Verdict::Stopped if self.frames == 0 => format!("stopped {after}"),
+            Verdict::Stopped => format!("stopped {after}, {error}"),
         }
     }
 
@@ -228,7 +261,10 @@ mod tests {
     #[test]
     fn a_run_that_was_not_decided_was_stopped() {
         let stopped = outcome([755.0, 560.0], None);
-        assert_eq!((stopped.verdict, stopped.is_success()), ("stopped", false));
+        assert_eq!(
+            (stopped.verdict, stopped.is_success()),
+            (Verdict::Stopped, false)
+        );
         assert!(stopped.sentence().starts_with("stopped after 1.4 s"));
     }
 }

@@ -9,7 +9,7 @@ use scene::{Pose, Scene};
 use crate::camera::{Points, outlines, project};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{Eye, EyeError, EyeSettings};
-use crate::outcome::Outcome;
+use crate::outcome::{Outcome, Verdict};
 use crate::pose::RigidPose;
 use crate::progress::Progress;
 use crate::recording::ArmRecord;
@@ -94,13 +94,12 @@ impl Rig {
         // True occlusions count, and the goal as it was told.
         let mut judged = scene.clone();
         judged.occlusions.clone_from(&real.occlusions);
-        let is_grasped = |occlusion: &scene::Occlusion| occlusion.name.contains("grasped");
         Ok(Self {
             arm: Arm::new(scene, start, &settings.arm)?,
             eye: Eye::new(&real, truth, &settings.eye, settings.is_live)?,
             progress: Progress::new(&judged),
             sequence: Sequence::new(settings.sequence),
-            grasped: scene.occlusions.iter().position(is_grasped),
+            grasped: scene.occlusions.iter().position(|one| one.grasped),
             scene: scene.clone(),
             real,
             settings: *settings,
@@ -284,8 +283,8 @@ impl Cell for Rig {
     }
 
     fn complete(&self, outcome: &mut Outcome) {
-        if outcome.verdict == "arrived" && !self.report().is_clean() {
-            outcome.verdict = "arm_violation";
+        if outcome.is_success() && !self.report().is_clean() {
+            outcome.verdict = Verdict::ArmViolation;
         }
         outcome.step = Some(self.phase().name());
         outcome.arrived_s = self.progress.arrived_s;

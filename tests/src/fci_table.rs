@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use clap::Args;
+use hw_sim::outcome::Verdict;
 use serde::{Deserialize, Serialize};
 
 use crate::children::Children;
@@ -45,7 +46,7 @@ const PORT: u16 = 1337;
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct FciRun {
     /// `arrived`, or why not.
-    pub verdict: String,
+    pub verdict: Verdict,
     /// Seconds until the features were at the goal.
     pub arrived_s: Option<f64>,
     /// Least signed distance of a point from an occlusion or the border, px.
@@ -247,7 +248,7 @@ impl Trio<'_> {
         drop((hw_sim, vpcd));
         let mut run: FciRun = serde_json::from_str(&told)?;
         run.bridge = bridge;
-        if run.verdict != "arrived" {
+        if run.verdict != Verdict::Arrived {
             let log = fs::read_to_string(path("vpcd.err"))?;
             let warning = log.lines().rfind(|line| line.contains(" WARN "));
             run.warning = warning.map(str::to_owned);
@@ -289,7 +290,7 @@ fn text(path: &Path) -> String {
 }
 
 fn row(spec: Spec, interface: &str, runs: &[(usize, FciRun)]) -> FciRow {
-    let is_good = |run: &FciRun| run.verdict == "arrived" && run.arm.reflexes == 0;
+    let is_good = |run: &FciRun| run.verdict == Verdict::Arrived && run.arm.reflexes == 0;
     let sum = |what: fn(&ArmReport) -> u64| runs.iter().map(|(_, run)| what(&run.arm)).sum();
     let most = |share: fn(&ArmReport) -> f64| {
         let shares = runs.iter().map(|(_, run)| share(&run.arm));
@@ -319,7 +320,8 @@ fn row(spec: Spec, interface: &str, runs: &[(usize, FciRun)]) -> FciRow {
 }
 
 fn why(run: &FciRun) -> String {
-    let words = std::iter::once(&run.verdict).chain(&run.arm.errors);
+    let verdict = run.verdict.to_string();
+    let words = std::iter::once(&verdict).chain(&run.arm.errors);
     let words = words.chain(&run.warning);
     words.map(String::as_str).collect::<Vec<_>>().join(" ")
 }

@@ -12,6 +12,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use hw_sim::outcome::Verdict;
 use ipc::{Domain, Subscriber};
 use messages::{CycleRecord, Hold};
 use scene::Scene;
@@ -66,7 +67,7 @@ pub type Levels<'a> = [(&'a Flaw, f64)];
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Run {
     /// `arrived`, or why not.
-    pub verdict: String,
+    pub verdict: Verdict,
     /// Seconds until the features were at the goal.
     pub arrived_s: Option<f64>,
     /// Least signed distance of a point from an occlusion or the border, px.
@@ -161,7 +162,7 @@ pub fn row(setup: &Setup<'_>, name: &str, levels: &Levels<'_>) -> anyhow::Result
 
 impl Row {
     fn of(name: &str, runs: &[(usize, Run)]) -> Self {
-        let is_good = |run: &Run| run.verdict == "arrived" && run.arm.reflexes == 0;
+        let is_good = |run: &Run| run.verdict == Verdict::Arrived && run.arm.reflexes == 0;
         let arrived = runs.iter().filter(|(_, run)| is_good(run)).count();
         let sum = |what: fn(&ArmReport) -> u64| runs.iter().map(|(_, run)| what(&run.arm)).sum();
         let good = runs.iter().filter(|(_, run)| is_good(run));
@@ -198,7 +199,7 @@ fn why(run: &Run) -> String {
     let most = most.map(|(hold, cycles)| format!("{hold}, {cycles} cycles"));
     let reasons: Vec<String> = errors.chain(most).collect();
     match reasons.is_empty() {
-        true => run.verdict.clone(),
+        true => run.verdict.to_string(),
         false => format!("{}: {}", run.verdict, reasons.join("; ")),
     }
 }

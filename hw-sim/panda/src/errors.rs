@@ -68,6 +68,19 @@ flags! {
     CommunicationConstraintsViolation => "communication_constraints_violation",
 }
 
+impl Flag {
+    /// Returns whether a position, measured or commanded, is outside its range.
+    pub const fn is_position_limit(self) -> bool {
+        matches!(
+            self,
+            Self::JointPositionLimitsViolation
+                | Self::CartesianPositionLimitsViolation
+                | Self::JointMotionGeneratorPositionLimitsViolation
+                | Self::CartesianMotionGeneratorJointPositionLimitsViolation
+        )
+    }
+}
+
 /// A set of [`Flag`]s.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 pub struct Errors(u32);

@@ -2,7 +2,7 @@
 //! `CONTRACT.md` lists.
 
 use messages::{RobotFaults, RobotMode, RobotState};
-use panda::{JOINTS, Mode, State};
+use panda::{Flag, JOINTS, Mode, State};
 
 use crate::cell::raise;
 use crate::robot::sequence::TaskStep;
@@ -35,7 +35,7 @@ pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: TaskStep) {
         state.mode = RobotMode::Fault.code();
     }
     let mut errors = told.current_errors.flags();
-    let is_outside = errors.any(|flag| flag.name().contains("position_limits"));
+    let is_outside = errors.any(Flag::is_position_limit);
     raise(state, RobotFaults::REFLEX, is_reflex);
     raise(state, RobotFaults::JOINT_LIMIT, is_outside);
 }
@@ -51,7 +51,7 @@ fn gripper(phase: TaskStep) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use panda::{Errors, Flag};
+    use panda::Errors;
     use scene::Scene;
 
     use super::*;

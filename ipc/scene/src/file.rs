@@ -10,8 +10,8 @@ use toml_schema::{Document, FileError};
 use crate::model::*;
 
 /// What controller, builder and emulator must agree on. A memory belongs to the scene it was built
-/// for; only `success`, `starts`, the limits of acceleration, the size of the markers, the names of
-/// occlusions and the weights of `cost` may change under it. All keys but `occlusion`,
+/// for; only `success`, `starts`, the limits of acceleration, the size of the markers, `name` and
+/// `grasped` of occlusions and the weights of `cost` may change under it. All keys but `occlusion`,
 /// `marker_size` and those limits are required.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -64,6 +64,10 @@ struct Painted {
     /// forbidden, black free.
     #[schemars(extend("x-allowed" = "an opaque grey PNG of the image's size, up to 4096x4096 px, at most 32 white areas"))]
     mask: Option<String>,
+    /// Whether this is the object in the gripper: the emulated robot's leaves the view when it is
+    /// released. At most one; nobody else asks.
+    #[serde(default)]
+    grasped: bool,
 }
 
 /// Returns the JSON Schema of a scene file.
@@ -270,7 +274,15 @@ impl Checker<'_> {
             self.hold(areas <= MAX_AREAS, &key("mask"), areas, allowed)?;
             let parts = table.parts.into_iter().collect();
             // The schema allows no more than there is room for.
-            let _ = occlusions.push(Occlusion { name, parts, mask });
+            let _ = occlusions.push(Occlusion {
+                name,
+                parts,
+                mask,
+                grasped: table.grasped,
+            });
+            let grasped = occlusions.iter().filter(|one| one.grasped).count();
+            let allowed = "true in one occlusion, the one in the gripper";
+            self.hold(grasped <= 1, &key("grasped"), true, allowed)?;
         }
         Ok(occlusions)
     }
@@ -316,6 +328,29 @@ mod tests {
         points.marker_size = 0.0;
         assert_eq!(points, Scene::parse(crate::PAPER_ROBOT, "robot").unwrap());
         assert_eq!(tags.fingerprint(), points.fingerprint());
+    }
+
+    #[test]
+    fn the_grasped_object_is_named_by_its_key_and_changes_no_fingerprint() {
+        let robot = Scene::parse(crate::PAPER_ROBOT, "robot").unwrap();
+        assert_eq!(
+            robot
+                .occlusions
+                .iter()
+                .map(|one| one.grasped)
+                .collect::<Vec<_>>(),
+            [false, true]
+        );
+        let (head, tail) = crate::PAPER_ROBOT.split_once("grasped = true").unwrap();
+        let without = Scene::parse(&format!("{head}{tail}"), "robot").unwrap();
+        assert!(without.occlusions.iter().all(|one| !one.grasped));
+        assert_eq!(robot.fingerprint(), without.fingerprint());
+        let spot = "name = \"spot on the lens\"";
+        let two = crate::PAPER_ROBOT.replace(spot, &format!("{spot}\ngrasped = true"));
+        assert_eq!(
+            Scene::parse(&two, "r.toml").unwrap_err().to_string(),
+            "r.toml: occlusion[1].grasped = true; allowed: true in one occlusion, the one in the gripper"
+        );
     }
 
     #[test]

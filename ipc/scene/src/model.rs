@@ -205,6 +205,8 @@ pub struct Occlusion {
     pub parts: Vec<Part, MAX_PARTS>,
     /// Painted pixels.
     pub mask: Option<Mask>,
+    /// Whether it is the object in the gripper, which leaves the view when it is released.
+    pub grasped: bool,
 }
 
 table! {

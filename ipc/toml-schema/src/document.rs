@@ -246,8 +246,6 @@ impl Document {
 fn syntax(path: &str, error: &toml::de::Error) -> FileError {
     FileError::Syntax {
         path: path.to_owned(),
-        // What serde says of every other wrong type, toml says of an enum in its own words.
-        message: (error.to_string().trim_end())
-            .replace("wanted string or table", "invalid type: expected a string"),
+        message: error.to_string().trim_end().to_owned(),
     }
 }

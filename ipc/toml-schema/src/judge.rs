@@ -60,6 +60,8 @@ pub(crate) fn judge(schema: &Json, value: &Value, key: &str) -> Result<(), Optio
     };
     let is_multiple = |x: f64| schema["multipleOf"].as_f64().is_none_or(|of| x % of == 0.0);
     match value {
+        // Of a word serde tells less: not which there are.
+        _ if words(schema).is_some() && !value.is_str() => return refuse(value.to_string()),
         Value::Table(table) => return judge_table(schema, table, key),
         Value::Integer(_) | Value::Float(_) | Value::String(_) | Value::Boolean(_)
             if !is_of_type(value, schema) =>

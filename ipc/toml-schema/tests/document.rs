@@ -108,6 +108,14 @@ fn a_refusal_names_file_key_value_and_range() {
             "a.toml: part[0].form.corners = 2; allowed: 3 to 12",
         ),
         (
+            "[camera]\nclock = 5",
+            "a.toml: camera.clock = 5; allowed: fixed, free",
+        ),
+        (
+            "[camera]\nclock = ['free']",
+            "a.toml: camera.clock = [\"free\"]; allowed: fixed, free",
+        ),
+        (
             "part = [{}, {}, {}]",
             "a.toml: part = a list of 3; allowed: at most 2 tables",
         ),
