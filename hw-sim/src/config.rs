@@ -14,7 +14,6 @@ use toml_schema::{Document, FileError};
 
 use crate::eye::Sight;
 use crate::rig::RigSettings;
-use crate::robot::bridge::Shaping;
 use crate::robot::calibration::HandEye;
 use crate::robot::control_unit::FciSettings;
 use crate::robot::truth::Truth;
@@ -318,7 +317,7 @@ impl Config {
             rig.arm.robot.model = Model::Fr3;
         }
         if arguments.unshaped {
-            rig.arm.shaping = Shaping::Off;
+            rig.arm.is_shaped = false;
         }
         let eye = &mut rig.eye;
         (eye.sight, eye.noise_px, eye.seed) = (keys.camera, flaws.noise_px, flaws.seed);
@@ -417,8 +416,8 @@ mod tests {
             (50_000_000, 0.3)
         );
         // One centimetre along the camera's y axis, which is the flange's -x here.
-        let believed = rig.arm.hand_eye.mount();
-        let mount = rig.arm.truth.mount(&believed).flange_from_camera;
+        let believed = rig.arm.hand_eye.flange_from_camera();
+        let mount = rig.arm.truth.flange_from_camera(&believed);
         assert!((mount.translation.vector - nalgebra::Vector3::new(0.09, 0.0, 0.0)).norm() < 1e-12);
         assert_eq!(load("").unwrap().rig.arm.truth, Truth::default());
     }

@@ -181,7 +181,7 @@ impl Cell for Rig {
             self.progress.begin(self.now_ns());
         }
         if self.phase().obeys_controller() {
-            let limited = self.arm.bridge.command(&order.twist, order.until_ns);
+            let limited = self.arm.obey(&order.twist, order.until_ns);
             self.progress.limited += u64::from(limited);
         }
     }
@@ -223,7 +223,7 @@ impl Cell for Rig {
             is_at_rest: self.arm.is_at_rest(),
         });
         if let Some(twist) = self.sequence.twist() {
-            self.arm.bridge.move_by_itself(&twist, now_ns + 2 * STEP_NS);
+            self.arm.move_by_itself(&twist, now_ns + 2 * STEP_NS);
         }
         if let (Some(TaskStep::Retreating), Some(occlusion)) = (begun, self.grasped) {
             self.eye.show(occlusion, false);
@@ -262,15 +262,15 @@ impl Cell for Rig {
     }
 
     fn aimed(&self) -> [f64; 6] {
-        self.arm.bridge.standing().twist_at(self.now_ns())
+        self.arm.bridge.aimed(self.now_ns())
     }
 
     fn is_stale(&self) -> bool {
-        self.phase().obeys_controller() && self.arm.bridge.standing().is_stale(self.now_ns())
+        self.phase().obeys_controller() && self.arm.bridge.is_stale(self.now_ns())
     }
 
     fn state(&self) -> RobotState {
-        let (object, limited) = (self.arm.object(), self.arm.bridge.standing().was_limited());
+        let (object, limited) = (self.arm.object(), self.arm.bridge.limited().is_cut);
         let now_ns = self.now_ns();
         let mut state = cell::state(&self.progress, &object, now_ns, self.is_stale(), limited);
         state.twist = self.arm.camera_twist();

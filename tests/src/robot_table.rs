@@ -3,7 +3,6 @@
 
 use anyhow::Context;
 use hw_sim::rig::RigSettings;
-use hw_sim::robot::bridge::Shaping;
 use hw_sim::robot::truth::Truth;
 use memory_blob::MemoryFile;
 use messages::ClockMode;
@@ -82,7 +81,7 @@ fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> Rig
         ..Truth::default()
     };
     if flags.unshaped {
-        settings.arm.shaping = Shaping::Off;
+        settings.arm.is_shaped = false;
     }
     settings.eye.noise_px = common.noise;
     settings.eye.seed = seed;

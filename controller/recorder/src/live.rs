@@ -10,12 +10,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use arm::Mount;
 use foxglove::messages::RawImage;
 use ipc::ReceiveError;
 use ipc::{Domain, Image, ImageSubscriber, JoinError, OpenError};
 use messages::Order;
 use messages::{CycleRecord, Message};
-use panda::Mount;
 use recording::{Encoding, Sink, WallClock, WriteError};
 use scene::{Scene, SceneFiles};
 use tokio::net::TcpListener;

@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
+use arm::Mount;
 use ipc::{Domain, JoinError, OpenError, ReceiveError};
 use messages::{CycleRecord, Message};
-use panda::Mount;
 use recording::{RecordingFile, WriteError};
 use scene::SceneFiles;
 

@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use arm::Mount;
 use foxglove::messages::{Log, Timestamp, log::Level};
 use foxglove::{Encode, Schema};
 use messages::Stamp;
-use panda::Mount;
 use recording::{Encoding, Sink, WriteError};
 use scene::Scene;
 

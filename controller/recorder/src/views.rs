@@ -1,5 +1,6 @@
 //! What Foxglove draws of each message: views of its own schemas, beside the message itself.
 
+use arm::Mount;
 use foxglove::messages::{
     FrameTransform, ImageAnnotations, Pose, PoseInFrame, log::Level, points_annotation::Type,
 };
@@ -8,7 +9,6 @@ use messages::{
     TwistCommand, TwistState,
 };
 use nalgebra::Isometry3;
-use panda::Mount;
 use recording::{Recorded, Sink, WriteError};
 
 use crate::annotation::{BLUE, CLEAR, GREY, RED, circle, lines, text};
@@ -65,7 +65,7 @@ impl Viewed for RobotState {
                 pose: Some(pose(&camera)),
             })?;
         }
-        if self.joints as usize != panda::JOINTS {
+        if self.joints as usize != arm::JOINTS {
             return Ok(());
         }
         // From the object over the camera to the base, so that each frame has one parent.

@@ -2,13 +2,13 @@
 //!
 //! Frames: `object` (the pattern), `camera`, and of an arm `flange` and `base`.
 
+use arm::{Chain, Joints};
 use foxglove::messages::{
     Color, CubePrimitive, Duration, LinePrimitive, Point3, Pose, SceneEntity, SceneUpdate,
     SpherePrimitive, TextPrimitive, Timestamp, Vector3, line_primitive::Type,
 };
 use messages::CycleRecord;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
-use panda::{Chain, Joints};
 use scene::{Camera, Scene};
 
 use crate::annotation::{BLUE, GREY, RED, time};
@@ -89,7 +89,7 @@ pub(crate) fn foreseen(scene: &Scene, record: &CycleRecord, at: Option<Timestamp
 }
 
 /// The arm at these joint positions, as a line through its joints in the base.
-pub(crate) fn arm(q: [f64; panda::JOINTS], at: Option<Timestamp>) -> SceneUpdate {
+pub(crate) fn arm(q: [f64; arm::JOINTS], at: Option<Timestamp>) -> SceneUpdate {
     let places = Chain::default().places(&Joints::from(q));
     let mut entity = entity("arm", BASE, at);
     let spheres = places.iter().map(|&place| sphere(place.into(), ARM, GREY));
@@ -103,12 +103,12 @@ pub(crate) fn arm(q: [f64; panda::JOINTS], at: Option<Timestamp>) -> SceneUpdate
 }
 
 /// The flange in the base at these joint positions.
-pub(crate) fn base_from_flange(q: [f64; panda::JOINTS]) -> Isometry3<f64> {
+pub(crate) fn base_from_flange(q: [f64; arm::JOINTS]) -> Isometry3<f64> {
     isometry(&Chain::default().flange(&Joints::from(q)))
 }
 
 /// The same pose with a quaternion.
-pub(crate) fn isometry(pose: &panda::Pose) -> Isometry3<f64> {
+pub(crate) fn isometry(pose: &arm::Pose) -> Isometry3<f64> {
     Isometry3::from_parts(pose.translation, pose.rotation.into())
 }
 
@@ -314,10 +314,10 @@ mod tests {
 
     #[test]
     fn the_arm_is_a_chain_from_the_base_to_the_flange() {
-        let update = arm(panda::READY, None);
+        let update = arm(arm::READY, None);
         let points = &update.entities[0].lines[0].points;
         assert_eq!((points.len(), points[0].x, points[0].z), (9, 0.0, 0.0));
-        let flange = base_from_flange(panda::READY).translation.vector;
+        let flange = base_from_flange(arm::READY).translation.vector;
         let last = &points[8];
         assert_eq!([last.x, last.y, last.z], <[f64; 3]>::from(flange));
         // No link is longer than the upper arm with its offset.

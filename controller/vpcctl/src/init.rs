@@ -4,8 +4,8 @@ use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use arm::Model;
 use clap::{Args, ValueEnum};
-use panda::Model;
 
 use crate::exit::{Exit, Failure};
 

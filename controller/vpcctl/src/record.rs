@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use arm::{Mount, Pose};
 use clap::Args;
 use hand_eye::Frame;
-use panda::{Mount, Pose};
 use recorder::{Ledger, Options};
 use scene::{FileError, SceneFiles};
 use signal_hook::consts::{SIGINT, SIGTERM};

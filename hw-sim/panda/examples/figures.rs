@@ -5,12 +5,12 @@
 
 use std::time::Instant;
 
+use arm::{Echo, Ramp, Shaper, ShaperSettings};
 use nalgebra::{Rotation3, Translation3, Vector3};
 use panda::limits::{Model, PERIOD};
-use panda::ramp::Ramp;
 use panda::{
-    Chain, Command, Echo, Joints, Mode, Motion, MotionKind, PlacementError, Pose, READY, Robot,
-    RobotSettings, Shaper, ShaperSettings, Twist, place,
+    Chain, Command, Joints, Mode, Motion, MotionKind, PlacementError, Pose, READY, Robot,
+    RobotSettings, State, Twist, place,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -29,6 +29,14 @@ fn answer(robot: &Robot, twist: Twist) -> Command {
     }
 }
 
+/// The last command by the robot's account.
+fn echo(state: &State) -> Echo {
+    Echo {
+        twist: state.o_dp_ee_c,
+        acceleration: state.o_ddp_ee_c,
+    }
+}
+
 fn cost() -> Result<(), Box<dyn std::error::Error>> {
     let mut robot = Robot::new(RobotSettings::default(), Joints::from(READY))?;
     let mut shaper = Shaper::new(ShaperSettings::default())?;
@@ -39,7 +47,7 @@ fn cost() -> Result<(), Box<dyn std::error::Error>> {
         shaper.aim(&(Twist::repeat(0.01) * sign), u64::MAX);
         let begin = Instant::now();
         for _ in 0..100 {
-            let twist = shaper.step(&Echo::from(robot.state()), 0);
+            let twist = shaper.step(&echo(robot.state()), 0);
             let command = answer(&robot, twist);
             robot.step(&[command]);
         }
@@ -119,7 +127,7 @@ fn run(
             shaper.aim(&twist, u64::MAX);
         }
         let before = robot.state().ddq_d;
-        let twist = shaper.step(&Echo::from(robot.state()), 0);
+        let twist = shaper.step(&echo(robot.state()), 0);
         let state = *robot.step(&[answer(&robot, twist)]);
         if state.robot_mode != Mode::Move {
             worst.reflexes += 1;

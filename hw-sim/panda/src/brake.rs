@@ -3,7 +3,6 @@
 
 use crate::kinematics::{JOINTS, Joints};
 use crate::limits::{BRAKING, Limits, PERIOD, Setpoint};
-use crate::ramp::Ramp;
 
 /// Greatest velocity and acceleration that count as standing, rad/s and rad/s^2: less than the jerk
 /// of one period makes.
@@ -14,11 +13,8 @@ pub fn brake(from: &Setpoint, limits: &Limits) -> Setpoint {
     let mut dq = Joints::zeros();
     let mut still = true;
     for k in 0..JOINTS {
-        let ramp = Ramp {
-            acceleration: BRAKING * limits.joints[k].acceleration,
-            jerk: BRAKING * limits.joints[k].jerk,
-        };
-        let (velocity, acceleration) = ramp.step(from.dq[k], from.ddq[k], 0.0, PERIOD);
+        let bounds = [limits.joints[k].acceleration, limits.joints[k].jerk].map(|b| BRAKING * b);
+        let (velocity, acceleration) = approach(0.0, (from.dq[k], from.ddq[k]), bounds);
         still &= velocity.abs() < STILL.0 && acceleration.abs() < STILL.1;
         dq[k] = velocity;
     }
@@ -27,6 +23,28 @@ pub fn brake(from: &Setpoint, limits: &Limits) -> Setpoint {
     } else {
         from.after(&dq)
     }
+}
+
+/// Velocity and acceleration a period later, on the fastest way to a velocity within bounds on
+/// acceleration and jerk. Source: J. Han, "From PID to Active Disturbance Rejection Control", IEEE
+/// Trans. Ind. Electron. 56(3), 2009, the discrete time-optimal law of a double integrator.
+pub(crate) fn approach(
+    target: f64,
+    (velocity, acceleration): (f64, f64),
+    [most, jerk]: [f64; 2],
+) -> (f64, f64) {
+    let (missing, quantum) = (velocity - target, jerk * PERIOD * PERIOD);
+    let curve = if missing.abs() > quantum {
+        let root = (quantum * (quantum + 8.0 * missing.abs())).sqrt();
+        missing.signum() * (root - quantum) / 2.0
+    } else {
+        missing
+    };
+    let full = ((PERIOD * acceleration + curve) / quantum).clamp(-1.0, 1.0);
+    let wanted = (acceleration - full * jerk * PERIOD).clamp(-most, most);
+    let change = (wanted - acceleration).clamp(-jerk * PERIOD, jerk * PERIOD);
+    let next = acceleration + change;
+    (velocity + next * PERIOD, next)
 }
 
 #[cfg(test)]

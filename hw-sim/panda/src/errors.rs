@@ -105,11 +105,6 @@ impl Errors {
         raised.fold(Self::NONE, |errors, (flag, _)| errors.union(flag.into()))
     }
 
-    /// A bit for each flag, in the order of [`Flag::ALL`].
-    pub const fn bits(self) -> u32 {
-        self.0
-    }
-
     /// All flags of both.
     #[must_use]
     pub const fn union(self, other: Self) -> Self {

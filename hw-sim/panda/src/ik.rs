@@ -8,9 +8,9 @@
 
 use nalgebra::{Cholesky, Const, Matrix6};
 
+use crate::brake::approach;
 use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, Twist, difference, split};
 use crate::limits::{Limits, PERIOD, Setpoint};
-use crate::ramp::Ramp;
 
 /// Manipulability sqrt(det(J J^T)) under which damping sets in, m^3; 0.08 in the ready position.
 const SINGULAR: f64 = 0.01;
@@ -29,13 +29,10 @@ pub(crate) const ELBOW_FADE: f64 = 0.02;
 /// end, rad/s.
 const MARGIN: f64 = 0.25;
 const REPULSION: f64 = 1.0;
-/// The most that the elbow may move the joints, rad/s, and its bounds: a small share of any
-/// joint's.
+/// The most that the elbow may move the joints, rad/s, and its bounds, rad/s^2 and rad/s^3: a small
+/// share of any joint's.
 const ELBOW_SPEED: f64 = 0.3;
-const ELBOW_RAMP: Ramp = Ramp {
-    acceleration: 1.0,
-    jerk: 100.0,
-};
+const ELBOW_BOUNDS: [f64; 2] = [1.0, 100.0];
 
 /// The velocity inverse kinematics during one motion.
 #[derive(Clone, Copy, Debug)]
@@ -76,36 +73,16 @@ impl VelocityIk {
     /// Joint velocities for the period that begins at `from`, such that the end effector moves at
     /// `twist` (base axes) and is at `reference` in the middle of the period.
     pub fn step(&mut self, from: &Setpoint, twist: &Twist, reference: &Pose) -> Joints {
-        let q = middle(from);
+        // In the middle of the period: with that Jacobian a step is exact to second order.
+        let q = from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD);
         let posture = self.chain.posture(&q);
         let wanted = twist + feedback(&difference(reference, &posture.pose));
-        self.advance(&q, &posture.jacobian, &wanted, true)
-    }
-
-    /// As [`Self::step`], with no pose to be drawn to; where the elbow is not free, it comes to
-    /// rest wherever it is.
-    pub fn follow(&mut self, from: &Setpoint, twist: &Twist, is_elbow_free: bool) -> Joints {
-        let q = middle(from);
-        let jacobian = self.chain.posture(&q).jacobian;
-        self.advance(&q, &jacobian, twist, is_elbow_free)
-    }
-
-    fn advance(
-        &mut self,
-        q: &Joints,
-        jacobian: &Jacobian,
-        twist: &Twist,
-        is_elbow_free: bool,
-    ) -> Joints {
-        let system = System::new(jacobian);
+        let system = System::new(&posture.jacobian);
         self.turn_free(&system);
-        let task = system.solve(twist);
-        let target = match is_elbow_free {
-            true => self.elbow_speed(q, task[2]),
-            false => 0.0,
-        };
+        let task = system.solve(&wanted);
+        let target = self.elbow_speed(&q, task[2]);
         (self.speed, self.acceleration) =
-            ELBOW_RAMP.step(self.speed, self.acceleration, target, PERIOD);
+            approach(target, (self.speed, self.acceleration), ELBOW_BOUNDS);
         task + self.free * self.speed
     }
 
@@ -136,18 +113,6 @@ impl VelocityIk {
     }
 }
 
-/// The joints in the middle of the period that begins at `from`: with their Jacobian a step is
-/// exact to second order.
-fn middle(from: &Setpoint) -> Joints {
-    from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD)
-}
-
-/// The joint velocities of least length for a velocity of the end effector (base axes); damped near
-/// a singularity.
-pub fn joint_velocities(chain: &Chain, q: &Joints, twist: &Twist) -> Joints {
-    System::new(&chain.posture(q).jacobian).solve(twist)
-}
-
 /// Joint velocities away from the ends of the joints' ranges, rad/s; zero farther than [`MARGIN`]
 /// from them.
 fn repulsion(q: &Joints, limits: &Limits) -> Joints {
@@ -168,13 +133,13 @@ fn feedback(error: &Twist) -> Twist {
 }
 
 /// J J^T, damped where it is nearly singular.
-pub(crate) struct System<'a> {
+struct System<'a> {
     jacobian: &'a Jacobian,
     factor: Option<Cholesky<f64, Const<6>>>,
 }
 
 impl<'a> System<'a> {
-    pub(crate) fn new(jacobian: &'a Jacobian) -> Self {
+    fn new(jacobian: &'a Jacobian) -> Self {
         let square = jacobian * jacobian.transpose();
         let factor = Cholesky::new(square);
         let measure = factor.as_ref().map_or(0.0, manipulability);
@@ -191,7 +156,7 @@ impl<'a> System<'a> {
     }
 
     /// The joint velocities of least length for this twist.
-    pub(crate) fn solve(&self, twist: &Twist) -> Joints {
+    fn solve(&self, twist: &Twist) -> Joints {
         self.factor.as_ref().map_or_else(Joints::zeros, |f| {
             self.jacobian.transpose() * f.solve(twist)
         })

@@ -43,8 +43,7 @@ pub struct PlacementError {
 }
 
 /// Joint positions that put the end effector of `chain` at `wanted` to 1e-10 m and rad, every joint
-/// at least 0.05 rad inside its range. For a wanted pose of the camera see
-/// [`Mount::flange`](crate::Mount::flange).
+/// at least 0.05 rad inside its range.
 ///
 /// # Errors
 /// None of the starting postures leads there.

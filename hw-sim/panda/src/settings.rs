@@ -77,7 +77,7 @@ impl RobotSettings {
 
 /// A joint is outside its range.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-#[error("joint {joint} is at {value} rad, allowed is {lower} to {upper}")]
+#[error("joint {joint} = {value} rad; allowed: {lower} to {upper}")]
 pub struct RobotError {
     /// Number of the joint, from 1.
     pub joint: usize,
@@ -111,7 +111,7 @@ mod tests {
         assert_eq!(check(&q, Model::Panda.limits()), Ok(()));
         q[3] = 0.0;
         let error = check(&q, Model::Panda.limits()).unwrap_err().to_string();
-        assert_eq!(error, "joint 4 is at 0 rad, allowed is -3.0718 to -0.0698");
+        assert_eq!(error, "joint 4 = 0 rad; allowed: -3.0718 to -0.0698");
         q[3] = f64::NAN;
         assert!(check(&q, Model::Panda.limits()).is_err());
     }

@@ -3,14 +3,14 @@
 use std::io;
 use std::net::SocketAddr;
 
-use nalgebra::{Matrix3, Rotation3, Translation3};
+use nalgebra::{Matrix3, Rotation3, Translation3, Vector3};
 use panda::{
-    Chain, DriveError, JOINTS, Joints, MotionKind, Mount, PlacementError, Pose, RequestError,
-    Robot, RobotError, RobotSettings, ShaperError, State, drive, place,
+    Chain, DriveError, JOINTS, Joints, MotionKind, PlacementError, Pose, RequestError, Robot,
+    RobotError, RobotSettings, State, drive, place,
 };
 use scene::Scene;
 
-use super::bridge::{Bridge, Shaping};
+use super::bridge::{Bridge, Caps, ShaperError, bridge};
 use super::calibration::HandEye;
 use super::control_unit::{ControlUnit, FciSettings};
 use super::inspector::Inspector;
@@ -34,8 +34,8 @@ pub struct ArmSettings {
     pub hand_eye: HandEye,
     /// How the world differs from that.
     pub truth: Truth,
-    /// Whether commands are shaped.
-    pub shaping: Shaping,
+    /// Whether commands are shaped; unshaped, the staircase of 30 Hz shows what the robot says to it.
+    pub is_shaped: bool,
     /// The robot.
     pub robot: RobotSettings,
     /// Whether clients of the vendor's interface command it, instead of the bridge.
@@ -49,10 +49,11 @@ impl ArmSettings {
     /// The chain to the end effector, and where that is in the base when the camera sees the object
     /// at `start`.
     fn wanted(&self, start: &scene::Pose) -> (Chain, Pose) {
-        let mount = self.truth.mount(&self.hand_eye.mount());
+        let believed = self.hand_eye.flange_from_camera();
+        let flange_from_camera = self.truth.flange_from_camera(&believed);
         let camera = base_from_object() * from_scene(&self.truth.start(start)).inverse();
         let flange_from_ee = self.robot.flange_from_ee();
-        let wanted = mount.flange(&camera) * flange_from_ee;
+        let wanted = camera * flange_from_camera.inverse() * flange_from_ee;
         (Chain::new(flange_from_ee), wanted)
     }
 
@@ -73,7 +74,7 @@ impl Default for ArmSettings {
         Self {
             hand_eye: HandEye::default(),
             truth: Truth::default(),
-            shaping: Shaping::default(),
+            is_shaped: true,
             robot: RobotSettings::with_hand(),
             fci: None,
             joints: None,
@@ -109,14 +110,15 @@ pub enum ArmError {
 /// A Panda with its bridge, stepped once a millisecond.
 #[derive(Debug)]
 pub struct Arm {
-    robot: Robot,
-    /// From camera twists to commands of the robot.
+    /// From camera twists to commands of the robot, which it holds.
     pub bridge: Bridge,
+    /// The scene's.
+    caps: Caps,
     /// Who commands the robot in its place.
     control_unit: Option<ControlUnit>,
     inspector: Inspector,
     /// Where the camera really sits.
-    mount: Mount,
+    flange_from_camera: Pose,
     base_from_object: Pose,
 }
 
@@ -130,8 +132,7 @@ impl Arm {
         start: &scene::Pose,
         settings: &ArmSettings,
     ) -> Result<Self, ArmError> {
-        let believed = settings.hand_eye.mount();
-        let mount = settings.truth.mount(&believed);
+        let believed = settings.hand_eye.flange_from_camera();
         let placed = || {
             let (chain, wanted) = settings.wanted(start);
             place(&chain, settings.robot.model.limits(), &wanted).map_err(ArmError::Placement)
@@ -153,21 +154,28 @@ impl Arm {
         Ok(Self {
             control_unit,
             inspector: Inspector::new(robot.state(), robot.limits()),
-            robot,
-            bridge: Bridge::new(
-                believed,
-                scene.limits,
-                settings.robot.model.limits(),
-                settings.shaping,
-            )?,
-            mount,
+            bridge: bridge(robot, believed, settings.is_shaped)?,
+            caps: Caps::axes(scene.limits.velocity()),
+            flange_from_camera: settings.truth.flange_from_camera(&believed),
             base_from_object: base_from_object(),
         })
     }
 
+    /// Takes a command of the controller: camera velocity in the camera frame (m/s, rad/s), to hold
+    /// until `until_ns`. Returns whether it was outside the limits and was cut.
+    pub fn obey(&mut self, twist: &[f64; 6], until_ns: u64) -> bool {
+        self.bridge.obey(twist, until_ns, &self.caps);
+        self.bridge.limited().is_cut
+    }
+
+    /// Takes a command of the robot's own side, to which the limits of the servoing do not apply.
+    pub fn move_by_itself(&mut self, twist: &[f64; 6], until_ns: u64) {
+        self.bridge.obey(twist, until_ns, &Caps::NONE);
+    }
+
     /// The robot's state.
     pub fn state(&self) -> &State {
-        self.robot.state()
+        self.bridge.driver.robot.state()
     }
 
     /// The robot's referee.
@@ -183,33 +191,38 @@ impl Arm {
     /// One millisecond: the bridge, or a client, answers the robot's state; the robot steps.
     pub fn step(&mut self, now_ns: u64) {
         match &mut self.control_unit {
-            Some(control_unit) => control_unit.step(&mut self.robot),
-            None => {
-                let command = self.bridge.answer(self.robot.state(), now_ns);
-                self.robot.step(&[command]);
-            }
+            Some(control_unit) => control_unit.step(&mut self.bridge.driver.robot),
+            None => self.bridge.step(now_ns),
         }
-        self.inspector.look(self.robot.state());
+        self.inspector.look(self.bridge.driver.robot.state());
+    }
+
+    /// O_T_C, the true camera in the base, by the measured joints.
+    fn camera(&self) -> Pose {
+        self.state().flange() * self.flange_from_camera
     }
 
     /// The object in the camera frame, by the measured joints.
     pub fn object(&self) -> RigidPose {
-        self.mount.camera(&self.state().flange()).inverse() * self.base_from_object
+        self.camera().inverse() * self.base_from_object
     }
 
     /// The camera's velocity in the camera frame (m/s, rad/s), by the desired joints.
     pub fn camera_twist(&self) -> [f64; 6] {
-        let state = self.robot.state();
-        self.mount
-            .to_camera(&state.o_t_ee.rotation, &state.f_t_ee, &state.o_dp_ee_d)
-            .into()
+        let (state, camera) = (self.state(), self.camera());
+        let lever = camera.translation.vector - state.o_t_ee.translation.vector;
+        let [x, y, z, rx, ry, rz] = state.o_dp_ee_d.into();
+        let turn = Vector3::new(rx, ry, rz);
+        let velocity = Vector3::new(x, y, z) + turn.cross(&lever);
+        let along = [velocity, turn].map(|v| camera.rotation.inverse() * v);
+        std::array::from_fn(|k| along[k / 3][k % 3])
     }
 
     /// Whether the end effector stands, by the commands and by the desired joints. The elbow may
     /// still be creeping back to its place, which takes it 10 s and more in some postures: it moves
     /// nothing that the gripper holds.
     pub fn is_at_rest(&self) -> bool {
-        let state = self.robot.state();
+        let state = self.state();
         state.o_dp_ee_d.amax() < AT_REST && state.o_dp_ee_c.amax() < AT_REST
     }
 }

@@ -1,124 +1,98 @@
-//! The bridge beside the robot: from the 30 Hz twist of the camera to the 1 kHz command of the end
-//! effector.
+//! The emulator's own bridge, beside the robot: a driver of the core that real bridges have. Nothing
+//! else of the emulator may use the crate `arm`.
 
-use panda::ik::joint_velocities;
-use panda::{
-    Chain, Command, Echo, Motion, Mount, Reserve, Shaper, ShaperError, ShaperSettings, State,
-    Twist, singularity,
-};
-use scene::Limits;
+use arm::{Chain, Driver, Echo, Limits, Measured, Mount, Ramp, Reserve, Room, ShaperSettings};
+use panda::{Command, Model, Motion, Pose, Robot, Twist};
 
-use crate::standing::Standing;
+pub use arm::{Caps, ShaperError};
 
-/// As `vpc-panda.toml` has it, with a wider margin for what the robot does with its elbow. Near the end of
-/// the arm's reach a little motion of the camera takes much of the joints' speed.
+/// As `vpc-panda.toml` has it, with a wider margin for what the robot does with its elbow. Near the
+/// end of the arm's reach a little motion of the camera takes much of the joints' speed.
 const RESERVE: Reserve = Reserve {
     margin: 0.15,
     speed: 0.3,
 };
 
+/// Ramps that reach any velocity within a millisecond.
+const STAIRCASE: ShaperSettings = {
+    let ramp = Ramp {
+        acceleration: 1e6,
+        jerk: 1e12,
+    };
+    ShaperSettings {
+        linear: ramp,
+        angular: ramp,
+    }
+};
+
 /// Turns camera twists into robot commands. It knows the calibration that a real bridge would be
 /// given, not the truth.
+pub type Bridge = arm::Bridge<Emulated>;
+
+/// The emulated robot as the bridge drives it.
 #[derive(Clone, Debug)]
-pub struct Bridge {
-    mount: Mount,
-    limits: Limits,
-    joints: &'static panda::Limits,
+pub struct Emulated {
+    /// The robot.
+    pub robot: Robot,
+    limits: &'static Limits,
     /// `None` where the staircase goes out as it is.
-    shaper: Option<Shaper>,
-    standing: Standing,
+    shaper: Option<ShaperSettings>,
 }
 
-impl Bridge {
-    /// A bridge that commands standing still until its first command.
-    ///
-    /// # Errors
-    /// A bound of the shaper that is not a positive number.
-    pub fn new(
-        mount: Mount,
-        limits: Limits,
-        joints: &'static panda::Limits,
-        shaping: Shaping,
-    ) -> Result<Self, ShaperError> {
-        let shaper = match shaping {
-            Shaping::On(settings) => Some(Shaper::new(settings)?),
-            Shaping::Off => None,
-        };
-        Ok(Self {
-            mount,
-            limits,
-            joints,
-            shaper,
-            standing: Standing::default(),
-        })
-    }
+/// A bridge to a robot whose camera is believed to sit there. Commands at 30 Hz go out as the
+/// staircase that they are, or shaped.
+///
+/// # Errors
+/// None: the shaper's settings are good.
+pub fn bridge(
+    robot: Robot,
+    flange_from_camera: Pose,
+    is_shaped: bool,
+) -> Result<Bridge, ShaperError> {
+    let model = match robot.model() {
+        Model::Panda => arm::Model::Panda,
+        Model::Fr3 => arm::Model::Fr3,
+    };
+    let shaper = is_shaped.then(ShaperSettings::default);
+    let driver = Emulated {
+        robot,
+        limits: model.limits(),
+        shaper,
+    };
+    let mount = Mount { flange_from_camera };
+    Bridge::new(driver, mount, shaper.unwrap_or(STAIRCASE))
+}
 
-    /// Takes a command of the controller: camera velocity in the camera frame (m/s, rad/s), to hold
-    /// until `until_ns`. Returns whether it was outside the limits and was cut.
-    pub fn command(&mut self, twist: &[f64; 6], until_ns: u64) -> bool {
-        self.standing = Standing::new(twist, until_ns, &self.limits.velocity());
-        self.standing.was_limited()
-    }
-
-    /// Takes a command of the robot's own side, to which the limits of the servoing do not apply.
-    pub fn move_by_itself(&mut self, twist: &[f64; 6], until_ns: u64) {
-        self.standing = Standing::new(twist, until_ns, &[f64::INFINITY; 6]);
-    }
-
-    /// The command that stands.
-    pub fn standing(&self) -> &Standing {
-        &self.standing
-    }
-
-    /// The command that answers a state of the robot. The camera's velocity is transported to the
-    /// end effector anew in every millisecond, because the base axes turn under it.
-    pub fn answer(&mut self, state: &State, now_ns: u64) -> Command {
-        let camera = Twist::from_column_slice(&self.standing.twist());
-        let base = self
-            .mount
-            .to_base(&state.o_t_ee.rotation, &state.f_t_ee, &camera);
-        let twist = match &mut self.shaper {
-            Some(shaper) => {
-                let share = joint_share(state, &base, self.joints, shaper.settings());
-                shaper.aim(&(base * share), self.standing.until_ns());
-                shaper.step(&Echo::from(state), now_ns)
-            }
-            None if self.standing.is_stale(now_ns) => Twist::zeros(),
-            None => base,
-        };
-        Command {
-            id: state.id,
-            motion: Motion::Cartesian(twist),
-            finished: false,
+impl Driver for Emulated {
+    fn measured(&self) -> Measured {
+        let state = self.robot.state();
+        Measured {
+            base_from_ee: state.o_t_ee,
+            flange_from_ee: state.f_t_ee,
+            echo: Echo {
+                twist: state.o_dp_ee_c,
+                acceleration: state.o_ddp_ee_c,
+            },
         }
     }
-}
 
-/// How much of this motion of the end effector the joints allow, 0 to 1.
-fn joint_share(
-    state: &State,
-    twist: &Twist,
-    limits: &panda::Limits,
-    shaper: &ShaperSettings,
-) -> f64 {
-    let chain = Chain::new(state.f_t_ee);
-    let dq = joint_velocities(&chain, &state.q_d, twist);
-    let clear = singularity::share(&chain, limits, shaper, &state.q_d, &dq);
-    clear.min(RESERVE.share(limits, &state.q_d, &dq))
-}
+    fn room(&self, twist: &Twist) -> Room {
+        let state = self.robot.state();
+        let chain = Chain::new(state.f_t_ee);
+        let room = |shaper| RESERVE.room(&chain, self.limits, &shaper, &state.q_d, twist);
+        Room {
+            joints: self.shaper.map_or(1.0, room),
+            ..Room::FULL
+        }
+    }
 
-/// Whether commands are shaped for the robot.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Shaping {
-    /// Bounded acceleration and jerk.
-    On(ShaperSettings),
-    /// The 30 Hz staircase as it is: to show what the robot says to that.
-    Off,
-}
-
-impl Default for Shaping {
-    fn default() -> Self {
-        Self::On(ShaperSettings::default())
+    fn command(&mut self, twist: &Twist) {
+        let command = Command {
+            id: self.robot.state().id,
+            motion: Motion::Cartesian(*twist),
+            finished: false,
+        };
+        self.robot.step(&[command]);
     }
 }
 
@@ -128,7 +102,6 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use scene::{Pose, Scene, parse_starts};
 
-    use super::*;
     use crate::pose::seen_after;
     use crate::robot::arm::{Arm, ArmSettings};
 
@@ -138,9 +111,9 @@ mod tests {
         Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
     }
 
-    fn arm(start: &Pose, shaping: Shaping) -> Arm {
+    fn arm(start: &Pose, is_shaped: bool) -> Arm {
         let settings = ArmSettings {
-            shaping,
+            is_shaped,
             ..ArmSettings::default()
         };
         Arm::new(&scene(), start, &settings).unwrap()
@@ -161,7 +134,7 @@ mod tests {
                         sign(random) * if k < 3 { limits.linear } else { limits.angular }
                     })
                 };
-                arm.bridge.command(&twist, (ms + 100) * MS);
+                arm.obey(&twist, (ms + 100) * MS);
             }
             arm.step(ms * MS);
         }
@@ -179,7 +152,7 @@ mod tests {
             let mut arm = Arm::new(&scene, start, &ArmSettings::default()).unwrap();
             for ms in 0..8_000 {
                 if ms % 33 == 0 {
-                    arm.bridge.command(&twist, (ms + 100) * MS);
+                    arm.obey(&twist, (ms + 100) * MS);
                 }
                 arm.step(ms * MS);
             }
@@ -193,12 +166,12 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
         for start in starts.iter().step_by(10) {
-            let mut shaped = arm(start, Shaping::default());
+            let mut shaped = arm(start, true);
             tear(&mut shaped, &mut random, 20);
             let report = shaped.inspector().report();
             assert!(report.is_clean(), "{report:?}");
             assert!(report.joint_acceleration > 0.05 && report.joint_acceleration < 0.9);
-            let mut raw = arm(start, Shaping::Off);
+            let mut raw = arm(start, false);
             tear(&mut raw, &mut random, 1);
             assert!(raw.inspector().report().reflexes > 0);
         }
@@ -206,15 +179,15 @@ mod tests {
 
     #[test]
     fn a_stale_command_ramps_to_zero_in_60_ms_and_the_robot_stands() {
-        let mut arm = arm(&scene().goal, Shaping::default());
+        let mut arm = arm(&scene().goal, true);
         let limits = scene().limits;
         let fast = [limits.linear; 3].into_iter().chain([limits.angular; 3]);
         let twist: Vec<f64> = fast.collect();
-        arm.bridge.command(&twist.try_into().unwrap(), 100 * MS);
+        arm.obey(&twist.try_into().unwrap(), 100 * MS);
         for ms in 0..100 {
             arm.step(ms * MS);
         }
-        assert!(!arm.is_at_rest() && arm.bridge.standing().is_stale(100 * MS));
+        assert!(!arm.is_at_rest() && arm.bridge.is_stale(100 * MS));
         let mut before = arm.camera_twist();
         for ms in 100..160 {
             arm.step(ms * MS);
@@ -237,10 +210,10 @@ mod tests {
     #[test]
     fn the_end_effector_is_at_rest_while_the_elbow_still_creeps() {
         let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
-        let mut arm = arm(&starts[40], Shaping::default());
+        let mut arm = arm(&starts[40], true);
         for ms in 0..18_000 {
             let roll = [0.0, 0.0, 0.0, 0.0, 0.0, -0.03];
-            arm.bridge.command(&roll, (ms + 100) * MS);
+            arm.obey(&roll, (ms + 100) * MS);
             arm.step(ms * MS);
         }
         assert!(!arm.is_at_rest());
@@ -258,7 +231,7 @@ mod tests {
         let twist = [0.004, -0.006, 0.002, 0.01, 0.02, -0.01];
         let apart = |settings: ArmSettings| {
             let mut arm = Arm::new(&scene(), &scene().goal, &settings).unwrap();
-            arm.bridge.command(&twist, u64::MAX);
+            arm.obey(&twist, u64::MAX);
             (0..300).for_each(|ms| arm.step(ms * MS));
             let before = arm.object();
             (300..400).for_each(|ms| arm.step(ms * MS));
@@ -273,20 +246,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_the_limits_is_cut_and_said_so() {
-        let mount = crate::robot::calibration::HandEye::default().mount();
-        let mut bridge = Bridge::new(
-            mount,
-            scene().limits,
-            panda::Model::Panda.limits(),
-            Shaping::default(),
-        )
-        .unwrap();
-        assert!(bridge.command(&[1.0, f64::NAN, 0.0, 0.0, 0.0, 0.0], 10));
-        assert_eq!(
-            bridge.standing().twist_at(9),
-            [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]
-        );
-        assert_eq!(bridge.standing().twist_at(10), [0.0; 6]);
+    fn what_is_beyond_the_limits_is_cut_along_its_way_and_said_so() {
+        let mut arm = arm(&scene().goal, true);
+        assert!(arm.obey(&[1.0, 0.5, 0.0, 0.0, 0.0, 0.0], 10));
+        assert_eq!(arm.bridge.aimed(9), [0.01, 0.005, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(arm.bridge.aimed(10), [0.0; 6]);
+        assert!(arm.obey(&[f64::NAN, 0.01, 0.0, 0.0, 0.0, 0.0], 10));
+        assert_eq!(arm.bridge.aimed(9), [0.0; 6]);
+        assert!(!arm.obey(&[0.01, 0.0, 0.0, 0.0, 0.0, -0.03], 10));
     }
 }

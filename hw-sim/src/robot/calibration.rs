@@ -1,7 +1,7 @@
 //! The hand-eye calibration that the bridge was given.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
-use panda::{Mount, Pose};
+use panda::Pose;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -31,13 +31,11 @@ impl Default for HandEye {
 }
 
 impl HandEye {
-    /// As the robot's package takes it.
-    pub fn mount(&self) -> Mount {
-        Mount {
-            flange_from_camera: Pose::from_parts(
-                Translation3::from(self.translation),
-                Rotation3::new(Vector3::from(self.rotation_deg.map(f64::to_radians))),
-            ),
-        }
+    /// The camera in the flange frame, F_T_C.
+    pub fn flange_from_camera(&self) -> Pose {
+        Pose::from_parts(
+            Translation3::from(self.translation),
+            Rotation3::new(Vector3::from(self.rotation_deg.map(f64::to_radians))),
+        )
     }
 }

@@ -1,7 +1,7 @@
 //! How the world differs from what controller and bridge believe.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
-use panda::{Mount, Pose};
+use panda::Pose;
 use scene::{Occlusion, Scene};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -65,15 +65,13 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Where the camera really sits.
-    pub fn mount(&self, believed: &Mount) -> Mount {
+    /// Where the camera really sits in the flange, given where it is believed to.
+    pub fn flange_from_camera(&self, believed: &Pose) -> Pose {
         let error = Pose::from_parts(
             Translation3::from(self.hand_eye_m),
             Rotation3::new(Vector3::from(self.hand_eye_deg.map(f64::to_radians))),
         );
-        Mount {
-            flange_from_camera: believed.flange_from_camera * error,
-        }
+        believed * error
     }
 
     /// The scene as it really is: the true lens, the true pattern and the true occlusions.
@@ -155,17 +153,16 @@ mod tests {
 
     #[test]
     fn an_error_of_the_mounting_moves_the_camera_by_as_much_and_no_more() {
-        let believed = HandEye::default().mount();
+        let believed = HandEye::default().flange_from_camera();
         let truth = Truth {
             hand_eye_m: [0.01, 0.0, -0.02],
             hand_eye_deg: [0.0, 3.0, 0.0],
             ..Truth::default()
         };
-        let error =
-            believed.flange_from_camera.inverse() * truth.mount(&believed).flange_from_camera;
+        let error = believed.inverse() * truth.flange_from_camera(&believed);
         assert!((error.translation.vector - Vector3::new(0.01, 0.0, -0.02)).norm() < 1e-12);
         assert!((error.rotation.angle().to_degrees() - 3.0).abs() < 1e-9);
-        assert_eq!(Truth::default().mount(&believed), believed);
+        assert_eq!(Truth::default().flange_from_camera(&believed), believed);
     }
 
     #[test]

@@ -287,13 +287,12 @@ class Bridge:
         state = vpc_client.RobotState()
         state.stamp.data_ns = now
         if self.fault:
-            mode, room = RobotMode.FAULT, 3.0
+            state.mode = RobotMode.FAULT
         elif not self.has_obeyed or self.limits.dry_run:
-            mode, room = RobotMode.IDLE, 1.0
+            state.mode = RobotMode.IDLE
         else:
-            mode, room = RobotMode.STALE if is_stale else RobotMode.MOVING, 2.0
-        state.mode, state.room[0] = mode, room
-        is_stale = mode == RobotMode.STALE
+            state.mode = RobotMode.STALE if is_stale else RobotMode.MOVING
+        is_stale = state.mode == RobotMode.STALE
         raised = {RobotFaults.REFLEX: bool(self.fault), RobotFaults.STALE_COMMAND: is_stale}
         raised[RobotFaults.COMMAND_LIMITED] = is_limited
         state.faults = sum(int(fault) for fault, holds in raised.items() if holds)

@@ -39,7 +39,7 @@ bits! {
 
 message! {
     /// State of the robot that carries the camera, at the instant `stamp.data_ns`.
-    RobotState: "vpc/RobotState/1" {
+    RobotState: "vpc/RobotState/2" {
         /// Head.
         stamp: Stamp,
         /// Sequence number of the features exposed at this instant; 0 if there are none.
@@ -62,8 +62,9 @@ message! {
         q: [f64; JOINTS] ["rad" finite],
         /// Joint velocities, base to flange.
         dq: [f64; JOINTS] ["rad/s" finite],
-        /// Zero for a free-flying camera; for an arm see below.
-        room: [f64; 8],
+        /// Share of the last commands that came to the robot in time, 0 to 1; 0 where it does not
+        /// count them, or no motion runs.
+        commands_in_time: f64 [finite],
     }
     "vpc/robot" from "robot": Qos { history: 1, buffer: 64, subscribers: 8, publishers: 1 }
 }

@@ -27,10 +27,11 @@ def exchange(directory):
         state = vpc_client.RobotState()
         state.stamp.data_ns = 77
         state.features_sequence, state.mode, state.faults, state.joints = 5, vpc_client.RobotMode.MOVING, 2, 7
-        for field in ("translation", "rotation", "twist", "q", "dq", "room"):
+        for field in ("translation", "rotation", "twist", "q", "dq"):
             numbers = getattr(state, field)
             offset = getattr(vpc_client.RobotState, field).offset
             numbers[:] = [offset + i / 8 for i in range(len(numbers))]
+        state.commands_in_time = vpc_client.RobotState.commands_in_time.offset
         robot.publish(state)
 
         points = [(0.1, 2.25), (640.5, -3.75), (1e-3, 4.0), (5.0, 6.0), (7.0, 1 / 3)]

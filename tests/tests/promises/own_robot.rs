@@ -1,4 +1,4 @@
-//! A user's own robot: the bridge of `hw-sim/examples/own_robot.rs`, which users copy, takes the
+//! A user's own robot: the bridge of `hw-sim/examples/own_robot`, which users copy, takes the
 //! emulated robot to the goal with the real `vpcd`, on the fixed clock; and `vpcctl check-bridge`
 //! finds no fault in it, nor in `hw-sim`.
 

@@ -36,7 +36,7 @@ def bits(message, name):
 REALS = {
     "/vpc/features": ["points"],
     "/vpc/twist": ["twist"],
-    "/vpc/robot": ["translation", "rotation", "twist", "q", "dq", "room"],
+    "/vpc/robot": ["translation", "rotation", "twist", "q", "dq", "commands_in_time"],
     "/vpc/cycles": ["points", "way_point", "twist", "cost", "violation_px", "clearance_px", "error_px"],
     "/vpc/requests": [],
     "/vpc/replies": [],

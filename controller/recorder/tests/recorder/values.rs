@@ -68,7 +68,7 @@ fn lines(published: &Recording) -> Vec<String> {
             &m.twist,
             &m.q,
             &m.dq,
-            &m.room,
+            &[m.commands_in_time],
         ];
         line("/vpc/robot", &m.stamp, &whole, &real);
     }

@@ -1,11 +1,12 @@
 //! The motion is the integral of the commands, however long it takes.
 
+use arm::{Shaper, ShaperSettings};
 use nalgebra::Vector3;
 use panda::kinematics::difference;
 use panda::limits::PERIOD;
-use panda::{Echo, Mode, Shaper, ShaperSettings, Twist};
+use panda::{Mode, Twist};
 
-use crate::rig::{answer, moving, ready};
+use crate::rig::{answer, echo, moving, ready};
 
 /// Milliseconds a side of the square, and a pause at its end in which the robot comes to rest.
 const SIDE: u64 = 3900;
@@ -53,7 +54,7 @@ fn go_round(laps: u64) {
                 Twist::zeros()
             };
             shaper.aim(&target, u64::MAX);
-            let twist = shaper.step(&Echo::from(robot.state()), 0);
+            let twist = shaper.step(&echo(robot.state()), 0);
             let state = answer(&mut robot, twist);
             travelled.add(twist.fixed_rows::<3>(0) * PERIOD);
             assert_eq!(state.robot_mode, Mode::Move, "{}", state.current_errors);

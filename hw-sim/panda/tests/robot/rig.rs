@@ -1,5 +1,6 @@
 //! A robot and a client that answers every state in time.
 
+use arm::Echo;
 use panda::limits::{PERIOD, Setpoint};
 use panda::{Command, Joints, Mode, Motion, MotionKind, READY, Robot, RobotSettings, State, Twist};
 
@@ -70,6 +71,14 @@ pub fn watch_stop(robot: &mut Robot) -> usize {
         before = after;
     }
     panic!("it does not stop");
+}
+
+/// The last command by the robot's account.
+pub fn echo(state: &State) -> Echo {
+    Echo {
+        twist: state.o_dp_ee_c,
+        acceleration: state.o_ddp_ee_c,
+    }
 }
 
 fn setpoint(state: &State) -> Setpoint {

@@ -1,14 +1,12 @@
 //! Commands at 30 Hz, as the controller sends them: with the shaper and without.
 
+use arm::{Mount, Shaper, ShaperSettings};
 use nalgebra::{Rotation3, Translation3, Vector3};
-use panda::{
-    Chain, Echo, Joints, Mode, Model, Mount, Pose, READY, Robot, RobotSettings, Shaper,
-    ShaperSettings, Twist, place,
-};
+use panda::{Chain, Joints, Mode, Model, Pose, READY, Robot, RobotSettings, Twist, place};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::rig::{answer, moving, ready};
+use crate::rig::{answer, echo, moving, ready};
 
 /// The scene `paper-robot`: m/s and rad/s.
 const LINEAR: f64 = 0.01;
@@ -60,7 +58,7 @@ fn drive(robot: &mut Robot, shaped: bool, ticks: u64, loss: f64, random: &mut Ch
             shaper.aim(&target, now + 100_000_000);
         }
         let twist = if shaped {
-            shaper.step(&Echo::from(&state), now)
+            shaper.step(&echo(&state), now)
         } else {
             target
         };
@@ -119,7 +117,7 @@ fn five_millimetres_a_second_trip_without_the_shaper_and_not_with_it() {
     let mut shaper = Shaper::new(ShaperSettings::default()).expect("good settings");
     shaper.aim(&(Twist::x() * 0.005), u64::MAX);
     for _ in 0..100 {
-        let twist = shaper.step(&Echo::from(robot.state()), 0);
+        let twist = shaper.step(&echo(robot.state()), 0);
         assert_eq!(answer(&mut robot, twist).robot_mode, Mode::Move);
     }
     assert!((robot.state().o_dp_ee_d[0] - 0.005).abs() < 1e-6);
@@ -139,7 +137,7 @@ fn the_camera_arrives_at_the_velocity_that_was_commanded() {
             let base = mount().to_base(&state.o_t_ee.rotation, &state.f_t_ee, &twist);
             shaper.aim(&base, u64::MAX);
         }
-        answer(&mut robot, shaper.step(&Echo::from(&state), 0));
+        answer(&mut robot, shaper.step(&echo(&state), 0));
     }
     // From measured poses: the servo's lag is a delay, no error of a steady velocity.
     let after = mount().camera(&robot.state().flange());

@@ -1,12 +1,10 @@
 //! Ends of motions: finished, stopped, tripped, recovered.
 
+use arm::{Shaper, ShaperSettings};
 use panda::limits::PERIOD;
-use panda::{
-    Command, Echo, Errors, Flag, Mode, Motion, MotionKind, RequestError, Robot, Shaper,
-    ShaperSettings, Twist,
-};
+use panda::{Command, Errors, Flag, Mode, Motion, MotionKind, RequestError, Robot, Twist};
 
-use crate::rig::{answer, moving, ready, ready_but, speed_up, watch_stop};
+use crate::rig::{answer, echo, moving, ready, ready_but, speed_up, watch_stop};
 
 fn fast() -> Robot {
     let mut robot = moving(ready());
@@ -41,7 +39,7 @@ fn a_motion_that_is_finished_at_rest_ends_without_an_error() {
     let mut robot = fast();
     let shaper = Shaper::new(ShaperSettings::default()).expect("good settings");
     while robot.state().o_dp_ee_c != Twist::zeros() {
-        let twist = shaper.step(&Echo::from(robot.state()), 1);
+        let twist = shaper.step(&echo(robot.state()), 1);
         answer(&mut robot, twist);
     }
     finish(&mut robot);
@@ -64,7 +62,7 @@ fn behind_the_vendors_low_pass_a_stop_takes_eight_times_as_long() {
         let mut shaper = Shaper::new(ShaperSettings::default()).expect("good settings");
         shaper.aim(&(Twist::y() * 0.1), 5_000);
         let step = |robot: &mut Robot, now_ns| {
-            let echo = Echo::from(robot.state());
+            let echo = echo(robot.state());
             let twist = shaper.step(&echo, now_ns);
             let twist = cutoff_hz.map_or(twist, |hz| low_pass(twist, echo.twist, hz));
             answer(robot, twist);

@@ -394,8 +394,9 @@ typedef struct {
     double q[7];
     // Joint velocities, base to flange. Unit: rad/s.
     double dq[7];
-    // Zero for a free-flying camera; for an arm see below.
-    double room[8];
+    // Share of the last commands that came to the robot in time, 0 to 1; 0 where it does not count
+    // them, or no motion runs.
+    double commands_in_time;
 } vpc_robot_state;
 
 // Telemetry of one cycle. Numbers of the control law are NaN if it did not run. Service
@@ -878,7 +879,7 @@ static_assert(offsetof(vpc_twist_command, valid_until_ns) == 40, "vpc_twist_comm
 static_assert(offsetof(vpc_twist_command, state) == 48, "vpc_twist_command.state");
 static_assert(offsetof(vpc_twist_command, reserved) == 52, "vpc_twist_command.reserved");
 static_assert(offsetof(vpc_twist_command, twist) == 56, "vpc_twist_command.twist");
-static_assert(sizeof(vpc_robot_state) == 320, "vpc_robot_state");
+static_assert(sizeof(vpc_robot_state) == 264, "vpc_robot_state");
 static_assert(offsetof(vpc_robot_state, stamp) == 0, "vpc_robot_state.stamp");
 static_assert(offsetof(vpc_robot_state, features_sequence) == 24, "vpc_robot_state.features_sequence");
 static_assert(offsetof(vpc_robot_state, mode) == 32, "vpc_robot_state.mode");
@@ -890,7 +891,7 @@ static_assert(offsetof(vpc_robot_state, joints) == 136, "vpc_robot_state.joints"
 static_assert(offsetof(vpc_robot_state, reserved) == 140, "vpc_robot_state.reserved");
 static_assert(offsetof(vpc_robot_state, q) == 144, "vpc_robot_state.q");
 static_assert(offsetof(vpc_robot_state, dq) == 200, "vpc_robot_state.dq");
-static_assert(offsetof(vpc_robot_state, room) == 256, "vpc_robot_state.room");
+static_assert(offsetof(vpc_robot_state, commands_in_time) == 256, "vpc_robot_state.commands_in_time");
 static_assert(sizeof(vpc_cycle_record) == 1648, "vpc_cycle_record");
 static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
 static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");

@@ -5,7 +5,8 @@
 
 use std::path::Path;
 
-use panda::{Chain, Joints};
+use arm::{Chain, Joints};
+use nalgebra::UnitQuaternion;
 use toml_schema::{FileError, read_text};
 use vision_calibration_core::{Iso3, Vec3};
 
@@ -33,7 +34,7 @@ pub fn read(path: &Path) -> Result<Vec<RobotPose>, FileError> {
 pub fn flange(q: [f64; 7]) -> Iso3 {
     let pose = Chain::default().flange(&Joints::from(q));
     let [x, y, z] = pose.translation.vector.into();
-    let turn = panda::kinematics::rotation_vector(&pose.rotation);
+    let turn = UnitQuaternion::from_rotation_matrix(&pose.rotation).scaled_axis();
     Iso3::new(Vec3::new(x, y, z), Vec3::new(turn.x, turn.y, turn.z))
 }
 

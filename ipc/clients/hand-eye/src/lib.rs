@@ -14,9 +14,9 @@
 
 use std::path::Path;
 
+use arm::{Mount, Pose};
 use clap::ValueEnum;
 use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
-use panda::{Mount, Pose};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml_schema::{FileError, YamlFile, YamlNode, read_text};
@@ -214,7 +214,8 @@ mod tests {
 
     #[test]
     fn a_calibration_about_the_end_effector_is_carried_to_the_flange() {
-        let hand = panda::RobotSettings::with_hand().flange_from_ee();
+        let turn = Rotation3::new(Vector3::z() * -std::f64::consts::FRAC_PI_4);
+        let hand = Pose::from_parts(Translation3::new(0.0, 0.0, 0.1034), turn);
         let camera = Pose::translation(0.0, 0.0, 0.1);
         let frame = Frame::Ee;
         let mount = HandEye { frame, camera }.mount(&hand);

@@ -2,9 +2,8 @@
 
 use std::path::PathBuf;
 
+use arm::{Caps, Model, Mount, Pose, Reserve};
 use clap::{ArgMatches, Args, Parser, ValueEnum};
-use nalgebra::Vector3;
-use panda::{Model, Mount, Twist};
 use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -133,35 +132,12 @@ pub enum Interface {
 /// The bridge's own limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// Greatest speed of the camera, m/s.
-    pub linear: f64,
-    /// Greatest speed of its turn, rad/s.
-    pub angular: f64,
-    /// Greatest size of each component, by the scene, m/s and rad/s.
-    pub axes: [f64; 6],
-    /// Distance that joints keep from the ends of their ranges, rad.
-    pub joint_margin: f64,
-    /// Greatest share of the joints' own speed limits, 0 to 1.
-    pub joint_speed: f64,
-    /// Where the end effector's origin may be.
+    /// Of the camera's motion: the bridge's own and the scene's.
+    pub caps: Caps,
+    /// Of the joints.
+    pub reserve: Reserve,
+    /// Of the place of the end effector's origin.
     pub workspace: Workspace,
-}
-
-impl Bounds {
-    /// A twist of the camera, as long as allowed, its directions kept; zero where it is not finite.
-    pub fn cut(&self, twist: &Twist) -> Twist {
-        if !twist.iter().all(|x| x.is_finite()) {
-            return Twist::zeros();
-        }
-        let length = |first: usize| Vector3::from_fn(|k, _| twist[first + k]).norm();
-        let share = |length: f64, most: f64| most / length.max(most);
-        let axes = (0..6).map(|k| share(twist[k].abs(), self.axes[k]));
-        let speeds = [
-            share(length(0), self.linear),
-            share(length(3), self.angular),
-        ];
-        twist * axes.chain(speeds).fold(1.0, f64::min)
-    }
 }
 
 /// A checked configuration.
@@ -225,11 +201,15 @@ impl Config {
             domain: keys.domain.unwrap_or_else(ipc::default_directory),
             priority: keys.priority,
             bounds: Bounds {
-                linear: keys.linear,
-                angular: keys.angular,
-                axes: scene.limits.velocity(),
-                joint_margin: keys.joint_margin,
-                joint_speed: keys.joint_speed,
+                caps: Caps {
+                    linear: keys.linear,
+                    angular: keys.angular,
+                    axes: scene.limits.velocity(),
+                },
+                reserve: Reserve {
+                    margin: keys.joint_margin,
+                    speed: keys.joint_speed,
+                },
                 workspace: keys.workspace,
             },
             scene,
@@ -237,7 +217,7 @@ impl Config {
     }
 
     /// The camera on a flange whose end effector is there.
-    pub fn mount(&self, flange_from_ee: &panda::Pose) -> Mount {
+    pub fn mount(&self, flange_from_ee: &Pose) -> Mount {
         self.hand_eye.mount(flange_from_ee)
     }
 }

@@ -3,13 +3,14 @@
 //!
 //! A Levenberg-Marquardt fit of the mistakes that users make: the camera turned or shifted on the
 //! flange, another focal length, a pattern of another size; from every way to name a camera's axes,
-//! and with images that are mirrored.
+//! and with images that are mirrored. The pose of the pattern, which lies still, is fitted with
+//! them.
 
 use std::f64::consts::FRAC_PI_2;
 use std::ops::Range;
 
-use nalgebra::{Rotation3, SMatrix, SVector, Translation3, Vector3};
-use panda::{Mount, Pose};
+use arm::{Mount, Pose};
+use nalgebra::{Point3, Rotation3, SMatrix, SVector, Translation3, Vector2, Vector3};
 use scene::{Camera, Scene};
 
 use hand_eye::{Frame, HandEye};
@@ -126,11 +127,15 @@ pub struct Findings {
     pub size: f64,
 }
 
-/// Turn, shift, and the logarithms of focal length and size.
-type Parameters = SVector<f64, 8>;
+/// Turn, shift, and the logarithms of focal length and size; turn and shift of the pattern.
+type Parameters = SVector<f64, COUNT>;
+const COUNT: usize = MISTAKES + 6;
+const MISTAKES: usize = 8;
 
 /// Most iterations of a fit.
 const ITERATIONS: usize = 40;
+/// Least depth of a point, m.
+const NEAREST: f64 = 1e-3;
 /// Step of the difference quotients; all parameters are of size 1 or less.
 const STEP: f64 = 1e-6;
 /// Beginnings that are refined, of all ways to name axes.
@@ -151,7 +156,7 @@ pub fn explain(scene: &Scene, mount: &Mount, moves: &[Move]) -> Option<Findings>
         flip,
     };
     let plain = judge(Flip::None);
-    let before_px = plain.rms(&Turned::nothing())?;
+    let before_px = plain.refine(plain.nothing()?, 0..0)?.rms;
     let mut best = (Flip::None, plain.fit()?);
     let flips = [Flip::U, Flip::V, Flip::Swapped].into_iter();
     let mut others: Vec<_> = flips
@@ -270,31 +275,27 @@ const EXPLAINED_PX: f64 = 0.25;
 /// Factor by which noise makes an error larger than the best explanation of it.
 const NOISE: f64 = 1.5;
 
-/// The mistakes at which the moves are judged.
+/// The mistakes at which the moves are judged, and the pattern in the camera before the first move.
 #[derive(Clone, Copy, Debug)]
 struct Turned {
     turn: Rotation3<f64>,
     shift: Vector3<f64>,
     focal: f64,
     size: f64,
+    pattern: Pose,
 }
 
 impl Turned {
-    fn nothing() -> Self {
-        Self {
-            turn: Rotation3::identity(),
-            shift: Vector3::zeros(),
-            focal: 1.0,
-            size: 1.0,
-        }
-    }
-
     fn after(&self, by: &Parameters) -> Self {
+        let part = |first: usize| Vector3::from(by.fixed_rows::<3>(first));
+        let at = self.pattern.translation.vector + part(MISTAKES + 3);
+        let turn = Rotation3::new(part(MISTAKES)) * self.pattern.rotation;
         Self {
-            turn: self.turn * Rotation3::new(by.fixed_rows::<3>(0).into_owned()),
-            shift: self.shift + by.fixed_rows::<3>(3),
+            turn: self.turn * Rotation3::new(part(0)),
+            shift: self.shift + part(3),
             focal: self.focal * by[6].exp(),
             size: self.size * by[7].exp(),
+            pattern: Pose::from_parts(Translation3::from(at), turn),
         }
     }
 }
@@ -312,32 +313,57 @@ struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// Predicted less seen, px; `None` where no pose fits.
+    /// No mistake, and a pattern that faces the camera, its size and turn as in the first image;
+    /// `None` where its points coincide.
+    fn nothing(&self) -> Option<Turned> {
+        let Camera { fx, fy, cx, cy, .. } = self.scene.camera;
+        let image = self.moves.first()?.image[0].iter();
+        let image: Vec<_> = image
+            .map(|p| self.seen(*p))
+            .map(|[u, v]| Vector2::new((u - cx) / fx, (v - cy) / fy))
+            .collect();
+        let pattern = self.scene.pattern.iter();
+        let pattern: Vec<_> = pattern.map(|[x, y, _]| Vector2::new(*x, *y)).collect();
+        let middle = |all: &[Vector2<f64>]| all.iter().sum::<Vector2<f64>>() / all.len() as f64;
+        let (from, to) = (middle(&pattern), middle(&image));
+        // Of the best turn the cosine and the sine, and of both the squared sizes.
+        let (mut turn, mut sizes) = (Vector2::zeros(), Vector2::zeros());
+        for (p, m) in pattern.iter().zip(&image) {
+            let (p, m) = (p - from, m - to);
+            turn += Vector2::new(p.dot(&m), p.perp(&m));
+            sizes += Vector2::new(p.norm_squared(), m.norm_squared());
+        }
+        let turn = Rotation3::new(Vector3::z() * turn.y.atan2(turn.x));
+        let depth = (sizes.x / sizes.y).sqrt();
+        let at = to.push(1.0) * depth - turn * from.push(0.0);
+        (depth > 0.0 && depth.is_finite()).then(|| Turned {
+            turn: Rotation3::identity(),
+            shift: Vector3::zeros(),
+            focal: 1.0,
+            size: 1.0,
+            pattern: Pose::from_parts(Translation3::from(at), turn),
+        })
+    }
+
+    /// Predicted less seen, px; `None` where the pattern is behind the camera.
     fn residuals(&self, at: &Turned) -> Option<Vec<f64>> {
-        let camera = Camera {
-            fx: self.scene.camera.fx * at.focal,
-            fy: self.scene.camera.fy * at.focal,
-            ..self.scene.camera
-        };
-        let scaled = |p: &[f64; 3]| p.map(|x| x * at.size);
-        let pattern: Vec<[f64; 3]> = self.scene.pattern.iter().map(scaled).collect();
+        let Camera { fx, fy, cx, cy, .. } = self.scene.camera;
         let error = Pose::from_parts(Translation3::from(at.shift), at.turn);
         let mount = self.mount.flange_from_camera * error;
+        let base_from_pattern = self.moves.first()?.flange[0] * mount * at.pattern;
         let mut residuals = Vec::new();
         for Move { flange, image } in self.moves {
-            let [before, after] = image
-                .each_ref()
-                .map(|points| points.iter().map(|p| self.seen(*p)).collect::<Vec<_>>());
-            let plane: Vec<_> = before
-                .iter()
-                .map(|p| vpc::camera::normalise(&camera, *p))
-                .collect();
-            let (object, _) = vpc::pose::estimate(&pattern, &plane, None)?;
-            let went = mount.inverse() * flange[1].inverse() * flange[0] * mount;
-            for (point, seen) in pattern.iter().zip(after) {
-                let there = went * nalgebra::Point3::from(object.apply(point));
-                let predicted = vpc::camera::project(&camera, there.coords.into())?;
-                residuals.extend([predicted[0] - seen[0], predicted[1] - seen[1]]);
+            for (flange, image) in flange.iter().zip(image) {
+                let camera_from_pattern = (flange * mount).inverse() * base_from_pattern;
+                for (point, seen) in self.scene.pattern.iter().zip(image) {
+                    let point = camera_from_pattern * (Point3::from(*point) * at.size);
+                    let [u, v] = self.seen(*seen);
+                    if point.z < NEAREST {
+                        return None;
+                    }
+                    residuals.push(at.focal * fx * point.x / point.z + cx - u);
+                    residuals.push(at.focal * fy * point.y / point.z + cy - v);
+                }
             }
         }
         Some(residuals)
@@ -354,34 +380,30 @@ impl Judge<'_> {
         }
     }
 
+    /// Root mean square of the error by which a move is explained, px: the images before the moves
+    /// tell where the pattern is.
     fn rms(&self, at: &Turned) -> Option<f64> {
         let residuals = self.residuals(at)?;
         let squares: f64 = residuals.iter().map(|x| x * x).sum();
-        Some((squares / residuals.len().max(1) as f64).sqrt())
+        Some((2.0 * squares / residuals.len().max(1) as f64).sqrt())
     }
 
     /// The best fit from all ways to name axes.
     fn fit(&self) -> Option<Fit> {
-        let mut beginnings: Vec<(f64, Turned)> = axes()
-            .into_iter()
-            .filter_map(|turn| {
-                let at = Turned {
-                    turn,
-                    ..Turned::nothing()
-                };
-                Some((self.rms(&at)?, at))
-            })
+        let nothing = self.nothing()?;
+        let turned = axes().into_iter().map(|turn| Turned { turn, ..nothing });
+        let mut beginnings: Vec<Fit> = turned
+            .filter_map(|turned| self.refine(turned, 0..0))
             .collect();
-        beginnings.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        beginnings.sort_by(|a, b| a.rms.total_cmp(&b.rms));
         let least = |fits: Vec<Fit>| fits.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
         let refined = beginnings.into_iter().take(REFINED);
         let all = least(
             refined
-                .filter_map(|(_, at)| self.refine(at, 0..8))
+                .filter_map(|fit| self.refine(fit.found, 0..MISTAKES))
                 .collect(),
         )?;
         // A few small moves hardly tell focal length from distance: one cause, where it is enough.
-        let nothing = Turned::nothing();
         let causes = [0..3, 3..6, 6..7, 7..8].into_iter();
         let one = least(
             causes
@@ -392,14 +414,14 @@ impl Judge<'_> {
         Some(one.filter(is_enough).unwrap_or(all))
     }
 
-    /// The best fit near `at` by some of the parameters.
+    /// The best fit near `at` by some of the mistakes.
     fn refine(&self, mut at: Turned, by: Range<usize>) -> Option<Fit> {
         let mut rms = self.rms(&at)?;
         let mut damping = 1e-3;
         for _ in 0..ITERATIONS {
             let here = self.residuals(&at)?;
             let mut columns = Vec::new();
-            for k in 0..8 {
+            for k in 0..COUNT {
                 let mut step = Parameters::zeros();
                 step[k] = STEP;
                 let there = self.residuals(&at.after(&step))?;
@@ -407,13 +429,14 @@ impl Judge<'_> {
                 columns.push(slope.collect::<Vec<_>>());
             }
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let mut square = SMatrix::<f64, 8, 8>::from_fn(|i, j| dot(&columns[i], &columns[j]));
+            let mut square =
+                SMatrix::<f64, COUNT, COUNT>::from_fn(|i, j| dot(&columns[i], &columns[j]));
             let mut right = Parameters::from_fn(|i, _| -dot(&columns[i], &here));
-            for k in 0..8 {
+            for k in 0..COUNT {
                 square[(k, k)] *= 1.0 + damping;
                 square[(k, k)] += 1e-9;
             }
-            for k in (0..8).filter(|k| !by.contains(k)) {
+            for k in (0..MISTAKES).filter(|k| !by.contains(k)) {
                 square.row_mut(k).fill(0.0);
                 square.column_mut(k).fill(0.0);
                 square[(k, k)] = 1.0;

@@ -3,16 +3,16 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use arm::{Limited, Model};
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
 use ipc::{Domain, ReceiveError, RobotPorts, Subscriber, now_ns};
 use messages::{Action, MOST_OBEYED_NS, Request, TwistCommand};
-use panda::Model;
 use rtrb::Producer;
 use rustix::mm::{MlockAllFlags, mlockall};
 
 use crate::config::Config;
 use crate::robot::{self, Doing, Motion};
-use crate::steering::{Limited, Output, Steering};
+use crate::steering::{Output, Steering};
 
 /// What happened, for the log.
 #[derive(Clone, Debug, PartialEq)]
@@ -260,7 +260,7 @@ impl Bridge<'_> {
     /// A motion, from rest to rest.
     fn carry_out(&mut self, robot: &robot::Robot, state: &Told) -> Result<(), End> {
         let measured = robot::measured(state);
-        let mount = self.config.mount(&measured.flange_from_ee);
+        let mount = self.config.mount(&measured.end_effector.flange_from_ee);
         let Config {
             bounds,
             interface,

@@ -6,10 +6,10 @@ use std::io::{BufRead, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use arm::Pose;
 use franka::{RobotMode as Mode, RobotState as Told};
 use ipc::{Domain, RobotPorts, Subscriber, now_ns};
 use messages::{Features, MOST_OBEYED_NS, TwistCommand};
-use panda::Pose;
 
 use crate::config::Config;
 use crate::diagnosis::{Move, advise};
@@ -85,11 +85,11 @@ pub fn first_motion(
     let bounds = &config.bounds;
     println!(
         "  limits     {} m/s, {} rad/s; workspace {:?} to {:?} m; joint margin {} rad",
-        bounds.linear,
-        bounds.angular,
+        bounds.caps.linear,
+        bounds.caps.angular,
         bounds.workspace.lower,
         bounds.workspace.upper,
-        bounds.joint_margin
+        bounds.reserve.margin
     );
     println!(
         "Compare F_T_NE and hand with the end effector at the desk: they must be what is mounted, and so must load.\n\
@@ -97,7 +97,7 @@ pub fn first_motion(
          Keep a hand on the stop.",
         1e3 * LENGTHS[0],
         LENGTHS[1],
-        1e3 * SHARE * bounds.linear
+        1e3 * SHARE * bounds.caps.linear
     );
     if !is_confirmed && !confirmed() {
         return Err(FirstMotionError::NotConfirmed);
@@ -150,7 +150,7 @@ fn carry_out(
     // The robot's place: no other bridge is at work.
     let ports = RobotPorts::open(&domain).map_err(DriveError::from)?;
     let measured = robot::measured(state);
-    let mount = config.mount(&measured.flange_from_ee);
+    let mount = config.mount(&measured.end_effector.flange_from_ee);
     let Config {
         bounds,
         interface,
@@ -203,9 +203,9 @@ impl Stage<'_> {
             let bounds = &self.config.bounds;
             let speed = SHARE
                 * if axis < 3 {
-                    bounds.linear
+                    bounds.caps.linear
                 } else {
-                    bounds.angular
+                    bounds.caps.angular
                 };
             let seconds = LENGTHS[usize::from(axis >= 3)] / speed;
             let mut twist = [0.0; 6];
@@ -240,7 +240,7 @@ impl Stage<'_> {
         let output = self.steering.step(&command, &measured, now);
         self.motion.answer(&output, false).map_err(&failed)?;
         let limited = self.steering.limited();
-        let mount = self.config.mount(&measured.flange_from_ee);
+        let mount = self.config.mount(&measured.end_effector.flange_from_ee);
         let told = robot::told(&state, &mount, Doing::Moves(limited), now);
         self.ports.robot.publish(&told).map_err(DriveError::from)?;
         self.watch(now)?;

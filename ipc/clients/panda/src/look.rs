@@ -3,10 +3,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use arm::Pose;
 use franka::{FrankaError, RobotMode as Mode, RobotState as Told};
 use ipc::{Domain, RobotPorts, now_ns};
 use messages::TwistCommand;
-use panda::Pose;
 use program::kernel::{self, Kernel};
 
 use crate::config::Config;
@@ -39,7 +39,7 @@ pub fn dry_run(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
     // Its place is taken as when it works: two bridges are one too many.
     let mut ports = RobotPorts::open(&domain)?;
     let measured = robot::measured(&state);
-    let mount = config.mount(&measured.flange_from_ee);
+    let mount = config.mount(&measured.end_effector.flange_from_ee);
     let steering = Steering::new(
         mount,
         config.bounds,

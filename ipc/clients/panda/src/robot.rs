@@ -3,6 +3,7 @@
 use std::ops::Deref;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use arm::{Chain, Echo, JOINTS, Joints, Limited, Model, Mount, Pose, Setpoint, Twist};
 use franka::{
     ActiveMotionGenerator, CartesianVelocities, FciVersion, FrankaError, FrankaResult,
     JointVelocities, MoveControllerMode, RealtimeConfig, RobotMode as Mode, RobotOptions,
@@ -11,12 +12,10 @@ use franka::{
 use ipc::now_ns;
 use messages::{RobotFaults, RobotMode, RobotState};
 use nalgebra::{Matrix4, Rotation3, Translation3};
-use panda::limits::Setpoint;
-use panda::{Chain, Echo, Errors, Flag, JOINTS, Joints, Model, Mount, Pose, Twist};
 
 use crate::config::{Config, Interface};
 use crate::datagrams;
-use crate::steering::{Limited, Measured, Output};
+use crate::steering::{Measured, Output};
 
 /// How far the number of a state may be ahead, ms: what is further is not the robot's.
 const FAR_MS: u64 = 10_000;
@@ -127,16 +126,18 @@ pub fn pose(columns: &[f64; 16]) -> Pose {
 /// What steering needs.
 pub fn measured(state: &Told) -> Measured {
     Measured {
-        base_from_ee: pose(&state.O_T_EE),
-        flange_from_ee: pose(&state.F_T_EE),
+        end_effector: arm::Measured {
+            base_from_ee: pose(&state.O_T_EE),
+            flange_from_ee: pose(&state.F_T_EE),
+            echo: Echo {
+                twist: Twist::from(state.O_dP_EE_c),
+                acceleration: Twist::from(state.O_ddP_EE_c),
+            },
+        },
         desired: Setpoint {
             q: Joints::from(state.q_d),
             dq: Joints::from(state.dq_d),
             ddq: Joints::from(state.ddq_d),
-        },
-        echo: Echo {
-            twist: Twist::from(state.O_dP_EE_c),
-            acceleration: Twist::from(state.O_ddP_EE_c),
         },
     }
 }
@@ -178,41 +179,14 @@ pub fn told(state: &Told, mount: &Mount, doing: Doing, data_ns: u64) -> RobotSta
     let (base_from_ee, flange_from_ee) = (pose(&state.O_T_EE), pose(&state.F_T_EE));
     // What is carried out: by the desired joints, on either interface.
     let chain = Chain::new(flange_from_ee);
-    let jacobian = chain.posture(&Joints::from(state.q_d)).jacobian;
+    let jacobian = chain.jacobian(&Joints::from(state.q_d));
     let twist = jacobian * Joints::from(state.dq_d);
     let camera = mount.to_camera(&base_from_ee.rotation, &flange_from_ee, &twist);
     told.twist = camera.into();
     told.joints = JOINTS as u32;
     (told.q, told.dq) = (state.q, state.dq);
-    told.room = [
-        f64::from(mode_number(state.robot_mode)),
-        f64::from(bits(&state.current_errors)),
-        f64::from(bits(&state.last_motion_errors)),
-        state.control_command_success_rate,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    ];
+    told.commands_in_time = state.control_command_success_rate;
     told
-}
-
-/// As `CONTRACT.md` lists them; 0 for what it does not list.
-fn mode_number(mode: Mode) -> u32 {
-    match mode {
-        Mode::Idle => 1,
-        Mode::Move => 2,
-        Mode::Reflex => 3,
-        Mode::UserStopped => 4,
-        Mode::AutomaticErrorRecovery => 5,
-        Mode::Other | Mode::Guiding => 0,
-    }
-}
-
-/// The errors that the contract has bits for; the log names all.
-fn bits(errors: &franka::Errors) -> u32 {
-    let flags = Flag::ALL.iter();
-    Errors::raised(flags.map(|flag| (*flag, errors.get(flag.name())))).bits()
 }
 
 /// A motion under way.

@@ -1,19 +1,15 @@
-//! From the camera's twist to what the robot is commanded in the next millisecond. Nothing here
-//! waits, allocates or panics.
-//!
-//! What is beyond a limit slows the camera down along its way, by one share for all axes: it never
-//! turns it elsewhere.
+//! From the camera's twist to what the robot is commanded in the next millisecond: a driver of
+//! [`arm::Bridge`]. Nothing here waits, allocates or panics.
 
+use arm::ik::VelocityIk;
+use arm::limits::BRAKING;
+use arm::reserve::{nearing, part};
+use arm::{
+    Bridge, Chain, Driver, Echo, Joints, Limited, Limits, Model, Mount, PERIOD, Ramp, Room,
+    Setpoint, ShaperError, ShaperSettings, Twist,
+};
 use messages::TwistCommand;
 use nalgebra::Vector3;
-use panda::ik::{VelocityIk, joint_velocities};
-use panda::limits::{BRAKING, Exceeded, PERIOD, Setpoint};
-use panda::ramp::Ramp;
-use panda::reserve::{nearing, part};
-use panda::{
-    Chain, Echo, Joints, Limits, Model, Mount, Pose, Reserve, Shaper, ShaperSettings, Twist,
-    singularity,
-};
 
 use crate::config::{Bounds, Interface};
 
@@ -33,14 +29,16 @@ const AT_REST: f64 = 1e-5;
 /// What a state of the robot says that steering needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
-    /// O_T_EE, the end effector in the base.
-    pub base_from_ee: Pose,
-    /// F_T_EE, the end effector in the flange.
-    pub flange_from_ee: Pose,
-    /// What the joints were last commanded: q_d, dq_d, ddq_d.
+    /// The end effector, and its last command.
+    pub end_effector: arm::Measured,
+    /// The last command of the joints: q_d, dq_d, ddq_d.
     pub desired: Setpoint,
-    /// What the end effector was last commanded: O_dP_EE_c, O_ddP_EE_c.
-    pub echo: Echo,
+}
+
+impl Measured {
+    fn chain(&self) -> Chain {
+        Chain::new(self.end_effector.flange_from_ee)
+    }
 }
 
 /// A command for one millisecond.
@@ -62,41 +60,16 @@ impl Output {
     }
 }
 
-/// What limited the last millisecond.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Limited {
-    /// The command was longer than the caps allow, or not finite.
-    pub is_cut: bool,
-    /// A wall of the workspace is near.
-    pub by_workspace: bool,
-    /// A joint is near the margin of its range, or would be too fast, or a singularity is near.
-    pub by_joint: bool,
-    /// No command is in force: the robot is to stand.
-    pub is_stale: bool,
-}
-
 /// Steers the robot during one motion.
-#[derive(Clone, Copy, Debug)]
-pub struct Steering {
-    mount: Mount,
-    bounds: Bounds,
-    limits: &'static Limits,
-    interface: Interface,
-    shaper: Shaper,
-    /// What the shaper was at.
-    shaped: Echo,
-    /// The twist before that.
-    before: Twist,
-    ik: VelocityIk,
-    limited: Limited,
-}
+#[derive(Clone, Debug)]
+pub struct Steering(Bridge<Franka>);
 
 impl Steering {
     /// A motion begins at rest.
     ///
     /// # Errors
-    /// The robot is outside its workspace, or a joint within the margin: names which, where it is
-    /// and what is allowed.
+    /// The robot is outside its workspace, or a joint within the margin: names which, its position
+    /// and the allowed range.
     pub fn new(
         mount: Mount,
         bounds: Bounds,
@@ -106,114 +79,113 @@ impl Steering {
     ) -> Result<Self, StartError> {
         let limits = model.limits();
         check(&bounds, limits, measured)?;
-        let chain = Chain::new(measured.flange_from_ee);
-        // Its defaults are positive numbers.
-        let shaper = Shaper::new(ShaperSettings::default()).map_err(|_| StartError::Shaper)?;
-        Ok(Self {
-            mount,
+        let ik = VelocityIk::new(measured.chain(), limits, &measured.desired.q);
+        let driver = Franka {
             bounds,
             limits,
-            interface,
-            shaper,
-            shaped: Echo {
-                twist: Twist::zeros(),
-                acceleration: Twist::zeros(),
-            },
+            measured: *measured,
+            shaped: Echo::default(),
             before: Twist::zeros(),
-            ik: VelocityIk::new(chain, limits, &measured.desired.q),
-            limited: Limited::default(),
-        })
+            ik,
+            output: Output::still(interface),
+        };
+        Ok(Self(Bridge::new(driver, mount, ShaperSettings::default())?))
     }
 
     /// What limited the last step.
     pub fn limited(&self) -> Limited {
-        self.limited
+        self.0.limited()
     }
 
-    /// What answers a state of the robot at this instant, ns.
+    /// The answer to a state of the robot at this instant, ns.
     pub fn step(&mut self, command: &TwistCommand, measured: &Measured, now_ns: u64) -> Output {
-        let camera = Twist::from(command.in_force(now_ns));
-        let cut = self.bounds.cut(&camera);
-        self.limited = Limited {
-            is_cut: cut != camera,
-            is_stale: now_ns >= command.in_force_until_ns(),
-            ..Limited::default()
-        };
-        // The base axes turn under the camera: transported anew in each millisecond.
-        let rotation = &measured.base_from_ee.rotation;
-        let wanted = self.mount.to_base(rotation, &measured.flange_from_ee, &cut);
-        let share = self.share(&wanted, measured);
-        self.shaper
-            .aim(&(wanted * share), command.in_force_until_ns());
-        match self.interface {
-            Interface::Cartesian => {
-                let from = self.commanded(&measured.echo);
-                Output::Cartesian(self.shape(&from, now_ns))
-            }
-            Interface::Joint => Output::Joint(self.joints(measured, now_ns)),
-        }
+        let Self(bridge) = self;
+        bridge.driver.measured = *measured;
+        let (twist, until_ns) = (command.in_force(now_ns), command.in_force_until_ns());
+        bridge.obey(&twist, until_ns, &bridge.driver.bounds.caps.clone());
+        bridge.step(now_ns);
+        bridge.driver.output
     }
 
-    /// What the robot was last commanded. Its echo tells when a command was lost; otherwise our own
-    /// record is better: an echo may be a state late, or lack the acceleration. Where it says what
-    /// came before, the last command may also be lost after one without acceleration; the mistake
-    /// is then the ramps' jerk twice, for one state.
-    fn commanded(&self, echo: &Echo) -> Echo {
-        let is = |twist: &Twist| (echo.twist - twist).amax() < SAME;
-        match is(&self.shaped.twist) || is(&self.before) {
-            true => self.shaped,
-            false => *echo,
-        }
-    }
-
-    /// A step of the shaper from there.
-    fn shape(&mut self, from: &Echo, now_ns: u64) -> Twist {
-        let twist = self.shaper.step(from, now_ns);
-        self.before = self.shaped.twist;
-        self.shaped = Echo {
-            twist,
-            acceleration: (twist - from.twist) / PERIOD,
-        };
-        twist
-    }
-
-    /// What brings the robot to rest, whatever is commanded.
+    /// Brings the robot to rest, whatever is commanded.
     pub fn brake(&mut self, measured: &Measured, now_ns: u64) -> Output {
-        let nothing = TwistCommand::default();
-        self.step(&nothing, measured, now_ns)
+        self.step(&TwistCommand::default(), measured, now_ns)
     }
 
     /// Whether the robot was last commanded to stand.
     pub fn is_at_rest(&self, measured: &Measured) -> bool {
-        match self.interface {
-            Interface::Cartesian => measured.echo.twist.amax() < AT_REST,
-            Interface::Joint => measured.desired.dq.amax() < AT_REST,
+        match self.0.driver.output {
+            Output::Cartesian(_) => measured.end_effector.echo.twist.amax() < AT_REST,
+            Output::Joint(_) => measured.desired.dq.amax() < AT_REST,
+        }
+    }
+}
+
+/// The robot during one motion.
+#[derive(Clone, Debug)]
+struct Franka {
+    bounds: Bounds,
+    limits: &'static Limits,
+    /// Its newest state.
+    measured: Measured,
+    /// The last command, shaped.
+    shaped: Echo,
+    /// The twist before that.
+    before: Twist,
+    ik: VelocityIk,
+    /// The answer to the newest state; of the same kind in all of the motion.
+    output: Output,
+}
+
+impl Driver for Franka {
+    fn measured(&self) -> arm::Measured {
+        arm::Measured {
+            echo: self.commanded(),
+            ..self.measured.end_effector
         }
     }
 
-    /// How much of this motion the workspace and the joints allow, 0 to 1.
-    fn share(&mut self, wanted: &Twist, measured: &Measured) -> f64 {
-        let share = self.room(wanted, measured);
-        self.limited.by_workspace = share < 1.0;
-        let q = &measured.desired.q;
-        let chain = Chain::new(measured.flange_from_ee);
-        let dq = joint_velocities(&chain, q, wanted);
-        let clear = singularity::share(&chain, self.limits, self.shaper.settings(), q, &dq);
-        let joints = self.reserve().share(self.limits, q, &dq).min(clear);
-        self.limited.by_joint = joints < 1.0;
-        share.min(joints)
-    }
-
-    fn reserve(&self) -> Reserve {
-        Reserve {
-            margin: self.bounds.joint_margin,
-            speed: self.bounds.joint_speed,
+    fn room(&self, twist: &Twist) -> Room {
+        let (chain, q) = (self.measured.chain(), &self.measured.desired.q);
+        let (reserve, shaper) = (&self.bounds.reserve, ShaperSettings::default());
+        Room {
+            workspace: self.walls(twist),
+            joints: reserve.room(&chain, self.limits, &shaper, q, twist),
         }
     }
 
-    /// How much of this motion the workspace allows, 0 to 1.
-    fn room(&self, twist: &Twist, measured: &Measured) -> f64 {
-        let at = &measured.base_from_ee.translation.vector;
+    fn command(&mut self, twist: &Twist) {
+        let acceleration = (twist - self.commanded().twist) / PERIOD;
+        self.before = self.shaped.twist;
+        self.shaped = Echo {
+            twist: *twist,
+            acceleration,
+        };
+        self.output = match self.output {
+            Output::Cartesian(_) => Output::Cartesian(*twist),
+            Output::Joint(_) => Output::Joint(self.joints(twist)),
+        };
+    }
+}
+
+impl Franka {
+    /// The last command. The robot's echo tells when one was lost; otherwise our own record is
+    /// better: an echo may be a state late, or lack the acceleration. Where it says what came
+    /// before, the last command may also be lost after one without acceleration; the mistake is then
+    /// the ramps' jerk twice, for one state. In a motion of joints the robot echoes joints alone.
+    fn commanded(&self) -> Echo {
+        let echo = self.measured.end_effector.echo;
+        let is = |twist: &Twist| (echo.twist - twist).amax() < SAME;
+        let is_ours = matches!(self.output, Output::Joint(_));
+        match is_ours || is(&self.shaped.twist) || is(&self.before) {
+            true => self.shaped,
+            false => echo,
+        }
+    }
+
+    /// How much of this motion the walls of the workspace allow, 0 to 1.
+    fn walls(&self, twist: &Twist) -> f64 {
+        let at = &self.measured.end_effector.base_from_ee.translation.vector;
         let walls = &self.bounds.workspace;
         let share = |k: usize| {
             let room = match twist[k] > 0.0 {
@@ -227,22 +199,19 @@ impl Steering {
 
     /// Joint velocities along the shaped motion, each on a ramp of its own within the robot's
     /// bounds.
-    fn joints(&mut self, measured: &Measured, now_ns: u64) -> Joints {
-        let desired = &measured.desired;
-        // The robot echoes joints here.
-        let shaped = self.shaped;
-        let twist = self.shape(&shaped, now_ns);
-        // Who stands moves no elbow, either.
+    fn joints(&mut self, twist: &Twist) -> Joints {
+        let desired = self.measured.desired;
+        // An arm that stands moves no elbow, either.
         let is_standing = twist.amax() < AT_REST;
-        let wanted = self.ik.follow(desired, &twist, !is_standing);
+        let wanted = self.ik.step(&desired, twist, !is_standing);
         // With the elbow's part.
-        let wanted = wanted * self.reserve().share(self.limits, &desired.q, &wanted);
+        let wanted = wanted * self.bounds.reserve.share(self.limits, &desired.q, &wanted);
         let towards = |target: &Joints| {
             Joints::from_fn(|k, _| {
-                let bound = &self.limits.joints[k];
+                let joint = &self.limits.0[k];
                 let ramp = Ramp {
-                    acceleration: JOINT_SHARE * bound.acceleration,
-                    jerk: JOINT_SHARE * bound.jerk,
+                    acceleration: JOINT_SHARE * joint.acceleration,
+                    jerk: JOINT_SHARE * joint.jerk,
                 };
                 let (dq, ddq) = (desired.dq[k], desired.ddq[k]);
                 ramp.step(dq, ddq, target[k], PERIOD).0
@@ -251,11 +220,9 @@ impl Steering {
         let next = towards(&wanted);
         // It brakes instead of what the robot would refuse, and where joints do not move the end
         // effector as told: near a singularity, with a wall ahead.
-        let exceeded = self.limits.joints(desired, &desired.after(&next));
-        let chain = Chain::new(measured.flange_from_ee);
-        let jacobian = chain.posture(&desired.q).jacobian;
-        let is_clear = self.room(&(jacobian * next), measured) > WALL_SHARE;
-        if exceeded == Exceeded::default() && is_clear {
+        let jacobian = self.measured.chain().jacobian(&desired.q);
+        let is_clear = self.walls(&(jacobian * next)) > WALL_SHARE;
+        if is_clear && self.limits.allow(&desired, &next) {
             return next;
         }
         let braking = towards(&Joints::zeros());
@@ -275,7 +242,7 @@ const _: () = assert!(JOINT_SHARE < BRAKING);
 pub enum StartError {
     /// The end effector is outside the workspace.
     #[error(
-        "the end effector is at {axis} = {value:.3} m; workspace: {lower} to {upper}: guide the robot into it, or change [workspace]"
+        "the end effector is at {axis} = {value:.3} m; allowed: {lower} to {upper}: guide the robot into it, or change [workspace]"
     )]
     Workspace {
         /// x, y or z.
@@ -289,7 +256,7 @@ pub enum StartError {
     },
     /// A joint is outside its range less the margin.
     #[error(
-        "joint {joint} is at {value:.3} rad; allowed with joint_margin: {lower:.3} to {upper:.3}: guide the robot there"
+        "joint {joint} = {value:.3} rad; allowed with joint_margin: {lower:.3} to {upper:.3}: guide the robot there"
     )]
     Joint {
         /// From 1.
@@ -302,12 +269,12 @@ pub enum StartError {
         upper: f64,
     },
     /// A setting of the shaper is not a positive number.
-    #[error("shaper: a bound is not a positive number")]
-    Shaper,
+    #[error(transparent)]
+    Shaper(#[from] ShaperError),
 }
 
 fn check(bounds: &Bounds, limits: &Limits, measured: &Measured) -> Result<(), StartError> {
-    let at: &Vector3<f64> = &measured.base_from_ee.translation.vector;
+    let at: &Vector3<f64> = &measured.end_effector.base_from_ee.translation.vector;
     let walls = &bounds.workspace;
     for (k, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
         let (value, lower, upper) = (at[k], walls.lower[k], walls.upper[k]);
@@ -320,9 +287,9 @@ fn check(bounds: &Bounds, limits: &Limits, measured: &Measured) -> Result<(), St
             });
         }
     }
-    for (k, bound) in limits.joints.iter().enumerate() {
-        let margin = bounds.joint_margin;
-        let (lower, upper) = (bound.lower + margin, bound.upper - margin);
+    for (k, joint) in limits.0.iter().enumerate() {
+        let margin = bounds.reserve.margin;
+        let (lower, upper) = (joint.range[0] + margin, joint.range[1] - margin);
         let value = measured.desired.q[k];
         if !(lower..=upper).contains(&value) {
             return Err(StartError::Joint {

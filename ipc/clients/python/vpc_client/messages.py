@@ -434,8 +434,9 @@ class RobotState(Message):
         ("q", ctypes.c_double * 7),
         # Joint velocities, base to flange. Unit: rad/s.
         ("dq", ctypes.c_double * 7),
-        # Zero for a free-flying camera; for an arm see below.
-        ("room", ctypes.c_double * 8),
+        # Share of the last commands that came to the robot in time, 0 to 1; 0 where it does not
+        # count them, or no motion runs.
+        ("commands_in_time", ctypes.c_double),
     ]
 
     if TYPE_CHECKING:
@@ -450,11 +451,11 @@ class RobotState(Message):
         reserved: int
         q: ctypes.Array[ctypes.c_double]
         dq: ctypes.Array[ctypes.c_double]
-        room: ctypes.Array[ctypes.c_double]
+        commands_in_time: float
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/RobotState/1"
+        return "vpc/RobotState/2"
 
 
 class CycleRecord(Message):
@@ -799,6 +800,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "joints": (0, 7),
         "q": "",
         "dq": "",
+        "commands_in_time": "",
     },
     CycleRecord: {
         "clock": ClockMode,

@@ -214,7 +214,7 @@ impl Laboratory {
 fn mounting(file: &Path) -> Iso3 {
     let frame = hand_eye::Frame::Flange;
     let read = hand_eye::read(file, frame).unwrap().camera;
-    let turn = panda::kinematics::rotation_vector(&read.rotation);
+    let turn = nalgebra::UnitQuaternion::from_rotation_matrix(&read.rotation).scaled_axis();
     pose(read.translation.vector.into(), turn.into())
 }
 

@@ -36,7 +36,7 @@ impl Wiggle {
     fn sample(&self, time: f64) -> Sample {
         let mut sample = Sample {
             time,
-            q: panda::READY,
+            q: arm::READY,
             dq: [0.0; 7],
         };
         for (k, [amplitude, hertz]) in (0..7).flat_map(|k| self.joints[k].map(|one| (k, one))) {

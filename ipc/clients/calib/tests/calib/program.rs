@@ -151,7 +151,7 @@ fn a_folder_of_images_gives_the_files_that_the_other_programs_read() {
     let read = hand_eye::read(&file, hand_eye::Frame::Flange)
         .unwrap()
         .camera;
-    let turn = panda::kinematics::rotation_vector(&read.rotation);
+    let turn = nalgebra::UnitQuaternion::from_rotation_matrix(&read.rotation).scaled_axis();
     let read = Iso3::new(
         <[f64; 3]>::from(read.translation.vector).into(),
         <[f64; 3]>::from(turn).into(),

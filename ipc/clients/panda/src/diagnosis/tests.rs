@@ -55,8 +55,9 @@ impl World {
         let mut look = |flange: &Pose| {
             let seen = self.mount.camera(flange).inverse() * base_from_object;
             let points = self.scene.pattern.iter().map(|p| {
-                let at = seen * nalgebra::Point3::from(*p);
-                let pixel = vpc::camera::project(&self.scene.camera, at.coords.into()).unwrap();
+                let at = seen * Point3::from(*p);
+                let Camera { fx, fy, cx, cy, .. } = self.scene.camera;
+                let pixel = [fx * at.x / at.z + cx, fy * at.y / at.z + cy];
                 (self.flip)(pixel.map(|x| x + random.random_range(-0.17..0.17)))
             });
             points.collect::<Vec<_>>()

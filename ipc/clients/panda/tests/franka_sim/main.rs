@@ -4,6 +4,7 @@
 mod emulator;
 mod servo;
 
+use arm::Mount;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
@@ -12,7 +13,7 @@ use franka::{RealtimeConfig, RobotMode as Mode, RobotOptions};
 use hand_eye::Frame;
 use ipc::{ControllerPorts, Domain};
 use messages::{RobotFaults, RobotMode, RobotState, TwistCommand, TwistState};
-use panda::{Chain, Joints, Mount, Pose, Twist};
+use panda::{Chain, Joints, Pose, Twist};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use testkit::{Ended, Place, Running, eventually, repeats, tell};
@@ -216,7 +217,7 @@ impl Seen {
         self.limited += u32::from(is_limited);
         let way = Joints::from(state.q) - Joints::from(first.q);
         self.way = self.way.max(way.amax());
-        self.least_rate = self.least_rate.min(state.room[3]);
+        self.least_rate = self.least_rate.min(state.commands_in_time);
         is_stale || is_limited
     }
 

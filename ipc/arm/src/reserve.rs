@@ -1,7 +1,12 @@
 //! What a bridge keeps of the joints' limits for itself, so that the robot never has to stop it.
 
-use crate::kinematics::{JOINTS, Joints};
+use libm::sqrt;
+
+use crate::ik::inverse;
+use crate::kinematics::{Chain, JOINTS, Joints, Twist};
 use crate::limits::Limits;
+use crate::shaper::ShaperSettings;
+use crate::singularity;
 
 /// Deceleration with which joints near the ends of their ranges, rad/s^2.
 const DECELERATION: f64 = 0.5;
@@ -16,17 +21,30 @@ pub struct Reserve {
 }
 
 impl Reserve {
+    /// How much of a motion of the end effector (base axes) the joints at `q`, rad, allow: by the
+    /// ends of their ranges, their speeds, and the nearness to a singularity; 0 to 1.
+    pub fn room(
+        &self,
+        chain: &Chain,
+        limits: &Limits,
+        shaper: &ShaperSettings,
+        q: &Joints,
+        twist: &Twist,
+    ) -> f64 {
+        let dq = inverse(&chain.jacobian(q)) * twist;
+        let clear = singularity::share(chain, limits, shaper, q, &dq);
+        clear.min(self.share(limits, q, &dq))
+    }
+
     /// How much of the joint velocities `dq`, rad/s, at `q`, rad, it allows; 0 to 1. A joint may
     /// always move away from the end of its range.
     pub fn share(&self, limits: &Limits, q: &Joints, dq: &Joints) -> f64 {
         let share = |k: usize| {
-            let bound = &limits.joints[k];
-            let (least, most) = bound.velocities(q[k]);
-            let (room, fastest) = match dq[k] > 0.0 {
-                true => (bound.upper - self.margin - q[k], most),
-                false => (q[k] - bound.lower - self.margin, -least),
-            };
-            part(dq[k], nearing(room, DECELERATION).min(self.speed * fastest))
+            let joint = &limits.0[k];
+            let towards = usize::from(dq[k] > 0.0);
+            let room = joint.room(q[k])[towards] - self.margin;
+            let fastest = self.speed * joint.speeds(q[k])[towards];
+            part(dq[k], nearing(room, DECELERATION).min(fastest))
         };
         (0..JOINTS).map(share).fold(1.0, f64::min)
     }
@@ -34,7 +52,7 @@ impl Reserve {
 
 /// The greatest speed from which `room` is enough to come to rest; units of the two.
 pub fn nearing(room: f64, deceleration: f64) -> f64 {
-    (2.0 * deceleration * room.max(0.0)).sqrt()
+    sqrt(2.0 * deceleration * room.max(0.0))
 }
 
 /// The part of this speed that is allowed, 0 to 1.
@@ -59,7 +77,7 @@ mod tests {
     fn share(model: Model, distance: f64, dq: f64) -> f64 {
         let limits = model.limits();
         let mut q = Joints::from(crate::READY);
-        q[3] = limits.joints[3].upper - distance;
+        q[3] = limits.0[3].range[1] - distance;
         let mut velocities = Joints::zeros();
         velocities[3] = dq;
         RESERVE.share(limits, &q, &velocities)
@@ -81,7 +99,7 @@ mod tests {
 
     #[test]
     fn a_joint_takes_its_share_of_its_speed_limit() {
-        let most = RESERVE.speed * Model::Panda.limits().joints[3].velocity;
+        let most = RESERVE.speed * Model::Panda.limits().0[3].velocity;
         assert!((2.0 * share(Model::Panda, 1.5, 2.0) - most).abs() < 1e-12);
         assert_eq!(share(Model::Panda, 1.5, most), 1.0);
     }

@@ -1,7 +1,7 @@
 //! Nearness to a singularity, by what the shaper's ramps would ask of the joints there.
 
-use crate::ik::System;
-use crate::kinematics::{Chain, JOINTS, Joints, Twist};
+use crate::ik::inverse;
+use crate::kinematics::{Chain, JOINTS, Joints};
 use crate::limits::Limits;
 use crate::shaper::ShaperSettings;
 
@@ -16,20 +16,16 @@ const STEP: f64 = 1e-3;
 /// The largest share of a joint's acceleration or jerk that the shaper's ramps may take at `q`, all
 /// axes at once.
 pub fn strain(chain: &Chain, limits: &Limits, shaper: &ShaperSettings, q: &Joints) -> f64 {
-    let jacobian = chain.posture(q).jacobian;
-    let system = System::new(&jacobian);
+    let inverse = inverse(&chain.jacobian(q));
     let ramps = [shaper.linear, shaper.angular];
     let (mut accelerations, mut jerks) = (Joints::zeros(), Joints::zeros());
-    for axis in 0..6 {
-        let mut unit = Twist::zeros();
-        unit[axis] = 1.0;
-        let joints = system.solve(&unit).abs();
-        accelerations += joints * ramps[axis / 3].acceleration;
-        jerks += joints * ramps[axis / 3].jerk;
+    for (axis, joints) in inverse.column_iter().enumerate() {
+        accelerations += joints.abs() * ramps[axis / 3].acceleration;
+        jerks += joints.abs() * ramps[axis / 3].jerk;
     }
     let share = |k: usize| {
-        let bound = &limits.joints[k];
-        (accelerations[k] / bound.acceleration).max(jerks[k] / bound.jerk)
+        let joint = &limits.0[k];
+        (accelerations[k] / joint.acceleration).max(jerks[k] / joint.jerk)
     };
     (0..JOINTS).map(share).fold(0.0, f64::max)
 }
@@ -57,7 +53,7 @@ pub fn share(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ik::joint_velocities;
+    use crate::kinematics::Twist;
     use crate::limits::Model;
 
     fn strained(q: [f64; 7]) -> f64 {
@@ -83,11 +79,11 @@ mod tests {
         let up = Twist::z() * 0.1;
         let mut q = Joints::from(crate::READY);
         for _ in 0..30_000 {
-            let dq = joint_velocities(&chain, &q, &up);
+            let dq = inverse(&chain.jacobian(&q)) * up;
             q += dq * share(&chain, limits, &shaper, &q, &dq) * STEP;
         }
         assert!((strain(&chain, limits, &shaper, &q) - MOST).abs() < 0.01);
-        let dq = joint_velocities(&chain, &q, &up);
+        let dq = inverse(&chain.jacobian(&q)) * up;
         assert!(share(&chain, limits, &shaper, &q, &dq) < 0.05);
         assert_eq!(share(&chain, limits, &shaper, &q, &-dq), 1.0);
     }

@@ -5,6 +5,8 @@
 //! chatter; it overshoots by less than a fifth of what one period's jerk makes, unless the
 //! acceleration at the beginning forces more.
 
+use libm::sqrt;
+
 /// The bounds of a ramp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ramp {
@@ -20,26 +22,20 @@ impl Ramp {
     /// The acceleration is the difference quotient of velocities, as the robot computes it, and
     /// changes by no more than the jerk allows even where it is beyond its bound at the beginning.
     pub fn step(&self, velocity: f64, acceleration: f64, target: f64, dt: f64) -> (f64, f64) {
-        // The law's integrator adds the old acceleration; ours has added it already.
-        let jerk = self.optimal(velocity - dt * acceleration - target, acceleration, dt);
-        let wanted = (acceleration + jerk * dt).clamp(-self.acceleration, self.acceleration);
+        let (error, step) = (velocity - target, self.jerk * dt * dt);
+        // By this much the velocity changes while the acceleration is brought to zero.
+        let change = match error.abs() > step {
+            true => {
+                let root = sqrt(step * (step + 8.0 * error.abs()));
+                0.5 * error.signum() * (root - step)
+            }
+            false => error,
+        };
         let most = self.jerk * dt;
+        let jerk = -most * ((dt * acceleration + change) / step).clamp(-1.0, 1.0);
+        let wanted = (acceleration + jerk).clamp(-self.acceleration, self.acceleration);
         let next = acceleration + (wanted - acceleration).clamp(-most, most);
         (velocity + next * dt, next)
-    }
-
-    /// The jerk that brings the error of the velocity and the acceleration to zero soonest.
-    fn optimal(&self, error: f64, acceleration: f64, dt: f64) -> f64 {
-        let d = self.jerk * dt * dt;
-        let a0 = dt * acceleration;
-        let y = error + a0;
-        let a = if y.abs() > d {
-            let curve = (d * (d + 8.0 * y.abs())).sqrt();
-            a0 + y.signum() * 0.5 * (curve - d)
-        } else {
-            a0 + y
-        };
-        -self.jerk * (a / d).clamp(-1.0, 1.0)
     }
 }
 

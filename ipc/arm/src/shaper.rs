@@ -9,9 +9,11 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::kinematics::{Twist, join, split};
-use crate::limits::{Model, PERIOD};
+use crate::limits::PERIOD;
 use crate::ramp::Ramp;
-use crate::state::State;
+
+/// The greatest speeds of a Panda's end effector, m/s and rad/s; an FR3 allows no less.
+const FASTEST: [f64; 2] = [1.7, 2.5];
 
 /// Bounds of the shaped commands, each axis for itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +43,7 @@ impl Default for ShaperSettings {
 
 /// A bound that is not a positive number.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-#[error("shaper: {key} is {value}, allowed is a number above 0")]
+#[error("shaper: {key} = {value}; allowed: above 0")]
 pub struct ShaperError {
     /// Name of the setting in [`ShaperSettings`].
     pub key: &'static str,
@@ -49,22 +51,13 @@ pub struct ShaperError {
     pub value: f64,
 }
 
-/// What the robot was last commanded, by its own account; along base axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The last command by the robot's own account; along base axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Echo {
     /// O_dP_EE_c, m/s and rad/s.
     pub twist: Twist,
     /// O_ddP_EE_c, m/s^2 and rad/s^2.
     pub acceleration: Twist,
-}
-
-impl From<&State> for Echo {
-    fn from(state: &State) -> Self {
-        Self {
-            twist: state.o_dp_ee_c,
-            acceleration: state.o_ddp_ee_c,
-        }
-    }
 }
 
 /// The shaper between the 30 Hz twist and the 1 kHz interface.
@@ -138,14 +131,11 @@ impl Shaper {
     }
 }
 
-/// A twist inside the bounds of a Panda, which an FR3 allows, too; its directions kept.
+/// A twist as long as a Panda allows, its directions kept.
 fn shortened(twist: &Twist) -> Twist {
-    let limits = Model::Panda.limits();
     let (linear, angular) = split(twist);
     let shorten = |x: Vector3<f64>, most: f64| x * (most / x.norm().max(most));
-    let linear = shorten(linear, limits.translation.velocity);
-    let angular = shorten(angular, limits.rotation.velocity);
-    join(&linear, &angular)
+    join(&shorten(linear, FASTEST[0]), &shorten(angular, FASTEST[1]))
 }
 
 #[cfg(test)]

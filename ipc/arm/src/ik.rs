@@ -1,0 +1,193 @@
+//! From a velocity of the end effector to velocities of the joints.
+//!
+//! Damped least squares for the six dimensions of the task; the seventh is the elbow's, which stays
+//! at the position of joint 3 that the motion began with, unless a joint comes near the end of its
+//! range. Source: A. Maciejewski and C. Klein, "Numerical filtering for the operation of robotic
+//! manipulators ...", J. Robotic Systems 5(6), 1988 (damping); A. Liegeois, "Automatic supervisory
+//! control of the configuration and behavior of multibody mechanisms", IEEE SMC 7(12), 1977 (null
+//! space).
+
+use nalgebra::{Cholesky, Matrix6, SMatrix};
+
+use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Twist};
+use crate::limits::{Limits, PERIOD, Setpoint};
+use crate::ramp::Ramp;
+
+/// Manipulability sqrt(det(J J^T)) under which damping sets in, m^3; 0.08 in the ready position.
+const SINGULAR: f64 = 0.01;
+/// The damping in a singularity, mixed units of the Jacobian.
+const DAMPING: f64 = 0.05;
+/// Rate at which joint 3 returns to its reference, 1/s.
+const ELBOW_RATE: f64 = 2.0;
+/// Squared part of joint 3 in the free direction under which the elbow is no longer held.
+const ELBOW_FADE: f64 = 0.02;
+/// Distance from the end of a joint's range at which it is pushed back, rad, and the speed at the
+/// end, rad/s.
+const MARGIN: f64 = 0.25;
+const REPULSION: f64 = 1.0;
+/// The most that the elbow may move the joints, rad/s, and its bounds: a small share of any
+/// joint's.
+const ELBOW_SPEED: f64 = 0.3;
+const ELBOW_RAMP: Ramp = Ramp {
+    acceleration: 1.0,
+    jerk: 100.0,
+};
+
+/// From the velocity of the end effector (base axes) to the least velocities of the joints.
+pub type Inverse = SMatrix<f64, JOINTS, 6>;
+
+/// J^T (J J^T + damping)^-1, damped near a singularity only; zero for a Jacobian that is not
+/// finite.
+pub fn inverse(jacobian: &Jacobian) -> Inverse {
+    let square = jacobian * jacobian.transpose();
+    let measure = Cholesky::new(square).map_or(0.0, |f| f.l_dirty().diagonal().product());
+    let missing = (1.0 - measure / SINGULAR).max(0.0) * DAMPING;
+    let damped = square + Matrix6::identity() * (missing * missing);
+    Cholesky::new(damped).map_or_else(Inverse::zeros, |f| jacobian.transpose() * f.inverse())
+}
+
+/// The velocity inverse kinematics during one motion.
+#[derive(Clone, Copy, Debug)]
+pub struct VelocityIk {
+    chain: Chain,
+    limits: &'static Limits,
+    /// Where joint 3 is to stay, rad.
+    elbow: f64,
+    /// The direction in which joints move without the end effector, of length 1; its sign does not
+    /// jump.
+    free: Joints,
+    /// Velocity along it, rad/s, and acceleration.
+    speed: f64,
+    acceleration: f64,
+}
+
+impl VelocityIk {
+    /// A motion begins at rest at `q`.
+    pub fn new(chain: Chain, limits: &'static Limits, q: &Joints) -> Self {
+        let jacobian = chain.jacobian(q);
+        let inverse = inverse(&jacobian);
+        let columns = (0..JOINTS).map(|joint| free(&inverse, &jacobian, joint));
+        let longest = columns.max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
+        let longest = longest.unwrap_or_default();
+        // Positive turns joint 3 forward, where it can.
+        let sign = if longest[2] < 0.0 { -1.0 } else { 1.0 };
+        Self {
+            chain,
+            limits,
+            elbow: q[2],
+            free: longest.normalize() * sign,
+            speed: 0.0,
+            acceleration: 0.0,
+        }
+    }
+
+    /// Joint velocities for the period that begins at `from`, such that the end effector moves at
+    /// `twist` (base axes). An elbow that is not free comes to rest wherever it is.
+    pub fn step(&mut self, from: &Setpoint, twist: &Twist, is_elbow_free: bool) -> Joints {
+        // In the middle of the period: with that Jacobian a step is exact to second order.
+        let q = from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD);
+        let jacobian = self.chain.jacobian(&q);
+        let inverse = inverse(&jacobian);
+        let free = free(&inverse, &jacobian, self.free.iamax());
+        let length = free.norm();
+        // Where no direction is free of the damped task any more, the last one stands.
+        if length > 1e-6 {
+            self.free = free * (free.dot(&self.free).signum() / length);
+        }
+        let task = inverse * twist;
+        let target = match is_elbow_free {
+            true => self.elbow_speed(&q, task[2]),
+            false => 0.0,
+        };
+        (self.speed, self.acceleration) =
+            ELBOW_RAMP.step(self.speed, self.acceleration, target, PERIOD);
+        task + self.free * self.speed
+    }
+
+    /// The speed along the free direction that holds joint 3, which the task turns at `task` rad/s,
+    /// at its reference and keeps all joints off the ends of their ranges.
+    fn elbow_speed(&self, q: &Joints, task: f64) -> f64 {
+        // Where the free direction hardly turns joint 3, the quotient fades instead of growing.
+        let turns = self.free[2];
+        let share = turns / (turns * turns + ELBOW_FADE);
+        let hold = share * (ELBOW_RATE * (self.elbow - q[2]) - task);
+        (hold + self.free.dot(&self.repulsion(q))).clamp(-ELBOW_SPEED, ELBOW_SPEED)
+    }
+
+    /// Joint velocities away from the ends of the joints' ranges, rad/s; zero farther than
+    /// [`MARGIN`] from them.
+    fn repulsion(&self, q: &Joints) -> Joints {
+        Joints::from_fn(|k, _| {
+            let [below, above] = self.limits.0[k].room(q[k]);
+            let near = (1.0 - below.min(above) / MARGIN).clamp(0.0, 1.0);
+            REPULSION * near * near * if below < above { 1.0 } else { -1.0 }
+        })
+    }
+}
+
+/// The part of a unit velocity of `joint` that leaves the end effector where it is.
+fn free(inverse: &Inverse, jacobian: &Jacobian, joint: usize) -> Joints {
+    let mut free = -inverse * jacobian.column(joint);
+    free[joint] += 1.0;
+    free
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::READY;
+    use crate::limits::Model;
+
+    const LIMITS: &Limits = Model::Panda.limits();
+
+    /// The joints after so many milliseconds at this velocity.
+    fn follow(q: [f64; 7], twist: Twist, ticks: usize) -> (Chain, Joints) {
+        let chain = Chain::default();
+        let mut desired = Setpoint {
+            q: Joints::from(q),
+            dq: Joints::zeros(),
+            ddq: Joints::zeros(),
+        };
+        let mut ik = VelocityIk::new(chain, LIMITS, &desired.q);
+        for _ in 0..ticks {
+            desired = desired.after(&ik.step(&desired, &twist, true));
+        }
+        (chain, desired.q)
+    }
+
+    #[test]
+    fn the_end_effector_goes_where_the_commands_lead_and_the_elbow_stays() {
+        let (chain, q) = follow(READY, Twist::new(0.0, 0.1, 0.0, 0.0, 0.0, 0.0), 2000);
+        let went = chain.pose(&q).translation.y - chain.pose(&Joints::from(READY)).translation.y;
+        assert!((went - 0.2).abs() < 1e-5, "{went}");
+        assert!(q[2].abs() < 0.05, "{}", q[2]);
+    }
+
+    #[test]
+    fn the_joints_allow_less_than_the_end_effector_may() {
+        // At the ready position, along x: 2.38 m/s^2 of 13, joint 2 being the first.
+        let joints = inverse(&Chain::default().jacobian(&Joints::from(READY))) * Twist::x();
+        let most = (0..JOINTS).map(|k| LIMITS.0[k].acceleration / joints[k].abs());
+        let least = most.fold(f64::INFINITY, f64::min);
+        assert!((least - 2.38).abs() < 0.005, "{least}");
+    }
+
+    #[test]
+    fn a_joint_near_its_limit_is_pushed_back_without_the_end_effector() {
+        let mut q = READY;
+        q[6] = LIMITS.0[6].range[1] - 0.05;
+        let (chain, after) = follow(q, Twist::zeros(), 3000);
+        assert!(after[6] < q[6] - 0.02, "{}", after[6]);
+        let apart =
+            chain.pose(&after).translation.vector - chain.pose(&Joints::from(q)).translation.vector;
+        assert!(apart.norm() < 1e-5, "{}", apart.norm());
+    }
+
+    #[test]
+    fn joint_velocities_stay_bounded_in_a_singularity() {
+        // The outstretched arm cannot go further out.
+        let q = Joints::from([0.0, 0.0, 0.0, -0.07, 0.0, 1.6, 0.0]);
+        let inverse = inverse(&Chain::default().jacobian(&q));
+        assert!(inverse.amax() * 0.1 < 2.0, "{inverse}");
+    }
+}

@@ -1,0 +1,23 @@
+#![doc = include_str!("../README.md")]
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod bridge;
+pub mod ik;
+pub mod kinematics;
+pub mod limits;
+pub mod mount;
+pub mod ramp;
+pub mod reserve;
+pub mod shaper;
+pub mod singularity;
+
+pub use bridge::{Bridge, Caps, Driver, Limited, Measured, Room};
+pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Twist};
+pub use limits::{JointLimits, Limits, Model, PERIOD, Setpoint};
+pub use mount::Mount;
+pub use ramp::Ramp;
+pub use reserve::Reserve;
+pub use shaper::{Echo, Shaper, ShaperError, ShaperSettings};
