@@ -1,11 +1,6 @@
 //! What a writer fills in.
 
-use std::path::Path;
-
 use serde_json::{Map, Value};
-
-use crate::draft::Draft;
-use crate::replace::replace;
 
 mod check;
 
@@ -78,20 +73,4 @@ pub enum WriteError {
         /// The operating system's reason.
         r#source: std::io::Error,
     },
-}
-
-impl Contents {
-    /// Writes the memory to `path`: beside it first, synchronised, then renamed, and the directory
-    /// synchronised, so that no reader sees half a file and a power cut leaves the old file or the
-    /// new one. The same contents give the same bytes.
-    ///
-    /// # Errors
-    /// [`WriteError`] if the contents contradict themselves or the file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
-        self.check()?;
-        replace(path, &Draft::of(self).bytes()).map_err(|source| WriteError::Write {
-            path: path.display().to_string(),
-            source,
-        })
-    }
 }

@@ -3,7 +3,7 @@
 //! Source: paper, Eq. (gpr); its Lambda carries one factor K(x, X) too many.
 
 use crate::exp::{LANES, exp_nonpositive};
-use crate::view::Scaling;
+use crate::scaling::Scaling;
 use crate::{MAX_INPUTS, QueryError};
 
 /// Outputs summed together: rows of Lambda are padded to a multiple of this.

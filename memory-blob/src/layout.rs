@@ -7,7 +7,8 @@ use crate::format::round_up;
 use crate::gpr::OUTPUT_LANES;
 use crate::header::Header;
 use crate::samples::{BLOCK, BLOCKS_PER_GROUP};
-use crate::view::{Memory, Scaling};
+use crate::scaling::Scaling;
+use crate::view::Memory;
 use crate::{Contents, Gpr, MAX_INPUTS, MAX_OUTPUTS, MAX_SAMPLES, Samples};
 
 /// The counts that fix all shapes, and the variances.

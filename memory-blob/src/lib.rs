@@ -13,6 +13,7 @@ mod exp;
 mod gpr;
 mod query;
 mod samples;
+mod scaling;
 mod view;
 
 #[cfg(feature = "file")]
@@ -43,11 +44,14 @@ mod sealed;
 mod tensors;
 #[cfg(feature = "file")]
 mod unpack;
+#[cfg(feature = "file")]
+mod write;
 
 pub use gpr::Gpr;
 pub use query::QueryError;
 pub use samples::{BLOCK, BLOCKS_PER_GROUP, Nearest, Samples};
-pub use view::{Memory, Scaling};
+pub use scaling::Scaling;
+pub use view::Memory;
 
 #[cfg(feature = "file")]
 pub use contents::{Contents, Regression, WriteError};

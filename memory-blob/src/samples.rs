@@ -5,7 +5,7 @@
 //! bounds and skips what cannot hold a nearer sample. So the answer is that of an exhaustive
 //! search, at a small part of the work.
 
-use crate::view::Scaling;
+use crate::scaling::Scaling;
 use crate::{MAX_INPUTS, MAX_NEIGHBOURS, QueryError};
 
 /// Samples in a block.

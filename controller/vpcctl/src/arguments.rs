@@ -11,6 +11,7 @@ use crate::check_bridge::CheckBridgeArguments;
 use crate::init::InitArguments;
 use crate::plot::PlotArguments;
 use crate::record::RecordArguments;
+use crate::units::seconds;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
@@ -238,15 +239,6 @@ pub struct StrategyArguments {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub request: RequestArguments,
-}
-
-/// Reads a duration in seconds.
-pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
-    let range = 0.05..=3600.0;
-    match text.parse::<f64>() {
-        Ok(seconds) if range.contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
-        _ => Err("allowed: 0.05 to 3600 seconds".to_owned()),
-    }
 }
 
 /// Reads the name of a strategy as `vpcd --strategy` does, with its neighbours.

@@ -12,9 +12,9 @@ use ipc::{Domain, Publisher, Subscriber, now_ns};
 use messages::{MOST_OBEYED_NS, RobotState, TwistCommand, TwistState};
 use scene::Scene;
 
-use crate::arguments::seconds;
 use crate::exit::{Exit, Failure};
 use crate::presence::Presence;
+use crate::units::seconds;
 
 /// Between two commands, ns.
 const PERIOD_NS: u64 = 33_333_333;

@@ -1,5 +1,7 @@
 //! Numbers with their units, for people.
 
+use std::time::Duration;
+
 /// A duration with three digits and a unit.
 pub fn duration(ns: u64) -> String {
     let ns = ns as f64;
@@ -22,6 +24,15 @@ pub fn pixels(value: f64) -> String {
         _ if value.is_nan() => "-".to_owned(),
         _ if value.is_infinite() => "unbounded".to_owned(),
         _ => format!("{value:.1} px"),
+    }
+}
+
+/// Reads a duration in seconds.
+pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
+    let range = 0.05..=3600.0;
+    match text.parse::<f64>() {
+        Ok(seconds) if range.contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("allowed: 0.05 to 3600 seconds".to_owned()),
     }
 }
 

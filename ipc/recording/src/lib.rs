@@ -10,6 +10,7 @@
 #![forbid(unsafe_code)]
 
 mod clock;
+mod error;
 mod field;
 mod message;
 mod reader;
@@ -17,11 +18,12 @@ mod sink;
 mod writer;
 
 pub use clock::WallClock;
+pub use error::WriteError;
 pub use field::FieldError;
-pub use message::Recorded;
+pub use message::{Encoding, Recorded};
 pub use reader::{ReadError, Recording};
-pub use sink::{Encoding, Sink};
-pub use writer::{RecordingFile, WriteError};
+pub use sink::Sink;
+pub use writer::RecordingFile;
 
 /// Name of the attached configuration of `vpcd`.
 pub const CONFIG_FILE: &str = "vpcd.toml";

@@ -4,7 +4,15 @@ use messages::{Field, Kind, Meaning, Message, Stamp, Wire};
 use serde_json::{Map, Value, json};
 
 use crate::field::{self, FieldError, NON_FINITE};
-use crate::sink::Encoding;
+
+/// How the messages of a topic are encoded.
+#[derive(Clone, Debug)]
+pub struct Encoding {
+    /// Name, encoding and data of the schema.
+    pub schema: (String, String, Vec<u8>),
+    /// Encoding of the messages.
+    pub message: String,
+}
 
 /// A message of the contract as JSON: each field under its own name, numbers exact.
 pub trait Recorded: Message {

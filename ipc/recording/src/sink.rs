@@ -1,17 +1,8 @@
 //! Where messages go: a file, or the clients of a live view.
 
 use crate::clock::WallClock;
-use crate::message::Recorded;
-use crate::writer::WriteError;
-
-/// How the messages of a topic are encoded.
-#[derive(Clone, Debug)]
-pub struct Encoding {
-    /// Name, encoding and data of the schema.
-    pub schema: (String, String, Vec<u8>),
-    /// Encoding of the messages.
-    pub message: String,
-}
+use crate::error::WriteError;
+use crate::message::{Encoding, Recorded};
 
 /// Takes messages by topics. What it receives of a message is the same in a recording and live.
 pub trait Sink {

@@ -7,28 +7,15 @@ use std::path::Path;
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
-use mcap::{Attachment, McapError, WriteOptions, Writer};
+use mcap::{Attachment, WriteOptions, Writer};
 
 use crate::clock::WallClock;
-use crate::sink::{Encoding, Sink};
+use crate::error::WriteError;
+use crate::message::Encoding;
+use crate::sink::Sink;
 
 /// Name of the metadata record at the head of the file.
 pub(crate) const ORIGIN: &str = "vpc.origin";
-
-/// Why a recording was not written.
-#[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
-pub enum WriteError {
-    #[error("{path}: exists; allowed: a new file, or --force")]
-    Exists { path: String },
-    #[error("{path}: cannot create the recording: {source}")]
-    Create {
-        path: String,
-        source: std::io::Error,
-    },
-    #[error("{path}: cannot write the recording: {source}")]
-    Write { path: String, source: McapError },
-}
 
 /// A recording that is being written.
 ///

@@ -5,7 +5,7 @@ use crate::{MAX_INPUTS, MAX_OUTPUTS};
 
 impl Contents {
     /// Refuses every count, shape and range that a reader would refuse.
-    pub(super) fn check(&self) -> Result<(), WriteError> {
+    pub(crate) fn check(&self) -> Result<(), WriteError> {
         let (n, p) = (self.scale.len(), self.y.first().map_or(0, Vec::len));
         let count = self.x.len();
         require((1..=MAX_INPUTS).contains(&n), "scale", entries(n), || {

@@ -13,9 +13,6 @@ use crate::lens::{self, Lens};
 use crate::mask;
 use crate::source::Shutter;
 
-/// Tags of family 36h11: their numbers are below.
-pub const NUMBERS: u32 = 587;
-
 /// Finds AprilTags in a camera's images and publishes them as features.
 ///
 /// Takes images from shared memory, a camera or files, finds tags of family 36h11, and publishes

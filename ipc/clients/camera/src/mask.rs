@@ -2,6 +2,7 @@
 //! background does, and writes a mask and a scene that has it.
 
 mod activity;
+mod error;
 mod exposure;
 mod frames;
 mod learned;
@@ -19,8 +20,9 @@ use scene::Scene;
 
 use crate::lens::{self, Lens};
 
+pub use error::{LEAST_IMAGES, LearnError};
 pub use frames::Frames;
-pub use learned::{LEAST_IMAGES, LearnError, Learned, Settings, learn};
+pub use learned::{Learned, Settings, learn};
 pub use region::{Region, StillArea};
 
 /// The files that are written.

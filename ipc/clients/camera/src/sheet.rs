@@ -9,8 +9,8 @@ use clap::Args;
 use kornia_apriltag::family::TagFamily;
 use scene::Scene;
 
-use crate::config::NUMBERS;
-
+/// Tags of family 36h11: their numbers are below.
+const NUMBERS: u32 = 587;
 /// Paper about the markers, mm.
 const MARGIN: f64 = 15.0;
 /// Modules along a side: of a marker with its white border, and of its black square.

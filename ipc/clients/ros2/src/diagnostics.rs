@@ -2,7 +2,7 @@
 
 use messages::{CycleRecord, Hold, RealTime, TwistState};
 
-use crate::bridge::Report;
+use crate::event::Report;
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time};
 
 /// Levels of a status.

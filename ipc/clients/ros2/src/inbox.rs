@@ -6,8 +6,8 @@ use ipc::now_ns;
 use ros2_client::Subscription;
 use serde::de::DeserializeOwned;
 
-use crate::bridge::{BridgeError, Event};
 use crate::config::Reliability;
+use crate::event::{BridgeError, Event};
 use crate::message::Named;
 use crate::refusal::{Counts, Refusal};
 use crate::ros::{BATCH, Ros, RosError, take};

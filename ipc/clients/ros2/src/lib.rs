@@ -17,6 +17,8 @@ pub mod camera_info;
 #[cfg(feature = "dds")]
 pub mod diagnostics;
 #[cfg(feature = "dds")]
+pub mod event;
+#[cfg(feature = "dds")]
 pub mod eye;
 #[cfg(feature = "dds")]
 pub mod frames;

@@ -11,7 +11,7 @@ use ipc::{Asked, Domain, OperatorPorts};
 use messages::{Action, Outcome, Reply, Request};
 use ros2_client::RmwRequestId;
 
-use crate::bridge::Event;
+use crate::event::Event;
 use crate::message::TriggerResponse;
 use crate::ros::{BATCH, Ros, RosError, TriggerServer};
 

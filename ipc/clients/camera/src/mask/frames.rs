@@ -1,6 +1,6 @@
 //! A sequence of grey images of one size.
 
-use super::learned::LearnError;
+use super::error::LearnError;
 use super::plane::Plane;
 use crate::grey::Grey;
 

@@ -2,6 +2,8 @@
 //!
 //! What the set is at the border of the image, it is beyond: nothing there shrinks it.
 
+use std::fmt;
+
 use crate::distance;
 
 /// A set of pixels of an image.
@@ -147,6 +149,13 @@ impl Region {
 
     fn kept(&self, holds: impl Fn(usize) -> bool) -> Self {
         Self::of(self.width, self.pixels.len() / self.width, holds)
+    }
+}
+
+impl fmt::Display for StillArea {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ([u, v], [width, height]) = (self.center, self.size);
+        write!(f, "{width}x{height} px about ({u:.0}, {v:.0})")
     }
 }
 

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use ipc::Domain;
 
+use super::error::LearnError;
 use super::frames::Frames;
-use super::learned::LearnError;
 use crate::source::{Next, Replay, SharedMemory, Source};
 
 /// How long an image is waited for.

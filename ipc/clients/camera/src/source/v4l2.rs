@@ -3,6 +3,7 @@
 //! Source: "Video for Linux API", chapter "Input/Output", the kernel's userspace documentation.
 
 mod abi;
+mod buffers;
 mod device;
 mod stamp;
 mod stream;

@@ -13,10 +13,8 @@ use rustix::ioctl::{Opcode, Updater, ioctl};
 use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 
 use super::abi::*;
-use super::stream::Buffers;
+use super::buffers::{BUFFERS, Buffer, Buffers};
 
-/// Buffers that the driver fills in turn.
-pub(super) const BUFFERS: u32 = 4;
 /// Most formats that are asked for.
 const MOST_FORMATS: u32 = 64;
 
@@ -42,22 +40,6 @@ pub(super) struct Layout {
     pub size: [u32; 2],
     pub stride: usize,
     pub image_bytes: usize,
-}
-
-/// A full buffer.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Buffer {
-    pub index: u32,
-    pub sequence: u32,
-    pub flags: u32,
-    pub used: usize,
-    pub stamp_ns: u64,
-}
-
-impl Buffer {
-    pub fn is_damaged(&self) -> bool {
-        self.flags & ERROR != 0
-    }
 }
 
 /// A buffer of the driver in this process's memory.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use rustix::io::Errno;
 
 use super::super::{Frame, SourceError};
-use super::device::{BUFFERS, Buffer};
+use super::buffers::{BUFFERS, Buffer, Buffers};
 use super::stamp::{StampedAt, Timing};
 use super::{Format, refused};
 use crate::grey::Grey;
@@ -17,18 +17,6 @@ const LOOK: Duration = Duration::from_millis(50);
 const SILENCE_NS: u64 = 2_000_000_000;
 /// A stamp of CLOCK_MONOTONIC is no older than this when its frame is received, and not later.
 const OLDEST_NS: u64 = 1_000_000_000;
-
-/// Buffers that a driver fills.
-pub(super) trait Buffers {
-    /// Waits until a buffer is full; false after `timeout`.
-    fn wait(&mut self, timeout: Duration) -> Result<bool, Errno>;
-    /// Takes the oldest full buffer; `None` if there is none.
-    fn take(&mut self) -> Result<Option<Buffer>, Errno>;
-    /// Gives a buffer back.
-    fn give(&mut self, index: u32) -> Result<(), Errno>;
-    fn bytes(&self, index: u32) -> &[u8];
-    fn now_ns(&self) -> u64;
-}
 
 /// The images of a started camera.
 pub(super) struct Stream<B> {
