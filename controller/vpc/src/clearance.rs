@@ -22,3 +22,12 @@ impl Clearance {
         gradient
     }
 }
+
+/// A point with its marker.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    /// Where it is, px.
+    pub pixel: [f64; 2],
+    /// The radius of its marker ([`Task::radius`](crate::Task::radius)), px.
+    pub radius: f64,
+}

@@ -2,12 +2,12 @@
 
 use crate::cost;
 use crate::limit;
-use crate::prediction::{InitialState, Plan};
+use crate::prediction::{InitialState, Plan, repeated};
 use crate::problem::{Problem, Solution};
 use crate::settings::Settings;
 use crate::solver::Solver;
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Points, Twist};
+use crate::{DOF, Points, Twist};
 
 /// The inputs of a command.
 #[derive(Clone, Copy)]
@@ -83,14 +83,4 @@ impl Policy<'_> {
         };
         solver.evaluate(&problem, &repeated(twist)).unwrap_or(0.0)
     }
-}
-
-/// The plan that repeats one twist.
-///
-/// Source: paper, Eq. (warm_start).
-pub(crate) fn repeated(twist: &Twist) -> Plan {
-    let mut plan = [0.0; MAX_VARIABLES];
-    plan.chunks_exact_mut(DOF)
-        .for_each(|command| command.copy_from_slice(twist));
-    plan
 }

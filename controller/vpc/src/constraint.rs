@@ -10,9 +10,8 @@
 
 use scene::Camera;
 
-use crate::clearance::Clearance;
+use crate::clearance::{Clearance, Place};
 use crate::obstacle::Obstacle;
-use crate::prediction::Place;
 use crate::task::Task;
 
 /// What a feature must not cross.
@@ -53,8 +52,11 @@ impl Border<'_> {
     }
 }
 
+/// Sides of an image.
+pub(crate) const SIDES: usize = 4;
+
 /// The sides of the image: left, top, right, bottom.
-pub fn sides(camera: &Camera) -> [Border<'static>; 4] {
+pub fn sides(camera: &Camera) -> [Border<'static>; SIDES] {
     let side = |axis, at, sign| Border::Image { axis, at, sign };
     [
         side(0, 0.0, 1.0),
@@ -66,10 +68,8 @@ pub fn sides(camera: &Camera) -> [Border<'static>; 4] {
 
 /// The border of this index: the sides of the image come first, then the obstacles of the task.
 pub(crate) fn border(task: &Task, index: usize) -> Option<Border<'_>> {
-    match sides(&task.camera).get(index) {
-        Some(&side) => Some(side),
-        None => task.obstacle(index - 4).map(Border::Obstacle),
-    }
+    let obstacles = task.obstacles().map(Border::Obstacle);
+    sides(&task.camera).into_iter().chain(obstacles).nth(index)
 }
 
 /// The borders that a pixel between the corners of a box may be less than `margin` px away from,
@@ -89,7 +89,7 @@ pub(crate) fn borders_near(
     let sides = sides(&task.camera).into_iter().enumerate().zip(is_near);
     let sides = sides.filter_map(|(side, is_near)| is_near.then_some(side));
     let obstacles = task.obstacles_near(low, high, margin);
-    sides.chain(obstacles.map(|(index, obstacle)| (4 + index, Border::Obstacle(obstacle))))
+    sides.chain(obstacles.map(|(index, obstacle)| (SIDES + index, Border::Obstacle(obstacle))))
 }
 
 /// The sum of all violations of a pixel, px, where every border is moved inwards by `margin` px.

@@ -9,9 +9,9 @@
 //! more than [`SPACING_PX`] in one, at most [`STRETCHES_A_STEP`] for each step. Between two of
 //! these places a feature that rounds a right-angled corner is at most 3 px inside.
 
-use crate::clearance::Clearance;
+use crate::clearance::{Clearance, Place};
 use crate::constraint::{self, Border};
-use crate::prediction::{InitialState, Place};
+use crate::prediction::InitialState;
 use crate::task::Task;
 use crate::workspace::Workspace;
 use crate::{MAX_POINTS, Twist};

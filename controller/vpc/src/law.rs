@@ -2,7 +2,7 @@
 
 use scene::Scene;
 
-use crate::command::{Policy, Present, repeated};
+use crate::command::{Policy, Present};
 use crate::delay::{History, Unpredictable};
 use crate::features::{self, PlainPoints};
 use crate::follow::Follow;
@@ -10,7 +10,7 @@ use crate::foresight::{FAR, Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
 use crate::patience::Patience;
 use crate::pose::Tilt;
-use crate::prediction::{InitialState, Plan};
+use crate::prediction::{InitialState, Plan, repeated};
 use crate::problem::Status;
 use crate::recall::{self, Asked, MotionMemory, Recall};
 use crate::settings::{Settings, SettingsError};

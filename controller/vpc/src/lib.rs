@@ -85,6 +85,7 @@ pub mod problem;
 pub mod qp;
 pub mod recall;
 pub mod settings;
+mod size;
 pub mod solver;
 mod sqp;
 pub mod state;

@@ -22,6 +22,7 @@ use heapless::Vec;
 use libm::sqrt;
 use nalgebra::Vector3;
 
+use crate::clearance::Place;
 use crate::motion::{Motion, Sensitivity};
 use crate::pose::{Estimate, Tilt};
 use crate::task::Task;
@@ -321,6 +322,16 @@ fn pose_of(task: &Task, points: &Points, before: Option<&Tilt>) -> Option<(Estim
 /// nc` entries count.
 pub type Plan = [f64; MAX_VARIABLES];
 
+/// The plan that repeats one twist.
+///
+/// Source: paper, Eq. (warm_start).
+pub(crate) fn repeated(twist: &Twist) -> Plan {
+    let mut plan = [0.0; MAX_VARIABLES];
+    plan.chunks_exact_mut(DOF)
+        .for_each(|command| command.copy_from_slice(twist));
+    plan
+}
+
 /// The previewed features and their derivatives with respect to the first `N = 6 nc` entries of the
 /// plan, in a workspace that the caller lends.
 #[derive(Debug)]
@@ -336,15 +347,6 @@ pub struct Preview<'w, const N: usize> {
     radii: &'w mut [f64],
     /// Derivatives of those radii that are not zero.
     growths: &'w mut [[f64; N]],
-}
-
-/// A point with its marker.
-#[derive(Clone, Copy, Debug)]
-pub struct Place {
-    /// Where it is, px.
-    pub pixel: [f64; 2],
-    /// The radius of its [marker](Task::radius), px.
-    pub radius: f64,
 }
 
 /// A previewed point, and the derivatives of its pixel and of its marker's radius with respect to

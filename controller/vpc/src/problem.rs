@@ -2,8 +2,7 @@
 //!
 //! Source: paper, Eq. (vpc).
 
-use crate::command::repeated;
-use crate::prediction::{InitialState, Plan};
+use crate::prediction::{InitialState, Plan, repeated};
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist};
 

@@ -20,14 +20,14 @@
     reason = "indices run over the N variables, the DOF components or the 2 coordinates of arrays of that length"
 )]
 
-use crate::clearance::Clearance;
+use crate::clearance::{Clearance, Place};
 use crate::constraint;
 use crate::cost::{self, Expansion};
 use crate::intersample::{Intersample, NEAR_PX};
-use crate::prediction::{Place, Plan, Preview};
+use crate::prediction::{Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
 use crate::qp::{ActiveSet, Answer, QpStatus, Quadratic, Rows};
-use crate::solver::Size;
+use crate::size::Size;
 use crate::work::Prices;
 use crate::workspace::Workspace;
 use crate::{DOF, MAX_VARIABLES, Twist};

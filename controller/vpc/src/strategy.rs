@@ -40,7 +40,11 @@ pub(crate) fn words() -> Vec<String> {
 /// A strategy as its word, in a configuration file.
 #[cfg(feature = "file")]
 pub(crate) mod word {
-    use super::{Deserialize, Strategy, String};
+    use alloc::string::String;
+
+    use serde::Deserialize;
+
+    use crate::strategy::Strategy;
 
     pub fn serialize<S: serde::Serializer>(strategy: &Strategy, to: S) -> Result<S::Ok, S::Error> {
         to.collect_str(strategy)

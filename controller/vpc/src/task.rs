@@ -7,7 +7,7 @@ use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
 use crate::obstacle::Obstacle;
-use crate::{MAX_POINTS, Twist, camera, constraint, motion};
+use crate::{MAX_POINTS, Twist, camera, motion};
 
 /// Most parts of all occlusions together.
 pub const MAX_ALL_PARTS: usize = 48;
@@ -102,25 +102,7 @@ impl Task {
             goal.extend([pixel]);
             goal_depth.extend([x.z]);
         }
-        for (point, &pixel) in goal.iter().enumerate() {
-            let ([u, v], camera) = (pixel, &scene.camera);
-            if !(0.0..=camera.width).contains(&u) || !(0.0..=camera.height).contains(&v) {
-                return Err(TaskError::GoalOffImage { point, pixel });
-            }
-            if let Some(part) = parts
-                .iter()
-                .position(|part| Obstacle::Part(part).hides(pixel))
-            {
-                return Err(TaskError::GoalOccluded { point, pixel, part });
-            }
-            if areas.iter().any(|area| Obstacle::Area(area).hides(pixel)) {
-                return Err(TaskError::GoalMasked { point, pixel });
-            }
-        }
-        let obstacles = parts.iter().map(Obstacle::Part);
-        let obstacles = obstacles.chain(areas.iter().map(Obstacle::Area));
-        let boxes = obstacles.map(Obstacle::bounding_box).collect();
-        let task = Self {
+        let mut task = Self {
             camera: scene.camera,
             pattern: scene.pattern.clone(),
             goal_area: features::area(&goal),
@@ -136,19 +118,38 @@ impl Task {
             ts: scene.sampling_time(),
             reach: scene.sampling_time(),
             half_diagonal: scene.camera.fx.max(scene.camera.fy) * scene.marker_size * FRAC_1_SQRT_2,
-            boxes,
+            boxes: heapless::Vec::new(),
         };
-        task.check_goal_markers()?;
+        task.boxes = task.obstacles().map(Obstacle::bounding_box).collect();
+        task.check_goal()?;
         Ok(task)
     }
 
-    /// Whether the law can bring every marker to its goal: whole.
-    fn check_goal_markers(&self) -> Result<(), TaskError> {
+    /// Whether every point is in sight at the goal, and then whether every marker is wholly so.
+    fn check_goal(&self) -> Result<(), TaskError> {
+        let Camera { width, height, .. } = self.camera;
+        for (point, &pixel) in self.goal.iter().enumerate() {
+            let [u, v] = pixel;
+            if !(0.0..=width).contains(&u) || !(0.0..=height).contains(&v) {
+                return Err(TaskError::GoalOffImage { point, pixel });
+            }
+            let mut obstacles = self.obstacles().enumerate();
+            match obstacles.find(|(_, obstacle)| obstacle.hides(pixel)) {
+                Some((part, Obstacle::Part(_))) => {
+                    return Err(TaskError::GoalOccluded { point, pixel, part });
+                }
+                Some((_, Obstacle::Area(_))) => {
+                    return Err(TaskError::GoalMasked { point, pixel });
+                }
+                None => (),
+            }
+        }
         let goals = self.goal.iter().zip(&self.goal_depth).enumerate();
         for (point, (&pixel, &depth)) in goals.filter(|_| self.has_markers()) {
-            let radius = self.radius(depth);
-            let clearance = constraint::least_clearance(self, pixel)
-                .min(constraint::border_clearance(self, pixel));
+            let [u, v] = pixel;
+            let border = u.min(v).min(width - u).min(height - v);
+            let obstacles = self.obstacles().map(|each| each.clearance(pixel).distance);
+            let (radius, clearance) = (self.radius(depth), obstacles.fold(border, f64::min));
             if clearance < radius {
                 return Err(TaskError::GoalMarkerHidden {
                     point,
@@ -187,14 +188,6 @@ impl Task {
         self.parts.iter().map(Obstacle::Part).chain(areas)
     }
 
-    /// The obstacle of this index among [`Task::obstacles`].
-    pub fn obstacle(&self, index: usize) -> Option<Obstacle<'_>> {
-        match self.parts.get(index) {
-            Some(part) => Some(Obstacle::Part(part)),
-            None => self.areas.get(index - self.parts.len()).map(Obstacle::Area),
-        }
-    }
-
     /// The obstacles whose bounding box comes within `margin` px of the box from `low` to `high`,
     /// with their indices.
     pub(crate) fn obstacles_near(
@@ -209,12 +202,9 @@ impl Task {
                 && high[1] > from[1] - margin
                 && low[1] < to[1] + margin
         };
-        let near = self
-            .boxes
-            .iter()
-            .enumerate()
-            .filter(move |(_, box_)| is_near(box_));
-        near.filter_map(|(index, _)| Some((index, self.obstacle(index)?)))
+        let boxes = self.boxes.iter().enumerate();
+        let near = boxes.filter(move |(_, box_)| is_near(box_));
+        near.filter_map(|(index, _)| Some((index, self.obstacles().nth(index)?)))
     }
 
     /// The features of the pattern at a pose of the object in the camera frame, px; `None` if a

@@ -6,7 +6,8 @@
 //! commands, 4 and 8 points, and 6 and 47 parts, on a virtual machine of 2026 (`cargo run --release
 //! -p vpc --example step_times`).
 
-use crate::solver::Size;
+use crate::constraint::SIDES;
+use crate::size::Size;
 
 /// Iterations' worth of work that a simulated step of foresight takes.
 const ITERATIONS_A_STEP: u32 = 2;
@@ -42,7 +43,7 @@ impl Prices {
     /// The prices of problems of this size.
     pub const fn of(size: Size) -> Self {
         let (points, places) = (size.points as u32, (size.np * size.points) as u32);
-        let pairs = size.np * size.np * size.points * (4 + size.obstacles);
+        let pairs = size.np * size.np * size.points * (SIDES + size.obstacles);
         let rows = pairs / PAIRS_A_ROW;
         let rows = if rows < size.rows { rows } else { size.rows };
         let n = 6 * size.nc as u32;
