@@ -5,12 +5,12 @@
 use std::path::{Path, PathBuf};
 
 use messages::ClockMode;
+use program::Exit;
 use scene::Scene;
 use toml_schema::Document;
 use vpc::{Settings, SettingsError};
 
 use crate::arguments::Arguments;
-use crate::exit::Exit;
 use crate::realtime::RealtimeRequest;
 use decision::{Rules, Safety};
 
@@ -81,13 +81,11 @@ pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Tables>()
 }
 
-impl From<&ConfigError> for Exit {
-    fn from(error: &ConfigError) -> Self {
-        match error {
-            ConfigError::Read { .. } | ConfigError::Named { .. } => Self::NoInput,
-            ConfigError::Value { path, .. } if path == toml_schema::COMMAND_LINE => Self::Usage,
-            _ => Self::Config,
-        }
+/// The exit code of `vpcd` after an error of its configuration.
+pub(crate) fn exit(error: &ConfigError) -> Exit {
+    match error {
+        ConfigError::Value { path, .. } if path == toml_schema::COMMAND_LINE => Exit::Usage,
+        error => Exit::from(error),
     }
 }
 

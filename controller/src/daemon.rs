@@ -10,11 +10,11 @@ use clap::Parser;
 use decision::HoldReason;
 use ipc::{ControllerPorts, Domain, StopFile};
 use messages::{ClockMode, RealTime};
+use program::{Exit, StartUp};
 
 use crate::arguments::{Arguments, Command};
 use crate::config::{self, Config, ConfigError};
 use crate::cycle::{Cycle, Pace};
-use crate::exit::Exit;
 use crate::flight::{self, About, DumpRequest, Recorder};
 use crate::instance::{self, Instance, InstanceError};
 use crate::loaded::{LoadError, Loaded};
@@ -71,7 +71,7 @@ impl Failure {
     /// The exit code that it asks for.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Config(error) => error.into(),
+            Self::Config(error) => config::exit(error),
             Self::Load(error) => error.into(),
             Self::Service(_) | Self::Instance(InstanceError::NoState) => Exit::Config,
             Self::Join(_) | Self::Instance(_) | Self::Open(_) | Self::Stop(_) => Exit::Unavailable,
@@ -129,7 +129,7 @@ fn print_config(arguments: &Arguments) -> Exit {
             print!("{text}");
             Exit::Ok
         }
-        Err(error) => failed(&error, Exit::from(&error)),
+        Err(error) => failed(&error, config::exit(&error)),
     }
 }
 
@@ -143,7 +143,7 @@ fn preflight(arguments: &Arguments) -> Exit {
     let config = arguments.config.as_ref().map(|_| Config::read(arguments));
     let config = match config.transpose() {
         Ok(config) => config,
-        Err(error) => return failed(&error, Exit::from(&error)),
+        Err(error) => return failed(&error, config::exit(&error)),
     };
     let wanted = config.as_ref().and_then(|config| config.realtime);
     let wanted = wanted.unwrap_or(usual);
@@ -160,11 +160,12 @@ fn preflight(arguments: &Arguments) -> Exit {
     } else {
         println!("{found}");
     }
-    if found.fit { Exit::Ok } else { Exit::No }
+    if found.fit { Exit::Ok } else { Exit::Attention }
 }
 
 /// What signals set.
 struct Signals {
+    start_up: StartUp,
     stop: Stop,
     hangup: Hangup,
     dump: DumpRequest,
@@ -172,8 +173,10 @@ struct Signals {
 
 impl Signals {
     fn handle() -> Result<Self, Failure> {
+        let (start_up, stop) = Stop::by_signals().map_err(Failure::Signals)?;
         Ok(Self {
-            stop: Stop::by_signals().map_err(Failure::Signals)?,
+            start_up,
+            stop,
             hangup: Hangup::by_signal().map_err(Failure::Signals)?,
             dump: DumpRequest::by_signal().map_err(Failure::Signals)?,
         })
@@ -206,7 +209,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
-    signals.stop.begin();
+    drop(signals.start_up);
     let begins_armed = config.safety.armed && config.clock != ClockMode::Lockstep;
     let state = match begins_armed {
         true => Some(instance::state_directory()?),

@@ -27,7 +27,6 @@ pub mod clock;
 pub mod config;
 pub mod cycle;
 pub mod daemon;
-pub mod exit;
 pub mod flight;
 pub mod histogram;
 pub mod instance;

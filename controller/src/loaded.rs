@@ -5,10 +5,9 @@ use std::path::Path;
 use decision::law;
 use decision::{ControlStep, Rules};
 use memory_blob::{MemoryFile, OpenError};
+use program::Exit;
 use scene::{FileError, Scene, SceneFiles};
 use vpc::{Settings, SettingsError, Strategy};
-
-use crate::exit::Exit;
 
 /// Why it could not be read.
 #[derive(Debug, thiserror::Error)]

@@ -1,9 +1,9 @@
 //! What the daemon leaves in its domain while it runs: scene, masks and configuration, for viewers
 //! and recorders.
 
-use std::fs::{self, DirBuilder, OpenOptions};
-use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::fs::{self, DirBuilder};
+use std::io;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Component, Path, PathBuf};
 
 use ipc::{CONFIG_FILE, SCENE_FILE};
@@ -55,12 +55,7 @@ fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
             .mode(0o700)
             .create(directory)?;
     }
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".tmp");
-    let mut how = OpenOptions::new();
-    how.write(true).create(true).truncate(true).mode(0o600);
-    how.open(&beside)?.write_all(bytes)?;
-    fs::rename(&beside, path)
+    program::publish(path, bytes, 0o600)
 }
 
 #[cfg(test)]

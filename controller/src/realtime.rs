@@ -45,7 +45,11 @@ pub fn enter(wanted: RealtimeRequest) -> RealTime {
         "no SCHED_FIFO at priority {}, expect wake-ups late by up to 200 ms under load (CAP_SYS_NICE, or LimitRTPRIO= in the unit)",
         wanted.priority
     );
-    lack(RealTime::NO_FIFO, fifo(wanted.priority), &what);
+    lack(
+        RealTime::NO_FIFO,
+        program::take_fifo(wanted.priority),
+        &what,
+    );
     let what =
         "memory is not locked, expect page faults in the loop (LimitMEMLOCK=infinity in the unit)";
     lack(RealTime::NO_LOCK, lock(), what);
@@ -79,28 +83,6 @@ fn pin(cpu: usize) -> io::Result<()> {
     })?;
     let got = sched_getaffinity(None)?;
     if got.count() == 1 && got.is_set(cpu) {
-        return Ok(());
-    }
-    Err(io::Error::other("the kernel says otherwise"))
-}
-
-#[allow(unsafe_code)]
-fn fifo(priority: i32) -> io::Result<()> {
-    let parameters = libc::sched_param {
-        sched_priority: priority,
-    };
-    // Threads that this one may start are ordinary ones again.
-    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // SAFETY: the pointer is to a live value of the right type; 0 names the calling thread.
-    if unsafe { libc::sched_setscheduler(0, policy, &parameters) } != 0 {
-        return Err(io::Error::last_os_error());
-    }
-    let mut got = libc::sched_param { sched_priority: 0 };
-    // SAFETY: 0 names the calling thread.
-    let policy = unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK;
-    // SAFETY: the pointer is to a live value of the right type, which the call fills.
-    let outcome = unsafe { libc::sched_getparam(0, &mut got) };
-    if outcome == 0 && policy == libc::SCHED_FIFO && got.sched_priority == priority {
         return Ok(());
     }
     Err(io::Error::other("the kernel says otherwise"))

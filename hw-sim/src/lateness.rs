@@ -29,10 +29,7 @@ impl Lateness {
     pub fn report(&self) -> LatenessReport {
         let mut sorted = self.0.clone();
         sorted.sort_unstable_by(f64::total_cmp);
-        let at = |share: f64| {
-            let rank = (share * sorted.len() as f64).ceil() as usize;
-            sorted.get(rank.max(1) - 1).copied().unwrap_or(0.0)
-        };
+        let at = |share: f64| program::quantile(&sorted, share);
         LatenessReport {
             count: sorted.len() as u64,
             p50_us: at(0.5),

@@ -7,7 +7,7 @@
 //! process. It steps a [`cell::Cell`]: the [`free::FreeCell`], which moves as told, or the
 //! [`rig::Rig`], a Panda. Cells know neither clocks nor ports; the table of results steps them,
 //! too.
-#![deny(unsafe_code)] // but for the one call of `priority`
+#![forbid(unsafe_code)]
 
 pub mod camera;
 pub mod cell;
@@ -24,7 +24,6 @@ pub mod painted;
 mod picture;
 mod port;
 pub mod pose;
-mod priority;
 pub mod progress;
 pub mod recording;
 pub mod referee;

@@ -7,7 +7,7 @@ use hw_sim::config::{Arguments, Clock, Config};
 use hw_sim::emulator::{self, Tally};
 use hw_sim::outcome::Outcome;
 use hw_sim::rig::RigError;
-use program::{CONFIG, UNAVAILABLE};
+use program::Exit;
 
 fn main() -> ExitCode {
     begin().unwrap_or_else(|code| code)
@@ -15,12 +15,10 @@ fn main() -> ExitCode {
 
 fn begin() -> Result<ExitCode, ExitCode> {
     let matches = program::arguments::<Arguments>()?;
-    let config = Config::load(&matches).map_err(|error| {
-        eprintln!("hw-sim: {error}");
-        ExitCode::from(error.exit_code())
-    })?;
-    let start_up = program::StartUp::begin("hw-sim")?;
-    let stop = program::stop_on_signals("hw-sim")?;
+    let config = Config::load(&matches).map_err(|error| Exit::from(&error).say("hw-sim", error))?;
+    let unavailable = |error| Exit::Unavailable.say("hw-sim", error);
+    let start_up = program::StartUp::begin().map_err(unavailable)?;
+    let stop = program::stop_on_signals().map_err(unavailable)?;
     let prints_json = config.json || !std::io::stdout().is_terminal();
     let is_series = config.repeat || config.starts.len() > 1;
     let tell = |outcome: &Outcome, tally: Tally| {
@@ -46,10 +44,14 @@ fn begin() -> Result<ExitCode, ExitCode> {
             ExitCode::from(u8::from(tally.runs == 0 || tally.arrived < tally.runs))
         }
         Err(error) => {
-            eprintln!("hw-sim: {error:#}");
             // An arm that cannot be: its start is out of reach, or a setting out of range.
             let is_settings = matches!(error.downcast_ref(), Some(RigError::Arm(_)));
-            ExitCode::from(if is_settings { CONFIG } else { UNAVAILABLE })
+            let exit = if is_settings {
+                Exit::Config
+            } else {
+                Exit::Unavailable
+            };
+            exit.say("hw-sim", format_args!("{error:#}"))
         }
     })
 }

@@ -35,8 +35,6 @@ mod order;
 #[cfg(feature = "file")]
 mod probe;
 #[cfg(feature = "file")]
-mod replace;
-#[cfg(feature = "file")]
 mod report;
 #[cfg(feature = "file")]
 mod sealed;
@@ -59,8 +57,6 @@ pub use contents::{Contents, Regression, WriteError};
 pub use file::{MemoryFile, OpenError};
 #[cfg(feature = "file")]
 pub use format::hex;
-#[cfg(feature = "file")]
-pub use replace::replace;
 #[cfg(feature = "file")]
 pub use report::Report;
 

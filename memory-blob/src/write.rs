@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use crate::draft::Draft;
-use crate::replace::replace;
 use crate::{Contents, WriteError};
 
 impl Contents {
@@ -15,7 +14,7 @@ impl Contents {
     /// [`WriteError`] if the contents contradict themselves or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
         self.check()?;
-        replace(path, &Draft::of(self).bytes()).map_err(|source| WriteError::Write {
+        program::replace(path, &Draft::of(self).bytes()).map_err(|source| WriteError::Write {
             path: path.display().to_string(),
             source,
         })

@@ -46,7 +46,7 @@ pub fn attended(
     // A program started with `nohup` or in the background is meant to go on.
     for signal in [SIGINT, SIGTERM, SIGHUP]
         .into_iter()
-        .filter(|signal| !is_ignored(*signal))
+        .filter(|signal| !program::is_ignored(*signal))
     {
         let number = signal.unsigned_abs() as usize;
         if let Err(error) = signal_hook::flag::register_usize(signal, Arc::clone(&heard), number) {
@@ -79,14 +79,6 @@ pub fn attended(
         eprintln!("{program}: {error:#}");
         ExitCode::FAILURE
     })
-}
-
-/// Whether this process was started with a signal ignored.
-fn is_ignored(signal: i32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
 /// Whether a child that has not been waited for has ended by then.

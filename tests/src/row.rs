@@ -66,13 +66,7 @@ pub struct CycleTime {
 impl CycleTime {
     fn of(mut times: Vec<f64>) -> Self {
         times.sort_by(f64::total_cmp);
-        let at = |share: f64| {
-            let index = (share * times.len() as f64) as usize;
-            times
-                .get(index.min(times.len().saturating_sub(1)))
-                .copied()
-                .unwrap_or(0.0)
-        };
+        let at = |share| program::quantile(&times, share);
         let mean = times.iter().sum::<f64>() / times.len().max(1) as f64;
         Self {
             mean,

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use messages::{ClockMode, CycleRecord, TwistState};
+use program::quantile;
 use serde::Serialize;
 
 use recording::Recording;
@@ -227,12 +228,6 @@ fn us(ns: u64) -> f64 {
     ns as f64 / 1e3
 }
 
-/// The least number that this share of the sorted numbers does not exceed; 0 where there are none.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.max(1) - 1).copied().unwrap_or(0.0)
-}
-
 /// The least of 0.1, 0.2, 0.5, 1, 2, 5, ... that a time does not exceed, us.
 fn round_up(us: f64) -> f64 {
     // Whole nanoseconds are exact, and below 2^64 there are at most 18 tenfolds of three steps.
@@ -258,16 +253,6 @@ fn rounded(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn quantiles_are_ranks() {
-        let numbers: Vec<f64> = (1..=1000).map(f64::from).collect();
-        assert_eq!(quantile(&numbers, 0.5), 500.0);
-        assert_eq!(quantile(&numbers, 0.99), 990.0);
-        assert_eq!(quantile(&numbers, 0.999), 999.0);
-        assert_eq!(quantile(&numbers[..1], 0.999), 1.0);
-        assert_eq!(quantile(&[], 0.5), 0.0);
-    }
 
     #[test]
     fn histograms_end_at_round_numbers() {

@@ -1,9 +1,9 @@
 //! What is read, and what is refused with which message.
 
+use program::Exit;
 use vpc::Strategy;
 
 use super::*;
-use crate::exit::Exit;
 
 fn parse(text: &str, arguments: &Arguments) -> Result<Config, ConfigError> {
     Config::parse(text, "/etc/v.toml", Path::new("/etc"), arguments)
@@ -11,7 +11,7 @@ fn parse(text: &str, arguments: &Arguments) -> Result<Config, ConfigError> {
 
 fn refused(text: &str) -> String {
     let error = parse(text, &Arguments::default()).unwrap_err();
-    assert_eq!(Exit::from(&error), Exit::Config);
+    assert_eq!(super::exit(&error), Exit::Config);
     error.to_string()
 }
 
@@ -175,7 +175,7 @@ fn a_wrong_flag_is_an_error_of_usage() {
         ..Arguments::default()
     };
     let error = parse("scene = 's.toml'", &flags).unwrap_err();
-    assert_eq!(Exit::from(&error), Exit::Usage);
+    assert_eq!(super::exit(&error), Exit::Usage);
     assert_eq!(
         error.to_string(),
         "command line: --np = 0; allowed: 1 to 40"

@@ -28,7 +28,7 @@ impl DumpRequest {
     /// If the operating system refuses the handler.
     pub fn by_signal() -> std::io::Result<Self> {
         let request = Self::default();
-        signal_hook::flag::register(signal_hook::consts::SIGUSR1, Arc::clone(&request.0))?;
+        program::set_on(signal_hook::consts::SIGUSR1, &request.0)?;
         Ok(request)
     }
 

@@ -7,14 +7,14 @@ use decision::Rules;
 use decision::snapshot::SnapshotError;
 use memory_blob::hex;
 use messages::{CycleRecord, StrategyCode};
+use program::Exit;
 use recording::{CONFIG_FILE, ReadError, Recorded, Recording, SCENE_FILE};
 use scene::SceneFiles;
 use serde_json::{Value, json};
 
 use super::{Difference, ReplayError, Report, replay};
 use crate::arguments::{Arguments, ReplayArguments};
-use crate::config::{Config, ConfigError};
-use crate::exit::Exit;
+use crate::config::{self, Config, ConfigError};
 use crate::flight::file::{self, origin};
 use crate::loaded::{LoadError, Loaded};
 use crate::log;
@@ -53,7 +53,7 @@ impl CommandError {
     fn exit(&self) -> Exit {
         match self {
             Self::Read(ReadError::Read { .. }) => Exit::NoInput,
-            Self::Config(error) => error.into(),
+            Self::Config(error) => config::exit(error),
             Self::Load(error) => error.into(),
             Self::Until { .. } => Exit::Usage,
             _ => Exit::Data,
@@ -90,7 +90,7 @@ fn attempt(arguments: &ReplayArguments) -> Result<Exit, CommandError> {
     }
     Ok(match outcome {
         Ok(_) => Exit::Ok,
-        Err(_) => Exit::No,
+        Err(_) => Exit::Attention,
     })
 }
 

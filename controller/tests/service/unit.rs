@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use controller::exit::Exit;
+use program::Exit;
 
 use crate::fixture::{Place, are_installed, not_run, root, vpcd};
 

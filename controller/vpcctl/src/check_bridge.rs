@@ -10,9 +10,10 @@ use std::time::Duration;
 use clap::Args;
 use ipc::{Domain, Publisher, Subscriber, now_ns};
 use messages::{MOST_OBEYED_NS, RobotState, TwistCommand, TwistState};
+use program::Exit;
 use scene::Scene;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::presence::Presence;
 use crate::units::seconds;
 

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use messages::Action;
+use program::Exit;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::request;
 use crate::settings::Settings;
 

@@ -1,15 +1,13 @@
 //! `serve --foxglove`: a domain live in Foxglove.
 
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
+use program::{Exit, StartUp};
 use recorder::live::{self, LiveOptions};
 use scene::SceneFiles;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::arguments::ServeArguments;
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::output;
 use crate::record;
 use crate::server;
@@ -33,13 +31,9 @@ pub fn run(domain: &Path, arguments: &ServeArguments) -> Result<Exit, Failure> {
         .as_deref()
         .map(record::mount)
         .transpose()?;
-    let stop = Arc::new(AtomicBool::new(false));
     // Until the server is there the signals end the program, which may wait for the domain's lock.
-    let is_starting = Arc::new(AtomicBool::new(true));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register_conditional_default(signal, Arc::clone(&is_starting))?;
-        signal_hook::flag::register(signal, Arc::clone(&stop))?;
-    }
+    let start_up = StartUp::begin()?;
+    let stop = program::stop_on_signals()?;
     let options = LiveOptions {
         domain: domain.to_owned(),
         scene,
@@ -53,7 +47,7 @@ pub fn run(domain: &Path, arguments: &ServeArguments) -> Result<Exit, Failure> {
         );
     }
     let begun = |address| {
-        is_starting.store(false, Ordering::Relaxed);
+        drop(start_up);
         // Nobody reads it any more: the server goes on.
         let _ = output::write(&format!("Foxglove: open a connection to ws://{address}\n"));
     };

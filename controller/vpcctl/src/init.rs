@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use arm::Model;
 use clap::{Args, ValueEnum};
+use program::Exit;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 
 /// The command line of `init`.
 #[derive(Clone, Debug, Args)]

@@ -1,6 +1,7 @@
 //! The stages of a cycle and statistics of their durations.
 
 use messages::CycleRecord;
+use program::quantile;
 use serde::Serialize;
 
 /// The stages of a cycle: waking up after the release (0 in lockstep), receiving and checking,
@@ -65,14 +66,10 @@ impl Percentiles {
     pub fn of(durations: impl Iterator<Item = u64>) -> Self {
         let mut sorted: Vec<u64> = durations.collect();
         sorted.sort_unstable();
-        let rank = |percent: usize| {
-            let place = (sorted.len() * percent).div_ceil(100).max(1) - 1;
-            sorted.get(place).copied().unwrap_or(0)
-        };
         Self {
-            p50_ns: rank(50),
-            p99_ns: rank(99),
-            max_ns: rank(100),
+            p50_ns: quantile(&sorted, 0.5),
+            p99_ns: quantile(&sorted, 0.99),
+            max_ns: quantile(&sorted, 1.0),
         }
     }
 }

@@ -7,7 +7,7 @@
 pub mod arguments;
 pub mod check_bridge;
 pub mod doctor;
-pub mod exit;
+pub mod failure;
 pub mod flight;
 pub mod foxglove;
 pub mod image_plane;
@@ -36,9 +36,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use messages::{Action, Request};
+use program::Exit;
 
 use arguments::{Arguments, Command, RequestArguments};
-use exit::{Exit, Failure};
+use failure::Failure;
 use image_plane::ImagePlane;
 use status::Asking;
 use watcher::Watcher;

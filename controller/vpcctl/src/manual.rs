@@ -6,7 +6,7 @@ use clap::CommandFactory;
 use clap_complete::Shell;
 
 use crate::arguments::Arguments;
-use crate::exit::Failure;
+use crate::failure::Failure;
 
 /// The completions for a shell.
 pub fn completions(shell: Shell) -> Vec<u8> {

@@ -11,8 +11,9 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::Html;
 use axum::routing::get;
 use messages::{CycleRecord, Hold, PhaseCode, RealTime, RobotFaults, RobotMode, Table, TwistState};
+use program::Exit;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::latency::{BOUNDS, Histogram, STAGES};
 use crate::request::strategy_name;
 use crate::status::{self, Status};

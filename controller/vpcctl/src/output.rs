@@ -3,8 +3,9 @@
 use std::io::{self, ErrorKind, IsTerminal, Write};
 
 use messages::{Hold, TwistState};
+use program::Exit;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 
 /// Writes text to standard output. A reader that left, as `head` does, is no failure.
 ///

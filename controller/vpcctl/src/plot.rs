@@ -7,7 +7,7 @@ use recorder::Report;
 use recording::Recording;
 use scene::Scene;
 
-use crate::exit::Failure;
+use crate::failure::Failure;
 
 /// `plot`.
 #[derive(Clone, Debug, Args)]

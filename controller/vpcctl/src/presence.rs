@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use ipc::Domain;
 
-use crate::exit::Failure;
+use crate::failure::Failure;
 
 /// The file in which the daemon leaves its process id, and which it keeps locked.
 const FILE: &str = "vpcd.pid";
@@ -13,7 +13,7 @@ const FILE: &str = "vpcd.pid";
 /// Joins a domain that exists.
 ///
 /// # Errors
-/// [`Exit::NoDaemon`](crate::exit::Exit) where the directory does not exist, which joining would
+/// [`Exit::NoDaemon`](program::Exit) where the directory does not exist, which joining would
 /// create; [`ipc::JoinError`].
 pub fn join(directory: &Path) -> Result<Domain, Failure> {
     match Presence::of(directory) {

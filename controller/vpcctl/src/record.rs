@@ -1,8 +1,6 @@
 //! `record`: what a domain publishes, as an MCAP file.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use arm::{Mount, Pose};
@@ -10,9 +8,8 @@ use clap::Args;
 use hand_eye::Frame;
 use recorder::{Ledger, Options};
 use scene::{FileError, SceneFiles};
-use signal_hook::consts::{SIGINT, SIGTERM};
 
-use crate::exit::Failure;
+use crate::failure::Failure;
 
 /// `record`.
 #[derive(Clone, Debug, Args)]
@@ -58,10 +55,7 @@ pub fn run(domain: &Path, arguments: &RecordArguments) -> Result<String, Failure
         .map(SceneFiles::read)
         .transpose()?;
     let mount = arguments.hand_eye.as_deref().map(mount).transpose()?;
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&stop))?;
-    }
+    let stop = program::stop_on_signals()?;
     let options = Options {
         domain: domain.to_owned(),
         output: arguments.output.clone(),

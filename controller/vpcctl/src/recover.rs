@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use ipc::{OpenError, Publisher, Subscriber};
 use messages::{Action, Request, RobotMode, RobotState};
+use program::Exit;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::presence;
 use crate::request::plain;
 

@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use ipc::{Domain, OpenError, OperatorPorts};
 use messages::{Action, Outcome, Reply, Request, StrategyCode};
+use program::Exit;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::presence::{self, Presence};
 use crate::view::word;
 

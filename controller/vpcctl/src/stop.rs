@@ -7,8 +7,9 @@ use std::time::{Duration, Instant};
 
 use ipc::StopError;
 use messages::{Action, TwistState};
+use program::Exit;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::presence::{self, Presence};
 use crate::request;
 

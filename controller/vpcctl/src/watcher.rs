@@ -7,7 +7,7 @@ use ipc::{ReceiveError, Subscriber};
 use messages::RobotState;
 use messages::{CycleRecord, Features, Message};
 
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::presence;
 use crate::view::View;
 

@@ -48,14 +48,6 @@ pub enum FileError {
 }
 
 impl FileError {
-    /// The exit code of sysexits.h for a configuration: 66 if a file cannot be read, else 78.
-    pub fn exit_code(&self) -> u8 {
-        match self {
-            Self::Read { .. } | Self::Named { .. } => 66,
-            _ => 78,
-        }
-    }
-
     /// Returns the error for the value of a key in the file `path`.
     pub fn value(path: &str, key: &str, value: impl ToString, allowed: impl Into<String>) -> Self {
         let refusal = Refusal {

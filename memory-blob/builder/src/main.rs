@@ -12,6 +12,7 @@ use clap::{Args, Parser, Subcommand};
 use memory_blob::{MemoryFile, Report};
 use memory_builder::settings::BuildSettings;
 use memory_builder::{memory, start};
+use program::Exit;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scene::Scene;
@@ -185,11 +186,8 @@ fn main() -> ExitCode {
         } => run_fit(&file, &scene, &output, &overrides),
     };
     match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("vpc-memory: {error:#}");
-            ExitCode::FAILURE
-        }
+        Ok(()) => Exit::Ok.into(),
+        Err(error) => Exit::Attention.say("vpc-memory", format_args!("{error:#}")),
     }
 }
 

@@ -8,7 +8,8 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use memory_blob::{hex, replace};
+use memory_blob::hex;
+use program::replace;
 use scene::SceneFiles;
 use serde_json::Value;
 use sha2::{Digest, Sha256};

@@ -391,7 +391,7 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
 }
 
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    memory_blob::replace(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
+    program::replace(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
 /// Reads a file; one that is to be made is made in a temporary directory, which is removed once it

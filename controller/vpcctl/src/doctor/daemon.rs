@@ -4,9 +4,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use messages::{CycleRecord, Hold, RealTime};
+use program::Exit;
 
 use super::Finding;
-use crate::exit::Exit;
 use crate::presence::Presence;
 use crate::settings::Settings;
 use crate::status::{self, Asking, Status, lacks};

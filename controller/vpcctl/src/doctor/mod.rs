@@ -6,10 +6,10 @@ mod logind;
 use std::path::Path;
 
 use memory_blob::MemoryFile;
+use program::Exit;
 use scene::{FileError, Scene};
 
 use crate::arguments::DoctorArguments;
-use crate::exit::Exit;
 use crate::output::{Tone, paint};
 
 /// How one thing is.

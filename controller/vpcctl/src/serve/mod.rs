@@ -19,10 +19,11 @@ use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{get, post};
 use futures_util::stream::{self, Stream, StreamExt};
 use messages::Action;
+use program::Exit;
 use tokio::sync::Semaphore;
 use tokio::time::Interval;
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::image_plane::ImagePlane;
 use crate::server::{self, field, is_same_origin, refusal};
 use crate::status::{self, Status};

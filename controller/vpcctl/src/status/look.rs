@@ -7,7 +7,7 @@ use ipc::{Domain, OpenError, OperatorPorts};
 use messages::{Action, Reply};
 
 use super::Status;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::presence::Presence;
 use crate::request;
 use crate::watcher::Watcher;

@@ -10,11 +10,12 @@ use std::time::Duration;
 use ipc::ReceiveError;
 use messages::{ClockMode, CycleRecord, ForesightCode, Hold, PhaseCode, RealTime, Reply};
 use messages::{SolverStatus, TwistState};
+use program::Exit;
 use serde_json::{Value, json};
 
 pub use look::{Asking, look, watch_until};
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::latency::{Percentiles, STAGES, durations};
 use crate::output::{Tone, paint};
 use crate::presence::Presence;

@@ -6,15 +6,15 @@ mod screen;
 
 use std::io::IsTerminal;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, TryRecvError};
 use std::time::{Duration, Instant};
 
 use messages::{Action, Request, StrategyCode};
+use program::Exit;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-use crate::exit::{Exit, Failure};
+use crate::failure::Failure;
 use crate::image_plane::ImagePlane;
 use crate::status::Status;
 use crate::view::word;
@@ -71,10 +71,7 @@ pub fn run(directory: &Path, plane: ImagePlane, neighbours: u32) -> Result<Exit,
             "watch: standard output is no terminal; use `vpcctl status`, --json for scripts";
         return Err(Failure::new(Exit::Usage, message));
     }
-    let end = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&end))?;
-    }
+    let end = program::stop_on_signals()?;
     // Restores the terminal also when we panic.
     let mut terminal = ratatui::try_init()?;
     let mut session = Session {

@@ -8,6 +8,7 @@ mod views;
 use std::fmt::Display;
 use std::sync::atomic::AtomicBool;
 
+use program::Exit;
 use toml_schema::FileError;
 
 use crate::arguments::{BoardArguments, Command, OutputArguments, board};
@@ -21,34 +22,34 @@ use crate::{layout, sheet};
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct Failure {
-    /// The exit code, of sysexits.h, or 1 where the views say too little.
-    pub code: u8,
+    /// The exit code; [`Exit::Attention`] where the views say too little.
+    pub exit: Exit,
     message: String,
 }
 
 impl Failure {
-    fn new(code: u8, message: impl Display) -> Self {
+    fn new(exit: Exit, message: impl Display) -> Self {
         Self {
-            code,
+            exit,
             message: message.to_string(),
         }
     }
 
     /// What was taken is not enough, or wrong.
     fn not_enough(message: impl Display) -> Self {
-        Self::new(1, format!("not good enough: {message}"))
+        Self::new(Exit::Attention, format!("not good enough: {message}"))
     }
 }
 
 impl From<FileError> for Failure {
     fn from(error: FileError) -> Self {
-        Self::new(error.exit_code(), error)
+        Self::new(Exit::from(&error), error)
     }
 }
 
 impl From<PictureError> for Failure {
     fn from(error: PictureError) -> Self {
-        Self::new(66, error)
+        Self::new(Exit::NoInput, error)
     }
 }
 
@@ -56,20 +57,20 @@ impl From<LiveError> for Failure {
     fn from(error: LiveError) -> Self {
         match error {
             LiveError::Config(error) => error.into(),
-            error => Self::new(69, error),
+            error => Self::new(Exit::Unavailable, error),
         }
     }
 }
 
 impl From<OutputError> for Failure {
     fn from(error: OutputError) -> Self {
-        Self::new(73, error)
+        Self::new(Exit::CannotCreate, error)
     }
 }
 
 impl From<vpc_camera::tags::TagError> for Failure {
     fn from(error: vpc_camera::tags::TagError) -> Self {
-        Self::new(70, error)
+        Self::new(Exit::Software, error)
     }
 }
 
@@ -94,7 +95,7 @@ pub fn run(command: &Command, stop: &AtomicBool) -> Result<bool, Failure> {
 
 fn draw(arguments: &BoardArguments) -> Result<bool, Failure> {
     let board = board(arguments.board.as_deref())?;
-    let svg = sheet::svg(&board).map_err(|error| Failure::new(70, error))?;
+    let svg = sheet::svg(&board).map_err(|error| Failure::new(Exit::Software, error))?;
     if arguments.output.output.is_empty() {
         print!("{svg}");
     }

@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use clap::FromArgMatches;
+use program::Exit;
 use vpc_calib::arguments::Arguments;
 use vpc_calib::command;
 
@@ -14,15 +15,13 @@ fn begin() -> Result<ExitCode, ExitCode> {
     let matches = program::arguments::<Arguments>()?;
     let arguments = Arguments::from_arg_matches(&matches).map_err(|error| {
         let _ = error.print();
-        ExitCode::from(program::USAGE)
+        ExitCode::from(Exit::Usage)
     })?;
-    let stop = program::stop_on_signals("vpc-calib")?;
+    let stop =
+        program::stop_on_signals().map_err(|error| Exit::Unavailable.say("vpc-calib", error))?;
     Ok(match command::run(&arguments.command, &stop) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::from(program::ATTENTION),
-        Err(error) => {
-            eprintln!("vpc-calib: {error}");
-            ExitCode::from(error.code)
-        }
+        Ok(true) => Exit::Ok.into(),
+        Ok(false) => Exit::Attention.into(),
+        Err(error) => error.exit.say("vpc-calib", error),
     })
 }

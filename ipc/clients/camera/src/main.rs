@@ -1,7 +1,6 @@
 //! `vpc-camera`: from images to features, as a process.
 
 use std::io::Write;
-use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -9,12 +8,14 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use clap::FromArgMatches;
-use program::{ATTENTION, CONFIG, SOFTWARE, StartUp, UNAVAILABLE};
+use program::{Exit, StartUp, publish};
 use vpc_camera::config::{Arguments, Command, Config};
 use vpc_camera::metrics::Metrics;
 use vpc_camera::run::{Event, Report, RunError, run};
 use vpc_camera::{mask, sheet};
 
+/// The program's name, for messages.
+const NAME: &str = "vpc-camera";
 /// How often the log looks.
 const LOOK: Duration = Duration::from_millis(100);
 /// Between two lines about the same thing.
@@ -37,12 +38,10 @@ fn begin() -> Result<ExitCode, ExitCode> {
         Ok(Some(Command::Tags(arguments))) => return Ok(end("tags", sheet::run(&arguments))),
         _ => {}
     }
-    let config = Config::load(&matches).map_err(|error| {
-        eprintln!("vpc-camera: {error}");
-        ExitCode::from(error.exit_code())
-    })?;
-    let start_up = program::StartUp::begin("vpc-camera")?;
-    let stop = program::stop_on_signals("vpc-camera")?;
+    let config = Config::load(&matches).map_err(|error| Exit::from(&error).say(NAME, error))?;
+    let unavailable = |error| Exit::Unavailable.say(NAME, error);
+    let start_up = StartUp::begin().map_err(unavailable)?;
+    let stop = program::stop_on_signals().map_err(unavailable)?;
     Ok(watch(config, start_up, stop, matches.get_flag("print")))
 }
 
@@ -54,8 +53,8 @@ fn end(command: &str, result: anyhow::Result<String>) -> ExitCode {
             ExitCode::SUCCESS
         }
         Err(error) => {
-            eprintln!("vpc-camera {command}: {error:#}");
-            ExitCode::from(ATTENTION)
+            let name = format!("{NAME} {command}");
+            Exit::Attention.say(&name, format_args!("{error:#}"))
         }
     }
 }
@@ -71,8 +70,7 @@ fn watch(config: Config, start_up: StartUp, stop: Arc<AtomicBool>, is_printed: b
     let worker = match worker {
         Ok(worker) => worker,
         Err(error) => {
-            eprintln!("vpc-camera: no thread: {error}");
-            return ExitCode::from(UNAVAILABLE);
+            return Exit::Unavailable.say(NAME, format_args!("no thread: {error}"));
         }
     };
     loop {
@@ -86,18 +84,13 @@ fn watch(config: Config, start_up: StartUp, stop: Arc<AtomicBool>, is_printed: b
     match worker.join() {
         Ok(Ok(())) => ExitCode::SUCCESS,
         Ok(Err(error)) => {
-            eprintln!("vpc-camera: {error}");
-            let is_configuration = matches!(error, RunError::Size { .. });
-            ExitCode::from(if is_configuration {
-                CONFIG
-            } else {
-                UNAVAILABLE
-            })
+            let exit = match error {
+                RunError::Size { .. } => Exit::Config,
+                _ => Exit::Unavailable,
+            };
+            exit.say(NAME, error)
         }
-        Err(_) => {
-            eprintln!("vpc-camera: a defect; without features vpcd stops the camera");
-            ExitCode::from(SOFTWARE)
-        }
+        Err(_) => Exit::Software.say(NAME, "a defect; without features vpcd stops the camera"),
     }
 }
 
@@ -174,7 +167,7 @@ impl Log {
     fn write(&mut self) {
         self.written = Instant::now();
         if let Some(path) = &self.file
-            && let Err(error) = replace(path, &self.metrics.text())
+            && let Err(error) = publish(path, self.metrics.text().as_bytes(), 0o666)
         {
             tracing::warn!("{}: {error}", path.display());
             self.file = None;
@@ -185,14 +178,6 @@ impl Log {
         self.write();
         tracing::info!("stopped: {}", self.metrics.line());
     }
-}
-
-/// Writes a file so that who reads it finds the old text or the new one.
-fn replace(path: &Path, text: &str) -> std::io::Result<()> {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".new");
-    std::fs::write(&name, text)?;
-    std::fs::rename(&name, path)
 }
 
 fn print(report: &Report) {

@@ -173,11 +173,8 @@ impl Durations {
     /// The duration that this share of them does not exceed.
     fn quantile(&self, share: f64) -> Duration {
         let mut sorted = self.ring.clone();
-        let rank = (share * sorted.len() as f64).ceil() as usize;
-        match rank.checked_sub(1) {
-            None => Duration::ZERO,
-            Some(index) => *sorted.select_nth_unstable(index).1,
-        }
+        sorted.sort_unstable();
+        program::quantile(&sorted, share)
     }
 }
 

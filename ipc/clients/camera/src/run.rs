@@ -11,7 +11,6 @@ use program::StartUp;
 use crate::config::{Clock, Config, SourceKind};
 use crate::finder::{Finder, Found};
 use crate::mask_check::{Counts, MaskCheck, Settings, Warning};
-use crate::priority;
 use crate::source::{Camera, Frame, Next, Replay, Request, SharedMemory, Source, SourceError};
 use crate::tags::TagError;
 
@@ -102,7 +101,7 @@ pub fn run(
         )));
     }
     if config.realtime_priority > 0
-        && let Err(why) = priority::raise(config.realtime_priority)
+        && let Err(why) = program::take_fifo(config.realtime_priority)
     {
         let wanted = config.realtime_priority;
         tell(Event::Lacks(format!("SCHED_FIFO {wanted}: {why}")));

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use heap_meter::Meter;
-use program::{ATTENTION, SOFTWARE, UNAVAILABLE};
+use program::Exit;
 use vpc_panda::config::{Arguments, Config};
 use vpc_panda::drive::{DriveError, Event, drive};
 use vpc_panda::first_motion::{FirstMotionError, first_motion};
@@ -17,6 +17,8 @@ use vpc_panda::{look, robot};
 #[global_allocator]
 static METER: Meter = Meter;
 
+/// The program's name, for messages.
+const NAME: &str = "vpc-panda";
 /// Events that wait for the log.
 const QUEUE: usize = 256;
 /// Longest time from a signal to the end: it brakes, ends the motion, and waits for the robot to
@@ -34,12 +36,10 @@ fn main() -> ExitCode {
 fn begin() -> Result<ExitCode, ExitCode> {
     let matches = program::arguments::<Arguments>()?;
     program::log("info");
-    let config = Config::load(&matches).map_err(|error| {
-        eprintln!("vpc-panda: {error}");
-        ExitCode::from(error.exit_code())
-    })?;
-    let stop = program::stop_on_signals("vpc-panda")?;
-    program::end_within(LAST, &stop, "vpc-panda")?;
+    let config = Config::load(&matches).map_err(|error| Exit::from(&error).say(NAME, error))?;
+    let unavailable = |error| Exit::Unavailable.say(NAME, error);
+    let stop = program::stop_on_signals().map_err(unavailable)?;
+    program::end_within(LAST, &stop, NAME).map_err(unavailable)?;
     std::thread::spawn(end_if_it_hangs);
     let words = |error: &dyn Display| error.to_string();
     let is_asked = |flag: &str| matches.get_flag(flag);
@@ -50,8 +50,7 @@ fn begin() -> Result<ExitCode, ExitCode> {
     } else if is_asked("first_motion") {
         match first_motion(&config, is_asked("yes"), &stop) {
             Err(error @ (FirstMotionError::NotConfirmed | FirstMotionError::Stopped)) => {
-                eprintln!("vpc-panda: {error}");
-                return Ok(ExitCode::from(ATTENTION));
+                return Ok(Exit::Attention.say(NAME, error));
             }
             found => Some(found.map_err(|error| words(&error))),
         }
@@ -61,10 +60,7 @@ fn begin() -> Result<ExitCode, ExitCode> {
     Ok(match looked_at {
         None => run(config, &stop),
         Some(Ok(is_good)) => ExitCode::from(u8::from(!is_good)),
-        Some(Err(error)) => {
-            eprintln!("vpc-panda: {error}");
-            ExitCode::from(UNAVAILABLE)
-        }
+        Some(Err(error)) => Exit::Unavailable.say(NAME, error),
     })
 }
 
@@ -73,8 +69,8 @@ fn end_if_it_hangs() {
     loop {
         std::thread::sleep(LOOK);
         if let Some(why) = robot::hangs() {
-            eprintln!("vpc-panda: {why}: ended");
-            std::process::exit(UNAVAILABLE.into());
+            eprintln!("{NAME}: {why}: ended");
+            std::process::exit(Exit::Unavailable as i32);
         }
     }
 }
@@ -88,8 +84,7 @@ fn run(config: Config, stop: &Arc<AtomicBool>) -> ExitCode {
     let driver = match driver {
         Ok(driver) => driver,
         Err(error) => {
-            eprintln!("vpc-panda: no thread: {error}");
-            return ExitCode::from(UNAVAILABLE);
+            return Exit::Unavailable.say(NAME, format_args!("no thread: {error}"));
         }
     };
     let mut log = Log::default();
@@ -108,17 +103,11 @@ fn run(config: Config, stop: &Arc<AtomicBool>) -> ExitCode {
             tracing::info!("stopped; the arm stands");
             ExitCode::SUCCESS
         }
-        Ok(Err(error @ DriveError::NotIdle { .. })) => {
-            eprintln!("vpc-panda: {error}");
-            ExitCode::from(ATTENTION)
-        }
-        Ok(Err(error)) => {
-            eprintln!("vpc-panda: {error}");
-            ExitCode::from(UNAVAILABLE)
-        }
+        Ok(Err(error @ DriveError::NotIdle { .. })) => Exit::Attention.say(NAME, error),
+        Ok(Err(error)) => Exit::Unavailable.say(NAME, error),
         Err(_) => {
-            eprintln!("vpc-panda: a defect; the robot stops by itself without commands");
-            ExitCode::from(SOFTWARE)
+            let defect = "a defect; the robot stops by itself without commands";
+            Exit::Software.say(NAME, defect)
         }
     }
 }

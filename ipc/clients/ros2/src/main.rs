@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use ipc::{Domain, Subscriber, now_ns};
 use messages::CycleRecord;
-use program::{ATTENTION, CONFIG, SOFTWARE, UNAVAILABLE};
+use program::Exit;
 use ros2_client::Publisher;
 use rustix::process::{Resource, getrlimit, setrlimit};
 use vpc_ros2::agreement::{Agreement, OtherScene};
@@ -38,6 +38,8 @@ const DIAGNOSTICS: Duration = Duration::from_secs(1);
 const DRAWING: Duration = Duration::from_millis(90);
 /// Most memory of its own, bytes: twenty times what it uses.
 const MOST_MEMORY: u64 = 512 << 20;
+/// The program's name, for messages.
+const NAME: &str = "vpc-ros2";
 /// Longest time from a signal to the end.
 const LAST: Duration = Duration::from_secs(2);
 /// How long a preflight listens.
@@ -48,37 +50,32 @@ fn main() -> ExitCode {
 }
 
 fn begin() -> Result<ExitCode, ExitCode> {
+    let unavailable = |error| Exit::Unavailable.say(NAME, error);
     let mut words = std::env::args().skip(1);
     if words.next().as_deref() == Some(guard::ROLE) {
         // The guard ends with the gateway, not by a signal.
-        let _ignored = program::stop_on_signals("vpc-ros2")?;
-        return guard::run(words)
-            .map(|()| ExitCode::SUCCESS)
-            .map_err(|error| {
-                eprintln!("vpc-ros2 {}: {error}", guard::ROLE);
-                ExitCode::from(SOFTWARE)
-            });
+        let _ignored = program::stop_on_signals().map_err(unavailable)?;
+        let name = format!("{NAME} {}", guard::ROLE);
+        let ended = guard::run(words).map(|()| ExitCode::SUCCESS);
+        return ended.map_err(|error| Exit::Software.say(&name, error));
     }
     let matches = program::arguments::<Arguments>()?;
     // What the DDS library has to tell is for its developers.
     program::log("info,rustdds=off,ros2_client=off");
-    let config = Config::load(&matches).map_err(|error| {
-        eprintln!("vpc-ros2: {error}");
-        ExitCode::from(error.exit_code())
-    })?;
-    let stop = program::stop_on_signals("vpc-ros2")?;
-    program::end_within(LAST, &stop, "vpc-ros2")?;
+    let config = Config::load(&matches).map_err(|error| Exit::from(&error).say(NAME, error))?;
+    let stop = program::stop_on_signals().map_err(unavailable)?;
+    program::end_within(LAST, &stop, NAME).map_err(unavailable)?;
     limit_memory()?;
     let ended = match matches.get_flag("preflight") {
         true => preflight(&config, &stop),
         false => run(&config, &stop),
     };
     ended.map_err(|error| {
-        eprintln!("vpc-ros2: {error}");
-        ExitCode::from(match error {
-            BridgeError::Scene(_) => CONFIG,
-            _ => UNAVAILABLE,
-        })
+        let exit = match error {
+            BridgeError::Scene(_) => Exit::Config,
+            _ => Exit::Unavailable,
+        };
+        exit.say(NAME, error)
     })
 }
 
@@ -88,10 +85,8 @@ fn limit_memory() -> Result<(), ExitCode> {
     for (resource, most) in [(Resource::Data, MOST_MEMORY), (Resource::Core, 0)] {
         let mut limit = getrlimit(resource);
         limit.current = Some(limit.maximum.map_or(most, |maximum| maximum.min(most)));
-        setrlimit(resource, limit).map_err(|error| {
-            eprintln!("vpc-ros2: {resource:?}: {error}");
-            ExitCode::from(UNAVAILABLE)
-        })?;
+        setrlimit(resource, limit)
+            .map_err(|error| Exit::Unavailable.say(NAME, format_args!("{resource:?}: {error}")))?;
     }
     Ok(())
 }
@@ -148,8 +143,8 @@ fn run(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError> {
                 bridge.and(server).map(|()| ExitCode::SUCCESS)
             }
             _ => {
-                eprintln!("vpc-ros2: a defect; robots stop by their own time-out");
-                Ok(ExitCode::from(SOFTWARE))
+                let defect = "a defect; robots stop by their own time-out";
+                Ok(Exit::Software.say(NAME, defect))
             }
         }
     })
@@ -312,8 +307,7 @@ fn preflight(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError
         bridge.join()
     });
     let Ok(report) = report else {
-        eprintln!("vpc-ros2: a defect");
-        return Ok(ExitCode::from(SOFTWARE));
+        return Ok(Exit::Software.say(NAME, "a defect"));
     };
     let reasons: BTreeMap<String, String> = events
         .try_iter()
@@ -345,5 +339,5 @@ fn preflight(config: &Config, stop: &AtomicBool) -> Result<ExitCode, BridgeError
         is_good &= word != "FAIL";
         println!("{word:<5} {topic}: {words}");
     }
-    Ok(ExitCode::from(if is_good { 0 } else { ATTENTION }))
+    Ok(if is_good { Exit::Ok } else { Exit::Attention }.into())
 }

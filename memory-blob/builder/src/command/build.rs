@@ -3,8 +3,7 @@
 use std::fs;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -89,11 +88,7 @@ impl Build {
     ) -> anyhow::Result<Progress> {
         let path = beside(&self.output);
         let begun = build.resume(&path)?;
-        let stop = Arc::new(AtomicBool::new(false));
-        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-            signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop))?;
-            signal_hook::flag::register(signal, Arc::clone(&stop))?;
-        }
+        let stop = program::stop_or_end_on_signals()?;
         let bar = progress_bar(settings.trajectories, begun.trajectories.len());
         let (mut saved, mut failed) = (Instant::now(), None);
         let progress = build::collect(scene, settings, begun, &stop, &mut |progress| {

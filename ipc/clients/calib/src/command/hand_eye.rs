@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use program::Exit;
 use vpc_camera::lens;
 
 use crate::arguments::HandEyeArguments;
@@ -72,7 +73,7 @@ fn together(
                 "{}: the poses name {image}, which is not there",
                 folder.display()
             );
-            return Err(Failure::new(66, message));
+            return Err(Failure::new(Exit::NoInput, message));
         };
         pairs.push(Pair {
             flange: *flange,

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use program::Exit;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use toml_schema::{Document, FileError};
@@ -55,7 +56,7 @@ pub fn run(arguments: &LatencyArguments, stop: &AtomicBool) -> Result<bool, Fail
     }
     if arm.span().is_none() {
         return Err(Failure::new(
-            69,
+            Exit::Unavailable,
             "no joints on vpc/robot; is the bridge at work?",
         ));
     }
@@ -87,7 +88,7 @@ fn frame(
     lens.check_size([image.width(), image.height()].map(|side| side as u32))?;
     let time = time.ok_or_else(|| {
         Failure::new(
-            69,
+            Exit::Unavailable,
             "the images do not tell when they were exposed (data_ns = 0)",
         )
     })?;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+use program::Exit;
 use vpc_camera::grey::Grey;
 
 use crate::arguments::ImageArguments;
@@ -35,7 +36,7 @@ pub fn of_folder(folder: &Path) -> Result<Views, Failure> {
         let (known, size) = first.get_or_insert_with(|| (path.clone(), picture.size));
         if *size != picture.size {
             return Err(Failure::new(
-                78,
+                Exit::Config,
                 format!(
                     "{}: {}x{} px; allowed: {}x{} px, as {}: all images from one camera, at one size",
                     path.display(),
@@ -99,7 +100,7 @@ pub fn of_camera(
     match failed {
         Some(error) => Err(error),
         None if wants_robot && taker.joints.is_none() => Err(Failure::new(
-            69,
+            Exit::Unavailable,
             "no joints on vpc/robot; is the bridge at work?",
         )),
         None => Ok(taker.taken),
@@ -159,8 +160,9 @@ struct Folder {
 impl Folder {
     fn new(path: Option<&Path>) -> Result<Self, Failure> {
         if let Some(path) = path {
-            std::fs::create_dir(path)
-                .map_err(|error| Failure::new(73, format!("{}: {error}", path.display())))?;
+            std::fs::create_dir(path).map_err(|error| {
+                Failure::new(Exit::CannotCreate, format!("{}: {error}", path.display()))
+            })?;
         }
         Ok(Self {
             path: path.map(Path::to_owned),
@@ -174,12 +176,13 @@ impl Folder {
         };
         Picture::of(image)
             .write(&folder.join(name))
-            .map_err(|error| Failure::new(73, error))?;
+            .map_err(|error| Failure::new(Exit::CannotCreate, error))?;
         if let Some(q) = q {
             self.poses += &robot_poses::line(name, q);
             let path = folder.join("poses.csv");
-            std::fs::write(&path, &self.poses)
-                .map_err(|error| Failure::new(73, format!("{}: {error}", path.display())))?;
+            std::fs::write(&path, &self.poses).map_err(|error| {
+                Failure::new(Exit::CannotCreate, format!("{}: {error}", path.display()))
+            })?;
         }
         Ok(())
     }

@@ -1,48 +1,14 @@
-//! Exit codes, and failures with their exit codes.
+//! Failures with their exit codes.
 
 use std::fmt::Display;
 use std::io;
 use std::path::Path;
 
+use program::Exit;
 use recorder::live::LiveError;
 use recorder::{PlotError, RecordError};
 use recording::{ReadError, WriteError};
 use scene::FileError;
-
-/// How the command ends. Small numbers are answers; those from 64 on are those of `sysexits.h`, as
-/// `vpcd` uses them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Exit {
-    /// `status`: moving or arrived. A request: done. `doctor`: no failure.
-    Ok = 0,
-    /// `status`: stopped, holding or braking. `doctor`, `check-bridge`: at least one failure.
-    Attention = 1,
-    /// The daemon refused the request. `init`: a file is there already.
-    Refused = 2,
-    /// No daemon runs in the domain.
-    NoDaemon = 3,
-    /// A daemon runs and does not answer, or its cycles have stopped.
-    NoAnswer = 4,
-    /// `status`: disarmed.
-    Disarmed = 5,
-    /// The command line is wrong.
-    Usage = 64,
-    /// A file has wrong contents.
-    Data = 65,
-    /// A file is missing or cannot be read.
-    NoInput = 66,
-    /// The shared memory, a port or an address cannot be used.
-    Unavailable = 69,
-    /// vpcctl itself failed, or could not write.
-    Software = 70,
-}
-
-impl From<Exit> for std::process::ExitCode {
-    fn from(exit: Exit) -> Self {
-        Self::from(exit as u8)
-    }
-}
 
 /// Why a command could not do what was asked: one line for standard error, and the exit code.
 #[derive(Debug, thiserror::Error)]

@@ -1,4 +1,4 @@
-//! Replaces a file atomically.
+//! Files that are replaced atomically.
 
 use std::ffi::OsString;
 use std::fs::{self, File, Permissions};
@@ -6,7 +6,10 @@ use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use tempfile::Builder;
+use tempfile::{Builder, NamedTempFile};
+
+/// Permissions of any new file, less the user's mask.
+const ANYONE: u32 = 0o666;
 
 /// Puts `bytes` in the place of the file at `path`, whose directory is made if it is missing. At
 /// every moment, also after a power cut, the path holds the old file or the new one, whole: the new
@@ -17,24 +20,45 @@ use tempfile::Builder;
 /// # Errors
 /// The operating system's.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let directory = path
-        .parent()
-        .filter(|directory| !directory.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
+    let directory = directory(path);
     fs::create_dir_all(directory)?;
-    // What a killed writer leaves says whose it was, and `FILE*` does not match it.
+    let beside = beside(path, bytes, ANYONE)?;
+    beside.as_file().sync_all()?;
+    beside.persist(path).map_err(|error| error.error)?;
+    File::open(directory)?.sync_all()
+}
+
+/// Puts `bytes` in the place of the file at `path`, for processes that read it meanwhile: they find
+/// the old file or the new one. Nothing is synchronised to the disk, and the directory must exist.
+/// `mode` has the permissions of the file, less the user's mask.
+///
+/// # Errors
+/// The operating system's.
+pub fn publish(path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
+    let beside = beside(path, bytes, mode)?;
+    beside.persist(path).map_err(|error| error.error)?;
+    Ok(())
+}
+
+fn directory(path: &Path) -> &Path {
+    path.parent()
+        .filter(|directory| !directory.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
+}
+
+/// A file in the same directory with these bytes.
+fn beside(path: &Path, bytes: &[u8], mode: u32) -> io::Result<NamedTempFile> {
+    // The name that a killed writer leaves says whose it was, and `FILE*` does not match it.
     let mut prefix = OsString::from(".");
     prefix.push(path.file_name().unwrap_or_default());
     prefix.push(".");
     let mut beside = Builder::new()
         .prefix(&prefix)
         .suffix(".tmp")
-        .permissions(Permissions::from_mode(0o666)) // less the user's mask, as of any new file
-        .tempfile_in(directory)?;
+        .permissions(Permissions::from_mode(mode))
+        .tempfile_in(directory(path))?;
     beside.write_all(bytes)?;
-    beside.as_file().sync_all()?;
-    beside.persist(path).map_err(|error| error.error)?;
-    File::open(directory)?.sync_all()
+    Ok(beside)
 }
 
 #[cfg(test)]
@@ -77,6 +101,18 @@ mod tests {
         fs::write(&any, b"new").unwrap();
         let mode = |path: &Path| fs::metadata(path).unwrap().mode();
         assert_eq!(mode(&ours), mode(&any));
+    }
+
+    #[test]
+    fn a_published_file_has_the_mode_that_was_asked_for_and_takes_the_old_one_s_place() {
+        let directory = TempDir::new().unwrap();
+        let path = directory.path().join("file");
+        fs::write(&path, b"old").unwrap();
+        publish(&path, b"new", 0o600).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o600);
+        assert_eq!(names(directory.path()), ["file"]);
+        publish(&directory.path().join("no/file"), b"new", 0o600).unwrap_err();
     }
 
     #[test]
