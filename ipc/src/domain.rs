@@ -302,6 +302,9 @@ fn remove_unfinished(prefix: &str) {
 
 #[cfg(test)]
 mod tests {
+    use iceoryx2::prelude::ZeroCopySend;
+    use messages::{Features, Wire};
+
     use super::*;
 
     #[test]
@@ -330,5 +333,30 @@ mod tests {
         let configuration = |path: &str| configuration(Path::new(path), "vpc_0_");
         assert!(configuration("/tmp/vpc-0").is_some());
         assert!(configuration(&format!("/tmp/{}", "x".repeat(200))).is_none());
+    }
+
+    #[test]
+    fn another_version_is_refused_by_the_names_of_both() {
+        #[derive(Debug, ZeroCopySend)]
+        #[type_name("vpc/Features/00000000")]
+        #[repr(C)]
+        struct Other(u64);
+
+        let directory = tempfile::tempdir().unwrap();
+        begin_generation(directory.path()).unwrap();
+        let prefix = shared_memory_prefix(directory.path()).unwrap();
+        let config = configuration(directory.path(), &prefix).unwrap();
+        let node = NodeBuilder::new().config(&config).create::<Service>();
+        let node = node.unwrap();
+        let name = Features::SERVICE.try_into().unwrap();
+        let other = node.service_builder(&name).publish_subscribe::<Other>();
+        let _other = other.create().unwrap();
+        let message = service::open_all(&node).unwrap_err().to_string();
+        let both = format!(
+            "vpc/features is of another version of the contract: vpc/Features/00000000; \
+             this program's: {}; stop",
+            Features::TYPE_NAME
+        );
+        assert!(message.starts_with(&both), "{message}");
     }
 }

@@ -51,10 +51,13 @@ pub enum JoinReason {
     Node(#[from] NodeCreationFailure),
     /// A service exists with other types or another quality of service.
     #[error(
-        "{service} is of another version of the contract; stop every process of this domain first ({reason})"
+        "{service} is of another version of the contract: {found}; this program's: {ours}; stop every process of this domain first ({reason})"
     )]
     OtherContract {
         service: &'static str,
+        /// Type name of the message that the domain's service carries.
+        found: String,
+        ours: &'static str,
         reason: PublishSubscribeOpenOrCreateError,
     },
     /// A service could not be opened.

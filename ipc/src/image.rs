@@ -9,6 +9,7 @@ use iceoryx2::service::ipc::Service;
 
 use messages::{ImageHeader, MOST_IMAGE_BYTES, Message, Order, Stamp};
 
+use crate::clock::now_ns;
 use crate::domain::Domain;
 use crate::error::{LoanError, OpenError, PublishError, ReceiveError};
 use crate::guard::Place;
@@ -147,7 +148,7 @@ impl ImagePublisher {
         self.sequence += 1;
         let stamp = image.header_mut().stamp_mut();
         stamp.sequence = self.sequence;
-        stamp.published_ns = crate::now_ns();
+        stamp.published_ns = now_ns();
         self.publish_verbatim(image)
     }
 

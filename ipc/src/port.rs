@@ -7,6 +7,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::service::ipc::Service;
 use messages::{Message, Order, Payload, Received, Stamp};
 
+use crate::clock::now_ns;
 use crate::domain::Domain;
 use crate::error::{OpenError, PublishError, ReceiveError};
 use crate::guard::Place;
@@ -104,7 +105,7 @@ impl<T: Message> Publisher<T> {
         let mut stamped = *message;
         let stamp = stamped.stamp_mut();
         stamp.sequence = self.sequence;
-        stamp.published_ns = crate::now_ns();
+        stamp.published_ns = now_ns();
         self.publish_verbatim(&stamped)
     }
 

@@ -6,6 +6,7 @@ use messages::{
     CycleRecord, Features, Received, Reply, Request, RobotState, Snapshot, TwistCommand,
 };
 
+use crate::clock::now_ns;
 use crate::domain::Domain;
 use crate::error::{AskError, OpenError, ReceiveError};
 use crate::image::ImagePublisher;
@@ -193,7 +194,7 @@ fn answer(
     mut refresh: impl FnMut(),
 ) -> Result<Option<Received<TwistCommand>>, ReceiveError> {
     let patience = u64::try_from(patience.as_nanos()).unwrap_or(u64::MAX);
-    let end = crate::now_ns().saturating_add(patience);
+    let end = now_ns().saturating_add(patience);
     let mut polls = 0;
     loop {
         for _ in 0..COMMANDS {
@@ -205,7 +206,7 @@ fn answer(
                 None => break,
             }
         }
-        if crate::now_ns() >= end {
+        if now_ns() >= end {
             return Ok(None);
         }
         if polls < YIELDS {
@@ -232,8 +233,8 @@ impl OperatorPorts {
     ) -> Result<Option<Reply>, AskError> {
         self.requests.publish(request)?;
         let patience = u64::try_from(patience.as_nanos()).unwrap_or(u64::MAX);
-        let end = crate::now_ns().saturating_add(patience);
-        while crate::now_ns() < end {
+        let end = now_ns().saturating_add(patience);
+        while now_ns() < end {
             while let Some(reply) = self.replies.oldest()? {
                 if reply.id == request.id {
                     return Ok(Some(reply.message));

@@ -4,12 +4,12 @@ use core::any::Any;
 use core::fmt::Debug;
 
 use iceoryx2::node::Node;
-use iceoryx2::prelude::{Alignment, ServiceName, ZeroCopySend};
+use iceoryx2::prelude::{Alignment, MessagingPattern, ServiceName, ZeroCopySend};
 use iceoryx2::service::builder::publish_subscribe::{
     Builder, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
-use iceoryx2::service::ipc;
 use iceoryx2::service::port_factory::publish_subscribe;
+use iceoryx2::service::{Service as _, ipc};
 use messages::{
     CycleRecord, Features, ImageHeader, Message, Payload, Reply, Request, RobotState, SERVICES,
     Snapshot, TwistCommand,
@@ -71,7 +71,7 @@ fn open<T: Message>(node: &Node<ipc::Service>) -> Result<Factory<T>, JoinReason>
         .service_builder(&name)
         .publish_subscribe::<Carried<T>>();
     let factory = with_settings::<T, _, _>(builder).open_or_create();
-    factory.map_err(refused::<T>)
+    factory.map_err(|reason| refused::<T>(node, &name, reason))
 }
 
 /// As [`open`], for slices of bytes.
@@ -83,14 +83,17 @@ fn open_slices<T: Message>(node: &Node<ipc::Service>) -> Result<SliceFactory<T>,
     {
         builder = builder.payload_alignment(alignment);
     }
-    let factory = with_settings::<T, _, _>(builder.user_header::<Carried<T>>()).open_or_create();
-    factory.map_err(refused::<T>)
+    let builder = builder.user_header::<Carried<T>>();
+    let factory = with_settings::<T, _, _>(builder).open_or_create();
+    factory.map_err(|reason| refused::<T>(node, &name, reason))
 }
 
 fn name<T: Message>() -> Result<ServiceName, JoinReason> {
     // The names are constants of this crate, all of them valid.
-    let name = T::SERVICE.try_into();
-    name.map_err(|_| refused::<T>(PublishSubscribeOpenOrCreateError::SystemInFlux))
+    T::SERVICE.try_into().map_err(|_| JoinReason::Service {
+        service: T::SERVICE,
+        reason: PublishSubscribeOpenOrCreateError::SystemInFlux,
+    })
 }
 
 fn with_settings<T: Message, P: Debug + ZeroCopySend + ?Sized, H: Debug + ZeroCopySend>(
@@ -106,7 +109,11 @@ fn with_settings<T: Message, P: Debug + ZeroCopySend + ?Sized, H: Debug + ZeroCo
         .enable_safe_overflow(true)
 }
 
-fn refused<T: Message>(reason: PublishSubscribeOpenOrCreateError) -> JoinReason {
+fn refused<T: Message>(
+    node: &Node<ipc::Service>,
+    name: &ServiceName,
+    reason: PublishSubscribeOpenOrCreateError,
+) -> JoinReason {
     use PublishSubscribeOpenError as Open;
     use PublishSubscribeOpenOrCreateError as Error;
     let service = T::SERVICE;
@@ -119,7 +126,27 @@ fn refused<T: Message>(reason: PublishSubscribeOpenOrCreateError) -> JoinReason 
             | Open::DoesNotSupportRequestedMinHistorySize
             | Open::DoesNotSupportRequestedAmountOfPublishers
             | Open::DoesNotSupportRequestedAmountOfSubscribers,
-        ) => JoinReason::OtherContract { service, reason },
+        ) => JoinReason::OtherContract {
+            service,
+            found: found::<T>(node, name),
+            ours: T::TYPE_NAME,
+            reason,
+        },
         _ => JoinReason::Service { service, reason },
     }
+}
+
+/// Type name of the message that the domain's service carries.
+fn found<T: Message>(node: &Node<ipc::Service>, name: &ServiceName) -> String {
+    let pattern = MessagingPattern::PublishSubscribe;
+    let Ok(Some(service)) = ipc::Service::details(name, node.config(), pattern) else {
+        return "unknown".to_owned();
+    };
+    let types = service.static_details.publish_subscribe();
+    let types = types.message_type_details();
+    let message = match T::PAYLOAD {
+        Payload::Message => types.payload,
+        Payload::Bytes { .. } => types.user_header,
+    };
+    message.type_name().to_string()
 }

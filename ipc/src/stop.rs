@@ -23,6 +23,8 @@ use std::time::{Duration, Instant};
 
 use rustix::fs::{AtFlags, CWD, OFlags, StatxFlags, Timespec, Timestamps, futimens, statx};
 
+use crate::clock::now_ns;
+
 /// Name of the file in the domain's directory.
 pub const STOP_FILE: &str = "stop";
 
@@ -185,7 +187,7 @@ impl Asked {
         let open = || {
             let file = OpenOptions::new().read(true).write(true).open(&path)?;
             let mut word = Content::default();
-            let text = format!("{} {}", std::process::id(), crate::now_ns());
+            let text = format!("{} {}", std::process::id(), now_ns());
             let pairs = word.iter_mut().zip(text.bytes());
             pairs.for_each(|(to, from)| *to = from);
             file.write_all_at(&word, 0)

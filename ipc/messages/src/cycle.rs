@@ -246,7 +246,7 @@ impl StrategyCode {
 
 message! {
     /// Telemetry of one cycle. Numbers of the control law are NaN if it did not run.
-    CycleRecord: "vpc/CycleRecord/5" {
+    CycleRecord {
         /// Head; `data_ns` is when the cycle woke up.
         stamp: Stamp,
         /// Number of the cycle, from 1.

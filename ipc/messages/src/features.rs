@@ -8,7 +8,7 @@ pub const MAX_POINTS: usize = 8;
 
 message! {
     /// Image features of one frame.
-    Features: "vpc/Features/1" {
+    Features {
         /// Head; `data_ns` is the middle of the exposure.
         stamp: Stamp,
         /// Length of the exposure; 0 if unknown.

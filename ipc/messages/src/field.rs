@@ -74,7 +74,8 @@ pub(crate) use sealed::Sealed;
 pub trait Wire: Sealed + Copy + Default + 'static {
     /// Name in Rust.
     const NAME: &'static str;
-    /// Name that iceoryx2 compares. It ends in a number that rises with each change of the layout.
+    /// Name that iceoryx2 compares: `vpc/`, [`Wire::NAME`], `/`, and a hash of the layout in
+    /// hexadecimal digits. Builds with other fields therefore refuse each other.
     const TYPE_NAME: &'static str;
     /// Documentation, a line each.
     const DOC: &'static str;
@@ -86,6 +87,67 @@ pub trait Wire: Sealed + Copy + Default + 'static {
 
     /// Each field with its values, to be changed.
     fn fields_mut(&mut self) -> impl Iterator<Item = (&'static Field, ValuesMut<'_>)>;
+}
+
+/// Digits of a layout in a type name.
+pub(crate) const DIGITS: usize = 8;
+
+/// `name`, then the layout of these fields in hexadecimal digits.
+pub(crate) const fn type_name<const N: usize>(name: &str, fields: &[Field]) -> [u8; N] {
+    let (mut text, layout) = ([0; N], layout(fields));
+    let mut i = 0;
+    while i < N {
+        text[i] = match N - i {
+            behind @ ..=DIGITS => b"0123456789abcdef"[(layout >> (4 * (behind - 1))) as usize % 16],
+            _ => name.as_bytes()[i],
+        };
+        i += 1;
+    }
+    text
+}
+
+/// Text that is ASCII.
+pub(crate) const fn text(ascii: &[u8]) -> &str {
+    match core::str::from_utf8(ascii) {
+        Ok(text) => text,
+        Err(_) => panic!("no text"),
+    }
+}
+
+/// A hash of what readers of the fields rely on: names, units, kinds, counts and offsets, in order.
+const fn layout(fields: &[Field]) -> u32 {
+    let mut hash = 0x811c_9dc5;
+    let mut i = 0;
+    while i < fields.len() {
+        let Field {
+            name,
+            unit,
+            kind,
+            count,
+            offset,
+            ..
+        } = fields[i];
+        hash = hashed(hash, name.as_bytes());
+        hash = hashed(hash, &[kind as u8]);
+        hash = hashed(hash, unit.as_bytes());
+        hash = hashed(hash, &(count as u32).to_le_bytes());
+        hash = hashed(hash, &(offset as u32).to_le_bytes());
+        if let Kind::Stamp = kind {
+            hash = hashed(hash, &layout(Stamp::FIELDS).to_le_bytes());
+        }
+        i += 1;
+    }
+    hash
+}
+
+/// FNV-1a: `hash` after these bytes.
+const fn hashed(mut hash: u32, bytes: &[u8]) -> u32 {
+    let mut i = 0;
+    while i < bytes.len() {
+        hash = (hash ^ bytes[i] as u32).wrapping_mul(0x0100_0193);
+        i += 1;
+    }
+    hash
 }
 
 /// What is known of a struct on the wire.
@@ -218,7 +280,7 @@ impl FieldType for Stamp {
 /// Meanings: `finite`, `finite_pairs`, `range(least, most)`, `code(Type)`, `any_code(Type)`,
 /// `bits(Type)`.
 macro_rules! wire {
-    ($(#[doc = $doc:expr])+ $(#[derive($($derive:path),+)])? $name:ident: $type_name:tt {
+    ($(#[doc = $doc:expr])+ $(#[derive($($derive:path),+)])? $name:ident {
         $(
             $(#[doc = $field_doc:literal])+
             $field:ident: $type:ty
@@ -252,7 +314,12 @@ macro_rules! wire {
 
         impl $crate::field::Wire for $name {
             const NAME: &'static str = stringify!($name);
-            const TYPE_NAME: &'static str = $type_name;
+            const TYPE_NAME: &'static str = {
+                const NAME: &str = concat!("vpc/", stringify!($name), "/");
+                const TYPE_NAME: [u8; NAME.len() + $crate::field::DIGITS] =
+                    $crate::field::type_name(NAME, <$name as $crate::field::Wire>::FIELDS);
+                $crate::field::text(&TYPE_NAME)
+            };
             const DOC: &'static str = concat!($($doc, "\n"),+);
             const FIELDS: &'static [$crate::field::Field] = &[$($crate::field::Field {
                 name: stringify!($field),
@@ -297,7 +364,7 @@ pub(crate) use wire;
 wire! {
     /// Head of every message. Times are CLOCK_MONOTONIC.
     #[derive(Eq, serde::Serialize, serde::Deserialize)]
-    Stamp: "vpc/Stamp/1" {
+    Stamp {
         /// Number of the message. Each publisher counts from 1, and starts again from 1 when it
         /// restarts.
         sequence: u64,
@@ -305,5 +372,43 @@ wire! {
         published_ns: u64 ["ns"],
         /// The instant that the data describe; for features the middle of the exposure.
         data_ns: u64 ["ns"],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CycleRecord;
+
+    #[test]
+    fn each_change_of_a_field_changes_the_layout() {
+        let same = layout(CycleRecord::FIELDS);
+        let changed = |change: fn(&mut Field)| {
+            let mut fields = CycleRecord::FIELDS.to_vec();
+            change(&mut fields[7]);
+            layout(&fields) != same
+        };
+        assert!(!changed(|_| ()));
+        assert!(!changed(|field| field.doc = "Other words."));
+        assert!(changed(|field| field.name = "late_ns"));
+        assert!(changed(|field| field.unit = "us"));
+        assert!(changed(|field| field.kind = Kind::I64));
+        assert!(changed(|field| field.count = 2));
+        assert!(changed(|field| field.offset += 8));
+        let mut swapped = CycleRecord::FIELDS.to_vec();
+        swapped.swap(7, 8);
+        assert_ne!(layout(&swapped), same);
+        assert_ne!(layout(&swapped[1..]), layout(&swapped));
+    }
+
+    #[test]
+    fn a_type_name_ends_in_the_layout() {
+        let layout = layout(CycleRecord::FIELDS);
+        let expected = format!("vpc/CycleRecord/{layout:08x}");
+        assert_eq!(CycleRecord::TYPE_NAME, expected);
+        let vectors: [(&[u8], u32); 2] = [(b"", 0x811c_9dc5), (b"foobar", 0xbf9c_f968)];
+        for (bytes, hash) in vectors {
+            assert_eq!(hashed(0x811c_9dc5, bytes), hash);
+        }
     }
 }

@@ -37,7 +37,7 @@ impl Encoding {
 
 message! {
     /// Header of an image. The image itself is a slice of `stride * height` bytes, top row first.
-    ImageHeader: "vpc/ImageHeader/1" {
+    ImageHeader {
         /// Head; `sequence` counts the camera's frames, lost ones too; `data_ns` is the middle of
         /// the exposure.
         stamp: Stamp,

@@ -165,12 +165,12 @@ pub(crate) fn check_fields<T: Message>(message: &T, every_code: bool) -> Result<
 /// Declares a message: a struct on the wire (see `wire!`), then its service, publisher and quality
 /// of service; for the header of a slice also `[Payload::Bytes { .. }]`.
 macro_rules! message {
-    ($(#[doc = $doc:literal])+ $name:ident: $type_name:tt { $($fields:tt)+ }
+    ($(#[doc = $doc:literal])+ $name:ident { $($fields:tt)+ }
      $service:literal $([$payload:expr])? from $publisher:literal: $qos:expr) => {
         $crate::field::wire! {
             $(#[doc = $doc])+
             #[doc = concat!("\nService `", $service, "`.")]
-            $name: $type_name { $($fields)+ }
+            $name { $($fields)+ }
         }
 
         impl $crate::message::Message for $name {

@@ -65,7 +65,7 @@ codes! {
 
 message! {
     /// An operator's request. Several operators may be at work.
-    Request: "vpc/Request/2" {
+    Request {
         /// Head; `data_ns` is zero.
         stamp: Stamp,
         /// Chosen by the operator at random; the reply has the same. 0: the stop file.
@@ -142,7 +142,7 @@ impl Request {
 
 message! {
     /// The controller's answer to a request.
-    Reply: "vpc/Reply/4" {
+    Reply {
         /// Head; `data_ns` is the publication of the request.
         stamp: Stamp,
         /// That of the request.

@@ -39,7 +39,7 @@ bits! {
 
 message! {
     /// State of the robot that carries the camera, at the instant `stamp.data_ns`.
-    RobotState: "vpc/RobotState/2" {
+    RobotState {
         /// Head.
         stamp: Stamp,
         /// Sequence number of the features exposed at this instant; 0 if there are none.

@@ -9,7 +9,7 @@ const STATE: usize = 32_768;
 message! {
     /// All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
     /// replay by the same version of vpcd: `state` is private to it.
-    Snapshot: "vpc/Snapshot/4" {
+    Snapshot {
         /// Head.
         stamp: Stamp,
         /// The cycle that follows.

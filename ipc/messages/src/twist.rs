@@ -32,7 +32,7 @@ codes! {
 message! {
     /// Camera velocity command. Stop executing it when it is no longer valid: the controller may
     /// have died.
-    TwistCommand: "vpc/TwistCommand/2" {
+    TwistCommand {
         /// Head; `data_ns` is that of the features it answers.
         stamp: Stamp,
         /// Sequence number of the features it answers; 0 if it answers none.

@@ -13,20 +13,10 @@ use base64::engine::general_purpose::STANDARD;
 use messages::{Field, Meaning, Values, ValuesMut, Wire};
 use serde_json::{Map, Value};
 
+use crate::error::FieldError;
+
 /// Name of the list of numbers that JSON does not have.
 pub(crate) const NON_FINITE: &str = "non_finite";
-
-/// Why a message could not be read.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field} = {found}; allowed: {allowed}")]
-pub struct FieldError {
-    /// Name of the field, with the index in an array.
-    pub field: String,
-    /// What was found.
-    pub found: String,
-    /// What is allowed.
-    pub allowed: String,
-}
 
 /// The fields as a JSON object.
 pub(crate) fn write(message: &impl Wire) -> String {

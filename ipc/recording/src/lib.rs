@@ -18,14 +18,8 @@ mod sink;
 mod writer;
 
 pub use clock::WallClock;
-pub use error::WriteError;
-pub use field::FieldError;
+pub use error::{FieldError, ReadError, WriteError};
 pub use message::{Encoding, Recorded};
-pub use reader::{ReadError, Recording};
+pub use reader::Recording;
 pub use sink::Sink;
-pub use writer::RecordingFile;
-
-/// Name of the attached configuration of `vpcd`.
-pub const CONFIG_FILE: &str = "vpcd.toml";
-/// Name of the attached scene; masks are attached under the names that the scene gives them.
-pub const SCENE_FILE: &str = "scene.toml";
+pub use writer::{CONFIG_FILE, RecordingFile, SCENE_FILE};

@@ -3,7 +3,8 @@
 use messages::{Field, Kind, Meaning, Message, Stamp, Wire};
 use serde_json::{Map, Value, json};
 
-use crate::field::{self, FieldError, NON_FINITE};
+use crate::error::FieldError;
+use crate::field::{self, NON_FINITE};
 
 /// How the messages of a topic are encoded.
 #[derive(Clone, Debug)]
@@ -57,7 +58,7 @@ pub trait Recorded: Message {
 
 impl<T: Message> Recorded for T {}
 
-/// `vpc.CycleRecord.3`.
+/// `vpc.CycleRecord.` and the layout of the message.
 fn schema_name<T: Wire>() -> String {
     T::TYPE_NAME.replace('/', ".")
 }

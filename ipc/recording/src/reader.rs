@@ -5,7 +5,6 @@ use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
-use mcap::McapError;
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use messages::{
@@ -14,9 +13,9 @@ use messages::{
 use scene::{FileError, Scene};
 
 use crate::clock::WallClock;
+use crate::error::ReadError;
 use crate::message::Recorded;
-use crate::writer::ORIGIN;
-use crate::{CONFIG_FILE, SCENE_FILE};
+use crate::writer::{CONFIG_FILE, ORIGIN, SCENE_FILE};
 
 /// Longest record, bytes: a damaged length must not take all memory. Chunks are decompressed record
 /// by record.
@@ -24,30 +23,6 @@ const LONGEST: usize = 64 << 20;
 /// Most bytes of records for each byte of the file, beside one of the longest: a small file does
 /// not become a large recording. That of an idle vpcd, which changes least, has 19.
 const RATIO: usize = 256;
-
-/// Why a recording could not be read.
-#[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
-pub enum ReadError {
-    #[error("{path}: cannot read the recording: {source}")]
-    Read { path: String, source: io::Error },
-    #[error("{path}: not a recording: {source}")]
-    Format { path: String, source: McapError },
-    #[error("{path}: {length} bytes become more than {most} bytes of records; allowed: up to that")]
-    Bomb {
-        path: String,
-        length: u64,
-        most: usize,
-    },
-    /// A message that is not what its topic says.
-    #[error("{path}: message {sequence} of {topic}: {reason}")]
-    Message {
-        path: String,
-        topic: String,
-        sequence: u32,
-        reason: String,
-    },
-}
 
 /// What was recorded; messages in the order in which they were written.
 #[derive(Clone, Debug, Default)]
@@ -97,7 +72,7 @@ impl Recording {
             cut: Some("the file has no end".to_owned()),
             ..Self::default()
         };
-        let mut channels = HashMap::new();
+        let mut channels = Channels::default();
         let mut is_first = true;
         // A message that cannot be read may turn out to be damaged: its chunk's checksum follows.
         let mut wrong = None;
@@ -191,16 +166,21 @@ impl Recording {
     fn take(
         &mut self,
         path: &str,
-        channels: &mut HashMap<u16, String>,
+        channels: &mut Channels,
         record: Record<'_>,
     ) -> Result<(), ReadError> {
         match record {
+            Record::Schema { header, .. } => {
+                channels.schemas.insert(header.id, header.name);
+            }
             Record::Channel(channel) => {
-                channels.insert(channel.id, channel.topic);
+                let schema = channels.schemas.get(&channel.schema_id).cloned();
+                let of = (channel.topic, schema.unwrap_or_default());
+                channels.topics.insert(channel.id, of);
             }
             Record::Message { header, data } => {
-                if let Some(topic) = channels.get(&header.channel_id) {
-                    let read = self.message(topic, &data);
+                if let Some((topic, schema)) = channels.topics.get(&header.channel_id) {
+                    let read = self.message(topic, schema, &data);
                     return read.map_err(|reason| ReadError::Message {
                         path: path.to_owned(),
                         topic: topic.clone(),
@@ -222,23 +202,40 @@ impl Recording {
         Ok(())
     }
 
-    fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), String> {
-        fn put<T: Recorded>(list: &mut Vec<T>, data: &[u8]) -> Result<(), String> {
-            let json = serde_json::from_slice(data).map_err(|error| error.to_string())?;
-            list.push(T::from_json(&json).map_err(|error| error.to_string())?);
-            Ok(())
-        }
+    fn message(&mut self, topic: &str, schema: &str, data: &[u8]) -> Result<(), String> {
         match topic {
-            Features::TOPIC => put(&mut self.features, data),
-            TwistCommand::TOPIC => put(&mut self.twist, data),
-            RobotState::TOPIC => put(&mut self.robot, data),
-            CycleRecord::TOPIC => put(&mut self.cycles, data),
-            Request::TOPIC => put(&mut self.requests, data),
-            Reply::TOPIC => put(&mut self.replies, data),
-            Snapshot::TOPIC => put(&mut self.snapshots, data),
+            Features::TOPIC => put(&mut self.features, schema, data),
+            TwistCommand::TOPIC => put(&mut self.twist, schema, data),
+            RobotState::TOPIC => put(&mut self.robot, schema, data),
+            CycleRecord::TOPIC => put(&mut self.cycles, schema, data),
+            Request::TOPIC => put(&mut self.requests, schema, data),
+            Reply::TOPIC => put(&mut self.replies, schema, data),
+            Snapshot::TOPIC => put(&mut self.snapshots, schema, data),
             _ => Ok(()),
         }
     }
+}
+
+/// What a file says of its channels.
+#[derive(Default)]
+struct Channels {
+    schemas: HashMap<u16, String>,
+    /// Topic and name of the schema.
+    topics: HashMap<u16, (String, String)>,
+}
+
+/// Appends a message of this schema to those of its topic. One of another layout is read all the
+/// same if it has every field: fields are found by their names.
+fn put<T: Recorded>(list: &mut Vec<T>, schema: &str, data: &[u8]) -> Result<(), String> {
+    let json = serde_json::from_slice(data).map_err(|error| error.to_string())?;
+    let message = T::from_json(&json).map_err(|error| match T::schema_name() {
+        ours if ours != schema => {
+            format!("{error} (another version of the contract: {schema}; this program's: {ours})")
+        }
+        _ => error.to_string(),
+    });
+    list.push(message?);
+    Ok(())
 }
 
 #[cfg(test)]
@@ -267,6 +264,44 @@ mod tests {
         writer.finish().unwrap();
         assert!(std::fs::metadata(&path).unwrap().len() < 100_000);
         Recording::read(&path).map_err(|error| error.to_string())
+    }
+
+    /// What reading says of a recording of this text on `/vpc/features`, under this schema.
+    fn read_text(schema: &str, text: &str) -> Result<Recording, String> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.mcap");
+        let mut writer = mcap::Writer::new(File::create(&path).unwrap()).unwrap();
+        let schema = writer.add_schema(schema, "jsonschema", b"{}").unwrap();
+        let channel = writer.add_channel(schema, Features::TOPIC, "json", &BTreeMap::new());
+        let header = mcap::records::MessageHeader {
+            channel_id: channel.unwrap(),
+            sequence: 1,
+            log_time: 0,
+            publish_time: 0,
+        };
+        writer
+            .write_to_known_channel(&header, text.as_bytes())
+            .unwrap();
+        writer.finish().unwrap();
+        Recording::read(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_message_of_another_layout_is_read_if_it_has_each_field() {
+        let other = "vpc.Features.00000000";
+        let features = Features::new(&[[1.0, 2.0]; 4], 3);
+        let text = features.to_json();
+        assert_eq!(read_text(other, &text).unwrap().features, [features]);
+        let lacking = text.replace("exposure_ns", "exposed_ns");
+        let said = read_text(other, &lacking).unwrap_err();
+        let ours = Features::schema_name();
+        let words = format!(
+            "message 1 of /vpc/features: exposure_ns = nothing; allowed: 0 to 2^64-1 (another \
+             version of the contract: {other}; this program's: {ours})"
+        );
+        assert!(said.ends_with(&words), "{said}");
+        let said = read_text(&ours, &lacking).unwrap_err();
+        assert!(said.ends_with("allowed: 0 to 2^64-1"), "{said}");
     }
 
     #[test]

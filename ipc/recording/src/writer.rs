@@ -14,6 +14,10 @@ use crate::error::WriteError;
 use crate::message::Encoding;
 use crate::sink::Sink;
 
+/// Name of the attached configuration of `vpcd`.
+pub const CONFIG_FILE: &str = "vpcd.toml";
+/// Name of the attached scene; masks are attached under the names that the scene gives them.
+pub const SCENE_FILE: &str = "scene.toml";
 /// Name of the metadata record at the head of the file.
 pub(crate) const ORIGIN: &str = "vpc.origin";
 

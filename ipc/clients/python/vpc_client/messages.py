@@ -336,7 +336,7 @@ class Stamp(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Stamp/1"
+        return "vpc/Stamp/10e2b6cb"
 
 
 class Features(Message):
@@ -366,7 +366,7 @@ class Features(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Features/1"
+        return "vpc/Features/920a9e7e"
 
 
 class TwistCommand(Message):
@@ -404,7 +404,7 @@ class TwistCommand(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/TwistCommand/2"
+        return "vpc/TwistCommand/d46511cc"
 
 
 class RobotState(Message):
@@ -455,7 +455,7 @@ class RobotState(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/RobotState/2"
+        return "vpc/RobotState/75ed6b02"
 
 
 class CycleRecord(Message):
@@ -632,7 +632,7 @@ class CycleRecord(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/5"
+        return "vpc/CycleRecord/c2474e4c"
 
 
 class Snapshot(Message):
@@ -661,7 +661,7 @@ class Snapshot(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Snapshot/4"
+        return "vpc/Snapshot/a8e2ce6b"
 
 
 class Request(Message):
@@ -694,7 +694,7 @@ class Request(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Request/2"
+        return "vpc/Request/df8a405d"
 
 
 class Reply(Message):
@@ -740,7 +740,7 @@ class Reply(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Reply/4"
+        return "vpc/Reply/414da61d"
 
 
 class ImageHeader(Message):
@@ -776,7 +776,7 @@ class ImageHeader(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/ImageHeader/1"
+        return "vpc/ImageHeader/b57cc18e"
 
 
 # What is checked of each field: a class of codes, the least and the greatest of a count, or that numbers are
