@@ -7,9 +7,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use decision::HoldReason;
 use ipc::{ControllerPorts, Domain, StopFile};
-use messages::{ClockMode, RealTime};
+use messages::{ClockMode, Hold, RealTime};
 use program::{Exit, StartUp};
 
 use crate::arguments::{Arguments, Command};
@@ -217,7 +216,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
     if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
-        control.begin_disarmed(HoldReason::Unclean);
+        control.begin_disarmed(Hold::Unclean);
         tracing::warn!(
             "process {process}, a vpcd of this domain, was killed or crashed, and nobody has armed since: begins disarmed"
         );

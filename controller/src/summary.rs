@@ -34,7 +34,7 @@ impl Summary {
     /// Adds the next record.
     pub fn add(&mut self, record: &CycleRecord) {
         self.counts.cycles += 1;
-        self.held += u64::from(record.hold != Hold::None.code());
+        self.held += u64::from(record.hold().is_some());
         let (receive, step, send) = (record.receive_ns, record.step_ns, record.send_ns);
         let times = [
             record.wake_latency_ns,
@@ -52,7 +52,7 @@ impl Summary {
         self.log_changes(record);
         self.log_foresight(record);
         self.phase = record.phase;
-        self.has_steered |= record.hold == Hold::None.code();
+        self.has_steered |= record.hold().is_none();
         (self.state, self.hold) = (record.state, record.hold);
         self.error_px = record.error_px;
         (self.counts.overruns, self.counts.lost_records) = (record.overruns, record.lost_records);
@@ -60,7 +60,7 @@ impl Summary {
 
     /// Cycles that steer are to cost nothing but time, once all peers are met.
     fn count_costs(&mut self, record: &CycleRecord) {
-        if record.hold != Hold::None.code() {
+        if record.hold().is_some() {
             return;
         }
         let counts = &mut self.counts;
@@ -82,18 +82,15 @@ impl Summary {
             info!(cycle, %phase, error_us, "phase of the grid: {phase}");
         }
         if record.state != self.state || record.hold != self.hold {
-            match (
-                TwistState::from_code(record.state),
-                Hold::from_code(record.hold),
-            ) {
-                (Some(state), Some(cause)) if cause != Hold::None => {
+            match (TwistState::from_code(record.state), record.hold()) {
+                (Some(state), Some(cause)) => {
                     let features = record.features_sequence;
                     match self.is_expected(cause) {
                         true => info!(cycle, features, %cause, "{state}: {cause}"),
                         false => warn!(cycle, features, %cause, "{state}: {cause}"),
                     }
                 }
-                (Some(state), _) => {
+                (Some(state), None) => {
                     let error_px = tenths(record.error_px);
                     info!(cycle, %state, error_px, "now {state}");
                 }
@@ -169,7 +166,7 @@ impl Summary {
             Hold::from_code(self.hold),
         ) {
             _ if self.counts.cycles == 0 => "starting".to_owned(),
-            (Some(state), Some(cause)) if cause != Hold::None => format!("{state}: {cause}"),
+            (Some(state), Some(cause)) => format!("{state}: {cause}"),
             (Some(state), _) if self.error_px.is_nan() => state.to_string(),
             (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
             (None, _) => "unknown".to_owned(),
@@ -306,7 +303,7 @@ mod tests {
         for cycle in 1..=2 * Report::WARM_UP {
             let mut record = record(cycle);
             record.hold = match cycle % 2 {
-                0 => Hold::None.code(),
+                0 => Hold::number(None),
                 _ => Hold::NoFeatures.code(),
             };
             (record.minor_faults, record.allocations) = (1, 1);

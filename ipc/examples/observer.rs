@@ -25,9 +25,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             println!("{missed} cycles missed");
         }
         // Reception refuses unknown codes.
-        let (Some(state), Some(hold)) = (TwistState::from_code(cycle.state), cycle.hold()) else {
+        let Some(state) = TwistState::from_code(cycle.state) else {
             continue;
         };
+        let hold = (cycle.hold()).map_or_else(|| "none".to_owned(), |hold| hold.to_string());
         let law_us = cycle.step_ns as f64 / 1e3;
         let (number, error_px, twist) = (cycle.cycle, cycle.error_px, cycle.twist);
         println!(

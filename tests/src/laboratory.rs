@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use hw_sim::outcome::Verdict;
 use ipc::{Domain, Subscriber};
-use messages::{CycleRecord, Hold};
+use messages::CycleRecord;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -394,7 +394,7 @@ impl Holds {
                 self.runs.push(BTreeMap::new());
             }
             self.frame = frame;
-            let hold = cycle.hold().filter(|hold| *hold != Hold::None);
+            let hold = cycle.hold();
             if let (Some(hold), Some(run)) = (hold, self.runs.last_mut()) {
                 *run.entry(hold.to_string()).or_default() += 1;
             }

@@ -1,13 +1,11 @@
 //! Conversions between the codes of the contract and the types of the control law.
 
 use messages::{
-    CycleRecord, Features, ForesightCode, RecallCode, SolverStatus, Stamp, StrategyCode,
+    CycleRecord, Features, ForesightCode, Hold, RecallCode, SolverStatus, Stamp, StrategyCode,
 };
 use vpc::foresight::{Foresight, Outcome, PLACES};
 use vpc::guide::Kind;
 use vpc::{Asked, Measurement, Refusal, Status, Step, Strategy};
-
-use crate::decision::HoldReason;
 
 // A step takes all the points that a message can have: more than the law has room for would panic
 // in the loop. And a path has its places and points side by side in both.
@@ -51,20 +49,20 @@ pub fn exposed_ns(features: &Stamp) -> u64 {
     }
 }
 
-/// The reason to hold for a refusal by the law.
-pub fn hold_reason(refusal: Refusal) -> HoldReason {
+/// The hold for a refusal by the law.
+pub fn hold_of(refusal: Refusal) -> Hold {
     match refusal {
-        Refusal::Count { .. } => HoldReason::Count,
-        Refusal::NotFinite { .. } => HoldReason::NotFinite,
-        Refusal::OffImage { .. } | Refusal::Lost => HoldReason::OffImage,
+        Refusal::Count { .. } => Hold::Count,
+        Refusal::NotFinite { .. } => Hold::NotFinite,
+        Refusal::OffImage { .. } | Refusal::Lost => Hold::OffImage,
         Refusal::Mixed { .. }
         | Refusal::Leap { .. }
         | Refusal::Coincident { .. }
-        | Refusal::Flat { .. } => HoldReason::Mixed,
-        Refusal::Frozen { .. } => HoldReason::Frozen,
-        Refusal::NotFollowing { .. } => HoldReason::NotFollowing,
-        Refusal::Elsewhere { .. } => HoldReason::Elsewhere,
-        Refusal::Late { .. } => HoldReason::Stale,
+        | Refusal::Flat { .. } => Hold::Mixed,
+        Refusal::Frozen { .. } => Hold::Frozen,
+        Refusal::NotFollowing { .. } => Hold::NotFollowing,
+        Refusal::Elsewhere { .. } => Hold::Elsewhere,
+        Refusal::Late { .. } => Hold::Stale,
     }
 }
 

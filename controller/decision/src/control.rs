@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 
 use memory_blob::Memory;
 use messages::{
-    Action, CycleFlags, CycleRecord, Features, Outcome, Reply, Request, Stamp, StrategyCode,
+    Action, CycleFlags, CycleRecord, Features, Hold, Outcome, Reply, Request, Stamp, StrategyCode,
     TwistState,
 };
 use scene::Scene;
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use vpc::{Law, MotionMemory, Settings, SettingsError};
 
 use crate::contract;
-use crate::decision::{Decision, HoldReason, hold_code};
+use crate::decision::Decision;
 use crate::gate::{Gate, Link, Verdict};
 use crate::input::{Input, Inputs};
 use crate::law::{self, Bounds};
@@ -28,7 +28,7 @@ use crate::supervisor::{Situation, Supervisor};
 pub struct Answer {
     /// Head of the features message that it answers; all zero if there is none.
     pub stamp: Stamp,
-    /// Twist, state and reason of the hold.
+    /// Twist, state and hold.
     pub decision: Decision,
 }
 
@@ -83,14 +83,14 @@ impl<'m> ControlStep<'m> {
             supervisor: Supervisor::new(rules),
             standing: Answer {
                 stamp: Stamp::default(),
-                decision: Decision::hold(HoldReason::NoFeatures),
+                decision: Decision::hold(Hold::NoFeatures),
             },
         })
     }
 
     /// Before the first cycle: begins disarmed, whatever the rules say.
-    pub fn begin_disarmed(&mut self, reason: HoldReason) {
-        self.supervisor.begin_disarmed(reason);
+    pub fn begin_disarmed(&mut self, hold: Hold) {
+        self.supervisor.begin_disarmed(hold);
     }
 
     /// What the cycles so far leave to the next. A copy; never allocates.
@@ -161,7 +161,7 @@ impl<'m> ControlStep<'m> {
 
     /// The answer to a request with this outcome.
     pub fn reply(&self, request: &Request, cycle: u64, outcome: Outcome) -> Reply {
-        let (state, reason) = self.supervisor.state();
+        let (state, hold) = self.supervisor.state();
         let (strategy, neighbours) = self.strategy();
         Reply {
             stamp: Stamp {
@@ -173,7 +173,7 @@ impl<'m> ControlStep<'m> {
             action: request.action().unwrap_or(Action::Status).code(),
             outcome: outcome.code(),
             state: state.code(),
-            hold: hold_code(reason),
+            hold: Hold::number(hold),
             strategy: strategy.code(),
             neighbours,
             stops: self.supervisor.stops(),
@@ -204,10 +204,7 @@ impl<'m> ControlStep<'m> {
             // The law's next prediction would be of a motion that does not happen.
             self.gate.mark_gap();
         }
-        let is_new_place = matches!(
-            proposed.decision.hold,
-            Some(HoldReason::Mixed | HoldReason::Elsewhere)
-        );
+        let is_new_place = matches!(proposed.decision.hold, Some(Hold::Mixed | Hold::Elsewhere));
         if decision.state == TwistState::Disarmed && is_new_place {
             // Nothing moves before an operator has armed: the object may be anywhere.
             self.law.lose_sight();
@@ -220,7 +217,7 @@ impl<'m> ControlStep<'m> {
         record.features_sequence = proposed.stamp.sequence;
         record.twist = decision.twist;
         record.state = decision.state.code();
-        record.hold = decision.hold_code();
+        record.hold = Hold::number(decision.hold);
         Answer {
             stamp: proposed.stamp,
             decision,
@@ -295,8 +292,8 @@ impl<'m> ControlStep<'m> {
                 let has_arrived = self.standing.decision.state == TwistState::Arrived;
                 let decision = self.run_law(&features, effective_ns, link, has_arrived, record);
                 match decision.hold {
-                    None | Some(HoldReason::NoWay) => self.gate.approve(),
-                    Some(reason) => _ = self.gate.hold(reason),
+                    None | Some(Hold::NoWay) => self.gate.approve(),
+                    Some(hold) => _ = self.gate.hold(hold),
                 }
                 self.standing = Answer {
                     stamp: features.stamp,
@@ -305,9 +302,9 @@ impl<'m> ControlStep<'m> {
                 self.standing
             }
             Verdict::Repeat => self.standing,
-            Verdict::Hold(reason, stamp) => Answer {
+            Verdict::Hold(hold, stamp) => Answer {
                 stamp,
-                decision: Decision::hold(reason),
+                decision: Decision::hold(hold),
             },
         }
     }
@@ -334,7 +331,7 @@ impl<'m> ControlStep<'m> {
                 contract::record_step(&step, record);
                 self.bounds.decide(&step, had_arrived && link != Link::New)
             }
-            Err(refusal) => Decision::hold(contract::hold_reason(refusal)),
+            Err(refusal) => Decision::hold(contract::hold_of(refusal)),
         }
     }
 

@@ -4,10 +4,9 @@
 //! It checks messages: their order, their age, and whether all points were visible. The law then
 //! checks the numbers against the scene.
 
-use messages::{FUTURE_NS, Features, Order, Stamp};
+use messages::{FUTURE_NS, Features, Hold, Order, Stamp};
 use serde::{Deserialize, Serialize};
 
-use crate::decision::HoldReason;
 use crate::input::Input;
 
 /// What a cycle is to do.
@@ -23,7 +22,7 @@ pub enum Verdict {
     /// Nothing new, and the last command is still good: send it again.
     Repeat,
     /// Send the zero twist, as the answer to the message with this head.
-    Hold(HoldReason, Stamp),
+    Hold(Hold, Stamp),
 }
 
 /// The relation of features to those of the law's previous step.
@@ -48,7 +47,7 @@ pub struct Gate {
     believed: Stamp,
     good_ns: Option<u64>,
     /// Why the last message was refused; `None` if it was not.
-    held: Option<HoldReason>,
+    held: Option<Hold>,
     gap: bool,
     /// Whether the last message that came in order was the first of a camera that started again.
     restarted: bool,
@@ -63,7 +62,7 @@ impl Gate {
             heard: None,
             believed: Stamp::default(),
             good_ns: None,
-            held: Some(HoldReason::NoFeatures),
+            held: Some(Hold::NoFeatures),
             gap: true,
             restarted: false,
         }
@@ -84,18 +83,18 @@ impl Gate {
             Input::Nothing => self.nothing(now_ns),
             Input::Refused(stamp) => {
                 self.heard = Some(*stamp);
-                self.hold(HoldReason::Invalid)
+                self.hold(Hold::Invalid)
             }
-            Input::Failed => self.hold(HoldReason::Transport),
+            Input::Failed => self.hold(Hold::Transport),
         }
     }
 
     /// Holds until the next good message, and tells the law then that there was a gap: for refusals
     /// by the law, too.
-    pub fn hold(&mut self, reason: HoldReason) -> Verdict {
-        self.held = Some(reason);
+    pub fn hold(&mut self, hold: Hold) -> Verdict {
+        self.held = Some(hold);
         self.gap = true;
-        Verdict::Hold(reason, self.last())
+        Verdict::Hold(hold, self.last())
     }
 
     /// Lets the law know at the next features that its last command was not in force all the time:
@@ -123,16 +122,16 @@ impl Gate {
     fn fresh(&mut self, features: &Features, order: Order, now_ns: u64) -> Verdict {
         self.heard = Some(features.stamp);
         if self.is_live()
-            && let Some(reason) = self.wrong_time(&features.stamp, order, now_ns)
+            && let Some(hold) = self.wrong_time(&features.stamp, order, now_ns)
         {
-            return self.hold(reason);
+            return self.hold(hold);
         }
         self.believed = features.stamp;
         if self.is_stale(now_ns) {
-            return self.hold(HoldReason::Stale);
+            return self.hold(Hold::Stale);
         }
         if !features.all_visible() {
-            return self.hold(HoldReason::Hidden);
+            return self.hold(Hold::Hidden);
         }
         let link = match order {
             Order::First | Order::Restarted => Link::New,
@@ -147,7 +146,7 @@ impl Gate {
     }
 
     /// Why the times of a new message are refused, compared with now and with the previous message.
-    fn wrong_time(&mut self, stamp: &Stamp, order: Order, now_ns: u64) -> Option<HoldReason> {
+    fn wrong_time(&mut self, stamp: &Stamp, order: Order, now_ns: u64) -> Option<Hold> {
         let Stamp {
             published_ns,
             data_ns,
@@ -155,24 +154,24 @@ impl Gate {
         } = *stamp;
         let before = self.believed;
         if published_ns.max(data_ns) > now_ns.saturating_add(FUTURE_NS) {
-            return Some(HoldReason::Clock);
+            return Some(Hold::Clock);
         }
         let is_same_camera = !matches!(order, Order::First | Order::Restarted);
         if published_ns < before.published_ns || (is_same_camera && data_ns < before.data_ns) {
-            return Some(HoldReason::Order);
+            return Some(Hold::Order);
         }
         // A camera that hangs and sends one exposure again and again, also where it seems to have
         // started again (a driver that does not count its messages); 0 means that the exposure time
         // is unknown.
         if data_ns == before.data_ns && data_ns != 0 {
-            return Some(HoldReason::Stale);
+            return Some(Hold::Stale);
         }
         // A driver that does not count its messages seems to start again with each, and what is
         // compared with the features before (a frozen image, points mixed up) would never be looked
         // at.
         let is_restart = order == Order::Restarted;
         if is_restart && self.restarted {
-            return Some(HoldReason::Order);
+            return Some(Hold::Order);
         }
         self.restarted = is_restart;
         None
@@ -180,8 +179,8 @@ impl Gate {
 
     fn nothing(&mut self, now_ns: u64) -> Verdict {
         match self.held {
-            Some(reason) => Verdict::Hold(reason, self.last()),
-            None if self.is_stale(now_ns) => self.hold(HoldReason::Stale),
+            Some(hold) => Verdict::Hold(hold, self.last()),
+            None if self.is_stale(now_ns) => self.hold(Hold::Stale),
             None => {
                 // The next features are more than one period away from the law's last ones.
                 self.gap = true;
@@ -221,9 +220,9 @@ mod tests {
         }
     }
 
-    fn cause(verdict: Verdict) -> Option<HoldReason> {
+    fn hold(verdict: Verdict) -> Option<Hold> {
         match verdict {
-            Verdict::Hold(cause, _) => Some(cause),
+            Verdict::Hold(hold, _) => Some(hold),
             _ => None,
         }
     }
@@ -231,10 +230,7 @@ mod tests {
     #[test]
     fn before_the_first_message_there_is_nothing_to_do_but_hold() {
         let mut gate = Gate::new(Some(LIMIT));
-        assert_eq!(
-            cause(gate.judge(&Input::Nothing, 0)),
-            Some(HoldReason::NoFeatures)
-        );
+        assert_eq!(hold(gate.judge(&Input::Nothing, 0)), Some(Hold::NoFeatures));
     }
 
     #[test]
@@ -254,10 +250,7 @@ mod tests {
         gate.judge(&came(1, 0), 1);
         assert_eq!(gate.judge(&Input::Nothing, 50), Verdict::Repeat);
         assert_eq!(gate.judge(&Input::Nothing, 100), Verdict::Repeat);
-        assert_eq!(
-            cause(gate.judge(&Input::Nothing, 101)),
-            Some(HoldReason::Stale)
-        );
+        assert_eq!(hold(gate.judge(&Input::Nothing, 101)), Some(Hold::Stale));
         // Good features end it, and the law gets `Link::Broken` for the gap.
         assert_eq!(link(gate.judge(&came(2, 200), 201)), Some(Link::Broken));
     }
@@ -265,11 +258,11 @@ mod tests {
     #[test]
     fn a_camera_that_seems_to_start_again_with_each_message_is_held() {
         let mut gate = Gate::new(Some(LIMIT));
-        let mut judge = |at, number| cause(gate.judge(&came(number, at), at + 1));
+        let mut judge = |at, number| hold(gate.judge(&came(number, at), at + 1));
         assert_eq!(judge(10, 7), None);
         assert_eq!(judge(20, 7), None);
-        assert_eq!(judge(30, 7), Some(HoldReason::Order));
-        assert_eq!(judge(40, 7), Some(HoldReason::Order));
+        assert_eq!(judge(30, 7), Some(Hold::Order));
+        assert_eq!(judge(40, 7), Some(Hold::Order));
         // Until it counts.
         assert_eq!(judge(50, 8), None);
         assert_eq!(judge(60, 8), None);
@@ -279,7 +272,7 @@ mod tests {
     #[test]
     fn a_message_from_long_ago_is_stale_when_it_comes() {
         let mut gate = Gate::new(Some(LIMIT));
-        assert_eq!(cause(gate.judge(&came(1, 0), 500)), Some(HoldReason::Stale));
+        assert_eq!(hold(gate.judge(&came(1, 0), 500)), Some(Hold::Stale));
         let mut lockstep = Gate::new(None);
         assert_eq!(link(lockstep.judge(&came(1, 0), 500)), Some(Link::New));
     }
@@ -290,7 +283,7 @@ mod tests {
         gate.judge(&came(1, 10), 11);
         let future = 11 + FUTURE_NS + 1;
         let verdict = gate.judge(&came(2, future), 11);
-        assert_eq!(cause(verdict), Some(HoldReason::Clock));
+        assert_eq!(hold(verdict), Some(Hold::Clock));
         let verdict = gate.judge(&came(3, 12), 13);
         assert_eq!(link(verdict), Some(Link::Broken));
     }
@@ -302,12 +295,12 @@ mod tests {
         // The next one, and the first of a camera that starts again.
         for number in [6, 1] {
             let verdict = gate.judge(&came(number, 49), 52);
-            assert_eq!(cause(verdict), Some(HoldReason::Order));
+            assert_eq!(hold(verdict), Some(Hold::Order));
         }
         let mut older_exposure = message(2, 53);
         older_exposure.stamp.data_ns = 49;
         let verdict = gate.judge(&Input::Message(older_exposure), 54);
-        assert_eq!(cause(verdict), Some(HoldReason::Order));
+        assert_eq!(hold(verdict), Some(Hold::Order));
         // A camera that starts again has exposures of its own.
         older_exposure.stamp.sequence = 1;
         let verdict = gate.judge(&Input::Message(older_exposure), 54);
@@ -322,12 +315,12 @@ mod tests {
         let mut frozen = message(3, 60);
         frozen.stamp.data_ns = 30;
         let frozen = Input::Message(frozen);
-        assert_eq!(cause(gate.judge(&frozen, 61)), Some(HoldReason::Stale));
+        assert_eq!(hold(gate.judge(&frozen, 61)), Some(Hold::Stale));
         // Nor is it new by another count.
         let mut restarted = message(1, 90);
         restarted.stamp.data_ns = 30;
         let restarted = Input::Message(restarted);
-        assert_eq!(cause(gate.judge(&restarted, 91)), Some(HoldReason::Stale));
+        assert_eq!(hold(gate.judge(&restarted, 91)), Some(Hold::Stale));
         let mut lockstep = Gate::new(None);
         lockstep.judge(&came(2, 30), 31);
         assert_eq!(link(lockstep.judge(&frozen, 61)), Some(Link::Next));
@@ -340,7 +333,7 @@ mod tests {
         gate.judge(&came(1, 10), 11);
         gate.approve();
         gate.judge(&came(2, 40), 41);
-        gate.hold(HoldReason::OffImage);
+        gate.hold(Hold::OffImage);
         gate.judge(&Input::Nothing, 60);
         assert_eq!(gate.good_ns(), Some(10));
     }
@@ -359,16 +352,13 @@ mod tests {
         let invalid = message(0, 30).stamp;
         assert_eq!(
             gate.judge(&Input::Refused(invalid), 31),
-            Verdict::Hold(HoldReason::Invalid, invalid)
+            Verdict::Hold(Hold::Invalid, invalid)
         );
-        assert_eq!(
-            cause(gate.judge(&Input::Nothing, 32)),
-            Some(HoldReason::Invalid)
-        );
+        assert_eq!(hold(gate.judge(&Input::Nothing, 32)), Some(Hold::Invalid));
         let mut hidden = message(2, 60);
         hidden.visible = 0b0111;
         let hidden = Input::Message(hidden);
-        assert_eq!(cause(gate.judge(&hidden, 61)), Some(HoldReason::Hidden));
+        assert_eq!(hold(gate.judge(&hidden, 61)), Some(Hold::Hidden));
         assert_eq!(link(gate.judge(&came(3, 90), 91)), Some(Link::Broken));
     }
 }

@@ -2,11 +2,11 @@
 //! arrived.
 
 use memory_blob::Memory;
-use messages::TwistState;
+use messages::{Hold, TwistState};
 use scene::Scene;
 use vpc::{Status, Step, Strategy};
 
-use crate::decision::{Decision, HoldReason};
+use crate::decision::Decision;
 
 /// A twist whose components are all below this share of their limits is near zero: ten times the
 /// changes by which a camera with a noise of 0.3 px regulates.
@@ -39,13 +39,13 @@ impl Bounds {
     /// [`TwistState::Arrived`].
     pub fn decide(&self, step: &Step, had_arrived: bool) -> Decision {
         if step.status == Status::NumericalFailure {
-            return Decision::hold(HoldReason::Solver);
+            return Decision::hold(Hold::Solver);
         }
         if !self.is_within(&step.twist, 1.0 + ROUNDING) {
-            return Decision::hold(HoldReason::BadTwist);
+            return Decision::hold(Hold::BadTwist);
         }
         if step.stands {
-            return Decision::hold(HoldReason::NoWay);
+            return Decision::hold(Hold::NoWay);
         }
         Decision {
             twist: step.twist,

@@ -34,6 +34,6 @@ pub mod snapshot;
 pub mod supervisor;
 
 pub use control::{Answer, ControlStep};
-pub use decision::{Decision, HoldReason};
+pub use decision::Decision;
 pub use input::{Input, Inputs};
 pub use rules::{AfterArrival, Rules, Safety};

@@ -1,10 +1,9 @@
 //! The robot's state by its messages: not there, at fault, silent, not following, or fine. Pure;
 //! the time is an argument.
 
-use messages::{RobotFaults, RobotMode, RobotState};
+use messages::{Hold, RobotFaults, RobotMode, RobotState};
 use serde::{Deserialize, Serialize};
 
-use crate::decision::HoldReason;
 use crate::input::Input;
 use crate::rules::Rules;
 
@@ -57,11 +56,11 @@ impl RobotWatch {
         }
     }
 
-    /// What is wrong at `now_ns`, after what was received by then: [`HoldReason::NoRobot`],
-    /// [`HoldReason::RobotFault`], [`HoldReason::RobotLost`] or [`HoldReason::NotFollowed`]. Where
+    /// What is wrong at `now_ns`, after what was received by then: [`Hold::NoRobot`],
+    /// [`Hold::RobotFault`], [`Hold::RobotLost`] or [`Hold::NotFollowed`]. Where
     /// none is needed, a robot that was never heard is not missed: a camera may be carried by
     /// something that says nothing.
-    pub fn look(&mut self, input: &Input<RobotState>, now_ns: u64) -> Option<HoldReason> {
+    pub fn look(&mut self, input: &Input<RobotState>, now_ns: u64) -> Option<Hold> {
         if let Input::Message(state) = input {
             // A stamp from the future would put off the silence after it.
             self.heard_ns = Some(state.stamp.published_ns.min(now_ns));
@@ -79,10 +78,10 @@ impl RobotWatch {
         };
         // A state that breaks the contract is as good as none: it ends in silence.
         match self.heard_ns {
-            None => self.is_needed.then_some(HoldReason::NoRobot),
-            _ if self.at_fault => Some(HoldReason::RobotFault),
-            Some(heard) if is_long(heard) => Some(HoldReason::RobotLost),
-            _ if self.strays_ns.is_some_and(is_long) => Some(HoldReason::NotFollowed),
+            None => self.is_needed.then_some(Hold::NoRobot),
+            _ if self.at_fault => Some(Hold::RobotFault),
+            Some(heard) if is_long(heard) => Some(Hold::RobotLost),
+            _ if self.strays_ns.is_some_and(is_long) => Some(Hold::NotFollowed),
             _ => None,
         }
     }
@@ -162,7 +161,7 @@ mod tests {
         assert_eq!(watch.look(&Input::Nothing, 1 << 40), None);
         watch.is_needed = true;
         let missed = watch.look(&Input::Nothing, 1 << 40);
-        assert_eq!(missed, Some(HoldReason::NoRobot));
+        assert_eq!(missed, Some(Hold::NoRobot));
         let idle = state(RobotMode::Idle, RobotFaults::default(), 1 << 40);
         assert_eq!(watch.look(&idle, 1 << 40), None);
     }
@@ -184,7 +183,7 @@ mod tests {
                 let wrong = watch.look(&Input::Message(message), ms * MS);
                 let commanded = if *ms < 1000 { 0.0 } else { 0.4 };
                 watch.sent(&[0.0, commanded, 0.0, 0.0, 0.0, 0.0], ms * MS);
-                assert!(wrong.is_none_or(|cause| cause == HoldReason::NotFollowed));
+                assert!(wrong.is_none_or(|hold| hold == Hold::NotFollowed));
                 wrong.is_some()
             })
         };
@@ -215,10 +214,7 @@ mod tests {
         let fine = RobotFaults::default();
         assert_eq!(watch.look(&state(RobotMode::Moving, fine, 100), 101), None);
         assert_eq!(watch.look(&Input::Nothing, 110), None);
-        assert_eq!(
-            watch.look(&Input::Nothing, 111),
-            Some(HoldReason::RobotLost)
-        );
+        assert_eq!(watch.look(&Input::Nothing, 111), Some(Hold::RobotLost));
         assert_eq!(watch.look(&state(RobotMode::Idle, fine, 112), 113), None);
     }
 
@@ -227,10 +223,7 @@ mod tests {
         let mut watch = watch(Some(10));
         let future = state(RobotMode::Moving, RobotFaults::default(), u64::MAX);
         assert_eq!(watch.look(&future, 100), None);
-        assert_eq!(
-            watch.look(&Input::Nothing, 111),
-            Some(HoldReason::RobotLost)
-        );
+        assert_eq!(watch.look(&Input::Nothing, 111), Some(Hold::RobotLost));
     }
 
     #[test]
@@ -238,14 +231,11 @@ mod tests {
         let mut watch = watch(None);
         let fine = RobotFaults::default();
         let reflex = state(RobotMode::Moving, RobotFaults::REFLEX, 1);
-        assert_eq!(watch.look(&reflex, 2), Some(HoldReason::RobotFault));
-        assert_eq!(
-            watch.look(&Input::Nothing, 1 << 40),
-            Some(HoldReason::RobotFault)
-        );
+        assert_eq!(watch.look(&reflex, 2), Some(Hold::RobotFault));
+        assert_eq!(watch.look(&Input::Nothing, 1 << 40), Some(Hold::RobotFault));
         assert_eq!(watch.look(&state(RobotMode::Idle, fine, 3), 4), None);
         let fault = state(RobotMode::Fault, fine, 5);
-        assert_eq!(watch.look(&fault, 6), Some(HoldReason::RobotFault));
+        assert_eq!(watch.look(&fault, 6), Some(Hold::RobotFault));
         // Standing still because commands are missing, or cutting one to the limits, is no fault.
         let cut = RobotFaults(RobotFaults::STALE_COMMAND.0 | RobotFaults::COMMAND_LIMITED.0);
         assert_eq!(watch.look(&state(RobotMode::Stale, cut, 7), 8), None);

@@ -61,11 +61,11 @@ pub fn decode(snapshot: &Snapshot) -> Result<State, SnapshotError> {
 
 #[cfg(test)]
 mod tests {
-    use messages::{Features, Stamp, TwistState};
+    use messages::{Features, Hold, Stamp, TwistState};
 
     use super::*;
     use crate::control::Answer;
-    use crate::decision::{Decision, HoldReason};
+    use crate::decision::Decision;
     use crate::gate::Gate;
     use crate::input::Input;
     use crate::robot::RobotWatch;
@@ -90,7 +90,7 @@ mod tests {
                 -f64::NAN,
             ],
             state: TwistState::Disarmed,
-            hold: Some(HoldReason::Frozen),
+            hold: Some(Hold::Frozen),
         };
         let rules = Rules {
             limits: [f64::MAX; 6],
@@ -115,7 +115,7 @@ mod tests {
                 good_ns: Some(u64::MAX),
                 solver_failed: Some(true),
                 missed: u32::MAX,
-                robot: Some(HoldReason::RobotLost),
+                robot: Some(Hold::RobotLost),
                 suspended: true,
                 shutdown: true,
             },

@@ -2,8 +2,8 @@
 //! an argument.
 //!
 //! Three modes: *armed*, where the law moves the camera; *braking to disarm*; *disarmed*, where the
-//! twist is zero until an operator arms. Each cycle has at most one cause against the law's twist,
-//! the gravest of all that hold, and each cause has one response:
+//! twist is zero until an operator arms. Each cycle has at most one hold on the law's twist, the
+//! gravest of all that are present, and each hold has one response:
 //!
 //! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
 //! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, overruns, bad
@@ -13,14 +13,14 @@
 //!   known; a solver that failed once or twice.
 //! - *Brake, and stand or disarm*: it has arrived, and is not to follow.
 //!
-//! Each list begins with its gravest cause. A start that begins armed disarms if camera and robot
+//! Each list begins with its gravest hold. A start that begins armed disarms if camera and robot
 //! do not come within 5 s. Features are *lost* if the law could use none for [`Rules::lost_ns`].
 //! After a response the law's twist is taken up again as steeply as it is braked, and no more so.
 
-use messages::{Action, Outcome, TwistState};
+use messages::{Action, Hold, Outcome, TwistState};
 use serde::{Deserialize, Serialize};
 
-use crate::decision::{Decision, HoldReason};
+use crate::decision::Decision;
 use crate::rules::{AfterArrival, Rules};
 
 /// Cycles in a row with missed releases, or with a solver that failed, after which the camera is
@@ -47,7 +47,7 @@ pub struct Situation {
     /// Releases missed just before this cycle.
     pub missed: u32,
     /// What is wrong with the robot, as [`RobotWatch::look`](crate::robot::RobotWatch::look) says.
-    pub robot: Option<HoldReason>,
+    pub robot: Option<Hold>,
     /// Whether the machine was suspended just before this cycle.
     pub suspended: bool,
     /// Whether the daemon is to stop.
@@ -58,9 +58,9 @@ pub struct Situation {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 enum Mode {
     Armed,
-    /// On the way to disarmed, for this cause.
-    Disarming(HoldReason),
-    Disarmed(HoldReason),
+    /// On the way to disarmed, for this hold.
+    Disarming(Hold),
+    Disarmed(Hold),
 }
 
 /// The state machine.
@@ -91,14 +91,14 @@ pub struct Supervisor {
     failures: u32,
 }
 
-/// The response to a cause.
+/// The response to a hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Response {
     /// Zero at once, and disarm.
     Stop,
     /// Brake, and disarm.
     Disarm,
-    /// Brake, and go on when the cause is gone.
+    /// Brake, and go on when the hold is gone.
     Wait,
 }
 
@@ -109,10 +109,10 @@ impl Supervisor {
             rules,
             mode: match rules.begins_armed {
                 true => Mode::Armed,
-                false => Mode::Disarmed(HoldReason::NotArmed),
+                false => Mode::Disarmed(Hold::NotArmed),
             },
             last: None,
-            sent: Decision::hold(HoldReason::NoFeatures),
+            sent: Decision::hold(Hold::NoFeatures),
             is_ramping: true,
             is_stopped: false,
             stops: 0,
@@ -128,8 +128,8 @@ impl Supervisor {
     }
 
     /// Before the first cycle: begins disarmed, whatever the rules say.
-    pub fn begin_disarmed(&mut self, cause: HoldReason) {
-        (self.mode, self.has_met) = (Mode::Disarmed(cause), true);
+    pub fn begin_disarmed(&mut self, hold: Hold) {
+        (self.mode, self.has_met) = (Mode::Disarmed(hold), true);
     }
 
     /// Its settings.
@@ -142,11 +142,11 @@ impl Supervisor {
         self.sent.twist == [0.0; 6]
     }
 
-    /// The state, and its cause.
-    pub fn state(&self) -> (TwistState, Option<HoldReason>) {
+    /// The state, and its hold.
+    pub fn state(&self) -> (TwistState, Option<Hold>) {
         match self.mode {
-            Mode::Disarmed(cause) => (TwistState::Disarmed, Some(cause)),
-            Mode::Disarming(cause) => (TwistState::Braking, Some(cause)),
+            Mode::Disarmed(hold) => (TwistState::Disarmed, Some(hold)),
+            Mode::Disarming(hold) => (TwistState::Braking, Some(hold)),
             // Armed since the last cycle: nothing was sent yet.
             Mode::Armed if self.sent.state == TwistState::Disarmed => (TwistState::Holding, None),
             Mode::Armed => (self.sent.state, self.sent.hold),
@@ -169,9 +169,9 @@ impl Supervisor {
     pub fn request(&mut self, action: Action, seen: u32) -> Outcome {
         match action {
             Action::Arm => return self.arm(seen),
-            Action::Disarm => self.disarm(HoldReason::Operator),
+            Action::Disarm => self.disarm(Hold::Operator),
             Action::Stop => {
-                self.mode = Mode::Disarmed(HoldReason::Operator);
+                self.mode = Mode::Disarmed(Hold::Operator);
                 self.stops = self.stops.saturating_add(1);
                 (self.is_stopped, self.is_stop_new) = (true, true);
             }
@@ -190,27 +190,27 @@ impl Supervisor {
             None => 0,
         };
         self.count(situation);
-        let cause = self.cause(situation, now_ns, elapsed_ns);
-        let has_waited = self.has_waited(cause, now_ns);
-        if let Some(cause) = cause {
-            match self.response(cause) {
-                Response::Stop => self.mode = Mode::Disarmed(cause),
-                Response::Disarm => self.disarm(cause),
-                Response::Wait if has_waited => self.disarm(cause),
+        let hold = self.gravest(situation, now_ns, elapsed_ns);
+        let has_waited = self.has_waited(hold, now_ns);
+        if let Some(hold) = hold {
+            match self.response(hold) {
+                Response::Stop => self.mode = Mode::Disarmed(hold),
+                Response::Disarm => self.disarm(hold),
+                Response::Wait if has_waited => self.disarm(hold),
                 Response::Wait => (),
             }
         }
-        let decision = match (self.mode, cause) {
+        let decision = match (self.mode, hold) {
             (Mode::Armed, None) => self.ramped(&situation.decision, elapsed_ns),
-            (Mode::Armed, Some(HoldReason::Arrived)) => {
-                self.braked(HoldReason::Arrived, TwistState::Arrived, elapsed_ns)
+            (Mode::Armed, Some(Hold::Arrived)) => {
+                self.braked(Hold::Arrived, TwistState::Arrived, elapsed_ns)
             }
-            (Mode::Armed, Some(cause)) => self.braked(cause, TwistState::Holding, elapsed_ns),
-            (Mode::Disarming(cause), _) => self.braked(cause, TwistState::Disarmed, elapsed_ns),
-            (Mode::Disarmed(cause), _) => Decision::still(cause, TwistState::Disarmed),
+            (Mode::Armed, Some(hold)) => self.braked(hold, TwistState::Holding, elapsed_ns),
+            (Mode::Disarming(hold), _) => self.braked(hold, TwistState::Disarmed, elapsed_ns),
+            (Mode::Disarmed(hold), _) => Decision::still(hold, TwistState::Disarmed),
         };
         if decision.state == TwistState::Disarmed {
-            self.mode = Mode::Disarmed(decision.hold.unwrap_or(HoldReason::NotArmed));
+            self.mode = Mode::Disarmed(decision.hold.unwrap_or(Hold::NotArmed));
         }
         self.has_arrived |= decision.state == TwistState::Arrived
             && self.rules.after_arrival != AfterArrival::Follow;
@@ -222,8 +222,8 @@ impl Supervisor {
 
     /// Whether it began armed and has waited for too long for camera and robot: they would set it
     /// in motion when nobody expects it any more.
-    fn has_waited(&mut self, cause: Option<HoldReason>, now_ns: u64) -> bool {
-        self.has_met |= cause.is_none_or(|cause| cause == HoldReason::NoWay);
+    fn has_waited(&mut self, hold: Option<Hold>, now_ns: u64) -> bool {
+        self.has_met |= hold.is_none_or(|hold| hold == Hold::NoWay);
         let since = *self.waits_since.get_or_insert(now_ns);
         !self.has_met && now_ns.saturating_sub(since) > PEERS_NS
     }
@@ -251,13 +251,13 @@ impl Supervisor {
         }
         match situation.robot {
             None => (),
-            Some(HoldReason::NoRobot) => return Outcome::NoRobot,
-            Some(HoldReason::RobotLost) => return Outcome::RobotLost,
-            Some(HoldReason::NotFollowed) => return Outcome::NotFollowed,
+            Some(Hold::NoRobot) => return Outcome::NoRobot,
+            Some(Hold::RobotLost) => return Outcome::RobotLost,
+            Some(Hold::NotFollowed) => return Outcome::NotFollowed,
             Some(_) => return Outcome::RobotFault,
         }
         // Where no way is known it may be armed, and tries again.
-        if (situation.decision.hold).is_some_and(|reason| reason != HoldReason::NoWay) {
+        if (situation.decision.hold).is_some_and(|hold| hold != Hold::NoWay) {
             return Outcome::NoFeatures;
         }
         (self.overruns, self.failures) = (0, 0);
@@ -267,11 +267,11 @@ impl Supervisor {
         Outcome::Done
     }
 
-    /// Disarms, or brakes to disarm. If it already is disarmed or on the way, the first cause
+    /// Disarms, or brakes to disarm. If it already is disarmed or on the way, the first hold
     /// stays.
-    fn disarm(&mut self, cause: HoldReason) {
+    fn disarm(&mut self, hold: Hold) {
         if self.mode == Mode::Armed {
-            self.mode = Mode::Disarming(cause);
+            self.mode = Mode::Disarming(hold);
         }
     }
 
@@ -283,50 +283,47 @@ impl Supervisor {
         self.failures = in_a_row(self.failures, situation.solver_failed);
     }
 
-    /// The present response to a cause: a failed solver is given a few cycles to recover.
-    fn response(&self, cause: HoldReason) -> Response {
-        match cause {
-            HoldReason::Solver if self.failures < IN_A_ROW => Response::Wait,
-            HoldReason::Arrived if self.rules.after_arrival == AfterArrival::Hold => Response::Wait,
-            _ => response(cause),
+    /// The present response to a hold: a failed solver is given a few cycles to recover.
+    fn response(&self, hold: Hold) -> Response {
+        match hold {
+            Hold::Solver if self.failures < IN_A_ROW => Response::Wait,
+            Hold::Arrived if self.rules.after_arrival == AfterArrival::Hold => Response::Wait,
+            _ => response(hold),
         }
     }
 
-    /// The gravest cause against the law's twist.
-    fn cause(&self, situation: &Situation, now_ns: u64, elapsed_ns: u64) -> Option<HoldReason> {
+    /// The gravest hold on the law's twist.
+    fn gravest(&self, situation: &Situation, now_ns: u64, elapsed_ns: u64) -> Option<Hold> {
         let decided = situation.decision.hold;
         let beyond = |since: u64| {
             let limit = self.rules.lost_ns;
             limit.is_some_and(|limit| now_ns.saturating_sub(since) > limit)
         };
         let stood_still = self.rules.lost_ns.is_some_and(|limit| elapsed_ns > limit);
-        let is_robot = |reason| situation.robot == Some(reason);
-        let is_decided = |reason| decided == Some(reason);
+        let is_robot = |hold| situation.robot == Some(hold);
+        let is_decided = |hold| decided == Some(hold);
         // The order of this list is the order of gravity.
         [
-            (is_robot(HoldReason::RobotFault), HoldReason::RobotFault),
+            (is_robot(Hold::RobotFault), Hold::RobotFault),
             (
-                is_decided(HoldReason::Clock) || elapsed_ns == u64::MAX,
-                HoldReason::Clock,
+                is_decided(Hold::Clock) || elapsed_ns == u64::MAX,
+                Hold::Clock,
             ),
-            (stood_still || situation.suspended, HoldReason::Standstill),
-            (situation.shutdown, HoldReason::Shutdown),
-            (is_robot(HoldReason::RobotLost), HoldReason::RobotLost),
-            (is_robot(HoldReason::NotFollowed), HoldReason::NotFollowed),
-            (self.overruns >= OVERRUN * IN_A_ROW, HoldReason::Overruns),
-            (is_decided(HoldReason::BadTwist), HoldReason::BadTwist),
-            (self.failures >= IN_A_ROW, HoldReason::Solver),
-            (is_decided(HoldReason::Frozen), HoldReason::Frozen),
-            (
-                is_decided(HoldReason::NotFollowing),
-                HoldReason::NotFollowing,
-            ),
-            (situation.good_ns.is_some_and(beyond), HoldReason::Lost),
-            (is_robot(HoldReason::NoRobot), HoldReason::NoRobot),
-            (self.has_arrived, HoldReason::Arrived),
+            (stood_still || situation.suspended, Hold::Standstill),
+            (situation.shutdown, Hold::Shutdown),
+            (is_robot(Hold::RobotLost), Hold::RobotLost),
+            (is_robot(Hold::NotFollowed), Hold::NotFollowed),
+            (self.overruns >= OVERRUN * IN_A_ROW, Hold::Overruns),
+            (is_decided(Hold::BadTwist), Hold::BadTwist),
+            (self.failures >= IN_A_ROW, Hold::Solver),
+            (is_decided(Hold::Frozen), Hold::Frozen),
+            (is_decided(Hold::NotFollowing), Hold::NotFollowing),
+            (situation.good_ns.is_some_and(beyond), Hold::Lost),
+            (is_robot(Hold::NoRobot), Hold::NoRobot),
+            (self.has_arrived, Hold::Arrived),
         ]
         .into_iter()
-        .find_map(|(holds, cause)| holds.then_some(cause))
+        .find_map(|(is_present, hold)| is_present.then_some(hold))
         .or(decided)
     }
 
@@ -352,7 +349,7 @@ impl Supervisor {
         let twist = decision.twist.map(|v| v * share);
         match self.may_follow(&twist) {
             true => Decision { twist, ..*decision },
-            false => self.braked(HoldReason::Stale, TwistState::Holding, elapsed_ns),
+            false => self.braked(Hold::Stale, TwistState::Holding, elapsed_ns),
         }
     }
 
@@ -381,7 +378,7 @@ impl Supervisor {
     /// One step of braking: the twist shrinks as a whole, so that the camera stays on its path, at
     /// a rate that takes one at the limits to zero in the braking time, but by no more than a
     /// cycle's change. At zero the state is `after`.
-    fn braked(&self, cause: HoldReason, after: TwistState, elapsed_ns: u64) -> Decision {
+    fn braked(&self, hold: Hold, after: TwistState, elapsed_ns: u64) -> Decision {
         let speed = self.speed(&self.sent.twist);
         let slower = match self.rules.brake_ns {
             0 => 0.0,
@@ -391,12 +388,12 @@ impl Supervisor {
         let slower = slower.max(speed * (1.0 - 1.0 / stop_cycles));
         // Also where the last twist was zero, and for a NaN.
         if slower.is_nan() || slower <= 0.0 {
-            return Decision::still(cause, after);
+            return Decision::still(hold, after);
         }
         Decision {
             twist: self.sent.twist.map(|v| v * (slower / speed)),
             state: TwistState::Braking,
-            hold: Some(cause),
+            hold: Some(hold),
         }
     }
 }
@@ -411,36 +408,36 @@ fn in_a_row(before: u32, failed: Option<bool>) -> u32 {
     }
 }
 
-/// The response to a cause that lasts.
-fn response(cause: HoldReason) -> Response {
-    match cause {
-        HoldReason::RobotFault | HoldReason::Clock | HoldReason::Standstill => Response::Stop,
-        HoldReason::Shutdown
-        | HoldReason::Operator
-        | HoldReason::NotArmed
-        | HoldReason::Unclean
-        | HoldReason::RobotLost
-        | HoldReason::NotFollowed
-        | HoldReason::Overruns
-        | HoldReason::BadTwist
-        | HoldReason::Solver
-        | HoldReason::Frozen
-        | HoldReason::NotFollowing
-        | HoldReason::Lost
-        | HoldReason::Arrived => Response::Disarm,
-        HoldReason::NoRobot
-        | HoldReason::NoFeatures
-        | HoldReason::Stale
-        | HoldReason::Invalid
-        | HoldReason::Hidden
-        | HoldReason::Count
-        | HoldReason::NotFinite
-        | HoldReason::OffImage
-        | HoldReason::Transport
-        | HoldReason::Mixed
-        | HoldReason::Elsewhere
-        | HoldReason::Order
-        | HoldReason::NoWay => Response::Wait,
+/// The response to a hold that lasts.
+fn response(hold: Hold) -> Response {
+    match hold {
+        Hold::RobotFault | Hold::Clock | Hold::Standstill => Response::Stop,
+        Hold::Shutdown
+        | Hold::Operator
+        | Hold::NotArmed
+        | Hold::Unclean
+        | Hold::RobotLost
+        | Hold::NotFollowed
+        | Hold::Overruns
+        | Hold::BadTwist
+        | Hold::Solver
+        | Hold::Frozen
+        | Hold::NotFollowing
+        | Hold::Lost
+        | Hold::Arrived => Response::Disarm,
+        Hold::NoRobot
+        | Hold::NoFeatures
+        | Hold::Stale
+        | Hold::Invalid
+        | Hold::Hidden
+        | Hold::Count
+        | Hold::NotFinite
+        | Hold::OffImage
+        | Hold::Transport
+        | Hold::Mixed
+        | Hold::Elsewhere
+        | Hold::Order
+        | Hold::NoWay => Response::Wait,
     }
 }
 

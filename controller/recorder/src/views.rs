@@ -5,8 +5,8 @@ use foxglove::messages::{
     FrameTransform, ImageAnnotations, Pose, PoseInFrame, log::Level, points_annotation::Type,
 };
 use messages::{
-    CycleRecord, Features, Hold, MAX_POINTS, Reply, Request, RobotState, Snapshot, Stamp,
-    TwistCommand, TwistState,
+    CycleRecord, Features, MAX_POINTS, Reply, Request, RobotState, Snapshot, Stamp, TwistCommand,
+    TwistState,
 };
 use nalgebra::Isometry3;
 use recording::{Recorded, Sink, WriteError};
@@ -178,9 +178,8 @@ fn transform<S: Sink>(
 fn caption(record: &CycleRecord) -> String {
     let state = TwistState::from_code(record.state).map(|state| state.to_string());
     let mut text = state.unwrap_or_else(|| "unknown state".to_owned());
-    match Hold::from_code(record.hold) {
-        Some(Hold::None) | None => (),
-        Some(cause) => text += &format!(": {cause}"),
+    if let Some(hold) = record.hold() {
+        text += &format!(": {hold}");
     }
     if record.error_px.is_finite() {
         text += &format!(", error {:.1} px", record.error_px);

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use messages::{CycleRecord, Reply, Snapshot, TwistState};
+use messages::{CycleRecord, Hold, Reply, Snapshot, TwistState};
 use tracing::{info, warn};
 
 use super::file::{self, About};
@@ -15,7 +15,6 @@ use super::queue::FlightCycle;
 use super::ring::Ring;
 use super::store::Store;
 use crate::config::{Config, ConfigError, FlightConfig};
-use decision::HoldReason;
 
 /// A fault within this time of the last written one is only logged: features that come and go must
 /// not fill a disk. A fault that disarms is always written, because it may be the last one.
@@ -32,7 +31,7 @@ pub enum Cause {
     /// An operator or a signal asked.
     Request,
     /// The camera was moving and was held.
-    Fault(HoldReason),
+    Fault(Hold),
     /// The daemon ends.
     Exit,
 }
@@ -69,8 +68,8 @@ pub struct Recorder {
     /// The file that is due: for a request; for a moving camera that was held; for one that was
     /// disarmed.
     requested: bool,
-    fault: Option<HoldReason>,
-    disarmed: Option<HoldReason>,
+    fault: Option<Hold>,
+    disarmed: Option<Hold>,
     /// Whether a file was made of a fault since the camera last moved.
     is_told: bool,
     written: Option<Instant>,
@@ -273,29 +272,28 @@ fn is_armed(record: &CycleRecord) -> bool {
     !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped))
 }
 
-/// The reason of the hold, unless it is how vpcd began, or an operator or a shutdown asked for it.
-fn unwanted(record: &CycleRecord) -> Option<HoldReason> {
-    use HoldReason::{NotArmed, Operator, Shutdown, Unclean};
-    let reason = HoldReason::from_code(record.hold)?;
-    (!matches!(reason, NotArmed | Operator | Shutdown | Unclean)).then_some(reason)
+/// What holds, unless it is how vpcd began, or an operator or a shutdown asked for it.
+fn unwanted(record: &CycleRecord) -> Option<Hold> {
+    use Hold::{NotArmed, Operator, Shutdown, Unclean};
+    let hold = record.hold()?;
+    (!matches!(hold, NotArmed | Operator | Shutdown | Unclean)).then_some(hold)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    use messages::Hold;
     use recording::Recording;
 
     use super::super::file::origin;
     use crate::arguments::Arguments;
     use crate::loaded::Loaded;
 
-    fn cycle(number: u64, state: TwistState, hold: Hold) -> FlightCycle {
+    fn cycle(number: u64, state: TwistState, hold: Option<Hold>) -> FlightCycle {
         let record = CycleRecord {
             cycle: number,
             state: state.code(),
-            hold: hold.code(),
+            hold: Hold::number(hold),
             ..CycleRecord::default()
         };
         FlightCycle {
@@ -306,7 +304,7 @@ mod tests {
     }
 
     /// A recorder that was told these cycles, one after another.
-    fn told_of(cycles: &[(TwistState, Hold)]) -> Recorder {
+    fn told_of(cycles: &[(TwistState, Option<Hold>)]) -> Recorder {
         let mut recorder = Recorder::nowhere(10);
         for (state, hold) in cycles {
             recorder.push(cycle(1, *state, *hold));
@@ -316,37 +314,37 @@ mod tests {
 
     #[test]
     fn a_fault_is_a_motion_that_ends_unwanted() {
-        let moving = (TwistState::Moving, Hold::None);
+        let moving = (TwistState::Moving, None);
         let fault = |before, state, hold| told_of(&[before, (state, hold)]).fault;
-        let stale = fault(moving, TwistState::Braking, Hold::Stale);
-        assert_eq!(stale, Some(HoldReason::Stale));
-        let still = (TwistState::Holding, Hold::Stale);
-        assert_eq!(fault(still, TwistState::Holding, Hold::Stale), None);
-        assert_eq!(fault(moving, TwistState::Moving, Hold::None), None);
-        assert_eq!(fault(moving, TwistState::Disarmed, Hold::Operator), None);
+        let stale = fault(moving, TwistState::Braking, Some(Hold::Stale));
+        assert_eq!(stale, Some(Hold::Stale));
+        let still = (TwistState::Holding, Some(Hold::Stale));
+        assert_eq!(fault(still, TwistState::Holding, Some(Hold::Stale)), None);
+        assert_eq!(fault(moving, TwistState::Moving, None), None);
+        assert_eq!(
+            fault(moving, TwistState::Disarmed, Some(Hold::Operator)),
+            None
+        );
     }
 
     #[test]
     fn a_camera_is_disarmed_once_and_never_by_its_start() {
-        let (disarmed, lost) = (TwistState::Disarmed, Hold::Lost);
-        let (moving, braking) = (
-            (TwistState::Moving, Hold::None),
-            (TwistState::Braking, lost),
-        );
+        let (disarmed, lost) = (TwistState::Disarmed, Some(Hold::Lost));
+        let (moving, braking) = ((TwistState::Moving, None), (TwistState::Braking, lost));
         assert_eq!(
             told_of(&[moving, braking, (disarmed, lost)]).disarmed,
-            Some(HoldReason::Lost)
+            Some(Hold::Lost)
         );
         assert_eq!(
             told_of(&[(disarmed, lost), (disarmed, lost)]).disarmed,
             None
         );
-        let wanted = (disarmed, Hold::Operator);
+        let wanted = (disarmed, Some(Hold::Operator));
         assert_eq!(told_of(&[moving, braking, wanted]).disarmed, None);
         // Armed from the start, and disarmed while it still waited for features.
         for cause in [Hold::RobotLost, Hold::Overruns, Hold::Standstill] {
-            let waiting = (TwistState::Holding, Hold::NoFeatures);
-            let recorder = told_of(&[waiting, (disarmed, cause)]);
+            let waiting = (TwistState::Holding, Some(Hold::NoFeatures));
+            let recorder = told_of(&[waiting, (disarmed, Some(cause))]);
             assert_eq!((recorder.disarmed, recorder.fault), (None, None));
         }
     }
@@ -377,25 +375,37 @@ mod tests {
             let newest = Recording::read(store.files().last().unwrap()).unwrap();
             newest.origin(origin::CAUSE).unwrap().to_owned()
         };
-        assert_eq!(look(0, TwistState::Moving, Hold::None, false), 0);
-        assert_eq!(look(1, TwistState::Holding, Hold::Stale, false), 1);
-        assert_eq!(look(2, TwistState::Holding, Hold::Stale, false), 1);
-        assert_eq!(look(3, TwistState::Moving, Hold::None, false), 1);
-        assert_eq!(look(4, TwistState::Holding, Hold::Hidden, false), 1);
+        assert_eq!(look(0, TwistState::Moving, None, false), 0);
+        assert_eq!(look(1, TwistState::Holding, Some(Hold::Stale), false), 1);
+        assert_eq!(look(2, TwistState::Holding, Some(Hold::Stale), false), 1);
+        assert_eq!(look(3, TwistState::Moving, None, false), 1);
+        assert_eq!(look(4, TwistState::Holding, Some(Hold::Hidden), false), 1);
         // A request is always fulfilled.
-        assert_eq!(look(5, TwistState::Moving, Hold::None, true), 2);
-        assert_eq!(look(62, TwistState::Holding, Hold::Stale, false), 3);
+        assert_eq!(look(5, TwistState::Moving, None, true), 2);
+        assert_eq!(look(62, TwistState::Holding, Some(Hold::Stale), false), 3);
         assert_eq!(cause(), "fault: stale features");
         // One that disarms is written in any case, and once.
-        assert_eq!(look(63, TwistState::Moving, Hold::None, false), 3);
-        assert_eq!(look(64, TwistState::Braking, Hold::Overruns, false), 3);
-        assert_eq!(look(64, TwistState::Disarmed, Hold::Overruns, false), 4);
-        assert_eq!(look(65, TwistState::Moving, Hold::None, false), 4);
-        assert_eq!(look(66, TwistState::Disarmed, Hold::RobotFault, false), 5);
+        assert_eq!(look(63, TwistState::Moving, None, false), 3);
+        assert_eq!(
+            look(64, TwistState::Braking, Some(Hold::Overruns), false),
+            3
+        );
+        assert_eq!(
+            look(64, TwistState::Disarmed, Some(Hold::Overruns), false),
+            4
+        );
+        assert_eq!(look(65, TwistState::Moving, None, false), 4);
+        assert_eq!(
+            look(66, TwistState::Disarmed, Some(Hold::RobotFault), false),
+            5
+        );
         assert_eq!(cause(), "fault: robot fault");
-        assert_eq!(look(200, TwistState::Moving, Hold::None, false), 5);
-        assert_eq!(look(200, TwistState::Braking, Hold::Solver, false), 6);
-        assert_eq!(look(200, TwistState::Disarmed, Hold::Solver, false), 6);
+        assert_eq!(look(200, TwistState::Moving, None, false), 5);
+        assert_eq!(look(200, TwistState::Braking, Some(Hold::Solver), false), 6);
+        assert_eq!(
+            look(200, TwistState::Disarmed, Some(Hold::Solver), false),
+            6
+        );
     }
 
     #[test]
@@ -423,14 +433,14 @@ mod tests {
     #[test]
     fn what_comes_while_a_file_is_written_is_written_after_it() {
         let now = Instant::now();
-        let moving = (TwistState::Moving, Hold::None);
-        let fault = (TwistState::Disarmed, Hold::RobotFault);
+        let moving = (TwistState::Moving, None);
+        let fault = (TwistState::Disarmed, Some(Hold::RobotFault));
         let mut recorder = told_of(&[moving, fault]);
         let (disk, is_slow) = std::sync::mpsc::channel::<()>();
         recorder.writer = Some(std::thread::spawn(move || _ = is_slow.recv()));
         recorder.tend(true, now);
         recorder.tend(false, now);
-        assert!(recorder.requested && recorder.disarmed == Some(HoldReason::RobotFault));
+        assert!(recorder.requested && recorder.disarmed == Some(Hold::RobotFault));
         drop(disk);
         assert!(recorder.wait());
         recorder.tend(false, now);

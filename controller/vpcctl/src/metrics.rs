@@ -201,7 +201,10 @@ fn observer(out: &mut Text, view: &View) {
     out.sample("vpc_observer_missed_records_total", "", view.missed);
     out.sample("vpc_observer_refused_messages_total", "", view.refused);
     out.sample("vpc_observer_restarts_total", "", view.restarts);
-    if let Some(cause) = view.cause() {
+    if view.latest().is_some() {
+        let cause = view
+            .cause()
+            .map_or("none".to_owned(), |hold| hold.to_string());
         let label = format!("cause=\"{cause}\"");
         out.sample("vpc_last_cause_info", &label, 1);
     }
@@ -284,7 +287,7 @@ mod tests {
     fn view() -> View {
         let mut view = View::default();
         for number in 1..=3 {
-            let message = record(number, TwistState::Moving, Hold::None);
+            let message = record(number, TwistState::Moving, None);
             let order = Order::Next;
             view.cycle(&Received { message, order });
         }

@@ -49,11 +49,11 @@ pub enum Tone {
 impl Tone {
     /// The tone of a state with its cause. A camera that stays away, at the end of a run for
     /// instance, is worth a look; so is what an operator asked for.
-    pub fn of(state: TwistState, hold: Hold) -> Self {
+    pub fn of(state: TwistState, hold: Option<Hold>) -> Self {
         match (state, hold) {
             (TwistState::Moving | TwistState::Arrived, _) => Self::Good,
             (TwistState::Braking | TwistState::Disarmed, _) => Self::Warning,
-            (_, Hold::None | Hold::NoFeatures | Hold::Stale | Hold::Lost) => Self::Warning,
+            (_, None | Some(Hold::NoFeatures | Hold::Stale | Hold::Lost)) => Self::Warning,
             (TwistState::Holding | TwistState::Stopped, _) => Self::Bad,
         }
     }
@@ -101,9 +101,15 @@ mod tests {
     #[test]
     fn a_camera_that_ended_is_no_error_and_a_wrong_message_is() {
         for hold in [Hold::NoFeatures, Hold::Stale] {
-            assert_eq!(Tone::of(TwistState::Holding, hold), Tone::Warning);
+            assert_eq!(Tone::of(TwistState::Holding, Some(hold)), Tone::Warning);
         }
-        assert_eq!(Tone::of(TwistState::Disarmed, Hold::Lost), Tone::Warning);
-        assert_eq!(Tone::of(TwistState::Holding, Hold::Invalid), Tone::Bad);
+        assert_eq!(
+            Tone::of(TwistState::Disarmed, Some(Hold::Lost)),
+            Tone::Warning
+        );
+        assert_eq!(
+            Tone::of(TwistState::Holding, Some(Hold::Invalid)),
+            Tone::Bad
+        );
     }
 }

@@ -97,10 +97,7 @@ fn outcome(reply: &Reply) -> (String, Exit) {
         action => word(action),
     };
     let (outcome, state) = (word(reply.outcome()), word(reply.state()));
-    let cause = match reply.hold() {
-        Some(hold) if hold != messages::Hold::None => format!(" ({hold})"),
-        _ => String::new(),
-    };
+    let cause = (reply.hold()).map_or(String::new(), |hold| format!(" ({hold})"));
     let strategy = strategy_name(reply.strategy, reply.neighbours);
     let mut line = format!("{action}: {outcome}; {state}{cause}, strategy {strategy}\n");
     if reply.outcome() == Some(Outcome::Stopped) {

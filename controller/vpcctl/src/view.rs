@@ -25,8 +25,8 @@ pub struct Change {
     pub at_ns: u64,
     /// The state from then on.
     pub state: TwistState,
-    /// Why the law's twist is not sent.
-    pub hold: Hold,
+    /// Why the law's twist is not sent; `None` if it is.
+    pub hold: Option<Hold>,
 }
 
 /// What is known of a daemon.
@@ -35,7 +35,7 @@ pub struct View {
     recent: VecDeque<CycleRecord>,
     changes: VecDeque<Change>,
     /// State of the newest cycle, and its cause as [`cause`](Self::cause) has it.
-    standing: Option<(TwistState, Hold)>,
+    standing: Option<(TwistState, Option<Hold>)>,
     images: VecDeque<ImageHeader>,
     /// The newest cycle that used features: what a run came to, also when it is over.
     pub seen: Option<CycleRecord>,
@@ -99,12 +99,13 @@ impl View {
     }
 
     fn note_change(&mut self, record: &CycleRecord) {
-        let (Some(state), Some(hold)) = (TwistState::from_code(record.state), record.hold()) else {
+        let Some(state) = TwistState::from_code(record.state) else {
             return;
         };
+        let hold = record.hold();
         // A fault of the robot, say, replaces the cause of a daemon that is disarmed already.
         let is_disarmed = matches!(self.standing, Some((TwistState::Disarmed, _)));
-        if !is_disarmed || state != TwistState::Disarmed || hold == Hold::Operator {
+        if !is_disarmed || state != TwistState::Disarmed || hold == Some(Hold::Operator) {
             self.standing = Some((state, hold));
         }
         let last = self.changes.back();
@@ -145,17 +146,17 @@ impl View {
     /// What keeps the law's twist back since the newest cycle; of a disarmed daemon what disarmed it,
     /// or an operator's stop since then.
     pub fn cause(&self) -> Option<Hold> {
-        self.standing.map(|(_, cause)| cause)
+        self.standing.and_then(|(_, hold)| hold)
     }
 
     /// The last cause that kept the law's twist back, and when it ended, ns; `None` while it lasts.
-    pub fn last_cause(&self) -> Option<(Change, Option<u64>)> {
+    pub fn last_cause(&self) -> Option<(Hold, Option<u64>)> {
         let place = self
             .changes
             .iter()
-            .rposition(|change| change.hold != Hold::None)?;
-        let change = *self.changes.get(place)?;
-        Some((change, self.changes.get(place + 1).map(|next| next.at_ns)))
+            .rposition(|change| change.hold.is_some())?;
+        let hold = self.changes.get(place)?.hold?;
+        Some((hold, self.changes.get(place + 1).map(|next| next.at_ns)))
     }
 
     /// Measured rate of the cycles of the last two seconds, Hz. Cycles that were missed count.
@@ -225,7 +226,6 @@ impl View {
     pub fn cause_words(&self, now_ns: u64) -> Option<String> {
         let hold = self.latest()?.hold()?;
         match (hold, self.camera_silence_ns(now_ns)) {
-            (Hold::None, _) => None,
             (Hold::Stale | Hold::Lost | Hold::NoFeatures, Some(age)) => {
                 Some(format!("camera silent for {}", duration(age)))
             }
@@ -262,11 +262,11 @@ pub(crate) mod tests {
     use super::*;
 
     /// Cycle `number` of a 100 Hz loop in this state.
-    pub fn record(number: u64, state: TwistState, hold: Hold) -> CycleRecord {
+    pub fn record(number: u64, state: TwistState, hold: impl Into<Option<Hold>>) -> CycleRecord {
         let mut record = CycleRecord {
             cycle: number,
             state: state.code(),
-            hold: hold.code(),
+            hold: Hold::number(hold.into()),
             step_ns: 1000 * number,
             ..CycleRecord::default()
         };
@@ -297,7 +297,7 @@ pub(crate) mod tests {
 
     #[test]
     fn the_rate_counts_missed_cycles_too() {
-        let cycle = |number| record(number, TwistState::Moving, Hold::None);
+        let cycle = |number| record(number, TwistState::Moving, None);
         let view = fed(&[cycle(1), cycle(2), cycle(11)]);
         let rate = view.rate_hz().unwrap();
         assert!((rate - 100.0).abs() < 1e-9, "{rate}");
@@ -319,24 +319,22 @@ pub(crate) mod tests {
 
     #[test]
     fn the_last_cause_is_remembered_after_it_is_over() {
-        let moving = |number| record(number, TwistState::Moving, Hold::None);
+        let moving = |number| record(number, TwistState::Moving, None);
         let mut records = vec![moving(1)];
         assert_eq!(fed(&records).last_cause(), None);
         records.push(record(2, TwistState::Holding, Hold::Stale));
-        let (cause, over) = fed(&records).last_cause().unwrap();
-        assert_eq!(
-            (cause.hold, cause.at_ns, over),
-            (Hold::Stale, 20_000_000, None)
-        );
+        let view = fed(&records);
+        assert_eq!(view.last_cause(), Some((Hold::Stale, None)));
+        assert_eq!(view.changes().last().unwrap().at_ns, 20_000_000);
         records.extend([moving(3), moving(4)]);
         let (cause, over) = fed(&records).last_cause().unwrap();
-        assert_eq!((cause.hold, over), (Hold::Stale, Some(30_000_000)));
+        assert_eq!((cause, over), (Hold::Stale, Some(30_000_000)));
     }
 
     #[test]
     fn a_disarmed_daemon_keeps_the_cause_that_disarmed_it_until_an_operator_acts() {
         let disarmed = |hold| record(1, TwistState::Disarmed, hold);
-        let moving = record(1, TwistState::Moving, Hold::None);
+        let moving = record(1, TwistState::Moving, None);
         let (lost, fault, operator) = (Hold::Lost, Hold::RobotFault, Hold::Operator);
         let cause = |records: &[CycleRecord]| fed(records).cause().unwrap();
         for first in [Hold::NotArmed, Hold::Operator] {
@@ -359,7 +357,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_restart_forgets_the_cycles_but_not_the_counts() {
-        let mut view = fed(&[record(8, TwistState::Moving, Hold::None)]);
+        let mut view = fed(&[record(8, TwistState::Moving, None)]);
         let message = record(1, TwistState::Holding, Hold::NoFeatures);
         let order = Order::Restarted;
         view.cycle(&Received { message, order });
@@ -379,7 +377,7 @@ pub(crate) mod tests {
 
     #[test]
     fn what_falls_out_of_the_window_is_left_out() {
-        let cycle = |number| record(number, TwistState::Moving, Hold::None);
+        let cycle = |number| record(number, TwistState::Moving, None);
         let view = fed(&(1..=2000).map(cycle).collect::<Vec<_>>());
         assert_eq!(view.recent(u64::MAX).count(), 1024);
         assert_eq!(view.recent(1_000_000_000).count(), 101);
@@ -388,7 +386,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_camera_that_ended_is_told_as_such_and_its_last_features_stay() {
-        let mut used = record(4, TwistState::Moving, Hold::None);
+        let mut used = record(4, TwistState::Moving, None);
         used.count = 4;
         let stale = record(60, TwistState::Holding, Hold::Stale);
         let view = fed(&[used, stale]);

@@ -63,9 +63,11 @@ macro_rules! table {
 pub(crate) use table;
 
 /// Declares an enumeration that travels as `u32`. A number from another process becomes a value by
-/// `from_code`, and only if the contract knows it.
+/// `from_code`, and only if the contract knows it. `none` is the number for no value, where there
+/// may be none.
 macro_rules! codes {
     ($(#[doc = $doc:literal])+ $name:ident {
+        $(none = $none:literal => $none_text:literal $none_doc:literal,)?
         $($(#[doc = $value_doc:literal])+ $value:ident = $code:literal => $text:literal,)+
     }) => {
         $(#[doc = $doc])+
@@ -78,6 +80,7 @@ macro_rules! codes {
         impl $name {
             $crate::codes::table! {
                 $name concat!($($doc, "\n"),+);
+                $(None $none $none_text concat!($none_doc, "\n"),)?
                 $($value $code $text concat!($($value_doc, "\n"),+),)+
             }
 

@@ -86,8 +86,7 @@ impl RealTime {
 codes! {
     /// Why the twist of the control law was not sent.
     Hold {
-        /// It was sent.
-        None = 0 => "none",
+        none = 0 => "none" " It was sent.",
         /// No features have come yet.
         NoFeatures = 1 => "no features",
         /// The latest features are older than the stale limit.
@@ -150,6 +149,13 @@ codes! {
         Elsewhere = 29 => "features elsewhere",
         /// It has arrived, and stands since then, as `safety.after_arrival` wants it.
         Arrived = 30 => "arrived",
+    }
+}
+
+impl Hold {
+    /// The number of a hold, or that of none.
+    pub fn number(hold: Option<Self>) -> u32 {
+        hold.map_or(0, Self::code)
     }
 }
 
@@ -362,7 +368,7 @@ message! {
 }
 
 impl CycleRecord {
-    /// Cause of the zero twist; `None` if the code is unknown, which reception refuses.
+    /// Why the law's twist was not sent; `None` if it was. Reception refuses unknown codes.
     pub fn hold(&self) -> Option<Hold> {
         Hold::from_code(self.hold)
     }

@@ -181,7 +181,7 @@ impl Reply {
         TwistState::from_code(self.state)
     }
 
-    /// The cause of the state after the request.
+    /// What holds the law's twist back after the request, if anything.
     pub fn hold(&self) -> Option<Hold> {
         Hold::from_code(self.hold)
     }

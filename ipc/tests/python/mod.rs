@@ -223,7 +223,7 @@ fn messages_go_both_ways(python: &Path) {
         action: request.action,
         outcome: Outcome::Done.code(),
         state: TwistState::Moving.code(),
-        hold: Hold::None.code(),
+        hold: Hold::number(None),
         strategy: StrategyCode::Gpr.code(),
         neighbours: 0,
         ..Reply::default()

@@ -114,14 +114,11 @@ fn jump(library: &Path) -> anyhow::Result<()> {
     // twist.
     let causes: Vec<_> = records
         .iter()
-        .filter_map(|record| Hold::from_code(record.hold))
-        .take_while(|cause| !matches!(cause, Hold::Stale | Hold::Lost))
+        .map(|record| record.hold())
+        .take_while(|hold| !matches!(hold, Some(Hold::Stale | Hold::Lost)))
         .collect();
     ensure!(causes.len() > 15, "{causes:?}");
-    ensure!(
-        causes.iter().all(|cause| *cause == Hold::None),
-        "{causes:?}"
-    );
+    ensure!(causes.iter().all(Option::is_none), "{causes:?}");
     daemon.signal(Signal::TERM);
     assert_eq!(daemon.ended().code, Some(0));
     Ok(())

@@ -15,10 +15,10 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use controller::replay::replay;
-use decision::{Answer, ControlStep, Decision, HoldReason, Input, Inputs, Rules};
+use decision::{Answer, ControlStep, Decision, Input, Inputs, Rules};
 use ipc::{Domain, STOP_FILE, StopFile};
 use memory_blob::MemoryFile;
-use messages::{Action, CycleRecord, Features, Request, RobotState, Stamp, TwistState};
+use messages::{Action, CycleRecord, Features, Hold, Request, RobotState, Stamp, TwistState};
 use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
@@ -503,7 +503,7 @@ fn no_sequence_of_inputs_breaks_what_holds_of_the_twist() {
                 sequence: 0,
                 points: begin,
             };
-            let mut before = Decision::still(HoldReason::NotArmed, TwistState::Disarmed);
+            let mut before = Decision::still(Hold::NotArmed, TwistState::Disarmed);
             for (cycle, event) in events.iter().enumerate() {
                 for (action, strategy) in &event.requests {
                     let mut request = Request::new(cycle as u64 + 1, Action::Status);

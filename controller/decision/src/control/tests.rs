@@ -246,15 +246,15 @@ fn what_the_law_refuses_is_held_with_its_cause() {
     mixed.points[..4].rotate_left(2);
     let mut zeros = displaced(&law, 0.0);
     zeros.points.fill(0.0);
-    for (bad, cause) in [
-        (off, HoldReason::OffImage),
-        (nan, HoldReason::NotFinite),
-        (five, HoldReason::Count),
-        (mixed, HoldReason::Mixed),
-        (zeros, HoldReason::Mixed),
+    for (bad, hold) in [
+        (off, Hold::OffImage),
+        (nan, Hold::NotFinite),
+        (five, Hold::Count),
+        (mixed, Hold::Mixed),
+        (zeros, Hold::Mixed),
     ] {
         let decision = law.run_law(&bad, 0, Link::Next, false, &mut CycleRecord::default());
-        assert_eq!(decision, Decision::hold(cause));
+        assert_eq!(decision, Decision::hold(hold));
     }
 }
 
@@ -273,7 +273,7 @@ fn where_the_law_has_no_answer_the_camera_is_held() {
     ];
     let mut record = CycleRecord::default();
     let decision = law.run_law(&Features::new(&points, 0), 0, Link::New, false, &mut record);
-    assert_eq!(decision, Decision::hold(HoldReason::Solver));
+    assert_eq!(decision, Decision::hold(Hold::Solver));
     assert_eq!(record.status, SolverStatus::NumericalFailure.code());
 }
 
@@ -287,11 +287,11 @@ fn on_a_live_robot_features_from_before_the_first_command_are_stale() {
     let step = |law: &mut ControlStep| {
         law.run_law(&far, 50, Link::New, false, &mut CycleRecord::default())
     };
-    assert_eq!(step(&mut law), Decision::hold(HoldReason::Stale));
+    assert_eq!(step(&mut law), Decision::hold(Hold::Stale));
     law.law.sent(&[0.0; 6], 0);
     assert_eq!(step(&mut law).state, TwistState::Moving);
     law.law.forget_sent();
-    assert_eq!(step(&mut law), Decision::hold(HoldReason::Stale));
+    assert_eq!(step(&mut law), Decision::hold(Hold::Stale));
 }
 
 #[test]
@@ -313,7 +313,7 @@ fn a_live_robot_whose_image_ignores_the_commands_is_not_believed() {
         );
         holds.push(decision.hold);
     }
-    assert!(holds.contains(&Some(HoldReason::Frozen)), "{holds:?}");
+    assert!(holds.contains(&Some(Hold::Frozen)), "{holds:?}");
     // The points by other names, in the place of the old ones: until they were out of sight.
     frame.points[..8].rotate_left(2);
     let mut step = |law: &mut ControlStep, k: u64| {
@@ -327,7 +327,7 @@ fn a_live_robot_whose_image_ignores_the_commands_is_not_believed() {
         )
         .hold
     };
-    assert_eq!(step(&mut law, 20), Some(HoldReason::Mixed));
+    assert_eq!(step(&mut law, 20), Some(Hold::Mixed));
     law.law.lose_sight();
     assert_eq!(step(&mut law, 21), None);
 }
@@ -355,11 +355,11 @@ fn on_a_live_robot_a_point_that_leaps_is_not_believed_at_once() {
         .hold
     };
     assert_eq!(step(1, good), None);
-    assert_eq!(step(2, leapt), Some(HoldReason::Mixed));
+    assert_eq!(step(2, leapt), Some(Hold::Mixed));
     assert_eq!(step(3, good), None);
     // It stays where it went: whoever it was is now the point.
     for k in 4..7 {
-        assert_eq!(step(k, leapt), Some(HoldReason::Mixed), "{k}");
+        assert_eq!(step(k, leapt), Some(Hold::Mixed), "{k}");
     }
     assert_eq!(step(7, leapt), None);
 }

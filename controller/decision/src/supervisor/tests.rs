@@ -1,4 +1,4 @@
-//! Each cause and its response, with a clock moved by hand.
+//! Each hold and its response, with a clock moved by hand.
 
 use super::*;
 
@@ -75,8 +75,8 @@ impl Bench {
         self.cycle()
     }
 
-    /// The next cycle, with this cause against the law.
-    fn bad(&mut self, hold: HoldReason) -> Decision {
+    /// The next cycle, with this hold against the law.
+    fn bad(&mut self, hold: Hold) -> Decision {
         self.situation.decision = Decision::still(hold, TwistState::Holding);
         self.cycle()
     }
@@ -102,7 +102,7 @@ fn without_arming_nothing_moves() {
     for _ in 0..10 {
         assert_eq!(
             bench.good(),
-            Decision::still(HoldReason::NotArmed, TwistState::Disarmed)
+            Decision::still(Hold::NotArmed, TwistState::Disarmed)
         );
     }
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
@@ -114,10 +114,10 @@ fn braking_stays_on_the_path_and_within_its_time() {
     let mut bench = Bench::moving();
     let mut last = FAST;
     for _ in 0..4 {
-        let decision = bench.bad(HoldReason::Hidden);
+        let decision = bench.bad(Hold::Hidden);
         assert_eq!(
             (decision.state, decision.hold),
-            (TwistState::Braking, Some(HoldReason::Hidden))
+            (TwistState::Braking, Some(Hold::Hidden))
         );
         let share = decision.twist[0] / FAST[0];
         assert!((last[0] - decision.twist[0] - 0.1 * 33.0 / 150.0).abs() < 1e-12);
@@ -127,8 +127,8 @@ fn braking_stays_on_the_path_and_within_its_time() {
         last = decision.twist;
     }
     assert_eq!(
-        bench.bad(HoldReason::Hidden),
-        Decision::still(HoldReason::Hidden, TwistState::Holding)
+        bench.bad(Hold::Hidden),
+        Decision::still(Hold::Hidden, TwistState::Holding)
     );
 }
 
@@ -145,7 +145,7 @@ fn braking_is_no_faster_than_the_acceleration_allows() {
         assert!((0..8).any(|_| bench.good() == GOOD));
         let mut last = FAST;
         for cycle in 0..6 {
-            let decision = bench.bad(HoldReason::Hidden);
+            let decision = bench.bad(Hold::Hidden);
             let most = last.iter().zip(decision.twist).zip(acceleration);
             let most = most.map(|((before, now), a)| (before - now).abs() / (a * 0.033));
             let most = most.fold(0.0, f64::max);
@@ -163,20 +163,20 @@ fn braking_is_no_faster_than_the_acceleration_allows() {
 
 #[test]
 fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
-    for cause in [
-        HoldReason::Stale,
-        HoldReason::Invalid,
-        HoldReason::Hidden,
-        HoldReason::Count,
-        HoldReason::NotFinite,
-        HoldReason::OffImage,
-        HoldReason::Transport,
-        HoldReason::Mixed,
-        HoldReason::Elsewhere,
-        HoldReason::Order,
+    for hold in [
+        Hold::Stale,
+        Hold::Invalid,
+        Hold::Hidden,
+        Hold::Count,
+        Hold::NotFinite,
+        Hold::OffImage,
+        Hold::Transport,
+        Hold::Mixed,
+        Hold::Elsewhere,
+        Hold::Order,
     ] {
         let mut bench = Bench::moving();
-        assert_eq!(bench.bad(cause).state, TwistState::Braking);
+        assert_eq!(bench.bad(hold).state, TwistState::Braking);
         bench.resumes();
     }
 }
@@ -185,13 +185,13 @@ fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
 fn features_that_stay_away_disarm() {
     let mut bench = Bench::moving();
     let mut cycles = 0;
-    while bench.bad(HoldReason::Stale).state != TwistState::Disarmed {
+    while bench.bad(Hold::Stale).state != TwistState::Disarmed {
         cycles += 1;
     }
     assert_eq!(cycles, 300 / 33);
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::Lost, TwistState::Disarmed)
+        Decision::still(Hold::Lost, TwistState::Disarmed)
     );
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     bench.resumes();
@@ -200,23 +200,17 @@ fn features_that_stay_away_disarm() {
 #[test]
 fn graver_causes_brake_and_disarm() {
     type Change = fn(&mut Situation);
-    let cases: [(HoldReason, Change); 6] = [
-        (HoldReason::Shutdown, |s| s.shutdown = true),
-        (HoldReason::RobotLost, |s| {
-            s.robot = Some(HoldReason::RobotLost)
+    let cases: [(Hold, Change); 6] = [
+        (Hold::Shutdown, |s| s.shutdown = true),
+        (Hold::RobotLost, |s| s.robot = Some(Hold::RobotLost)),
+        (Hold::BadTwist, |s| s.decision.hold = Some(Hold::BadTwist)),
+        (Hold::Overruns, |s| s.missed = 1),
+        (Hold::NotFollowing, |s| {
+            s.decision.hold = Some(Hold::NotFollowing)
         }),
-        (HoldReason::BadTwist, |s| {
-            s.decision.hold = Some(HoldReason::BadTwist)
-        }),
-        (HoldReason::Overruns, |s| s.missed = 1),
-        (HoldReason::NotFollowing, |s| {
-            s.decision.hold = Some(HoldReason::NotFollowing)
-        }),
-        (HoldReason::Frozen, |s| {
-            s.decision.hold = Some(HoldReason::Frozen)
-        }),
+        (Hold::Frozen, |s| s.decision.hold = Some(Hold::Frozen)),
     ];
-    for (cause, change) in cases {
+    for (hold, change) in cases {
         let mut bench = Bench::moving();
         let untouched = bench.situation;
         change(&mut bench.situation);
@@ -224,17 +218,14 @@ fn graver_causes_brake_and_disarm() {
             .map(|_| bench.cycle())
             .find(|d| d.hold.is_some());
         let first = first.unwrap();
-        assert_eq!(
-            (first.state, first.hold),
-            (TwistState::Braking, Some(cause))
-        );
+        assert_eq!((first.state, first.hold), (TwistState::Braking, Some(hold)));
         assert!(!is_still(&first));
-        // The cause is gone: it goes on braking, and stays.
+        // The hold is gone: it goes on braking, and stays.
         bench.situation = untouched;
         for _ in 0..4 {
-            assert_eq!(bench.good().hold, Some(cause));
+            assert_eq!(bench.good().hold, Some(hold));
         }
-        assert_eq!(bench.good(), Decision::still(cause, TwistState::Disarmed));
+        assert_eq!(bench.good(), Decision::still(hold, TwistState::Disarmed));
         assert!(bench.supervisor.is_at_rest());
     }
 }
@@ -257,7 +248,7 @@ fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
     let mut look = |failed: bool| {
         bench.situation.solver_failed = Some(failed);
         match failed {
-            true => bench.bad(HoldReason::Solver),
+            true => bench.bad(Hold::Solver),
             false => bench.good(),
         }
     };
@@ -266,7 +257,7 @@ fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
             let decision = look(true);
             assert_eq!(
                 (decision.state, decision.hold),
-                (TwistState::Braking, Some(HoldReason::Solver))
+                (TwistState::Braking, Some(Hold::Solver))
             );
             assert!(!is_still(&decision));
         }
@@ -278,7 +269,7 @@ fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
     while look(false).state == TwistState::Braking {}
     assert_eq!(
         look(false),
-        Decision::still(HoldReason::Solver, TwistState::Disarmed)
+        Decision::still(Hold::Solver, TwistState::Disarmed)
     );
 }
 
@@ -295,17 +286,17 @@ fn an_overrun_every_other_cycle_stops_the_camera_in_the_end() {
     assert_eq!(forgiven, 8);
     assert_eq!(
         bench.supervisor.state(),
-        (TwistState::Braking, Some(HoldReason::Overruns))
+        (TwistState::Braking, Some(Hold::Overruns))
     );
 }
 
 #[test]
 fn the_gravest_stop_at_once() {
     let mut bench = Bench::moving();
-    bench.situation.robot = Some(HoldReason::RobotFault);
+    bench.situation.robot = Some(Hold::RobotFault);
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::RobotFault, TwistState::Disarmed)
+        Decision::still(Hold::RobotFault, TwistState::Disarmed)
     );
     assert_eq!(bench.ask(Action::Arm), Outcome::RobotFault);
     bench.situation.robot = None;
@@ -316,13 +307,13 @@ fn the_gravest_stop_at_once() {
     assert_eq!(bench.ask(Action::Stop), Outcome::Done);
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::Operator, TwistState::Disarmed)
+        Decision::still(Hold::Operator, TwistState::Disarmed)
     );
 
     let mut bench = Bench::moving();
     assert_eq!(
-        bench.bad(HoldReason::Clock),
-        Decision::still(HoldReason::Clock, TwistState::Disarmed)
+        bench.bad(Hold::Clock),
+        Decision::still(Hold::Clock, TwistState::Disarmed)
     );
 }
 
@@ -333,12 +324,12 @@ fn a_loop_that_stood_still_starts_no_motion() {
     bench.situation.missed = 60;
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::Standstill, TwistState::Disarmed)
+        Decision::still(Hold::Standstill, TwistState::Disarmed)
     );
     bench.situation.missed = 0;
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::Standstill, TwistState::Disarmed)
+        Decision::still(Hold::Standstill, TwistState::Disarmed)
     );
 }
 
@@ -348,7 +339,7 @@ fn a_clock_that_goes_back_stops() {
     bench.now -= 2 * PERIOD;
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::Clock, TwistState::Disarmed)
+        Decision::still(Hold::Clock, TwistState::Disarmed)
     );
 }
 
@@ -359,7 +350,7 @@ fn an_operator_brakes_and_arms_again() {
     let decision = bench.good();
     assert_eq!(
         (decision.state, decision.hold),
-        (TwistState::Braking, Some(HoldReason::Operator))
+        (TwistState::Braking, Some(Hold::Operator))
     );
     assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
     for _ in 0..4 {
@@ -367,7 +358,7 @@ fn an_operator_brakes_and_arms_again() {
     }
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::Operator, TwistState::Disarmed)
+        Decision::still(Hold::Operator, TwistState::Disarmed)
     );
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     bench.resumes();
@@ -381,7 +372,7 @@ fn an_arm_behind_a_stop_in_the_same_cycle_does_not_undo_it() {
     assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
     assert_eq!(
         bench.good(),
-        Decision::still(HoldReason::Operator, TwistState::Disarmed)
+        Decision::still(Hold::Operator, TwistState::Disarmed)
     );
     // Also where it stands already.
     assert_eq!(bench.ask(Action::Stop), Outcome::Done);
@@ -417,22 +408,22 @@ fn who_arms_after_a_stop_names_the_newest() {
 
 #[test]
 fn who_begins_armed_and_meets_nobody_disarms() {
-    let still = |cause| Decision::still(cause, TwistState::Disarmed);
-    for cause in [HoldReason::NoFeatures, HoldReason::Hidden] {
+    let still = |hold| Decision::still(hold, TwistState::Disarmed);
+    for hold in [Hold::NoFeatures, Hold::Hidden] {
         let mut bench = Bench::new(true);
         bench.situation.good_ns = None;
         for _ in 0..PEERS_NS / PERIOD {
-            assert_eq!(bench.bad(cause), Decision::hold(cause));
+            assert_eq!(bench.bad(hold), Decision::hold(hold));
         }
-        bench.bad(cause);
-        assert_eq!(bench.bad(cause), still(cause));
-        assert_eq!(bench.good(), still(cause));
+        bench.bad(hold);
+        assert_eq!(bench.bad(hold), still(hold));
+        assert_eq!(bench.good(), still(hold));
         assert_eq!(bench.ask(Action::Arm), Outcome::Done);
         bench.resumes();
     }
     // Who has met them waits for as long as it takes.
     let mut bench = Bench::moving();
-    bench.situation.robot = Some(HoldReason::NoRobot);
+    bench.situation.robot = Some(Hold::NoRobot);
     for _ in 0..2 * PEERS_NS / PERIOD {
         assert_ne!(bench.good().state, TwistState::Disarmed);
     }
@@ -459,17 +450,11 @@ fn after_its_arrival_it_does_what_is_wanted() {
     let (_, last) = arrives(AfterArrival::Follow);
     assert_eq!(last, GOOD);
     let (mut bench, last) = arrives(AfterArrival::Hold);
-    assert_eq!(
-        last,
-        Decision::still(HoldReason::Arrived, TwistState::Arrived)
-    );
+    assert_eq!(last, Decision::still(Hold::Arrived, TwistState::Arrived));
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     bench.resumes();
     let (mut bench, last) = arrives(AfterArrival::Disarm);
-    assert_eq!(
-        last,
-        Decision::still(HoldReason::Arrived, TwistState::Disarmed)
-    );
+    assert_eq!(last, Decision::still(Hold::Arrived, TwistState::Disarmed));
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
     bench.resumes();
 }
@@ -477,7 +462,7 @@ fn after_its_arrival_it_does_what_is_wanted() {
 #[test]
 fn who_cannot_see_cannot_be_armed() {
     let mut bench = Bench::new(false);
-    bench.bad(HoldReason::NoFeatures);
+    bench.bad(Hold::NoFeatures);
     assert_eq!(bench.ask(Action::Arm), Outcome::NoFeatures);
     bench.situation.shutdown = true;
     bench.good();
@@ -488,15 +473,12 @@ fn who_cannot_see_cannot_be_armed() {
 fn the_gravest_of_several_causes_is_told() {
     let mut bench = Bench::moving();
     bench.situation.shutdown = true;
-    bench.situation.robot = Some(HoldReason::RobotLost);
+    bench.situation.robot = Some(Hold::RobotLost);
+    assert_eq!(bench.bad(Hold::Hidden).hold, Some(Hold::Shutdown));
+    bench.situation.robot = Some(Hold::RobotFault);
     assert_eq!(
-        bench.bad(HoldReason::Hidden).hold,
-        Some(HoldReason::Shutdown)
-    );
-    bench.situation.robot = Some(HoldReason::RobotFault);
-    assert_eq!(
-        bench.bad(HoldReason::Hidden),
-        Decision::still(HoldReason::RobotFault, TwistState::Disarmed)
+        bench.bad(Hold::Hidden),
+        Decision::still(Hold::RobotFault, TwistState::Disarmed)
     );
 }
 
@@ -518,8 +500,8 @@ fn in_lockstep_braking_takes_no_time() {
     assert_eq!(bench.good(), GOOD);
     for _ in 0..100 {
         assert_eq!(
-            bench.bad(HoldReason::Hidden),
-            Decision::still(HoldReason::Hidden, TwistState::Holding)
+            bench.bad(Hold::Hidden),
+            Decision::still(Hold::Hidden, TwistState::Holding)
         );
     }
     assert_eq!(bench.good(), GOOD);
@@ -545,8 +527,8 @@ fn the_laws_twist_is_taken_up_on_its_path_and_as_steeply_as_it_is_braked() {
     bench.situation.decision.twist = FAST.map(|v| -v);
     assert_eq!(bench.cycle().twist, FAST.map(|v| -v));
     // After a brake, from the speed where that left it.
-    bench.bad(HoldReason::Hidden);
-    bench.bad(HoldReason::Hidden);
+    bench.bad(Hold::Hidden);
+    bench.bad(Hold::Hidden);
     assert_eq!(bench.resumes(), 2);
     // Where the law keeps limits of acceleration it is not held back.
     let mut rules = bench.supervisor.rules();
@@ -556,7 +538,7 @@ fn the_laws_twist_is_taken_up_on_its_path_and_as_steeply_as_it_is_braked() {
     let decision = bench.situation.decision;
     assert_eq!(bench.cycle(), decision);
     // But what it decided before it was held may be too far from what was sent since.
-    bench.bad(HoldReason::Hidden);
+    bench.bad(Hold::Hidden);
     let decision = bench.good();
     for (v, most) in decision.twist.iter().zip(rules.change) {
         assert!(v.abs() <= most, "{decision:?}");
@@ -595,23 +577,23 @@ fn no_command_of_a_law_that_jumps_changes_by_more_than_a_cycle_allows() {
 #[test]
 fn without_a_robot_it_waits_and_one_that_does_not_follow_disarms() {
     let mut bench = Bench::new(true);
-    bench.situation.robot = Some(HoldReason::NoRobot);
-    let waits = Decision::still(HoldReason::NoRobot, TwistState::Holding);
+    bench.situation.robot = Some(Hold::NoRobot);
+    let waits = Decision::still(Hold::NoRobot, TwistState::Holding);
     assert_eq!((bench.good(), bench.good()), (waits, waits));
     bench.situation.robot = None;
     bench.resumes();
-    bench.situation.robot = Some(HoldReason::NotFollowed);
+    bench.situation.robot = Some(Hold::NotFollowed);
     assert_eq!(bench.good().state, TwistState::Braking);
     while bench.good().state == TwistState::Braking {}
-    let disarmed = Decision::still(HoldReason::NotFollowed, TwistState::Disarmed);
+    let disarmed = Decision::still(Hold::NotFollowed, TwistState::Disarmed);
     assert_eq!(bench.good(), disarmed);
-    for (cause, refusal) in [
-        (HoldReason::NotFollowed, Outcome::NotFollowed),
-        (HoldReason::NoRobot, Outcome::NoRobot),
-        (HoldReason::RobotLost, Outcome::RobotLost),
-        (HoldReason::RobotFault, Outcome::RobotFault),
+    for (hold, refusal) in [
+        (Hold::NotFollowed, Outcome::NotFollowed),
+        (Hold::NoRobot, Outcome::NoRobot),
+        (Hold::RobotLost, Outcome::RobotLost),
+        (Hold::RobotFault, Outcome::RobotFault),
     ] {
-        bench.situation.robot = Some(cause);
+        bench.situation.robot = Some(hold);
         bench.good();
         assert_eq!(bench.ask(Action::Arm), refusal);
     }
@@ -621,7 +603,7 @@ fn without_a_robot_it_waits_and_one_that_does_not_follow_disarms() {
 fn after_a_suspend_it_is_disarmed() {
     let mut bench = Bench::moving();
     bench.situation.suspended = true;
-    let disarmed = Decision::still(HoldReason::Standstill, TwistState::Disarmed);
+    let disarmed = Decision::still(Hold::Standstill, TwistState::Disarmed);
     assert_eq!(bench.good(), disarmed);
 }
 
@@ -630,17 +612,14 @@ fn where_no_way_is_known_it_stands_armed_and_an_operator_may_arm_it() {
     let mut bench = Bench::moving();
     // The features are good all the while.
     let no_way = |bench: &mut Bench| {
-        bench.situation.decision = Decision::hold(HoldReason::NoWay);
+        bench.situation.decision = Decision::hold(Hold::NoWay);
         bench.situation.good_ns = Some(bench.now + PERIOD);
         bench.cycle()
     };
     let first = no_way(&mut bench);
     assert_eq!(first.state, TwistState::Braking);
     let last = (0..60).map(|_| no_way(&mut bench)).last().unwrap();
-    assert_eq!(
-        last,
-        Decision::still(HoldReason::NoWay, TwistState::Holding)
-    );
+    assert_eq!(last, Decision::still(Hold::NoWay, TwistState::Holding));
     bench.supervisor.request(Action::Disarm, 0);
     no_way(&mut bench);
     assert_eq!(bench.supervisor.request(Action::Arm, 0), Outcome::Done);

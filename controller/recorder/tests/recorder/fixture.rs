@@ -159,7 +159,7 @@ pub fn reply(request: &Request) -> Reply {
         action: request.action,
         outcome: Outcome::NoMemory.code(),
         state: TwistState::Moving.code(),
-        hold: Hold::None.code(),
+        hold: Hold::number(None),
         strategy: StrategyCode::Gpr.code(),
         neighbours: 0,
         ..Reply::default()

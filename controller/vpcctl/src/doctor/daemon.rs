@@ -228,9 +228,7 @@ fn remedy(hold: Hold) -> &'static str {
             "give a memory, one of more trajectories, or more law.foresight_steps; or bring the camera elsewhere by hand"
         }
         Hold::Unclean => "find out why it ended (its log, `journalctl`), then `vpcctl arm`",
-        Hold::None | Hold::Transport | Hold::BadTwist | Hold::Solver | Hold::Shutdown => {
-            "see the daemon's log"
-        }
+        Hold::Transport | Hold::BadTwist | Hold::Solver | Hold::Shutdown => "see the daemon's log",
     }
 }
 

@@ -1,6 +1,6 @@
 //! The events that a page receives.
 
-use messages::{CycleRecord, Hold};
+use messages::CycleRecord;
 use serde_json::{Value, json};
 
 use crate::image_plane::ImagePlane;
@@ -43,7 +43,7 @@ impl Feed {
         let (headline, cause, tone) = status.headline();
         let changes = view.changes().rev().take(CHANGES).map(|change| {
             let age_s = now_ns.saturating_sub(change.at_ns) as f64 / 1e9;
-            let cause = (change.hold != Hold::None).then(|| change.hold.to_string());
+            let cause = change.hold.map(|hold| hold.to_string());
             let tone = Tone::of(change.state, change.hold).name();
             json!([age_s, change.state.to_string(), cause, tone])
         });
@@ -136,6 +136,8 @@ fn scene(plane: &ImagePlane, view: &View) -> Value {
 mod tests {
     use messages::{Order, Received, TwistState};
 
+    use messages::Hold;
+
     use super::*;
     use crate::image_plane::tests::{painted, paper};
     use crate::view::tests::record;
@@ -180,7 +182,7 @@ mod tests {
         let mut status = Status::default();
         let mut feed = Feed::new(ImagePlane::default());
         let add = |status: &mut Status, number, order| {
-            let message = record(number, TwistState::Moving, Hold::None);
+            let message = record(number, TwistState::Moving, None);
             status.view.cycle(&Received { message, order });
         };
         let told = |event: Value| event["cycles"].as_array().unwrap().len();
@@ -197,7 +199,7 @@ mod tests {
     #[test]
     fn what_a_run_came_to_is_told_after_its_end() {
         let mut status = Status::default();
-        let mut used = record(1, TwistState::Arrived, Hold::None);
+        let mut used = record(1, TwistState::Arrived, None);
         (used.count, used.error_px) = (4, 0.5);
         for message in [used, record(2, TwistState::Holding, Hold::Stale)] {
             let order = Order::Next;

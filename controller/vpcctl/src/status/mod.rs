@@ -83,11 +83,10 @@ impl Status {
 
     /// What keeps the law's twist back.
     pub fn hold(&self) -> Option<Hold> {
-        let hold = match self.view.latest() {
+        match self.view.latest() {
             Some(record) => record.hold(),
             None => self.reply.as_ref()?.hold(),
-        };
-        hold.filter(|&hold| hold != Hold::None)
+        }
     }
 
     /// State and cause in words, with their tone; the end of a run is no alarm.
@@ -98,7 +97,7 @@ impl Status {
         };
         let cause = view.cause_words(now_ns);
         if silence <= SILENT_NS {
-            let tone = Tone::of(state, self.hold().unwrap_or(Hold::None));
+            let tone = Tone::of(state, self.hold());
             return (state.to_string(), cause, tone);
         }
         let since = duration(silence);
@@ -161,7 +160,7 @@ impl Status {
             "process": self.process,
             "state": self.state().map(|state| state.to_string()),
             "cause": self.hold().map(|hold| hold.to_string()),
-            "last_cause": last.map(|change| change.hold.to_string()),
+            "last_cause": last.map(|hold| hold.to_string()),
             "last_cause_over_ns": over.flatten().map(|at| now_ns.saturating_sub(at)),
             "answered": self.answered,
             "stops": view.latest().map(|last| last.stops),
@@ -214,7 +213,7 @@ impl Status {
     fn state_line(&self, colours: bool) -> String {
         let hold = self.hold();
         let tone = match self.state() {
-            Some(state) if !self.hangs() => Tone::of(state, hold.unwrap_or(Hold::None)),
+            Some(state) if !self.hangs() => Tone::of(state, hold),
             _ => Tone::Bad,
         };
         let state = paint(&word(self.state()), tone, colours);
@@ -224,10 +223,7 @@ impl Status {
             (Some(cause), _) => format!("state     {state}: {cause}\n"),
             (None, Some((last, over))) => {
                 let ago = duration(over.map_or(0, |at| self.now_ns.saturating_sub(at)));
-                format!(
-                    "state     {state} (before: {}, until {ago} ago)\n",
-                    last.hold
-                )
+                format!("state     {state} (before: {last}, until {ago} ago)\n")
             }
             (None, None) => format!("state     {state}\n"),
         }
@@ -377,7 +373,7 @@ mod tests {
     use crate::view::tests::record;
     use messages::{Order, Received};
 
-    fn status(state: TwistState, hold: Hold, silence_ns: u64) -> Status {
+    fn status(state: TwistState, hold: impl Into<Option<Hold>>, silence_ns: u64) -> Status {
         let mut status = Status::default();
         let message = record(5, state, hold);
         let order = Order::First;
@@ -389,17 +385,17 @@ mod tests {
     #[test]
     fn the_exit_code_tells_moving_from_standing_from_disarmed_from_hanging() {
         let exit = |state, hold, silence| status(state, hold, silence).exit();
-        assert_eq!(exit(TwistState::Moving, Hold::None, 0), Exit::Ok);
-        assert_eq!(exit(TwistState::Arrived, Hold::None, 0), Exit::Ok);
-        assert_eq!(exit(TwistState::Holding, Hold::Stale, 0), Exit::Attention);
+        assert_eq!(exit(TwistState::Moving, None, 0), Exit::Ok);
+        assert_eq!(exit(TwistState::Arrived, None, 0), Exit::Ok);
         assert_eq!(
-            exit(TwistState::Disarmed, Hold::NotArmed, 0),
+            exit(TwistState::Holding, Some(Hold::Stale), 0),
+            Exit::Attention
+        );
+        assert_eq!(
+            exit(TwistState::Disarmed, Some(Hold::NotArmed), 0),
             Exit::Disarmed
         );
-        assert_eq!(
-            exit(TwistState::Moving, Hold::None, 600_000_000),
-            Exit::NoAnswer
-        );
+        assert_eq!(exit(TwistState::Moving, None, 600_000_000), Exit::NoAnswer);
     }
 
     #[test]
@@ -411,7 +407,7 @@ mod tests {
 
     #[test]
     fn json_has_null_for_what_is_not_known() {
-        let json = status(TwistState::Moving, Hold::None, 0).json();
+        let json = status(TwistState::Moving, None, 0).json();
         assert_eq!(json["state"], "moving");
         assert_eq!(json["cycles"]["cycle"], 5);
         assert!(json["cycles"]["error_px"].is_null() && json["robot"].is_null());

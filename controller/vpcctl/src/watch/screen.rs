@@ -1,6 +1,6 @@
 //! The screen: draws a view at an instant; pure.
 
-use messages::{Hold, StrategyCode};
+use messages::StrategyCode;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -236,10 +236,7 @@ fn past_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
     lines.extend(status.view.changes().rev().map(|change| {
         let ago = duration(status.now_ns.saturating_sub(change.at_ns));
         let tone = Tone::of(change.state, change.hold);
-        let cause = match change.hold {
-            Hold::None => String::new(),
-            hold => format!(": {hold}"),
-        };
+        let cause = (change.hold).map_or(String::new(), |hold| format!(": {hold}"));
         Line::from(vec![
             Span::raw(format!("{ago:>8} ago  ")),
             Span::styled(change.state.to_string(), palette.tone(tone)),
@@ -256,6 +253,8 @@ mod tests {
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
+    use messages::Hold;
+
     use super::*;
     use crate::image_plane::tests::{painted, paper};
     use crate::view::View;
@@ -268,8 +267,8 @@ mod tests {
         let mut view = View::default();
         for number in 1..=300 {
             let (state, hold) = match number {
-                ..=40 => (TwistState::Holding, Hold::Hidden),
-                _ => (TwistState::Moving, Hold::None),
+                ..=40 => (TwistState::Holding, Some(Hold::Hidden)),
+                _ => (TwistState::Moving, None),
             };
             let far = (300 - number) as f64;
             let mut points = [0.0; 16];

@@ -144,7 +144,7 @@ impl Drop for Camera {
 struct Law {
     cycle: u64,
     state: TwistState,
-    hold: Hold,
+    hold: Option<Hold>,
     strategy: StrategyCode,
     neighbours: u32,
     stops: u32,
@@ -157,7 +157,7 @@ impl Default for Law {
         Self {
             cycle: 0,
             state: TwistState::Disarmed,
-            hold: Hold::NotArmed,
+            hold: Some(Hold::NotArmed),
             strategy: StrategyCode::Previous,
             neighbours: 0,
             stops: 0,
@@ -176,15 +176,15 @@ impl Law {
         };
         match (request.action().unwrap(), outcome) {
             (Action::Arm, Outcome::Done) => {
-                (self.state, self.hold) = (TwistState::Moving, Hold::None);
+                (self.state, self.hold) = (TwistState::Moving, None);
                 self.is_stopped = false;
             }
             (Action::Stop, _) => {
-                (self.state, self.hold) = (TwistState::Disarmed, Hold::Operator);
+                (self.state, self.hold) = (TwistState::Disarmed, Some(Hold::Operator));
                 (self.is_stopped, self.stops) = (true, self.stops + 1);
             }
             (Action::Disarm, _) => {
-                (self.state, self.hold) = (TwistState::Disarmed, Hold::Operator);
+                (self.state, self.hold) = (TwistState::Disarmed, Some(Hold::Operator));
             }
             (Action::Strategy, Outcome::Done) => {
                 self.strategy = strategy.unwrap();
@@ -199,7 +199,7 @@ impl Law {
             action: request.action,
             outcome: outcome.code(),
             state: self.state.code(),
-            hold: self.hold.code(),
+            hold: Hold::number(self.hold),
             strategy: self.strategy.code(),
             neighbours: self.neighbours,
             stops: self.stops,
@@ -225,7 +225,7 @@ impl Law {
             neighbours: self.neighbours,
             np: 3,
             iterations: 2,
-            hold: self.hold.code(),
+            hold: Hold::number(self.hold),
             state: self.state.code(),
             cost: 12.0,
             violation_px: 0.0,

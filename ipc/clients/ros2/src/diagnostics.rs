@@ -47,7 +47,7 @@ fn vpcd(cycle: Option<(&CycleRecord, u64)>, now_ns: u64) -> DiagnosticStatus {
         };
     };
     let state = TwistState::from_code(cycle.state);
-    let hold = cycle.hold().filter(|hold| *hold != Hold::None);
+    let hold = cycle.hold();
     let lacks: Vec<_> = RealTime(cycle.realtime).lacks().collect();
     let level = match (state, hold) {
         (Some(TwistState::Disarmed), Some(Hold::NotArmed | Hold::Operator)) => OK,

@@ -265,7 +265,7 @@ fn words(reply: &Reply) -> String {
     let outcome = word(reply.outcome().map(|outcome| outcome.to_string()));
     let state = word(reply.state().map(|state| state.to_string()));
     match reply.hold() {
-        Some(hold) if reply.hold != 0 => format!("{outcome}; vpcd is {state}: {hold}"),
-        _ => format!("{outcome}; vpcd is {state}"),
+        Some(hold) => format!("{outcome}; vpcd is {state}: {hold}"),
+        None => format!("{outcome}; vpcd is {state}"),
     }
 }
