@@ -14,9 +14,9 @@ use crate::{DOF, Points, Twist};
 pub(crate) struct Present<'a> {
     /// The features, and what the model knows of their depth.
     pub initial: &'a InitialState,
-    /// The command in force,
+    /// The command in force.
     pub standing: &'a Twist,
-    /// and the time between two commands, s.
+    /// Time from one command to the next, s.
     pub interval: f64,
     /// The plan that the solver starts from.
     pub warm: &'a Plan,
@@ -32,8 +32,8 @@ pub(crate) struct Policy<'a> {
 impl Policy<'_> {
     /// Solves the optimal-control problem, and limits its first command. `aim` is the goal or a way
     /// point; `target` the same, corrected by the mismatch. Where the warm start leads into a
-    /// violation, it begins again from braking: that is feasible unless a constraint is already
-    /// violated.
+    /// violation, the solver starts again from braking, which is feasible unless a constraint is
+    /// already violated.
     pub fn command(
         &self,
         solver: &mut Solver<'_>,

@@ -24,9 +24,9 @@ use crate::problem::Problem;
 use crate::task::Task;
 use crate::{DOF, features};
 
-/// R has its full value at this mean distance from what is tracked, as a share of the image width,
-/// and decreases with the square of the distance below it: then neither term takes over on the way
-/// to the target, and R vanishes with the error as in the paper.
+/// Mean distance from the target at which R has its full value, as a share of the image width.
+/// Below it R falls with the square of the distance, so that neither term of the cost dominates on
+/// the way, and R vanishes with the error as in the paper.
 pub const FULL_R_DISTANCE: f64 = 0.25;
 
 /// A quadratic expansion: cost, gradient and Gauss-Newton Hessian in the `N` variables of the plan.

@@ -1,10 +1,10 @@
-//! Delay compensation: from the features of an exposure to those of the instant at which the new
-//! command takes effect, along the commands that were sent meanwhile.
+//! Delay compensation: predicts the features at the instant at which the new command takes effect
+//! from those of the exposure, along the commands sent in between.
 //!
-//! A camera delivers s(t_e) at t_e + d. In between, the commands that the controller sent moved it:
-//! v_i from t_i to t_{i+1}. So the model gives the present features from those of the exposure,
-//! piece by piece: with [`Model::Pose`] by the product of the rigid motions, exp(-(t_{i+1} - t_i)
-//! v_i) X, which is exact; with the others by integrating s' = L(s, Z) v_i.
+//! A camera delivers s(t_e) at t_e + d. In between, the sent commands moved it: v_i from t_i to
+//! t_{i+1}. So the model predicts the present features from those of the exposure, piece by piece.
+//! With [`Model::Pose`] this is the product of the rigid motions, exp(-(t_{i+1} - t_i) v_i) X,
+//! which is exact; the other models integrate s' = L(s, Z) v_i.
 //!
 //! Source: paper, Eq. (model), with the sampling time replaced by the length of each piece.
 
@@ -18,12 +18,12 @@ use crate::{DOF, Twist};
 const MEMORY_NS: u64 = 1_100_000_000;
 /// Most commands remembered: those of that time at 250 Hz.
 const CAPACITY: usize = ROWS * ROW;
-/// In rows, as long arrays are no plain data to serde.
+/// Commands of a row: serde takes no longer arrays.
 const ROWS: usize = 5;
 const ROW: usize = 32;
 
-/// The commands that were really sent, with their times (one clock, ns). Bounded: the oldest is
-/// forgotten first. Plain data: a copy goes on as the original does.
+/// The sent commands with their times (one clock, ns). Its size is bounded: the oldest command is
+/// dropped first. Plain data.
 ///
 /// It never guesses. If an interval begins before the oldest known command, [`History::advance`]
 /// returns [`Unpredictable::Unknown`] and the law refuses the features. Zero twists that are sent
@@ -97,7 +97,7 @@ impl History {
         }
     }
 
-    /// Forgets all commands: what was sent so far is not known.
+    /// Forgets all commands: those sent so far count as unknown.
     pub fn forget(&mut self) {
         *self = Self::live(self.validity_ns);
     }

@@ -1,5 +1,5 @@
-//! Whether the image follows the commands: a frozen image with a little noise, another camera's
-//! image, or a command of the wrong sign look like good features, frame by frame.
+//! Checks that the image follows the commands. A frozen image with a little noise, another camera's
+//! image, or a command of the wrong sign gives features that look good frame by frame.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
@@ -9,8 +9,8 @@
 //! | o | `object` | most that an object can take from p by a motion of its own, px |
 //!
 //! The image does not follow if, for every lag of the robot, p + 3 px < abs(c) / 3 and p + o + 3 px
-//! < 0.5 abs(c). The same is asked of what is left of c without the shift that is common to all
-//! points, and without their common turn and growth.
+//! < 0.5 abs(c). The check is repeated for c without the shift that is common to all points, and
+//! for c without their common turn and growth.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -57,13 +57,13 @@ type Displacement = [[f32; 2]; MAX_POINTS];
 pub struct Follow {
     /// Slots in use, 0 to 12.
     count: u32,
-    /// The newest first; the rest is zero, so that what is not known counts as no command.
+    /// The newest first; the rest is zero, so that an unknown command counts as none.
     slots: [Slot; SLOTS],
     /// Commanded since the newest slot.
     since: Displacement,
 }
 
-/// The measurement that ends a slot, and what was commanded in the slot.
+/// The measurement that ends a slot, and the commanded displacement in the slot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Slot {
     exposed_ns: u64,
@@ -135,7 +135,7 @@ impl Follow {
         most.into_iter().fold(0.0, f64::max)
     }
 
-    /// What was commanded over a window of so many slots, `step` steps earlier.
+    /// The commanded displacement over a window of this many slots, `step` steps earlier.
     fn commanded(&self, step: usize, window: usize) -> Displacement {
         let (lag, part) = (step / STEPS, (step % STEPS) as f32 / STEPS as f32);
         let mut sum = [[0.0; 2]; MAX_POINTS];
@@ -247,13 +247,13 @@ impl Without {
     }
 }
 
-/// How far an object can move in the image by itself in so long a time, px.
+/// Largest motion of an object in the image by itself in this time, px.
 pub fn object_px(task: &Task, points: &Points, seconds: f64) -> f64 {
     let at = InitialState::new(task, Model::AreaDepth, points);
     OBJECT * seconds * fastest(task, &flow(task, &at, Mover::Object))
 }
 
-/// How far a camera at its limits can move the points in so long a time, px.
+/// Largest motion of the points in this time by a camera at its limits, px.
 pub fn camera_px(task: &Task, points: &Points, seconds: f64) -> f64 {
     let at = InitialState::new(task, Model::AreaDepth, points);
     seconds * fastest(task, &flow(task, &at, Mover::Camera))

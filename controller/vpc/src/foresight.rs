@@ -1,19 +1,20 @@
-//! Foresight: whole futures, simulated in the time that a cycle leaves over; the best is followed.
+//! Foresight: the law simulates whole closed-loop futures in the spare time of a cycle, and follows
+//! the best one.
 //!
-//! A *candidate* is a [`Guide`]: a sub-goal, after which the goal is tracked. It is rolled out: the
-//! law itself, with its own model, solver and constraints, steers step by step of its preview until
-//! the features arrive, the cost exceeds the best one's, or the horizon ends. Its value is the sum
-//! of the running cost l(v) / Np until arrival.
+//! A *candidate* is a [`Guide`]: sub-goals, after which the goal is tracked. To roll a candidate
+//! out, the law simulates itself, with its own model, solver and constraints, step by step until
+//! the features arrive, the cost exceeds that of the best candidate, or the horizon ends. The value
+//! of a candidate is the sum of the running cost l(v) / Np until arrival.
 //!
-//! The *incumbent* is the candidate that is followed. It is kept unless another one arrives at a
-//! cost that is lower by 3 %. In the exact model the cost to go of what is followed therefore
-//! never rises, and a stall cannot last: who stalls does not arrive.
+//! The *incumbent* is the candidate that the law follows. It stays unless another candidate arrives
+//! at a cost that is lower by 3 %. With an exact model the incumbent's cost-to-go therefore never
+//! rises, and a stall cannot persist: a future that stalls never beats one that arrives.
 //!
-//! Candidates are, in this order, the incumbent, the goal, near an occlusion the way points that
-//! k-NN and the Gaussian process infer, and samples of the memory, alternately one of the nearest
-//! and any. Work is counted in simulated steps, so many a cycle; no clock decides, and a replay
-//! gives the same bits. A future that takes more than a cycle's steps goes on in the next cycle:
-//! then what it costs is known to the accuracy of what the camera moves meanwhile.
+//! The candidates are, in this order: the incumbent; the goal; near an occlusion, the way points
+//! that k-NN and the Gaussian process infer; and samples of the memory, in turn one of the nearest
+//! and any one. A cycle may simulate a fixed number of steps. No clock decides, so a replay gives
+//! the same bits. A future that takes more steps continues in the next cycle; its cost is then
+//! accurate up to the camera's motion in between.
 //!
 //! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning"
 //! (2020), Sect. 2.3 (fortified rollout).
@@ -30,31 +31,31 @@ use crate::solver::Solver;
 use crate::strategy::Strategy;
 use crate::{MAX_POINTS, Points, Twist, gate};
 
-/// A candidate that arrives replaces one that does where it costs less than this share.
+/// A candidate that arrives replaces another one that arrives if it costs less than this share of
+/// the other's cost.
 const BETTER: f64 = 0.97;
-/// A candidate that does not arrive replaces one that does not where it comes nearer than this
-/// share.
+/// A candidate that does not arrive replaces another such one if its error is below this share of
+/// the other's.
 const NEARER: f64 = 0.9;
-/// Errors below this multiple of the threshold of convergence are regulation around the goal: the
-/// goal is tracked.
+/// Below this multiple of the convergence threshold the law only regulates: it tracks the goal.
 pub(crate) const FAR: f64 = 10.0;
-/// Every other sample is one of so many nearest ones.
+/// Every second sample is drawn from this many nearest ones.
 const RANKS: f64 = 63.0;
-/// A step aside shifts the features by at most this share of the image width,
+/// Largest shift of the features in a step aside, as a share of the image width.
 const SHIFT: f64 = 0.25;
-/// turns them by at most this angle, rad,
+/// Largest turn of the features in a step aside, rad.
 const TURN: f64 = 1.0;
-/// and shrinks them at most to this share.
+/// Smallest size of the features after a step aside, as a share of their size before it.
 const SMALLEST: f64 = 0.5;
-/// A future that tracks the goal for so many steps and comes no nearer is stalled: it ends.
+/// A future ends as stalled after this many steps towards the goal without progress.
 const PATIENCE: u32 = 6;
-/// Coming nearer is to less than this share of the least distance before.
+/// A step is progress if it reduces the least distance so far to below this share.
 const PROGRESS: f64 = 0.99;
-/// An incumbent that arrives is simulated again when so many steps have passed. Until then it is
-/// trusted: what it promised, less what the periods since cost.
+/// An incumbent that arrives is simulated again after this many steps. Until then its promised cost
+/// counts, less the cost of the periods since.
 const TRUSTED: f64 = 4.5;
-/// A sample is a candidate where the rest of its trajectory costs less than this multiple of what
-/// is known.
+/// A sample is a candidate if the rest of its trajectory costs less than this multiple of the best
+/// known cost.
 const HOPEFUL: f64 = 1.0;
 /// Places of a foreseen path.
 pub const PLACES: usize = 8;
@@ -69,12 +70,12 @@ pub enum Outcome {
         /// Time until then, in steps of the preview.
         steps: f64,
     },
-    /// They do not: they stall, or the horizon ends.
+    /// The features do not arrive: they stall, or the horizon ends.
     Nears {
         /// Least distance from the goal (largest component), px.
         error_px: f64,
     },
-    /// Not known to the end: a point is lost, or the allowed cost is used up.
+    /// The end is unknown: a point is lost, or the allowed cost is used up.
     Unknown,
 }
 
@@ -90,10 +91,10 @@ impl Outcome {
     }
 }
 
-/// Where the features of a future are, at equal intervals. Plain data.
+/// The features of a future at equal intervals. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Path {
-    /// Places that count, 0 to [`PLACES`].
+    /// Valid places, 0 to [`PLACES`].
     pub count: u32,
     /// Points at each, 0 to 8.
     pub points: u32,
@@ -112,8 +113,7 @@ impl Path {
         places: [[[0.0; 2]; MAX_POINTS]; PLACES],
     };
 
-    /// Notes the features after `step` steps; where there is no more room, every other place is
-    /// forgotten.
+    /// Records the features after `step` steps; without room, drops every second place first.
     fn note(&mut self, step: u32, points: &[[f64; 2]]) {
         if !step.is_multiple_of(self.every) {
             return;
@@ -140,38 +140,38 @@ impl Path {
     }
 }
 
-/// What is followed, and what is expected of it. Plain data.
+/// The incumbent, its expected outcome, and the state of the search. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Foresight {
-    /// What is followed.
+    /// The guide of the incumbent.
     pub guide: Guide,
-    /// Where that leads from the next period on.
+    /// The expected outcome from the next period on.
     pub outcome: Outcome,
-    /// The features on the way.
+    /// The expected path of the features.
     pub path: Path,
-    /// Steps since what is followed was simulated.
+    /// Steps since the incumbent was simulated.
     pub trusted: f64,
-    /// A future that did not fit into the cycle.
+    /// A future whose simulation continues in the next cycle.
     pub suspended: Option<Suspended>,
-    /// Samples drawn so far: the next one follows from it.
+    /// Samples drawn so far; the seed of the next one.
     pub drawn: u64,
-    /// Candidates of the last cycle, the incumbent not counted.
+    /// Candidates tried in the last cycle, without the incumbent.
     pub tried: u32,
     /// Steps simulated in the last cycle.
     pub simulated: u32,
-    /// Their counted [work](crate::work).
+    /// Counted [work](crate::work) of these steps.
     pub work: u64,
-    /// Changes of what is followed.
+    /// Changes of the incumbent so far.
     pub switches: u32,
 }
 
 impl Foresight {
-    /// Whether what is followed arrives.
+    /// Whether the incumbent arrives.
     pub fn knows_a_way(&self) -> bool {
         matches!(self.outcome, Outcome::Arrives { .. })
     }
 
-    /// Before the first cycle.
+    /// The state before the first cycle.
     pub const NONE: Self = Self {
         guide: Guide::GOAL,
         outcome: Outcome::Unknown,
@@ -194,34 +194,40 @@ struct Future {
     path: Path,
 }
 
-/// A simulation on its way. Plain data.
+/// An unfinished simulation. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Suspended {
-    /// The candidate,
+    /// The candidate as it was at the beginning.
     candidate: Guide,
-    /// and what is ahead of it at the step that was reached.
+    /// The part of the candidate that is still ahead.
     guide: Guide,
-    /// Whether it is the incumbent.
+    /// Whether the candidate is the incumbent.
     is_incumbent: bool,
-    /// Steps that an earlier simulation of it has gone through: there it does not stall.
+    /// Steps that an earlier simulation has covered; the checks for a stall begin after them.
     known: u32,
-    /// The features there, px, and which of two poses is believed,
+    /// The features at the current step, px.
     points: PlainPoints,
+    /// Which of two poses the model believes there.
     tilt: Option<Tilt>,
-    /// the command in force and the plan that warms the solver.
+    /// The command in force.
     standing: Twist,
+    /// The plan from which the solver starts.
     previous: Plan,
-    /// Whether the pattern was seen from its front at the begin.
+    /// Whether the camera saw the front of the pattern at the beginning.
     is_from_front: bool,
-    /// Steps and cost so far.
+    /// Simulated steps so far.
     step: u32,
+    /// Simulated cost so far.
     cost: f64,
-    /// Least distance from the goal, px, and steps since.
+    /// Least distance from the goal so far, px.
     nearest_px: f64,
+    /// Steps since that least distance.
     idle: u32,
-    /// Steps and cost of the camera since it began.
+    /// Steps that the camera has moved since the beginning.
     since: f64,
+    /// Cost of the camera's motion since the beginning.
     spent: f64,
+    /// The features along the future.
     path: Path,
 }
 
@@ -232,25 +238,26 @@ enum RollOut {
     Suspended(Suspended),
 }
 
-/// What one cycle thinks with.
+/// The inputs, the solver and the budget of one cycle of foresight.
 pub(crate) struct Thinker<'a> {
     pub policy: Policy<'a>,
     pub solver: &'a mut Solver<'a>,
     pub memory: Option<&'a dyn MotionMemory>,
-    /// Where futures begin: the features in the next period, the command in force until then, and
-    /// the plan that warms its solver.
+    /// The features in the next period, where every future begins.
     pub initial: &'a InitialState,
+    /// The command in force until then.
     pub standing: &'a Twist,
+    /// The plan from which the solver starts then.
     pub previous: &'a Plan,
-    /// l(v) / Np of the period that leads there.
+    /// l(v) / Np of the present period.
     pub spent: f64,
-    /// At the goal below this distance (largest component), px.
+    /// Distance below which the features are at the goal (largest component), px.
     pub converged_px: f64,
     /// Most steps of a future.
     pub horizon: u32,
-    /// Steps that may be simulated in a cycle,
+    /// Steps that a whole cycle may simulate.
     pub whole: u32,
-    /// and still in this one.
+    /// Steps that remain in this cycle.
     pub budget: u32,
     /// Most [work](crate::work) of these steps; the step that passes it is the last of the cycle.
     pub most_work: u64,
@@ -259,7 +266,7 @@ pub(crate) struct Thinker<'a> {
 }
 
 impl Thinker<'_> {
-    /// Looks for something better to follow.
+    /// Simulates futures, and replaces the incumbent if a better one is found.
     pub(crate) fn think(&mut self, foresight: &mut Foresight) {
         let points = &self.initial.points;
         let is_far =
@@ -297,7 +304,7 @@ impl Thinker<'_> {
         foresight.work = self.solver.done();
     }
 
-    /// Lets a period pass: what is expected gets nearer.
+    /// Advances the expectations by one period.
     fn pass(&self, foresight: &mut Foresight) {
         let passed = self.policy.task.period / self.policy.task.ts;
         foresight.trusted += passed;
@@ -310,7 +317,7 @@ impl Thinker<'_> {
         }
     }
 
-    /// What is followed, with its future: as promised, or simulated again.
+    /// The incumbent with its future, as promised or simulated again.
     fn incumbent(&mut self, foresight: &mut Foresight, rest: Option<Suspended>) -> Future {
         let Foresight {
             guide,
@@ -373,7 +380,7 @@ impl Thinker<'_> {
                 self.try_out(guide, best, foresight);
             }
         }
-        // Each that is simulated takes a step at least; the others are bounded in number.
+        // Each simulated candidate takes at least one step, so this number of draws is enough.
         for _ in 0..self.budget {
             if self.budget == 0 || foresight.suspended.is_some() {
                 return;
@@ -385,9 +392,9 @@ impl Thinker<'_> {
         }
     }
 
-    /// The candidate of this number: over a sample; while no way is known, in turn also over two
-    /// samples, or with a step aside first. `None` where it needs a memory and there is none, or
-    /// where a sample is left out for its cost.
+    /// The candidate of this number, over a sample. While no way is known, candidates over two
+    /// samples and with a step aside take turns with it. `None` if there is no memory, or if the
+    /// sample costs too much.
     fn drawn(&self, number: u64, best: Outcome) -> Option<Guide> {
         let (knows_a_way, most) = match best {
             Outcome::Arrives { cost, .. } => (true, HOPEFUL * cost),
@@ -405,7 +412,7 @@ impl Thinker<'_> {
         }
     }
 
-    /// What k-NN and the Gaussian process infer for the next period, near an occlusion.
+    /// The answers of k-NN and of the Gaussian process for the next period, near an occlusion.
     fn ask(&self) -> [Option<(Kind, Recall)>; 2] {
         let (task, points) = (self.policy.task, &self.initial.points);
         let is_near = recall::clearance(task, self.initial) < self.policy.settings.trigger_px;
@@ -427,8 +434,8 @@ impl Thinker<'_> {
         }
     }
 
-    /// Goes on with a candidate. What is left of it at the end of the cycle waits for the next one,
-    /// unless others are known from begin to end within a cycle.
+    /// Simulates a candidate further. An unfinished simulation waits for the next cycle, unless the
+    /// incumbent is known to arrive within the steps of one cycle.
     fn consider(&mut self, rest: Suspended, best: &mut Future, foresight: &mut Foresight) {
         let is_whole = self.budget == self.whole;
         let is_resumed = rest.step > 0;
@@ -447,9 +454,9 @@ impl Thinker<'_> {
         }
     }
 
-    /// Simulates a future again that took several cycles, from where the camera is by now. If that
-    /// does not fit into this cycle, the future is followed only where no way is known, and promises
-    /// nothing until it is known again from begin to end.
+    /// Simulates a future that took several cycles again, from the camera's present place. If that
+    /// does not fit into this cycle, the law follows the future only while no way is known, and its
+    /// outcome stays unknown until a simulation ends.
     fn confirm(&mut self, found: &Future, best: &mut Future, foresight: &mut Foresight) {
         match self.roll_out(self.begun(found.guide), f64::INFINITY) {
             RollOut::Ended(future) if future.outcome.is_better_than(best.outcome) => *best = future,
@@ -467,8 +474,8 @@ impl Thinker<'_> {
         }
     }
 
-    /// The guide that goes over a sample first, then on as `then`; `None` without a memory, or
-    /// where the rest of the sample's trajectory alone costs more than `most`.
+    /// The guide `then` with a sample as a sub-goal before it; `None` without a memory, or if the
+    /// rest of the sample's trajectory alone costs more than `most`.
     fn over_sample(&self, then: Guide, number: u64, most: f64) -> Option<Guide> {
         let points = &self.initial.points;
         let input = self.policy.task.recall_input(points);
@@ -484,8 +491,8 @@ impl Thinker<'_> {
         (cost_to_go <= most).then(|| then.after(Kind::Sample, target))
     }
 
-    /// The guide that steps aside first, then goes on as `then`: the features shifted, turned and
-    /// shrunk at random.
+    /// The guide `then` with a step aside before it: the features shifted, turned and shrunk at
+    /// random.
     fn aside(&self, then: Guide, number: u64) -> Guide {
         let task = self.policy.task;
         let points = &self.initial.points;

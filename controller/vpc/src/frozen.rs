@@ -1,10 +1,10 @@
-//! The frozen-image check: a driver may deliver its last image for ever, with fresh stamps.
+//! The frozen-image check: a driver may repeat its last image for ever with fresh time stamps.
 
 use crate::Points;
 use crate::measurement::Refusal;
 
-/// Commanded motion of the image in which not one bit of the features changed that shows a frozen
-/// image, px.
+/// Commanded motion of the image, px, after which features without a changed bit show that the
+/// image is frozen.
 const FROZEN_PX: f64 = 3.0;
 
 /// Compares features with those `before`; the commands should have moved a point by `moved_px`

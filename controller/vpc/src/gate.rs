@@ -9,12 +9,12 @@ use crate::measurement::{Measurement, Refusal};
 use crate::task::Task;
 use crate::{MAX_POINTS, Points, constraint};
 
-/// Height of a triangle of points from which on noise does not turn it over, px.
+/// Least height of a triangle of points that noise does not turn over, px.
 const LEAST_HEIGHT_PX: f64 = 4.0;
-/// Points nearer to each other than this are one point, and points all nearer to a line than this
-/// are on it, px.
+/// Points nearer to each other than this coincide, and points nearer to a line than this lie on it,
+/// px.
 const LEAST_PX: f64 = 0.5;
-/// A point is taken for another one that is expected this many times nearer to it.
+/// A point counts as another one if that one's expected place is this many times nearer.
 const NEARER: f64 = 2.0;
 /// A point leaps if it lies this share of the image's larger side from where it is expected, plus
 /// [`LEAP_RATIO`] times as far as the nearer half of the points: no camera moves one point within a

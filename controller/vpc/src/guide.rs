@@ -1,4 +1,4 @@
-//! The guide: what is tracked on the way to the goal.
+//! The guide: the sub-goals that the law tracks on the way to the goal.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ const PROGRESS_PX: f64 = 3.0;
 /// Where a sub-goal comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Kind {
-    /// There is none: the goal itself is tracked.
+    /// There is no sub-goal: the law tracks the goal itself.
     Goal,
     /// The features of a stored sample, or of two.
     Sample,
@@ -45,11 +45,11 @@ pub struct Guide {
     pub kind: Kind,
     /// The sub-goals, the last first.
     pub targets: [PlainPoints; MOST],
-    /// Sub-goals ahead, the one that is tracked among them.
+    /// Sub-goals ahead, including the tracked one.
     pub ahead: u32,
-    /// Steps of the preview left in which it may be tracked.
+    /// Steps for which the present sub-goal may still be tracked.
     pub left: f64,
-    /// Least distance to it so far (largest component), px.
+    /// Least distance to the present sub-goal so far (largest component), px.
     pub least_px: f64,
     /// Steps without progress.
     pub idle: f64,
@@ -66,7 +66,7 @@ impl Guide {
         idle: 0.0,
     };
 
-    /// The guide that goes over a sub-goal first, then on as `self`, which has room for one more.
+    /// This guide with a sub-goal before it; it must have room for one more.
     pub fn after(mut self, kind: Kind, target: &[[f64; 2]]) -> Self {
         if let Some(place) = self.targets.get_mut(self.ahead as usize) {
             *place = target.into();
@@ -81,7 +81,7 @@ impl Guide {
         }
     }
 
-    /// What is tracked in the next so many steps, a share of one in a cycle; `None` for the goal.
+    /// The target of the next `steps` steps (less than one in a cycle); `None` for the goal.
     pub fn advance(&mut self, points: &[[f64; 2]], reached_px: f64, steps: f64) -> Option<Points> {
         loop {
             let ahead = self.ahead.checked_sub(1)?;

@@ -1,13 +1,13 @@
-//! Constraints between the samples: the way of the features in the first step of the window, or for
-//! as long as the camera goes on in this direction if it has to stop ([`Task::reach`]).
+//! Constraints between the sampling instants: the path of the features during the first step of the
+//! window, or until the end of a stop if that takes longer ([`Task::reach`]).
 //!
 //! Features move up to 100 px in a step, further than many an occlusion is wide. Only the first
-//! command is carried out, so only its way is looked at more closely: the steps behind it are when
-//! they come first.
+//! command of a plan is executed, so only its path is sampled between the steps. A later step is
+//! sampled once it becomes the first.
 //!
-//! The way is cut into equal stretches, so many that no feature which passes near a border moves
-//! more than [`SPACING_PX`] in one, at most [`STRETCHES_A_STEP`] for each step. Between two of
-//! these places a feature that rounds a right-angled corner is at most 3 px inside.
+//! The path is cut into equal stretches, so that no feature near a border moves more than
+//! [`SPACING_PX`] in one stretch; there are at most [`STRETCHES_A_STEP`] for each step. Between two
+//! samples a feature that rounds a right-angled corner is at most 3 px inside.
 
 use crate::clearance::{Clearance, Place};
 use crate::constraint::{self, Border};
@@ -16,23 +16,24 @@ use crate::task::Task;
 use crate::workspace::Workspace;
 use crate::{MAX_POINTS, Twist};
 
-/// Image motion between two places that are looked at, px.
+/// Image motion between two samples of the path, px.
 pub const SPACING_PX: f64 = 8.0;
-/// Most stretches of a step's way,
+/// Most stretches of one step's path.
 pub const STRETCHES_A_STEP: usize = 12;
-/// and of any.
+/// Most stretches of a whole path.
 const MOST_STRETCHES: usize = 36;
-/// A way on which a marker's edge comes nearer to a border than this is looked at, px.
+/// A path is sampled if a marker's edge comes nearer to a border than this, px.
 pub(crate) const NEAR_PX: f64 = 20.0;
 /// A feature's way leaves the box about its ends by at most this share of its length, where the
 /// camera turns by no more than [`TURN`].
 const BEND: f64 = 0.1;
-/// Longer turns are taken in pieces, rad: a circle's arc rises by tan(turn / 4) / 2 of its chord.
+/// Longest turn of one piece of a path, rad. A circle's arc rises by tan(turn / 4) / 2 of its
+/// chord.
 const TURN: f64 = 0.7;
-/// Most pieces.
+/// Most pieces of a path.
 const MOST_PIECES: usize = 16;
 
-/// Places on the way.
+/// Samples of the path of the features.
 #[derive(Debug)]
 pub(crate) struct Intersample<'w> {
     /// Stretches of the way; their ends are the places, the last one only if it is behind the
@@ -60,7 +61,7 @@ pub(crate) fn most_stretches(task: &Task) -> usize {
 }
 
 impl<'w> Intersample<'w> {
-    /// Numbers of workspace for so many stretches and points.
+    /// Numbers of workspace for these counts of stretches and points.
     pub(crate) const fn room(stretches: usize, points: usize) -> usize {
         3 * stretches * points
     }
@@ -187,8 +188,8 @@ struct Way {
     about: [[f64; 2]; 2],
 }
 
-/// The way of each point under `twist` to where it ends, by the chords of pieces in which the camera
-/// turns little; `None` if a point comes behind the camera.
+/// The path of each point under `twist`, by the chords of pieces in which the camera turns little;
+/// `None` if a point comes behind the camera.
 fn ways(
     task: &Task,
     initial: &InitialState,

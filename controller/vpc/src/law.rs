@@ -33,25 +33,24 @@ pub struct Law<W> {
     size: Size,
     workspace: W,
     state: State,
-    /// Where the preview of this cycle began, until the law has thought ahead.
+    /// The initial state of this cycle's preview, until [`Law::think`] takes it.
     root: Option<InitialState>,
     /// l(v) / Np of the last step.
     spent: f64,
-    /// How much it may work in a cycle.
+    /// The work that the law may do in a cycle.
     share: Share,
     /// Most steps of a future.
     horizon: u32,
 }
 
-/// Share of the period that the work of the longest decision may take,
+/// Share of the period for the longest decision.
 const DECIDING: f64 = 0.25;
-/// and that of thinking ahead: half of the period stays free where a processor takes twice as
-/// long as the counted work says.
+/// Share of the period for foresight. With [`DECIDING`] it leaves half of the period free, so that
+/// a processor may take twice as long as the counted work says.
 const THINKING: f64 = 0.2;
-/// Iterations of a solution,
+/// A window is refused if the period has no room for this many iterations of a solution.
 const FEWEST_ITERATIONS: u32 = 3;
-/// and simulated steps of foresight a cycle, below which a window is refused: it would find nothing
-/// in time.
+/// A window is refused if the period has no room for this many simulated steps of foresight.
 const FEWEST_STEPS: u32 = 10;
 /// A future is at most this share of the scene's time long.
 const HORIZON: f64 = 0.5;
@@ -61,12 +60,12 @@ const HORIZON: f64 = 0.5;
 pub struct Step {
     /// The camera twist to send.
     pub twist: Twist,
-    /// Whether it only brakes and stands, because no way is known and nothing has improved
+    /// Whether the camera only brakes and stands, because no way is known and nothing has improved
     /// ([`crate::patience`]).
     pub stands: bool,
     /// How the solver ended.
     pub status: Status,
-    /// Whether the memory was asked, and what became of it.
+    /// Whether the memory was asked, and whether its answer was used.
     pub asked: Asked,
     /// The way point tracked instead of the goal, px.
     pub way_point: Option<Points>,
@@ -89,7 +88,7 @@ pub struct Step {
 
 impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// The law for a scene. `lend` receives how many numbers of workspace this problem takes
-    /// (2,000 in the paper's scene, 56,000 at most), and returns so many or more, of any value.
+    /// (2,000 in the paper's scene, 56,000 at most), and returns at least that many, of any value.
     ///
     /// # Errors
     /// [`SettingsError`] if a setting is out of range, the goal of the scene cannot be seen, or the
@@ -140,7 +139,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.state.history = History::live(validity_ns);
     }
 
-    /// Records that what was sent so far is unknown: delayed features are refused until enough is
+    /// Forgets the commands sent so far: delayed features are refused until enough new commands are
     /// known.
     pub fn forget_sent(&mut self) {
         self.state.history.forget();
@@ -153,7 +152,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.state.standing = *twist;
     }
 
-    /// Thinks ahead, in the time that a cycle leaves over after its command was sent.
+    /// Runs foresight in the spare time of a cycle, after its command was sent.
     pub fn think(&mut self, memory: Option<&dyn MotionMemory>) {
         // What a cycle without features or another strategy leaves is no work of its own.
         let idle = &mut self.state.foresight;
@@ -195,7 +194,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         thinker.think(&mut self.state.foresight);
     }
 
-    /// What is followed, and what is expected of it.
+    /// The incumbent of foresight, and its expected outcome.
     pub fn foreseen(&self) -> &Foresight {
         &self.state.foresight
     }
@@ -231,7 +230,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// Where the points of a live robot's camera are expected in an exposure at `exposed_ns`, px;
-    /// `None` if they were not seen before, or what was sent since is not known.
+    /// `None` if they were not seen before, or the commands since then are unknown.
     pub fn expected(&self, exposed_ns: u64) -> Option<Points> {
         let (points, _) = self.expected_since(exposed_ns)?;
         Some(points)
@@ -273,7 +272,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         };
     }
 
-    /// Forgets what was seen: the next features are compared with nothing.
+    /// Forgets the last image: the next features are not compared with earlier ones.
     pub fn lose_sight(&mut self) {
         (self.state.seen, self.state.filtered) = (PlainPoints::NONE, PlainPoints::NONE);
         self.state.tilt = None;
@@ -282,12 +281,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.state.follow = Follow::NEW;
     }
 
-    /// Forgets what was commanded and seen of late, while a robot says that it obeys nobody.
+    /// Forgets the recent commands and images while a robot reports that it obeys no commands.
     pub fn expect_no_motion(&mut self) {
         self.state.follow = Follow::NEW;
     }
 
-    /// Tries again where no way is known, as an operator asks for.
+    /// Restores the patience, at an operator's request: the law tries again.
     pub fn be_patient(&mut self) {
         self.state.patience = Patience::NEW;
     }
@@ -562,7 +561,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         }
     }
 
-    /// Solves the optimal-control problem towards what is tracked, else the goal, and limits its
+    /// Solves the optimal-control problem towards the way point, else the goal, and limits its
     /// first command.
     fn plan(
         &mut self,
@@ -674,7 +673,7 @@ fn solver<'w>(
     Some(Solver::new(size, settings.solver(), workspace)?.with_budget(share.solution))
 }
 
-/// s_d = s* - eps: what is tracked, corrected by the mismatch between measurement and prediction.
+/// s_d = s* - eps: the target, corrected by the mismatch between measurement and prediction.
 ///
 /// Source: paper, Eq. (model).
 fn corrected(tracked: &Points, mismatch: Option<&Points>) -> Points {

@@ -7,9 +7,9 @@ use crate::solver::Solver;
 use crate::task::Task;
 use crate::{DOF, Twist};
 
-/// Halvings towards braking before the command is that.
+/// Most halvings towards braking; after them the command is to brake.
 const HALVINGS: usize = 6;
-/// A first period may bring a point this deep, px: below the accuracy of the model.
+/// Allowed depth of a point after the first period, px: below the accuracy of the model.
 pub const SLACK: f64 = 0.25;
 
 /// The first command of a solution, brought nearer to the braking one until its step is clear
@@ -47,7 +47,7 @@ fn first(plan: &Plan, problem: &Problem<'_>) -> Twist {
 }
 
 /// A twist nearer to the command in force, as a whole, until the acceleration limits allow the
-/// change in so many seconds.
+/// change in `seconds`.
 pub fn approach(twist: &Twist, standing: &Twist, task: &Task, seconds: f64) -> Twist {
     let mut change = *twist;
     change

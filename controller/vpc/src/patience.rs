@@ -1,15 +1,14 @@
-//! Standing still where foresight knows no way and nothing improves.
+//! Patience: the camera stands still while foresight knows no way and nothing improves.
 //!
-//! A camera that follows what comes nearest may drift for ever, at full speed and with a constant
-//! error. So where the error has not fallen by a hundredth for [`PATIENCE_S`], the camera stands,
-//! and goes on when a future is found that arrives, or when something else brings the features
-//! nearer.
+//! A camera that follows the future with the least error may drift for ever, at full speed and with
+//! a constant error. So if the error has not fallen by 1 % for [`PATIENCE_S`], the camera stands.
+//! It moves again once foresight finds a future that arrives, or the error falls by other means.
 
 use serde::{Deserialize, Serialize};
 
 /// Time without progress after which the camera stands, s.
 pub const PATIENCE_S: f64 = 5.0;
-/// Coming nearer is to less than this share of the least error before.
+/// An error is progress if it is below this share of the least error before.
 const PROGRESS: f64 = 0.99;
 
 /// How long nothing has improved. Plain data.

@@ -3,9 +3,9 @@
 //!
 //! A plane that is small in the image has two poses that explain it almost alike: the second is the
 //! first one mirrored in depth about its centre. Both are refined. In one image the wrong one often
-//! has the smaller error by chance, since four points leave it two degrees of freedom. So the pose
-//! of the image before goes on until the errors of the other one have been smaller on average
-//! ([`Tilt`]).
+//! has the smaller error by chance, since four points leave it two degrees of freedom. So the
+//! estimate keeps the pose of the image before until the errors of the other one are smaller on
+//! average ([`Tilt`]).
 //!
 //! Source of the two minima: Schweighofer and Pinz, "Robust pose estimation from a planar target",
 //! IEEE PAMI 28(12), 2006.

@@ -90,7 +90,7 @@ impl InitialState {
         Self::turned(task, model, points, None)
     }
 
-    /// The same with what images before have told about which of two poses is the right one.
+    /// As [`InitialState::new`], with the evidence of earlier images for one of two poses.
     pub fn turned(task: &Task, model: Model, points: &Points, before: Option<&Tilt>) -> Self {
         let pose = match model {
             Model::Pose => pose_of(task, points, before),
@@ -365,12 +365,12 @@ impl<'w, const N: usize> Preview<'w, N> {
     /// Free commands.
     const NC: usize = N / DOF;
 
-    /// Numbers of workspace that a preview of `np` steps (1 to [`MAX_NP`]) and so many points takes.
+    /// Numbers of workspace for a preview of `np` steps (1 to [`MAX_NP`]) and `points` points.
     pub const fn room(np: usize, points: usize) -> usize {
         np * points * (2 + 2 * N + 1 + N)
     }
 
-    /// A preview of `np` steps (1 to [`MAX_NP`]) and at most so many points, in a workspace of
+    /// A preview of `np` steps (1 to [`MAX_NP`]) and at most `points` points, in a workspace of
     /// [`Preview::room`] numbers; `None` if that is too short.
     pub fn new(np: usize, points: usize, workspace: &'w mut [f64]) -> Option<Self> {
         Self::cut(np, points, &mut Workspace(workspace))

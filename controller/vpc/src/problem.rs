@@ -1,4 +1,4 @@
-//! The optimal-control problem of one cycle, and what a solution of it is.
+//! The optimal-control problem of one cycle, and its solution.
 //!
 //! Source: paper, Eq. (vpc).
 
@@ -13,7 +13,7 @@ pub struct SolverOptions {
     pub max_iterations: u32,
     /// Optimality: stop when the predicted decrease of the merit is below this share of the merit.
     pub tolerance: f64,
-    /// Whether constraints hold between the sampling instants of the first period, too.
+    /// Whether constraints also hold between the sampling instants of the first period.
     pub intersample: bool,
 }
 
@@ -24,15 +24,15 @@ pub struct Problem<'a> {
     pub task: &'a Task,
     /// Where the preview starts.
     pub initial: &'a InitialState,
-    /// What the features track: goal or way point, less the mismatch, px.
+    /// The target of the features: goal or way point, less the mismatch, px.
     pub target: &'a Points,
     /// Share of R that applies, 0 to 1.
     pub r_share: f64,
     /// Share of R that weighs the change of the command.
     pub change_share: f64,
-    /// The command in force, from which the first one of the plan is a change,
+    /// The command in force, which the first command of the plan changes.
     pub standing: Twist,
-    /// and the time from one command to the next, s.
+    /// Time from one command to the next, s.
     pub interval: f64,
     /// Extra clearance kept from every border by each point with its marker, px.
     pub margin: f64,

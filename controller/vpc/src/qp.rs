@@ -32,8 +32,8 @@ use crate::workspace::Workspace;
 
 /// Most elastic rows.
 pub const MAX_ROWS: usize = 1024;
-/// Most violated rows that are kept in sight between two looks at all rows: with a long window
-/// there are hundreds, and only a few decide.
+/// Most violated rows that are watched between two scans of all rows: with a long window there are
+/// hundreds, and only a few decide.
 const MAX_SUSPECTS: usize = 24;
 /// A bound is violated beyond this, m/s or rad/s.
 const BOUND_TOLERANCE: f64 = 1e-12;
@@ -73,13 +73,13 @@ pub struct Rows<'w, const N: usize> {
 }
 
 impl<'w, const N: usize> Rows<'w, N> {
-    /// Numbers of workspace that so many rows take.
+    /// Numbers of workspace for `most` rows.
     pub const fn room(most: usize) -> usize {
         most * (N + 2)
     }
 
-    /// No rows yet, at most so many, in a workspace of [`Rows::room`] numbers; `None` if that is too
-    /// short.
+    /// An empty store for `most` rows, in a workspace of [`Rows::room`] numbers; `None` if that is
+    /// too short.
     pub fn new(most: usize, workspace: &'w mut [f64]) -> Option<Self> {
         Self::cut(most, &mut Workspace(workspace))
     }
@@ -121,8 +121,7 @@ impl<'w, const N: usize> Rows<'w, N> {
         true
     }
 
-    /// Row `i` from now on has this clearance (px) at `d`: its gradient stays, what it left out of
-    /// the curvature comes in.
+    /// Gives row `i` this clearance (px) at `d`, which includes the curvature; its gradient stays.
     pub fn correct(&mut self, i: usize, clearance: f64, d: &[f64; N]) {
         self.clearances[i] = clearance - dot(&self.gradients[i], d);
     }

@@ -6,13 +6,13 @@ use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::{DOF, MAX_POINTS, Points, Twist, constraint, limit};
 
-/// How far the memory's twist may pass the limits: it knows plans inside them, and a regression
-/// overshoots a little.
+/// Largest allowed twist of the memory, as a multiple of the limits: a regression overshoots a
+/// little.
 const MOST_TWIST: f64 = 2.0;
-/// How far its way point may lie outside the image, as a share of the image.
+/// Largest allowed distance of a way point from the image, as a share of the image.
 const MOST_OUTSIDE: f64 = 0.25;
 
-/// What the memory infers for some features: y = (v, way point).
+/// The memory's answer to some features: y = (v, way point).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recall {
     /// Warm start, inside the velocity limits.
@@ -21,9 +21,9 @@ pub struct Recall {
     pub way_point: Points,
 }
 
-/// Whether the memory is asked at a [`clearance`] of the nearest feature, px: from `trigger_px` on, and
-/// then until every feature is `hysteresis` times as far away, so that the law does not fall back
-/// on the goal at the edge of the zone.
+/// Whether the memory is asked at this [`clearance`] of the nearest feature, px. Queries begin
+/// below `trigger_px` and end at `hysteresis` times that, so that the law does not switch between
+/// memory and goal at the edge of the zone.
 pub fn is_near(was_near: bool, clearance_px: f64, settings: &Settings) -> bool {
     let widening = if was_near { settings.hysteresis } else { 1.0 };
     clearance_px < settings.trigger_px * widening
@@ -39,7 +39,7 @@ pub fn clearance(task: &Task, initial: &InitialState) -> f64 {
 }
 
 /// A memory of motion: infers y = (v, way point) from x = (s, area, angle), raw units, without the
-/// heap. It need not let anybody look at its samples.
+/// heap. Access to single samples is optional.
 ///
 /// The daemon asks a memory-mapped file, the builder the memory that it is growing.
 pub trait MotionMemory {
@@ -58,8 +58,8 @@ pub trait MotionMemory {
         0
     }
 
-    /// The same of a sample by its index, from 0 to [`MotionMemory::count`], in an order of the
-    /// memory's own.
+    /// As [`MotionMemory::neighbour`], for the sample at an index below [`MotionMemory::count`], in
+    /// the memory's own order.
     fn sample(&self, _index: usize, _input: &mut [f64]) -> Option<f64> {
         None
     }
@@ -86,7 +86,7 @@ impl MotionMemory for memory_blob::Memory<'_> {
     }
 }
 
-/// What became of asking the memory.
+/// The outcome of a query of the memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked {
     /// It was not asked.

@@ -74,7 +74,10 @@ settings! {
         /// (`knn`) or the mean of several (`knn5`), or regression over the memory (`gpr`). `ibvs`
         /// is the classic law without prediction. Flag: --strategy.
         #[default(Strategy::Previous)]
-        #[key(with = "alloc::string::String", extend("enum" = strategy::words(), "x-allowed" = Allowed.to_string()))]
+        #[key(
+            with = "alloc::string::String",
+            extend("enum" = strategy::words(), "x-allowed" = Allowed.to_string())
+        )]
         #[with = "strategy::word"]
         pub strategy: Strategy,
         /// Steps predicted. Flag: --np.

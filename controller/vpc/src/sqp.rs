@@ -48,7 +48,7 @@ const FEASIBLE: f64 = 0.05;
 /// Active-set changes allowed a quadratic program, per variable.
 const QP_CHANGES_PER_VARIABLE: u32 = 6;
 
-/// What a plan leads to.
+/// The cost and the violations of a plan.
 #[derive(Clone, Copy, Debug)]
 struct Outcome {
     cost: f64,
@@ -115,7 +115,7 @@ struct Progress {
     raises: u32,
 }
 
-/// The method's workspace for `N = 6 nc` variables.
+/// The method and its workspace for `N = 6 nc` variables.
 pub(crate) struct Sqp<'w, const N: usize> {
     /// The preview of the plan that was evaluated last.
     preview: Preview<'w, N>,

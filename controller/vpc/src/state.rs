@@ -1,4 +1,4 @@
-//! What one cycle of the law leaves to the next, as plain data.
+//! The law's state between two cycles, as plain data.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,16 +12,16 @@ use crate::prediction::Plan;
 use crate::strategy::Strategy;
 use crate::{DOF, MAX_VARIABLES, Twist};
 
-/// All that a [`Law`](crate::Law) remembers from one cycle to the next. Put into
-/// another law of the same task and settings it gives the same commands from there on, bit
-/// for bit: solver and previews are workspace, written before they are read.
+/// All that a [`Law`](crate::Law) remembers from one cycle to the next. Another law of the same
+/// task and settings that continues from this state gives the same commands, bit for bit: solver
+/// and previews are workspace, which is written before it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// The strategy in use, which an operator may change.
     pub strategy: Strategy,
     /// Whether features are near an occlusion, with hysteresis.
     pub near: bool,
-    /// What is followed.
+    /// The incumbent, and the state of foresight.
     pub foresight: Foresight,
     /// How long nothing has improved.
     pub patience: Patience,
@@ -30,21 +30,21 @@ pub struct State {
     pub previous: Plan,
     /// Where the features should be in the next cycle.
     pub predicted: PlainPoints,
-    /// Which of two poses is believed there.
+    /// Which of two poses the model predicts.
     pub predicted_tilt: Option<Tilt>,
     /// The last measurement that was believed.
     pub seen: PlainPoints,
-    /// What the filter made of it.
+    /// The filtered features of that measurement.
     pub filtered: PlainPoints,
-    /// Which of two poses was believed there.
+    /// Which of two poses the model believed in that measurement.
     pub tilt: Option<Tilt>,
-    /// Its exposure, ns; 0 if there was none.
+    /// The exposure of that measurement, ns; 0 if there was none.
     pub seen_ns: u64,
     /// Whether the last command was in force since then without a gap.
     pub is_linked: bool,
     /// Motion that was commanded while `seen` did not change in any bit, px.
     pub still_px: f64,
-    /// What was seen and commanded of late.
+    /// The recent features and commands, to check that the image follows.
     pub follow: Follow,
     /// The command that was sent last.
     pub standing: Twist,

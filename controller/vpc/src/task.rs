@@ -41,8 +41,8 @@ pub struct Task {
     pub period: f64,
     /// Length of a step of the preview, s: the period, or longer.
     pub ts: f64,
-    /// Time for which the way of the first command is looked at, s: a step, or a period and a stop
-    /// from the limits. A command that is clear for so long is followed by one that brakes and is.
+    /// Time for which the path of the first command is checked, s: a step, or a period and a stop
+    /// from the limits. After a command that is clear for this time, braking is clear, too.
     pub reach: f64,
     /// h: half the diagonal of a marker's square at a depth of 1 m, px m; 0 where markers are
     /// points.

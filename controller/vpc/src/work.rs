@@ -1,21 +1,21 @@
-//! Counted work: what a solution costs, in ns of the processor that the prices were measured on.
+//! Counted work: the cost of a solution, in ns of the processor on which the prices were measured.
 //!
-//! No clock decides in the law, so that a replay gives the same bits; work is counted instead, by
-//! what it takes on the window, the points, the occlusions, the rows and the changes of the active
-//! set. The prices are within a factor of two of the times of windows of 3 to 40 steps, 1 to 4 free
+//! No clock decides in the law, so a replay gives the same bits. The law counts work instead: it
+//! depends on the window, the points, the occlusions, the rows and the changes of the active set.
+//! The prices are within a factor of two of the times of windows of 3 to 40 steps, 1 to 4 free
 //! commands, 4 and 8 points, and 6 and 47 parts, on a virtual machine of 2026 (`cargo run --release
 //! -p vpc --example step_times`).
 
 use crate::constraint::SIDES;
 use crate::size::Size;
 
-/// Iterations' worth of work that a simulated step of foresight takes.
+/// Work of a simulated step of foresight, in iterations.
 const ITERATIONS_A_STEP: u32 = 2;
-/// Stretches of a first command's way,
+/// Stretches of a first command's path that an iteration may take.
 const STRETCHES: u32 = 11;
-/// and changes of the active set, that an iteration is allowed.
+/// Changes of the active set that an iteration may take.
 const CHANGES: u32 = 12;
-/// Rows there may be, of each of which one is near enough to count: they spread with the window.
+/// Of this many possible rows, usually one is near enough to count.
 const PAIRS_A_ROW: usize = 20;
 /// Previews of the window beside the solution: the last check with its halvings, the running cost.
 const OTHER_PREVIEWS: u32 = 8;
