@@ -3,8 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use decision::Rules;
 use decision::snapshot::SnapshotError;
+use decision::{Rules, contract};
 use memory_blob::hex;
 use messages::{CycleRecord, StrategyCode};
 use program::Exit;
@@ -158,10 +158,9 @@ fn config(recording: &Recording, arguments: &ReplayArguments) -> Result<Config, 
     let flags = Arguments {
         scene: Some(PathBuf::from(SCENE_FILE)),
         memory: arguments.memory.clone(),
-        strategy: StrategyCode::from_code(first.strategy).map(|strategy| match strategy {
-            StrategyCode::Knn => format!("knn{}", first.neighbours),
-            other => other.to_string(),
-        }),
+        strategy: StrategyCode::from_code(first.strategy)
+            .and_then(|code| contract::strategy(code, first.neighbours))
+            .map(|strategy| strategy.to_string()),
         np: (first.np > 0).then_some(i64::from(first.np)),
         ..Arguments::default()
     };
