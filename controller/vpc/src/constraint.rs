@@ -68,8 +68,10 @@ pub fn sides(camera: &Camera) -> [Border<'static>; SIDES] {
 
 /// The border of this index: the sides of the image come first, then the obstacles of the task.
 pub(crate) fn border(task: &Task, index: usize) -> Option<Border<'_>> {
-    let obstacles = task.obstacles().map(Border::Obstacle);
-    sides(&task.camera).into_iter().chain(obstacles).nth(index)
+    match index.checked_sub(SIDES) {
+        Some(index) => task.obstacle(index).map(Border::Obstacle),
+        None => sides(&task.camera).get(index).copied(),
+    }
 }
 
 /// The borders that a pixel between the corners of a box may be less than `margin` px away from,

@@ -188,6 +188,14 @@ impl Task {
         self.parts.iter().map(Obstacle::Part).chain(areas)
     }
 
+    /// The obstacle of this index among [`Task::obstacles`]; as fast as two look-ups.
+    pub fn obstacle(&self, index: usize) -> Option<Obstacle<'_>> {
+        match self.parts.get(index) {
+            Some(part) => Some(Obstacle::Part(part)),
+            None => self.areas.get(index - self.parts.len()).map(Obstacle::Area),
+        }
+    }
+
     /// The obstacles whose bounding box comes within `margin` px of the box from `low` to `high`,
     /// with their indices.
     pub(crate) fn obstacles_near(
@@ -204,7 +212,7 @@ impl Task {
         };
         let boxes = self.boxes.iter().enumerate();
         let near = boxes.filter(move |(_, box_)| is_near(box_));
-        near.filter_map(|(index, _)| Some((index, self.obstacles().nth(index)?)))
+        near.filter_map(|(index, _)| Some((index, self.obstacle(index)?)))
     }
 
     /// The features of the pattern at a pose of the object in the camera frame, px; `None` if a
