@@ -35,7 +35,9 @@ fn build(name: &str) {
         Some(example) => cargo.args(["--example", example]),
         None if name.ends_with(".so") => cargo.arg("--lib"),
         // Its package is no default member.
-        None if ["vpc-camera", "vpc-ros2"].contains(&name) => cargo.args(["--package", name]),
+        None if ["vpc-camera", "vpc-calib", "vpc-ros2"].contains(&name) => {
+            cargo.args(["--package", name])
+        }
         None => cargo.args(["--bin", name]),
     };
     cargo.arg("--target-dir").arg(target_directory());

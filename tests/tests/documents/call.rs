@@ -8,8 +8,19 @@ use std::sync::{Mutex, OnceLock};
 use serde_json::Value;
 use testkit::{ended, root};
 
-/// The programs of the workspace that the documents call.
-const OURS: [&str; 6] = ["vpcd", "hw-sim", "vpcctl", "vpc-memory", "demo", "table"];
+/// The programs of the workspace that a plain `cargo test` builds.
+pub const BUILT: [&str; 8] = [
+    "vpcd",
+    "hw-sim",
+    "vpcctl",
+    "vpc-memory",
+    "vpc-panda",
+    "demo",
+    "table",
+    "laboratory",
+];
+/// The others, which need packages that nothing else needs.
+pub const LEFT_OUT: [&str; 3] = ["vpc-camera", "vpc-calib", "vpc-ros2"];
 
 /// A command, as a program of ours where it is one.
 #[derive(Clone, Debug)]
@@ -21,8 +32,8 @@ pub struct Call {
 }
 
 impl Call {
-    /// Reads a command. `cargo run`, `cargo demo`, `cargo table`, `target/release/NAME` and `sudo`
-    /// are seen through.
+    /// Reads a command. `cargo run`, `cargo demo`, `cargo table`, `cargo laboratory`,
+    /// `target/release/NAME` and `sudo` are seen through.
     pub fn read(text: &str) -> Self {
         let mut words = words(text);
         words.retain(|word| word != "&");
@@ -32,7 +43,7 @@ impl Call {
         }
         let mut cargo = Vec::new();
         let mut program = words.remove(0);
-        if program == "cargo" && ["run", "demo", "table"].contains(&&*words[0]) {
+        if program == "cargo" && ["run", "demo", "table", "laboratory"].contains(&&*words[0]) {
             let end = words.iter().position(|word| word == "--");
             let rest = end.map_or(Vec::new(), |end| words.split_off(end + 1));
             cargo = std::mem::replace(&mut words, rest);
@@ -48,15 +59,16 @@ impl Call {
         }
     }
 
-    /// Whether it is a program of the workspace.
-    pub fn is_ours(&self) -> bool {
-        OURS.contains(&&*self.program)
+    /// Whether it is one of these programs.
+    pub fn is_one_of(&self, programs: &[&str]) -> bool {
+        programs.contains(&&*self.program)
     }
 
-    /// Whether all that the command names exists: package, target, test, flags, files.
-    pub fn check(&self) -> Result<(), String> {
+    /// Whether all that the command names exists: package, target, test, files, and flags if it is
+    /// one of these programs.
+    pub fn check(&self, programs: &[&str]) -> Result<(), String> {
         check_targets(&self.cargo)?;
-        if self.is_ours() {
+        if self.is_one_of(programs) {
             self.check_flags()?;
         } else if self.program == "cargo" {
             check_targets(&self.arguments)?;
@@ -80,7 +92,7 @@ impl Call {
         words
             .next_if(|word| *word == "--domain")
             .map(|_| words.next());
-        if ["vpcctl", "vpc-memory"].contains(&&*self.program)
+        if ["vpcctl", "vpc-memory", "vpc-camera", "vpc-calib"].contains(&&*self.program)
             && let Some(subcommand) = words.next().filter(|word| !word.starts_with('-'))
         {
             help += &self::help(&self.program, Some(subcommand))?;
@@ -126,6 +138,7 @@ pub fn program(name: &str) -> PathBuf {
     match name {
         "demo" => env!("CARGO_BIN_EXE_demo").into(),
         "table" => env!("CARGO_BIN_EXE_table").into(),
+        "laboratory" => env!("CARGO_BIN_EXE_laboratory").into(),
         name => testkit::program(name),
     }
 }

@@ -8,7 +8,7 @@ mod session;
 
 use std::path::{Path, PathBuf};
 
-use call::{Call, is_a_test};
+use call::{BUILT, Call, LEFT_OUT, is_a_test};
 use markdown::documents;
 use testkit::root;
 
@@ -44,29 +44,44 @@ fn every_link_leads_to_a_file_and_to_a_heading_of_it() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-#[test]
-fn commands_name_what_exists() {
+/// Checks the commands of all documents that pass `is_checked`, with the flags of these programs;
+/// at least `least` are there.
+fn check_commands(programs: &[&str], is_checked: impl Fn(&Call) -> bool, least: usize) {
     let mut faults = Vec::new();
     let mut count = 0;
+    let own = [&BUILT[..], &LEFT_OUT, &["cargo"]].concat();
     for document in documents() {
         let mut pieces = document.commands();
-        let own = ["cargo ", "vpcd ", "vpcctl ", "vpc-memory ", "hw-sim "];
         let code = document.inline_code().into_iter();
         // With an ellipsis it is a sketch.
         pieces.extend(code.filter(|code| {
-            own.iter().any(|start| code.text.starts_with(start)) && !code.text.contains("...")
+            let first = code.text.split_once(' ').map(|(first, _)| first);
+            first.is_some_and(|first| own.contains(&first)) && !code.text.contains("...")
         }));
         for piece in pieces {
-            for part in piece.text.split(" && ") {
+            let calls = piece.text.split(" && ").map(Call::read);
+            for call in calls.filter(&is_checked) {
                 count += 1;
-                if let Err(fault) = Call::read(part).check() {
-                    faults.push(format!("{}: {part}: {fault}", piece.place));
+                if let Err(fault) = call.check(programs) {
+                    faults.push(format!("{}: {}: {fault}", piece.place, piece.text));
                 }
             }
         }
     }
-    assert!(count > 60, "{count}");
+    assert!(count > least, "{count}");
     assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn commands_name_what_exists() {
+    check_commands(&BUILT, |_| true, 60);
+}
+
+/// `.ci/run` builds these programs.
+#[test]
+#[ignore = "needs vpc-camera, vpc-calib and vpc-ros2"]
+fn commands_of_camera_calibration_and_gateway_name_what_exists() {
+    check_commands(&LEFT_OUT, |call| call.is_one_of(&LEFT_OUT), 10);
 }
 
 #[test]

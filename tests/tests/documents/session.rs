@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use testkit::{Ended, Place, Running, eventually, root};
 
-use crate::call::{Call, after, program};
+use crate::call::{BUILT, Call, after, program};
 use crate::markdown::{Document, documents};
 
 /// A memory in seconds.
@@ -67,7 +67,7 @@ impl Session {
     }
 
     fn command(&self, call: &Call) -> Command {
-        let path = match call.is_ours() {
+        let path = match call.is_one_of(&BUILT) {
             true => program(&call.program),
             false => PathBuf::from(&call.program),
         };
