@@ -1,0 +1,3 @@
+//! The layers of the workspace hold: what depends on what is as the documents say.
+
+mod circles;
