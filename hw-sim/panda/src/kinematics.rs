@@ -95,22 +95,9 @@ impl Chain {
         Self { flange_from_ee }
     }
 
-    /// F_T_EE, the end effector in the flange.
-    pub fn flange_from_ee(&self) -> &Pose {
-        &self.flange_from_ee
-    }
-
     /// O_T_F, the flange in the base.
     pub fn flange(&self, q: &Joints) -> Pose {
         self.follow(q, |_, _, _| ())
-    }
-
-    /// The origins of base, joints 1 to 7 and flange in the base, m.
-    pub fn places(&self, q: &Joints) -> [Vector3<f64>; JOINTS + 2] {
-        let mut places = [Vector3::zeros(); JOINTS + 2];
-        let flange = self.follow(q, |joint, _, origin| places[joint + 1] = *origin);
-        places[JOINTS + 1] = flange.translation.vector;
-        places
     }
 
     /// O_T_EE, the end effector in the base.

@@ -5,7 +5,6 @@
 //! on the Euclidean length of the linear and of the angular part, joint bounds on each joint.
 
 use std::fmt;
-use std::str::FromStr;
 
 use nalgebra::Vector3;
 
@@ -35,29 +34,14 @@ impl Model {
             Self::Fr3 => &FR3,
         }
     }
-
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Panda => "panda",
-            Self::Fr3 => "fr3",
-        }
-    }
-}
-
-impl FromStr for Model {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let models = [Self::Panda, Self::Fr3];
-        let found = models.into_iter().find(|model| model.name() == text);
-        found.ok_or_else(|| format!("{text}: no such robot; allowed: panda, fr3"))
-    }
 }
 
 impl fmt::Display for Model {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        f.write_str(match self {
+            Self::Panda => "panda",
+            Self::Fr3 => "fr3",
+        })
     }
 }
 

@@ -28,30 +28,16 @@ pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 /// The pose of a frame in another: x_other = R x + t, m.
 pub type Pose = IsometryMatrix3<f64>;
 
-/// The axis of a joint, and a point on it, m.
-struct Screw {
-    axis: Vector3<f64>,
-    point: Vector3<f64>,
-}
-
-const fn screw(axis: [f64; 3], point: [f64; 3]) -> Screw {
-    let [x, y, z] = axis;
-    let [px, py, pz] = point;
-    Screw {
-        axis: Vector3::new(x, y, z),
-        point: Vector3::new(px, py, pz),
-    }
-}
-
-/// Joint 1 to joint 7 of the arm that stands straight up, its hand forward and down.
-const SCREWS: [Screw; JOINTS] = [
-    screw([0.0, 0.0, 1.0], [0.0, 0.0, 0.333]),
-    screw([0.0, 1.0, 0.0], [0.0, 0.0, 0.333]),
-    screw([0.0, 0.0, 1.0], [0.0, 0.0, 0.649]),
-    screw([0.0, -1.0, 0.0], [0.0825, 0.0, 0.649]),
-    screw([0.0, 0.0, 1.0], [0.0, 0.0, 1.033]),
-    screw([0.0, -1.0, 0.0], [0.0, 0.0, 1.033]),
-    screw([0.0, 0.0, -1.0], [0.088, 0.0, 1.033]),
+/// The axis of each joint, and a point on it, m, of the arm that stands straight up, its hand forward
+/// and down.
+const SCREWS: [([f64; 3], [f64; 3]); JOINTS] = [
+    ([0.0, 0.0, 1.0], [0.0, 0.0, 0.333]),
+    ([0.0, 1.0, 0.0], [0.0, 0.0, 0.333]),
+    ([0.0, 0.0, 1.0], [0.0, 0.0, 0.649]),
+    ([0.0, -1.0, 0.0], [0.0825, 0.0, 0.649]),
+    ([0.0, 0.0, 1.0], [0.0, 0.0, 1.033]),
+    ([0.0, -1.0, 0.0], [0.0, 0.0, 1.033]),
+    ([0.0, 0.0, -1.0], [0.088, 0.0, 1.033]),
 ];
 
 /// The flange of that arm: its origin, m, and its axes, the x axis forward and the z axis down.
@@ -128,10 +114,11 @@ impl Chain {
     fn walk(&self, q: &Joints, mut show: impl FnMut(usize, &Vector3<f64>, &Vector3<f64>)) -> Pose {
         let mut rotation = Rotation3::identity();
         let mut shift = Vector3::zeros();
-        for (joint, Screw { axis, point }) in SCREWS.iter().enumerate() {
+        for (joint, (axis, point)) in SCREWS.into_iter().enumerate() {
+            let (axis, point) = (Vector3::from(axis), Vector3::from(point));
             let place = rotation * point + shift;
             show(joint, &(rotation * axis), &place);
-            rotation *= Rotation3::from_axis_angle(&Unit::new_unchecked(*axis), q[joint]);
+            rotation *= Rotation3::from_axis_angle(&Unit::new_unchecked(axis), q[joint]);
             shift = place - rotation * point;
         }
         let origin = rotation * FLANGE + shift;

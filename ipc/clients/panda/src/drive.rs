@@ -260,21 +260,14 @@ impl Bridge<'_> {
     /// A motion, from rest to rest.
     fn carry_out(&mut self, robot: &robot::Robot, state: &Told) -> Result<(), End> {
         let measured = robot::measured(state);
-        let mount = self.config.mount(&measured.end_effector.flange_from_ee);
-        let Config {
-            bounds,
-            interface,
-            model,
-            ..
-        } = self.config;
-        let mut steering = match Steering::new(mount, *bounds, *interface, *model, &measured) {
+        let mut steering = match Steering::begin(self.config, &measured) {
             Ok(steering) => steering,
             Err(why) => {
                 self.refuse(why.to_string());
                 return Ok(());
             }
         };
-        let mut motion = match Motion::begin(robot, *interface) {
+        let mut motion = match Motion::begin(robot, self.config.interface) {
             Ok(motion) => motion,
             Err(why @ (FrankaError::Control(_) | FrankaError::Command(_))) => {
                 self.refuse(why.to_string());

@@ -149,16 +149,8 @@ fn carry_out(
     let domain = Domain::join(&config.domain).map_err(DriveError::from)?;
     // The robot's place: no other bridge is at work.
     let ports = RobotPorts::open(&domain).map_err(DriveError::from)?;
-    let measured = robot::measured(state);
-    let mount = config.mount(&measured.end_effector.flange_from_ee);
-    let Config {
-        bounds,
-        interface,
-        model,
-        ..
-    } = config;
-    let steering = Steering::new(mount, *bounds, *interface, *model, &measured)?;
-    let motion = Motion::begin(robot, *interface).map_err(DriveError::robot(config))?;
+    let steering = Steering::begin(config, &robot::measured(state))?;
+    let motion = Motion::begin(robot, config.interface).map_err(DriveError::robot(config))?;
     let mut stage = Stage {
         config,
         stop,

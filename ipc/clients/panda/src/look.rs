@@ -38,16 +38,7 @@ pub fn dry_run(config: &Config, stop: &AtomicBool) -> Result<bool, DriveError> {
     let domain = Domain::join(&config.domain)?;
     // Its place is taken as when it works: two bridges are one too many.
     let mut ports = RobotPorts::open(&domain)?;
-    let measured = robot::measured(&state);
-    let mount = config.mount(&measured.end_effector.flange_from_ee);
-    let steering = Steering::new(
-        mount,
-        config.bounds,
-        config.interface,
-        config.model,
-        &measured,
-    );
-    let mut steering = match steering {
+    let mut steering = match Steering::begin(config, &robot::measured(&state)) {
         Ok(steering) => steering,
         Err(why) => {
             println!("no motion could begin: {why}");

@@ -11,7 +11,7 @@ use arm::{
 use messages::TwistCommand;
 use nalgebra::Vector3;
 
-use crate::config::{Bounds, Interface};
+use crate::config::{Bounds, Config, Interface};
 
 /// Deceleration, m/s^2, with which the end effector nears a wall of its workspace: a fifth of the
 /// shaper's.
@@ -65,6 +65,21 @@ impl Output {
 pub struct Steering(Bridge<Franka>);
 
 impl Steering {
+    /// A motion of the configured robot begins at rest.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn begin(config: &Config, measured: &Measured) -> Result<Self, StartError> {
+        let mount = config.mount(&measured.end_effector.flange_from_ee);
+        Self::new(
+            mount,
+            config.bounds,
+            config.interface,
+            config.model,
+            measured,
+        )
+    }
+
     /// A motion begins at rest.
     ///
     /// # Errors
@@ -101,8 +116,8 @@ impl Steering {
     pub fn step(&mut self, command: &TwistCommand, measured: &Measured, now_ns: u64) -> Output {
         let Self(bridge) = self;
         bridge.driver.measured = *measured;
-        let (twist, until_ns) = (command.in_force(now_ns), command.in_force_until_ns());
-        bridge.obey(&twist, until_ns, &bridge.driver.bounds.caps.clone());
+        let (caps, until_ns) = (bridge.driver.bounds.caps, command.in_force_until_ns());
+        bridge.obey(&command.in_force(now_ns), until_ns, &caps);
         bridge.step(now_ns);
         bridge.driver.output
     }
