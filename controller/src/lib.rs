@@ -5,21 +5,6 @@
 //! A cycle receives, checks order and age, runs the law, asks the supervisor what may go out, and
 //! sends. The crate [`decision`] decides; [`cycle`] receives before and sends after it, and
 //! [`mod@replay`] repeats its decisions.
-//!
-//! # The workspace
-//! This is the first page of the documentation of all crates: `cargo doc --workspace --no-deps`,
-//! then `target/doc/controller/index.html`.
-//!
-//! | crate | what it is |
-//! |---|---|
-//! | [`vpc`] | the control law: `no_std`, no heap, no unsafe code |
-//! | [`memory_blob`], [`memory_builder`](../memory_builder/index.html) | the memory of motion: its file and queries; `vpc-memory`, which builds it |
-//! | [`messages`], [`ipc`] | the shared-memory contract: messages; domain and ports |
-//! | [`scene`], [`mask`](../mask/index.html), [`toml_schema`] | the scene file; painted occlusions; configuration files with a JSON Schema |
-//! | [`recording`], [`recorder`](../recorder/index.html) | recordings (MCAP); recording a domain for Foxglove |
-//! | [`vpcctl`](../vpcctl/index.html), [`figures`](../figures/index.html) | status, live views, requests; pictures |
-//! | [`hw_sim`](../hw_sim/index.html), [`panda`](../panda/index.html), [`vision`](../vision/index.html) | the emulator and its referee; the robot at 1 kHz; rendered images |
-//! | [`system_tests`](../system_tests/index.html), [`testkit`](../testkit/index.html) | `demo`, `table` and the promises; what tests share |
 #![deny(unsafe_code)]
 
 pub mod arguments;
