@@ -1,3 +1,4 @@
-//! The layers of the workspace hold: what depends on what is as the documents say.
+//! The walls between the parts of the project, as ARCHITECTURE.md names them.
 
 mod circles;
+mod crates;
