@@ -64,8 +64,8 @@ const KEYS: [(&str, &str); 6] = [
     ("foresight_steps", "foresight-steps"),
 ];
 
-/// The law's settings with the flags of [`KEYS`]. The declaration of a key gives the flag's
-/// meaning, default and range.
+/// The law's settings as flags. The declaration of a key gives the flag's meaning, default and
+/// range.
 #[derive(Clone, Copy, Debug)]
 pub struct LawFlags(Settings);
 

@@ -406,7 +406,8 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
         });
         (outcome, record)
     };
-    let moves = |(_, record): (_, Option<(TwistState, Option<Hold>, [f64; 6])>)| {
+    type Seen = (TwistState, Option<Hold>, [f64; 6]);
+    let moves = |(_, record): (_, Option<Seen>)| {
         record.filter(|(state, _, _)| *state == TwistState::Moving)
     };
     for (robot, cause, refusal) in [

@@ -96,7 +96,7 @@ impl Sources {
                     continue;
                 };
                 let parent = &at[..shared];
-                if self.is_module(&[parent, &[used.clone()]].concat()) {
+                if self.is_module(&[parent, std::slice::from_ref(used)].concat()) {
                     let children = uses.entry(parent.to_vec()).or_default();
                     let places = children.entry(user.clone()).or_default();
                     let place = format!("{} uses {}", at.join("::"), target.join("::"));
