@@ -52,32 +52,31 @@ pub struct Arguments {
     pub unshaped: bool,
 }
 
-/// Paths of scene and starts are relative to the file. Most keys have a flag, which wins over the
-/// file: `hw-sim --help`.
+/// Paths are relative to the file. Most keys have a flag, which wins over the file.
 #[derive(Args, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "hw-sim", extend("required" = ["scene", "starts"]))]
 pub struct Keys {
-    /// The scene file: camera, pattern, goal, what counts as success.
+    /// The scene.
     #[arg(long)]
-    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    #[schemars(extend("x-allowed" = "a file; also by --scene"))]
     pub scene: Option<PathBuf>,
-    /// File of start poses (CSV: tx,ty,tz,rx,ry,rz), of the object in the camera frame.
+    /// Start poses of the object in the camera frame (CSV: tx,ty,tz,rx,ry,rz).
     #[arg(long)]
-    #[schemars(extend("x-allowed" = "a file of starts, by the key `starts` or the flag --starts"))]
+    #[schemars(extend("x-allowed" = "a file; also by --starts"))]
     pub starts: Option<PathBuf>,
-    /// Index of the start in that file.
+    /// Index of the start in `starts`.
     #[arg(long, default_value_t = 0)]
     #[schemars(extend("x-allowed" = "0 to the number of starts less one"))]
     pub start: u32,
     /// What paces the frames.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
-    /// Directory of the shared memory.
+    /// Directory of the domain.
     #[arg(long)]
-    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    #[schemars(extend("x-default" = "/tmp/vpc-UID"))]
     pub domain: Option<PathBuf>,
-    /// File that every frame is recorded to, a JSON line each.
+    /// File that records each frame as a JSON line.
     #[arg(long)]
     pub record: Option<PathBuf>,
     /// Standard deviation of each pixel coordinate, px.
@@ -102,39 +101,39 @@ pub struct Keys {
     /// What carries the camera.
     #[arg(long, value_enum, default_value_t)]
     pub robot: Body,
-    /// Panda: what the camera sends: features, or images for vpc-camera.
+    /// Panda: what the camera sends.
     #[arg(long, value_enum, default_value_t)]
     pub camera: Sight,
-    /// Panda: time from the middle of an exposure to its delivery, ms.
+    /// Panda: time from the middle of an exposure to its delivery.
     #[arg(long, default_value_t = 110.0)]
     #[schemars(range(min = 0, max = 900), extend("x-unit" = "ms"))]
     pub latency_ms: f64,
-    /// Panda: deviation of the latency to either side, ms; at most the latency.
+    /// Panda: deviation of the latency to either side; at most the latency.
     #[arg(long, default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 900), extend("x-unit" = "ms"))]
     pub jitter_ms: f64,
-    /// Panda: exposure of a row, ms.
+    /// Panda: exposure of a row.
     #[arg(long, default_value_t = 6.0)]
     #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
     pub exposure_ms: f64,
-    /// Panda: time from the first row to the last of a rolling shutter, ms; with camera `rendered`.
+    /// Panda: time from the first row to the last of a rolling shutter; with camera `rendered`.
     #[arg(long, default_value_t = 15.0)]
     #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
     pub readout_ms: f64,
-    /// Panda: time that features stay at the goal before the object is released, s.
+    /// Panda: time at the goal before the object is released.
     #[arg(long, default_value_t = 0.5)]
     #[schemars(range(min = 0, max = 60), extend("x-unit" = "s"))]
     pub dwell_s: f64,
-    /// Panda: distance that the robot then backs away, m.
+    /// Panda: distance that the robot then backs away.
     #[arg(long, default_value_t = 0.04)]
     #[schemars(range(min = 0, max = 0.3), extend("x-unit" = "m"))]
     pub retreat_m: f64,
-    /// Panda: offers the vendor's interface (FCI) at this address, to which clients connect; the
-    /// robot then obeys them instead of `vpc/twist`.
+    /// Panda: offers the vendor's interface (FCI) at this address; the robot obeys its clients
+    /// instead of `vpc/twist`.
     #[arg(long)]
     #[schemars(extend("x-allowed" = "an address and a port, such as 127.0.0.1:1337"))]
     pub fci: Option<SocketAddr>,
-    /// Version of the interface: 5, the Panda's, or 10, the FR3's.
+    /// Version of the FCI: 5 (Panda) or 10 (FR3).
     #[arg(long, default_value_t = 5)]
     #[schemars(range(min = 5, max = 10))]
     pub fci_version: u16,
@@ -159,7 +158,7 @@ impl Default for Keys {
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Body {
-    /// Nothing: it moves exactly as told, at once.
+    /// Nothing: the camera moves exactly as commanded, at once.
     #[default]
     Free,
     /// A Franka Emika Panda behind its 1 kHz velocity interface.
@@ -192,7 +191,7 @@ pub struct Config {
     pub repeat: bool,
     /// Whose time it is.
     pub clock: Clock,
-    /// Directory of the shared memory.
+    /// Directory of the domain.
     pub domain: PathBuf,
     /// Where to record.
     pub record: Option<PathBuf>,

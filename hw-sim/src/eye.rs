@@ -23,11 +23,11 @@ use crate::stamps::Stamps;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// Features: true projections with pixel noise; a marker is hidden where its centre, or any
-    /// part of its edge, is covered or outside the image.
+    /// Features: true projections with pixel noise; a marker is hidden if its center or any part of
+    /// its edge is covered or outside the image.
     #[default]
     Ideal,
-    /// Rendered images of tags, in which `vpc-camera` finds the features.
+    /// Images of tags, in which `vpc-camera` finds the features.
     Rendered,
 }
 

@@ -68,11 +68,11 @@ macro_rules! settings {
 settings! {
     /// The control law.
     pub struct Settings {
-        /// How the goal is reached: by whole futures over the memory, simulated between two frames,
-        /// the best of which is followed (`foresight`); or as in the paper, where warm start and
-        /// target come from the previous cycle (`previous`), the nearest sample of the memory
-        /// (`knn`) or the mean of several (`knn5`), or regression over the memory (`gpr`). `ibvs`
-        /// is the classic law without prediction. Flag: --strategy.
+        /// How the goal is reached. `foresight` simulates whole futures over the memory between two
+        /// frames and follows the best. The paper's strategies take warm start and target from the
+        /// previous cycle (`previous`), the nearest sample of the memory (`knn`), the mean of
+        /// several (`knn5`), or regression over the memory (`gpr`). `ibvs` is the classic law
+        /// without prediction. Flag: --strategy.
         #[default(Strategy::Previous)]
         #[key(
             with = "alloc::string::String",
@@ -84,12 +84,12 @@ settings! {
         #[default(3)]
         #[allowed(1 to 40)]
         pub np: usize,
-        /// Length of a step; where the camera's period and a stop from the limits take longer,
-        /// that. Flag of `cargo table`: --step-s.
+        /// Length of a step; longer where the camera's period and a stop from the limits take
+        /// longer. Flag of `cargo table`: --step-s.
         #[default(0.033)]
         #[allowed(0.001 to 10, "s")]
         pub step_s: f64,
-        /// Free commands in the prediction; the last is held to its end.
+        /// Free commands in the prediction; the last is held.
         #[default(1)]
         #[allowed(1 to 4)]
         #[key(extend("x-allowed" = FREE_COMMANDS))]
@@ -102,44 +102,40 @@ settings! {
         #[default(1e-3)]
         #[allowed(1e-15 to 1)]
         pub tolerance: f64,
-        /// Whether constraints hold between the sampling instants of the next period, too, and not
-        /// only at the instants, as in the paper.
+        /// Whether constraints also hold between the sampling instants of the next period; in the
+        /// paper they do not.
         #[default(true)]
         pub intersample: bool,
         /// How features are predicted.
         #[default(Model::Pose)]
         pub model: Model,
-        /// Most steps that foresight simulates between two frames; never more than a fifth of the
-        /// control period has room for. One takes 5 us with 3 steps ahead in the paper's scene, 60
-        /// us with 30.
+        /// Most steps that foresight simulates between two frames, within a fifth of the control
+        /// period.
         #[default(150)]
         #[allowed(1 to 1e5)]
         pub foresight_steps: u32,
-        /// The memory is asked when a feature, or the edge of a marker that has a size, comes this
-        /// close to an occlusion.
+        /// Distance of a feature, or of a sized marker's edge, from an occlusion at which the
+        /// memory is queried.
         #[default(20.0)]
         #[allowed(0 to 1e4, "px")]
         pub trigger_px: f64,
-        /// The memory is asked until every feature is this many times `trigger_px` away.
+        /// The memory is queried until every feature is this many times `trigger_px` away.
         #[default(2.0)]
         #[allowed(1 to 100)]
         pub hysteresis: f64,
-        /// Clearance kept from every border: of each feature, or of the edge of a marker where the
-        /// scene gives `marker_size`.
+        /// Clearance of each feature, or of a sized marker's edge, from every border.
         #[default(0.0)]
         #[allowed(0 to 1e3, "px")]
         pub margin_px: f64,
-        /// Weight of the change of the command from one period to the next, as a share of R; 0 in
-        /// the paper.
+        /// Weight of the command's change per period, as a share of R; 0 in the paper.
         #[default(0.03)]
         #[allowed(0 to 10)]
         pub change_share: f64,
-        /// Time constant with which the predicted features follow the measured ones. 0: no filter,
-        /// as in the paper.
+        /// Time constant of the feature filter; 0: no filter, as in the paper.
         #[default(0.15)]
         #[allowed(0 to 10, "s")]
         pub filter_s: f64,
-        /// Greatest distance of a filtered feature from the measured one: some three times the
+        /// Greatest distance of a filtered feature from the measured one: about three times the
         /// noise.
         #[default(1.0)]
         #[allowed(0 to 100, "px")]
@@ -148,7 +144,7 @@ settings! {
         #[default(0.5)]
         #[allowed(1e-6 to 100, "per s")]
         pub lambda: f64,
-        /// Whether features are advanced from their exposure to now by the commands sent since.
+        /// Whether the commands sent since the exposure advance the features to now.
         #[default(true)]
         pub delay_compensation: bool,
         /// Time in which a component of the twist goes from zero to its limit, where the scene

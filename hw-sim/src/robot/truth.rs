@@ -10,56 +10,53 @@ use vision::Lens;
 /// The least half size of an occlusion that shrinks, px.
 const LEAST_HALF: f64 = 0.5;
 
-/// How the world differs from what controller and bridge believe; all zero if it does not.
+/// How the world differs from what controller and bridge assume.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Truth {
-    /// True focal lengths are larger by this share.
+    /// The focal lengths are larger by this share.
     #[schemars(range(min = -0.5, max = 0.5))]
     pub focal: f64,
-    /// The true principal point lies this far to the right and down.
+    /// Shift of the principal point, right and down.
     #[schemars(inner(range(min = -100, max = 100)), extend("x-unit" = "px"))]
     pub center_px: [f64; 2],
-    /// Distortion of the true lens, as OpenCV has it: k1, k2, p1, p2, k3. The scene describes the
-    /// undistorted image: occlusions are distorted, too.
+    /// Distortion of the lens, as in OpenCV: k1, k2, p1, p2, k3. It distorts the occlusions, too.
     #[schemars(inner(range(min = -2, max = 2)))]
     pub distortion: [f64; 5],
-    /// The true camera sits this far from where the calibration has it, along the camera's axes.
+    /// Displacement of the camera from the calibration, along the camera's axes.
     #[schemars(inner(range(min = -0.2, max = 0.2)), extend("x-unit" = "m"))]
     pub hand_eye_m: [f64; 3],
-    /// The true camera is turned by this rotation vector from where the calibration has it, about
-    /// the camera's axes.
+    /// Rotation vector of the camera from the calibration, about the camera's axes.
     #[schemars(inner(range(min = -30, max = 30)), extend("x-unit" = "deg"))]
     pub hand_eye_deg: [f64; 3],
-    /// Pattern and distances are larger by this share: an error of depth alone, the images at the
-    /// start are the same.
+    /// Pattern and distances are larger by this share; the images at the start are the same.
     #[schemars(range(min = -0.5, max = 1))]
     pub depth: f64,
-    /// Every occlusion really lies this far to the right and down.
+    /// Shift of every occlusion, right and down.
     #[schemars(inner(range(min = -200, max = 200)), extend("x-unit" = "px"))]
     pub mask_shift_px: [f64; 2],
-    /// Every occlusion is really larger by this on every side.
+    /// Growth of every occlusion on every side.
     #[schemars(range(min = -100, max = 100), extend("x-unit" = "px"))]
     pub mask_growth_px: f64,
-    /// Frames say that they were exposed this much later than they were.
+    /// Constant error of the exposure stamps; positive: too late.
     #[schemars(range(min = -200, max = 200), extend("x-unit" = "ms"))]
     pub stamp_bias_ms: f64,
-    /// ... and by a random error of this standard deviation.
+    /// Standard deviation of a random error of the stamps.
     #[schemars(range(min = 0, max = 50), extend("x-unit" = "ms"))]
     pub stamp_jitter_ms: f64,
-    /// Mean number of frames that are lost in a row, of the share `drop`; 0: each by itself.
+    /// Mean number of frames lost in a row, of the share `drop`; 0: each by itself.
     #[schemars(range(min = 0, max = 100), extend("x-unit" = "frames"))]
     pub drop_burst: f64,
-    /// Rendered: tags are blurred by the motion of the camera during this share of `exposure_ms`.
+    /// Rendered: motion of the camera blurs tags during this share of `exposure_ms`.
     #[schemars(range(min = 0, max = 10))]
     pub motion_blur: f64,
-    /// Rendered: standard deviation of the blur of a picture that is out of focus.
+    /// Rendered: standard deviation of the blur from defocus.
     #[schemars(range(min = 0, max = 20), extend("x-unit" = "px"))]
     pub defocus_px: f64,
-    /// Rendered: the brightness rises and falls by up to this share, slowly and in steps.
+    /// Rendered: the brightness changes by up to this share, slowly and in steps.
     #[schemars(range(min = 0, max = 1))]
     pub gain: f64,
-    /// Rendered: other tags that lie about on the table, the last of them a copy of tag 0.
+    /// Rendered: number of other tags on the table; the last is a copy of tag 0.
     #[schemars(range(min = 0, max = 20))]
     pub clutter: u32,
 }

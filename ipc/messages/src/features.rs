@@ -15,11 +15,10 @@ message! {
         exposure_ns: u64 ["ns"],
         /// Points in this message, in the order of the scene's pattern.
         count: u32 [range(1, MAX_POINTS)],
-        /// Bit i is set if point i was measured in this frame; otherwise the point is a guess of
-        /// the tracker.
+        /// Bit i is set if point i was measured in this frame; otherwise the tracker guessed it.
         visible: u32,
-        /// Image points u1 v1 u2 v2 ...; u to the right, v down, origin at the centre of the upper
-        /// left pixel. The first `2 * count` are finite, the rest is zero.
+        /// Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left
+        /// pixel. The first `2 * count` are finite, the rest zero.
         points: [f64; 2 * MAX_POINTS] ["px" finite_pairs],
     }
     // A history of one: a controller that comes late finds the message that a lockstep camera waits

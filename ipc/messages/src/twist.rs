@@ -30,18 +30,15 @@ codes! {
 }
 
 message! {
-    /// Camera velocity command. Stop executing it when it is no longer valid: the controller may
-    /// have died.
+    /// Camera velocity command.
     TwistCommand {
         /// Head; `data_ns` is that of the features it answers.
         stamp: Stamp,
         /// Sequence number of the features it answers; 0 if it answers none.
         features_sequence: u64,
-        /// `published_ns` of the features it answers: tells a restarted camera's message from its
-        /// predecessor's.
+        /// `published_ns` of the features it answers.
         features_published_ns: u64 ["ns"],
-        /// The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop.
-        /// 2^64-1 in lockstep, where time does not pass between frames.
+        /// The camera must stop at this instant, CLOCK_MONOTONIC; 2^64-1 in lockstep.
         valid_until_ns: u64 ["ns"],
         /// State of the controller.
         state: u32 [code(TwistState)],

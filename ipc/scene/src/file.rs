@@ -9,18 +9,17 @@ use toml_schema::{Document, FileError};
 
 use crate::model::*;
 
-/// What controller, builder and emulator must agree on. A memory belongs to the scene it was built
-/// for; only `success`, `starts`, the limits of acceleration, the size of the markers, `name` and
-/// `grasped` of occlusions and the weights of `cost` may change under it. All keys but `occlusion`,
-/// `marker_size` and those limits are required.
+/// Controller, builder and emulator must agree on the scene. A memory fits only the scene it was
+/// built for, but `success`, `starts`, `cost`, the limits of acceleration, `marker_size` and the
+/// keys `name` and `grasped` of occlusions may change.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Scene")]
 struct Tables {
     camera: Camera,
     pattern: Pattern,
-    /// Pose of the object in the camera frame (x right, y down, z forward) at the goal, where every
-    /// point is in the image and outside the occlusions.
+    /// Pose of the object in the camera frame (x right, y down, z forward) at the goal; it shows
+    /// every point in the image and outside the occlusions.
     goal: Pose,
     limits: Limits,
     cost: Cost,
@@ -36,14 +35,13 @@ struct Tables {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Pattern {
-    /// Points `[X, Y, 0.0]` in the object frame, m, in the order in which features are stacked;
-    /// among them four, no three of which lie on a line.
+    /// Points `[X, Y, 0.0]` in the object frame, in the order of the features; they include four of
+    /// which no three lie on a line.
     #[schemars(length(min = MIN_POINTS, max = MAX_POINTS), inner(inner(range(min = -10, max = 10))))]
     #[schemars(extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
-    /// Side of the square round each point that must stay in sight: that of a tag with its white
-    /// border. 0: only the points themselves, as without the key, but then vpcd warns where
-    /// `law.margin_px` is 0.
+    /// Side of the square around each point that must stay in sight: a tag with its white border.
+    /// 0: only the points. Without the key, too, but vpcd warns if `law.margin_px` is 0.
     #[serde(default)]
     #[schemars(range(min = 0, max = 1), extend("x-unit" = "m"))]
     marker_size: Option<f64>,
@@ -53,19 +51,18 @@ struct Pattern {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Painted {
-    /// For messages, and for `vpc-memory build --grow`.
+    /// Name in messages and for `vpc-memory build --grow`.
     #[schemars(extend("x-allowed" = "at most 32 bytes"))]
     name: String,
-    /// Shapes; without a mask at least one.
+    /// Shapes of the occlusion.
     #[serde(default)]
     #[schemars(length(max = MAX_PARTS), extend("x-allowed" = "1 to 8 parts, or a mask"))]
     parts: Vec<Part>,
-    /// PNG image of the camera's size, relative to the scene file: white (from half grey on) is
-    /// forbidden, black free.
-    #[schemars(extend("x-allowed" = "an opaque grey PNG of the image's size, up to 4096x4096 px, at most 32 white areas"))]
+    /// PNG file, relative to the scene file; white (at least half gray) is forbidden, black free.
+    #[schemars(extend("x-allowed" = "an opaque gray PNG of the image's size, up to 4096x4096 px, at most 32 white areas"))]
     mask: Option<String>,
-    /// Whether this is the object in the gripper: the emulated robot's leaves the view when it is
-    /// released. At most one; nobody else asks.
+    /// Whether this is the object in the emulated robot's gripper, which leaves the view when it
+    /// is released; at most one.
     #[serde(default)]
     grasped: bool,
 }

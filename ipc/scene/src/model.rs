@@ -64,8 +64,8 @@ macro_rules! table {
 }
 
 table! {
-    /// A pinhole camera without distortion; u to the right, v down, z forward. The centre of the
-    /// first pixel, in the upper left corner of the image, is (0, 0), as in OpenCV and ViSP.
+    /// A pinhole camera without distortion; u right, v down, z forward. The center of the upper
+    /// left pixel is (0, 0), as in OpenCV and ViSP.
     pub struct Camera {
         /// Width of the image.
         #[key(range(min = 16, max = 16384), extend("multipleOf" = 1, "x-unit" = "px"))]
@@ -112,11 +112,10 @@ table! {
         /// Largest magnitude of each angular component.
         #[key(range(min = 1e-6, max = 30), extend("x-unit" = "rad/s"))]
         pub angular: f64,
-        /// Most change of each linear component in a second, so that a stop takes at most 5 s;
-        /// without the key any.
+        /// Largest linear acceleration; a stop must take at most 5 s. Without the key: no limit.
         #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "m/s^2"))]
         pub linear_acceleration: Option<f64>,
-        /// The same of each angular component.
+        /// Largest angular acceleration; the same holds.
         #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "rad/s^2"))]
         pub angular_acceleration: Option<f64>,
     }
@@ -149,7 +148,7 @@ table! {
         #[key(range(min = 1e-12, max = 1e6), extend("x-unit" = "1/px^2"))]
         pub k_q: f64,
         /// Diagonal of R, the weight of the squared camera velocity (vx vy vz wx wy wz), s^2/m^2
-        /// and s^2/rad^2. The law lowers it towards the goal.
+        /// and s^2/rad^2; the law lowers it toward the goal.
         #[key(inner(range(min = 0, max = 1e9)))]
         pub r: [f64; 6],
     }
@@ -158,13 +157,13 @@ table! {
 table! {
     /// What counts as success.
     pub struct Success {
-        /// A point deeper than this in an occlusion, or further outside the image, is a violation.
+        /// A point deeper than this in an occlusion, or farther outside the image, is a violation.
         #[key(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
         pub violation_px: f64,
         /// Largest component of s - s* that counts as arrived.
         #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "px"))]
         pub convergence_px: f64,
-        /// Time in which the features must have arrived.
+        /// Time limit for the arrival.
         #[key(range(min = 0.1, max = 3600), extend("x-unit" = "s"))]
         pub time_s: f64,
     }
@@ -176,21 +175,20 @@ table! {
         /// Least translation of the object in the camera frame; z from 0.001 m.
         #[key(inner(range(min = -100, max = 100)), extend("x-unit" = "m"))]
         pub translation_min: [f64; 3],
-        /// Greatest translation of the object in the camera frame; no component is less than in
-        /// `translation_min`.
+        /// Greatest translation.
         #[key(inner(range(min = -100, max = 100)), extend("x-unit" = "m"))]
         pub translation_max: [f64; 3],
-        /// Greatest magnitude of the rotation vector's x and y; this rotation is applied first.
+        /// Greatest magnitude of the rotation vector's x and y, applied first.
         #[key(range(min = 0, max = 1.5), extend("x-unit" = "rad"))]
         pub tilt_max: f64,
-        /// Greatest roll about the optical axis; applied second.
+        /// Greatest roll about the optical axis, applied second.
         #[key(range(min = 0, max = PI), extend("x-unit" = "rad"))]
         pub roll_max: f64,
-        /// Least distance of every point, or of its marker's edge where markers have a size, from
-        /// the image border and from every occlusion.
+        /// Least distance of every point, or of a sized marker's edge, from the image border and
+        /// every occlusion.
         #[key(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
         pub clearance_px: f64,
-        /// Least mean distance of the points from their goals.
+        /// Least mean distance of the points from the goal.
         #[key(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
         pub min_error_px: f64,
     }
@@ -212,7 +210,7 @@ pub struct Occlusion {
 table! {
     /// A part covers the points with (|u-c_u|/h_u)^p + (|v-c_v|/h_v)^p < 1.
     pub struct Part {
-        /// Centre (u, v).
+        /// Center (u, v).
         #[key(inner(range(min = -1e5, max = 1e5)), extend("x-unit" = "px"))]
         pub center: [f64; 2],
         /// Half sizes (u, v).

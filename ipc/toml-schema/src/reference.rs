@@ -47,7 +47,7 @@ fn section(text: &mut String, schema: &Value, table: &str, places: &HashMap<Stri
         .filter(|(_, key)| !is_table(key))
         .peekable();
     if rows.peek().is_some() {
-        *text += "\n| key | type | default | allowed | meaning |\n|---|---|---|---|---|\n";
+        *text += "\n| key | default; allowed | meaning |\n|---|---|---|\n";
     }
     for (name, key) in rows {
         let is_required = schema["required"]
@@ -75,14 +75,9 @@ fn section(text: &mut String, schema: &Value, table: &str, places: &HashMap<Stri
     }
 }
 
-/// Type, default, what is allowed, and meaning.
-fn cells(key: &Value, is_required: bool) -> [String; 4] {
+/// Default with what is allowed, and meaning.
+fn cells(key: &Value, is_required: bool) -> [String; 2] {
     let string = |name: &str| key[name].as_str().unwrap_or_default().to_owned();
-    let kind = match &key["type"] {
-        Value::String(kind) => kind.clone(),
-        _ if key["oneOf"][0]["type"] == "object" => "table".to_owned(),
-        _ => "string".to_owned(),
-    };
     let default = match (&key["default"], string("x-default")) {
         (Value::Null, words) if words.is_empty() => {
             if is_required { "required" } else { "none" }.to_owned()
@@ -90,14 +85,19 @@ fn cells(key: &Value, is_required: bool) -> [String; 4] {
         (Value::Null, words) => words,
         (value, _) => format!("`{}`", toml(value)),
     };
-    let mut meaning = string("description");
-    // Words that have a meaning of their own.
+    let (mut allowed, mut meaning) = (allowed(key), string("description"));
+    // Words that have a meaning of their own say themselves what is allowed.
     for one in key["oneOf"].as_array().into_iter().flatten() {
         if let (Some(word), Some(words)) = (one["const"].as_str(), one["description"].as_str()) {
             let _ = write!(meaning, " `{word}`: {words}");
+            allowed.clear();
         }
     }
-    [kind, default, allowed(key), meaning.trim_start().to_owned()]
+    let value = match allowed.as_str() {
+        "" => default,
+        allowed => format!("{default}; {allowed}"),
+    };
+    [value, meaning.trim_start().to_owned()]
 }
 
 /// A value as TOML writes it.

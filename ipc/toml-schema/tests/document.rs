@@ -227,10 +227,10 @@ fn the_page_has_the_keys_in_the_order_of_a_file_that_shows_them() {
 fn the_page_has_a_row_for_each_key_under_its_table() {
     let page = reference(&schema::<File>(), "");
     for row in [
-        "| `picture` | string | required | a file | A file. |",
+        "| `picture` | required; a file | A file. |",
         "### `[camera]`\n\nThe camera.\n",
-        "| `width` | integer | none | 16 to 2e4 px | Width of the image, in all. |",
-        "| `clock` | string | `\"fixed\"` | fixed, free | `fixed`: A quartz. `free`: None. |",
+        "| `width` | none; 16 to 2e4 px | Width of the image, in all. |",
+        "| `clock` | `\"fixed\"` | `fixed`: A quartz. `free`: None. |",
         "### `[[part]]`\n\nA part.\n",
     ] {
         assert!(page.contains(row), "{page}\nlacks {row}");

@@ -17,8 +17,8 @@ const GROWTH: [f64; 2] = [1.0, 3.0];
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "vpc-memory build")]
 pub struct BuildSettings {
-    /// N_t: successful trajectories to collect; 900 in the paper, whose strategies need as many.
-    /// Flag: --trajectories.
+    /// N_t: successful trajectories to collect; the paper's strategies need 900. Flag:
+    /// --trajectories.
     #[default = 50]
     #[schemars(range(min = 1, max = 10000000))]
     pub trajectories: usize,
@@ -34,42 +34,41 @@ pub struct BuildSettings {
     #[default = 1e-9]
     #[schemars(range(min = 1e-15, max = 1))]
     pub tolerance: f64,
-    /// Features closer than this to an occlusion are guided by the memory. Flag: --trigger-px.
+    /// The memory guides features closer than this to an occlusion. Flag: --trigger-px.
     #[default = 20.0]
     #[schemars(range(min = 0, max = 1e4), extend("x-unit" = "px"))]
     pub trigger_px: f64,
-    /// n_th: number of trajectories from which on the memory guides its own building.
+    /// n_th: number of trajectories after which the memory guides its own building.
     #[default = 100]
     pub guide_after: usize,
     /// Share of the trajectories after which starts are drawn near failed ones.
     #[default = 0.5]
     #[schemars(range(min = 0, max = 1))]
     pub adapt_after: f64,
-    /// Share of such starts from then on; the rest stays uniform.
+    /// Share of such starts; the rest stays uniform.
     #[default = 0.5]
     #[schemars(range(min = 0, max = 1))]
     pub adapt_share: f64,
-    /// Starts tried in parallel against one state of the memory. Part of the result, unlike the
-    /// threads.
+    /// Starts tried in parallel against one state of the memory. Unlike the threads, it changes the
+    /// result.
     #[default = 32]
     #[schemars(range(min = 1, max = 4096))]
     pub batch: usize,
-    /// Where the way point of a sample lies on its trajectory: `{ sight = SHARE }` or `{ samples =
-    /// N }`. Flag: --way-point-samples.
+    /// Way point of a sample on its trajectory: `{ sight = SHARE }` or `{ samples = N }`. Flag:
+    /// --way-point-samples.
     #[schemars(extend("x-allowed" = "sight: 0.001 to 1; samples: 1 to 10000"))]
     pub way_point: WayPoint,
-    /// Whether a start that every recovery leaves stuck is solved by a planner in pose space. Flag:
-    /// --no-planner.
+    /// Whether a planner in pose space solves starts that no recovery frees. Flag: --no-planner.
     #[default = true]
     pub planner: bool,
-    /// Least image motion between two stored samples of a trajectory, share of the image width.
+    /// Least image motion between stored samples, as a share of the image width.
     #[default = 0.01]
     #[schemars(range(min = 0, max = 1))]
     pub sample_spacing: f64,
     /// Seed of every random choice. Flag: --seed.
     #[default = 1]
     pub seed: u64,
-    /// Occlusions drawn larger while trajectories are made: `{ "NAME" = FACTOR }`. Flag: --grow.
+    /// Occlusions enlarged while trajectories are made: `{ "NAME" = FACTOR }`. Flag: --grow.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(extend("x-allowed" = "factors from 1 to 3", "additionalProperties" = growth()))]
     pub grow: BTreeMap<String, f64>,
@@ -97,7 +96,7 @@ pub enum WayPoint {
     ),
 }
 
-/// How the Gaussian process is fitted.
+/// Fit of the Gaussian process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct RegressionSettings {
@@ -105,23 +104,22 @@ pub struct RegressionSettings {
     #[default = 800]
     #[schemars(range(min = 2, max = 20000))]
     pub samples: usize,
-    /// Samples are drawn where a feature is closer to an occlusion than this many times the trigger
-    /// distance.
+    /// Samples have a feature closer to an occlusion than this many times `trigger_px`.
     #[default = 2.0]
     #[schemars(range(min = 1, max = 1e6))]
     pub zone: f64,
-    /// Most samples on which the hyper-parameters are fitted.
+    /// Most samples for the fit of the hyperparameters.
     #[default = 400]
     #[schemars(range(min = 2, max = 4000))]
     pub likelihood_samples: usize,
-    /// Seeded restarts of the maximisation of the likelihood.
+    /// Seeded restarts of the maximization of the likelihood.
     #[default = 3]
     #[schemars(range(min = 1, max = 100))]
     pub restarts: usize,
-    /// Evaluations of the likelihood on all kept samples that improve on the subset's best.
+    /// Evaluations of the likelihood on all kept samples, from the subset's best.
     pub polish: usize,
-    /// Whether the factor for predictive variances is stored: 8 bytes for each pair of samples.
-    /// Flag: --variance.
+    /// Whether the factor for predictive variances is stored (8 bytes per pair of samples). Flag:
+    /// --variance.
     pub variance: bool,
 }
 

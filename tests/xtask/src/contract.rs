@@ -32,8 +32,8 @@ fn services() -> String {
     text
 }
 
-/// Messages that only observers and replays read: the C header alone has their fields.
-const IN_THE_HEADER: [&str; 2] = ["CycleRecord", "Snapshot"];
+/// Messages of observers, operators and image streams: the C header alone has their fields.
+const IN_THE_HEADER: [&str; 5] = ["CycleRecord", "Snapshot", "Request", "Reply", "ImageHeader"];
 
 fn messages() -> String {
     let mut text = String::new();

@@ -339,26 +339,22 @@ typedef struct {
     uint64_t exposure_ns;
     // Points in this message, in the order of the scene's pattern. 1 to 8.
     uint32_t count;
-    // Bit i is set if point i was measured in this frame; otherwise the point is a guess of the
-    // tracker.
+    // Bit i is set if point i was measured in this frame; otherwise the tracker guessed it.
     uint32_t visible;
-    // Image points u1 v1 u2 v2 ...; u to the right, v down, origin at the centre of the upper left
-    // pixel. The first 2 * count are finite, the rest is zero. Unit: px.
+    // Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left pixel.
+    // The first 2 * count are finite, the rest zero. Unit: px.
     double points[16];
 } vpc_features;
 
-// Camera velocity command. Stop executing it when it is no longer valid: the controller may have
-// died. Service `vpc/twist`.
+// Camera velocity command. Service `vpc/twist`.
 typedef struct {
     // Head; data_ns is that of the features it answers.
     vpc_stamp stamp;
     // Sequence number of the features it answers; 0 if it answers none.
     uint64_t features_sequence;
-    // published_ns of the features it answers: tells a restarted camera's message from its
-    // predecessor's. Unit: ns.
+    // published_ns of the features it answers. Unit: ns.
     uint64_t features_published_ns;
-    // The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop. 2^64-1
-    // in lockstep, where time does not pass between frames. Unit: ns.
+    // The camera must stop at this instant, CLOCK_MONOTONIC; 2^64-1 in lockstep. Unit: ns.
     uint64_t valid_until_ns;
     // State of the controller. Code: vpc_state.
     uint32_t state;

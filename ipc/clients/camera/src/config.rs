@@ -45,7 +45,7 @@ pub enum Command {
     Tags(crate::sheet::Arguments),
 }
 
-/// The paths of scene and calibration are relative to the file. Most keys have a flag, which wins.
+/// Paths are relative to the file. Most keys have a flag, which wins.
 #[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "vpc-camera", extend("required" = ["source", "scene"]))]
@@ -54,46 +54,45 @@ pub struct Keys {
     #[arg(long)]
     #[schemars(extend("x-allowed" = "shm: vpc/image of the domain; v4l2:/dev/video0: a camera; files:PATH: a folder of .png and .pgm, or a .y4m video, at the scene's rate"))]
     pub source: Option<String>,
-    /// The scene file of vpcd: its camera is the pinhole that features are for, its pattern says
-    /// how many there are.
+    /// The scene of vpcd; features are projected into its camera.
     #[arg(long)]
-    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    #[schemars(extend("x-allowed" = "a file; also by --scene"))]
     pub scene: Option<PathBuf>,
     /// Calibration of the real lens.
     #[arg(long)]
     #[schemars(extend(
         "x-allowed" = "a file: YAML of ROS, OpenCV or Kalibr, or TOML",
-        "x-default" = "images are those of the scene's pinhole"
+        "x-default" = "the scene's camera"
     ))]
     pub calibration: Option<PathBuf>,
-    /// Numbers of the tags whose centres are the points of the pattern, in its order.
+    /// Numbers of the tags at the points of the pattern, in its order.
     #[arg(long, value_delimiter = ',')]
     #[schemars(length(max = 8), inner(range(max = 586)), extend("x-default" = "0, 1, ..."))]
     pub tags: Option<Vec<u32>>,
-    /// Number of the one tag whose corners are the four points of the pattern: upper left, upper
+    /// Number of the one tag with its corners at the four points of the pattern: upper left, upper
     /// right, lower right, lower left.
     #[arg(long, conflicts_with = "tags")]
-    #[schemars(range(max = 586), extend("x-default" = "centres of tags"))]
+    #[schemars(range(max = 586), extend("x-default" = "none"))]
     pub corners_of: Option<u32>,
-    /// With v4l2: length of the exposure, where the driver does not tell it.
+    /// With v4l2: length of the exposure if the driver does not tell it.
     #[arg(long)]
     #[schemars(range(min = 0, max = 1000), extend("x-unit" = "ms", "x-default" = "the driver's"))]
     pub exposure_ms: Option<f64>,
     /// With v4l2: which rows are exposed when.
     #[arg(long, value_enum, default_value_t)]
     pub shutter: Shutter,
-    /// With v4l2: from the first row's being read to the last one's.
+    /// With v4l2: time from reading the first row to reading the last.
     #[arg(long, default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 1000), extend("x-unit" = "ms"))]
     pub readout_ms: f64,
     /// How features are stamped.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
-    /// Directory of the shared memory.
+    /// Directory of the domain.
     #[arg(long)]
-    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    #[schemars(extend("x-default" = "/tmp/vpc-UID"))]
     pub domain: Option<PathBuf>,
-    /// Added to each image's time of exposure, as vpc-calib measured it.
+    /// Offset of each exposure stamp, as `vpc-calib` measures it.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     #[schemars(range(min = -1000, max = 1000), extend("x-unit" = "ms"))]
     pub stamp_offset_ms: f64,
@@ -101,7 +100,7 @@ pub struct Keys {
     #[arg(skip)]
     #[schemars(range(min = 0, max = 99))]
     pub realtime_priority: i32,
-    /// File for metrics in Prometheus' text format, written anew every second.
+    /// File for metrics in Prometheus' text format, rewritten every second.
     #[arg(long)]
     #[schemars(extend("x-default" = "none"))]
     pub metrics: Option<PathBuf>,
@@ -113,10 +112,10 @@ pub struct Keys {
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Clock {
-    /// Published when they are.
+    /// By their own publication.
     #[default]
     Fixed,
-    /// Published when the image was, so that a simulation knows the answer to its image.
+    /// By the image's publication, by which a simulation knows the answer to its image.
     Lockstep,
 }
 
@@ -155,7 +154,7 @@ pub struct Config {
     pub exposure: (Option<u64>, Shutter, u64),
     /// How features are stamped.
     pub clock: Clock,
-    /// Directory of the shared memory.
+    /// Directory of the domain.
     pub domain: PathBuf,
     /// Added to each time of exposure, ns.
     pub stamp_offset_ns: i64,

@@ -35,7 +35,7 @@ pub enum Frame {
     /// The flange, `panda_link8`.
     #[default]
     Flange,
-    /// The end effector as the robot has it set: O_T_EE is about it.
+    /// The end effector that the robot has set (O_T_EE).
     Ee,
 }
 

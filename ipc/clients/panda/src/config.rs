@@ -43,8 +43,7 @@ pub struct Arguments {
     pub yes: bool,
 }
 
-/// The paths of scene and hand-eye file are relative to the file. Some keys have a flag, which
-/// wins.
+/// Paths are relative to the file. Some keys have a flag, which wins.
 #[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "vpc-panda", extend("required" = ["robot", "scene", "hand_eye"]))]
@@ -53,23 +52,23 @@ pub struct Keys {
     #[arg(long)]
     #[schemars(extend("x-allowed" = "panda:ADDRESS or fr3:ADDRESS, such as panda:172.16.0.2"))]
     pub robot: Option<String>,
-    /// The scene file of vpcd: its limits hold here, too, and first-motion needs its pattern.
+    /// The scene of vpcd; its limits hold here, too.
     #[arg(long)]
-    #[schemars(extend("x-allowed" = "a scene file, by the key `scene` or the flag --scene"))]
+    #[schemars(extend("x-allowed" = "a file; also by --scene"))]
     pub scene: Option<PathBuf>,
-    /// The camera in the flange, as a hand-eye calibration found it.
+    /// The hand-eye calibration: the camera on the flange.
     #[arg(long)]
     #[schemars(extend("x-allowed" = "a file: TOML, or YAML of easy_handeye or OpenCV"))]
     pub hand_eye: Option<PathBuf>,
-    /// The frame that the hand-eye file is about.
+    /// The frame of the hand-eye calibration.
     #[arg(long, value_enum, default_value_t)]
     pub hand_eye_frame: Frame,
     /// What the robot is commanded.
     #[arg(long, value_enum, default_value_t)]
     pub interface: Interface,
-    /// Directory of the shared memory.
+    /// Directory of the domain.
     #[arg(long)]
-    #[schemars(extend("x-default" = "/tmp/vpc-UID, the user's number"))]
+    #[schemars(extend("x-default" = "/tmp/vpc-UID"))]
     pub domain: Option<PathBuf>,
     /// SCHED_FIFO priority of the loop, above vpcd's.
     #[arg(skip = 85)]
@@ -81,17 +80,17 @@ pub struct Keys {
     #[default = 0.05]
     #[schemars(range(min = 0.001, max = 0.5), extend("x-unit" = "m/s"))]
     pub linear: f64,
-    /// Greatest speed of the camera's turn.
+    /// Greatest angular speed of the camera.
     #[arg(skip = 0.25)]
     #[default = 0.25]
     #[schemars(range(min = 0.001, max = 1), extend("x-unit" = "rad/s"))]
     pub angular: f64,
-    /// Distance that joints keep from the ends of their ranges.
+    /// Distance of joints from the ends of their ranges.
     #[arg(skip = 0.1)]
     #[default = 0.1]
     #[schemars(range(min = 0.01, max = 1), extend("x-unit" = "rad"))]
     pub joint_margin: f64,
-    /// Greatest share of the joints' own speed limits.
+    /// Greatest share of the joints' speed limits.
     #[arg(skip = 0.3)]
     #[default = 0.3]
     #[schemars(range(min = 0.01, max = 0.9))]
@@ -101,7 +100,7 @@ pub struct Keys {
     pub workspace: Workspace,
 }
 
-/// Where the end effector's origin may be, in the robot's base.
+/// Where the end effector's origin may be, in the robot's base frame.
 #[derive(Clone, Copy, Debug, PartialEq, SmartDefault, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Workspace {
@@ -121,8 +120,8 @@ pub struct Workspace {
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Interface {
-    /// Joint velocities, by inverse kinematics of the bridge's own: each limit is checked before
-    /// anything is sent.
+    /// Joint velocities, by the bridge's inverse kinematics; each limit is checked before anything
+    /// is sent.
     #[default]
     Joint,
     /// Velocities of the end effector, by the robot's inverse kinematics.
@@ -153,7 +152,7 @@ pub struct Config {
     pub hand_eye: HandEye,
     /// What the robot is commanded.
     pub interface: Interface,
-    /// Directory of the shared memory.
+    /// Directory of the domain.
     pub domain: PathBuf,
     /// SCHED_FIFO priority of the loop.
     pub priority: i32,

@@ -349,11 +349,10 @@ class Features(Message):
         ("exposure_ns", ctypes.c_uint64),
         # Points in this message, in the order of the scene's pattern. 1 to 8.
         ("count", ctypes.c_uint32),
-        # Bit i is set if point i was measured in this frame; otherwise the point is a guess of the
-        # tracker.
+        # Bit i is set if point i was measured in this frame; otherwise the tracker guessed it.
         ("visible", ctypes.c_uint32),
-        # Image points u1 v1 u2 v2 ...; u to the right, v down, origin at the centre of the upper
-        # left pixel. The first `2 * count` are finite, the rest is zero. Unit: px.
+        # Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left
+        # pixel. The first `2 * count` are finite, the rest zero. Unit: px.
         ("points", ctypes.c_double * 16),
     ]
 
@@ -370,19 +369,16 @@ class Features(Message):
 
 
 class TwistCommand(Message):
-    """Camera velocity command. Stop executing it when it is no longer valid: the controller may have
-    died. Service `vpc/twist`."""
+    """Camera velocity command. Service `vpc/twist`."""
 
     _fields_ = [
         # Head; `data_ns` is that of the features it answers.
         ("stamp", Stamp),
         # Sequence number of the features it answers; 0 if it answers none.
         ("features_sequence", ctypes.c_uint64),
-        # `published_ns` of the features it answers: tells a restarted camera's message from its
-        # predecessor's. Unit: ns.
+        # `published_ns` of the features it answers. Unit: ns.
         ("features_published_ns", ctypes.c_uint64),
-        # The command is valid until this instant, CLOCK_MONOTONIC; then the camera must stop.
-        # 2^64-1 in lockstep, where time does not pass between frames. Unit: ns.
+        # The camera must stop at this instant, CLOCK_MONOTONIC; 2^64-1 in lockstep. Unit: ns.
         ("valid_until_ns", ctypes.c_uint64),
         # State of the controller. Code: `TwistState`.
         ("state", ctypes.c_uint32),

@@ -15,8 +15,8 @@ pub const FAMILY: u32 = 587;
 /// Side of a tag's black square, in modules.
 const MODULES: f64 = 8.0;
 
-/// Tags are numbered from the upper left, to the right, then row by row. Lengths are those of the
-/// paper: measure them, printers scale.
+/// Tags are numbered row by row from the upper left. Measure all lengths on the print: printers
+/// scale.
 #[derive(Clone, Copy, Debug, PartialEq, SmartDefault, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(title = "board of vpc-calib")]
@@ -33,7 +33,7 @@ pub struct Board {
     #[default = 0.030]
     #[schemars(range(min = 0.002, max = 2), extend("x-unit" = "m"))]
     pub tag_size: f64,
-    /// Between two black squares; a quarter of `tag_size` or more, for the white borders.
+    /// Gap between two black squares; at least a quarter of `tag_size`.
     #[default = 0.0075]
     #[schemars(range(min = 0.0005, max = 2), extend("x-unit" = "m"))]
     pub gap: f64,

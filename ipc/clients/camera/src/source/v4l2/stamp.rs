@@ -12,10 +12,10 @@ use super::abi::{TIMESTAMP_MASK, TIMESTAMP_MONOTONIC, TSTAMP_SRC_MASK, TSTAMP_SR
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Shutter {
-    /// All at once; they are read one after another when the exposure has ended.
+    /// All rows at once, and read one after another when the exposure has ended.
     #[default]
     Global,
-    /// One after another; each is read when its exposure has ended.
+    /// Row after row, each read when its exposure has ended.
     Rolling,
 }
 
