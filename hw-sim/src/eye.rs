@@ -23,11 +23,10 @@ use crate::stamps::Stamps;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// Features: true projections with pixel noise; a marker is hidden if its center or any part of
-    /// its edge is covered or outside the image.
+    /// Features: true projections with pixel noise; a partly hidden marker is hidden.
     #[default]
     Ideal,
-    /// Images of tags, in which `vpc-camera` finds the features.
+    /// Images of tags, for `vpc-camera`.
     Rendered,
 }
 

@@ -107,11 +107,11 @@ pub struct Safety {
 #[derive(Deserialize, Serialize, JsonSchema)]
 #[serde(remote = "decision::AfterArrival", rename_all = "kebab-case")]
 pub enum AfterArrival {
-    /// It follows the pattern.
+    /// Follow the pattern.
     Follow,
-    /// It stands until an operator arms.
+    /// Stand until an operator arms.
     Hold,
-    /// It disarms.
+    /// Disarm.
     Disarm,
 }
 

@@ -45,9 +45,9 @@ pub type Radii = Vec<f64, MAX_POINTS>;
 #[cfg_attr(feature = "file", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "file", serde(rename_all = "kebab-case"))]
 pub enum Model {
-    /// With the depths of the points at the goal, as in the paper.
+    /// With the points' depths at the goal, as in the paper.
     TargetDepth,
-    /// With one depth for all points, from the area of the features.
+    /// With one depth, from the area of the features.
     AreaDepth,
     /// By the pose of the known pattern.
     #[default]

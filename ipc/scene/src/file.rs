@@ -35,13 +35,13 @@ struct Tables {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Pattern {
-    /// Points `[X, Y, 0.0]` in the object frame, in the order of the features; they include four of
-    /// which no three lie on a line.
+    /// Points `[X, Y, 0.0]` in the object frame, in the order of the features; four of them without
+    /// three on a line.
     #[schemars(length(min = MIN_POINTS, max = MAX_POINTS), inner(inner(range(min = -10, max = 10))))]
     #[schemars(extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
-    /// Side of the square around each point that must stay in sight: a tag with its white border.
-    /// 0: only the points. Without the key, too, but vpcd warns if `law.margin_px` is 0.
+    /// Side of the square around each point that must stay in sight: a tag with its white border. 0
+    /// or none: only the points.
     #[serde(default)]
     #[schemars(range(min = 0, max = 1), extend("x-unit" = "m"))]
     marker_size: Option<f64>,

@@ -69,8 +69,8 @@ pub struct Keys {
     #[arg(long, value_delimiter = ',')]
     #[schemars(length(max = 8), inner(range(max = 586)), extend("x-default" = "0, 1, ..."))]
     pub tags: Option<Vec<u32>>,
-    /// Number of the one tag with its corners at the four points of the pattern: upper left, upper
-    /// right, lower right, lower left.
+    /// Number of the one tag with corners that are the pattern's points: upper left, upper right,
+    /// lower right, lower left.
     #[arg(long, conflicts_with = "tags")]
     #[schemars(range(max = 586), extend("x-default" = "none"))]
     pub corners_of: Option<u32>,
@@ -115,7 +115,7 @@ pub enum Clock {
     /// By their own publication.
     #[default]
     Fixed,
-    /// By the image's publication, by which a simulation knows the answer to its image.
+    /// By the publication of the image.
     Lockstep,
 }
 

@@ -120,11 +120,10 @@ pub struct Workspace {
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Interface {
-    /// Joint velocities, by the bridge's inverse kinematics; each limit is checked before anything
-    /// is sent.
+    /// Joint velocities, by the bridge's inverse kinematics.
     #[default]
     Joint,
-    /// Velocities of the end effector, by the robot's inverse kinematics.
+    /// The end effector's velocity, by the robot's inverse kinematics.
     Cartesian,
 }
 

@@ -81,8 +81,8 @@ pub struct CameraKeys {
     /// Numbers of the tags at the points of the pattern, in its order.
     #[schemars(length(max = 8), inner(range(max = 65535)), extend("x-default" = "0, 1, ..."))]
     pub tags: Option<Vec<u32>>,
-    /// Number of the one tag with its corners at the four points of the pattern: upper left, upper
-    /// right, lower right, lower left.
+    /// Number of the one tag with corners that are the pattern's points: upper left, upper right,
+    /// lower right, lower left.
     #[schemars(range(max = 65535), extend("x-default" = "none"))]
     pub corners_of: Option<u32>,
     /// The sender's coordinate of the upper left pixel's center; it is 0 in the scene.
@@ -165,10 +165,10 @@ macro_rules! choices {
 choices! {
     /// What features are made from.
     FeaturesKind {
-        /// AprilTags by number: apriltag_msgs/AprilTagDetectionArray.
+        /// apriltag_msgs/AprilTagDetectionArray.
         #[default]
         Tags,
-        /// Points in the order of the pattern: geometry_msgs/PolygonStamped, px.
+        /// geometry_msgs/PolygonStamped: points in the pattern's order, px.
         Points,
         /// Nothing: another program is the camera.
         None,
@@ -185,12 +185,12 @@ choices! {
     }
     /// Frame of the commanded twist.
     CommandFrame {
-        /// The camera's velocity along the camera's axes.
+        /// Camera's velocity and axes.
         #[default]
         Camera,
-        /// The tool's velocity along the tool's axes.
+        /// Tool's velocity and axes.
         Tool,
-        /// The tool's velocity along the base's axes.
+        /// Tool's velocity in the base's axes.
         Base,
     }
     /// Quality of service.

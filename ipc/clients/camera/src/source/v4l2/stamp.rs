@@ -12,10 +12,10 @@ use super::abi::{TIMESTAMP_MASK, TIMESTAMP_MONOTONIC, TSTAMP_SRC_MASK, TSTAMP_SR
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Shutter {
-    /// All rows at once, and read one after another when the exposure has ended.
+    /// All rows at once; they are read when the exposure has ended.
     #[default]
     Global,
-    /// Row after row, each read when its exposure has ended.
+    /// Row after row.
     Rolling,
 }
 
