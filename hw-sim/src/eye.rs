@@ -23,7 +23,7 @@ use crate::stamps::Stamps;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// Features: true projections with pixel noise; a partly hidden marker is hidden.
+    /// Features: true projections with pixel noise; a partly covered marker counts as hidden.
     #[default]
     Ideal,
     /// Images of tags, for `vpc-camera`.

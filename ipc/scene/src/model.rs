@@ -112,10 +112,11 @@ table! {
         /// Largest magnitude of each angular component.
         #[key(range(min = 1e-6, max = 30), extend("x-unit" = "rad/s"))]
         pub angular: f64,
-        /// Largest linear acceleration; a stop must take at most 5 s. Without the key: no limit.
+        /// Largest acceleration of each linear component; none: no limit. A stop must take at most
+        /// 5 s.
         #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "m/s^2"))]
         pub linear_acceleration: Option<f64>,
-        /// Largest angular acceleration; the same holds.
+        /// Largest acceleration of each angular component; likewise.
         #[key(range(min = 1e-6, max = 1e4), extend("x-unit" = "rad/s^2"))]
         pub angular_acceleration: Option<f64>,
     }
