@@ -13,7 +13,7 @@ use crate::clock::now_ns;
 use crate::domain::Domain;
 use crate::error::{LoanError, OpenError, PublishError, ReceiveError};
 use crate::guard::Place;
-use crate::port::{Sent, no_connection, no_subscriber, not_delivered, refused};
+use crate::port::{Sent, newest, no_connection, no_subscriber, not_delivered, refused};
 use crate::service::{Carried, SliceFactory};
 
 impl Domain {
@@ -157,17 +157,8 @@ impl ImagePublisher {
     /// # Errors
     /// [`PublishError`].
     pub fn publish_verbatim(&mut self, image: LoanedImage) -> Result<Sent, PublishError> {
-        let Stamp {
-            sequence,
-            published_ns,
-            ..
-        } = image.header().stamp;
-        let receivers = image.sample.send().map_err(not_delivered::<ImageHeader>)?;
-        Ok(Sent {
-            sequence,
-            published_ns,
-            receivers,
-        })
+        let stamp = image.header().stamp;
+        Sent::of::<ImageHeader>(&stamp, image.sample.send())
     }
 
     /// Skips a sequence number: a frame that the camera took and lost.
@@ -243,14 +234,8 @@ impl ImageSubscriber {
     /// [`ReceiveError::Invalid`] if the newest image is refused; [`ReceiveError::Transport`] if too
     /// many images are held.
     pub fn latest(&mut self) -> Result<Option<Image>, ReceiveError> {
-        let mut newest = None;
-        // Bounded: a publisher may be faster than this loop.
-        for _ in 0..=ImageHeader::QOS.buffer {
-            match self.port.receive().map_err(no_connection::<ImageHeader>)? {
-                Some(sample) => newest = Some(sample),
-                None => break,
-            }
-        }
+        let take = || self.port.receive().map_err(no_connection::<ImageHeader>);
+        let newest = newest(ImageHeader::QOS.buffer, take)?;
         newest.map(|sample| self.accept(sample)).transpose()
     }
 

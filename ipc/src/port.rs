@@ -84,6 +84,20 @@ pub struct Sent {
     pub receivers: usize,
 }
 
+impl Sent {
+    /// The outcome of sending a message with this stamp.
+    pub(crate) fn of<T: Message>(
+        stamp: &Stamp,
+        sent: Result<usize, SendError>,
+    ) -> Result<Self, PublishError> {
+        Ok(Self {
+            sequence: stamp.sequence,
+            published_ns: stamp.published_ns,
+            receivers: sent.map_err(not_delivered::<T>)?,
+        })
+    }
+}
+
 /// A publisher of a service.
 #[derive(Debug)]
 pub struct Publisher<T: Message> {
@@ -118,17 +132,7 @@ impl<T: Message> Publisher<T> {
             let sample = self.port.loan_uninit()?;
             sample.write_payload(Carried(*message)).send()
         };
-        let receivers = send().map_err(not_delivered::<T>)?;
-        let Stamp {
-            sequence,
-            published_ns,
-            ..
-        } = *message.stamp();
-        Ok(Sent {
-            sequence,
-            published_ns,
-            receivers,
-        })
+        Sent::of::<T>(message.stamp(), send())
     }
 
     /// Skips a sequence number: a frame that the camera took and lost.
@@ -170,14 +174,7 @@ impl<T: Message> Subscriber<T> {
     /// # Errors
     /// [`ReceiveError::Invalid`] if the newest message is refused.
     pub fn latest(&mut self) -> Result<Option<Received<T>>, ReceiveError> {
-        let mut newest = None;
-        // Bounded: a publisher may be faster than this loop.
-        for _ in 0..=self.buffer {
-            match self.take()? {
-                Some(message) => newest = Some(message),
-                None => break,
-            }
-        }
+        let newest = newest(self.buffer, || self.take())?;
         newest.map(|message| self.accept(message)).transpose()
     }
 
@@ -213,6 +210,22 @@ impl<T: Message> Subscriber<T> {
             Err(invalid) => Err(ReceiveError::Invalid { invalid, stamp }),
         }
     }
+}
+
+/// The last of what `take` gives in at most one buffer full and one more: a publisher may be faster
+/// than this loop.
+pub(crate) fn newest<M>(
+    buffer: usize,
+    mut take: impl FnMut() -> Result<Option<M>, ReceiveError>,
+) -> Result<Option<M>, ReceiveError> {
+    let mut newest = None;
+    for _ in 0..=buffer {
+        match take()? {
+            Some(message) => newest = Some(message),
+            None => break,
+        }
+    }
+    Ok(newest)
 }
 
 pub(crate) fn no_connection<T: Message>(reason: iceoryx2::port::ReceiveError) -> ReceiveError {
