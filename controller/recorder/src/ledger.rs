@@ -84,18 +84,6 @@ impl Ledger {
         self.accounts.get(topic).copied().unwrap_or_default()
     }
 
-    /// All topics together.
-    pub fn total(&self) -> Account {
-        self.accounts
-            .values()
-            .fold(Account::default(), |sum, one| Account {
-                recorded: sum.recorded + one.recorded,
-                lost: sum.lost + one.lost,
-                refused: sum.refused + one.refused,
-                restarts: sum.restarts + one.restarts,
-            })
-    }
-
     /// As metadata of the file: `/vpc/cycles.lost` and so on.
     pub fn to_map(&self) -> BTreeMap<String, String> {
         let mut map = BTreeMap::new();
@@ -136,7 +124,7 @@ mod tests {
             ..Account::default()
         };
         assert_eq!(ledger.of("/a"), account);
-        assert_eq!(ledger.total().recorded, 4);
+        assert_eq!(ledger.of("/b").recorded, 1);
         let map = ledger.to_map();
         assert_eq!((&*map["/a.lost"], &*map["/b.refused"]), ("7", "1"));
     }

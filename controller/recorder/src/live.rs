@@ -13,16 +13,18 @@ use std::time::{Duration, Instant};
 use arm::Mount;
 use foxglove::messages::RawImage;
 use ipc::ReceiveError;
-use ipc::{Domain, Image, ImageSubscriber, JoinError, OpenError};
+use ipc::{Domain, Image, ImageSubscriber};
 use messages::Order;
 use messages::{CycleRecord, Message};
 use recording::{Encoding, Sink, WallClock, WriteError};
 use scene::{Scene, SceneFiles};
 use tokio::net::TcpListener;
+use tokio::runtime::Runtime;
 
 use crate::foxglove_server::Server;
 use crate::ledger::Notice;
-use crate::ports::{self, Failures};
+use crate::ports::{self, Failures, Source};
+use crate::record::RecordError;
 use crate::recorder::Recorder;
 use crate::scenery::{CAMERA, IMAGE};
 
@@ -53,39 +55,17 @@ pub struct LiveOptions {
     pub origins: Vec<String>,
 }
 
-/// Why nothing was served, or no longer.
-#[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
-pub enum LiveError {
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    #[error(transparent)]
-    Open(#[from] OpenError),
-    /// A port failed again and again.
-    #[error(transparent)]
-    Receive(#[from] ReceiveError),
-    #[error(transparent)]
-    Write(#[from] WriteError),
-    #[error("no thread for the server: {0}")]
-    Thread(std::io::Error),
-    #[error("{address}: {source}; allowed: a free address of this machine (port 0: any free port)")]
-    Listen {
-        address: SocketAddr,
-        source: std::io::Error,
-    },
-}
-
 /// Serves a domain until `stop` is set; the daemon may come and go meanwhile. `begun` receives the
 /// address.
 ///
 /// # Errors
-/// [`LiveError`].
+/// [`RecordError`].
 pub fn serve(
     options: &LiveOptions,
     stop: &AtomicBool,
     begun: impl FnOnce(SocketAddr),
     mut tell: impl FnMut(&Notice),
-) -> Result<(), LiveError> {
+) -> Result<(), RecordError> {
     let domain = Domain::join(&options.domain)?;
     let mut ports = ports::free_for_the_loop(&domain)?;
     let mut camera = Camera {
@@ -93,22 +73,9 @@ pub fn serve(
         failures: Failures::default(),
         has_sent: false,
     };
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(1)
-        .thread_name("foxglove")
-        .enable_all()
-        .build()
-        .map_err(LiveError::Thread)?;
-    let address = options.address;
     let server = Arc::new(Server::default());
-    let bound = runtime.block_on(async {
-        let listener = TcpListener::bind(address).await?;
-        let bound = listener.local_addr()?;
-        tokio::spawn(Arc::clone(&server).accept(listener, options.origins.clone()));
-        Ok(bound)
-    });
-    begun(bound.map_err(|source| LiveError::Listen { address, source })?);
-
+    let (runtime, address) = listen(options, &server)?;
+    begun(address);
     let channels = Channels {
         clock: WallClock::now(),
         server: Arc::clone(&server),
@@ -116,59 +83,115 @@ pub fn serve(
     };
     let mut live = Recorder::new(channels, APART_NS);
     live.writer.mount = options.mount;
-    let mut scene = options.scene.as_ref().map(|files| files.scene.clone());
-    // Lives of the daemon whose scene was read.
-    let mut lives = 0;
-    // When what stands still was sent.
-    let mut sent: Option<Instant> = None;
-    // Whether somebody has subscribed since.
-    let mut has_arrived = false;
-    let mut written = Ok(());
+    let mut still = Still {
+        scene: options.scene.as_ref().map(|files| files.scene.clone()),
+        lives: 0,
+        sent: None,
+        has_arrived: false,
+    };
     while !stop.load(Ordering::Relaxed) {
         for port in &mut ports {
-            port.drain(&mut |item| match item(&mut live) {
-                Ok(notice) => {
-                    notice.iter().for_each(&mut tell);
-                    true
-                }
-                Err(error) => {
-                    written = Err(error);
-                    false
-                }
-            })?;
+            pass_on(port.as_mut(), &mut live, &mut tell)?;
         }
-        std::mem::replace(&mut written, Ok(()))?;
         camera.pass_on(&mut live)?;
-        let cycles = live.ledger().of(CycleRecord::TOPIC);
-        let is_new = cycles.recorded > 0 && lives <= cycles.restarts;
-        if is_new {
-            lives = cycles.restarts + 1;
-            if options.scene.is_none() {
-                scene = daemons(&options.domain, &mut tell);
-            }
-        }
         if let Some(origin) = server.refused() {
             tell(&Notice::Origin { origin });
         }
-        has_arrived |= server.has_arrived();
-        let now = Instant::now();
-        if is_new || is_due(sent, now, has_arrived) {
-            (sent, has_arrived) = (Some(now), false);
-            // The wall clock may have been set meanwhile.
-            live.writer.sink.clock = WallClock::now();
-            if let Some(scene) = &scene {
-                let wall_ns = live.writer.sink.clock.wall_ns;
-                live.draw(scene, wall_ns)?;
-                if !camera.has_sent {
-                    live.draw_image_plane(scene, wall_ns)?;
-                }
-            }
-        }
+        still.has_arrived |= server.has_arrived();
+        still.pass_on(options, &camera, &mut live, &mut tell)?;
         std::thread::sleep(PAUSE);
     }
     // A client that does not read would not let the server end.
     runtime.shutdown_background();
     Ok(())
+}
+
+/// Accepts clients in a thread of the runtime, at the address that is returned.
+fn listen(
+    options: &LiveOptions,
+    server: &Arc<Server>,
+) -> Result<(Runtime, SocketAddr), RecordError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .thread_name("foxglove")
+        .enable_all()
+        .build()
+        .map_err(RecordError::Thread)?;
+    let address = options.address;
+    let bound = runtime.block_on(async {
+        let listener = TcpListener::bind(address).await?;
+        let bound = listener.local_addr()?;
+        tokio::spawn(Arc::clone(server).accept(listener, options.origins.clone()));
+        Ok(bound)
+    });
+    let bound = bound.map_err(|source| RecordError::Listen { address, source })?;
+    Ok((runtime, bound))
+}
+
+/// Passes on what waits at a port.
+fn pass_on(
+    port: &mut dyn Source<Channels>,
+    live: &mut Recorder<Channels>,
+    tell: &mut impl FnMut(&Notice),
+) -> Result<(), RecordError> {
+    let mut written = Ok(());
+    port.drain(&mut |item| match item(live) {
+        Ok(notice) => {
+            notice.iter().for_each(&mut *tell);
+            true
+        }
+        Err(error) => {
+            written = Err(error);
+            false
+        }
+    })?;
+    Ok(written?)
+}
+
+/// What stands still: the scene.
+struct Still {
+    scene: Option<Scene>,
+    /// Lives of the daemon whose scene was read.
+    lives: u64,
+    /// When the scene was sent.
+    sent: Option<Instant>,
+    /// Whether a client has subscribed since.
+    has_arrived: bool,
+}
+
+impl Still {
+    /// Sends the scene if it is new or due.
+    fn pass_on(
+        &mut self,
+        options: &LiveOptions,
+        camera: &Camera,
+        live: &mut Recorder<Channels>,
+        tell: &mut impl FnMut(&Notice),
+    ) -> Result<(), RecordError> {
+        let cycles = live.ledger().of(CycleRecord::TOPIC);
+        let is_new = cycles.recorded > 0 && self.lives <= cycles.restarts;
+        if is_new {
+            self.lives = cycles.restarts + 1;
+            if options.scene.is_none() {
+                self.scene = daemons(&options.domain, tell);
+            }
+        }
+        let now = Instant::now();
+        if !is_new && !is_due(self.sent, now, self.has_arrived) {
+            return Ok(());
+        }
+        (self.sent, self.has_arrived) = (Some(now), false);
+        // The wall clock may have been set meanwhile.
+        live.writer.sink.clock = WallClock::now();
+        if let Some(scene) = &self.scene {
+            let wall_ns = live.writer.sink.clock.wall_ns;
+            live.draw(scene, wall_ns)?;
+            if !camera.has_sent {
+                live.draw_image_plane(scene, wall_ns)?;
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Whether what stands still is to be sent, which it was at `sent`. A client that has arrived since
@@ -202,7 +225,7 @@ struct Camera {
 
 impl Camera {
     /// Passes the newest image on, if the one before is old enough.
-    fn pass_on(&mut self, live: &mut Recorder<Channels>) -> Result<(), LiveError> {
+    fn pass_on(&mut self, live: &mut Recorder<Channels>) -> Result<(), RecordError> {
         let image = match self.images.latest() {
             Ok(image) => image,
             // One that breaks the contract is not shown.

@@ -4,6 +4,7 @@
 //! writes. If the disk is slow, the queue between the two fills, then those of the ports, and the
 //! recorder loses messages and counts them; publishers never wait.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -43,7 +44,7 @@ pub struct Options {
     pub mount: Option<Mount>,
 }
 
-/// Why a recording ended early or did not begin.
+/// Why a recording, or a live server, ended early or did not begin.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum RecordError {
@@ -56,8 +57,13 @@ pub enum RecordError {
     Receive(#[from] ReceiveError),
     #[error(transparent)]
     Write(#[from] WriteError),
-    #[error("no thread to write the recording: {0}")]
+    #[error("no thread to work in: {0}")]
     Thread(std::io::Error),
+    #[error("{address}: {source}; allowed: a free address of this machine (port 0: any free port)")]
+    Listen {
+        address: SocketAddr,
+        source: std::io::Error,
+    },
     #[error("the thread that writes the recording panicked")]
     Panicked,
 }

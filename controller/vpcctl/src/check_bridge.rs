@@ -15,7 +15,7 @@ use scene::Scene;
 
 use crate::failure::Failure;
 use crate::presence::Presence;
-use crate::units::seconds;
+use crate::units::{number, seconds};
 
 /// Between two commands, ns.
 const PERIOD_NS: u64 = 33_333_333;
@@ -48,11 +48,7 @@ pub struct CheckBridgeArguments {
 }
 
 fn share(text: &str) -> Result<f64, String> {
-    let allowed = "allowed: 0.05 to 1";
-    match text.parse() {
-        Ok(share) if (0.05..=1.0).contains(&share) => Ok(share),
-        _ => Err(allowed.to_owned()),
-    }
+    number(text, 0.05..=1.0, "")
 }
 
 /// Checks the bridge of this domain: the report, and whether it kept all rules.

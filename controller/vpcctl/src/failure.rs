@@ -5,7 +5,6 @@ use std::io;
 use std::path::Path;
 
 use program::Exit;
-use recorder::live::LiveError;
 use recorder::{PlotError, RecordError};
 use recording::{ReadError, WriteError};
 use scene::FileError;
@@ -71,12 +70,8 @@ exits! {
         _ => Exit::Data,
     },
     RecordError => |error| match error {
-        RecordError::Join(_) | RecordError::Open(_) | RecordError::Receive(_) => Exit::Unavailable,
         RecordError::Write(WriteError::Exists { .. }) => Exit::Usage,
-        _ => Exit::Software,
-    },
-    LiveError => |error| match error {
-        LiveError::Write(_) | LiveError::Thread(_) => Exit::Software,
+        RecordError::Write(_) | RecordError::Thread(_) | RecordError::Panicked => Exit::Software,
         _ => Exit::Unavailable,
     },
     ReadError => |error| match error {

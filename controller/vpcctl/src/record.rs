@@ -10,6 +10,7 @@ use recorder::{Ledger, Options};
 use scene::{FileError, SceneFiles};
 
 use crate::failure::Failure;
+use crate::units::number;
 
 /// `record`.
 #[derive(Clone, Debug, Args)]
@@ -37,10 +38,7 @@ pub struct RecordArguments {
 }
 
 fn duration(text: &str) -> Result<Duration, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if (0.05..=86_400.0).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
-        _ => Err("allowed: 0.05 to 86400 seconds".to_owned()),
-    }
+    number(text, 0.05..=86_400.0, " seconds").map(Duration::from_secs_f64)
 }
 
 /// Records until the time is over or a signal comes, and returns the summary; what happens
@@ -87,7 +85,7 @@ fn summary(path: &Path, ledger: &Ledger) -> String {
             text += &format!(" (lost {})", account.lost);
         }
     }
-    if ledger.total().recorded == 0 {
+    if ledger.accounts().all(|(_, account)| account.recorded == 0) {
         text += " no messages";
     }
     text + "\n"

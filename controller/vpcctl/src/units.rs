@@ -1,5 +1,6 @@
 //! Numbers with their units, for people.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// A duration with three digits and a unit.
@@ -27,13 +28,15 @@ pub fn pixels(value: f64) -> String {
     }
 }
 
+/// Reads a number in this range.
+pub(crate) fn number(text: &str, range: RangeInclusive<f64>, unit: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| range.contains(number));
+    number.ok_or_else(|| format!("allowed: {} to {}{unit}", range.start(), range.end()))
+}
+
 /// Reads a duration in seconds.
 pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
-    let range = 0.05..=3600.0;
-    match text.parse::<f64>() {
-        Ok(seconds) if range.contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
-        _ => Err("allowed: 0.05 to 3600 seconds".to_owned()),
-    }
+    number(text, 0.05..=3600.0, " seconds").map(Duration::from_secs_f64)
 }
 
 #[cfg(test)]
