@@ -70,35 +70,19 @@ pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<Exit, Failure> {
     let directory = arguments.directory();
-    let ask = |request: Request, with: &RequestArguments| -> Result<Exit, Failure> {
-        let (line, exit) = request::ask(&directory, &request, with.timeout)?;
-        output::write(&line)?;
-        Ok(exit)
+    let ask = |request: Request, with: &RequestArguments| {
+        request::ask(&directory, &request, with.timeout)
     };
-    let text = match &arguments.command {
-        Command::Arm(with) => return ask(request::arm(with.stops), &with.request),
-        Command::Disarm(with) => return ask(request::plain(Action::Disarm), with),
-        Command::Stop(with) => {
-            let (text, exit) = match with.all {
-                true => stop::stop_all(with.request.timeout),
-                false => stop::stop(&directory, with.request.timeout)?,
-            };
-            output::write(&text)?;
-            return Ok(exit);
-        }
-        Command::Flight(with) => {
-            let (text, exit) = flight::flight(&directory, with.timeout)?;
-            output::write(&text)?;
-            return Ok(exit);
-        }
-        Command::Recover(with) => {
-            let (line, exit) = recover::recover(&directory, with.timeout)?;
-            output::write(&line)?;
-            return Ok(exit);
-        }
+    let (text, exit) = match &arguments.command {
+        Command::Arm(with) => ask(request::arm(with.stops), &with.request)?,
+        Command::Disarm(with) => ask(request::plain(Action::Disarm), with)?,
+        Command::Stop(with) if with.all => stop::stop_all(with.request.timeout),
+        Command::Stop(with) => stop::stop(&directory, with.request.timeout)?,
+        Command::Flight(with) => flight::flight(&directory, with.timeout)?,
+        Command::Recover(with) => recover::recover(&directory, with.timeout)?,
         Command::Strategy(with) => {
             let (strategy, neighbours) = with.strategy;
-            return ask(request::strategy(strategy, neighbours), &with.request);
+            ask(request::strategy(strategy, neighbours), &with.request)?
         }
         Command::Status(with) => {
             let status = status::look(&directory, with.watch, Asking::IfSilent)?;
@@ -106,20 +90,13 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
                 true => serde_json::to_string_pretty(&status.json())? + "\n",
                 false => status.text(output::colours()),
             };
-            output::write(&text)?;
-            return Ok(status.exit());
+            (text, status.exit())
         }
         Command::Doctor(with) => {
             let findings = doctor::examine(&directory, with);
-            let (text, exit) = doctor::report(&findings, output::colours());
-            output::write(&text)?;
-            return Ok(exit);
+            doctor::report(&findings, output::colours())
         }
-        Command::CheckBridge(with) => {
-            let (text, exit) = check_bridge::check(&directory, with)?;
-            output::write(&text)?;
-            return Ok(exit);
-        }
+        Command::CheckBridge(with) => check_bridge::check(&directory, with)?,
         Command::Watch(with) => {
             let plane = ImagePlane::open(&directory, with.scene.as_deref())?;
             return watch::run(&directory, plane, with.neighbours);
@@ -138,14 +115,15 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             let watcher = Watcher::open(&directory)?;
             return serve::run(watcher, plane, with.listen, with.control);
         }
-        Command::Init(with) => init::init(with)?,
+        Command::Init(with) => (init::init(with)?, Exit::Ok),
         Command::Completions { shell } => {
-            String::from_utf8_lossy(&manual::completions(*shell)).into_owned()
+            let script = manual::completions(*shell);
+            (String::from_utf8_lossy(&script).into_owned(), Exit::Ok)
         }
-        Command::Man { directory } => manual::write(directory)?.join("\n") + "\n",
-        Command::Record(with) => record::run(&directory, with)?,
-        Command::Plot(with) => plot::run(with)?,
+        Command::Man { directory } => (manual::write(directory)?.join("\n") + "\n", Exit::Ok),
+        Command::Record(with) => (record::run(&directory, with)?, Exit::Ok),
+        Command::Plot(with) => (plot::run(with)?, Exit::Ok),
     };
     output::write(&text)?;
-    Ok(Exit::Ok)
+    Ok(exit)
 }

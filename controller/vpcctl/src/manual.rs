@@ -1,6 +1,7 @@
 //! Shell completions and man pages, made from the description of the command line.
 
-use std::path::Path;
+use std::io;
+use std::path::{Path, PathBuf};
 
 use clap::CommandFactory;
 use clap_complete::Shell;
@@ -19,43 +20,30 @@ pub fn completions(shell: Shell) -> Vec<u8> {
 /// for bash, zsh and fish under the names that these look for. Returns the names of the files.
 ///
 /// # Errors
-/// [`Failure`] names the file that cannot be written.
+/// [`Failure`] names the directory that cannot be written to.
 pub fn write(directory: &Path) -> Result<Vec<String>, Failure> {
-    let mut files = pages()?;
-    for (shell, name) in [
-        (Shell::Bash, "vpcctl.bash"),
-        (Shell::Zsh, "_vpcctl"),
-        (Shell::Fish, "vpcctl.fish"),
-    ] {
-        files.push((name.to_owned(), completions(shell)));
-    }
-    std::fs::create_dir_all(directory).map_err(Failure::write(directory))?;
-    for (name, text) in &files {
-        let path = directory.join(name);
-        std::fs::write(&path, text).map_err(Failure::write(&path))?;
-    }
-    Ok(files.into_iter().map(|(name, _)| name).collect())
+    let files = files(directory).map_err(Failure::write(directory))?;
+    let names = files.iter().filter_map(|path| path.file_name());
+    Ok(names.map(|name| name.display().to_string()).collect())
 }
 
-/// The man pages with their names: `vpcctl.1`, and one for each command.
-fn pages() -> Result<Vec<(String, Vec<u8>)>, Failure> {
-    let mut command = Arguments::command();
+/// The files: `vpcctl.1`, a page for each command, and the completions.
+fn files(directory: &Path) -> io::Result<Vec<PathBuf>> {
+    std::fs::create_dir_all(directory)?;
+    let mut command = Arguments::command().disable_help_subcommand(true);
     // Hands the options that all commands share down to them.
     command.build();
-    let subcommands = command
-        .get_subcommands()
-        .filter(|sub| sub.get_name() != "help");
-    let mut pages = Vec::new();
-    for page in std::iter::once(&command).chain(subcommands) {
-        // Its own subcommand `help` has no page to be referred to.
-        let page = page.clone().disable_help_subcommand(true);
-        // Subcommands are displayed under their full names, `vpcctl-status`.
-        let name = format!("{}.1", page.get_display_name().unwrap_or("vpcctl"));
-        let mut text = Vec::new();
-        clap_mangen::Man::new(page).render(&mut text)?;
-        pages.push((name, text));
+    let mut files = Vec::new();
+    for page in std::iter::once(&command).chain(command.get_subcommands()) {
+        files.push(clap_mangen::Man::new(page.clone()).generate_to(directory)?);
     }
-    Ok(pages)
+    for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
+        let command = &mut Arguments::command();
+        files.push(clap_complete::generate_to(
+            shell, command, "vpcctl", directory,
+        )?);
+    }
+    Ok(files)
 }
 
 #[cfg(test)]

@@ -57,35 +57,27 @@ impl Watcher {
     pub fn poll(&mut self, view: &mut View) -> Result<(), ReceiveError> {
         if let Some(port) = &mut self.cycles {
             for _ in 0..BATCH {
-                let Some(result) = port.oldest().transpose() else {
-                    break;
-                };
-                if let Some(record) = valid(result, &mut view.refused)? {
-                    view.cycle(&record);
+                match port.oldest() {
+                    Ok(Some(record)) => view.cycle(&record),
+                    Ok(None) => break,
+                    Err(ReceiveError::Invalid { .. }) => view.refused += 1,
+                    Err(error) => return Err(error),
                 }
             }
         }
-        if let Some(result) = self
-            .robot
-            .as_mut()
-            .and_then(|port| port.latest().transpose())
+        let refused = &mut view.refused;
+        if let Some(port) = &mut self.robot
+            && let Some(state) = valid(port.latest(), refused)?
         {
-            let state = valid(result, &mut view.refused)?;
-            view.robot = state.map(|state| state.message).or(view.robot);
+            view.robot = Some(state.message);
         }
-        if let Some(result) = self
-            .features
-            .as_mut()
-            .and_then(|port| port.latest().transpose())
+        if let Some(port) = &mut self.features
+            && let Some(features) = valid(port.latest(), refused)?
         {
-            let features = valid(result, &mut view.refused)?;
-            view.features = features.map(|features| features.message).or(view.features);
+            view.features = Some(features.message);
         }
-        if let Some(result) = self
-            .images
-            .as_mut()
-            .and_then(|port| port.latest().transpose())
-            && let Some(image) = valid(result, &mut view.refused)?
+        if let Some(port) = &mut self.images
+            && let Some(image) = valid(port.latest(), refused)?
         {
             view.add_image(image.header(), image.order());
             self.image = Some(image);
@@ -95,13 +87,16 @@ impl Watcher {
 }
 
 /// The message, if it keeps the contract; else it is counted.
-fn valid<T>(result: Result<T, ReceiveError>, refused: &mut u64) -> Result<Option<T>, ReceiveError> {
+fn valid<T>(
+    result: Result<Option<T>, ReceiveError>,
+    refused: &mut u64,
+) -> Result<Option<T>, ReceiveError> {
     match result {
         Err(ReceiveError::Invalid { .. }) => {
             *refused += 1;
             Ok(None)
         }
-        result => result.map(Some),
+        result => result,
     }
 }
 

@@ -234,8 +234,8 @@ fn remedy(hold: Hold) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict;
     use super::*;
+    use crate::output::Tone;
     use crate::view::tests::record;
     use messages::{Hold, Order, Received, RobotFaults, RobotState, TwistState};
 
@@ -248,9 +248,9 @@ mod tests {
     #[test]
     fn a_stopped_process_is_a_failure_with_its_number_in_the_remedy() {
         let finding = judge(77, 'T');
-        assert_eq!(finding.verdict, Verdict::Fail);
+        assert_eq!(finding.verdict, Tone::Bad);
         assert!(finding.remedy.starts_with("kill -CONT 77"));
-        assert_eq!(judge(77, 'S').verdict, Verdict::Ok);
+        assert_eq!(judge(77, 'S').verdict, Tone::Good);
     }
 
     #[test]
@@ -277,37 +277,37 @@ mod tests {
                 .find(|finding| finding.what == "camera")
         };
         let none = seen(0, 0).unwrap();
-        assert_eq!(none.verdict, Verdict::Warn);
+        assert_eq!(none.verdict, Tone::Warning);
         assert!(none.remedy.contains("hw-sim --domain"), "{none:?}");
         let silent = seen(7, 2_000_000_000).unwrap();
-        assert_eq!(silent.verdict, Verdict::Warn);
+        assert_eq!(silent.verdict, Tone::Warning);
         assert!(silent.found.contains("2.00 s old"), "{silent:?}");
-        assert_eq!(seen(7, 33_000_000).unwrap().verdict, Verdict::Ok);
+        assert_eq!(seen(7, 33_000_000).unwrap().verdict, Tone::Good);
     }
 
     #[test]
     fn a_robot_is_told_of_with_its_age_mode_and_faults_or_missed() {
         let (mut view, needs) = (View::default(), Settings::default());
         let missed = robot(&view, 1, &needs);
-        assert_eq!(missed.verdict, Verdict::Warn);
+        assert_eq!(missed.verdict, Tone::Warning);
         assert!(missed.remedy.contains("safety.robot"), "{missed:?}");
         let optional = toml::from_str("[safety]\nrobot = 'optional'").unwrap();
-        assert_eq!(robot(&view, 1, &optional).verdict, Verdict::Ok);
+        assert_eq!(robot(&view, 1, &optional).verdict, Tone::Good);
         let mut state = RobotState::free_camera([0.0; 3], [0.0; 3], 0);
         state.stamp.published_ns = 1_000_000;
         view.robot = Some(state);
         let idle = robot(&view, 3_000_000, &needs);
-        assert_eq!(idle.verdict, Verdict::Ok);
+        assert_eq!(idle.verdict, Tone::Good);
         assert_eq!(idle.found, "idle, heard 2.00 ms ago");
         let silent = robot(&view, 5_000_000_000, &needs);
         assert_eq!(
             (silent.verdict, &*silent.found),
-            (Verdict::Warn, "last heard 5.00 s ago")
+            (Tone::Warning, "last heard 5.00 s ago")
         );
         state.faults = RobotFaults::REFLEX.0;
         view.robot = Some(state);
         let reflex = robot(&view, 3_000_000, &optional);
-        assert_eq!(reflex.verdict, Verdict::Warn);
+        assert_eq!(reflex.verdict, Tone::Warning);
         assert!(reflex.found.contains("reflex"), "{reflex:?}");
     }
 }

@@ -63,8 +63,8 @@ fn user(number: u32, passwd: &Path) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict;
     use super::*;
+    use crate::output::Tone;
 
     #[test]
     fn an_ordinary_user_must_linger_unless_logind_spares_shared_memory() {
@@ -80,20 +80,20 @@ mod tests {
         );
         write("etc/systemd/logind.conf", "[Login]\n#RemoveIPC=no\n");
         let judged = |us| logind(us, root.path()).verdict;
-        assert_eq!(judged(998), Verdict::Ok);
-        assert_eq!(judged(1000), Verdict::Warn);
+        assert_eq!(judged(998), Tone::Good);
+        assert_eq!(judged(1000), Tone::Warning);
         assert!(
             logind(1000, root.path())
                 .remedy
                 .starts_with("loginctl enable-linger ann,")
         );
         write("var/lib/systemd/linger/ann", "");
-        assert_eq!(judged(1000), Verdict::Ok);
-        assert_eq!(judged(1001), Verdict::Warn);
+        assert_eq!(judged(1000), Tone::Good);
+        assert_eq!(judged(1001), Tone::Warning);
         write(
             "etc/systemd/logind.conf.d/50-ipc.conf",
             "[Login]\nRemoveIPC=no\n",
         );
-        assert_eq!(judged(1001), Verdict::Ok);
+        assert_eq!(judged(1001), Tone::Good);
     }
 }

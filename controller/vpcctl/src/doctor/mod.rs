@@ -12,24 +12,13 @@ use scene::{FileError, Scene};
 use crate::arguments::DoctorArguments;
 use crate::output::{Tone, paint};
 
-/// How one thing is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// As it should be.
-    Ok,
-    /// It works, but deserves a look.
-    Warn,
-    /// It must be fixed.
-    Fail,
-}
-
 /// The result of one check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
     /// What was checked, in one or two words.
     pub what: &'static str,
     /// How it is.
-    pub verdict: Verdict,
+    pub verdict: Tone,
     /// What was found.
     pub found: String,
     /// How to fix it; empty if nothing is wrong.
@@ -40,7 +29,7 @@ impl Finding {
     fn ok(what: &'static str, found: impl Into<String>) -> Self {
         Self {
             what,
-            verdict: Verdict::Ok,
+            verdict: Tone::Good,
             found: found.into(),
             remedy: String::new(),
         }
@@ -48,7 +37,7 @@ impl Finding {
 
     fn warn(what: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
-            verdict: Verdict::Warn,
+            verdict: Tone::Warning,
             remedy: remedy.into(),
             ..Self::ok(what, found)
         }
@@ -56,7 +45,7 @@ impl Finding {
 
     fn fail(what: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
-            verdict: Verdict::Fail,
+            verdict: Tone::Bad,
             ..Self::warn(what, found, remedy)
         }
     }
@@ -113,24 +102,21 @@ fn memory_of_motion(path: &Path, scene: Option<&Scene>) -> Finding {
 pub fn report(findings: &[Finding], colours: bool) -> (String, Exit) {
     let mut text = String::new();
     for finding in findings {
-        let (word, tone) = match finding.verdict {
-            Verdict::Ok => ("ok  ", Tone::Good),
-            Verdict::Warn => ("warn", Tone::Warning),
-            Verdict::Fail => ("FAIL", Tone::Bad),
+        let word = match finding.verdict {
+            Tone::Good => "ok  ",
+            Tone::Warning => "warn",
+            Tone::Bad => "FAIL",
         };
-        let word = paint(word, tone, colours);
+        let word = paint(word, finding.verdict, colours);
         text += &format!("{word}  {:<12}{}\n", finding.what, finding.found);
         if !finding.remedy.is_empty() {
             text += &format!("                  -> {}\n", finding.remedy);
         }
     }
-    let has_failed = findings
-        .iter()
-        .any(|finding| finding.verdict == Verdict::Fail);
-    let exit = if has_failed {
-        Exit::Attention
-    } else {
-        Exit::Ok
+    let has_failed = findings.iter().any(|one| one.verdict == Tone::Bad);
+    let exit = match has_failed {
+        true => Exit::Attention,
+        false => Exit::Ok,
     };
     (text, exit)
 }
@@ -165,9 +151,9 @@ mod tests {
             let scene = Scene::read(path).unwrap();
             memory_of_motion(&memory, Some(&scene)).verdict
         };
-        assert_eq!(verdict(&path), Verdict::Ok);
+        assert_eq!(verdict(&path), Tone::Good);
         let other = path.with_file_name("paper-robot.toml");
-        assert_eq!(verdict(&other), Verdict::Fail);
+        assert_eq!(verdict(&other), Tone::Bad);
     }
 
     #[test]
@@ -179,7 +165,7 @@ mod tests {
         for part in [&bytes[..bytes.len() - 1], b"hello"] {
             std::fs::write(&cut, part).unwrap();
             let finding = memory_of_motion(&cut, None);
-            assert_eq!(finding.verdict, Verdict::Fail);
+            assert_eq!(finding.verdict, Tone::Bad);
             assert!(
                 finding.found.contains("not an intact memory"),
                 "{finding:?}"
@@ -190,17 +176,17 @@ mod tests {
     #[test]
     fn a_scene_that_does_not_tell_how_large_markers_are_is_warned_of() {
         let verdict = |text: &str| scene_file(&Scene::parse(text, "scene.toml")).verdict;
-        assert_eq!(verdict(scene::PAPER_SIM), Verdict::Ok);
-        assert_eq!(verdict(scene::TAGS_ROBOT), Verdict::Ok);
+        assert_eq!(verdict(scene::PAPER_SIM), Tone::Good);
+        assert_eq!(verdict(scene::TAGS_ROBOT), Tone::Good);
         let unknown = scene::TAGS_ROBOT.replace("marker_size = 0.03", "");
-        assert_eq!(verdict(&unknown), Verdict::Warn);
+        assert_eq!(verdict(&unknown), Tone::Warning);
     }
 
     #[test]
     fn a_scene_that_is_wrong_is_named_with_its_key() {
         let wrong = scene::PAPER_SIM.replace("rate_hz = ", "rate_hz = -");
         let finding = scene_file(&Scene::parse(&wrong, "scene.toml"));
-        assert_eq!(finding.verdict, Verdict::Fail);
+        assert_eq!(finding.verdict, Tone::Bad);
         assert!(finding.found.contains("rate_hz"), "{finding:?}");
     }
 }
