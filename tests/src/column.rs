@@ -64,6 +64,11 @@ pub fn markdown<Row>(columns: &[Column<Row>], rows: &[Row], is_wide: bool) -> St
     text
 }
 
+/// A time in tenths of a second; `-` where there is none.
+pub fn seconds(time_s: Option<f64>) -> String {
+    time_s.map_or("-".to_owned(), |s| format!("{s:.1}"))
+}
+
 /// How many runs failed for which reason, without the reasons that none failed for.
 pub fn failures(counts: &[(usize, &str)]) -> String {
     let there = counts.iter().filter(|(count, _)| *count > 0);

@@ -4,25 +4,22 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
-use std::sync::Mutex;
-use std::sync::PoisonError;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use hw_sim::outcome::Verdict;
 use ipc::{Domain, Subscriber};
 use messages::CycleRecord;
 use scene::Scene;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use toml::{Table, Value};
 
 use crate::children::{Children, Running};
+use crate::column::{self, Column};
 use crate::film::Film;
 use crate::flaw::Flaw;
-use crate::row::wilson;
+use crate::processes::{self, Run, Summary, absolute};
+use crate::statistics::wilson;
 
 /// Laboratories among which the starts of a row are dealt out; each has its own seed and signs of
 /// errors, and its arm goes on from start to start.
@@ -63,56 +60,22 @@ pub struct Setup<'a> {
 /// Flaws with their levels.
 pub type Levels<'a> = [(&'a Flaw, f64)];
 
-/// Of `hw-sim`'s line what stands in the table.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-pub struct Run {
-    /// `arrived`, or why not.
-    pub verdict: Verdict,
-    /// Seconds until the features were at the goal.
-    pub arrived_s: Option<f64>,
-    /// Least signed distance of a point from an occlusion or the border, px.
-    pub least_clearance_px: f64,
-    /// What the robot's referee reports.
-    pub arm: ArmReport,
-    /// Cycles in which `vpcd` held the camera, by the cause.
-    #[serde(default)]
-    pub holds: BTreeMap<String, usize>,
-}
-
-/// See `hw_sim::robot::inspector::ArmReport`.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-#[allow(missing_docs)]
-pub struct ArmReport {
-    pub reflexes: u64,
-    pub limit_violations: u64,
-    pub discontinuities: u64,
-    pub joint_velocity: f64,
-    pub errors: Vec<String>,
-    pub joint_room: f64,
-}
-
 /// A row: many runs with the same errors.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     /// The errors.
     pub errors: String,
-    /// Runs, and those that arrived.
-    pub runs: usize,
-    /// See `runs`.
-    pub arrived: usize,
+    /// Arrivals, failures and trouble.
+    #[serde(flatten)]
+    pub summary: Summary,
     /// The 95 % interval of the share that arrived (Wilson).
     pub interval: [f64; 2],
-    /// Reflexes, milliseconds beyond a limit, and with a discontinuity; of all runs.
-    pub trouble: [u64; 3],
     /// Mean time to arrival, s.
     pub arrived_s: Option<f64>,
     /// Largest share of the joints' speed limits in any run.
     pub joint_speed: f64,
     /// Least clearance of a point in any run, px.
     pub least_clearance_px: f64,
-    /// Runs that did not arrive: their starts, verdicts, the robot's errors, and for what `vpcd` held
-    /// the camera most often.
-    pub failed: Vec<(usize, String)>,
 }
 
 /// Runs all starts with these errors.
@@ -120,88 +83,34 @@ pub struct Row {
 /// # Errors
 /// A process cannot be started, ends early, or tells nothing.
 pub fn row(setup: &Setup<'_>, name: &str, levels: &Levels<'_>) -> anyhow::Result<Row> {
-    let (runs, next) = (Mutex::new(Vec::new()), AtomicUsize::new(0));
-    let work = || -> anyhow::Result<()> {
-        loop {
-            let laboratory = next.fetch_add(1, Ordering::Relaxed);
-            if laboratory >= LABORATORIES {
-                return Ok(());
-            }
-            let place = setup.place.join(format!("laboratory-{laboratory}"));
-            let starts = (0..setup.starts.len()).filter(|i| i % LABORATORIES == laboratory);
-            let starts: Vec<usize> = starts.collect();
-            if starts.is_empty() {
-                continue;
-            }
-            let laboratory = Laboratory {
-                setup,
-                levels,
-                number: setup.seed + laboratory as u64,
-                place: &place,
-                starts: &starts,
-            };
-            let done = laboratory.run().with_context(|| name.to_owned())?;
-            let mut runs = runs.lock().unwrap_or_else(PoisonError::into_inner);
-            runs.extend(starts.into_iter().zip(done));
-        }
+    let work = |number: usize| {
+        let starts = (0..setup.starts.len()).filter(|i| i % LABORATORIES == number);
+        let starts: Vec<usize> = starts.collect();
+        let laboratory = Laboratory {
+            setup,
+            levels,
+            number: setup.seed + number as u64,
+            place: &setup.place.join(format!("laboratory-{number}")),
+            starts: &starts,
+        };
+        let done = laboratory.run().with_context(|| name.to_owned())?;
+        Ok(starts.into_iter().zip(done).collect::<Vec<_>>())
     };
-    thread::scope(|scope| {
-        let jobs: Vec<_> = (0..setup.jobs.max(1)).map(|_| scope.spawn(work)).collect();
-        for job in jobs {
-            match job.join() {
-                Ok(done) => done?,
-                Err(_) => bail!("a job panicked"),
-            }
-        }
-        anyhow::Ok(())
-    })?;
-    let mut runs = runs.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let busy = setup.starts.len().min(LABORATORIES);
+    let mut runs = processes::each(setup.jobs, busy, work)?.concat();
     runs.sort_by_key(|(start, _)| *start);
-    Ok(Row::of(name, &runs))
-}
-
-impl Row {
-    fn of(name: &str, runs: &[(usize, Run)]) -> Self {
-        let is_good = |run: &Run| run.verdict == Verdict::Arrived && run.arm.reflexes == 0;
-        let arrived = runs.iter().filter(|(_, run)| is_good(run)).count();
-        let sum = |what: fn(&ArmReport) -> u64| runs.iter().map(|(_, run)| what(&run.arm)).sum();
-        let good = runs.iter().filter(|(_, run)| is_good(run));
-        let times: Vec<f64> = good.filter_map(|(_, run)| run.arrived_s).collect();
-        let bad = runs.iter().filter(|(_, run)| !is_good(run));
-        Self {
-            errors: name.to_owned(),
-            runs: runs.len(),
-            arrived,
-            interval: wilson(arrived, runs.len()),
-            trouble: [
-                sum(|arm| arm.reflexes),
-                sum(|arm| arm.limit_violations),
-                sum(|arm| arm.discontinuities),
-            ],
-            arrived_s: (!times.is_empty()).then(|| times.iter().sum::<f64>() / times.len() as f64),
-            joint_speed: runs
-                .iter()
-                .map(|(_, run)| run.arm.joint_velocity)
-                .fold(0.0, f64::max),
-            least_clearance_px: runs
-                .iter()
-                .map(|(_, run)| run.least_clearance_px)
-                .fold(f64::INFINITY, f64::min),
-            failed: bad.map(|(start, run)| (*start, why(run))).collect(),
-        }
-    }
-}
-
-/// The verdict, the robot's errors, and for what the camera was held most often.
-fn why(run: &Run) -> String {
-    let errors = run.arm.errors.iter().cloned();
-    let most = run.holds.iter().max_by_key(|(_, cycles)| **cycles);
-    let most = most.map(|(hold, cycles)| format!("{hold}, {cycles} cycles"));
-    let reasons: Vec<String> = errors.chain(most).collect();
-    match reasons.is_empty() {
-        true => run.verdict.to_string(),
-        false => format!("{}: {}", run.verdict, reasons.join("; ")),
-    }
+    let summary = Summary::of(&runs);
+    let all = || runs.iter().map(|(_, run)| run);
+    Ok(Row {
+        errors: name.to_owned(),
+        interval: wilson(summary.arrived, summary.runs),
+        summary,
+        arrived_s: processes::arrival_s(all().filter(|run| run.is_good())),
+        joint_speed: processes::largest(&runs, |arm| arm.joint_velocity),
+        least_clearance_px: all()
+            .map(|run| run.least_clearance_px)
+            .fold(f64::INFINITY, f64::min),
+    })
 }
 
 /// Three processes, and the starts that they run one after another.
@@ -230,7 +139,7 @@ impl Laboratory<'_> {
         let daemon = self.begin("vpcd")?;
         let camera = self.begin("vpc-camera")?;
         let hw_sim = self.begin("hw-sim")?;
-        let (mut runs, mut news) = (Vec::new(), Instant::now());
+        let (mut runs, mut news) = (Vec::<Run>::new(), Instant::now());
         while runs.len() < self.starts.len() {
             thread::sleep(if film.is_some() { SHORT_LOOK } else { LOOK });
             holds.look()?;
@@ -248,7 +157,7 @@ impl Laboratory<'_> {
                 bail!(
                     "no verdict from start {}; the processes said:\n{}",
                     runs.len(),
-                    self.words()
+                    processes::words(self.place, &["hw-sim", "vpc-camera", "vpcd"])
                 );
             }
         }
@@ -257,24 +166,13 @@ impl Laboratory<'_> {
         if let Some((path, film)) = film {
             film.write(path)?;
         }
-        for (run, holds) in runs.iter_mut().zip(holds.runs) {
-            let Run { holds: told, .. } = run;
-            *told = holds;
+        for (run, holds) in runs.iter_mut().zip(&holds.runs) {
+            let most = holds.iter().max_by_key(|(_, cycles)| **cycles);
+            let most = most.map(|(hold, cycles)| format!("{hold}, {cycles} cycles"));
+            run.notes.extend(most);
         }
         fs::remove_dir_all(self.place)?;
         Ok(runs)
-    }
-
-    /// What the processes wrote to standard error, the last lines.
-    fn words(&self) -> String {
-        let tail = |name: &str| {
-            let text = fs::read_to_string(self.place.join(format!("{name}.err")));
-            let text = text.unwrap_or_default();
-            let lines: Vec<&str> = text.lines().collect();
-            let last = lines[lines.len().saturating_sub(8)..].join("\n");
-            format!("{name}: {last}\n")
-        };
-        ["hw-sim", "vpc-camera", "vpcd"].map(tail).concat()
     }
 
     fn begin(&self, name: &'static str) -> anyhow::Result<Running<'_>> {
@@ -288,10 +186,7 @@ impl Laboratory<'_> {
         if name == "hw-sim" {
             command.arg("--all");
         }
-        command.stdout(fs::File::create(path(&format!("{name}.out")))?);
-        command.stderr(fs::File::create(path(&format!("{name}.err")))?);
-        command.stdin(Stdio::null());
-        self.setup.children.start(name, command)
+        processes::begin(self.setup.children, self.place, name, command)
     }
 
     /// Writes what the processes read: the shipped configurations with this scene, the errors, and
@@ -304,7 +199,7 @@ impl Laboratory<'_> {
             head,
             ..
         } = *self.setup;
-        let path = |path: &Path| Ok::<_, std::io::Error>(text(&fs::canonicalize(path)?));
+        let shipped = |path: &str| processes::read_table(&crate::root().join(path));
         let mut lines = vec![head];
         lines.extend(self.starts.iter().map(|&i| starts[i].as_str()));
         let own = self.place.join("starts.csv");
@@ -315,24 +210,20 @@ impl Laboratory<'_> {
         for (flaw, level) in self.levels {
             flaw.add(*level, self.number, &mut hw_sim, &mut told)?;
         }
-        hw_sim.insert("scene".to_owned(), path(scene)?);
-        hw_sim.insert("starts".to_owned(), path(&own)?);
+        hw_sim.insert("scene".to_owned(), absolute(scene)?.into());
+        hw_sim.insert("starts".to_owned(), absolute(&own)?.into());
         hw_sim.insert("seed".to_owned(), i64::try_from(self.number)?.into());
         self.write("hw-sim.toml", &hw_sim)?;
 
         let mut camera = shipped("ipc/clients/camera/vpc-camera.toml")?;
         self.write("calibration.toml", &told)?;
-        camera.insert("scene".to_owned(), path(scene)?);
+        camera.insert("scene".to_owned(), absolute(scene)?.into());
         camera.insert("source".to_owned(), "shm".into());
         camera.insert("calibration".to_owned(), "calibration.toml".into());
         self.write("vpc-camera.toml", &camera)?;
 
-        let mut daemon = shipped("controller/vpcd-tags.toml")?;
-        daemon.insert("scene".to_owned(), path(scene)?);
-        daemon.insert("memory".to_owned(), path(memory)?);
-        let law = daemon.get_mut("law").and_then(Value::as_table_mut);
-        let law = law.context("vpcd-tags.toml without [law]")?;
-        law.extend(self.setup.law.clone());
+        let (shipped, law) = ("controller/vpcd-tags.toml", self.setup.law.clone());
+        let daemon = processes::daemon(shipped, scene, Some(memory), law)?;
         self.write("vpcd.toml", &daemon)
     }
 
@@ -341,16 +232,9 @@ impl Laboratory<'_> {
     }
 }
 
-/// A configuration that ships.
-fn shipped(path: &str) -> anyhow::Result<Table> {
-    let path = crate::root().join(path);
-    let text = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-    toml::from_str(&text).with_context(|| path.display().to_string())
-}
-
 /// A calibration that found what the scene says, and no distortion.
 fn calibration(scene: &Path) -> anyhow::Result<Table> {
-    let scene: Table = toml::from_str(&fs::read_to_string(scene)?)?;
+    let scene = processes::read_table(scene)?;
     let camera = scene.get("camera").and_then(Value::as_table);
     let camera = camera.context("a scene without [camera]")?;
     let keys = ["fx", "fy", "cx", "cy", "width", "height"];
@@ -360,10 +244,6 @@ fn calibration(scene: &Path) -> anyhow::Result<Table> {
         .collect();
     told.insert("distortion".to_owned(), Value::Array(vec![0.0.into(); 5]));
     Ok(told)
-}
-
-fn text(path: &Path) -> Value {
-    path.display().to_string().into()
 }
 
 /// For what `vpcd` holds the camera, run after run.
@@ -403,32 +283,32 @@ impl Holds {
     }
 }
 
+/// The columns in their order.
+const COLUMNS: [Column<Row>; 9] = [
+    Column::always("errors", |row| row.errors.clone()),
+    Column::always("arrived", |row| {
+        format!("{} of {}", row.summary.arrived, row.summary.runs)
+    }),
+    Column::always("95 % interval (%)", |row| {
+        let [low, high] = row.interval.map(|share| 100.0 * share);
+        format!("{low:.1} to {high:.1}")
+    }),
+    Column::always("reflexes", |row| row.summary.trouble[0].to_string()),
+    Column::always("limit violations", |row| row.summary.trouble[1].to_string()),
+    Column::always("discontinuities", |row| row.summary.trouble[2].to_string()),
+    Column::always("arrival (s)", |row| column::seconds(row.arrived_s)),
+    Column::always("least clearance (px)", |row| {
+        format!("{:.1}", row.least_clearance_px)
+    }),
+    Column::always("joint speed (% of limit)", |row| {
+        format!("{:.0}", 100.0 * row.joint_speed)
+    }),
+];
+
 /// The rows as a Markdown table, and what failed.
 pub fn markdown(rows: &[Row]) -> String {
-    let mut text = String::from(
-        "| errors | arrived | 95 % interval (%) | reflexes | limit violations | discontinuities | arrival (s) | least clearance (px) | joint speed (% of limit) |\n\
-         |---|--:|--:|--:|--:|--:|--:|--:|--:|\n",
-    );
-    for row in rows {
-        let [reflexes, limits, discontinuities] = row.trouble;
-        let [low, high] = row.interval.map(|share| 100.0 * share);
-        text += &format!(
-            "| {} | {} of {} | {low:.1} to {high:.1} | {reflexes} | {limits} | {discontinuities} | {} | {:.1} | {:.0} |\n",
-            row.errors,
-            row.arrived,
-            row.runs,
-            row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}")),
-            row.least_clearance_px,
-            100.0 * row.joint_speed,
-        );
-    }
-    for row in rows.iter().filter(|row| !row.failed.is_empty()) {
-        let failed = row.failed.iter();
-        let failed = failed.map(|(start, why)| format!("{start} ({why})"));
-        let failed = failed.collect::<Vec<_>>().join(", ");
-        text += &format!("\n{}: failed from {failed}\n", row.errors);
-    }
-    text
+    let failed = rows.iter().map(|row| row.summary.failures(&row.errors));
+    column::markdown(&COLUMNS, rows, true) + &failed.collect::<String>()
 }
 
 /// Where a run works: its processes' files.

@@ -12,6 +12,7 @@ pub mod flags;
 pub mod flaw;
 pub mod laboratory;
 pub mod pictures;
+pub mod processes;
 pub mod robot;
 pub mod robot_table;
 pub mod row;
@@ -19,6 +20,7 @@ pub mod run;
 pub mod simulated;
 pub mod source;
 pub mod spec;
+mod statistics;
 
 /// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo
 /// demo --help` asks the program; who writes `cargo demo -- --help`, as everywhere else, gets the

@@ -19,6 +19,7 @@ use crate::flags::{Common, RobotFlags};
 use crate::robot::{Reason, RobotRun, run};
 use crate::simulated::Simulated;
 use crate::spec::Spec;
+use crate::statistics::mean;
 
 /// A row.
 #[derive(Clone, Debug, Serialize)]
@@ -132,11 +133,7 @@ pub fn table(
 pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
     let count = runs.len().max(1) as f64;
     let because = |reason| runs.iter().filter(|run| run.reason == Some(reason)).count();
-    let good: Vec<f64> = runs
-        .iter()
-        .filter(|run| run.success)
-        .filter_map(|run| run.arrived_s)
-        .collect();
+    let good = runs.iter().filter(|run| run.success);
     let most = |share: fn(&RobotRun) -> f64| runs.iter().map(share).fold(0.0, f64::max);
     RobotRow {
         strategy: spec.to_string(),
@@ -148,7 +145,7 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
         reflexes: runs.iter().map(|run| run.arm.reflexes).sum(),
         limit_violations: runs.iter().map(|run| run.arm.limit_violations).sum(),
         discontinuities: runs.iter().map(|run| run.arm.discontinuities).sum(),
-        arrived_s: (!good.is_empty()).then(|| good.iter().sum::<f64>() / good.len() as f64),
+        arrived_s: mean(good.filter_map(|run| run.arrived_s)),
         cost: runs.iter().map(|run| run.cost).sum::<f64>() / count,
         least_edge_px: runs
             .iter()
@@ -169,9 +166,7 @@ pub const COLUMNS: [Column<RobotRow>; 10] = [
         format!("{:.0} %", 100.0 * row.success_rate)
     }),
     Column::always("cost", |row| format!("{:.4}", row.cost)),
-    Column::always("arrival (s)", |row| {
-        row.arrived_s.map_or("-".to_owned(), |s| format!("{s:.1}"))
-    }),
+    Column::always("arrival (s)", |row| column::seconds(row.arrived_s)),
     Column::always("failures", |row| {
         column::failures(&[
             (row.violations, "violation"),

@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::column::{self, Column};
 use crate::run::{Reason, Run};
 use crate::spec::Spec;
+use crate::statistics::{mean, wilson};
 
 /// The paper's Table I for one strategy, and what the paper does not show.
 #[derive(Clone, Debug, Serialize)]
@@ -116,11 +117,11 @@ impl Row {
             violations: because(&[Reason::Violation, Reason::LostSight]),
             not_converged: because(&[Reason::NotConverged]),
             faults: because(&[Reason::Disarmed, Reason::BeyondLimits]),
-            change: mean(runs.iter().filter_map(|run| run.change)),
+            change: mean(runs.iter().filter_map(|run| run.change)).unwrap_or(0.0),
             iterations: per_cycle(runs.iter().map(|run| run.iterations).sum()),
             solver_not_converged: per_cycle(runs.iter().map(|run| run.not_converged).sum()),
             steps: steps as f64 / successes.max(1) as f64,
-            standstill_s: mean(runs.iter().filter_map(|run| run.standstill_s)),
+            standstill_s: mean(runs.iter().filter_map(|run| run.standstill_s)).unwrap_or(0.0),
             pose_error: (runs.iter().filter_map(|run| run.pose_error))
                 .fold([0.0; 2], |most, error| {
                     [0, 1].map(|k| error[k].max(most[k]))
@@ -131,23 +132,6 @@ impl Row {
             deepest_px: -least.fold(0.0, f64::min),
         }
     }
-}
-
-/// The mean; 0 of none.
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0_f64), |(sum, count), x| (sum + x, count + 1.0));
-    sum / count.max(1.0)
-}
-
-/// The 95 % interval of a rate (Wilson).
-pub(crate) fn wilson(successes: usize, count: usize) -> [f64; 2] {
-    const Z: f64 = 1.96;
-    let n = count.max(1) as f64;
-    let rate = successes as f64 / n;
-    let middle = rate + Z * Z / (2.0 * n);
-    let half = Z * (rate * (1.0 - rate) / n + Z * Z / (4.0 * n * n)).sqrt();
-    let scale = 1.0 + Z * Z / n;
-    [(middle - half) / scale, (middle + half) / scale]
 }
 
 /// The columns in their order. A new figure is a field of [`Row`] and a line here.
@@ -195,16 +179,6 @@ fn percent(share: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_interval_is_wilsons() {
-        // E. Wilson, 1927; computed by statsmodels' proportion_confint(99, 100, method="wilson").
-        let [low, high] = wilson(99, 100);
-        assert!(
-            (low - 0.94551).abs() < 1e-4 && (high - 0.99823).abs() < 1e-4,
-            "{low} {high}"
-        );
-    }
 
     #[test]
     fn the_narrow_table_fits_into_a_hundred_characters() {

@@ -16,6 +16,7 @@ use scene::{Pose, Scene};
 use serde::Serialize;
 
 use crate::simulated::Simulated;
+use crate::statistics::mean;
 
 /// What happened in a run.
 #[derive(Clone, Debug, Serialize)]
@@ -208,7 +209,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
     run.least_between_px = referee.least_between();
     run.least_edge_px = referee.least_edge();
     run.cost = cost / cycles.max(1.0);
-    run.change = (!changes.is_empty()).then(|| changes.iter().sum::<f64>() / changes.len() as f64);
+    run.change = mean(changes.into_iter());
     run
 }
 

@@ -1,11 +1,12 @@
 //! The robot's referee: sees every state from outside, and differentiates the desired positions by
 //! itself.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use panda::limits::{JointBounds, Limits, PERIOD};
 use panda::{Errors, JOINTS, Joints, Mode, State, Twist};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Room for rounding: positions of size 1 differentiated three times at 1 kHz carry up to 1e-16 /
 /// 1e-9.
@@ -29,7 +30,7 @@ pub struct Inspector {
 }
 
 /// Counts of milliseconds, and shares of the limits.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ArmReport {
     /// Times that the robot went into reflex.
     pub reflexes: u64,
@@ -40,7 +41,7 @@ pub struct ArmReport {
     /// allowed.
     pub discontinuities: u64,
     /// Names of the robot's errors, each once.
-    pub errors: Vec<&'static str>,
+    pub errors: Vec<Cow<'static, str>>,
     /// Largest share of a joint's speed, 1 at its limit.
     pub joint_velocity: f64,
     /// Largest share of a joint's acceleration.
@@ -148,7 +149,7 @@ impl Inspector {
 
     fn note(&mut self, errors: Errors) {
         for flag in errors.flags().filter(|&flag| !self.seen.contains(flag)) {
-            self.report.errors.push(flag.name());
+            self.report.errors.push(flag.name().into());
         }
         self.seen = self.seen.union(errors);
     }

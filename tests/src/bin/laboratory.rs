@@ -112,7 +112,10 @@ fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     let mut rows = Vec::new();
     let mut add = |name: &str, levels: &[(&Flaw, f64)]| -> anyhow::Result<()> {
         let row = laboratory::row(&setup, name, levels)?;
-        eprintln!("{name}: {} of {} arrived", row.arrived, row.runs);
+        eprintln!(
+            "{name}: {} of {} arrived",
+            row.summary.arrived, row.summary.runs
+        );
         rows.push(row);
         Ok(())
     };
