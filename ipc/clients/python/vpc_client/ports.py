@@ -49,6 +49,9 @@ def check(service: str, message: Any, sequenced: bool = True) -> None:
             least, most = rule
             if not least <= value <= most:
                 raise BadMessage(f"{service}: {field} = {value}; allowed: {least} to {most}")
+        elif isinstance(value, float):
+            if not math.isfinite(value):
+                raise BadMessage(f"{service}: {field} = {value}; allowed: finite numbers")
         elif isinstance(rule, str):
             used = 2 * getattr(message, rule) if rule else len(value)
             for i in range(used):
