@@ -1,5 +1,5 @@
-//! Configuration: a TOML file, overridden by flags and checked into a [`Config`] whose existence
-//! means that it is valid. Every key is declared in `tables.rs`, those of `[law]` in
+//! Configuration: a TOML file, overridden by flags and checked into a [`Config`], which is always
+//! valid. Every key is declared in `tables.rs`, those of `[law]` in
 //! `vpc::Settings`; `CONFIGURATION.md` and `vpcd.schema.json` are made from them.
 
 use std::path::{Path, PathBuf};

@@ -16,7 +16,7 @@ use crate::shutdown::Stop;
 use crate::usage::Usage;
 
 /// How long before its release a cycle is rehearsed, ns: several times what a decision takes, and
-/// so short that nobody else uses the caches in between.
+/// so short that no other thread uses the caches in between.
 const REHEARSAL_NS: u64 = 300_000;
 /// Time in lockstep for which polling only yields, before it sleeps, ns.
 const YIELD_NS: u64 = 150_000;
@@ -319,7 +319,7 @@ impl<'m> Cycle<'m> {
         outcome
     }
 
-    /// Tells who stopped by the file that the zero twist is sent.
+    /// Acknowledges a stop by the file: the zero twist is sent.
     fn acknowledge_stop(&mut self) {
         if std::mem::take(&mut self.is_stopping) {
             self.stop_file.obey();

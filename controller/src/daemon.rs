@@ -9,7 +9,7 @@ use std::time::Duration;
 use clap::Parser;
 use ipc::{ControllerPorts, Domain, StopFile};
 use messages::{ClockMode, Hold, RealTime};
-use program::{Exit, StartUp};
+use program::Exit;
 
 use crate::arguments::{Arguments, Command};
 use crate::config::{self, Config, ConfigError};
@@ -162,33 +162,15 @@ fn preflight(arguments: &Arguments) -> Exit {
     if found.fit { Exit::Ok } else { Exit::Attention }
 }
 
-/// What signals set.
-struct Signals {
-    start_up: StartUp,
-    stop: Stop,
-    hangup: Hangup,
-    dump: DumpRequest,
-}
-
-impl Signals {
-    fn handle() -> Result<Self, Failure> {
-        let (start_up, stop) = Stop::by_signals().map_err(Failure::Signals)?;
-        Ok(Self {
-            start_up,
-            stop,
-            hangup: Hangup::by_signal().map_err(Failure::Signals)?,
-            dump: DumpRequest::by_signal().map_err(Failure::Signals)?,
-        })
-    }
-}
-
 /// Checks everything, then runs the loop in this thread.
 ///
 /// # Errors
 /// [`Failure`], with its cause.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // First of all: a hang-up while the memory is read must not kill.
-    let signals = Signals::handle()?;
+    let (start_up, stop) = Stop::by_signals().map_err(Failure::Signals)?;
+    let hangup = Hangup::by_signal().map_err(Failure::Signals)?;
+    let dump = DumpRequest::by_signal().map_err(Failure::Signals)?;
     let config = Config::read(arguments)?;
     let loaded = Loaded::open(&config.scene, config.memory.as_deref(), config.settings)?;
     let rate_hz = loaded.scene().camera.rate_hz;
@@ -208,12 +190,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let service = Service::by_environment(period)?;
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
-    drop(signals.start_up);
+    drop(start_up);
     let begins_armed = config.safety.armed && config.clock != ClockMode::Lockstep;
-    let state = match begins_armed {
-        true => Some(instance::state_directory()?),
-        false => None,
-    };
+    let state = begins_armed.then(instance::state_directory).transpose()?;
     let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
     if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
         control.begin_disarmed(Hold::Unclean);
@@ -227,13 +206,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let published = publish(&loaded, &printed, domain.directory());
     let (producer, consumer) = flight::queue();
     let progress = Progress::default();
-    let stop = signals.stop.clone();
     let about = About::new(printed, &loaded);
     let telemetry = Telemetry {
         consumer,
-        dump: signals.dump.clone(),
+        dump: dump.clone(),
         flight: Recorder::new(&config, about, rate_hz),
-        notifier: Notifier::new(service, period, progress.clone(), stop, signals.hangup),
+        notifier: Notifier::new(service, period, progress.clone(), stop.clone(), hangup),
     };
     let recorder = telemetry.start(&config.domain)?;
     tracing::info!("{}", describe(&config, &loaded));
@@ -253,10 +231,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         margin_ns: config.margin_ns,
         realtime,
     };
-    let mut cycle = Cycle::new(pace, ports, stop_file, control, producer, signals.dump);
+    let mut cycle = Cycle::new(pace, ports, stop_file, control, producer, dump);
     let panicked = Panicked::in_this_thread();
     let outcome = {
-        let turn = || turn(&mut cycle, &signals.stop, &progress, arguments.cycles);
+        let turn = || turn(&mut cycle, &stop, &progress, arguments.cycles);
         catch_unwind(AssertUnwindSafe(turn))
     };
     // Whatever happened, the last word is zero.

@@ -47,6 +47,17 @@ pub enum InstanceError {
     NoState,
 }
 
+impl InstanceError {
+    /// The error of the file, or directory, at this path.
+    fn at(path: &Path) -> impl Fn(io::Error) -> Self {
+        let path = path.display().to_string();
+        move |source| Self::File {
+            path: path.clone(),
+            source,
+        }
+    }
+}
+
 /// The claim to a domain. The kernel ends it with the process, however that ends.
 #[derive(Debug)]
 pub struct Instance {
@@ -68,10 +79,7 @@ impl Instance {
     /// [`InstanceError::Taken`] names the process that has it.
     pub fn claim(directory: &Path, state: Option<&Path>) -> Result<Self, InstanceError> {
         let path = directory.join(FILE);
-        let trouble = |source| InstanceError::File {
-            path: path.display().to_string(),
-            source,
-        };
+        let trouble = InstanceError::at(&path);
         let mut file = OpenOptions::new()
             .create(true)
             .truncate(false)
@@ -79,7 +87,7 @@ impl Instance {
             .write(true)
             .mode(0o600)
             .open(&path)
-            .map_err(trouble)?;
+            .map_err(&trouble)?;
         match file.try_lock() {
             Ok(()) => (),
             Err(TryLockError::WouldBlock) => {
@@ -91,14 +99,10 @@ impl Instance {
             Err(TryLockError::Error(source)) => return Err(trouble(source)),
         }
         let note = state.map(|state| state.join(name(directory)));
-        let mut left = read(&file).map_err(trouble)?;
+        let mut left = read(&file).map_err(&trouble)?;
         let us = format!("{}\n", std::process::id());
         if let Some(note) = &note {
-            let trouble = |source| InstanceError::File {
-                path: note.display().to_string(),
-                source,
-            };
-            let outlived = write_note(note, &us).map_err(trouble)?;
+            let outlived = write_note(note, &us).map_err(InstanceError::at(note))?;
             left = left.or(outlived);
         }
         file.set_len(0)
@@ -119,7 +123,8 @@ impl Drop for Instance {
         if std::thread::panicking() {
             return;
         }
-        // The file stays, since removing it could race with who locks it; empty, it names nobody.
+        // The file stays, since removing it could race with a daemon that locks it; empty, it names
+        // no process.
         let _ = self.file.set_len(0);
         match &self.unclean {
             // No operator has known of the end before this one yet.
@@ -157,13 +162,8 @@ pub fn state_directory() -> Result<PathBuf, InstanceError> {
         .ok_or(InstanceError::NoState)?;
     let mut builder = DirBuilder::new();
     let made = builder.recursive(true).mode(0o700).create(&directory);
-    match made {
-        Ok(()) => Ok(directory),
-        Err(source) => Err(InstanceError::File {
-            path: directory.display().to_string(),
-            source,
-        }),
-    }
+    made.map_err(InstanceError::at(&directory))?;
+    Ok(directory)
 }
 
 /// Name of a domain's note: its path, with `%` before what a name cannot have.

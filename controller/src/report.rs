@@ -44,7 +44,7 @@ pub struct Report {
     pub busy_ns: Percentiles,
     /// Page faults from wake to send without a disk, all cycles but the first [`Report::WARM_UP`].
     pub minor_faults: u64,
-    /// ... with a disk.
+    /// Page faults with a disk, likewise.
     pub major_faults: u64,
     /// Blocking calls from wake to send, likewise.
     pub blocked: u64,

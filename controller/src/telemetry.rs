@@ -141,8 +141,8 @@ impl Telemetry {
     }
 }
 
-/// Logs requests that the loop cannot answer, or whose codes nobody knows. The loop itself does not
-/// log.
+/// Logs requests that the loop cannot answer, and those with unknown codes. The loop itself does
+/// not log.
 fn log_refused_requests(port: &mut RecorderPort) {
     // As many as a queue holds: a flood must not keep this thread from its records.
     for _ in 0..Request::QOS.buffer {
@@ -167,9 +167,9 @@ fn log_refused_requests(port: &mut RecorderPort) {
 /// Logs stops by the file.
 #[derive(Default)]
 struct StopLog {
-    /// The cycle of the last one,
+    /// The cycle of the last one.
     cycle: u64,
-    /// and how many came in cycles one after the other.
+    /// How many came in cycles one after the other, until the last one.
     in_a_row: u32,
 }
 

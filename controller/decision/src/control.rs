@@ -95,7 +95,7 @@ impl<'m> ControlStep<'m> {
 
     /// What the cycles so far leave to the next. A copy; never allocates.
     pub fn state(&self) -> State {
-        // Field by field: who adds one must say here whether the next cycle depends on it.
+        // Field by field: with each new one, decide here whether the next cycle depends on it.
         let Self {
             gate,
             robot,

@@ -8,7 +8,7 @@ use vpc::{Status, Step, Strategy};
 
 use crate::decision::Decision;
 
-/// A twist whose components are all below this share of their limits is near zero: ten times the
+/// A twist with all components below this share of their limits is near zero: ten times the
 /// changes by which a camera with a noise of 0.3 px regulates.
 const AT_REST: f64 = 0.05;
 /// A camera that has arrived leaves the goal when the error is this multiple of the threshold of

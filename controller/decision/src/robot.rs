@@ -65,7 +65,7 @@ impl RobotWatch {
             // A stamp from the future would put off the silence after it.
             self.heard_ns = Some(state.stamp.published_ns.min(now_ns));
             self.at_fault = is_fault(state);
-            // One that is idle says that it obeys nobody.
+            // An idle robot says that it obeys no commands.
             self.is_idle = state.mode() == Some(RobotMode::Idle);
             self.strays_ns = match self.is_idle || self.follows(&state.twist) {
                 true => None,
@@ -86,7 +86,7 @@ impl RobotWatch {
         }
     }
 
-    /// Whether the last message says that the robot obeys nobody.
+    /// Whether the last message says that the robot obeys no commands.
     pub fn is_idle(&self) -> bool {
         self.is_idle
     }

@@ -221,7 +221,7 @@ impl Supervisor {
     }
 
     /// Whether it began armed and has waited for too long for camera and robot: they would set it
-    /// in motion when nobody expects it any more.
+    /// in motion when no operator expects it any more.
     fn has_waited(&mut self, hold: Option<Hold>, now_ns: u64) -> bool {
         self.has_met |= hold.is_none_or(|hold| hold == Hold::NoWay);
         let since = *self.waits_since.get_or_insert(now_ns);

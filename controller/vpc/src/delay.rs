@@ -89,14 +89,6 @@ impl History {
         self.validity_ns != u64::MAX
     }
 
-    /// A new run. Simulated time begins again, from rest; on a live robot the camera's process
-    /// began again, and what was sent was executed all the same.
-    pub fn restart(&mut self) {
-        if !self.is_live() {
-            *self = Self::new();
-        }
-    }
-
     /// Forgets all commands: those sent so far count as unknown.
     pub fn forget(&mut self) {
         *self = Self::live(self.validity_ns);
@@ -371,11 +363,6 @@ mod tests {
             Err(Unpredictable::Unknown { known_ns: 200 })
         );
         assert_eq!(advance(&live, 300), advance(&simulated, 1));
-        // A new run: only simulated time begins again.
-        simulated.restart();
-        live.restart();
-        assert_eq!(advance(&simulated, 300).as_ref(), Ok(&initial.points));
-        assert!(advance(&live, 300).is_ok_and(|points| points != initial.points));
     }
 
     #[test]

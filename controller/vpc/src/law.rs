@@ -30,7 +30,6 @@ pub struct Law<W> {
     settings: Settings,
     off_image_px: f64,
     converged_px: f64,
-    size: Size,
     workspace: W,
     state: State,
     /// The initial state of this cycle's preview, until [`Law::think`] takes it.
@@ -56,7 +55,7 @@ const FEWEST_STEPS: u32 = 10;
 const HORIZON: f64 = 0.5;
 
 /// What one cycle decided.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Step {
     /// The camera twist to send.
     pub twist: Twist,
@@ -110,16 +109,15 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         task.reach = task.ts.max(stop_s);
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         let share = Share::of(&task, &settings)?;
-        let size = Size::of(&task, settings.np, settings.nc);
-        let workspace = lend(size.workspace());
-        let (found, needed) = (workspace.as_ref().len(), size.workspace());
+        let needed = share.size.workspace();
+        let workspace = lend(needed);
+        let found = workspace.as_ref().len();
         if found < needed {
             return Err(SettingsError::Workspace { found, needed });
         }
         Ok(Self {
             off_image_px: scene.success.violation_px,
             converged_px: scene.success.convergence_px,
-            size,
             workspace,
             state: State::new(settings.strategy),
             settings,
@@ -165,12 +163,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let Some(next) = root.moved(&self.task, model, &self.state.standing, period) else {
             return;
         };
-        let Some(solver) = &mut solver(
-            self.size,
-            &self.settings,
-            &self.share,
-            self.workspace.as_mut(),
-        ) else {
+        let Some(solver) = &mut self.share.solver(&self.settings, self.workspace.as_mut()) else {
             return;
         };
         let mut thinker = Thinker {
@@ -232,8 +225,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// Where the points of a live robot's camera are expected in an exposure at `exposed_ns`, px;
     /// `None` if they were not seen before, or the commands since then are unknown.
     pub fn expected(&self, exposed_ns: u64) -> Option<Points> {
-        let (points, _) = self.expected_since(exposed_ns)?;
-        Some(points)
+        self.expected_since(exposed_ns).map(|(points, _)| points)
     }
 
     /// Changes the strategy from the next cycle on; what earlier cycles left stays.
@@ -316,18 +308,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let points = &initial.points;
         let clearance_px = recall::clearance(&self.task, &initial);
         let mut step = Step {
-            twist: [0.0; DOF],
-            stands: false,
-            status: Status::Converged,
-            asked: Asked::Not,
-            way_point: None,
-            iterations: 0,
-            qp_iterations: 0,
-            work: 0,
-            cost: 0.0,
-            violation_px: 0.0,
             clearance_px,
             error_px: features::largest_error(points, &self.task.goal),
+            ..Step::default()
         };
         let is_foresight = self.settings.strategy == Strategy::Foresight;
         let stands = is_foresight && self.loses_patience(step.error_px, is_linked);
@@ -363,12 +346,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             task: &self.task,
             settings: &self.settings,
         };
-        let solver = solver(
-            self.size,
-            &self.settings,
-            &self.share,
-            self.workspace.as_mut(),
-        );
+        let solver = self.share.solver(&self.settings, self.workspace.as_mut());
         step.cost = solver.map_or(0.0, |mut solver| {
             policy.running_cost(&mut solver, &initial, &step.twist)
         });
@@ -583,12 +561,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             interval: self.task.period,
             warm,
         };
-        let Some(mut solver) = solver(
-            self.size,
-            &self.settings,
-            &self.share,
-            self.workspace.as_mut(),
-        ) else {
+        let Some(mut solver) = self.share.solver(&self.settings, self.workspace.as_mut()) else {
             step.status = Status::NumericalFailure;
             return;
         };
@@ -617,6 +590,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
 /// What the law may do in a period, in counted [work](crate::work).
 #[derive(Clone, Copy, Debug)]
 struct Share {
+    /// How large the problems of the solver are.
+    size: Size,
     /// Most work of a solution.
     solution: u32,
     /// Most work of foresight in a cycle; the step that passes it is the last.
@@ -641,10 +616,12 @@ impl Share {
             _ => 0,
         };
         let share = |np: usize| {
-            let prices = Prices::of(Size::of(task, np, nc.min(np)));
+            let size = Size::of(task, np, nc.min(np));
+            let prices = Prices::of(size);
             let free = DECIDING * period_ns - f64::from(prices.decision(0));
             let steps = (THINKING * period_ns / f64::from(prices.step())) as u32;
             let share = Self {
+                size,
                 solution: prices.budget(iterations).min((free / 1.5) as u32),
                 thinking: (THINKING * period_ns) as u64,
                 steps: settings.foresight_steps.min(steps.max(1)),
@@ -661,16 +638,11 @@ impl Share {
             most: (1..np).rev().find(|np| share(*np).is_some()).unwrap_or(0),
         })
     }
-}
 
-/// The solver of these settings in a workspace; `None` if that has become too short.
-fn solver<'w>(
-    size: Size,
-    settings: &Settings,
-    share: &Share,
-    workspace: &'w mut [f64],
-) -> Option<Solver<'w>> {
-    Some(Solver::new(size, settings.solver(), workspace)?.with_budget(share.solution))
+    /// The solver of these settings in a workspace; `None` if that has become too short.
+    fn solver<'w>(&self, settings: &Settings, workspace: &'w mut [f64]) -> Option<Solver<'w>> {
+        Some(Solver::new(self.size, settings.solver(), workspace)?.with_budget(self.solution))
+    }
 }
 
 /// s_d = s* - eps: the target, corrected by the mismatch between measurement and prediction.

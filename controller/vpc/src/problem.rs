@@ -66,9 +66,10 @@ impl Problem<'_> {
 }
 
 /// How a solution ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Status {
     /// Optimal to the tolerance, and no constraint violated.
+    #[default]
     Converged,
     /// Feasible and finite, but the iterations or the work ran out.
     IterationLimit,

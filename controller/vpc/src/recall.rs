@@ -87,9 +87,10 @@ impl MotionMemory for memory_blob::Memory<'_> {
 }
 
 /// The outcome of a query of the memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Asked {
     /// It was not asked.
+    #[default]
     Not,
     /// Its answer was followed.
     Followed,

@@ -41,8 +41,8 @@ enum Window<'w> {
 
 /// Calls a method of the window, whatever its number of variables.
 macro_rules! window {
-    ($solver:expr, $method:ident($($argument:expr),*)) => {
-        match &mut $solver.window {
+    ($window:expr, $method:ident($($argument:expr),*)) => {
+        match $window {
             Window::One(sqp) => sqp.$method($($argument),*),
             Window::Two(sqp) => sqp.$method($($argument),*),
             Window::Three(sqp) => sqp.$method($($argument),*),
@@ -75,24 +75,19 @@ impl<'w> Solver<'w> {
 
     /// Counted [work](crate::work) of everything that this solver has done.
     pub fn done(&self) -> u64 {
-        match &self.window {
-            Window::One(sqp) => sqp.done(),
-            Window::Two(sqp) => sqp.done(),
-            Window::Three(sqp) => sqp.done(),
-            Window::Four(sqp) => sqp.done(),
-        }
+        window!(&self.window, done())
     }
 
     /// Cost of a plan; `None` if the plan brings a point behind the camera.
     pub fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
-        window!(self, evaluate(problem, plan))
+        window!(&mut self.window, evaluate(problem, plan))
     }
 
     /// Whether the first period of a plan brings no point deeper into an obstacle, or further out
     /// of the image, than it is already, or than `slack`, px; or else leads out of what is violated
     /// already: the sum of all violations falls, and none is above the greatest of now.
     pub fn is_clear(&mut self, problem: &Problem<'_>, plan: &Plan, slack: f64) -> bool {
-        window!(self, is_clear(problem, plan, slack))
+        window!(&mut self.window, is_clear(problem, plan, slack))
     }
 
     /// The quadratic program of an iteration about a plan, and rho. `None` with several free
@@ -111,7 +106,7 @@ impl<'w> Solver<'w> {
 
     /// Solves the problem from the warm start `warm`.
     pub fn solve(&mut self, problem: &Problem<'_>, warm: &Plan) -> Solution {
-        window!(self, solve(problem, warm, self.budget))
+        window!(&mut self.window, solve(problem, warm, self.budget))
     }
 
     /// Solves the problem from each start in turn until a solution violates nothing; otherwise
@@ -123,7 +118,7 @@ impl<'w> Solver<'w> {
         for (others, start) in (0..starts.len()).rev().zip(starts) {
             let left = self.budget.saturating_sub(work);
             let most = if others == 0 { left } else { left / 4 * 3 };
-            let found = window!(self, solve(problem, start, most));
+            let found = window!(&mut self.window, solve(problem, start, most));
             iterations += found.iterations;
             qp_iterations += found.qp_iterations;
             work += found.work;

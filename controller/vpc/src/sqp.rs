@@ -526,12 +526,10 @@ impl<'w, const N: usize> Sqp<'w, N> {
         Solution {
             plan,
             status: if violates { Status::Infeasible } else { status },
-            iterations: self.progress.iterations,
-            qp_iterations: self.progress.qp_iterations,
-            work: self.progress.work,
             cost: at.outcome.cost,
             merit: at.outcome.merit(self.progress.rho),
             violation_px: at.outcome.worst,
+            ..self.failure()
         }
     }
 }
