@@ -110,11 +110,12 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
             tally
         });
         let mut random = ChaCha8Rng::seed_from_u64(2);
+        let start_ns = ipc::now_ns();
         while !done.load(Ordering::Relaxed) {
             let now_ns = ipc::now_ns();
             let points = match clock {
                 ClockMode::Lockstep => square(&scene, &mut random),
-                ClockMode::Fixed | ClockMode::Phase => round_the_image(now_ns),
+                ClockMode::Fixed | ClockMode::Phase => round_the_image(now_ns - start_ns),
             };
             let features = Features::new(&points, now_ns);
             let sent = camera.features.publish(&features).unwrap();
@@ -134,9 +135,10 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
     })
 }
 
-/// A square on a way round the image, once in two seconds: features that jump would be refused.
-fn round_the_image(now_ns: u64) -> Vec<[f64; 2]> {
-    let angle = now_ns as f64 * 3e-9;
+/// A square on its way around the image, once in two seconds: features that jump would be refused.
+/// It begins at the same place each time: there are places where the memory has no answer.
+fn round_the_image(since_ns: u64) -> Vec<[f64; 2]> {
+    let angle = since_ns as f64 * 3e-9;
     let [u, v] = [angle.cos(), angle.sin()].map(|x| 512.0 + 330.0 * x);
     let corners = [[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0]];
     corners.map(|[x, y]| [u + x, v + y]).to_vec()
