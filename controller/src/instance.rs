@@ -206,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_claimed_domain_names_its_process_until_the_claim_is_dropped() {
+    fn a_claimed_domain_names_its_process() {
         let directory = tempfile::tempdir().unwrap();
         let first = Instance::claim(directory.path(), None).unwrap();
         let message = Instance::claim(directory.path(), None)

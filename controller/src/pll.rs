@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_from_the_future_neither_holds_a_phase_for_ever_nor_keeps_one_from_being_found() {
+    fn a_frame_from_the_future_does_not_disturb_the_phase() {
         let camera = Camera::default();
         for cycles in [0, 200] {
             let mut pll = CameraPll::new(PERIOD, 1_000_000);

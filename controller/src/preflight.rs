@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn foresight_that_takes_more_than_half_of_a_period_is_noted_with_what_would_fit() {
+    fn slow_foresight_is_noted_with_what_would_fit() {
         let mut facts = good();
         facts.foresight = facts.foresight.map(|cost| Cost {
             step_ns: 200_000,

@@ -45,7 +45,7 @@ mod tests {
     use crate::FreeCamera;
 
     #[test]
-    fn standing_still_costs_the_distance_and_moving_the_weight_of_the_velocity() {
+    fn standing_costs_distance_and_moving_costs_velocity() {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let goal = FreeCamera::new(&scene, &scene.goal).features().unwrap();
         let mut start = scene.goal;

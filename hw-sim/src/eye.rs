@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_drawn_beside_the_robot_are_those_drawn_by_the_caller() {
+    fn pictures_match_those_drawn_by_the_caller() {
         let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
         let settings = EyeSettings {
             sight: Sight::Rendered,
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_marker_is_hidden_as_soon_as_a_corner_or_an_edge_of_it_is_covered() {
+    fn a_marker_is_hidden_when_any_of_it_is_covered() {
         let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
         let settings = EyeSettings::default();
         // At the goal, side by side with the spot, a circle about (320, 222) px of radius 38 px,
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn ideal_features_have_the_noise_asked_for_and_lost_frames_leave_gaps() {
+    fn ideal_features_have_noise_and_gaps_as_asked() {
         let settings = EyeSettings {
             noise_px: 0.3,
             latency: Latency {
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn ideal_features_are_bent_by_the_lens_and_wrong_in_time_and_lost_in_bursts() {
+    fn ideal_features_are_distorted_late_and_lost_in_bursts() {
         let truth = Truth {
             distortion: [-0.2, 0.05, 0.001, 0.0, 0.0],
             stamp_bias_ms: 12.0,

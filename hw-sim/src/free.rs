@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_command_carries_the_camera_from_when_it_was_sent_for_as_long_as_it_is_valid() {
+    fn a_command_carries_the_camera_while_it_is_valid() {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let mut cell = FreeCell::new(&scene, &scene.goal, Flaws::default(), 15.0);
         cell.begin(1_000_000_000);
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_numbered_as_they_are_exposed_and_due_at_whole_periods() {
+    fn frames_are_due_at_whole_periods() {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let flaws = Flaws {
             delay_frames: 2,

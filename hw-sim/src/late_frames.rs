@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_at_a_second_a_frame_is_told_of_each_five_seconds_and_in_the_end() {
+    fn a_slow_camera_is_reported_every_five_seconds() {
         let mut frames = LateFrames::default();
         let mut warnings = Vec::new();
         for k in 0..11 {

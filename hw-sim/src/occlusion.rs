@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_to_a_near_rectangle_are_those_to_its_finely_sampled_border() {
+    fn distances_to_a_rectangle_match_its_sampled_border() {
         let part = Part {
             center: [0.0, 0.0],
             half: [150.0, 50.0],

@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_edge_of_a_marker_is_measured_and_a_marker_that_is_partly_hidden_is_no_violation() {
+    fn the_edge_of_a_marker_is_measured() {
         let mut scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
         let goal = from_scene(&scene.goal);
         let edge = |scene: &Scene| {

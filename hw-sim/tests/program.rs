@@ -118,7 +118,7 @@ fn what_it_cannot_start_with_is_named_with_its_exit_code() {
 }
 
 #[test]
-fn a_run_begins_with_the_first_command_and_ends_when_time_is_out() {
+fn a_run_begins_with_a_command_and_ends_at_the_time_limit() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
@@ -254,7 +254,7 @@ fn all_starts_are_run_one_after_another_each_a_new_run() {
 }
 
 #[test]
-fn between_the_runs_of_a_loop_the_camera_shows_the_goal_and_then_begins_again() {
+fn between_the_runs_of_a_loop_the_camera_shows_the_goal() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let running = start(&place, &["--loop", "--time-limit", "0.2"]);
@@ -278,7 +278,7 @@ fn between_the_runs_of_a_loop_the_camera_shows_the_goal_and_then_begins_again() 
 }
 
 #[test]
-fn rendered_images_go_out_in_lockstep_and_twists_that_answer_them_end_the_run() {
+fn lockstep_images_and_their_twists_end_the_run() {
     let place = Place::new();
     let scene = scene::Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
     let goal = hw_sim::FreeCamera::new(&scene, &scene.goal)

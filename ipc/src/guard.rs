@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_starter_is_reported_instead_of_waited_for_without_end() {
+    fn a_stopped_starter_is_reported() {
         let directory = tempfile::tempdir().unwrap();
         let _stopped = Startup::take(directory.path(), PATIENCE).unwrap();
         let error = Startup::take(directory.path(), Duration::from_millis(3)).unwrap_err();
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_directory_that_others_may_write_to_is_refused_with_its_mode() {
+    fn a_directory_that_others_may_write_to_is_refused() {
         use std::os::unix::fs::PermissionsExt;
         let directory = tempfile::tempdir().unwrap();
         let enter = |mode: u32| {

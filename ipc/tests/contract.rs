@@ -203,7 +203,7 @@ fn the_controller_sees_the_newest_message_and_the_observer_all() {
 }
 
 #[test]
-fn a_second_publisher_is_refused_and_may_come_when_the_first_has_left() {
+fn a_second_publisher_is_refused_until_the_first_has_left() {
     let place = Place::new();
     let first = Domain::join(&place.domain()).unwrap();
     let second = Domain::join(&place.domain()).unwrap();
@@ -356,7 +356,7 @@ fn kills_during_start_up_do_no_harm_to_who_comes_next() {
 }
 
 #[test]
-fn kills_during_start_up_beside_a_peer_do_no_harm_to_who_comes_next() {
+fn kills_during_start_up_beside_a_peer_do_no_harm() {
     let rounds = testkit::repeats("kills during start-up beside a peer", 1, 60);
     for seed in 0..rounds as u64 {
         let place = Place::new();

@@ -143,7 +143,7 @@ fn regression_is_the_formula() {
 }
 
 #[test]
-fn every_truncation_and_every_flipped_byte_of_the_header_is_refused() {
+fn every_truncation_and_flipped_header_byte_is_refused() {
     let Written { directory, path } = Written::new(&contents(40, true));
     let bytes = std::fs::read(&path).unwrap();
     let header = 8 + u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;

@@ -55,7 +55,7 @@ fn every_count_of_samples_round_a_block_is_searched_to_the_end() {
 }
 
 #[test]
-fn equally_near_samples_give_the_same_answer_each_time_and_the_first_of_the_file() {
+fn equally_near_samples_give_the_first_of_the_file() {
     let mut contents = synthetic::noise(200, 2);
     contents.x.iter_mut().for_each(|x| *x = vec![1.0; INPUTS]);
     let file = opened(&contents);

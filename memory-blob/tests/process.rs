@@ -142,7 +142,7 @@ fn mean_and_variance_are_those_of_scikit_learn() {
 }
 
 #[test]
-fn far_from_all_samples_the_mean_is_the_constant_and_the_variance_that_of_the_signal() {
+fn far_from_all_samples_the_prior_remains() {
     let fixture = Fixture::read();
     let contents = contents(&fixture);
     let file = opened(&contents);
@@ -161,7 +161,7 @@ fn far_from_all_samples_the_mean_is_the_constant_and_the_variance_that_of_the_si
 }
 
 #[test]
-fn every_width_of_outputs_and_every_count_of_samples_is_the_formula() {
+fn every_width_and_count_matches_the_formula() {
     for points in 1..=8 {
         for count in [1, 7, 8, 9] {
             let mut random = synthetic::Random(points as u64 * 10 + count as u64);

@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn features_from_the_future_are_a_matter_of_the_clock_and_poison_nothing() {
+    fn features_from_the_future_poison_nothing() {
         let mut gate = Gate::new(Some(LIMIT));
         gate.judge(&came(1, 10), 11);
         let future = 11 + FUTURE_NS + 1;
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn older_features_are_out_of_order_from_the_same_camera_or_another() {
+    fn older_features_are_out_of_order_from_any_camera() {
         let mut gate = Gate::new(Some(LIMIT));
         gate.judge(&came(5, 50), 51);
         // The next one, and the first of a camera that starts again.

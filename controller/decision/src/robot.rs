@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_does_not_carry_out_what_it_is_told_does_not_follow() {
+    fn a_robot_that_ignores_commands_does_not_follow() {
         const MS: u64 = 1_000_000;
         // What it carries out of a command that changes from 0 to 0.4 m/s at 1 s; when it is found
         // not to follow, if ever, ms.

@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn the_key_fits_below_an_upright_image_and_names_way_points_where_there_are_some() {
+    fn the_key_fits_below_the_image_and_names_way_points() {
         let mut scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
         scene.camera.height = 3.0 * scene.camera.width;
         let drawn = |way_points: Vec<Points>| {

@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_canvas_becomes_an_svg_and_a_png_of_twice_its_size_the_same_each_time() {
+    fn a_canvas_becomes_the_same_svg_and_png_each_time() {
         let mut canvas = Canvas::new(100.0, 50.0);
         canvas.text(50.0, 25.0, 10.0, "middle", "a < b & c");
         let directory = std::env::temp_dir().join(format!("figures-{}", std::process::id()));

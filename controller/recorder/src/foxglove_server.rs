@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn of_images_only_the_newest_waits_and_of_messages_the_newest_64() {
+    fn only_the_newest_image_and_64_messages_wait() {
         let mut queue = Queue::default();
         for time_ns in 0..1000 {
             let (is_image, bytes) = (time_ns % 10 == 0, [].into());

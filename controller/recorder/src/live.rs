@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_still_comes_every_three_seconds_and_a_second_after_an_arrival_at_most() {
+    fn what_stands_still_is_repeated_every_three_seconds() {
         let sent = Instant::now();
         let is_due = |ms, has_arrived| {
             let now = sent + Duration::from_millis(ms);

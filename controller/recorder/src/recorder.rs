@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn cycles_are_spaced_by_when_they_were_and_not_by_their_publication() {
+    fn cycles_are_spaced_by_their_own_time() {
         let mut recorder = Recorder::new(Topics(Vec::new()), 3_500_000);
         let mut passed = |sequence, data_ns, published_ns| {
             let record = CycleRecord {

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_borders_of_a_mask_go_round_holes_and_along_the_edge_of_the_image() {
+    fn borders_of_a_mask_go_round_holes_and_along_edges() {
         let inside =
             |i: u32, j: u32, from: u32, to: u32| (from..to).contains(&i) && (from..to).contains(&j);
         let length = |is_white: &dyn Fn(u32, u32) -> bool| -> f64 {

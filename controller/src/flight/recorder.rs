@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn more_minutes_than_the_machine_holds_are_refused_with_those_that_fit() {
+    fn more_minutes_than_the_machine_holds_are_refused() {
         let flight = |minutes| FlightConfig {
             directory: "nowhere".into(),
             minutes,

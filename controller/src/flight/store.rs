@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_can_be_written_the_path_is_named_and_nothing_is_left() {
+    fn an_unwritable_path_is_named_and_nothing_is_left() {
         let place = tempfile::tempdir().unwrap();
         let taken = place.path().join("taken");
         fs::write(&taken, "a file").unwrap();

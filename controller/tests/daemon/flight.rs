@@ -338,7 +338,7 @@ fn run_a_is_run_b_is_the_replay_of_a_byte_by_byte() {
 }
 
 #[test]
-fn a_recording_tells_how_large_the_markers_are_and_without_that_it_does_not_replay() {
+fn a_recording_tells_the_size_of_markers() {
     let bench = Bench::of(scene::TAGS_ROBOT);
     let ring = bench.fly(1000, 1000, None);
     let path = bench.place.file("a.mcap", "");
@@ -567,7 +567,7 @@ fn a_replay_begins_at_any_snapshot_and_goes_on_after_a_gap() {
 }
 
 #[test]
-fn daemons_that_followed_each_other_are_replayed_each_from_its_begin() {
+fn successive_daemons_are_replayed_each_from_its_start() {
     let bench = Bench::new();
     let mut both = recording(&bench.fly(200, 200, None));
     let second = recording(&bench.fly_from(3600 * BEGIN_NS, 300, 300, None));

@@ -73,7 +73,7 @@ impl Bench {
 }
 
 #[test]
-fn lockstep_answers_each_message_exactly_once_and_says_what_it_did() {
+fn lockstep_answers_each_message_exactly_once() {
     let mut bench = Bench::new();
     let daemon = bench.start(&["--clock", "lockstep", "--cycles", "50"]);
     for k in 1..=50 {
@@ -135,7 +135,7 @@ fn processor_s(id: u32) -> f64 {
 }
 
 #[test]
-fn in_lockstep_a_loop_without_a_camera_sleeps_and_still_hears_one() {
+fn in_lockstep_a_loop_without_a_camera_sleeps() {
     let mut bench = Bench::new();
     let daemon = bench.start(&["--clock", "lockstep"]);
     let features = bench.features();
@@ -371,7 +371,7 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
 }
 
 #[test]
-fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
+fn a_faulty_robot_stops_the_camera_and_a_silent_one_disarms() {
     let mut bench = Bench::new();
     let mut operator = {
         let domain = Domain::join(&bench.place.domain()).unwrap();
@@ -443,7 +443,7 @@ fn a_robot_at_fault_stops_the_camera_and_a_silent_one_disarms_it() {
 }
 
 #[test]
-fn nothing_moves_before_a_robot_was_heard_and_one_that_does_not_follow_disarms() {
+fn nothing_moves_before_a_robot_was_heard() {
     let mut bench = Bench::new();
     let daemon = bench.start(&[]);
     eventually("a command", || bench.camera.twist.latest().unwrap());
@@ -500,7 +500,7 @@ fn nothing_moves_before_a_robot_was_heard_and_one_that_does_not_follow_disarms()
 }
 
 #[test]
-fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
+fn before_any_camera_the_twist_is_zero_and_sigterm_ends_it() {
     let mut bench = Bench::new();
     let daemon = bench.start(&[]);
     let first = eventually("a command", || bench.camera.twist.latest().unwrap());
@@ -516,7 +516,7 @@ fn before_any_camera_comes_the_twist_is_zero_and_sigterm_ends_it() {
 }
 
 #[test]
-fn while_an_armed_daemon_waits_for_camera_and_robot_nothing_is_a_fault() {
+fn waiting_armed_for_camera_and_robot_is_no_fault() {
     let mut bench = Bench::new();
     let daemon = bench.start(&[]);
     eventually("a command", || bench.camera.twist.latest().unwrap());

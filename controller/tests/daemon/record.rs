@@ -140,7 +140,7 @@ fn write(flight: &Recording, path: &Path) {
 }
 
 #[test]
-fn an_operator_a_signal_a_fault_and_the_end_each_leave_a_record_that_replays() {
+fn every_cause_of_a_flight_record_leaves_one_that_replays() {
     let mut bench = Bench::new("at_exit = true");
     for _ in 0..150 {
         bench.show(|_| ());
@@ -208,7 +208,7 @@ fn the_oldest_records_fall_out_of_memory_and_directory() {
 }
 
 #[test]
-fn what_is_not_the_same_is_1_and_what_cannot_be_replayed_is_named() {
+fn replay_exits_with_1_on_a_difference_and_names_bad_files() {
     let mut bench = Bench::new("");
     for _ in 0..40 {
         bench.show(|_| ());

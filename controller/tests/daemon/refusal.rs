@@ -71,7 +71,7 @@ fn help_explains_itself() {
 }
 
 #[test]
-fn markers_of_unknown_size_without_a_margin_are_warned_of_at_the_start_and_by_a_check() {
+fn markers_of_unknown_size_without_a_margin_are_warned_of() {
     let place = Place::new();
     let tags = |name: &str, size: &str| {
         let text = scene::TAGS_ROBOT.replace("marker_size = 0.03", size);

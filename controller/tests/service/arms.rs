@@ -34,7 +34,7 @@ fn verdict(machine: &Machine, arm: &str, run: usize) -> Option<bool> {
 }
 
 #[test]
-fn three_arms_work_at_once_and_a_stop_or_a_crash_of_one_is_its_own() {
+fn a_stop_or_crash_of_one_of_three_arms_is_its_own() {
     let Some(machine) = Machine::boot("three arms", install) else {
         return;
     };

@@ -57,7 +57,7 @@ fn ready_comes_once_and_only_after_the_loop_has_made_a_cycle() {
 }
 
 #[test]
-fn the_status_tells_state_and_counters_and_the_end_is_announced_once() {
+fn the_status_tells_state_counters_and_the_end() {
     let place = Place::new();
     let manager = Manager::new(&place);
     let daemon = manager.manage(place.vpcd(), None);
@@ -97,7 +97,7 @@ fn a_run_that_ends_by_itself_is_announced_as_well() {
 }
 
 #[test]
-fn in_lockstep_a_loop_that_waits_for_a_camera_is_ready_and_alive() {
+fn in_lockstep_a_waiting_loop_is_ready_and_alive() {
     let place = Place::new();
     let manager = Manager::new(&place);
     let mut command = place.vpcd();
@@ -132,7 +132,7 @@ fn without_a_watchdog_nothing_is_fed() {
 }
 
 #[test]
-fn a_loop_that_hangs_is_no_longer_fed_for_and_the_status_says_so() {
+fn a_loop_that_hangs_is_not_fed_and_the_status_says_so() {
     let place = Place::new();
     let manager = Manager::new(&place);
     let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
@@ -160,7 +160,7 @@ fn a_loop_that_hangs_is_no_longer_fed_for_and_the_status_says_so() {
 }
 
 #[test]
-fn an_ordinary_thread_that_hangs_does_not_feed_while_the_loop_goes_on() {
+fn an_ordinary_thread_that_hangs_does_not_feed() {
     let place = Place::new();
     let manager = Manager::new(&place);
     let daemon = manager.manage(place.vpcd(), Some(WATCHDOG));
@@ -264,12 +264,12 @@ fn stops_in_two_periods(hang: Hang) {
 }
 
 #[test]
-fn two_periods_after_the_loop_stands_still_it_is_no_longer_fed_for() {
+fn two_periods_after_a_standstill_nothing_is_fed() {
     stops_in_two_periods(Hang::Still);
 }
 
 #[test]
-fn two_periods_after_an_endless_loop_begins_it_is_no_longer_fed_for() {
+fn two_periods_into_an_endless_loop_nothing_is_fed() {
     stops_in_two_periods(Hang::Endless);
 }
 
@@ -291,7 +291,7 @@ fn the_watchdog_of_another_process_is_not_ours_to_feed() {
 }
 
 #[test]
-fn a_manager_that_does_not_listen_delays_nothing_and_hears_it_later() {
+fn a_manager_that_does_not_listen_delays_nothing() {
     let place = Place::new();
     let manager = Manager::new(&place);
     // Fill its queue, until it takes nothing from a newcomer; each sender has a limit of its own.

@@ -107,7 +107,7 @@ fn what_a_restart_does_not_mend_is_not_restarted() {
 }
 
 #[test]
-fn all_units_share_user_and_directory_and_leave_it_to_each_other() {
+fn all_units_share_user_and_directory() {
     let units = ["vpcd", "hw-sim", "vpc-panda", "vpc-camera", "vpc-ros2"]
         .map(|name| installed(&format!("{name}.service")));
     for (directive, value) in [
@@ -150,7 +150,7 @@ fn what_reads_a_network_is_bounded_in_memory_and_time() {
 }
 
 #[test]
-fn the_default_configuration_runs_as_installed_and_fits_the_unit() {
+fn the_default_configuration_runs_as_installed() {
     let place = Place::new();
     let root = root();
     let text = installed("vpcd.toml");
@@ -184,7 +184,7 @@ fn the_default_configuration_runs_as_installed_and_fits_the_unit() {
 }
 
 #[test]
-fn where_there_is_no_journald_the_log_falls_back_to_standard_error() {
+fn without_journald_the_log_goes_to_standard_error() {
     use std::os::unix::fs::MetadataExt;
     if Path::new("/run/systemd/journal/socket").exists() {
         return not_run("the log without a journald", "this machine has a journald");

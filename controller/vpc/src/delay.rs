@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn with_the_right_depth_the_depth_models_follow_a_turning_camera() {
+    fn depth_models_follow_a_turning_camera() {
         // From the goal, where all depths are right, under a pure rotation, which asks for none.
         let task = task();
         let spin = [0.0, 0.0, 0.0, 0.4, -0.3, 0.9];
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ring_that_went_round_many_times_still_advances_and_knows_where_it_ends() {
+    fn a_ring_that_wrapped_many_times_still_advances() {
         let mut history = History::new();
         for k in 0..1000 {
             history.push(&twist(k), 1000 + k as u64);
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn before_the_first_command_a_simulated_camera_stood_still_and_a_live_one_is_unknown() {
+    fn before_the_first_command_only_a_simulated_camera_stands() {
         let task = task();
         let initial = InitialState::new(&task, Model::Pose, &Truth::new(&task).features(&task));
         let advance = |history: &History, from| {

@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_that_follows_late_or_less_or_from_a_moving_object_follows() {
+    fn late_weak_and_moving_images_still_follow() {
         assert_eq!(found(go, go), None);
         assert_eq!(found(go, |s| go(s - 0.5)), None);
         assert_eq!(found(go, |s| 0.6 * go(s)), None);

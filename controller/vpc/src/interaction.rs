@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn flow_is_the_matrix_times_the_twist_and_its_derivative_is_right() {
+    fn flow_and_its_derivative_match_the_matrix() {
         let (p, z, v) = ([0.2, -0.3], 0.7, [0.1, -0.2, 0.3, 0.4, -0.5, 0.6]);
         let (velocity, derivative) = flow(p, z, &v);
         for (row, value) in of_point(p, z).iter().zip(velocity) {

@@ -235,7 +235,7 @@ mod tests {
     use crate::prediction::Model;
 
     #[test]
-    fn of_a_point_that_comes_near_no_border_nothing_is_left_of_an_earlier_way() {
+    fn a_point_far_from_borders_forgets_its_earlier_way() {
         let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
         let mut workspace = vec![0.0; Intersample::room(12, 4)];

@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_over_after_five_seconds_without_progress_and_back_with_hope() {
+    fn five_seconds_without_progress_end_it_until_hope_returns() {
         let mut patience = Patience::NEW;
         let mut cycles = |error_px: f64, has_hope: bool, count: u32| {
             for _ in 0..count {

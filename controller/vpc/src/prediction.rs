@@ -592,7 +592,7 @@ mod tests {
     }
 
     #[test]
-    fn gradients_match_finite_differences_in_every_model_and_horizon() {
+    fn gradients_match_finite_differences() {
         let task = task();
         let measured = points(&task);
         for model in [Model::TargetDepth, Model::AreaDepth, Model::Pose] {

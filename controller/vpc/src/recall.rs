@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_point_inside_an_occlusion_is_moved_out_by_the_shortest_way() {
+    fn a_way_point_inside_an_occlusion_is_moved_out() {
         let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
         // The spot on the right is a circle about (850, 560) of radius 75.
         let mut answer = [300.0; DOF + 8];
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_process_has_no_answer_in_range_the_nearest_neighbours_is_followed() {
+    fn an_answer_out_of_range_falls_back_to_the_nearest_neighbour() {
         let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
         let ask = |strategy, process, neighbour| {
             let memory = Answers { process, neighbour };

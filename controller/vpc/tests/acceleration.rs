@@ -87,7 +87,7 @@ fn run(law: &Scene, judge: &Task, start: &Pose, strategy: Strategy) -> Seen {
 }
 
 #[test]
-fn commands_stay_within_the_acceleration_and_a_stop_ends_before_a_constraint() {
+fn commands_keep_the_acceleration_and_stop_before_constraints() {
     let mut scene = Scene::parse(scene::PAPER_SIM, "paper-sim").unwrap();
     let unlimited = scene.clone();
     scene.limits = ACCELERATION;

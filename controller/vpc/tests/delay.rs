@@ -151,7 +151,7 @@ fn the_mismatch_of_late_features_is_that_of_their_exposure() {
 }
 
 #[test]
-fn features_older_than_the_commands_known_are_refused_until_enough_is_known() {
+fn features_older_than_the_known_commands_are_refused() {
     let world = World::new();
     let mut law = world.controller(true);
     law.go_live(100_000_000);

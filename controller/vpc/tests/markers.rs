@@ -101,7 +101,7 @@ fn worst(scene: &Scene, law: &Scene, settings: Settings) -> (f64, usize) {
 }
 
 #[test]
-fn a_law_that_knows_the_size_keeps_markers_wholly_in_sight_and_one_that_does_not_does_not() {
+fn markers_stay_whole_only_if_their_size_is_known() {
     let (scene, _) = tags();
     let settings = settings(Strategy::Previous);
     let (hidden_px, arrived) = worst(&scene, &scene, settings);
@@ -130,7 +130,7 @@ fn markers_stay_in_sight_however_fast_they_come_nearer() {
 }
 
 #[test]
-fn models_that_know_one_depth_for_the_window_keep_markers_in_sight_as_well() {
+fn constant_depth_models_keep_markers_in_sight() {
     let (scene, _) = tags();
     for model in [Model::AreaDepth, Model::TargetDepth] {
         let settings = Settings {

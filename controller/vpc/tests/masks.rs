@@ -65,7 +65,7 @@ fn excess(
 }
 
 #[test]
-fn clearances_from_a_disc_are_its_distances_to_the_staircase_of_its_pixels() {
+fn clearances_from_a_disc_match_its_pixels() {
     let scene = filled(disc);
     let near = |p| (-40.0..200.0).contains(&disc(p));
     let (low, high) = excess(only_area(&scene), disc, near);
@@ -74,7 +74,7 @@ fn clearances_from_a_disc_are_its_distances_to_the_staircase_of_its_pixels() {
 }
 
 #[test]
-fn clearances_from_a_box_are_exact_beside_its_sides_and_not_above_at_its_corners() {
+fn clearances_from_a_box_are_exact_beside_its_sides() {
     let scene = filled(box_);
     let area = only_area(&scene);
     let beside = |p: [f64; 2]| {
@@ -189,7 +189,7 @@ fn a_box_cheaply_bounds_the_clearance() {
 }
 
 #[test]
-fn violations_and_least_clearances_count_areas_as_they_count_parts() {
+fn violations_count_areas_as_they_count_parts() {
     let task = Task::new(&filled(disc)).unwrap();
     let inside = [CENTRE[0] + 60.0, CENTRE[1]];
     assert!((constraint::violation(&task, inside, 0.0) - 30.0).abs() < 1.0);
@@ -241,7 +241,7 @@ fn deepest(scene: &Scene, start: [f64; 3]) -> (f64, f64) {
 }
 
 #[test]
-fn the_law_goes_round_a_painted_box_as_round_one_of_shapes_and_through_where_there_is_none() {
+fn the_law_goes_round_a_painted_box_as_round_shapes() {
     // The upper left feature starts above the box, at (512, 80); its goal (312, 312) lies below and
     // to the left.
     let start = [0.15, -0.174, 0.6];

@@ -36,7 +36,7 @@ fn our_cost_of_scipy_s_answer_is_scipy_s() {
 }
 
 #[test]
-fn start_for_start_our_answers_are_seldom_dearer_than_scipy_s_and_violate_nothing() {
+fn solutions_match_slsqp_cost_and_keep_constraints() {
     let fixture = Fixture::read();
     let (mut pairs, mut cheaper, mut dearer, mut worst) = (0_u32, 0_u32, 0_u32, 0.0_f64);
     for name in fixture.problems[0].starts.iter().map(|start| &start.name) {

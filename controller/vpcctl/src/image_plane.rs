@@ -146,7 +146,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_scene_that_the_daemon_writes_is_taken_up_when_it_comes_and_when_it_changes() {
+    fn the_scene_that_the_daemon_writes_is_taken_up() {
         let domain = tempfile::tempdir().unwrap();
         let mut plane = ImagePlane::open(domain.path(), None).unwrap();
         assert!(!plane.has_scene() && plane.goal().is_empty());

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_command_has_a_page_with_its_options_and_every_shell_its_completions() {
+    fn every_command_has_a_man_page_and_completions() {
         let directory = tempfile::tempdir().unwrap();
         let names = write(&directory.path().join("man1")).unwrap();
         for name in [

@@ -305,7 +305,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_rate_of_images_counts_those_that_nobody_looked_at_and_begins_anew_with_a_camera() {
+    fn the_rate_of_images_counts_unseen_ones() {
         let mut view = View::default();
         images(&mut view, &[1]);
         assert_eq!(view.image_rate_hz(), None);
@@ -332,7 +332,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_disarmed_daemon_keeps_the_cause_that_disarmed_it_until_an_operator_acts() {
+    fn a_disarmed_daemon_keeps_its_cause_until_an_operator_acts() {
         let disarmed = |hold| record(1, TwistState::Disarmed, hold);
         let moving = record(1, TwistState::Moving, None);
         let (lost, fault, operator) = (Hold::Lost, Hold::RobotFault, Hold::Operator);
@@ -385,7 +385,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_camera_that_ended_is_told_as_such_and_its_last_features_stay() {
+    fn a_camera_that_ended_is_told_and_its_features_stay() {
         let mut used = record(4, TwistState::Moving, None);
         used.count = 4;
         let stale = record(60, TwistState::Holding, Hold::Stale);

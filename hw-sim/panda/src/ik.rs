@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_near_its_limit_is_pushed_back_without_the_end_effector() {
+    fn a_joint_near_its_limit_is_pushed_back_in_the_null_space() {
         let mut q = READY;
         q[6] = LIMITS.joints[6].upper - 0.05;
         let (chain, desired, reference) = follow(q, Twist::zeros(), 3000);

@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_can_no_longer_stop_in_front_of_its_limit_is_outside() {
+    fn a_joint_that_cannot_stop_before_its_limit_is_outside() {
         let mut moving = Setpoint::at_rest(Joints::from(crate::READY));
         moving.dq[1] = 1.0;
         // Stopping from 1 rad/s at 0.9 x 7.5 rad/s^2 takes 0.074 rad.

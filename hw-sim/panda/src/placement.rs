@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_would_leave_its_range_and_a_way_out_of_reach_are_told() {
+    fn joints_out_of_range_and_poses_out_of_reach_are_told() {
         let (chain, limits) = (Chain::default(), Model::Panda.limits());
         let down = Rotation3::new(Vector3::x() * std::f64::consts::PI);
         let pose = Pose::from_parts(Translation3::new(0.45, 0.0, 0.4), down);

@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn at_the_end_of_its_reach_and_of_its_joints_ranges_the_arm_slows_down() {
+    fn at_the_end_of_its_reach_the_arm_slows_down() {
         let mut scene = scene();
         (scene.limits.linear, scene.limits.angular) = (0.1, 0.3);
         let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn the_camera_moves_as_told_where_the_calibration_is_true_and_askew_where_it_is_not() {
+    fn the_camera_moves_as_told_only_if_calibrated() {
         let twist = [0.004, -0.006, 0.002, 0.01, 0.02, -0.01];
         let apart = |settings: ArmSettings| {
             let mut arm = Arm::new(&scene(), &scene().goal, &settings).unwrap();

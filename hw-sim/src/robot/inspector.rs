@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_that_the_robot_answers_with_a_reflex_is_seen_once_and_named() {
+    fn a_jump_that_causes_a_reflex_is_named_once() {
         let mut robot = robot();
         let mut inspector = Inspector::new(robot.state(), robot.limits());
         for _ in 0..300 {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn desired_joints_that_jump_are_a_discontinuity_whatever_the_robot_says() {
+    fn desired_joints_that_jump_are_a_discontinuity() {
         let robot = robot();
         let mut inspector = Inspector::new(robot.state(), robot.limits());
         let mut state = *robot.state();

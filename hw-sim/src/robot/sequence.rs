@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn features_that_leave_the_goal_or_are_not_seen_begin_the_dwell_anew() {
+    fn features_that_leave_the_goal_restart_the_dwell() {
         let mut sequence = sequence();
         frames(&mut sequence, 0, 400, Some(3.0));
         frames(&mut sequence, 400, 433, Some(6.0));

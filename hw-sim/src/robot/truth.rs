@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_of_the_mounting_moves_the_camera_by_as_much_and_no_more() {
+    fn a_mounting_error_moves_the_camera_by_as_much() {
         let believed = HandEye::default().flange_from_camera();
         let truth = Truth {
             hand_eye_m: [0.01, 0.0, -0.02],

@@ -57,7 +57,7 @@ fn wave(robot: &franka::Robot) -> FrankaResult<Seen> {
 }
 
 #[test]
-fn a_client_of_another_team_finds_the_version_and_moves_the_robot() {
+fn another_teams_client_finds_the_version_and_moves_the_robot() {
     for version in [FciVersion::V10, FciVersion::V5] {
         let number = match version {
             FciVersion::V10 => 10,

@@ -182,7 +182,7 @@ fn stopped_for(robot: &Robot, asked: Duration) -> Value {
 }
 
 #[test]
-fn a_client_may_be_silent_for_fifteen_milliseconds_but_not_for_forty() {
+fn a_client_may_be_silent_for_15_ms_but_not_for_40() {
     let Some(robot) = Robot::start("a silent client") else {
         return;
     };

@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_follow_the_seed_and_do_not_change_the_jitter_of_the_rest() {
+    fn losses_follow_the_seed_and_leave_the_jitter() {
         let latency = Latency {
             jitter_ns: 5_000_000,
             seed: 9,

@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clutter_lies_beside_the_box_with_other_numbers_and_one_copy_farther_away() {
+    fn clutter_lies_beside_the_box_with_other_numbers() {
         let tags = Tag::board(2, 2, 0.024, 0.1);
         let outline = Plane::new(&Look::default(), &tags).outline;
         for seed in 0..20 {

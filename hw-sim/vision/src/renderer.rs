@@ -260,8 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_painted_object_hides_markers_and_a_painted_spot_blurs_them_and_beside_them_nothing_changes()
-     {
+    fn painted_objects_hide_markers_and_painted_spots_blur_them() {
         use crate::painted::tests::masked;
         let (free, goal) = (masked("painted", |i, j| i < 2 && j < 2), robot().goal);
         let [u, v] = crate::truth(&free, &goal, 0.006, |_| true)[0]

@@ -59,7 +59,7 @@ fn points(line: &str) -> Vec<([f64; 2], bool)> {
 }
 
 #[test]
-fn opencv_sees_rendered_tags_where_they_are_and_not_where_they_are_hidden() {
+fn opencv_sees_rendered_tags_only_where_they_are() {
     let Some(python) = OPENCV.python("opencv_camera.py on rendered frames") else {
         return;
     };

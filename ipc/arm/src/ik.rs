@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_effector_goes_where_the_commands_lead_and_the_elbow_stays() {
+    fn the_end_effector_follows_and_the_elbow_stays() {
         let (chain, q) = follow(READY, Twist::new(0.0, 0.1, 0.0, 0.0, 0.0, 0.0), 2000);
         let went = chain.pose(&q).translation.y - chain.pose(&Joints::from(READY)).translation.y;
         assert!((went - 0.2).abs() < 1e-5, "{went}");
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_near_its_limit_is_pushed_back_without_the_end_effector() {
+    fn a_joint_near_its_limit_is_pushed_back_in_the_null_space() {
         let mut q = READY;
         q[6] = LIMITS.0[6].range[1] - 0.05;
         let (chain, after) = follow(q, Twist::zeros(), 3000);

@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_takes_the_time_that_its_bounds_ask_for_and_hardly_overshoots() {
+    fn a_ramp_takes_its_time_and_hardly_overshoots() {
         // 0.5 m/s at 1.2 m/s^2, the acceleration built up and taken down in 8 ms each.
         let (mut v, mut a) = (0.0f64, 0.0f64);
         let mut ticks = 0;

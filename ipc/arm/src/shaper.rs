@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_robot_made_of_lost_commands_is_where_the_ramp_goes_on() {
+    fn a_ramp_goes_on_from_what_the_robot_substituted() {
         let mut shaper = shaper();
         shaper.aim(&Twist::repeat(0.01), u64::MAX);
         let mut echo = standing();

@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_into_a_singularity_slows_down_and_the_way_out_does_not() {
+    fn the_way_into_a_singularity_slows_and_the_way_out_does_not() {
         let (chain, limits) = (Chain::default(), Model::Panda.limits());
         let shaper = ShaperSettings::default();
         let up = Twist::z() * 0.1;

@@ -202,7 +202,7 @@ mod tests {
     use crate::message::Message;
 
     #[test]
-    fn a_request_with_an_unknown_action_is_received_so_that_it_can_be_answered() {
+    fn a_request_with_an_unknown_action_is_received() {
         let mut request = Request::new(7, Action::Arm);
         request.stamp.sequence = 1;
         request.action = 99;

@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn the_new_file_takes_the_place_of_the_old_one_and_nothing_else_is_left() {
+    fn the_new_file_replaces_the_old_one_and_leaves_nothing() {
         let directory = TempDir::new().unwrap();
         let path = directory.path().join("deeper/file");
         replace(&path, b"old").unwrap();
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_name_is_taken_by_a_directory_it_stays_and_nothing_is_left_beside_it() {
+    fn a_name_taken_by_a_directory_stays() {
         let directory = TempDir::new().unwrap();
         let path = directory.path().join("file");
         fs::create_dir_all(path.join("inside")).unwrap();
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_published_file_has_the_mode_that_was_asked_for_and_takes_the_old_one_s_place() {
+    fn a_published_file_has_its_mode_and_replaces_the_old_one() {
         let directory = TempDir::new().unwrap();
         let path = directory.path().join("file");
         fs::write(&path, b"old").unwrap();

@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scene_of_the_tags_is_the_papers_with_markers_that_have_a_size() {
+    fn the_scene_of_the_tags_is_the_papers_with_markers() {
         let tags = Scene::parse(crate::TAGS_ROBOT, "tags").unwrap();
         assert_eq!(tags.marker_size, 0.03);
         let mut points = tags.clone();
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grasped_object_is_named_by_its_key_and_changes_no_fingerprint() {
+    fn the_key_grasped_changes_no_fingerprint() {
         let robot = Scene::parse(crate::PAPER_ROBOT, "robot").unwrap();
         assert_eq!(
             robot

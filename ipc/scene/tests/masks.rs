@@ -87,7 +87,7 @@ fn masks_may_come_from_elsewhere_than_files() {
 }
 
 #[test]
-fn every_kind_of_grey_is_read_alike_and_the_threshold_is_at_half() {
+fn every_kind_of_gray_is_read_alike() {
     use png::{BitDepth, ColorType};
     let directory = TempDir::new().unwrap();
     let path = directory.path().join("mask.png");

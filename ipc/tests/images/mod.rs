@@ -130,7 +130,7 @@ fn rows_leave_out_what_follows_them() {
 }
 
 #[test]
-fn wrong_images_are_refused_where_they_are_made_and_where_they_come() {
+fn wrong_images_are_refused_at_both_ends() {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     for most in [0, messages::MOST_IMAGE_BYTES + 1, usize::MAX] {

@@ -208,7 +208,7 @@ fn assert_free<P: Message, S: Message>(
 }
 
 #[test]
-fn a_kill_at_any_call_of_a_start_up_leaves_no_place_taken_and_nobody_waits() {
+fn a_kill_at_any_call_of_a_start_up_leaves_no_place_taken() {
     if !are_installed("a kill at every call of a start-up", &["strace"]) {
         return;
     }

@@ -156,7 +156,7 @@ fn unknown_keys_and_wrong_types_are_shown_in_their_line() {
 }
 
 #[test]
-fn a_file_that_cannot_be_read_is_named_with_its_file_or_flag_and_key() {
+fn an_unreadable_file_is_named_with_its_flag_or_key() {
     let mut document = Document::parse("scene = 'no.toml'", "a/b.toml").unwrap();
     document.relative_to(Path::new("a"), &["scene"]);
     let refused = |document: &Document| {

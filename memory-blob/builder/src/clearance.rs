@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_from_a_circle_and_from_a_rhombus_are_the_known_ones() {
+    fn distances_from_a_circle_and_a_rhombus_are_known() {
         let circle = part([30.0, 30.0], 2.0);
         assert!((distance(&circle, [330.0, 240.0]) - 20.0).abs() < 1e-9);
         assert!((distance(&circle, [250.0, 200.0]) - 20.0).abs() < 1e-9);

@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn bowls_that_lean_against_faces_of_the_box_meet_the_optimality_conditions() {
+    fn leaning_bowls_meet_the_optimality_conditions() {
         // A = B^T B + 0.1 I with B from a fixed sequence; the bowl's own lowest point is outside.
         const SIZE: usize = 8;
         let mut state = 1_u64;

@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn without_failures_there_is_no_mixture_and_a_seed_fixes_what_is_drawn() {
+    fn without_failures_there_is_no_mixture() {
         assert!(Mixture::over(&[]).is_none());
         assert_eq!(drawn(5), drawn(5));
         assert_ne!(drawn(5), drawn(6));

@@ -181,7 +181,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_valid_and_the_papers_but_for_the_trajectories() {
+    fn the_defaults_are_valid_and_the_papers() {
         let settings = BuildSettings::default();
         assert_eq!(toml_schema::check(&settings), Ok(()));
         assert_eq!(

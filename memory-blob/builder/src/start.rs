@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fixed_starts_are_valid_but_two_that_are_too_near_to_an_occlusion() {
+    fn the_fixed_starts_are_valid_but_two() {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let task = Task::new(&scene).unwrap();
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "sim").unwrap();
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_is_valid_from_the_scenes_clearance_of_an_occlusion_on() {
+    fn a_start_is_valid_from_the_scenes_clearance_on() {
         starts_beside_the_spot(0.0, [-10.0, 0.1, 19.9, 20.1]);
     }
 

@@ -70,7 +70,7 @@ fn from_a_painted_mask_to_a_verified_memory() {
 }
 
 #[test]
-fn a_scene_with_tags_is_drawn_and_its_starts_are_clear_of_whole_tags() {
+fn a_scene_with_tags_is_drawn_with_clear_starts() {
     let directory = TempDir::new().unwrap();
     let here = directory.path();
     let shapes = "--ellipse 560,400,40,30";
@@ -89,7 +89,7 @@ fn a_scene_with_tags_is_drawn_and_its_starts_are_clear_of_whole_tags() {
 }
 
 #[test]
-fn a_scene_whose_goal_is_too_near_to_its_mask_is_drawn_and_refused() {
+fn a_scene_with_its_goal_too_near_its_mask_is_refused() {
     let directory = TempDir::new().unwrap();
     let here = directory.path();
     said(

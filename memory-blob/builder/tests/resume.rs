@@ -63,7 +63,7 @@ fn ended_by(directory: &Path, signal: Signal) -> std::process::ExitStatus {
 }
 
 #[test]
-fn after_ctrl_c_and_after_a_kill_the_same_command_makes_the_same_memory() {
+fn a_build_resumes_after_ctrl_c_and_after_a_kill() {
     let place = place();
     let here = place.path();
     let (memory, partial) = (here.join("own.vpcmem"), here.join("own.vpcmem.partial"));

@@ -229,7 +229,7 @@ fn the_guide_to_a_task_of_ones_own_runs() {
 /// Areas far from a pattern with markers, of a camera of 1280x720 px: the referee's work is largest
 /// where nothing is near.
 #[test]
-fn the_guides_emulator_keeps_real_time_with_a_large_mask_and_markers() {
+fn the_guides_emulator_keeps_real_time() {
     let mut guide = Session::of("memory-blob/GUIDE.md");
     guide.run("mkdir -p own", &[]);
     let (large, goal) = (("640x480", "1280x720"), ("0.4", "0.5"));

@@ -236,7 +236,7 @@ fn thinking_ahead_is_bounded_by_what_a_step_costs() {
 }
 
 #[test]
-fn a_window_that_the_period_has_no_room_for_is_refused_with_one_that_fits() {
+fn a_window_too_long_for_the_period_is_refused() {
     let settings = |np| Settings {
         strategy: Strategy::Foresight,
         np,

@@ -310,7 +310,7 @@ fn whatever_dies_or_hangs_the_arm_stands_within_150_ms() {
 }
 
 #[test]
-fn a_robot_that_is_gone_ends_the_bridge_and_disarms_the_controller() {
+fn a_missing_robot_ends_the_bridge_and_disarms() {
     let _turn = turn();
     if !is_possible("a robot that is gone") {
         return;

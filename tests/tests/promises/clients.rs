@@ -185,7 +185,7 @@ fn the_simulated_camera_of_the_readme_runs_as_written() {
 }
 
 #[test]
-fn the_camera_in_real_time_of_the_readme_arrives_and_is_told_if_a_robot_is_missed() {
+fn the_readmes_real_time_camera_arrives() {
     let _turn = turn();
     let Some(python) = Environment::CLIENT.python("the camera in real time of the README") else {
         return;

@@ -77,7 +77,7 @@ fn hog(processor: usize) {
 }
 
 #[test]
-fn a_loop_that_is_late_again_and_again_disarms_and_a_late_cycle_does_not() {
+fn a_loop_that_is_late_repeatedly_disarms() {
     let _turn = turn();
     let (Some(&processor), true) = (processors().get(1), may_be_real_time()) else {
         return not_run(
@@ -133,7 +133,7 @@ fn a_loop_that_is_late_again_and_again_disarms_and_a_late_cycle_does_not() {
 }
 
 #[test]
-fn where_the_gaussian_process_answers_out_of_range_the_nearest_neighbour_is_followed() {
+fn an_answer_out_of_range_falls_back_to_the_neighbour() {
     let _turn = turn();
     let place = Place::new();
     // Right in its form, digests and probes, and far from any trajectory: weights a thousand times

@@ -90,7 +90,7 @@ fn foresight_arrives_where_the_papers_strategies_stay_behind() {
 }
 
 #[test]
-fn no_run_is_deep_at_any_instant_and_without_the_mechanism_some_are() {
+fn no_run_is_deep_and_without_the_mechanism_some_are() {
     let _turn = turn();
     let starts = starts(&scene(), repeats("between the frames, starts", 24, 300));
     for text in ["previous:3", "knn:3", "gpr:3", "foresight:3"] {

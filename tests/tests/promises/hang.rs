@@ -15,7 +15,7 @@ use crate::fixture::{PERIOD_NS, Stage, WAKE_NS, is_still, repeats, some_time, te
 use crate::stall::{fairly, in_time};
 
 #[test]
-fn when_the_daemon_hangs_the_robot_stops_and_a_gap_in_time_disarms() {
+fn a_hung_daemon_stops_the_robot_and_a_gap_disarms() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut worst = 0;

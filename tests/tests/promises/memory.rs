@@ -172,7 +172,7 @@ fn answers(meddle: impl Fn(&Path, usize)) -> Vec<[f64; 6]> {
 }
 
 #[test]
-fn a_file_that_changes_under_a_running_daemon_does_not_reach_the_loop() {
+fn a_changed_file_does_not_reach_the_running_loop() {
     let _turn = turn();
     let undisturbed = answers(|_, _| ());
     assert!(

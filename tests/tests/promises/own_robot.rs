@@ -7,7 +7,7 @@ use std::process::Stdio;
 use crate::fixture::{Place, Running, ended, eventually, program, root, turn};
 
 #[test]
-fn the_bridge_to_copy_takes_the_robot_to_the_goal_without_a_reflex() {
+fn the_bridge_to_copy_reaches_the_goal_without_a_reflex() {
     let _turn = turn();
     let place = Place::new();
     let mut vpcd = testkit::command(program("vpcd"));
@@ -28,7 +28,7 @@ fn the_bridge_to_copy_takes_the_robot_to_the_goal_without_a_reflex() {
 
 #[test]
 #[ignore = "half a minute: CI runs it in a line of its own"]
-fn check_bridge_finds_no_fault_in_the_bridge_to_copy_nor_in_the_emulator() {
+fn check_bridge_finds_no_fault_in_our_bridges() {
     let _turn = turn();
     let check = |place: &Place, scene: &str| {
         let scene = root().join("ipc/scene/scenes").join(scene);

@@ -110,7 +110,7 @@ fn killed_peers_come_back_and_leave_nothing_behind() {
 }
 
 #[test]
-fn when_the_daemon_is_killed_the_emulator_stops_and_a_new_one_is_ready_in_a_second() {
+fn a_killed_daemon_stops_the_emulator_and_can_be_replaced() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(2);
     let mut worst = [0; 2];

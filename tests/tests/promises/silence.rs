@@ -235,7 +235,7 @@ fn film(place: &Path, fault: Fault, fail: &AtomicBool, over: &AtomicBool, end: &
 }
 
 #[test]
-fn a_camera_that_fails_is_met_with_brakes_and_a_disarmed_controller() {
+fn a_failing_camera_is_met_with_brakes_and_disarming() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(1);
     for fault in [

@@ -113,7 +113,7 @@ fn hog(ns: u64) {
 }
 
 #[test]
-fn a_missed_bar_is_void_only_where_the_machine_stood_still_at_that_time() {
+fn a_missed_bar_is_void_only_where_the_machine_stood_still() {
     const MS: u64 = 1_000_000;
     let _turn = crate::fixture::turn();
     if !take_priority(0) || !crate::machine::may_be_real_time() {

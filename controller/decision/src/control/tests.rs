@@ -278,7 +278,7 @@ fn where_the_law_has_no_answer_the_camera_is_held() {
 }
 
 #[test]
-fn on_a_live_robot_features_from_before_the_first_command_are_stale() {
+fn on_a_live_robot_features_before_the_first_command_are_stale() {
     let mut law = law();
     law.law.go_live(100);
     let mut far = displaced(&law, 60.0);
@@ -295,7 +295,7 @@ fn on_a_live_robot_features_from_before_the_first_command_are_stale() {
 }
 
 #[test]
-fn a_live_robot_whose_image_ignores_the_commands_is_not_believed() {
+fn a_live_image_that_ignores_commands_is_not_believed() {
     const PERIOD: u64 = 33_000_000;
     let mut law = law();
     law.law.go_live(3 * PERIOD);

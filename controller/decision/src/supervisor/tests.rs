@@ -243,7 +243,7 @@ fn two_failures_and_an_overrun_in_three_cycles_are_forgiven() {
 }
 
 #[test]
-fn a_solver_that_failed_is_braked_for_and_disarms_the_third_time_in_a_row() {
+fn three_solver_failures_in_a_row_disarm() {
     let mut bench = Bench::moving();
     let mut look = |failed: bool| {
         bench.situation.solver_failed = Some(failed);
@@ -508,7 +508,7 @@ fn in_lockstep_braking_takes_no_time() {
 }
 
 #[test]
-fn the_laws_twist_is_taken_up_on_its_path_and_as_steeply_as_it_is_braked() {
+fn the_laws_twist_is_taken_up_as_steeply_as_it_is_braked() {
     let mut bench = Bench::new(false);
     bench.good();
     bench.ask(Action::Arm);
@@ -548,7 +548,7 @@ fn the_laws_twist_is_taken_up_on_its_path_and_as_steeply_as_it_is_braked() {
 }
 
 #[test]
-fn no_command_of_a_law_that_jumps_changes_by_more_than_a_cycle_allows() {
+fn no_command_of_a_jumping_law_changes_too_much() {
     let mut bench = Bench::new(true);
     let mut rules = bench.supervisor.rules();
     rules.change = rules.limits.map(|limit| limit * 33.0 / 150.0);
@@ -575,7 +575,7 @@ fn no_command_of_a_law_that_jumps_changes_by_more_than_a_cycle_allows() {
 }
 
 #[test]
-fn without_a_robot_it_waits_and_one_that_does_not_follow_disarms() {
+fn a_robot_that_does_not_follow_disarms() {
     let mut bench = Bench::new(true);
     bench.situation.robot = Some(Hold::NoRobot);
     let waits = Decision::still(Hold::NoRobot, TwistState::Holding);
@@ -608,7 +608,7 @@ fn after_a_suspend_it_is_disarmed() {
 }
 
 #[test]
-fn where_no_way_is_known_it_stands_armed_and_an_operator_may_arm_it() {
+fn without_a_way_it_stands_armed_and_may_be_armed() {
     let mut bench = Bench::moving();
     // The features are good all the while.
     let no_way = |bench: &mut Bench| {

@@ -118,7 +118,7 @@ fn a_killed_recorder_leaves_a_file_that_can_be_read() {
 }
 
 #[test]
-fn a_recorder_that_hangs_delays_nobody_and_counts_what_it_missed() {
+fn a_recorder_that_hangs_delays_nobody_and_counts_losses() {
     let place = Place::new();
     let mut stage = Stage::open(&place.domain());
     let mut random = ChaCha8Rng::seed_from_u64(7);

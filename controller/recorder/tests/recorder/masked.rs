@@ -11,7 +11,7 @@ use testkit::Place;
 use crate::fixture::{FILE, check, python};
 
 #[test]
-fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
+fn a_masked_scene_is_whole_in_the_recording() {
     let place = Place::new();
     let ring = place.path("ring.png");
     let is_white = |u: u32, v: u32| {
@@ -60,7 +60,7 @@ fn a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone() {
     assert!(drawn.contains(&plots.join("run.png")), "{drawn:?}");
     assert!(svg.contains("crispEdges"), "the mask is not in run.svg");
 
-    let test = "a_masked_scene_is_whole_in_the_recording_when_its_files_are_gone";
+    let test = "a_masked_scene_is_whole_in_the_recording";
     if let Some(python) = python(test) {
         let found = check(&python, "values", &[&place.path(FILE)]);
         let line = format!("attachment ring.png image/png {}", png.len());

@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_is_not_there_or_silent_is_missed_though_the_daemon_does_not_complain() {
+    fn a_silent_camera_is_missed() {
         let seen = |features_sequence, age_ns| {
             let mut status = Status::default();
             let mut message = record(5, TwistState::Disarmed, Hold::NotArmed);

@@ -67,7 +67,7 @@ mod tests {
     use crate::output::Tone;
 
     #[test]
-    fn an_ordinary_user_must_linger_unless_logind_spares_shared_memory() {
+    fn an_ordinary_user_must_linger() {
         let root = tempfile::tempdir().unwrap();
         let write = |path: &str, text: &str| {
             let path = root.path().join(path);

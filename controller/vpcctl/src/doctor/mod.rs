@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_memory_was_built_for_the_papers_scene_and_no_other() {
+    fn the_default_memory_fits_the_papers_scene_alone() {
         let (path, memory) = paths();
         let verdict = |path: &Path| {
             let scene = Scene::read(path).unwrap();
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_that_does_not_tell_how_large_markers_are_is_warned_of() {
+    fn a_scene_without_marker_size_is_warned_of() {
         let verdict = |text: &str| scene_file(&Scene::parse(text, "scene.toml")).verdict;
         assert_eq!(verdict(scene::PAPER_SIM), Tone::Good);
         assert_eq!(verdict(scene::TAGS_ROBOT), Tone::Good);

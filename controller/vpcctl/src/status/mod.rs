@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn the_exit_code_tells_moving_from_standing_from_disarmed_from_hanging() {
+    fn the_exit_code_tells_moving_standing_disarmed_and_hanging() {
         let exit = |state, hold, silence| status(state, hold, silence).exit();
         assert_eq!(exit(TwistState::Moving, None, 0), Exit::Ok);
         assert_eq!(exit(TwistState::Arrived, None, 0), Exit::Ok);

@@ -85,7 +85,7 @@ fn checked(sin: Sin) -> (String, Option<i32>) {
 }
 
 #[test]
-fn a_bridge_that_keeps_the_rules_passes_and_each_broken_rule_is_named() {
+fn each_broken_rule_of_a_bridge_is_named() {
     let failing = |text: &str| -> Vec<String> {
         let lines = text.lines().filter_map(|line| line.strip_prefix("FAIL  "));
         lines

@@ -201,7 +201,7 @@ fn assert_rounded(report: &Value) {
 }
 
 #[test]
-fn one_changed_byte_and_a_cut_file_are_told_and_what_is_left_is_used() {
+fn a_changed_byte_or_cut_file_is_told_and_the_rest_is_used() {
     let flight = flight();
     let mut bytes = std::fs::read(flight.file()).unwrap();
     let file = flight.place.path("damaged.mcap");
@@ -278,7 +278,7 @@ fn what_cannot_be_drawn_is_told_with_its_exit_code() {
 }
 
 #[test]
-fn what_cannot_be_recorded_is_told_with_its_exit_code_and_disturbs_nobody() {
+fn what_cannot_be_recorded_is_told_with_its_exit_code() {
     let directory = tempfile::tempdir().unwrap();
     let domain = directory.path().join("domain");
     let file = directory.path().join("run.mcap");

@@ -7,7 +7,7 @@ use crate::stand_in::{Manner, StandIn};
 use crate::{stderr, stdout, vpcctl};
 
 #[test]
-fn arm_strategy_flight_and_disarm_are_answered_with_their_outcome() {
+fn requests_are_answered_with_their_outcome() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
     let ask = |words: &[&str]| {

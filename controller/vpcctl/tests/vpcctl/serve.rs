@@ -407,7 +407,7 @@ fn the_image_fills_its_panel_on_a_desk_and_on_a_phone() {
 }
 
 #[test]
-fn trails_break_where_a_run_begins_and_where_features_stayed_away() {
+fn trails_break_where_runs_begin_and_features_are_missing() {
     let directory = tempfile::tempdir().unwrap();
     let _daemon = StandIn::sound(directory.path());
     let Some((_server, mut browser)) = browse(directory.path(), &[]) else {

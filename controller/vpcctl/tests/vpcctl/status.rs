@@ -42,7 +42,7 @@ fn status_tells_what_the_daemon_does_in_text_and_in_json() {
 }
 
 #[test]
-fn a_daemon_without_features_in_lockstep_answers_without_a_cycle() {
+fn lockstep_without_features_answers_without_a_cycle() {
     let directory = tempfile::tempdir().unwrap();
     let manner = Manner {
         answers: true,

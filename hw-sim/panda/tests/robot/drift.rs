@@ -89,7 +89,7 @@ fn go_round(laps: u64) {
 }
 
 #[test]
-fn the_desired_pose_is_the_integral_of_commands_for_three_squares() {
+fn the_desired_pose_is_the_integral_of_commands() {
     go_round(3);
 }
 

@@ -140,7 +140,7 @@ fn a_virtual_wall_trips() {
 }
 
 #[test]
-fn joint_commands_trip_by_position_velocity_acceleration_and_jerk() {
+fn joint_commands_trip_by_each_of_their_limits() {
     let position = joint_motion(ready_but(2, 1.5), |tick| gently(2, tick.min(200)));
     assert_eq!(
         position,
@@ -193,7 +193,7 @@ fn a_command_into_the_end_of_a_joint_trips_in_front_of_it() {
 }
 
 #[test]
-fn a_command_inside_the_cartesian_bounds_trips_by_the_speed_of_the_joints() {
+fn a_command_within_bounds_trips_by_joint_speed() {
     let errors = too_fast_for_the_joints();
     assert_eq!(
         errors,
@@ -202,7 +202,7 @@ fn a_command_inside_the_cartesian_bounds_trips_by_the_speed_of_the_joints() {
 }
 
 #[test]
-fn a_motion_that_begins_near_the_end_of_a_joint_does_not_trip_by_its_own_elbow() {
+fn a_motion_near_a_joint_end_does_not_trip_by_its_elbow() {
     let mut robot = moving(ready_but(7, 2.85));
     for _ in 0..2000 {
         let state = answer(&mut robot, Twist::zeros());

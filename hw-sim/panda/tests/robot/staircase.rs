@@ -107,7 +107,7 @@ fn with_the_shaper_lost_commands_do_not_trip_the_robot_either() {
 }
 
 #[test]
-fn five_millimetres_a_second_trip_without_the_shaper_and_not_with_it() {
+fn five_mm_a_second_trip_only_without_the_shaper() {
     let mut robot = moving(ready());
     assert_eq!(
         answer(&mut robot, Twist::x() * 0.005).robot_mode,

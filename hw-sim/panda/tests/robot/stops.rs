@@ -23,7 +23,7 @@ fn finish(robot: &mut Robot) {
 }
 
 #[test]
-fn a_motion_that_is_finished_while_moving_is_a_reflex_and_brakes_within_the_bounds() {
+fn finishing_while_moving_is_a_reflex_that_brakes() {
     let mut robot = fast();
     finish(&mut robot);
     assert_eq!(robot.state().robot_mode, Mode::Reflex);
@@ -110,7 +110,7 @@ fn a_reflex_brakes_within_the_bounds() {
 }
 
 #[test]
-fn recovery_leads_from_reflex_to_idle_and_keeps_what_ended_the_motion() {
+fn recovery_leads_from_reflex_to_idle() {
     let mut robot = fast();
     answer(&mut robot, Twist::zeros());
     let errors = robot.state().current_errors;

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_view_is_taken_once_nothing_moved_for_a_while_and_only_where_it_is_new() {
+    fn a_view_is_taken_once_and_only_where_it_is_new() {
         let mut still = Still::new(640);
         assert!(watch(&mut still, 0.0, 20, |k| 10.0 * f64::from(k)).is_empty());
         assert_eq!(watch(&mut still, 2.0, 20, |_| 190.2), [9]);

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn between_samples_the_motion_is_followed_and_outside_it_is_not_known() {
+    fn between_samples_the_motion_is_known_and_outside_it_is_not() {
         let mut trajectory = Trajectory::default();
         for k in (0..40).filter(|k| !(20..24).contains(k)) {
             trajectory.push(sample(0.02 * f64::from(k)));

@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn a_streak_ends_when_the_tag_is_seen_and_one_tag_alone_proves_nothing() {
+    fn a_streak_ends_when_the_tag_is_seen() {
         let mut check = check();
         let vanishing = tag(0, 200.0, 222.0);
         for _ in 0..10 {

@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tag_that_was_never_seen_is_guessed_where_the_scene_tells_the_size() {
+    fn an_unseen_tag_is_guessed_where_the_scene_tells_the_size() {
         let mut tracker = tracker(true);
         tracker.update(&[seen(1, [0.0; 2], 0.2)], 1);
         assert!(off(&tracker, 3, &seen(3, [0.0; 2], 0.2)) < 1e-6);

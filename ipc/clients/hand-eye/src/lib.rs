@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_calibration_about_the_end_effector_is_carried_to_the_flange() {
+    fn an_end_effector_calibration_is_carried_to_the_flange() {
         let turn = Rotation3::new(Vector3::z() * -std::f64::consts::FRAC_PI_4);
         let hand = Pose::from_parts(Translation3::new(0.0, 0.0, 0.1034), turn);
         let camera = Pose::translation(0.0, 0.0, 0.1);

@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn the_change_of_the_pose_over_a_window_is_the_twist_and_a_pause_begins_anew() {
+    fn the_change_of_the_pose_over_a_window_is_the_twist() {
         let keys = "[robot]\nexecuted = \"pose\"\npose = \"/pose\"";
         let mut arm = Arm::new(&of_keys(keys));
         let mut told = Vec::new();

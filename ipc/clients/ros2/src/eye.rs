@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn centres_are_in_the_patterns_order_from_the_centre_of_the_first_pixel() {
+    fn centers_are_in_the_patterns_order_from_pixel_centers() {
         let mut eye = eye("tags = [3, 0, 1, 2]");
         let features = see(&mut eye, NOW - 1000, &[0, 1, 17, 2, 3]).unwrap();
         let seen: Vec<_> = features.pairs().map(|[u, _]| u).collect();
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn the_corners_of_a_tag_are_upper_left_upper_right_lower_right_lower_left() {
+    fn the_corners_of_a_tag_are_in_the_documented_order() {
         let mut eye = eye("corners_of = 2");
         let features = see(&mut eye, NOW - 1000, &[1, 2]).unwrap();
         let corners = [

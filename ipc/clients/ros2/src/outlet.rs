@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn twists_rise_turn_and_fall_in_steps_and_stand_at_once_for_a_stop() {
+    fn twists_change_in_steps_and_stop_at_once() {
         // From limit to limit in 0.15 s: at most 45 ms of it at a time.
         let mut outlet = Outlet::new(500 * MS, [1.0; 6], [f64::INFINITY; 6]);
         let mut sent = vec![0.0];

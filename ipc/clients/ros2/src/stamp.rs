@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slewed_clock_is_followed_and_a_step_puts_stamps_in_doubt_for_a_while() {
+    fn a_stepped_clock_puts_stamps_in_doubt_for_a_while() {
         let mut clocks = clocks();
         for k in 1..=10 {
             assert_eq!(clocks.follow(OFFSET + k * MS / 2, NOW), Ok(None));

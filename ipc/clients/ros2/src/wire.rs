@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_twist_that_was_sent_is_sent_again_as_zero_under_a_new_number() {
+    fn a_sent_twist_is_sent_again_as_zero_with_a_new_number() {
         let sent = Sent::read(&datagram(7, 0.1), &WRITER_GUID).unwrap();
         assert_eq!((sent.number, sent.is_zero()), (7, false));
         let zero = sent.zero(1 << 32 | 9, 100, 500_000_000);

@@ -410,7 +410,7 @@ fn subset_gives_lambda_for_all_samples_and_depends_on_the_seed() {
 }
 
 #[test]
-fn polishing_on_all_samples_raises_their_likelihood_within_its_budget() {
+fn polishing_raises_the_likelihood_within_its_budget() {
     let fixture = Fixture::read();
     let with = |polish| {
         fixture.fit(&FitSettings {

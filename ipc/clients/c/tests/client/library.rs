@@ -47,7 +47,7 @@ fn null_is_refused_by_its_name() {
 }
 
 #[test]
-fn a_handle_is_refused_in_another_thread_and_ports_outlive_their_domain() {
+fn a_handle_is_refused_in_another_thread() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().to_str().unwrap().to_owned() + "\0";
     let (mut domain, mut camera, mut second) = (null_mut(), null_mut(), null_mut());

@@ -219,7 +219,7 @@ fn mounting(file: &Path) -> Iso3 {
 }
 
 #[test]
-fn lens_mounting_and_latency_of_the_emulated_robot_are_found_out_live() {
+fn lens_mounting_and_latency_are_found_live() {
     let laboratory = Laboratory::new();
     let domain = laboratory.place.domain();
     let domain = domain.display();

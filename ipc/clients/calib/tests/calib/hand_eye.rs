@@ -129,7 +129,7 @@ fn poses_that_are_not_those_of_the_images_are_refused() {
 }
 
 #[test]
-fn an_arm_that_moved_and_a_board_that_was_pushed_are_not_good_enough() {
+fn a_moved_arm_or_pushed_board_is_not_good_enough() {
     let mut chance = Chance::new(4);
     let shaky = found(&pairs(&mut chance, 12, 35.0, [4e-3, 0.5])).unwrap();
     let said = shaky.verdict().to_string();

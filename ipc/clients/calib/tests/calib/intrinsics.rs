@@ -12,7 +12,7 @@ fn found(views: &[View]) -> Result<Intrinsics, IntrinsicsError> {
 }
 
 #[test]
-fn focal_lengths_are_found_to_a_tenth_of_a_percent_and_the_uncertainty_is_true() {
+fn focal_lengths_are_found_to_a_tenth_of_a_percent() {
     let mut scores = Vec::new();
     for seed in 0..testkit::repeats("intrinsics", 8, 60) as u64 {
         let views = Chance::new(seed).views(14, 35.0, 0.05);
@@ -55,7 +55,7 @@ fn too_few_views_are_refused_and_few_are_not_good_enough() {
 }
 
 #[test]
-fn a_misread_corner_is_dropped_and_a_bent_board_is_not_good_enough() {
+fn a_misread_corner_is_dropped_and_a_bent_board_refused() {
     let mut views = Chance::new(3).views(14, 35.0, 0.05);
     for view in &mut views[..4] {
         view.tags[0].corners[2][0] += 4.0;

@@ -85,7 +85,7 @@ impl Folder {
 }
 
 #[test]
-fn a_folder_of_images_gives_the_files_that_the_other_programs_read() {
+fn a_folder_of_images_gives_the_calibration_files() {
     let folder = Folder::new(1, 14);
     let (camera, ros) = (
         folder.place.path("camera.toml"),

@@ -90,8 +90,7 @@ fn corners_of_a_board_are_found_to_a_tenth_of_a_pixel() {
 }
 
 #[test]
-fn rendered_images_give_the_focal_length_to_a_third_of_a_percent_and_the_mounting_to_a_millimetre()
-{
+fn rendered_images_give_focal_length_and_mounting() {
     let board = Board::default();
     let target = Target::from(&board);
     let mut worst = [0.0f64; 3];

@@ -153,7 +153,7 @@ const ALL: [(Interface, Model); 4] = [
 ];
 
 #[test]
-fn whatever_comes_the_robot_has_no_reflex_and_stays_within_its_bounds() {
+fn random_twists_cause_no_reflex_and_keep_the_bounds() {
     let mut random = ChaCha8Rng::seed_from_u64(11);
     for (interface, model) in ALL {
         for _ in 0..4 {
@@ -224,7 +224,7 @@ fn the_camera_moves_as_commanded() {
 }
 
 #[test]
-fn a_command_that_ends_stops_the_arm_within_its_ramp_and_the_elbow_with_it() {
+fn a_command_that_ends_stops_arm_and_elbow_within_the_ramp() {
     for (interface, model) in ALL {
         let mut bench = Bench::new(interface, model, BOUNDS);
         for _ in 0..500 {
@@ -247,7 +247,7 @@ fn a_command_that_ends_stops_the_arm_within_its_ramp_and_the_elbow_with_it() {
 }
 
 #[test]
-fn an_echo_that_is_late_or_without_acceleration_makes_no_ramp_longer() {
+fn a_late_echo_makes_no_ramp_longer() {
     let target = [0.0, 0.0, 0.05, 0.0, 0.0, 0.25];
     for (is_late, has_acceleration) in [(false, true), (false, false), (true, true), (true, false)]
     {

@@ -48,7 +48,7 @@ const MISTAKES: [(&str, Option<&str>, &[&str]); 8] = [
 ];
 
 #[test]
-fn each_mistake_made_on_purpose_is_named_and_only_a_right_camera_is_recommended() {
+fn each_mistake_is_named_and_only_a_right_camera_recommended() {
     std::thread::scope(|scope| {
         for (truth, hand_eye, words) in MISTAKES {
             scope.spawn(move || {

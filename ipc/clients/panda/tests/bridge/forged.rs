@@ -117,7 +117,7 @@ fn timed(bridge: Running) -> (Duration, Ended) {
 }
 
 #[test]
-fn a_state_with_a_number_from_nowhere_ends_the_bridge_and_others_do_not_reach_it() {
+fn an_invalid_state_ends_the_bridge_and_strangers_are_ignored() {
     let mut bench = Bench::start("127.99.0.1");
     // From another address: a forged number, and bytes that are no state.
     let stranger = UdpSocket::bind("127.99.0.2:0").unwrap();

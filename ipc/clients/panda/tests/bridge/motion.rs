@@ -52,7 +52,7 @@ fn another_version_is_refused_by_name() {
 }
 
 #[test]
-fn twists_are_carried_out_without_an_allocation_and_sigterm_brings_the_arm_to_rest() {
+fn twists_are_carried_out_without_an_allocation() {
     for (version, name, interface) in [(5, "panda", "joint"), (10, "fr3", "cartesian")] {
         let robot = Robot::start(version, "");
         let domain = Domain::join(&robot.place.domain()).unwrap();
@@ -152,7 +152,7 @@ impl Bench {
 const WAY: [f64; 6] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.02];
 
 #[test]
-fn what_is_in_force_when_a_motion_begins_is_not_obeyed_before_it_was_zero() {
+fn a_command_in_force_at_the_start_waits_for_a_zero() {
     let robot = Robot::start(5, "");
     let mut bench = Bench::new(&robot, WAY);
     let told = bench.after(60);
@@ -166,7 +166,7 @@ fn what_is_in_force_when_a_motion_begins_is_not_obeyed_before_it_was_zero() {
 }
 
 #[test]
-fn a_recovery_counts_only_where_it_is_asked_for_after_the_reflex() {
+fn a_recovery_counts_only_after_the_reflex() {
     let robot = Robot::start(5, "");
     let mut bench = Bench::new(&robot, [0.0; 6]);
     bench.after(30);

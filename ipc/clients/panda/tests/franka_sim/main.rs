@@ -273,7 +273,7 @@ fn another_teams_fr3_follows_joint_velocities_without_a_reflex() {
 
 #[test]
 #[ignore = "half a minute: CI runs it in a line of its own"]
-fn another_teams_fr3_follows_cartesian_velocities_without_a_reflex() {
+fn another_teams_fr3_follows_without_a_reflex() {
     let Some(seen) = judged("franka-sim, Cartesian velocities", "cartesian") else {
         return;
     };

@@ -244,7 +244,7 @@ fn stands(bench: &mut Bench, since: Instant, zeros: u64) -> Duration {
 }
 
 #[test]
-fn a_packet_that_hangs_the_library_brings_zeros_and_ends_the_gateway() {
+fn a_packet_that_hangs_the_library_brings_zeros() {
     let Some(mut bench) = Bench::new("attack", Via::Dds, 149, false) else {
         return;
     };

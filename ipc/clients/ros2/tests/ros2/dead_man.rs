@@ -13,7 +13,7 @@ fn count(status: &Value, key: &str) -> u64 {
 }
 
 #[test]
-fn when_vpcd_hangs_zeros_go_out_then_silence_and_a_stop_needs_nobody() {
+fn when_vpcd_hangs_zeros_go_out_and_then_silence() {
     let Some(mut bench) = Bench::new("dead man", Via::Dds, 145, false) else {
         return;
     };

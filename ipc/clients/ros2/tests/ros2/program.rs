@@ -35,7 +35,7 @@ fn the_file_that_ships_shows_the_defaults_and_is_valid() {
 }
 
 #[test]
-fn keys_that_do_not_go_together_are_refused_with_what_is_allowed() {
+fn keys_that_contradict_each_other_are_refused() {
     let place = Place::new();
     for (keys, words) in [
         (

@@ -83,7 +83,7 @@ fn twenty_starts_arrive_beside_cyclonedds_with_tags() {
 }
 
 #[test]
-fn starts_arrive_by_base_axes_and_the_pose_of_a_tool_that_is_not_the_camera() {
+fn starts_arrive_with_base_axes_and_the_pose_of_a_tool() {
     let Some(mut bench) = Bench::new("base axes", Via::Dds, 142, true) else {
         return;
     };

@@ -51,7 +51,7 @@ fn stands(bench: &mut Bench) {
 }
 
 #[test]
-fn only_zeros_go_out_until_a_stop_is_obeyed_whatever_is_commanded() {
+fn only_zeros_go_out_until_a_stop_is_obeyed() {
     let Some(mut bench) = Bench::new("stop", Via::Dds, 148, false) else {
         return;
     };
