@@ -58,6 +58,10 @@ fn for_toml(schema: &mut Schema) {
 
 /// Returns the words that a string may be, if it is not free.
 pub(crate) fn words(schema: &Value) -> Option<Vec<&str>> {
+    // A key that may be missing: its own form, or null.
+    if let Some(form) = schema["anyOf"].get(0) {
+        return words(form);
+    }
     if let Value::Array(words) = &schema["enum"] {
         return Some(words.iter().filter_map(Value::as_str).collect());
     }

@@ -94,14 +94,18 @@ fn every_wrong_key_is_refused_by_name_in_time() {
         } else {
             format!("{table}.{name}")
         };
-        // A wrong type is shown in its line.
-        check(with("[1, 2]"), &["invalid type", name]);
+        let form = schema["anyOf"].get(0).unwrap_or(schema);
+        let is_words = form["enum"].is_array() || form["oneOf"].is_array();
+        // A wrong type is shown in its line, or with the words that are allowed.
+        match is_words {
+            true => check(with("[1, 2]"), &[&format!("{full} = [1, 2]; allowed: ")]),
+            false => check(with("[1, 2]"), &["invalid type", name]),
+        }
         // An unknown key beside it, as well.
         check(
             with("1").replace(&format!("{name} = "), "unheard_of = "),
             &["unheard_of"],
         );
-        let is_words = schema["enum"].is_array() || schema["oneOf"].is_array();
         match schema["type"].as_str() {
             Some("integer") => {
                 for bad in ["-1", "99999999999"] {
