@@ -1,27 +1,4 @@
-//! How the picture looks: grey levels, noise; and the kind of each occlusion.
-
-use scene::Occlusion;
-
-/// Kinds of occlusions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
-    /// Dirt on the lens: what lies behind is blurred and dimmed until it is lost.
-    Spot,
-    /// An object before the camera: what lies behind is hidden.
-    Opaque,
-}
-
-impl Kind {
-    /// A spot where the name says so, in any case; otherwise opaque.
-    pub fn by_name(occlusion: &Occlusion) -> Self {
-        let name = occlusion.name.as_bytes();
-        if name.windows(4).any(|x| x.eq_ignore_ascii_case(b"spot")) {
-            Self::Spot
-        } else {
-            Self::Opaque
-        }
-    }
-}
+//! How the picture looks: gray levels, noise.
 
 /// How the picture looks. Levels are 0 (black) to 255 (white), before shading and noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,17 +71,5 @@ impl Default for Look {
             clutter: 0,
             seed: 0,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_robot_scene_has_a_spot_and_an_object() {
-        let scene = scene::Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
-        let kinds: Vec<Kind> = scene.occlusions.iter().map(Kind::by_name).collect();
-        assert_eq!(kinds, [Kind::Spot, Kind::Opaque]);
     }
 }

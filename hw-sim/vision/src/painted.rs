@@ -101,8 +101,8 @@ pub(crate) mod tests {
     use super::*;
     use scene::{Occlusion, Scene};
 
-    /// The robot's scene whose occlusions are one painted one of this name.
-    pub(crate) fn masked(name: &str, is_white: impl Fn(u32, u32) -> bool) -> Scene {
+    /// The robot's scene with one painted occlusion in place of its own.
+    pub(crate) fn masked(is_white: impl Fn(u32, u32) -> bool) -> Scene {
         let own = format!(
             "vision-{}-{:?}",
             std::process::id(),
@@ -112,7 +112,7 @@ pub(crate) mod tests {
         std::fs::create_dir_all(&directory).unwrap();
         scene::write_mask(&directory.join("mask.png"), 640, 480, is_white).unwrap();
         let (head, _) = scene::TAGS_ROBOT.split_once("[[occlusion]]").unwrap();
-        let text = format!("{head}[[occlusion]]\nname = \"{name}\"\nmask = \"mask.png\"\n");
+        let text = format!("{head}[[occlusion]]\nname = \"painted\"\nmask = \"mask.png\"\n");
         std::fs::write(directory.join("scene.toml"), text).unwrap();
         let scene = Scene::read(&directory.join("scene.toml")).unwrap();
         std::fs::remove_dir_all(directory).unwrap();
@@ -120,7 +120,7 @@ pub(crate) mod tests {
     }
 
     fn mask(is_white: impl Fn(u32, u32) -> bool) -> Mask {
-        let scene = masked("painted", is_white);
+        let scene = masked(is_white);
         let occlusion: &Occlusion = &scene.occlusions[0];
         occlusion.mask.unwrap()
     }

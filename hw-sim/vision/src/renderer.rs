@@ -10,7 +10,7 @@ use crate::defocus::Defocus;
 use crate::homography::{Homography, Point};
 use crate::image::Image;
 use crate::lens::{Lens, Rays};
-use crate::look::{Kind, Look};
+use crate::look::Look;
 use crate::object::Object;
 use crate::optics::Optics;
 use crate::plane::Plane;
@@ -47,9 +47,8 @@ pub struct Renderer {
 
 impl Renderer {
     /// A renderer of a scene with a tag at each point of its pattern, number i at point i, as large
-    /// as the scene's markers; none where these have no size. An occlusion whose name has the word
-    /// "spot" is dirt on the lens, which blurs and dims what lies behind; every other one is an
-    /// object before the camera, which hides it.
+    /// as the scene's markers; none where these have no size. An occlusion on the lens blurs and dims
+    /// what lies behind; every other one is an object before the camera, which hides it.
     pub fn new(scene: &Scene, look: &Look) -> Self {
         let tags = match scene.marker_size > 0.0 {
             true => Tag::of_pattern(scene, Tag::BLACK_SHARE * scene.marker_size),
@@ -69,9 +68,9 @@ impl Renderer {
         let layers = scene
             .occlusions
             .iter()
-            .map(|occlusion| match Kind::by_name(occlusion) {
-                Kind::Spot => Layer::Spot(Spot::new(occlusion, &lens, look.spot, width, height)),
-                Kind::Opaque => {
+            .map(|occlusion| match occlusion.on_lens {
+                true => Layer::Spot(Spot::new(occlusion, &lens, look.spot, width, height)),
+                false => {
                     Layer::Object(Object::new(occlusion, &lens, look, &texture, width, height))
                 }
             })
@@ -262,7 +261,7 @@ mod tests {
     #[test]
     fn painted_objects_hide_markers_and_painted_spots_blur_them() {
         use crate::painted::tests::masked;
-        let (free, goal) = (masked("painted", |i, j| i < 2 && j < 2), robot().goal);
+        let (free, goal) = (masked(|i, j| i < 2 && j < 2), robot().goal);
         let [u, v] = crate::truth(&free, &goal, 0.006, |_| true)[0]
             .pixel
             .map(f64::round);
@@ -282,8 +281,9 @@ mod tests {
             near.clone().max().unwrap() - near.min().unwrap()
         };
         assert!(contrast(&before) > 150);
-        for name in ["painted object", "painted spot"] {
-            let scene = masked(name, square);
+        for name in ["object", "spot"] {
+            let mut scene = masked(square);
+            scene.occlusions[0].on_lens = name == "spot";
             assert!(crate::truth(&scene, &goal, 0.006, |_| true)[0].occluded);
             let image = draw(&scene);
             assert!(contrast(&image) < 40, "{name}: {}", contrast(&image));
@@ -297,7 +297,7 @@ mod tests {
                 assert_eq!(image.at(i, j), before.at(i, j), "{name}: ({i}, {j})");
             }
         }
-        let opaque = draw(&masked("painted object", square));
+        let opaque = draw(&masked(square));
         assert!(opaque.at(column, row + 24) < 100 && before.at(column, row + 24) > 120);
     }
 

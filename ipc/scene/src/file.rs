@@ -11,7 +11,7 @@ use crate::model::*;
 
 /// Controller, builder and emulator must agree on the scene. A memory fits only the scene it was
 /// built for, but `success`, `starts`, `cost`, the limits of acceleration, `marker_size` and the
-/// keys `name` and `grasped` of occlusions may change.
+/// keys `name`, `grasped` and `on_lens` of occlusions may change.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Scene")]
@@ -65,6 +65,9 @@ struct Painted {
     /// is released; at most one.
     #[serde(default)]
     grasped: bool,
+    /// Whether the emulated camera shows this as a blurred spot on its lens instead of an object.
+    #[serde(default)]
+    on_lens: bool,
 }
 
 /// Returns the JSON Schema of a scene file.
@@ -276,6 +279,7 @@ impl Checker<'_> {
                 parts,
                 mask,
                 grasped: table.grasped,
+                on_lens: table.on_lens,
             });
             let grasped = occlusions.iter().filter(|one| one.grasped).count();
             let allowed = "true in one occlusion, the one in the gripper";
@@ -338,6 +342,7 @@ mod tests {
                 .collect::<Vec<_>>(),
             [false, true]
         );
+        assert!(robot.occlusions[0].on_lens && !robot.occlusions[1].on_lens);
         let (head, tail) = crate::PAPER_ROBOT.split_once("grasped = true").unwrap();
         let without = Scene::parse(&format!("{head}{tail}"), "robot").unwrap();
         assert!(without.occlusions.iter().all(|one| !one.grasped));

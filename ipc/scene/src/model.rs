@@ -206,6 +206,8 @@ pub struct Occlusion {
     pub mask: Option<Mask>,
     /// Whether it is the object in the gripper, which leaves the view when it is released.
     pub grasped: bool,
+    /// Whether it is dirt on the lens, which blurs what lies behind; else it hides that.
+    pub on_lens: bool,
 }
 
 table! {
