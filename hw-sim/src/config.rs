@@ -189,7 +189,7 @@ pub struct Config {
     pub starts: Vec<(usize, Pose)>,
     /// Whether to begin again after the last of them.
     pub repeat: bool,
-    /// Whose time it is.
+    /// Which clock paces the run.
     pub clock: Clock,
     /// Directory of the domain.
     pub domain: PathBuf,

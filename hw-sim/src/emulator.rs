@@ -24,8 +24,8 @@ use crate::pose::to_scene;
 use crate::recording::{Record, Recorder};
 use crate::rig::Rig;
 
-/// In lockstep a camera stands still whose command is older than this, or than three periods of a
-/// slow camera; in real time the contract says when ([`TwistCommand::in_force_until_ns`]).
+/// In lockstep the camera stands still if its command is older than this, or than three periods of
+/// a slow camera; in real time the contract says when ([`TwistCommand::in_force_until_ns`]).
 const STALE_NS: u64 = 100_000_000;
 /// How long lockstep waits for a controller to come, and for each answer.
 const PATIENCE: Duration = Duration::from_secs(10);

@@ -126,7 +126,7 @@ impl Shared {
         Ok(startup)
     }
 
-    /// Takes a place among those who publish `T`.
+    /// Takes a place among the publishers of `T`.
     pub(crate) fn place<T: Message>(&self, startup: &Startup) -> Result<Place, OpenError> {
         let (service, most) = (T::SERVICE, T::QOS.publishers);
         let place = Place::take(&self.guard, startup, service, most);
@@ -322,7 +322,7 @@ mod tests {
             std::fs::write(directory.path().join(GENERATION), damaged).unwrap();
             let message = prefix().unwrap_err().to_string();
             assert!(message.contains("generation: "), "{message}");
-            // Who is alone mends it.
+            // The only process in the domain mends it.
             Domain::join(directory.path()).unwrap();
             assert!(prefix().is_ok());
         }

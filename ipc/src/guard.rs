@@ -286,7 +286,7 @@ mod tests {
             let words = format!("mode {mode:o} lets other users put files into it; allowed: ");
             assert!(message.contains(&words), "{message}");
         }
-        // Who is let look sees names only.
+        // Read access reveals file names and nothing else.
         assert!(enter(0o755).is_ok() && enter(0o700).is_ok());
     }
 

@@ -185,8 +185,8 @@ impl ImagePorts {
     }
 }
 
-/// Waits for the command that answers `sent`. Calls `refresh` while it waits, so that who comes
-/// late gets the message by history.
+/// Waits for the command that answers `sent`. Calls `refresh` while it waits, so that a
+/// subscriber that comes late gets the message by history.
 fn answer(
     twist: &mut Subscriber<TwistCommand>,
     sent: &Sent,

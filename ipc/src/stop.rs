@@ -28,8 +28,8 @@ use crate::clock::now_ns;
 /// Name of the file in the domain's directory.
 pub const STOP_FILE: &str = "stop";
 
-/// Time of the last change of a file whose stop was obeyed: the beginning of 1970. Nobody else's
-/// write leaves it.
+/// Time of the last change of the file after a stop was obeyed: the beginning of 1970. Any other
+/// write changes it.
 const OBEYED_AT: Timespec = Timespec {
     tv_sec: 0,
     tv_nsec: 0,
@@ -37,7 +37,7 @@ const OBEYED_AT: Timespec = Timespec {
 /// Bytes of each half, and of both.
 const HALF: usize = 32;
 const BOTH: usize = 2 * HALF;
-/// Pause between two looks of who waits.
+/// Polling interval while waiting for the stop to be obeyed.
 const POLL: Duration = Duration::from_millis(2);
 
 type Content = [u8; HALF];
@@ -55,9 +55,9 @@ pub struct StopFile {
 }
 
 impl StopFile {
-    /// Opens the file in the directory of a domain, or creates it, writable by its owner alone. Who
-    /// else may stop is for its permissions to say; they are kept. From then on it has its room on
-    /// the disk, so that a stop needs none.
+    /// Opens the file in the directory of a domain, or creates it, writable by its owner alone. The
+    /// file's permissions say which other users may stop; they are kept. From then on it has its
+    /// room on the disk, so that a stop needs none.
     ///
     /// # Errors
     /// [`StopError::File`] if it cannot be used, is no plain file or another user's, or if the disk
@@ -121,7 +121,7 @@ impl StopFile {
     /// Acknowledges what [`StopFile::is_asked`] saw: the zero twist is sent. Where that cannot be
     /// written, the stop stays asked for.
     pub fn obey(&mut self) {
-        // Who waits for it will say that it did not come.
+        // The process that asked reports that the answer did not come.
         let _ = self.write_obeyed();
     }
 

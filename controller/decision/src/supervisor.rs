@@ -243,7 +243,7 @@ impl Supervisor {
             Mode::Disarming(_) => return Outcome::Braking,
             // Its zero goes out before anything moves again.
             Mode::Disarmed(_) if self.is_stopped => return Outcome::Braking,
-            // Who arms must know of it.
+            // The operator must name it.
             Mode::Disarmed(_) if seen != self.stops && (seen != 0 || self.is_stop_new) => {
                 return Outcome::Stopped;
             }

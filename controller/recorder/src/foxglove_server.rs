@@ -116,7 +116,7 @@ impl Server {
         id
     }
 
-    /// Sends a message to those who subscribed to its channel; made only if there are any.
+    /// Sends a message to the subscribers of its channel; it is made only if there are any.
     pub(crate) fn send(&self, channel: usize, time_ns: u64, data: impl FnOnce() -> Vec<u8>) {
         let subscribes = |client: &Client| client.subscriptions.contains_key(&channel);
         if !self.state().clients.values().any(subscribes) {

@@ -1,5 +1,5 @@
 //! Records a domain, with topics that Foxglove draws, or serves the same to Foxglove live, and
-//! shows what was recorded. The files themselves are the crate `recording`'s, whose `README.md`
+//! shows what was recorded. The crate `recording` reads and writes the files; its `README.md`
 //! tells topics and decisions.
 //!
 //! - [`record()`] subscribes to a domain and writes what is published and what Foxglove draws,

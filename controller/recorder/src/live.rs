@@ -49,7 +49,7 @@ pub struct LiveOptions {
     pub scene: Option<SceneFiles>,
     /// The camera on the arm, where it is known.
     pub mount: Option<Mount>,
-    /// Address to listen at; port 0 takes a free one. Nobody is asked who they are.
+    /// Address to listen at; port 0 takes a free one. Clients are not authenticated.
     pub address: SocketAddr,
     /// Origins of the pages that may connect, beside those of this machine.
     pub origins: Vec<String>,

@@ -59,7 +59,7 @@ pub fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Re
     let mut operator = open(&domain, end)?;
     let mut left = end.saturating_duration_since(Instant::now());
     if let Some(Action::Arm | Action::Strategy) = request.action() {
-        // Who gives up leaves nothing behind that could still move the camera.
+        // After giving up, no request remains that could still move the camera.
         left = left.max(LATE);
     }
     let reply = operator.ask(request, left)?;

@@ -138,7 +138,7 @@ async fn accept(listener: TcpListener, routes: Router) -> Infallible {
             task: task.abort_handle(),
             client,
         });
-        // A crowd waits here, so that it pushes out nobody who has just come.
+        // Connections wait here, so that many of them do not push out one that has just come.
         loop {
             waiting.retain(Waiting::still_waits);
             if waiting.len() <= WAITING {
@@ -187,7 +187,7 @@ impl Client {
     }
 }
 
-/// The routes for this client, who needs a place unless it commands.
+/// The routes for this client, which needs a place unless it commands.
 fn admitted(routes: Router, client: &Arc<Client>, places: &Arc<Semaphore>) -> Router {
     let (client, places) = (Arc::clone(client), Arc::clone(places));
     routes.layer(from_fn(move |request: Request, next: Next| {

@@ -22,7 +22,7 @@ pub enum Event {
     Connected(SocketAddr),
     /// A client asked for another version.
     Incompatible {
-        /// Who.
+        /// Its address.
         client: SocketAddr,
         /// The version that it speaks.
         version: u16,
@@ -33,7 +33,7 @@ pub enum Event {
     Request(Ticket, Request),
 }
 
-/// To whom an answer goes.
+/// The client and the request that an answer is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ticket {
     kind: Kind,

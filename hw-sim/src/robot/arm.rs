@@ -34,14 +34,15 @@ pub struct ArmSettings {
     pub hand_eye: HandEye,
     /// How the world differs from that.
     pub truth: Truth,
-    /// Whether commands are shaped; unshaped, the staircase of 30 Hz shows what the robot says to it.
+    /// Whether commands are shaped; unshaped, the staircase of 30 Hz shows what the robot says to
+    /// it.
     pub is_shaped: bool,
     /// The robot.
     pub robot: RobotSettings,
     /// Whether clients of the vendor's interface command it, instead of the bridge.
     pub fci: Option<FciSettings>,
-    /// Joint positions in which it stands at the start; `None`: it is placed as far from the ends of
-    /// the joints' ranges as can be.
+    /// Joint positions in which it stands at the start; `None`: it is placed as far from the ends
+    /// of the joints' ranges as can be.
     pub joints: Option<Joints>,
 }
 
@@ -114,7 +115,7 @@ pub struct Arm {
     pub bridge: Bridge,
     /// The scene's.
     caps: Caps,
-    /// Who commands the robot in its place.
+    /// What commands the robot in its place.
     control_unit: Option<ControlUnit>,
     inspector: Inspector,
     /// Where the camera really sits.

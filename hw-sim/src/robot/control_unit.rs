@@ -32,10 +32,10 @@ pub struct ControlUnit {
     server: Server,
     /// The motion that a client began.
     motion: Option<Started>,
-    /// Who waits for a stop, and for a recovery.
+    /// The clients that wait for a stop, and for a recovery.
     stop: Option<Ticket>,
     recovery: Option<Ticket>,
-    /// Who asked for a recovery that begins once the robot stands.
+    /// The client that asked for a recovery, which begins once the robot stands.
     braking: Option<Ticket>,
     /// What clients have set that moves nothing here.
     stiffness: Transform,

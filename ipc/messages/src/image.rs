@@ -54,8 +54,8 @@ message! {
         /// How a pixel is stored.
         encoding: u32 [code(Encoding)],
     }
-    // A history of one: who finds the features may come after the image that a lockstep camera waits
-    // on. The first byte is aligned for vector instructions.
+    // A history of one: the finder of features may come after the image that a lockstep camera
+    // waits on. The first byte is aligned for vector instructions.
     "vpc/image" [Payload::Bytes { alignment: 64 }] from "camera":
         Qos { history: 1, buffer: 2, subscribers: 8, publishers: 1 }
 }

@@ -4,7 +4,7 @@ use core::fmt::{self, Debug};
 
 use crate::field::{Field, Meaning, Stamp, Values, Wire};
 
-/// Quality of service of one service; the same for everybody who opens it.
+/// Quality of service of one service; the same for every process that opens it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Qos {
     /// Messages that a publisher keeps for subscribers that come later.
@@ -47,7 +47,7 @@ pub trait Message: Wire + Debug {
     const SERVICE: &'static str;
     /// Its topic in recordings.
     const TOPIC: &'static str;
-    /// Who publishes it.
+    /// The role that publishes it.
     const PUBLISHER: &'static str;
     /// Quality of service.
     const QOS: Qos;

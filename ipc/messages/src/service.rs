@@ -11,7 +11,7 @@ use crate::{
 #[allow(missing_docs)]
 pub struct Service {
     pub name: &'static str,
-    /// Who publishes.
+    /// The role that publishes.
     pub publisher: &'static str,
     pub qos: Qos,
     pub payload: Payload,

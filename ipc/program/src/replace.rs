@@ -48,7 +48,8 @@ fn directory(path: &Path) -> &Path {
 
 /// A file in the same directory with these bytes.
 fn beside(path: &Path, bytes: &[u8], mode: u32) -> io::Result<NamedTempFile> {
-    // The name that a killed writer leaves says whose it was, and `FILE*` does not match it.
+    // The name that a killed writer leaves contains the name of the file, and `FILE*` does not
+    // match it.
     let mut prefix = OsString::from(".");
     prefix.push(path.file_name().unwrap_or_default());
     prefix.push(".");

@@ -9,7 +9,7 @@ use tag_board::Board;
 /// Corners of a tag's black square: upper left, upper right, lower right, lower left.
 pub type Corners = [[f64; 2]; 4];
 
-/// Tags on the plane z = 0: x to the right, y down, z away from who looks at it.
+/// Tags on the plane z = 0: x to the right, y down, z away from the viewer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Target {
     /// Corners of each tag, m, by its number.

@@ -51,7 +51,7 @@ pub struct Ros {
     statuses: Option<DomainParticipantStatusListener>,
 }
 
-/// Who listens to a topic of ours.
+/// The subscribers of one of our topics.
 pub struct Listeners {
     writer: GUID,
     readers: BTreeSet<GUID>,
@@ -114,7 +114,7 @@ impl Ros {
         &self.name
     }
 
-    /// Who listens to `publisher`; `None` for all publishers but the first that asks.
+    /// The subscribers of `publisher`; `None` for all publishers but the first that asks.
     pub fn listeners<M: Serialize>(&mut self, publisher: &Publisher<M>) -> Option<Listeners> {
         Some(Listeners {
             writer: publisher.guid(),

@@ -120,7 +120,7 @@ impl<'a> RequestServer<'a> {
             let from = match self.services.stop.receive_request() {
                 Ok(None) => return,
                 Ok(Some((from, _))) => Some(from),
-                // It cannot be read who asks. What they ask for is clear.
+                // The sender cannot be read, but the request is clear.
                 Err(_) => None,
             };
             let asked = self.ask_for_a_stop();
