@@ -20,7 +20,6 @@ pub mod metrics;
 #[cfg(feature = "detector")]
 pub mod plane;
 #[cfg(feature = "detector")]
-#[cfg(feature = "detector")]
 mod registration;
 #[cfg(feature = "detector")]
 pub mod run;

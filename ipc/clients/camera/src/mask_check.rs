@@ -117,13 +117,6 @@ impl fmt::Display for Warning {
     }
 }
 
-/// What one tag did to the mask in the last frames.
-#[derive(Clone, Copy, Debug, Default)]
-struct Streak {
-    vanished: u32,
-    seen: u32,
-}
-
 /// What was found against an occlusion since the last warning.
 #[derive(Clone, Copy, Debug, Default)]
 struct Evidence {
@@ -144,7 +137,8 @@ pub struct MaskCheck {
     settings: Settings,
     size: [usize; 2],
     shapes: Vec<Shape>,
-    streaks: BTreeMap<u32, Streak>,
+    /// By tag: whether it was seen, and in how many frames in a row it contradicted the mask.
+    streaks: BTreeMap<u32, (bool, u32)>,
     /// By occlusion; the last is for a scene without any.
     evidence: Vec<Evidence>,
     counts: Counts,
@@ -183,44 +177,33 @@ impl MaskCheck {
         };
         self.streaks.retain(|number, _| is_known(number));
         for place in seen {
-            let depth = self.depth(place).filter(|_| place.is_finite());
-            let streak = self.streaks.entry(place.number).or_default();
-            streak.vanished = 0;
-            streak.seen = if depth.is_some() {
-                streak.seen.saturating_add(1)
-            } else {
-                0
-            };
-            let count = streak.seen;
-            if let Some((shape, px)) = depth.filter(|_| count >= self.settings.frames) {
-                self.counts.seen_through += u64::from(count == self.settings.frames);
-                let evidence = &mut self.evidence[shape];
-                evidence.seen_px = Some(evidence.seen_px.map_or(px, |most| most.max(px)));
-                evidence.tag = (place.number, place.center);
-            }
+            self.judge(place, true, self.depth(place));
         }
+        let is_lit = seen.len() >= self.settings.others;
         for place in hidden {
-            let clear = if seen.len() >= self.settings.others {
-                self.clearance(place)
-            } else {
-                None
-            };
-            let streak = self.streaks.entry(place.number).or_default();
-            streak.seen = 0;
-            streak.vanished = if clear.is_some() {
-                streak.vanished.saturating_add(1)
-            } else {
-                0
-            };
-            let count = streak.vanished;
-            if let Some((shape, px)) = clear.filter(|_| count >= self.settings.frames) {
-                self.counts.vanished += u64::from(count == self.settings.frames);
-                let evidence = &mut self.evidence[shape];
-                evidence.vanished_px = Some(evidence.vanished_px.map_or(px, |most| most.max(px)));
-                evidence.tag = (place.number, place.center);
-            }
+            let clear = self.clearance(place).filter(|_| is_lit);
+            self.judge(place, false, clear);
         }
         self.warning(now_ns)
+    }
+
+    /// Counts a frame in which a tag contradicts an occlusion, by so many px, or none.
+    fn judge(&mut self, place: &Place, is_seen: bool, against: Option<(usize, f64)>) {
+        let (was_seen, count) = self.streaks.get(&place.number).copied().unwrap_or_default();
+        let before = if was_seen == is_seen { count } else { 0 };
+        let count = against.map_or(0, |_| before.saturating_add(1));
+        self.streaks.insert(place.number, (is_seen, count));
+        let Some((shape, px)) = against.filter(|_| count >= self.settings.frames) else {
+            return;
+        };
+        let evidence = &mut self.evidence[shape];
+        let (times, most) = match is_seen {
+            true => (&mut self.counts.seen_through, &mut evidence.seen_px),
+            false => (&mut self.counts.vanished, &mut evidence.vanished_px),
+        };
+        *times += u64::from(count == self.settings.frames);
+        *most = Some(most.map_or(px, |most| most.max(px)));
+        evidence.tag = (place.number, place.center);
     }
 
     /// The occlusion that covers the centre of a tag by more than allowed, and how deep the
@@ -228,7 +211,7 @@ impl MaskCheck {
     fn depth(&self, place: &Place) -> Option<(usize, f64)> {
         let deep = |shape: &Shape| {
             let distance = |point| shape.distance(point, self.size);
-            let is_deep = distance(place.center) < -self.settings.clear_px;
+            let is_deep = place.is_finite() && distance(place.center) < -self.settings.clear_px;
             is_deep.then(|| -place.points().map(distance).fold(f64::INFINITY, f64::min))
         };
         let depths = self.shapes.iter().enumerate();

@@ -1,5 +1,6 @@
 //! What is counted, for the log and for Prometheus.
 
+use std::collections::VecDeque;
 use std::fmt::Write;
 use std::time::Duration;
 
@@ -156,23 +157,20 @@ impl Metrics {
 /// The newest durations.
 #[derive(Clone, Debug, Default)]
 struct Durations {
-    ring: Vec<Duration>,
-    next: usize,
+    ring: VecDeque<Duration>,
 }
 
 impl Durations {
     fn add(&mut self, duration: Duration) {
-        if self.ring.len() < KEPT {
-            self.ring.push(duration);
-        } else {
-            self.ring[self.next] = duration;
-            self.next = (self.next + 1) % KEPT;
+        if self.ring.len() == KEPT {
+            self.ring.pop_front();
         }
+        self.ring.push_back(duration);
     }
 
     /// The duration that this share of them does not exceed.
     fn quantile(&self, share: f64) -> Duration {
-        let mut sorted = self.ring.clone();
+        let mut sorted = Vec::from(self.ring.clone());
         sorted.sort_unstable();
         program::quantile(&sorted, share)
     }

@@ -125,11 +125,7 @@ impl Tracker {
         let number = self.tracks[index].number;
         let all = sightings.iter().filter(|s| s.number == number);
         let near = all.clone().filter(|s| self.is_near(index, s, frames));
-        let only = |mut of: Box<dyn Iterator<Item = &Sighting> + '_>| {
-            let first = of.next().copied();
-            first.filter(|_| of.next().is_none())
-        };
-        only(Box::new(near)).or_else(|| only(Box::new(all)))
+        only(near).or_else(|| only(all))
     }
 
     /// Whether a sighting is where a tag that was seen lately is expected.
@@ -205,9 +201,7 @@ impl Tracker {
         let is_near = |s: &&Sighting| {
             s.number == track.number && apart(&expected, &s.corners) < gate(&expected)
         };
-        let mut near = sightings.iter().filter(is_near);
-        let first = near.next().copied();
-        first.filter(|_| near.next().is_none())
+        only(sightings.iter().filter(is_near))
     }
 
     /// Learns where tags lie on the plane that nobody told.
@@ -247,6 +241,12 @@ impl Track {
         self.now = Some((sighting.corners, sighting.centre));
         (self.missed, self.is_guessed) = (0, false);
     }
+}
+
+/// Returns the sighting if there is just one.
+fn only<'a>(mut of: impl Iterator<Item = &'a Sighting>) -> Option<Sighting> {
+    let first = of.next().copied();
+    first.filter(|_| of.next().is_none())
 }
 
 fn moved(from: Point, to: Point, frames: u32) -> Point {
