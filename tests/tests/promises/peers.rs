@@ -110,7 +110,7 @@ fn killed_peers_come_back_and_leave_nothing_behind() {
 }
 
 #[test]
-fn a_killed_daemon_stops_the_emulator_and_can_be_replaced() {
+fn when_vpcd_is_killed_the_emulator_stops_and_a_new_one_begins() {
     let _turn = turn();
     let mut random = ChaCha8Rng::seed_from_u64(2);
     let mut worst = [0; 2];
