@@ -1,9 +1,9 @@
 //! Emulates what stands behind the shared memory: a camera, what carries it, and a referee.
 //!
 //! Written from poses and projection, without the mathematics of the control law (it must not
-//! depend on `vpc`), so that one mistake cannot hide on both sides. Nor do robot, camera and referee
-//! use `arm`, the model that bridges have of a robot: [`robot::bridge`] alone does, which stands for
-//! the user's bridge (`tests/truth.rs` keeps this). [`emulator`] is the loop of the
+//! depend on `vpc`), so that one mistake cannot hide on both sides. Nor do robot, camera and
+//! referee use `arm`, the model that bridges have of a robot: [`robot::bridge`] alone does, which
+//! stands for the user's bridge (`tests/truth.rs` keeps this). [`emulator`] is the loop of the
 //! process. It steps a [`cell::Cell`]: the [`free::FreeCell`], which moves as told, or the
 //! [`rig::Rig`], a Panda. Cells know neither clocks nor ports; the table of results steps them,
 //! too.

@@ -6,9 +6,9 @@ use crate::draft::Draft;
 use crate::{Contents, WriteError};
 
 impl Contents {
-    /// Writes the memory to `path`: beside it first, synchronised, then renamed, and the directory
-    /// synchronised, so that no reader sees half a file and a power cut leaves the old file or the
-    /// new one. The same contents give the same bytes.
+    /// Writes the memory to `path`: to a temporary file in its directory, synchronized, then
+    /// renamed, and the directory synchronized, so that no reader sees half a file and a power cut
+    /// leaves the old file or the new one. The same contents give the same bytes.
     ///
     /// # Errors
     /// [`WriteError`] if the contents contradict themselves or the file cannot be written.

@@ -1,5 +1,5 @@
-//! What `cargo laboratory` and `cargo table -- --robot fci` share: many runs of processes at a time,
-//! and what they came to.
+//! What `cargo laboratory` and `cargo table -- --robot fci` share: many runs of processes at a
+//! time, and what they came to.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -123,7 +123,7 @@ pub fn each<T: Send>(
     pool.install(|| (0..count).into_par_iter().map(work).collect())
 }
 
-/// Starts a process whose output goes to files in `place`: `NAME.out` and `NAME.err`.
+/// Starts a process with its output in files of `place`: `NAME.out` and `NAME.err`.
 ///
 /// # Errors
 /// The files cannot be written, or the process cannot be started.

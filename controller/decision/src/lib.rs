@@ -1,6 +1,6 @@
 //! The decision of a cycle of `vpcd`: whether what was received may reach the control law, one step
-//! of it, and whether its twist may go out. A pure function of its inputs and of what earlier cycles
-//! left: the daemon calls it live, a replay calls it again, and both get the same bits.
+//! of it, and whether its twist may go out. A pure function of its inputs and of what earlier
+//! cycles left: the daemon calls it live, a replay calls it again, and both get the same bits.
 //!
 //! Without `std` there is no clock, no file, no thread and no environment here: the compiler keeps
 //! the function pure. The time is an argument. [`ControlStep::decide`] calls, in this order, the

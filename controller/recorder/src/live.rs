@@ -151,7 +151,7 @@ fn pass_on(
 /// What stands still: the scene.
 struct Still {
     scene: Option<Scene>,
-    /// Lives of the daemon whose scene was read.
+    /// Start count of the daemon that gave the scene.
     lives: u64,
     /// When the scene was sent.
     sent: Option<Instant>,

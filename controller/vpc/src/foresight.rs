@@ -151,7 +151,7 @@ pub struct Foresight {
     pub path: Path,
     /// Steps since the incumbent was simulated.
     pub trusted: f64,
-    /// A future whose simulation continues in the next cycle.
+    /// A simulation that continues in the next cycle.
     pub suspended: Option<Suspended>,
     /// Samples drawn so far; the seed of the next one.
     pub drawn: u64,

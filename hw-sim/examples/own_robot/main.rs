@@ -1,15 +1,15 @@
 //! A robot of your own in the place of hw-sim's: the smallest bridge between `vpcd` and a robot
-//! with a velocity interface at 1 kHz. Copy this file, and write your robot's driver in the place of
-//! `stand_in.rs`.
+//! with a velocity interface at 1 kHz. Copy this file, and write your robot's driver in the place
+//! of `stand_in.rs`.
 //!
 //! ```sh
 //! vpcd --scene ipc/scene/scenes/paper-robot.toml --domain /tmp/mine --arm &
 //! cargo run --release -p hw-sim --example own_robot -- /tmp/mine 30
 //! ```
 //! Ends when the features are at the goal (exit code 0), after so many seconds (1), or on SIGINT or
-//! SIGTERM (1), each time with a robot that stands. A third argument names a file with your hand-eye
-//! calibration. So that it runs alone, `stand_in.rs` plays the camera, too: with a camera of your
-//! own leave it out.
+//! SIGTERM (1), each time with a robot that stands. A third argument names a file with your
+//! hand-eye calibration. So that it runs alone, `stand_in.rs` plays the camera, too: with a camera
+//! of your own leave it out.
 
 use std::path::Path;
 use std::process::ExitCode;

@@ -1,4 +1,4 @@
-//! The emulator's own bridge, beside the robot: a driver of the core that real bridges have. Nothing
+//! The emulator's own bridge, a driver of the core that real bridges have. Nothing
 //! else of the emulator may use the crate `arm`.
 
 use arm::{Chain, Driver, Echo, Limits, Measured, Mount, Ramp, Reserve, Room, ShaperSettings};
@@ -39,7 +39,7 @@ pub struct Emulated {
     shaper: Option<ShaperSettings>,
 }
 
-/// A bridge to a robot whose camera is believed to sit there. Commands at 30 Hz go out as the
+/// A bridge that believes the camera to be mounted there. Commands at 30 Hz go out as the
 /// staircase that they are, or shaped.
 ///
 /// # Errors

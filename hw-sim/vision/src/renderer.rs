@@ -47,8 +47,8 @@ pub struct Renderer {
 
 impl Renderer {
     /// A renderer of a scene with a tag at each point of its pattern, number i at point i, as large
-    /// as the scene's markers; none where these have no size. An occlusion on the lens blurs and dims
-    /// what lies behind; every other one is an object before the camera, which hides it.
+    /// as the scene's markers; none where these have no size. An occlusion on the lens blurs and
+    /// dims what lies behind; every other one is an object before the camera, which hides it.
     pub fn new(scene: &Scene, look: &Look) -> Self {
         let tags = match scene.marker_size > 0.0 {
             true => Tag::of_pattern(scene, Tag::BLACK_SHARE * scene.marker_size),

@@ -1,5 +1,5 @@
-//! The camera client for OpenCV (`ipc/clients/python/opencv_camera.py`) on rendered frames: its points
-//! against the truth.
+//! The camera client for OpenCV (`ipc/clients/python/opencv_camera.py`) on rendered frames: its
+//! points against the truth.
 
 use std::fs::File;
 use std::path::Path;

@@ -28,8 +28,8 @@ pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 /// The pose of a frame in another: x_other = R x + t, m.
 pub type Pose = IsometryMatrix3<f64>;
 
-/// The axis of each joint, and a point on it, m, of the arm that stands straight up, its hand forward
-/// and down.
+/// The axis of each joint, and a point on it, m, of the arm that stands straight up, its hand
+/// forward and down.
 const SCREWS: [([f64; 3], [f64; 3]); JOINTS] = [
     ([0.0, 0.0, 1.0], [0.0, 0.0, 0.333]),
     ([0.0, 1.0, 0.0], [0.0, 0.0, 0.333]),

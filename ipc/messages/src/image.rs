@@ -73,7 +73,7 @@ static BYTES: Field = Field {
 };
 
 impl ImageHeader {
-    /// An image whose rows follow each other without a gap, exposed at `data_ns` (middle of the
+    /// An image without gaps between its rows, exposed at `data_ns` (middle of the
     /// exposure; its begin and length are unknown).
     pub fn new(width: u32, height: u32, encoding: Encoding, data_ns: u64) -> Self {
         let mut header = Self {

@@ -1,6 +1,6 @@
 //! The messages of the contract between camera, robot, controller and observers: plain `repr(C)`
 //! data. This crate knows no transport, no clock and no files; programs that open ports use the
-//! crate `ipc` beside it, and whatever only reads data needs this one alone.
+//! crate `ipc`. A program that only reads data needs this crate alone.
 //!
 //! Each service carries one message:
 //!

@@ -1,5 +1,5 @@
-//! What all programs share: command line, log, signals, exit codes, real-time scheduling, files that
-//! are replaced atomically, quantiles, and the rule for kernels.
+//! What all programs share: command line, log, signals, exit codes, real-time scheduling, files
+//! that are replaced atomically, quantiles, and the rule for kernels.
 
 #![deny(unsafe_code)]
 

@@ -1,6 +1,6 @@
-//! The client in Python (`ipc/clients/python`) against this crate: the same layouts, the same guard, real
-//! messages both ways, its camera driven to the goal, its logger's tables, its package installed.
-//! Needs Python 3.11 and, the first time, the network.
+//! The client in Python (`ipc/clients/python`) against this crate: the same layouts, the same
+//! guard, real messages both ways, its camera driven to the goal, its logger's tables, its package
+//! installed. Needs Python 3.11 and, the first time, the network.
 
 mod bridge;
 mod cameras;

@@ -167,7 +167,8 @@ fn the_emulator_shares_nothing_with_the_law() {
         let below = below(emulator);
         let shared: Vec<_> = LAW.iter().filter(|name| below.contains(**name)).collect();
         assert!(shared.is_empty(), "{emulator} is built from {shared:?}");
-        // The emulator's own bridge is driven by the arm of the bridges; what moves and judges is not.
+        // The emulator's own bridge is driven by the arm of the bridges; what moves and judges is
+        // not.
         let is_truth = emulator != "hw-sim";
         assert!(
             !is_truth || !below.contains("arm"),

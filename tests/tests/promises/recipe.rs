@@ -1,6 +1,6 @@
 //! The recipe of `ipc/clients/panda/README.md` for a real robot, in the folder that `vpcctl init`
-//! writes, without a robot: one line starts emulator, bridge and `vpcd`, and the arm moves once it is
-//! armed.
+//! writes, without a robot: one line starts emulator, bridge and `vpcd`, and the arm moves once it
+//! is armed.
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;

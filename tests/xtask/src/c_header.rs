@@ -1,5 +1,5 @@
-//! `ipc/clients/c/include/vpc.h`: messages and codes from the tables of `ipc`, functions from the sources
-//! of `ipc/clients/c` by cbindgen.
+//! `ipc/clients/c/include/vpc.h`: messages and codes from the tables of `ipc`, functions from the
+//! sources of `ipc/clients/c` by cbindgen.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;

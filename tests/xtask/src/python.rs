@@ -1,5 +1,5 @@
-//! `ipc/clients/python/vpc_client/messages.py`: structures, codes and services in ctypes; and `opening.py`:
-//! the types of their ports.
+//! `ipc/clients/python/vpc_client/messages.py`: structures, codes and services in ctypes; and
+//! `opening.py`: the types of their ports.
 
 use std::fmt::Write as _;
 

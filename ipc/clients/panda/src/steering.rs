@@ -186,8 +186,9 @@ impl Driver for Franka {
 impl Franka {
     /// The last command. The robot's echo tells when one was lost; otherwise our own record is
     /// better: an echo may be a state late, or lack the acceleration. Where it says what came
-    /// before, the last command may also be lost after one without acceleration; the mistake is then
-    /// the ramps' jerk twice, for one state. In a motion of joints the robot echoes joints alone.
+    /// before, the last command may also be lost after one without acceleration; the mistake is
+    /// then the ramps' jerk twice, for one state. In a motion of joints the robot echoes joints
+    /// alone.
     fn commanded(&self) -> Echo {
         let echo = self.measured.end_effector.echo;
         let is = |twist: &Twist| (echo.twist - twist).amax() < SAME;
