@@ -151,7 +151,7 @@ fn pass_on(
 /// What stands still: the scene.
 struct Still {
     scene: Option<Scene>,
-    /// Start count of the daemon that gave the scene.
+    /// Starts of the daemon up to the one that gave the scene.
     lives: u64,
     /// When the scene was sent.
     sent: Option<Instant>,
