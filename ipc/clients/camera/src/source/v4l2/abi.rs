@@ -1,6 +1,9 @@
 //! Numbers and structs that the kernel and its programs agree on.
 //!
-//! Source: `linux/videodev2.h`, whose names they have here, for 64-bit systems.
+//! Source: `linux/videodev2.h`, with its names, for 64-bit systems.
+//!
+//! No crate replaces this file: `v4l` 0.14 needs libclang to build and panics when it cannot close a
+//! stream; `linux-video` 0.1 has had no release since its first.
 
 use rustix::ioctl::{Opcode, opcode};
 
