@@ -26,6 +26,9 @@ pub struct Exposed {
     pub points: Points,
     /// Object in the camera frame.
     pub object: RigidPose,
+    /// Velocity of the object against the world: the twist with which a camera would keep its view
+    /// (m/s, rad/s; camera frame, at the camera's origin).
+    pub object_twist: [f64; 6],
 }
 
 /// A command for a cell.
@@ -86,7 +89,8 @@ pub trait Cell {
     fn complete(&self, _outcome: &mut Outcome) {}
 }
 
-/// The part of a cell's state that every cell has.
+/// The part of a cell's state that every cell has. `object` is the object in the camera frame, as
+/// if it had not moved since the run began: a robot knows its own motion, and not the object's.
 pub(crate) fn state(
     progress: &Progress,
     object: &RigidPose,

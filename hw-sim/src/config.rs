@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use toml_schema::{Document, FileError};
 
 use crate::eye::Sight;
+use crate::motion::{Motion, MotionKeys};
 use crate::rig::RigSettings;
 use crate::robot::calibration::HandEye;
 use crate::robot::control_unit::FciSettings;
@@ -98,6 +99,15 @@ pub struct Keys {
     #[arg(long = "time-limit")]
     #[schemars(range(min = 0.1, max = 86400), extend("x-unit" = "s", "x-default" = "the scene's time"))]
     pub time_limit_s: Option<f64>,
+    /// The pattern moves: `conveyor:M_S` along its x axis, `turn:RAD_S` about its normal,
+    /// `circle:M:M_S`, `hand:M_S:HZ`, `push:S:M`; several add up.
+    #[arg(long, value_name = "KIND:NUMBERS")]
+    #[schemars(length(max = 8))]
+    pub motion: Vec<MotionKeys>,
+    /// From a second after the arrival, measures for so long how well the camera follows.
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    #[schemars(range(min = 0, max = 3600), extend("x-unit" = "s"))]
+    pub follow_s: f64,
     /// What carries the camera.
     #[arg(long, value_enum, default_value_t)]
     pub robot: Body,
@@ -197,6 +207,10 @@ pub struct Config {
     pub record: Option<PathBuf>,
     /// Flaws of the camera.
     pub flaws: Flaws,
+    /// How the pattern moves, from the begin of a run on.
+    pub motion: Motion,
+    /// How long the following is measured after the arrival, s; 0: the run ends there.
+    pub follow_s: f64,
     /// Whether to show progress.
     pub progress: bool,
     /// Whether to print JSON on a terminal, too.
@@ -297,6 +311,11 @@ impl Config {
             let allowed = "0 with robot = \"panda\", whose camera has latency_ms";
             return Err(document.refuse("delay_frames", keys.delay_frames, allowed));
         }
+        for (index, motion) in keys.motion.iter().enumerate() {
+            if let Some((key, value, allowed)) = motion.stray() {
+                return Err(document.refuse(&format!("motion[{index}].{key}"), value, allowed));
+            }
+        }
         let flaws = Flaws {
             noise_px: keys.noise_px,
             delay_frames: keys.delay_frames as usize,
@@ -331,6 +350,8 @@ impl Config {
             domain: keys.domain.unwrap_or_else(ipc::default_directory),
             record: keys.record,
             flaws,
+            motion: Motion::new(&keys.motion),
+            follow_s: keys.follow_s,
             progress: arguments.progress,
             json: arguments.json,
             robot: keys.robot,
@@ -400,6 +421,30 @@ mod tests {
     }
 
     #[test]
+    fn motions_come_from_the_file_or_from_flags() {
+        let text = "follow_s = 5.0\n[[motion]]\nkind = \"circle\"\nradius_m = 0.05\nspeed_m_s = 0.1\n\
+                    [[motion]]\nkind = \"conveyor\"\nturn_rad_s = 0.2\n";
+        let config = load(text).unwrap();
+        let flags = ["circle:0.05:0.1", "turn:0.2"].map(|text| text.parse().unwrap());
+        assert_eq!(config.motion, Motion::new(&flags));
+        assert_eq!(config.follow_s, 5.0);
+        assert!(load("").unwrap().motion.is_rest());
+        let directory = tempfile::TempDir::new().unwrap();
+        let file = directory.path().join("hw-sim.toml");
+        let scenes = concat!(env!("CARGO_MANIFEST_DIR"), "/../ipc/scene/scenes/paper-sim");
+        let base = format!("scene = \"{scenes}.toml\"\nstarts = \"{scenes}-starts.csv\"\n");
+        std::fs::write(&file, base + text).unwrap();
+        let given = ["hw-sim", "--config", file.to_str().unwrap()];
+        let given = given.into_iter().chain(["--motion", "push:2:0.03"]);
+        let config = Config::load(&Arguments::command().get_matches_from(given)).unwrap();
+        let push = "push:2:0.03".parse().unwrap();
+        assert_eq!(
+            (config.motion, config.follow_s),
+            (Motion::new(&[push]), 5.0)
+        );
+    }
+
+    #[test]
     fn calibration_and_truth_reach_the_cell() {
         let config = load(
             "robot = \"panda\"\nlatency_ms = 50.0\nnoise_px = 0.3\n[hand_eye]\ntranslation = [0.1, 0.0, 0.0]\n\
@@ -456,6 +501,23 @@ mod tests {
                 "camera = \"rendered\"",
                 ["camera = rendered", "ideal", "robot = \"panda\""],
             ),
+            (
+                "[[motion]]\nkind = \"circle\"\nspeed_m_s = 3.0",
+                ["motion[0].speed_m_s", "3", "0 to 1 m/s"],
+            ),
+            (
+                "[[motion]]\nkind = \"spin\"",
+                ["motion[0].kind", "spin", "conveyor, circle"],
+            ),
+            (
+                "[[motion]]\nkind = \"hand\"\nby_m = [0.1, 0.0, 0.0]",
+                ["motion[0].by_m", "[0.1,0.0,0.0]", "bandwidth_hz"],
+            ),
+            (
+                "[[motion]]\nkind = \"push\"\nby_m = [0.1, 2.0, 0.0]",
+                ["motion[0].by_m", "2", "-1 to 1 m"],
+            ),
+            ("follow_s = -1.0", ["follow_s", "-1", "0 to 3600 s"]),
             (
                 "robot = \"panda\"\ndelay_frames = 3",
                 ["delay_frames", "3", "latency_ms"],

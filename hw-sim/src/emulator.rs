@@ -18,6 +18,7 @@ use crate::eye::Shot;
 use crate::free::FreeCell;
 use crate::late_frames::LateFrames;
 use crate::lateness::Lateness;
+use crate::motion::Motion;
 use crate::outcome::{Outcome, Verdict};
 use crate::port::Ports;
 use crate::pose::to_scene;
@@ -154,13 +155,19 @@ impl<'a> Session<'a> {
     /// releases the object.
     fn cell(&self, start: &Pose, is_resting: bool) -> anyhow::Result<Box<dyn Cell>> {
         let Config { scene, flaws, .. } = self.config;
+        // Between two runs the object rests, too.
+        let (motion, follow_s) = match is_resting {
+            true => (Motion::default(), 0.0),
+            false => (self.config.motion.clone(), self.config.follow_s),
+        };
         Ok(match self.config.robot {
             Body::Free => {
                 let limit_s = match is_resting {
                     true => f64::INFINITY,
                     false => self.config.rig.time_limit_s,
                 };
-                Box::new(FreeCell::new(scene, start, *flaws, limit_s))
+                let cell = FreeCell::new(scene, start, *flaws, limit_s);
+                Box::new(cell.follow(motion, follow_s))
             }
             Body::Panda => {
                 let mut settings = self.config.rig;
@@ -176,7 +183,7 @@ impl<'a> Session<'a> {
                         })
                         .ok()
                 });
-                Box::new(Rig::new(scene, start, &settings)?)
+                Box::new(Rig::new(scene, start, &settings)?.follow(motion, follow_s))
             }
         })
     }
@@ -385,6 +392,7 @@ impl<'a> Session<'a> {
                 time_s,
                 translation: object.translation,
                 rotation: object.rotation,
+                object_twist: (!self.config.motion.is_rest()).then_some(exposed.object_twist),
                 features: exposed.points.to_vec(),
                 measured: self.measured.take(),
                 twist,

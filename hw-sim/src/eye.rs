@@ -148,7 +148,7 @@ impl Eye {
     }
 
     /// Exposes a frame: the object in the camera frame at the middle of the exposure, `stamp_ns`,
-    /// and the camera's velocity meanwhile.
+    /// and the camera's velocity relative to the object meanwhile.
     ///
     /// # Errors
     /// The picture could not be made.

@@ -4,9 +4,11 @@
 use messages::RobotState;
 use scene::{Pose, Scene};
 
-use crate::camera::{FreeCamera, Points, outlines};
+use crate::camera::{FreeCamera, Points, outlines, project};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{EyeError, Shot};
+use crate::motion::Motion;
+use crate::pose::RigidPose;
 use crate::progress::Progress;
 use crate::referee::{End, INSTANTS};
 use crate::sensor::{Flaws, Sensor};
@@ -16,7 +18,9 @@ use crate::standing::Standing;
 #[derive(Clone, Debug)]
 pub struct FreeCell {
     scene: Scene,
+    /// Sees the object where that would be at rest.
     camera: FreeCamera,
+    motion: Motion,
     sensor: Sensor,
     delay_frames: u64,
     time_limit_s: f64,
@@ -33,6 +37,7 @@ impl FreeCell {
         Self {
             scene: scene.clone(),
             camera: FreeCamera::new(scene, start),
+            motion: Motion::default(),
             sensor: Sensor::new(flaws),
             delay_frames: flaws.delay_frames as u64,
             time_limit_s,
@@ -43,30 +48,58 @@ impl FreeCell {
         }
     }
 
+    /// The object moves, and the run goes on after the arrival, to measure for `follow_s` seconds how
+    /// well the camera follows.
+    pub fn follow(mut self, motion: Motion, follow_s: f64) -> Self {
+        self.motion = motion;
+        self.progress.follow_for(&self.scene, follow_s);
+        self
+    }
+
+    /// The object in the camera frame, where it is now.
+    fn object(&self) -> RigidPose {
+        let time_s = self.progress.since_s(self.now_ns);
+        self.motion.moved(&self.camera.pose, time_s)
+    }
+
     /// Moves the camera to an instant by the command, for as long as that holds, before the eyes of
     /// the referee.
     fn carry(&mut self, to_ns: u64) {
-        let end_ns = to_ns.min(self.standing.until_ns());
-        let seconds = end_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
-        let instants = seconds * self.scene.camera.rate_hz * f64::from(INSTANTS);
-        let instants = instants.ceil().min(1e4);
-        for _ in 0..instants as u32 {
-            self.camera
-                .advance(&self.standing.twist(), seconds / instants);
-            if self.time_limit_s.is_finite()
-                && let Ok(points) = self.camera.features()
-            {
-                let outlines = outlines(&self.scene, &self.camera.pose);
-                self.progress.judge_between(&points, outlines);
-            }
+        self.pass(to_ns.min(self.standing.until_ns()), &self.standing.twist());
+        if !self.motion.is_rest() {
+            // The camera stands, the object does not.
+            self.pass(to_ns, &[0.0; 6]);
         }
         self.now_ns = to_ns.max(self.now_ns);
     }
 
-    fn judge(&mut self, points: &Points) {
-        let outlines = outlines(&self.scene, &self.camera.pose);
-        let end = self.progress.judge(points, outlines);
-        let is_late = self.progress.time_s >= self.time_limit_s;
+    /// Moves the camera with a constant twist to an instant.
+    fn pass(&mut self, to_ns: u64, twist: &[f64; 6]) {
+        let from_ns = self.now_ns;
+        let seconds = to_ns.saturating_sub(from_ns) as f64 * 1e-9;
+        let instants = seconds * self.scene.camera.rate_hz * f64::from(INSTANTS);
+        let instants = instants.ceil().min(1e4);
+        for instant in 1..=instants as u32 {
+            self.camera.advance(twist, seconds / instants);
+            let elapsed_s = seconds * f64::from(instant) / instants;
+            self.now_ns = from_ns + (1e9 * elapsed_s).round() as u64;
+            let object = self.object();
+            if self.time_limit_s.is_finite()
+                && let Ok(points) = project(&self.scene, &object)
+            {
+                let outlines = outlines(&self.scene, &object);
+                self.progress.judge_between(&points, outlines);
+            }
+        }
+    }
+
+    fn judge(&mut self, points: &Points, object: &RigidPose) {
+        let end = match self.progress.judge(points, outlines(&self.scene, object)) {
+            Some(End::Arrived) | None => self.progress.has_followed().then_some(End::Arrived),
+            end => end,
+        };
+        let is_late = self.progress.arrived_s.is_none();
+        let is_late = is_late && self.progress.time_s >= self.time_limit_s;
         if let Some(end) = end.or(is_late.then_some(End::TimeOut))
             && self.time_limit_s.is_finite()
         {
@@ -103,11 +136,13 @@ impl Cell for FreeCell {
             self.standing.end(now_ns);
         }
         self.progress.tick(now_ns);
-        let Ok(points) = self.camera.features() else {
+        let object = self.object();
+        let Ok(points) = project(&self.scene, &object) else {
             self.progress.finish(End::LostSight);
             return Ok(Observation::default());
         };
-        self.judge(&points);
+        self.judge(&points, &object);
+        self.progress.follow(&points, &object, &self.aimed());
         if self.progress.end.is_some() {
             return Ok(Observation::default());
         }
@@ -121,8 +156,12 @@ impl Cell for FreeCell {
             points: frame.points,
             image: None,
         });
-        let object = self.camera.pose;
-        let exposed = Some(Exposed { points, object });
+        let time_s = self.progress.since_s(self.now_ns);
+        let exposed = Some(Exposed {
+            points,
+            object,
+            object_twist: self.motion.twist(&self.camera.pose, time_s),
+        });
         Ok(Observation { exposed, shot })
     }
 

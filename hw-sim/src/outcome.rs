@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::following::FollowingReport;
 use crate::late_frames::LateFrames;
 use crate::lateness::LatenessReport;
 use crate::progress::Progress;
@@ -68,6 +69,9 @@ pub struct Outcome {
     pub violation_px: f64,
     /// The violation, in words.
     pub violation: Option<String>,
+    /// How well the camera followed after the arrival, where that was measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub following: Option<FollowingReport>,
     /// Of an arm: what the sequence was about at the end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<&'static str>,
@@ -110,6 +114,7 @@ impl Outcome {
             least_edge_px: progress.referee.least_edge().map(rounded),
             violation_px,
             violation,
+            following: progress.following(),
             step: None,
             arrived_s: None,
             arm: None,
@@ -125,7 +130,10 @@ impl Outcome {
 
     /// The outcome as a sentence.
     pub fn sentence(&self) -> String {
-        let verdict = self.verdict_sentence();
+        let mut verdict = self.verdict_sentence();
+        if let Some(following) = &self.following {
+            verdict += &format!("; {following}");
+        }
         match &self.late {
             Some(late) => format!("{verdict}; {late}"),
             None => verdict,

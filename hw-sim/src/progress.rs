@@ -3,6 +3,8 @@
 use scene::Scene;
 
 use crate::camera::{Outline, Points};
+use crate::following::{Following, FollowingReport};
+use crate::pose::RigidPose;
 use crate::referee::{End, Referee};
 
 /// A run so far.
@@ -25,6 +27,7 @@ pub struct Progress {
     pub arrived_s: Option<f64>,
     /// How it ended, once it has.
     pub end: Option<End>,
+    following: Following,
     begun_ns: Option<u64>,
 }
 
@@ -40,8 +43,48 @@ impl Progress {
             error_px: f64::INFINITY,
             arrived_s: None,
             end: None,
+            following: Following::new(scene, 0.0),
             begun_ns: None,
         }
+    }
+
+    /// Lets the run go on after the arrival, to measure for `follow_s` seconds how well the camera
+    /// follows; 0: not at all.
+    pub fn follow_for(&mut self, scene: &Scene, follow_s: f64) {
+        self.following = Following::new(scene, follow_s);
+    }
+
+    /// Whether the features have been at the goal, and the following has been measured.
+    pub fn has_followed(&self) -> bool {
+        let end_s = self.following.end_s();
+        let is_over = |arrived_s: f64| self.time_s >= arrived_s + end_s;
+        self.arrived_s.is_some_and(is_over)
+    }
+
+    /// Seconds from the arrival to the end of the measurement; 0 where none is made.
+    pub fn following_s(&self) -> f64 {
+        self.following.end_s()
+    }
+
+    /// Measures a frame after the arrival: the true features, px, the object in the camera frame,
+    /// and the command that stands (m/s, rad/s; camera frame).
+    pub fn follow(&mut self, points: &Points, object: &RigidPose, command: &[f64; 6]) {
+        if let Some(arrived_s) = self.arrived_s {
+            let since_s = self.time_s - arrived_s;
+            self.following.add(since_s, points, object, command);
+        }
+    }
+
+    /// How well the camera followed; `None` where that was not measured.
+    pub fn following(&self) -> Option<FollowingReport> {
+        self.following.report()
+    }
+
+    /// Seconds from the begin of the run to an instant; 0 before.
+    pub fn since_s(&self, now_ns: u64) -> f64 {
+        let since_ns = |begun: u64| now_ns.saturating_sub(begun);
+        self.begun_ns
+            .map_or(0.0, |begun| since_ns(begun) as f64 * 1e-9)
     }
 
     /// Whether an armed controller has commanded.

@@ -33,6 +33,10 @@ pub struct Record {
     pub translation: [f64; 3],
     /// Object in the camera frame: rotation vector, rad.
     pub rotation: [f64; 3],
+    /// Velocity of the object against the world (m/s, rad/s; camera frame, at the camera's origin);
+    /// none where it always rests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub object_twist: Option<[f64; 6]>,
     /// True features, px.
     pub features: Vec<[f64; 2]>,
     /// Delivered features, px; none where the frame was lost or is under way.

@@ -9,6 +9,7 @@ use scene::{Pose, Scene};
 use crate::camera::{Points, outlines, project};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{Eye, EyeError, EyeSettings};
+use crate::motion::{Motion, relative};
 use crate::outcome::{Outcome, Verdict};
 use crate::pose::RigidPose;
 use crate::progress::Progress;
@@ -71,6 +72,7 @@ pub struct Rig {
     scene: Scene,
     real: Scene,
     settings: RigSettings,
+    motion: Motion,
     arm: Arm,
     eye: Eye,
     sequence: Sequence,
@@ -103,11 +105,32 @@ impl Rig {
             scene: scene.clone(),
             real,
             settings: *settings,
+            motion: Motion::default(),
             epoch_ns: 0,
             steps: 0,
             visible: 0,
             news: None,
         })
+    }
+
+    /// The object moves, and after the arrival it is measured for `follow_s` seconds how well the
+    /// camera follows, before the object is released.
+    pub fn follow(mut self, motion: Motion, follow_s: f64) -> Self {
+        self.motion = motion;
+        self.progress.follow_for(&self.real, follow_s);
+        self
+    }
+
+    /// The object in the camera frame, where it is now.
+    fn object(&self) -> RigidPose {
+        let time_s = self.progress.since_s(self.now_ns());
+        self.motion.moved(&self.arm.object(), time_s)
+    }
+
+    /// Its velocity against the world, as [`Exposed`] has it.
+    fn object_twist(&self) -> [f64; 6] {
+        let time_s = self.progress.since_s(self.now_ns());
+        self.motion.twist(&self.arm.object(), time_s)
     }
 
     /// The present instant, ns.
@@ -195,12 +218,19 @@ impl Cell for Rig {
         let due = (1000.0 * frames as f64 / self.scene.camera.rate_hz).round() as u64;
         if self.steps >= due {
             self.progress.frames += 1;
-            let object = self.arm.object();
-            self.eye.expose(&object, &self.arm.camera_twist(), now_ns)?;
+            let (object, object_twist) = (self.object(), self.object_twist());
+            let twist = relative(&self.arm.camera_twist(), &object_twist);
+            self.eye.expose(&object, &twist, now_ns)?;
             match project(&self.real, &object) {
                 Ok(points) => {
                     self.judge(&points, &object);
-                    seen.exposed = Some(Exposed { points, object });
+                    let command = self.aimed();
+                    self.progress.follow(&points, &object, &command);
+                    seen.exposed = Some(Exposed {
+                        points,
+                        object,
+                        object_twist,
+                    });
                 }
                 Err(_) => self.progress.finish(End::LostSight),
             }
@@ -221,6 +251,7 @@ impl Cell for Rig {
             is_commanded: self.progress.has_begun(),
             frame: self.news.take(),
             is_at_rest: self.arm.is_at_rest(),
+            may_release: self.progress.following_s() == 0.0 || self.progress.has_followed(),
         });
         if let Some(twist) = self.sequence.twist() {
             self.arm.move_by_itself(&twist, now_ns + 2 * STEP_NS);
@@ -233,7 +264,7 @@ impl Cell for Rig {
         self.progress.tick(self.now_ns());
         let between = (1000.0 / (self.scene.camera.rate_hz * f64::from(INSTANTS))) as u64;
         if self.steps.is_multiple_of(between.max(1)) && self.phase().obeys_controller() {
-            let object = self.arm.object();
+            let object = self.object();
             match project(&self.real, &object) {
                 Ok(points) => {
                     let outlines = outlines(&self.real, &object);
@@ -243,7 +274,8 @@ impl Cell for Rig {
             }
         }
         // What a run that arrived in time may take longer for the rest of the sequence.
-        let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0);
+        let following_s = self.progress.following_s();
+        let grace_s = self.progress.arrived_s.map_or(0.0, |_| 15.0 + following_s);
         let has_clients = self.arm.has_clients();
         if self.arm.state().robot_mode == Mode::Reflex {
             // Without a run that has begun, a client tries the robot by itself.

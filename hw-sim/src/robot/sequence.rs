@@ -80,6 +80,8 @@ pub struct Situation {
     pub frame: Option<Option<f64>>,
     /// Whether the robot stands.
     pub is_at_rest: bool,
+    /// Whether the object may be released once it is at the goal.
+    pub may_release: bool,
 }
 
 /// The sequence.
@@ -152,7 +154,8 @@ impl Sequence {
                 }
                 if is_away || now_ns.saturating_sub(self.good_ns) > PATIENCE_NS {
                     TaskStep::Approach
-                } else if is_there && elapsed_ns >= self.settings.dwell_ns {
+                } else if is_there && elapsed_ns >= self.settings.dwell_ns && situation.may_release
+                {
                     TaskStep::Releasing
                 } else {
                     TaskStep::Settling
@@ -198,6 +201,7 @@ mod tests {
             is_commanded: true,
             frame,
             is_at_rest: false,
+            may_release: true,
         }
     }
 
