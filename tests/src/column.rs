@@ -1,19 +1,24 @@
 //! Columns of a printed table.
 
+use hw_sim::following::FollowingReport;
+
 /// One column: its title, and its cell in a row.
 #[derive(Debug)]
 pub struct Column<Row> {
     title: &'static str,
-    is_wide: bool,
+    shown: Shown<Row>,
     cell: fn(&Row) -> String,
 }
+
+/// Whether a row, in a table that is wide or not, shows a column.
+pub type Shown<Row> = fn(bool, &Row) -> bool;
 
 impl<Row> Column<Row> {
     /// A column that is always printed: all of these together fit into 100 characters.
     pub const fn always(title: &'static str, cell: fn(&Row) -> String) -> Self {
         Self {
             title,
-            is_wide: false,
+            shown: |_, _| true,
             cell,
         }
     }
@@ -21,16 +26,21 @@ impl<Row> Column<Row> {
     /// A column that only `--wide` prints.
     pub const fn wide(title: &'static str, cell: fn(&Row) -> String) -> Self {
         Self {
-            is_wide: true,
+            shown: |is_wide, _| is_wide,
             ..Self::always(title, cell)
         }
+    }
+
+    /// A column that is printed where a row shows it.
+    pub const fn when(title: &'static str, shown: Shown<Row>, cell: fn(&Row) -> String) -> Self {
+        Self { title, shown, cell }
     }
 }
 
 /// Rows as a Markdown table whose columns line up: the first to the left, the others to the right.
 pub fn markdown<Row>(columns: &[Column<Row>], rows: &[Row], is_wide: bool) -> String {
-    let columns = columns.iter().filter(|column| is_wide || !column.is_wide);
-    let columns: Vec<_> = columns.collect();
+    let is_shown = |column: &&Column<Row>| rows.iter().any(|row| (column.shown)(is_wide, row));
+    let columns: Vec<_> = columns.iter().filter(is_shown).collect();
     let titles = columns.iter().map(|column| column.title.to_owned());
     let mut lines: Vec<Vec<String>> = vec![titles.collect()];
     lines.extend(
@@ -67,6 +77,14 @@ pub fn markdown<Row>(columns: &[Column<Row>], rows: &[Row], is_wide: bool) -> St
 /// A time in tenths of a second; `-` where there is none.
 pub fn seconds(time_s: Option<f64>) -> String {
     time_s.map_or("-".to_owned(), |s| format!("{s:.1}"))
+}
+
+/// A figure of how well a camera followed; `-` where it did not arrive.
+pub fn following(
+    report: Option<&FollowingReport>,
+    figure: impl Fn(&FollowingReport) -> String,
+) -> String {
+    report.map_or("-".to_owned(), figure)
 }
 
 /// How many runs failed for which reason, without the reasons that none failed for.

@@ -2,6 +2,7 @@
 
 use clap::error::ErrorKind;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+use hw_sim::motion::{Motion, MotionKeys};
 use toml::Value;
 use toml_schema::{Document, FileError};
 use vpc::Settings;
@@ -36,6 +37,13 @@ pub struct Common {
         allow_negative_numbers = true
     )]
     pub depth_error: f64,
+    /// The pattern moves: conveyor:M_S along its x axis, turn:RAD_S about its normal, circle:M:M_S,
+    /// hand:M_S:HZ, push:S:M; several add up.
+    #[arg(long, value_name = "KIND:NUMBERS", allow_negative_numbers = true)]
+    pub motion: Vec<MotionKeys>,
+    /// From a second after the arrival, measure for so long how well the camera follows.
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    pub follow_s: f64,
     /// Seed of noise and losses; each start adds its index.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -119,6 +127,16 @@ impl Common {
         }
     }
 
+    /// How the pattern moves.
+    pub fn motion(&self) -> Motion {
+        Motion::new(&self.motion)
+    }
+
+    /// Whether the table shows how well the camera follows.
+    pub fn is_following(&self) -> bool {
+        self.follow_s > 0.0
+    }
+
     /// Checks the ranges.
     ///
     /// # Errors
@@ -126,6 +144,7 @@ impl Common {
     pub fn check(&self) -> anyhow::Result<()> {
         check("--noise", self.noise, 0.0, 100.0)?;
         check("--drop", self.drop, 0.0, 1.0)?;
+        check("--follow-s", self.follow_s, 0.0, 3600.0)?;
         check("--brake-s", self.brake_s, 0.0, 10.0)?;
         check("--rate", self.rate.unwrap_or(30.0), 1.0, 1000.0)?;
         check("--depth-error", self.depth_error, -0.9, 9.0)
@@ -195,7 +214,11 @@ impl RobotFlags {
     }
 }
 
-fn check(flag: &str, value: f64, least: f64, most: f64) -> anyhow::Result<()> {
+/// Checks that the value of a flag is in its range.
+///
+/// # Errors
+/// Names flag, value and range.
+pub fn check(flag: &str, value: f64, least: f64, most: f64) -> anyhow::Result<()> {
     anyhow::ensure!(
         (least..=most).contains(&value),
         "{flag} = {value}; allowed: {least} to {most}"

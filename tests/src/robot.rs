@@ -5,6 +5,8 @@
 use hw_sim::End;
 use hw_sim::cell::{Cell, Exposed, Order};
 use hw_sim::eye::Shot;
+use hw_sim::following::FollowingReport;
+use hw_sim::motion::Motion;
 use hw_sim::recording::ArmRecord;
 use hw_sim::rig::{Rig, RigError, RigSettings};
 use hw_sim::robot::inspector::ArmReport;
@@ -42,6 +44,9 @@ pub struct RobotRun {
     pub hidden: u64,
     /// Mean over the cycles of l(v) / Np, against the goal.
     pub cost: f64,
+    /// How well the camera followed after the arrival, where that was measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub following: Option<FollowingReport>,
     /// What the robot's referee reports.
     pub arm: ArmReport,
     /// What was seen and sent at each exposure.
@@ -97,18 +102,20 @@ pub struct Sample {
 }
 
 /// Runs the daemon from a start until the run is decided. It decides once a period, from the newest
-/// frame that was delivered until then.
+/// frame that was delivered until then. The object moves, and from a second after the arrival the
+/// following is measured for `follow_s` seconds.
 ///
 /// # Errors
 /// [`RigError`]: the start is out of the robot's reach, or a setting out of its range.
 pub fn run(
     scene: &Scene,
     settings: &RigSettings,
+    (motion, follow_s): (Motion, f64),
     daemon: &mut Simulated,
     start: &Pose,
 ) -> Result<RobotRun, RigError> {
     daemon.restart();
-    let mut rig = Rig::new(scene, start, settings)?;
+    let mut rig = Rig::new(scene, start, settings)?.follow(motion, follow_s);
     let np = daemon.law().settings().np as f64;
     let mut history = Vec::new();
     let (mut cycle, mut shot): (u32, Option<Shot>) = (0, None);
@@ -173,6 +180,7 @@ pub fn run(
         error_px: rig.progress().error_px,
         hidden,
         cost: cost / cycles.max(1.0),
+        following: rig.progress().following(),
         arm,
         history,
     })

@@ -2,6 +2,7 @@
 //! simulated time.
 
 use anyhow::Context;
+use hw_sim::following::FollowingReport;
 use hw_sim::rig::RigSettings;
 use hw_sim::robot::truth::Truth;
 use memory_blob::MemoryFile;
@@ -14,7 +15,7 @@ use scene::{Pose, Scene};
 use serde::Serialize;
 use vpc::Settings;
 
-use crate::column::{self, Column};
+use crate::column::{self, Column, Shown};
 use crate::flags::{Common, RobotFlags};
 use crate::robot::{Reason, RobotRun, run};
 use crate::simulated::Simulated;
@@ -50,6 +51,14 @@ pub struct RobotRow {
     pub least_edge_px: Option<f64>,
     /// Largest shares of the joints' limits in any run: speed, acceleration, jerk.
     pub joint_shares: [f64; 3],
+    /// The deepest that a point was inside an occlusion or outside the image in a frame, px.
+    pub deepest_px: f64,
+    /// How well the successful runs followed, all their frames together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub following: Option<FollowingReport>,
+    /// Whether that was asked for.
+    #[serde(skip)]
+    pub is_following: bool,
 }
 
 /// The law's settings for the robot: the paper's on-line settings of its second experiment.
@@ -118,7 +127,8 @@ pub fn table(
         let work = |start: usize| {
             let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
             let cell = cell(scene, flags, common, start);
-            let run = run(scene, &cell, &mut daemon, &starts[start]);
+            let motion = (common.motion(), common.follow_s);
+            let run = run(scene, &cell, motion, &mut daemon, &starts[start]);
             tick();
             run.with_context(|| format!("start {start}"))
         };
@@ -129,11 +139,12 @@ pub fn table(
     Ok(all)
 }
 
-/// The row of a strategy's runs.
-pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
+/// The row of a strategy's runs, which shows how well they followed if it `is_following`.
+pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
     let count = runs.len().max(1) as f64;
     let because = |reason| runs.iter().filter(|run| run.reason == Some(reason)).count();
     let good = runs.iter().filter(|run| run.success);
+    let followed = good.clone();
     let most = |share: fn(&RobotRun) -> f64| runs.iter().map(share).fold(0.0, f64::max);
     RobotRow {
         strategy: spec.to_string(),
@@ -151,6 +162,9 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
             .iter()
             .filter_map(|run| run.least_edge_px)
             .min_by(f64::total_cmp),
+        deepest_px: most(|run| -run.least_clearance_px),
+        following: FollowingReport::of(followed.filter_map(|run| run.following.as_ref())),
+        is_following,
         joint_shares: [
             most(|run| run.arm.joint_velocity),
             most(|run| run.arm.joint_acceleration),
@@ -159,8 +173,10 @@ pub fn row(spec: Spec, runs: &[RobotRun]) -> RobotRow {
     }
 }
 
+const IS_FOLLOWING: Shown<RobotRow> = |_, row| row.is_following;
+
 /// The columns in their order. A new figure is a field of [`RobotRow`] and a line here.
-pub const COLUMNS: [Column<RobotRow>; 10] = [
+pub const COLUMNS: [Column<RobotRow>; 14] = [
     Column::always("strategy", |row| row.strategy.clone()),
     Column::always("success", |row| {
         format!("{:.0} %", 100.0 * row.success_rate)
@@ -176,6 +192,22 @@ pub const COLUMNS: [Column<RobotRow>; 10] = [
         ])
     }),
     Column::always("reflexes", |row| row.reflexes.to_string()),
+    Column::when("deepest (px)", IS_FOLLOWING, |row| {
+        format!("{:.1}", row.deepest_px)
+    }),
+    Column::when("follows to (px RMS, most)", IS_FOLLOWING, |row| {
+        column::following(row.following.as_ref(), |it| {
+            format!("{:.2}, {:.1}", it.rms_px, it.worst_px)
+        })
+    }),
+    Column::when("(mm RMS)", IS_FOLLOWING, |row| {
+        column::following(row.following.as_ref(), |it| format!("{:.2}", it.rms_mm))
+    }),
+    Column::when("change a frame", IS_FOLLOWING, |row| {
+        column::following(row.following.as_ref(), |it| {
+            format!("{:.2} %", 100.0 * it.change)
+        })
+    }),
     Column::wide("limit violations", |row| row.limit_violations.to_string()),
     Column::wide("discontinuities", |row| row.discontinuities.to_string()),
     Column::wide("least clearance of an edge (px)", |row| {

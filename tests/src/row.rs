@@ -1,8 +1,9 @@
 //! A row of the table: statistics over all runs of one strategy.
 
+use hw_sim::following::FollowingReport;
 use serde::Serialize;
 
-use crate::column::{self, Column};
+use crate::column::{self, Column, Shown};
 use crate::run::{Reason, Run};
 use crate::spec::Spec;
 use crate::statistics::{mean, wilson};
@@ -49,6 +50,12 @@ pub struct Row {
     pub standstill_s: f64,
     /// Greatest error of the pose at the end of the successful runs, mm and mrad.
     pub pose_error: [f64; 2],
+    /// How well the successful runs followed, all their frames together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub following: Option<FollowingReport>,
+    /// Whether that was asked for.
+    #[serde(skip)]
+    pub is_following: bool,
 }
 
 /// Times of a cycle, us.
@@ -79,8 +86,8 @@ impl CycleTime {
 }
 
 impl Row {
-    /// The row of a strategy's runs.
-    pub fn of(spec: Spec, runs: &[Run]) -> Self {
+    /// The row of a strategy's runs, which shows how well they followed if it `is_following`.
+    pub fn of(spec: Spec, runs: &[Run], is_following: bool) -> Self {
         let count = runs.len().max(1) as f64;
         let cycles: Vec<f64> = runs
             .iter()
@@ -130,12 +137,17 @@ impl Row {
             slack_us: CycleTime::of(slack),
             simulated_us,
             deepest_px: -least.fold(0.0, f64::min),
+            following: FollowingReport::of(runs.iter().filter_map(|run| run.following.as_ref())),
+            is_following,
         }
     }
 }
 
+const IS_FOLLOWING: Shown<Row> = |_, row| row.is_following;
+const SHOWS_MORE: Shown<Row> = |is_wide, row| is_wide || row.is_following;
+
 /// The columns in their order. A new figure is a field of [`Row`] and a line here.
-pub const COLUMNS: [Column<Row>; 20] = [
+pub const COLUMNS: [Column<Row>; 23] = [
     Column::always("strategy", |row| format!("{}:{}", row.strategy, row.np)),
     Column::always("success", |row| percent(row.success_rate)),
     Column::wide("95 % interval", |row| {
@@ -152,7 +164,22 @@ pub const COLUMNS: [Column<Row>; 20] = [
             (row.faults, "fault"),
         ])
     }),
-    Column::wide("deepest (px)", |row| format!("{:.1}", row.deepest_px)),
+    Column::when("deepest (px)", SHOWS_MORE, |row| {
+        format!("{:.1}", row.deepest_px)
+    }),
+    Column::when("follows to (px RMS, most)", IS_FOLLOWING, |row| {
+        column::following(row.following.as_ref(), |it| {
+            format!("{:.2}, {:.1}", it.rms_px, it.worst_px)
+        })
+    }),
+    Column::when("(mm RMS)", IS_FOLLOWING, |row| {
+        column::following(row.following.as_ref(), |it| format!("{:.2}", it.rms_mm))
+    }),
+    Column::when("change a frame", IS_FOLLOWING, |row| {
+        column::following(row.following.as_ref(), |it| {
+            format!("{:.2} %", 100.0 * it.change)
+        })
+    }),
     Column::wide("at rest (s)", |row| format!("{:.1}", row.standstill_s)),
     Column::wide("pose error (mm, mrad)", |row| {
         let [mm, mrad] = row.pose_error;
@@ -207,6 +234,8 @@ mod tests {
             steps: 450.0,
             standstill_s: 12.34,
             pose_error: [1.0, 2.0],
+            following: None,
+            is_following: false,
         };
         let rows = [row];
         let narrow = column::markdown(&COLUMNS, &rows, false);

@@ -5,8 +5,11 @@ use std::fmt;
 use std::time::Instant;
 
 use decision::Inputs;
-use hw_sim::camera::outlines;
+use hw_sim::camera::{outlines, project};
 use hw_sim::cost::running_cost;
+use hw_sim::following::{Following, FollowingReport};
+use hw_sim::motion::{Motion, relative};
+use hw_sim::pose::RigidPose;
 use hw_sim::referee::INSTANTS;
 use hw_sim::sensor::{Flaws, Sensor};
 use hw_sim::{End, FreeCamera, Referee};
@@ -40,6 +43,9 @@ pub struct Run {
     /// Error of the object's pose in the camera frame at the end of a run that arrived:
     /// translation, mm, and rotation, mrad.
     pub pose_error: Option<[f64; 2]>,
+    /// How well the camera followed after the arrival, where that was measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub following: Option<FollowingReport>,
     /// Least clearance of a point from a border in a frame, px; negative inside.
     pub least_clearance_px: f64,
     /// The same at the instants between frames.
@@ -97,21 +103,54 @@ pub fn run(scene: &Scene, daemon: &mut Simulated, start: &Pose) -> Run {
     flawed(scene, daemon, start, Flaws::default())
 }
 
-/// Runs the daemon from a start for the scene's time, against a camera with these flaws. The run is
-/// decided when the features arrive, when a constraint is violated, when the daemon disarms, or
-/// when time is up; a run that arrived goes on regulating, watched, so that the mean cost of every
-/// run is taken over the same time.
+/// What a run goes through, besides the scene.
+#[derive(Clone, Debug)]
+pub struct World {
+    /// Flaws of the camera.
+    pub flaws: Flaws,
+    /// How the pattern moves, from the begin of the run on.
+    pub motion: Motion,
+    /// The camera moves by its command times this.
+    pub gain: f64,
+    /// How long the following is measured after the arrival, s; 0: not at all.
+    pub follow_s: f64,
+}
+
+impl From<Flaws> for World {
+    /// The pattern rests, and the camera moves as told.
+    fn from(flaws: Flaws) -> Self {
+        Self {
+            flaws,
+            motion: Motion::default(),
+            gain: 1.0,
+            follow_s: 0.0,
+        }
+    }
+}
+
+/// Runs the daemon from a start for the scene's time, against a camera with these flaws. As
+/// [`through`].
+pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws) -> Run {
+    through(scene, daemon, start, &flaws.into())
+}
+
+/// Runs the daemon from a start for the scene's time, or until the following is measured, if that
+/// takes longer. The run is decided when the features arrive, when a constraint is violated, when
+/// the daemon disarms, or when time is up; a run that arrived goes on regulating, watched, so that
+/// the mean cost of every run is taken over the same time.
 ///
 /// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and
 /// what answers it takes effect when it is delivered.
-pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws) -> Run {
+pub fn through(scene: &Scene, daemon: &mut Simulated, start: &Pose, world: &World) -> Run {
     daemon.restart();
     let ts = scene.sampling_time();
     let periods = (scene.success.time_s * scene.camera.rate_hz).round() as usize;
     let np = daemon.law().settings().np;
     let mut camera = FreeCamera::new(scene, start);
     let mut referee = Referee::new(scene);
-    let mut sensor = Sensor::new(flaws);
+    let mut sensor = Sensor::new(world.flaws);
+    let mut following = Following::new(scene, world.follow_s);
+    let following_s = following.end_s();
     let mut run = Run {
         success: false,
         reason: Some(Reason::NotConverged),
@@ -121,6 +160,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         change: None,
         standstill_s: None,
         pose_error: None,
+        following: None,
         least_clearance_px: f64::INFINITY,
         least_between_px: f64::INFINITY,
         least_edge_px: None,
@@ -135,9 +175,15 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
     let limits = daemon.law().task().limits;
     let mut standing = [0.0; 6];
     let mut changes = Vec::new();
-    'run: for k in 0..periods {
-        referee.measure_edges(outlines(scene, &camera.pose));
-        let seen = camera.features().map_err(|_| Reason::LostSight);
+    // The object where it is at an instant: the camera's own pose of it is the one at rest.
+    let object = |camera: &FreeCamera, time_s| world.motion.moved(&camera.pose, time_s);
+    let mut last = periods;
+    let mut k = 0;
+    'run: while k < last {
+        let time_s = k as f64 * ts;
+        let pose = object(&camera, time_s);
+        referee.measure_edges(outlines(scene, &pose));
+        let seen = project(scene, &pose).map_err(|_| Reason::LostSight);
         let seen = seen.and_then(|features| match referee.judge(&features) {
             Some(End::Violation(_)) => Err(Reason::Violation),
             end => Ok((features, end.is_some())),
@@ -151,15 +197,20 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
         };
         if has_arrived && !run.success {
             (run.success, run.reason, run.steps) = (true, None, k);
+            last = periods.max(k + 1 + (following_s / ts).ceil() as usize);
         }
-        let now_ns = (k as f64 * ts * 1e9).round() as u64;
+        let now_ns = (time_s * 1e9).round() as u64;
         let frame = sensor.expose(&features, now_ns);
         let inputs = daemon.inputs(frame.as_ref(), now_ns);
         let record = daemon.decide(&inputs);
         daemon.think();
         let twist = record.twist;
-        cost += running_cost(scene, referee.goal(), &camera.pose, &twist, np).unwrap_or(0.0);
-        cycles += 1.0;
+        let moving = twist.map(|v| world.gain * v);
+        if k < periods {
+            let seen = relative(&moving, &world.motion.twist(&camera.pose, time_s));
+            cost += running_cost(scene, referee.goal(), &pose, &seen, np).unwrap_or(0.0);
+            cycles += 1.0;
+        }
         let reason = if record.state == TwistState::Disarmed.code() {
             Some(Reason::Disarmed)
         } else {
@@ -172,12 +223,13 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
             break;
         }
         if record.state == TwistState::Arrived.code() {
-            run.standstill_s.get_or_insert(k as f64 * ts);
+            run.standstill_s.get_or_insert(time_s);
         }
         if run.success {
             let shares = twist.iter().zip(&standing).zip(&limits);
             let shares = shares.map(|((now, before), limit)| (now - before).abs() / limit);
             changes.push(shares.fold(0.0, f64::max));
+            following.add((k - run.steps) as f64 * ts, &features, &pose, &twist);
         } else {
             run.iterations += u64::from(record.iterations);
             run.not_converged += u64::from(!has_converged(&record));
@@ -189,10 +241,12 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
             });
         }
         standing = twist;
-        for _ in 1..INSTANTS {
-            camera.advance(&twist, ts / f64::from(INSTANTS));
-            referee.measure_edges(outlines(scene, &camera.pose));
-            let reason = match camera.features() {
+        for instant in 1..INSTANTS {
+            camera.advance(&moving, ts / f64::from(INSTANTS));
+            let share = f64::from(instant) / f64::from(INSTANTS);
+            let pose = object(&camera, time_s + share * ts);
+            referee.measure_edges(outlines(scene, &pose));
+            let reason = match project(scene, &pose) {
                 Ok(features) => referee.judge_between(&features).map(|_| Reason::Violation),
                 Err(_) => Some(Reason::LostSight),
             };
@@ -202,9 +256,11 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
                 break 'run;
             }
         }
-        camera.advance(&twist, ts / f64::from(INSTANTS));
+        camera.advance(&moving, ts / f64::from(INSTANTS));
+        k += 1;
     }
-    run.pose_error = run.success.then(|| pose_error(scene, &camera));
+    run.pose_error = (run.success).then(|| pose_error(scene, &object(&camera, k as f64 * ts)));
+    run.following = following.report().filter(|_| run.success);
     run.least_clearance_px = referee.least_clearance();
     run.least_between_px = referee.least_between();
     run.least_edge_px = referee.least_edge();
@@ -214,12 +270,12 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
 }
 
 /// How far the object is from its pose at the goal: mm and mrad.
-fn pose_error(scene: &Scene, camera: &FreeCamera) -> [f64; 2] {
+fn pose_error(scene: &Scene, object: &RigidPose) -> [f64; 2] {
     let goal = hw_sim::pose::from_scene(&scene.goal);
-    let away = goal.translation.vector - camera.pose.translation.vector;
+    let away = goal.translation.vector - object.translation.vector;
     [
         1e3 * away.norm(),
-        1e3 * angle(&camera.pose.rotation, &goal.rotation),
+        1e3 * angle(&object.rotation, &goal.rotation),
     ]
 }
 

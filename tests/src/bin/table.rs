@@ -20,10 +20,10 @@ use serde::Serialize;
 use system_tests::children::{Children, attended};
 use system_tests::document::{self, Document};
 use system_tests::fci_table::{self, FciFlags, Setup};
-use system_tests::flags::{Common, RobotFlags};
+use system_tests::flags::{Common, RobotFlags, check};
 use system_tests::pictures::{self, Draw};
 use system_tests::row::{self, Row};
-use system_tests::run::{Caches, flawed, time};
+use system_tests::run::{Caches, World, through, time};
 use system_tests::simulated::Simulated;
 use system_tests::source::{Product, Source};
 use system_tests::spec::Spec;
@@ -88,6 +88,9 @@ struct CameraFlags {
     /// Frames between exposure and delivery.
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
     delay: u16,
+    /// The camera moves by G times its command.
+    #[arg(long, value_name = "G", default_value_t = 1.0)]
+    gain: f64,
 }
 
 /// The paper's memory has 900 trajectories.
@@ -198,7 +201,9 @@ fn free(
         delay,
         repeats,
         cold,
+        gain,
     } = cli.camera;
+    check("--gain", gain, 0.0, 10.0)?;
     // The same images, from pattern and goal of another size.
     let wrong = Truth {
         depth: cli.common.depth_error,
@@ -223,7 +228,13 @@ fn free(
                 drop,
                 seed: cli.common.seed + start as u64,
             };
-            let mut run = flawed(scene, &mut daemon, pose, flaws);
+            let world = World {
+                motion: cli.common.motion(),
+                gain,
+                follow_s: cli.common.follow_s,
+                ..World::from(flaws)
+            };
+            let mut run = through(scene, &mut daemon, pose, &world);
             time(&mut run, &mut daemon, usize::from(repeats))?;
             if cold {
                 caches.time(&run, &mut daemon);
@@ -231,7 +242,7 @@ fn free(
             runs.push(run);
             bar.inc(1);
         }
-        rows.push(Row::of(spec, &runs));
+        rows.push(Row::of(spec, &runs, cli.common.is_following()));
         all.push((spec, runs));
         if cold {
             told += &format!("{spec}: {caches}\n");
@@ -257,9 +268,10 @@ fn title(cli: &Cli, starts: usize) -> String {
         drop,
         depth_error,
         no_compensation,
+        ref motion,
         ..
     } = cli.common;
-    let delay = cli.camera.delay;
+    let CameraFlags { delay, gain, .. } = cli.camera;
     let compensation = match no_compensation {
         true => "not compensated",
         false => "compensated",
@@ -268,6 +280,7 @@ fn title(cli: &Cli, starts: usize) -> String {
         (delay > 0, format!("delay {delay} frames, {compensation}")),
         (noise > 0.0, format!("noise {noise} px")),
         (drop > 0.0, format!("{} % of frames lost", 100.0 * drop)),
+        (gain != 1.0, format!("moves by {gain} of its command")),
         (
             depth_error != 0.0,
             format!("depths wrong by {} %", 100.0 * depth_error),
@@ -276,6 +289,7 @@ fn title(cli: &Cli, starts: usize) -> String {
     let there = flaws.into_iter().filter(|(is_there, _)| *is_there);
     let mut title = format!("{}, {starts} starts", cli.scene.display());
     there.for_each(|(_, words)| title += &format!(", {words}"));
+    (motion.iter()).for_each(|motion| title += &format!(", {motion}"));
     title
 }
 
@@ -297,7 +311,9 @@ fn on_robot(
     let tick = || bar.inc(1);
     let all = robot_table::table(scene, starts, memory, &cli.arm, &cli.common, &tick)?;
     bar.finish_and_clear();
-    let rows = all.iter().map(|(spec, runs)| robot_table::row(*spec, runs));
+    let is_following = cli.common.is_following();
+    let rows = all.iter();
+    let rows = rows.map(|(spec, runs)| robot_table::row(*spec, runs, is_following));
     let rows: Vec<_> = rows.collect();
     let text = column::markdown(&robot_table::COLUMNS, &rows, cli.wide);
     let first = cli.arm.only.unwrap_or(0);
@@ -435,7 +451,10 @@ mod tests {
     #[test]
     fn a_flag_that_would_change_nothing_is_refused() {
         assert_eq!(refusal("--margin 12 --robot panda"), None);
-        assert_eq!(refusal("--delay 4 --noise 0.3"), None);
+        assert_eq!(refusal("--delay 4 --noise 0.3 --gain 0.8"), None);
+        let moves = "--motion circle:0.05:0.1 --motion conveyor:-0.1 --follow-s 5";
+        assert_eq!(refusal(moves), None);
+        assert_eq!(refusal(&format!("{moves} --robot panda")), None);
         for (flags, words) in [
             ("--margin 12", "--margin goes with --robot panda"),
             ("--unshaped", "--unshaped goes with --robot panda"),
@@ -444,6 +463,7 @@ mod tests {
                 "--delay-ms goes with --robot panda",
             ),
             ("--delay 4 --robot panda", "--delay goes with --robot free"),
+            ("--gain 0.8 --robot panda", "--gain goes with --robot free"),
             ("--jobs 4", "--jobs goes with --robot fci"),
             (
                 "--noise 1 --robot fci",
