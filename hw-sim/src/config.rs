@@ -99,12 +99,14 @@ pub struct Keys {
     #[arg(long = "time-limit")]
     #[schemars(range(min = 0.1, max = 86400), extend("x-unit" = "s", "x-default" = "the scene's time"))]
     pub time_limit_s: Option<f64>,
-    /// The pattern moves: `conveyor:M_S` along its x axis, `turn:RAD_S` about its normal,
-    /// `circle:M:M_S`, `hand:M_S:HZ`, `push:S:M`; several add up.
+    /// How the pattern moves; as a flag `conveyor:M_S`, `turn:RAD_S`, `circle:M:M_S`,
+    /// `hand:M_S:HZ` or `push:S:M`.
     #[arg(long, value_name = "KIND:NUMBERS")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(length(max = 8))]
     pub motion: Vec<MotionKeys>,
-    /// From a second after the arrival, measures for so long how well the camera follows.
+    /// From a second after the arrival, time in which the following is measured; 0: the run ends
+    /// there.
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 3600), extend("x-unit" = "s"))]
     pub follow_s: f64,

@@ -66,12 +66,12 @@ impl Kind {
     }
 }
 
-/// A motion of the pattern, in its frame at rest.
+/// A motion of the pattern along and about its axes at rest; several add up.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("required" = ["kind"]))]
 pub struct MotionKeys {
-    /// Motions of several tables add up.
+    /// What it is.
     pub kind: Kind,
     /// Conveyor: velocity.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -78,6 +78,9 @@ pub struct Outcome {
     /// Of an arm: seconds until the features were at the goal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub arrived_s: Option<f64>,
+    /// Of an arm over a pattern that moves: how fast the camera moved relative to it at the release.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub release: Option<ReleaseReport>,
     /// Of an arm: what its referee reports.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub arm: Option<ArmReport>,
@@ -88,6 +91,22 @@ pub struct Outcome {
     /// of the controller.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub late: Option<LateFrames>,
+}
+
+/// How fast the camera moved relative to the object while the gripper opened: the most.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ReleaseReport {
+    /// At the object's origin, m/s.
+    pub m_s: f64,
+    /// Relative turn rate, rad/s.
+    pub rad_s: f64,
+}
+
+impl fmt::Display for ReleaseReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (mm_s, mrad_s) = (1e3 * self.m_s, 1e3 * self.rad_s);
+        write!(f, "released at {mm_s:.1} mm/s and {mrad_s:.1} mrad/s")
+    }
 }
 
 impl Outcome {
@@ -117,6 +136,7 @@ impl Outcome {
             following: progress.following(),
             step: None,
             arrived_s: None,
+            release: None,
             arm: None,
             lateness: None,
             late: None,
@@ -133,6 +153,9 @@ impl Outcome {
         let mut verdict = self.verdict_sentence();
         if let Some(following) = &self.following {
             verdict += &format!("; {following}");
+        }
+        if let Some(release) = &self.release {
+            verdict += &format!("; {release} relative to the pattern");
         }
         match &self.late {
             Some(late) => format!("{verdict}; {late}"),

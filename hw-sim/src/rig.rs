@@ -3,6 +3,7 @@
 //! in process.
 
 use messages::RobotState;
+use nalgebra::Vector3;
 use panda::Mode;
 use scene::{Pose, Scene};
 
@@ -10,7 +11,7 @@ use crate::camera::{Points, outlines, project};
 use crate::cell::{self, Cell, Exposed, Observation, Order};
 use crate::eye::{Eye, EyeError, EyeSettings};
 use crate::motion::{Motion, relative};
-use crate::outcome::{Outcome, Verdict};
+use crate::outcome::{Outcome, ReleaseReport, Verdict};
 use crate::pose::RigidPose;
 use crate::progress::Progress;
 use crate::recording::ArmRecord;
@@ -83,6 +84,7 @@ pub struct Rig {
     /// The newest frame, for the sequence.
     news: Option<Option<f64>>,
     grasped: Option<usize>,
+    release: Option<ReleaseReport>,
 }
 
 impl Rig {
@@ -110,12 +112,17 @@ impl Rig {
             steps: 0,
             visible: 0,
             news: None,
+            release: None,
         })
     }
 
     /// The object moves, and after the arrival it is measured for `follow_s` seconds how well the
     /// camera follows, before the object is released.
     pub fn follow(mut self, motion: Motion, follow_s: f64) -> Self {
+        self.sequence = Sequence::new(SequenceSettings {
+            may_move: !motion.is_rest(),
+            ..self.settings.sequence
+        });
         self.motion = motion;
         self.progress.follow_for(&self.real, follow_s);
         self
@@ -133,6 +140,22 @@ impl Rig {
         self.motion.twist(&self.arm.object(), time_s)
     }
 
+    /// How fast the camera moved relative to the object while the gripper opened; `None` where the
+    /// object rests or was not released.
+    pub fn release(&self) -> Option<ReleaseReport> {
+        self.release
+    }
+
+    /// Measures that in one millisecond.
+    fn note_release(&mut self) {
+        let twist = relative(&self.arm.camera_twist(), &self.object_twist());
+        let origin = self.object().translation.vector;
+        let [velocity, turn] = [0, 3].map(|k| Vector3::from_column_slice(&twist[k..k + 3]));
+        let release = self.release.get_or_insert_default();
+        release.m_s = release.m_s.max((velocity + turn.cross(&origin)).norm());
+        release.rad_s = release.rad_s.max(turn.norm());
+    }
+
     /// The present instant, ns.
     pub fn now_ns(&self) -> u64 {
         self.epoch_ns + self.steps * STEP_NS
@@ -141,6 +164,11 @@ impl Rig {
     /// The present step of the task.
     pub fn phase(&self) -> TaskStep {
         self.sequence.phase()
+    }
+
+    /// Whether the controller's commands are obeyed.
+    pub fn obeys_controller(&self) -> bool {
+        self.sequence.obeys_controller()
     }
 
     /// The report of the robot's referee.
@@ -164,13 +192,13 @@ impl Rig {
     /// is released then.
     fn is_done(&self) -> bool {
         match self.arm.has_clients() {
-            true => !self.phase().obeys_controller(),
+            true => !self.obeys_controller(),
             false => self.phase() == TaskStep::Done && self.arm.is_at_rest(),
         }
     }
 
     fn judge(&mut self, points: &Points, object: &RigidPose) {
-        if !self.phase().obeys_controller() {
+        if !self.obeys_controller() {
             self.progress.error_px = self.progress.referee.error(points);
             return;
         }
@@ -203,7 +231,7 @@ impl Cell for Rig {
         if order.is_armed {
             self.progress.begin(self.now_ns());
         }
-        if self.phase().obeys_controller() {
+        if self.obeys_controller() {
             let limited = self.arm.obey(&order.twist, order.until_ns);
             self.progress.limited += u64::from(limited);
         }
@@ -251,8 +279,12 @@ impl Cell for Rig {
             is_commanded: self.progress.has_begun(),
             frame: self.news.take(),
             is_at_rest: self.arm.is_at_rest(),
+            twist: self.arm.camera_twist(),
             may_release: self.progress.following_s() == 0.0 || self.progress.has_followed(),
         });
+        if self.sequence.is_opening() && !self.motion.is_rest() {
+            self.note_release();
+        }
         if let Some(twist) = self.sequence.twist() {
             self.arm.move_by_itself(&twist, now_ns + 2 * STEP_NS);
         }
@@ -263,7 +295,7 @@ impl Cell for Rig {
         self.steps += 1;
         self.progress.tick(self.now_ns());
         let between = (1000.0 / (self.scene.camera.rate_hz * f64::from(INSTANTS))) as u64;
-        if self.steps.is_multiple_of(between.max(1)) && self.phase().obeys_controller() {
+        if self.steps.is_multiple_of(between.max(1)) && self.obeys_controller() {
             let object = self.object();
             match project(&self.real, &object) {
                 Ok(points) => {
@@ -298,7 +330,7 @@ impl Cell for Rig {
     }
 
     fn is_stale(&self) -> bool {
-        self.phase().obeys_controller() && self.arm.bridge.is_stale(self.now_ns())
+        self.obeys_controller() && self.arm.bridge.is_stale(self.now_ns())
     }
 
     fn state(&self) -> RobotState {
@@ -306,7 +338,7 @@ impl Cell for Rig {
         let now_ns = self.now_ns();
         let mut state = cell::state(&self.progress, &object, now_ns, self.is_stale(), limited);
         state.twist = self.arm.camera_twist();
-        state::add_arm(&mut state, self.arm.state(), self.phase());
+        state::add_arm(&mut state, self.arm.state(), self.obeys_controller());
         state
     }
 
@@ -320,6 +352,7 @@ impl Cell for Rig {
         }
         outcome.step = Some(self.phase().name());
         outcome.arrived_s = self.progress.arrived_s;
+        outcome.release = self.release;
         outcome.arm = Some(self.report().clone());
     }
 }
@@ -327,6 +360,46 @@ impl Cell for Rig {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_moving_box_is_released_at_its_own_velocity() {
+        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let settings = RigSettings::new(&scene);
+        let keys = ["conveyor:0.005", "turn:0.02"].map(|text| text.parse().unwrap());
+        let rig = Rig::new(&scene, &scene.goal, &settings).unwrap();
+        let mut rig = rig.follow(Motion::new(&keys), 1.0);
+        let (mut away, mut standing) = (0.0, 0.0);
+        for ms in 0..9000 {
+            // A controller that follows the object exactly.
+            rig.obey(&Order {
+                twist: rig.object_twist(),
+                sent_ns: ms * STEP_NS,
+                until_ns: u64::MAX,
+                is_armed: true,
+            });
+            rig.look(ms * STEP_NS).unwrap();
+            rig.advance();
+            if rig.phase() == TaskStep::Retreating {
+                away = rig.object().translation.z - scene.goal.translation[2];
+                standing = rig.arm.object().translation.x;
+            }
+        }
+        assert_eq!(rig.progress().end, Some(End::Arrived));
+        // The robot went with the object, and backed away from it.
+        assert!(
+            (standing - scene.goal.translation[0]).abs() > 0.01,
+            "{standing}"
+        );
+        assert!((away - settings.sequence.retreat_m).abs() < 3e-3, "{away}");
+        let release = rig.release().unwrap();
+        assert!(release.m_s < 1e-4 && release.rad_s < 1e-3, "{release:?}");
+        let following = rig.progress().following().unwrap();
+        assert!(
+            following.frames >= 30 && following.rms_mm < 1.0,
+            "{following:?}"
+        );
+        assert!(rig.report().is_clean());
+    }
 
     #[test]
     fn the_robot_backs_away_from_the_goal_by_as_much_as_it_is_told() {

@@ -79,12 +79,21 @@ pub fn seconds(time_s: Option<f64>) -> String {
     time_s.map_or("-".to_owned(), |s| format!("{s:.1}"))
 }
 
-/// A figure of how well a camera followed; `-` where it did not arrive.
-pub fn following(
-    report: Option<&FollowingReport>,
-    figure: impl Fn(&FollowingReport) -> String,
-) -> String {
-    report.map_or("-".to_owned(), figure)
+/// RMS and largest feature error of a camera that follows, px; `-` where none arrived.
+pub fn followed_px(report: Option<&FollowingReport>) -> String {
+    let figures = |it: &FollowingReport| format!("{:.2}, {:.1}", it.rms_px, it.worst_px);
+    report.map_or("-".to_owned(), figures)
+}
+
+/// RMS distance of a camera that follows from its place, mm; `-` where none arrived.
+pub fn followed_mm(report: Option<&FollowingReport>) -> String {
+    report.map_or("-".to_owned(), |it| format!("{:.2}", it.rms_mm))
+}
+
+/// RMS change of its command from frame to frame as a share of the limit; `-` where none arrived.
+pub fn followed_change(report: Option<&FollowingReport>) -> String {
+    let change = |it: &FollowingReport| format!("{:.2} %", 100.0 * it.change);
+    report.map_or("-".to_owned(), change)
 }
 
 /// How many runs failed for which reason, without the reasons that none failed for.

@@ -8,6 +8,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use hw_sim::following::FollowingReport;
+use hw_sim::motion::MotionKeys;
 use ipc::{Domain, Subscriber};
 use messages::CycleRecord;
 use scene::Scene;
@@ -15,7 +17,7 @@ use serde::Serialize;
 use toml::{Table, Value};
 
 use crate::children::{Children, Running};
-use crate::column::{self, Column};
+use crate::column::{self, Column, Shown};
 use crate::film::Film;
 use crate::flaw::Flaw;
 use crate::processes::{self, Run, Summary, absolute};
@@ -49,6 +51,10 @@ pub struct Setup<'a> {
     pub memory: &'a Path,
     /// Keys of `[law]` that go over `controller/vpcd-tags.toml`.
     pub law: &'a Table,
+    /// How the pattern moves.
+    pub motion: &'a [MotionKeys],
+    /// How long the following is measured after the arrival, s.
+    pub follow_s: f64,
     /// Of the first laboratory; the others count on.
     pub seed: u64,
     /// Laboratories at work at a time.
@@ -76,6 +82,12 @@ pub struct Row {
     pub joint_speed: f64,
     /// Least clearance of a point in any run, px.
     pub least_clearance_px: f64,
+    /// How well the runs that arrived followed, all their frames together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub following: Option<FollowingReport>,
+    /// Whether that was asked for.
+    #[serde(skip)]
+    pub is_following: bool,
 }
 
 /// Runs all starts with these errors.
@@ -110,6 +122,12 @@ pub fn row(setup: &Setup<'_>, name: &str, levels: &Levels<'_>) -> anyhow::Result
         least_clearance_px: all()
             .map(|run| run.least_clearance_px)
             .fold(f64::INFINITY, f64::min),
+        following: FollowingReport::of(
+            all()
+                .filter(|run| run.is_good())
+                .filter_map(|run| run.following.as_ref()),
+        ),
+        is_following: setup.follow_s > 0.0,
     })
 }
 
@@ -210,6 +228,10 @@ impl Laboratory<'_> {
         for (flaw, level) in self.levels {
             flaw.add(*level, self.number, &mut hw_sim, &mut told)?;
         }
+        let motion = self.setup.motion.iter().map(Value::try_from);
+        let motion: Result<Vec<Value>, _> = motion.collect();
+        hw_sim.insert("motion".to_owned(), Value::Array(motion?));
+        hw_sim.insert("follow_s".to_owned(), self.setup.follow_s.into());
         hw_sim.insert("scene".to_owned(), absolute(scene)?.into());
         hw_sim.insert("starts".to_owned(), absolute(&own)?.into());
         hw_sim.insert("seed".to_owned(), i64::try_from(self.number)?.into());
@@ -283,8 +305,10 @@ impl Holds {
     }
 }
 
+const IS_FOLLOWING: Shown<Row> = |_, row| row.is_following;
+
 /// The columns in their order.
-const COLUMNS: [Column<Row>; 9] = [
+const COLUMNS: [Column<Row>; 12] = [
     Column::always("errors", |row| row.errors.clone()),
     Column::always("arrived", |row| {
         format!("{} of {}", row.summary.arrived, row.summary.runs)
@@ -299,6 +323,15 @@ const COLUMNS: [Column<Row>; 9] = [
     Column::always("arrival (s)", |row| column::seconds(row.arrived_s)),
     Column::always("least clearance (px)", |row| {
         format!("{:.1}", row.least_clearance_px)
+    }),
+    Column::when("follows to (px RMS, most)", IS_FOLLOWING, |row| {
+        column::followed_px(row.following.as_ref())
+    }),
+    Column::when("(mm RMS)", IS_FOLLOWING, |row| {
+        column::followed_mm(row.following.as_ref())
+    }),
+    Column::when("change a frame", IS_FOLLOWING, |row| {
+        column::followed_change(row.following.as_ref())
     }),
     Column::always("joint speed (% of limit)", |row| {
         format!("{:.0}", 100.0 * row.joint_speed)

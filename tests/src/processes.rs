@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
+use hw_sim::following::FollowingReport;
 use hw_sim::outcome::Verdict;
 use hw_sim::robot::inspector::ArmReport;
 use rayon::ThreadPoolBuilder;
@@ -30,6 +31,8 @@ pub struct Run {
     pub least_clearance_px: f64,
     /// What the robot's referee reports.
     pub arm: ArmReport,
+    /// How well the camera followed, where that was measured.
+    pub following: Option<FollowingReport>,
     /// What the other processes said about it.
     #[serde(skip)]
     pub notes: Vec<String>,

@@ -7,6 +7,7 @@ use hw_sim::cell::{Cell, Exposed, Order};
 use hw_sim::eye::Shot;
 use hw_sim::following::FollowingReport;
 use hw_sim::motion::Motion;
+use hw_sim::outcome::ReleaseReport;
 use hw_sim::recording::ArmRecord;
 use hw_sim::rig::{Rig, RigError, RigSettings};
 use hw_sim::robot::inspector::ArmReport;
@@ -47,6 +48,9 @@ pub struct RobotRun {
     /// How well the camera followed after the arrival, where that was measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub following: Option<FollowingReport>,
+    /// How fast the camera moved relative to a pattern that moves, at the release.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub release: Option<ReleaseReport>,
     /// What the robot's referee reports.
     pub arm: ArmReport,
     /// What was seen and sent at each exposure.
@@ -147,7 +151,7 @@ pub fn run(
                 is_armed,
             });
             shown = way_point(&record);
-            if rig.phase().obeys_controller() {
+            if rig.obeys_controller() {
                 stopped = stop(is_armed, is_within, &record);
             }
         }
@@ -181,6 +185,7 @@ pub fn run(
         hidden,
         cost: cost / cycles.max(1.0),
         following: rig.progress().following(),
+        release: rig.release(),
         arm,
         history,
     })
@@ -207,6 +212,6 @@ fn stop(is_armed: bool, is_within: bool, record: &CycleRecord) -> Option<Reason>
 /// The samples until the robot let the object go.
 pub fn approach(history: &[Sample]) -> &[Sample] {
     let mut phases = history.iter().map(|sample| sample.arm.phase);
-    let end = phases.position(|phase| !phase.obeys_controller());
+    let end = phases.position(|phase| !phase.is_approach());
     &history[..end.unwrap_or(history.len())]
 }

@@ -56,6 +56,9 @@ pub struct RobotRow {
     /// How well the successful runs followed, all their frames together.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub following: Option<FollowingReport>,
+    /// The most at which the camera moved relative to a moving pattern, at the release: m/s, rad/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub release: Option<[f64; 2]>,
     /// Whether that was asked for.
     #[serde(skip)]
     pub is_following: bool,
@@ -164,6 +167,9 @@ pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
             .min_by(f64::total_cmp),
         deepest_px: most(|run| -run.least_clearance_px),
         following: FollowingReport::of(followed.filter_map(|run| run.following.as_ref())),
+        release: (runs.iter().filter_map(|run| run.release))
+            .map(|release| [release.m_s, release.rad_s])
+            .reduce(|a, b| [0, 1].map(|k| a[k].max(b[k]))),
         is_following,
         joint_shares: [
             most(|run| run.arm.joint_velocity),
@@ -174,9 +180,10 @@ pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
 }
 
 const IS_FOLLOWING: Shown<RobotRow> = |_, row| row.is_following;
+const IS_RELEASED: Shown<RobotRow> = |_, row| row.release.is_some();
 
 /// The columns in their order. A new figure is a field of [`RobotRow`] and a line here.
-pub const COLUMNS: [Column<RobotRow>; 14] = [
+pub const COLUMNS: [Column<RobotRow>; 15] = [
     Column::always("strategy", |row| row.strategy.clone()),
     Column::always("success", |row| {
         format!("{:.0} %", 100.0 * row.success_rate)
@@ -196,17 +203,17 @@ pub const COLUMNS: [Column<RobotRow>; 14] = [
         format!("{:.1}", row.deepest_px)
     }),
     Column::when("follows to (px RMS, most)", IS_FOLLOWING, |row| {
-        column::following(row.following.as_ref(), |it| {
-            format!("{:.2}, {:.1}", it.rms_px, it.worst_px)
-        })
+        column::followed_px(row.following.as_ref())
     }),
     Column::when("(mm RMS)", IS_FOLLOWING, |row| {
-        column::following(row.following.as_ref(), |it| format!("{:.2}", it.rms_mm))
+        column::followed_mm(row.following.as_ref())
     }),
     Column::when("change a frame", IS_FOLLOWING, |row| {
-        column::following(row.following.as_ref(), |it| {
-            format!("{:.2} %", 100.0 * it.change)
-        })
+        column::followed_change(row.following.as_ref())
+    }),
+    Column::when("released at (mm/s, mrad/s)", IS_RELEASED, |row| {
+        let figures = |[m_s, rad_s]: [f64; 2]| format!("{:.1}, {:.1}", 1e3 * m_s, 1e3 * rad_s);
+        row.release.map_or("-".to_owned(), figures)
     }),
     Column::wide("limit violations", |row| row.limit_violations.to_string()),
     Column::wide("discontinuities", |row| row.discontinuities.to_string()),

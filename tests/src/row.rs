@@ -168,17 +168,13 @@ pub const COLUMNS: [Column<Row>; 23] = [
         format!("{:.1}", row.deepest_px)
     }),
     Column::when("follows to (px RMS, most)", IS_FOLLOWING, |row| {
-        column::following(row.following.as_ref(), |it| {
-            format!("{:.2}, {:.1}", it.rms_px, it.worst_px)
-        })
+        column::followed_px(row.following.as_ref())
     }),
     Column::when("(mm RMS)", IS_FOLLOWING, |row| {
-        column::following(row.following.as_ref(), |it| format!("{:.2}", it.rms_mm))
+        column::followed_mm(row.following.as_ref())
     }),
     Column::when("change a frame", IS_FOLLOWING, |row| {
-        column::following(row.following.as_ref(), |it| {
-            format!("{:.2} %", 100.0 * it.change)
-        })
+        column::followed_change(row.following.as_ref())
     }),
     Column::wide("at rest (s)", |row| format!("{:.1}", row.standstill_s)),
     Column::wide("pose error (mm, mrad)", |row| {

@@ -4,14 +4,13 @@ use messages::{RobotFaults, RobotMode, RobotState};
 use panda::{Flag, JOINTS, Mode, State};
 
 use crate::cell::raise;
-use crate::robot::sequence::TaskStep;
 
 /// Adds the robot's own state; the sequence may move the robot by itself.
-pub(crate) fn add_arm(state: &mut RobotState, told: &State, phase: TaskStep) {
+pub(crate) fn add_arm(state: &mut RobotState, told: &State, obeys_controller: bool) {
     state.joints = JOINTS as u32;
     (state.q, state.dq) = (told.q.into(), told.dq.into());
     state.commands_in_time = told.control_command_success_rate;
-    if !phase.obeys_controller() {
+    if !obeys_controller {
         // A motion of its own: nobody else is obeyed.
         state.mode = RobotMode::Idle.code();
     }

@@ -13,9 +13,11 @@ pub enum TaskStep {
     Approach,
     /// The features are at the goal; the controller still regulates, and they must stay.
     Settling,
-    /// The controller is no longer obeyed; the robot comes to rest, the gripper opens.
+    /// The controller is no longer obeyed; the robot comes to rest, the gripper opens. Where the
+    /// pattern may move, the gripper opens while the controller still follows it.
     Releasing,
-    /// The robot backs away along the camera's axis.
+    /// The robot backs away along the camera's axis; where the pattern may move, with the mean
+    /// velocity that it had while the gripper opened.
     Retreating,
     /// The object is where it belongs, and the robot stands.
     Done,
@@ -34,8 +36,8 @@ impl TaskStep {
         }
     }
 
-    /// Whether the controller's commands are obeyed.
-    pub const fn obeys_controller(self) -> bool {
+    /// Whether the object has not yet been released.
+    pub const fn is_approach(self) -> bool {
         matches!(self, Self::Waiting | Self::Approach | Self::Settling)
     }
 }
@@ -53,6 +55,8 @@ pub struct SequenceSettings {
     pub retreat_m: f64,
     /// How fast, m/s.
     pub retreat_speed: f64,
+    /// Whether the pattern may move.
+    pub may_move: bool,
 }
 
 impl SequenceSettings {
@@ -64,6 +68,7 @@ impl SequenceSettings {
             opening_ns: 500_000_000,
             retreat_m: 0.04,
             retreat_speed,
+            may_move: false,
         }
     }
 }
@@ -80,6 +85,8 @@ pub struct Situation {
     pub frame: Option<Option<f64>>,
     /// Whether the robot stands.
     pub is_at_rest: bool,
+    /// The camera's velocity (m/s, rad/s; camera frame).
+    pub twist: [f64; 6],
     /// Whether the object may be released once it is at the goal.
     pub may_release: bool,
 }
@@ -94,6 +101,9 @@ pub struct Sequence {
     good_ns: u64,
     /// When the gripper began to open.
     opening_ns: Option<u64>,
+    /// Mean velocity of the camera since then, where the pattern may move, and its milliseconds.
+    kept: [f64; 6],
+    kept_ms: u32,
 }
 
 /// Longest time without a frame at the goal that does not begin the dwell anew, ns.
@@ -108,7 +118,20 @@ impl Sequence {
             since_ns: 0,
             good_ns: 0,
             opening_ns: None,
+            kept: [0.0; 6],
+            kept_ms: 0,
         }
+    }
+
+    /// Whether the controller's commands are obeyed.
+    pub fn obeys_controller(&self) -> bool {
+        let follows = self.settings.may_move && self.phase == TaskStep::Releasing;
+        self.phase.is_approach() || follows
+    }
+
+    /// Whether the gripper opens.
+    pub fn is_opening(&self) -> bool {
+        self.phase == TaskStep::Releasing && self.opening_ns.is_some()
     }
 
     /// The present step of the task.
@@ -120,8 +143,12 @@ impl Sequence {
     /// controller is obeyed.
     pub fn twist(&self) -> Option<[f64; 6]> {
         match self.phase {
-            TaskStep::Retreating => Some([0.0, 0.0, -self.settings.retreat_speed, 0.0, 0.0, 0.0]),
-            phase if phase.obeys_controller() => None,
+            TaskStep::Retreating => {
+                let mut twist = self.kept;
+                twist[2] -= self.settings.retreat_speed;
+                Some(twist)
+            }
+            _ if self.obeys_controller() => None,
             _ => Some([0.0; 6]),
         }
     }
@@ -162,8 +189,12 @@ impl Sequence {
                 }
             }
             TaskStep::Releasing => {
-                if self.opening_ns.is_none() && situation.is_at_rest {
+                let follows = self.settings.may_move;
+                if self.opening_ns.is_none() && (situation.is_at_rest || follows) {
                     self.opening_ns = Some(now_ns);
+                }
+                if follows {
+                    self.keep(&situation.twist);
                 }
                 let open = |began: u64| now_ns.saturating_sub(began) >= self.settings.opening_ns;
                 if self.opening_ns.is_some_and(open) {
@@ -181,6 +212,15 @@ impl Sequence {
                 }
             }
             phase => phase,
+        }
+    }
+
+    /// Takes the camera's velocity of a millisecond into the mean.
+    fn keep(&mut self, twist: &[f64; 6]) {
+        self.kept_ms += 1;
+        let share = 1.0 / f64::from(self.kept_ms);
+        for (kept, v) in self.kept.iter_mut().zip(twist) {
+            *kept += share * (v - *kept);
         }
     }
 }
@@ -201,6 +241,7 @@ mod tests {
             is_commanded: true,
             frame,
             is_at_rest: false,
+            twist: [0.0; 6],
             may_release: true,
         }
     }
@@ -260,6 +301,32 @@ mod tests {
         frames(&mut sequence, 300, 333, None);
         frames(&mut sequence, 333, 700, Some(3.0));
         assert_eq!(sequence.phase(), TaskStep::Releasing);
+    }
+
+    #[test]
+    fn a_pattern_that_may_move_is_released_in_motion() {
+        let mut settings = SequenceSettings::new(5.0, 0.02);
+        settings.may_move = true;
+        let mut sequence = Sequence::new(settings);
+        let at = |ms: u64, frame| Situation {
+            twist: [0.01, 0.0, 0.001 * (ms % 2) as f64, 0.0, 0.0, 0.1],
+            ..situation(ms, frame)
+        };
+        let begins = |sequence: &mut Sequence, phase, from: u64, frame| {
+            (from..from + 1000).find(|&ms| sequence.step(&at(ms, frame)) == Some(phase))
+        };
+        let there = Some(Some(3.0));
+        let let_go = begins(&mut sequence, TaskStep::Releasing, 0, there).unwrap();
+        // The controller follows, and the robot never stands.
+        assert!(sequence.obeys_controller());
+        let open = begins(&mut sequence, TaskStep::Retreating, let_go + 1, None);
+        assert_eq!(open, Some(let_go + 501));
+        let [vx, vy, vz, wx, wy, wz] = sequence.twist().unwrap();
+        assert!(!sequence.obeys_controller());
+        let expected = [0.01, 0.0, -0.0195, 0.0, 0.0, 0.1];
+        for (found, expected) in [vx, vy, vz, wx, wy, wz].iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+        }
     }
 
     #[test]

@@ -287,7 +287,7 @@ impl<'a> Demo<'a> {
         // The way to the goal; what comes after the release is the robot's.
         let obeys = |record: &&recording::Record| {
             let arm = record.arm.as_ref();
-            arm.is_none_or(|arm| arm.phase.obeys_controller())
+            arm.is_none_or(|arm| arm.phase.is_approach())
         };
         let steered = records.iter().take_while(obeys);
         let steered = steered.filter(|record| record.arm.is_none() || record.time_s > 0.0);

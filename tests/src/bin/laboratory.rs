@@ -8,8 +8,10 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use clap::Parser;
+use hw_sim::motion::MotionKeys;
 use system_tests::arguments;
 use system_tests::children::{Children, attended};
+use system_tests::flags::check;
 use system_tests::flaw::{self, Flaw};
 use system_tests::laboratory::{self, Row, Setup};
 use system_tests::source::{Product, Source};
@@ -50,6 +52,13 @@ struct Cli {
     /// several times.
     #[arg(long, value_name = "KEY=VALUE")]
     law: Vec<String>,
+    /// The box moves: conveyor:M_S along the pattern's x axis, turn:RAD_S about its normal,
+    /// circle:M:M_S, hand:M_S:HZ, push:S:M; several add up.
+    #[arg(long, value_name = "KIND:NUMBERS")]
+    motion: Vec<MotionKeys>,
+    /// From a second after the arrival, measure for so long how well the camera follows.
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    follow_s: f64,
     /// Seed of the first laboratory.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -73,6 +82,7 @@ fn main() -> ExitCode {
 }
 
 fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
+    check("--follow-s", cli.follow_s, 0.0, 3600.0)?;
     let flaws = chosen(flaw::read(&cli.flaws)?, &cli.only)?;
     let place = laboratory::place();
     let _place = children.place(place.clone());
@@ -96,6 +106,8 @@ fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         head,
         memory: &memory,
         law: &law,
+        motion: &cli.motion,
+        follow_s: cli.follow_s,
         seed: cli.seed,
         jobs: cli.jobs,
         film: None,

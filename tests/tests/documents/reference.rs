@@ -87,7 +87,8 @@ fn subjects() -> [Subject; 4] {
             schema: hw_sim::config::schema(),
             file: "hw-sim/hw-sim.schema.json",
             base: table(format!(
-                "scene = '{scenes}/paper-sim.toml'\nstarts = '{scenes}/paper-sim-starts.csv'\nlatency_ms = 900.0"
+                "scene = '{scenes}/paper-sim.toml'\nstarts = '{scenes}/paper-sim-starts.csv'\nlatency_ms = 900.0\n\
+                 motion = [{{ kind = 'conveyor' }}]"
             )),
             read: |text| {
                 let directory = tempfile::tempdir().unwrap();
@@ -99,7 +100,18 @@ fn subjects() -> [Subject; 4] {
                     .map(|_| ())
                     .map_err(|error| error.to_string())
             },
-            relative: &["start", "camera", "truth.distortion"],
+            relative: &[
+                "start",
+                "camera",
+                "truth.distortion",
+                "motion.radius_m",
+                "motion.speed_m_s",
+                "motion.bandwidth_hz",
+                "motion.seed",
+                "motion.at_s",
+                "motion.by_m",
+                "motion.over_s",
+            ],
             shipped: &[
                 "hw-sim/hw-sim.toml",
                 "hw-sim/hw-sim-robot.toml",
@@ -329,7 +341,7 @@ fn the_files_that_ship_show_every_key_with_its_default() {
             let line = line.strip_prefix("# ").unwrap_or(line);
             if let Some(head) = line
                 .strip_prefix('[')
-                .and_then(|rest| rest.split(']').next())
+                .and_then(|rest| rest.trim_start_matches('[').split(']').next())
             {
                 table = format!("{head}.");
                 continue;
