@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use toml_schema::{Document, FileError};
 
 use crate::eye::Sight;
-use crate::motion::{Motion, MotionKeys};
+use crate::motion::{HELP, Motion, MotionKeys};
 use crate::rig::RigSettings;
 use crate::robot::calibration::HandEye;
 use crate::robot::control_unit::FciSettings;
@@ -80,7 +80,7 @@ pub struct Keys {
     /// File that records each frame as a JSON line.
     #[arg(long)]
     pub record: Option<PathBuf>,
-    /// Standard deviation of each pixel coordinate, px.
+    /// Standard deviation of each pixel coordinate.
     #[arg(long = "noise", default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 100), extend("x-unit" = "px"))]
     pub noise_px: f64,
@@ -99,14 +99,12 @@ pub struct Keys {
     #[arg(long = "time-limit")]
     #[schemars(range(min = 0.1, max = 86400), extend("x-unit" = "s", "x-default" = "the scene's time"))]
     pub time_limit_s: Option<f64>,
-    /// How the pattern moves; as a flag `conveyor:M_S`, `turn:RAD_S`, `circle:M:M_S`,
-    /// `hand:M_S:HZ` or `push:S:M`.
-    #[arg(long, value_name = "KIND:NUMBERS")]
+    /// How the pattern moves.
+    #[arg(long, value_name = "KIND:NUMBERS", help = HELP)]
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(length(max = 8))]
     pub motion: Vec<MotionKeys>,
-    /// From a second after the arrival, time in which the following is measured; 0: the run ends
-    /// there.
+    /// From a second after the arrival, time in which the following is measured.
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 3600), extend("x-unit" = "s"))]
     pub follow_s: f64,
@@ -128,20 +126,20 @@ pub struct Keys {
     #[arg(long, default_value_t = 6.0)]
     #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
     pub exposure_ms: f64,
-    /// Panda: time from the first row to the last of a rolling shutter; with camera `rendered`.
+    /// Panda: time from the first row to the last of a rolling shutter, when rendered.
     #[arg(long, default_value_t = 15.0)]
     #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
     pub readout_ms: f64,
-    /// Panda: time at the goal before the object is released.
+    /// Panda: time at the goal before the release.
     #[arg(long, default_value_t = 0.5)]
     #[schemars(range(min = 0, max = 60), extend("x-unit" = "s"))]
     pub dwell_s: f64,
-    /// Panda: distance that the robot then backs away.
+    /// Panda: distance of the retreat.
     #[arg(long, default_value_t = 0.04)]
     #[schemars(range(min = 0, max = 0.3), extend("x-unit" = "m"))]
     pub retreat_m: f64,
-    /// Panda: offers the vendor's interface (FCI) at this address; the robot obeys its clients
-    /// instead of `vpc/twist`.
+    /// Panda: address of the vendor's interface (FCI), whose clients the robot obeys instead of
+    /// `vpc/twist`.
     #[arg(long)]
     #[schemars(extend("x-allowed" = "an address and a port, such as 127.0.0.1:1337"))]
     pub fci: Option<SocketAddr>,
@@ -170,10 +168,10 @@ impl Default for Keys {
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Body {
-    /// Nothing: the camera moves exactly as commanded, at once.
+    /// The camera moves exactly as commanded, at once.
     #[default]
     Free,
-    /// A Franka Emika Panda behind its 1 kHz velocity interface.
+    /// A Franka Panda behind its 1 kHz velocity interface.
     Panda,
 }
 

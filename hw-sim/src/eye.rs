@@ -23,7 +23,7 @@ use crate::stamps::Stamps;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Sight {
-    /// Features: true projections with pixel noise; a partly covered marker counts as hidden.
+    /// True projections with pixel noise; a partly covered marker is hidden.
     #[default]
     Ideal,
     /// Images of tags, for `vpc-camera`.

@@ -29,18 +29,18 @@ const HAND_LEVER_M: f64 = 0.5;
 /// Waves along or about each axis of a hand.
 const WAVES: usize = 12;
 
-/// What kind of motion.
+/// What kind of motion: a constant velocity and turn rate; a circle in the pattern's plane that does
+/// not turn the pattern; noise of limited bandwidth, along and about all axes; a displacement that
+/// begins and ends smoothly.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
+#[schemars(description = "")]
+#[allow(missing_docs)]
 pub enum Kind {
-    /// Constant velocity and turn rate.
     #[default]
     Conveyor,
-    /// A circle in the pattern's plane, which does not turn the pattern.
     Circle,
-    /// Noise of limited bandwidth, along and about all axes.
     Hand,
-    /// A displacement that begins and ends smoothly.
     Push,
 }
 
@@ -59,9 +59,9 @@ impl Kind {
     const fn keys(self) -> &'static [&'static str] {
         match self {
             Self::Conveyor => &["velocity_m_s", "turn_rad_s", "from_s", "until_s", "ramp_s"],
-            Self::Circle => &["radius_m", "speed_m_s", "ramp_s"],
-            Self::Hand => &["speed_m_s", "bandwidth_hz", "seed"],
-            Self::Push => &["at_s", "by_m", "over_s"],
+            Self::Circle => &["radius_m", "speed_m_s", "from_s", "ramp_s"],
+            Self::Hand => &["speed_m_s", "bandwidth_hz", "seed", "from_s"],
+            Self::Push => &["by_m", "from_s", "over_s"],
         }
     }
 }
@@ -71,7 +71,7 @@ impl Kind {
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("required" = ["kind"]))]
 pub struct MotionKeys {
-    /// What it is.
+    /// Kind.
     pub kind: Kind,
     /// Conveyor: velocity.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -81,7 +81,7 @@ pub struct MotionKeys {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -3, max = 3), extend("x-unit" = "rad/s", "x-default" = "zero"))]
     pub turn_rad_s: Option<f64>,
-    /// Conveyor: start.
+    /// Start.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0, max = 86400), extend("x-unit" = "s", "x-default" = "zero"))]
     pub from_s: Option<f64>,
@@ -89,7 +89,7 @@ pub struct MotionKeys {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0, max = 86400), extend("x-unit" = "s", "x-default" = "never"))]
     pub until_s: Option<f64>,
-    /// Conveyor, circle: time from rest to full speed, and back.
+    /// Conveyor, circle: time to full speed, and to rest.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0, max = 60), extend("x-unit" = "s", "x-default" = "0.2"))]
     pub ramp_s: Option<f64>,
@@ -109,10 +109,6 @@ pub struct MotionKeys {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-default" = "1"))]
     pub seed: Option<u32>,
-    /// Push: begin.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0, max = 86400), extend("x-unit" = "s", "x-default" = "zero"))]
-    pub at_s: Option<f64>,
     /// Push: displacement.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(inner(range(min = -1, max = 1)), extend("x-unit" = "m", "x-default" = "zero"))]
@@ -197,7 +193,7 @@ impl FromStr for MotionKeys {
                 ..of(Kind::Hand)
             },
             ("push", &[at, by]) => Self {
-                at_s: Some(at),
+                from_s: Some(at),
                 by_m: Some([by, 0.0, 0.0]),
                 ..of(Kind::Push)
             },
@@ -208,6 +204,10 @@ impl FromStr for MotionKeys {
     }
 }
 
+/// A flag of a motion.
+pub const HELP: &str = "How the pattern moves: conveyor:M_S along its x axis, turn:RAD_S about its \
+    normal, circle:M:M_S, hand:M_S:HZ, push:S:M; several add up";
+
 /// A sinusoid of a velocity: rate, m/s or rad/s; angular frequency, rad/s; phase, rad.
 type Wave = [f64; 3];
 
@@ -217,7 +217,7 @@ enum Part {
     Conveyor {
         velocity: Vector3<f64>,
         turn: f64,
-        from_s: f64,
+        /// From the start on.
         until_s: f64,
         ramp_s: f64,
     },
@@ -229,7 +229,6 @@ enum Part {
     /// Waves along the three axes, then about them.
     Hand(Vec<[Wave; WAVES]>),
     Push {
-        at_s: f64,
         by: Vector3<f64>,
         over_s: f64,
     },
@@ -279,8 +278,9 @@ impl Part {
             Kind::Conveyor => Self::Conveyor {
                 velocity: vector(keys.velocity_m_s),
                 turn: keys.turn_rad_s.unwrap_or(0.0),
-                from_s: keys.from_s.unwrap_or(0.0),
-                until_s: keys.until_s.unwrap_or(f64::INFINITY),
+                until_s: keys
+                    .until_s
+                    .map_or(f64::INFINITY, |s| (s - from_s(keys)).max(0.0)),
                 ramp_s,
             },
             Kind::Circle => Self::Circle {
@@ -304,23 +304,22 @@ impl Part {
                 Self::Hand((0..6).map(|axis| waves(rms[axis / 3])).collect())
             }
             Kind::Push => Self::Push {
-                at_s: keys.at_s.unwrap_or(0.0),
                 by: vector(keys.by_m),
                 over_s: keys.over_s.unwrap_or(0.5),
             },
         }
     }
 
+    /// The course `t` seconds after the start.
     fn at(&self, t: f64) -> Course {
         match self {
             Self::Conveyor {
                 velocity,
                 turn,
-                from_s,
                 until_s,
                 ramp_s,
             } => {
-                let (begun, ended) = (passed(t - from_s, *ramp_s), passed(t - until_s, *ramp_s));
+                let (begun, ended) = (passed(t, *ramp_s), passed(t - until_s, *ramp_s));
                 let (time, share) = (begun[0] - ended[0], begun[1] - ended[1]);
                 let about = Vector3::z() * *turn;
                 Course {
@@ -362,8 +361,8 @@ impl Part {
                 }
                 course
             }
-            Self::Push { at_s, by, over_s } => {
-                let [share, rate] = step(t - at_s, *over_s);
+            Self::Push { by, over_s } => {
+                let [share, rate] = step(t, *over_s);
                 Course {
                     position: by * share,
                     velocity: by * rate,
@@ -374,14 +373,23 @@ impl Part {
     }
 }
 
+/// When a motion starts, s.
+fn from_s(keys: &MotionKeys) -> f64 {
+    keys.from_s.unwrap_or(0.0)
+}
+
 /// How the pattern moves; by default it rests.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Motion(Vec<Part>);
+pub struct Motion(
+    /// With their starts, s.
+    Vec<(f64, Part)>,
+);
 
 impl Motion {
     /// The sum of these motions.
     pub fn new(keys: &[MotionKeys]) -> Self {
-        Self(keys.iter().map(Part::new).collect())
+        let part = |keys| (from_s(keys), Part::new(keys));
+        Self(keys.iter().map(part).collect())
     }
 
     /// Whether the pattern always rests.
@@ -393,8 +401,8 @@ impl Motion {
     /// origin, m/s, and its angular velocity, rad/s, along the axes of that frame.
     pub fn at(&self, time_s: f64) -> (RigidPose, [f64; 6]) {
         let mut sum = Course::default();
-        for part in self.0.iter().filter(|_| time_s > 0.0) {
-            let course = part.at(time_s);
+        for (from_s, part) in self.0.iter().filter(|(from_s, _)| time_s > *from_s) {
+            let course = part.at(time_s - from_s);
             sum.position += course.position;
             sum.turn += course.turn;
             sum.velocity += course.velocity;
@@ -595,7 +603,7 @@ mod tests {
         stray[0].radius_m = Some(0.1);
         let (key, value, allowed) = stray[0].stray().unwrap();
         assert_eq!((key.as_str(), value.as_str()), ("radius_m", "0.1"));
-        assert!(allowed.contains("speed_m_s, bandwidth_hz, seed"));
+        assert!(allowed.contains("speed_m_s, bandwidth_hz, seed, from_s"));
         assert_eq!(
             keys(&EACH)[2].to_string(),
             "circle: radius_m = 0.05, speed_m_s = 0.1"

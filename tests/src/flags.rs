@@ -2,7 +2,7 @@
 
 use clap::error::ErrorKind;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
-use hw_sim::motion::{Motion, MotionKeys};
+use hw_sim::motion::{HELP, Motion, MotionKeys};
 use toml::Value;
 use toml_schema::{Document, FileError};
 use vpc::Settings;
@@ -37,9 +37,8 @@ pub struct Common {
         allow_negative_numbers = true
     )]
     pub depth_error: f64,
-    /// The pattern moves: conveyor:M_S along its x axis, turn:RAD_S about its normal, circle:M:M_S,
-    /// hand:M_S:HZ, push:S:M; several add up.
-    #[arg(long, value_name = "KIND:NUMBERS", allow_negative_numbers = true)]
+    /// How the pattern moves.
+    #[arg(long, value_name = "KIND:NUMBERS", help = HELP)]
     pub motion: Vec<MotionKeys>,
     /// From a second after the arrival, measure for so long how well the camera follows.
     #[arg(long, value_name = "S", default_value_t = 0.0)]

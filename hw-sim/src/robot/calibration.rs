@@ -5,7 +5,7 @@ use panda::Pose;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The calibrated pose of the camera in the flange frame, which the bridge uses.
+/// The camera in the flange frame, as the bridge believes.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct HandEye {

@@ -20,13 +20,13 @@ pub struct Truth {
     /// Shift of the principal point, right and down.
     #[schemars(inner(range(min = -100, max = 100)), extend("x-unit" = "px"))]
     pub center_px: [f64; 2],
-    /// Distortion of the lens, as in OpenCV: k1, k2, p1, p2, k3. It distorts the occlusions, too.
+    /// Distortion of lens and occlusions, as in OpenCV: k1, k2, p1, p2, k3.
     #[schemars(inner(range(min = -2, max = 2)))]
     pub distortion: [f64; 5],
-    /// Displacement of the camera from the calibration, along the camera's axes.
+    /// Displacement of the camera from its calibration, along its axes.
     #[schemars(inner(range(min = -0.2, max = 0.2)), extend("x-unit" = "m"))]
     pub hand_eye_m: [f64; 3],
-    /// Rotation vector of the camera from the calibration, about the camera's axes.
+    /// Rotation vector of the camera from its calibration.
     #[schemars(inner(range(min = -30, max = 30)), extend("x-unit" = "deg"))]
     pub hand_eye_deg: [f64; 3],
     /// Pattern and distances are larger by this share; the images at the start are the same.
@@ -41,13 +41,13 @@ pub struct Truth {
     /// Constant error of the exposure stamps; positive: too late.
     #[schemars(range(min = -200, max = 200), extend("x-unit" = "ms"))]
     pub stamp_bias_ms: f64,
-    /// Standard deviation of a random error of the stamps.
+    /// Random error of the stamps (standard deviation).
     #[schemars(range(min = 0, max = 50), extend("x-unit" = "ms"))]
     pub stamp_jitter_ms: f64,
-    /// Mean number of frames lost in a row, of the share `drop`; 0: each by itself.
+    /// Mean number of frames lost in a row; 0: each by itself.
     #[schemars(range(min = 0, max = 100), extend("x-unit" = "frames"))]
     pub drop_burst: f64,
-    /// Rendered: motion of the camera blurs tags during this share of `exposure_ms`.
+    /// Rendered: share of `exposure_ms` during which motion blurs tags.
     #[schemars(range(min = 0, max = 10))]
     pub motion_blur: f64,
     /// Rendered: standard deviation of the blur from defocus.
@@ -56,7 +56,7 @@ pub struct Truth {
     /// Rendered: the brightness changes by up to this share, slowly and in steps.
     #[schemars(range(min = 0, max = 1))]
     pub gain: f64,
-    /// Rendered: number of other tags on the table; the last is a copy of tag 0.
+    /// Rendered: other tags on the table, the last a copy of tag 0.
     #[schemars(range(min = 0, max = 20))]
     pub clutter: u32,
 }

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use clap::Parser;
-use hw_sim::motion::MotionKeys;
+use hw_sim::motion::{HELP, MotionKeys};
 use system_tests::arguments;
 use system_tests::children::{Children, attended};
 use system_tests::flags::check;
@@ -52,9 +52,8 @@ struct Cli {
     /// several times.
     #[arg(long, value_name = "KEY=VALUE")]
     law: Vec<String>,
-    /// The box moves: conveyor:M_S along the pattern's x axis, turn:RAD_S about its normal,
-    /// circle:M:M_S, hand:M_S:HZ, push:S:M; several add up.
-    #[arg(long, value_name = "KIND:NUMBERS")]
+    /// How the box moves.
+    #[arg(long, value_name = "KIND:NUMBERS", help = HELP)]
     motion: Vec<MotionKeys>,
     /// From a second after the arrival, measure for so long how well the camera follows.
     #[arg(long, value_name = "S", default_value_t = 0.0)]

@@ -108,7 +108,6 @@ fn subjects() -> [Subject; 4] {
                 "motion.speed_m_s",
                 "motion.bandwidth_hz",
                 "motion.seed",
-                "motion.at_s",
                 "motion.by_m",
                 "motion.over_s",
             ],
