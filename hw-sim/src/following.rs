@@ -18,15 +18,15 @@ pub struct Following {
     /// How long it measures, s; 0: not at all.
     follow_s: f64,
     goal: Points,
-    /// The camera at the goal, in the object's frame.
+    /// The object in the camera frame, at the goal.
     place: RigidPose,
     limits: [f64; 6],
     command: Option<[f64; 6]>,
     frames: u64,
     coordinates: u64,
     changes: u64,
-    /// Sums of squares: px, mm, shares.
-    squares: [f64; 3],
+    /// Sums of squares: px, mm, mm, shares.
+    squares: [f64; 4],
     worst_px: f64,
 }
 
@@ -39,8 +39,11 @@ pub struct FollowingReport {
     pub rms_px: f64,
     /// Largest component of s - s*, px.
     pub worst_px: f64,
-    /// RMS distance of the camera from where it belongs relative to the pattern, mm.
+    /// RMS distance of the camera from where it belongs relative to the pattern, mm. A wrong angle
+    /// of view counts with the distance as its lever.
     pub rms_mm: f64,
+    /// RMS distance of the object's origin in the camera frame from its place at the goal, mm.
+    pub rms_object_mm: f64,
     /// RMS change of the command from frame to frame, as a share of the limit (largest component).
     pub change: f64,
 }
@@ -52,13 +55,13 @@ impl Following {
         Self {
             follow_s,
             goal: project(scene, &goal).unwrap_or_default(),
-            place: goal.inverse(),
+            place: goal,
             limits: scene.limits.velocity(),
             command: None,
             frames: 0,
             coordinates: 0,
             changes: 0,
-            squares: [0.0; 3],
+            squares: [0.0; 4],
             worst_px: 0.0,
         }
     }
@@ -85,12 +88,14 @@ impl Following {
             self.worst_px = self.worst_px.max(error.abs());
             self.coordinates += 1;
         }
-        let away = object.inverse().translation.vector - self.place.translation.vector;
-        self.squares[1] += away.norm_squared() * 1e6;
+        let apart = |a: &RigidPose, b: &RigidPose| a.translation.vector - b.translation.vector;
+        let camera = apart(&object.inverse(), &self.place.inverse());
+        self.squares[1] += camera.norm_squared() * 1e6;
+        self.squares[2] += apart(object, &self.place).norm_squared() * 1e6;
         self.frames += 1;
         if let Some(before) = self.command.replace(*command) {
             let share = |k: usize| (command[k] - before[k]).abs() / self.limits[k];
-            self.squares[2] += (0..6).map(share).fold(0.0, f64::max).powi(2);
+            self.squares[3] += (0..6).map(share).fold(0.0, f64::max).powi(2);
             self.changes += 1;
         }
     }
@@ -103,7 +108,8 @@ impl Following {
             rms_px: rms(0, self.coordinates),
             worst_px: self.worst_px,
             rms_mm: rms(1, self.frames),
-            change: rms(2, self.changes),
+            rms_object_mm: rms(2, self.frames),
+            change: rms(3, self.changes),
         })
     }
 }
@@ -111,21 +117,22 @@ impl Following {
 impl FollowingReport {
     /// Of several runs with their frames together; `None` of none.
     pub fn of<'a>(runs: impl Iterator<Item = &'a Self>) -> Option<Self> {
-        let (mut frames, mut squares, mut worst_px) = (0, [0.0; 3], 0.0_f64);
+        let (mut frames, mut squares, mut worst_px) = (0, [0.0; 4], 0.0_f64);
         for run in runs {
             frames += run.frames;
             worst_px = worst_px.max(run.worst_px);
-            let figures = [run.rms_px, run.rms_mm, run.change];
+            let figures = [run.rms_px, run.rms_mm, run.rms_object_mm, run.change];
             for (square, x) in squares.iter_mut().zip(figures) {
                 *square += run.frames as f64 * x * x;
             }
         }
-        let [rms_px, rms_mm, change] = squares.map(|x| (x / frames as f64).sqrt());
+        let [rms_px, rms_mm, rms_object_mm, change] = squares.map(|x| (x / frames as f64).sqrt());
         (frames > 0).then_some(Self {
             frames,
             rms_px,
             worst_px,
             rms_mm,
+            rms_object_mm,
             change,
         })
     }
@@ -135,10 +142,11 @@ impl fmt::Display for FollowingReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "followed to {:.2} px and {:.2} mm RMS, {:.1} px at most; the command changes by {:.1} % a frame",
+            "followed to {:.2} px RMS, {:.1} px at most; the camera to {:.2} mm, the object in its view to {:.2} mm; the command changes by {:.1} % a frame",
             self.rms_px,
-            self.rms_mm,
             self.worst_px,
+            self.rms_mm,
+            self.rms_object_mm,
             100.0 * self.change
         )
     }
@@ -169,6 +177,7 @@ mod tests {
             (report.rms_px, 4.0 / 2.0_f64.sqrt()),
             (report.worst_px, 4.0),
             (report.rms_mm, 3.0),
+            (report.rms_object_mm, 3.0),
             (report.change, 0.1),
         ] {
             assert!((found - expected).abs() < 1e-9, "{report:?}");

@@ -191,6 +191,7 @@ impl Cell for FreeCell {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pose::from_scene;
 
     #[test]
     fn a_command_carries_the_camera_while_it_is_valid() {
@@ -213,6 +214,66 @@ mod tests {
         assert!((moved(1_200_000_000) - 0.007).abs() < 1e-12);
         assert_eq!(moved(1_300_000_000), 0.0);
         assert!(cell.is_stale() && cell.aimed() == [0.0; 6]);
+    }
+
+    /// A cell in which the object moves, and its frames: a controller that is armed keeps the camera
+    /// still, or moves it as the object.
+    fn before_a_moving_object(motion: &str, follows: bool) -> (FreeCell, Vec<Exposed>) {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let motion = Motion::new(&[motion.parse().unwrap()]);
+        let cell = FreeCell::new(&scene, &scene.goal, Flaws::default(), 15.0);
+        let mut cell = cell.follow(motion, 2.0);
+        let (mut exposed, mut twist) = (Vec::new(), [0.0; 6]);
+        cell.begin(1_000_000_000);
+        while cell.progress.end.is_none() {
+            let now_ns = cell.due_ns();
+            cell.obey(&Order {
+                twist,
+                sent_ns: now_ns,
+                until_ns: now_ns + 100_000_000,
+                is_armed: true,
+            });
+            if let Some(frame) = cell.look(now_ns).unwrap().exposed {
+                twist = if follows { frame.object_twist } else { twist };
+                exposed.push(frame);
+            }
+        }
+        (cell, exposed)
+    }
+
+    #[test]
+    fn an_object_that_moves_leaves_a_camera_that_stands() {
+        let (cell, exposed) = before_a_moving_object("conveyor:0.1", false);
+        let scene = &cell.scene;
+        // After a second, less half of the ramp.
+        let away = exposed[30].object.translation.x - scene.goal.translation[0];
+        assert!((away - 0.09).abs() < 1e-6, "{away}");
+        assert_eq!(
+            exposed[30].points,
+            project(scene, &exposed[30].object).unwrap()
+        );
+        assert!((exposed[30].object_twist[0] - 0.1).abs() < 1e-12);
+        // It leaves the image on the right, which is seen between two frames, too.
+        assert!(matches!(cell.progress.end, Some(End::Violation(_))));
+        let referee = &cell.progress.referee;
+        assert!(referee.least_between() < 0.0 && referee.least_clearance() < 0.0);
+        // The state tells of the camera alone.
+        let rest = scene.goal.translation;
+        let told = cell.state().translation;
+        assert!((0..3).all(|k| (told[k] - rest[k]).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_camera_that_follows_is_measured_and_arrives() {
+        let (cell, exposed) = before_a_moving_object("circle:0.05:0.1", true);
+        assert_eq!(cell.progress.end, Some(End::Arrived));
+        assert!((cell.progress.time_s - 3.0).abs() < 0.04);
+        let report = cell.progress.following().unwrap();
+        // It is a frame late: 3 mm at 10 cm/s.
+        assert!(report.rms_mm < 8.0 && report.worst_px > 0.5, "{report:?}");
+        assert!(exposed.len() >= 90);
+        let (_, stands) = before_a_moving_object("push:60:0.1", false);
+        assert_eq!(stands[80].object, from_scene(&cell.scene.goal));
     }
 
     #[test]

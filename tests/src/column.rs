@@ -85,9 +85,11 @@ pub fn followed_px(report: Option<&FollowingReport>) -> String {
     report.map_or("-".to_owned(), figures)
 }
 
-/// RMS distance of a camera that follows from its place, mm; `-` where none arrived.
+/// RMS distances of a camera that follows, and of the object in its view, from their places, mm;
+/// `-` where none arrived.
 pub fn followed_mm(report: Option<&FollowingReport>) -> String {
-    report.map_or("-".to_owned(), |it| format!("{:.2}", it.rms_mm))
+    let figures = |it: &FollowingReport| format!("{:.2}, {:.2}", it.rms_mm, it.rms_object_mm);
+    report.map_or("-".to_owned(), figures)
 }
 
 /// RMS change of its command from frame to frame as a share of the limit; `-` where none arrived.

@@ -34,6 +34,8 @@ pub struct RobotRun {
     pub arrived_s: Option<f64>,
     /// Least distance of a point from an occlusion or the border, px.
     pub least_clearance_px: f64,
+    /// The same at the instants between frames.
+    pub least_between_px: f64,
     /// Where markers have a size: least distance of any marker's edge, px; negative where one was
     /// partly hidden.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -180,6 +182,7 @@ pub fn run(
         time_s: rig.progress().time_s,
         arrived_s: rig.progress().arrived_s,
         least_clearance_px: rig.progress().referee.least_clearance(),
+        least_between_px: rig.progress().referee.least_between(),
         least_edge_px: rig.progress().referee.least_edge(),
         error_px: rig.progress().error_px,
         hidden,

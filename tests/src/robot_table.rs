@@ -51,7 +51,8 @@ pub struct RobotRow {
     pub least_edge_px: Option<f64>,
     /// Largest shares of the joints' limits in any run: speed, acceleration, jerk.
     pub joint_shares: [f64; 3],
-    /// The deepest that a point was inside an occlusion or outside the image in a frame, px.
+    /// The deepest that a point was inside an occlusion or outside the image at any of twelve
+    /// instants a period, px.
     pub deepest_px: f64,
     /// How well the successful runs followed, all their frames together.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -165,7 +166,7 @@ pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
             .iter()
             .filter_map(|run| run.least_edge_px)
             .min_by(f64::total_cmp),
-        deepest_px: most(|run| -run.least_clearance_px),
+        deepest_px: most(|run| -run.least_clearance_px.min(run.least_between_px)),
         following: FollowingReport::of(followed.filter_map(|run| run.following.as_ref())),
         release: (runs.iter().filter_map(|run| run.release))
             .map(|release| [release.m_s, release.rad_s])
@@ -205,7 +206,7 @@ pub const COLUMNS: [Column<RobotRow>; 15] = [
     Column::when("follows to (px RMS, most)", IS_FOLLOWING, |row| {
         column::followed_px(row.following.as_ref())
     }),
-    Column::when("(mm RMS)", IS_FOLLOWING, |row| {
+    Column::when("(mm RMS: camera, object)", IS_FOLLOWING, |row| {
         column::followed_mm(row.following.as_ref())
     }),
     Column::when("change a frame", IS_FOLLOWING, |row| {

@@ -170,7 +170,7 @@ pub const COLUMNS: [Column<Row>; 23] = [
     Column::when("follows to (px RMS, most)", IS_FOLLOWING, |row| {
         column::followed_px(row.following.as_ref())
     }),
-    Column::when("(mm RMS)", IS_FOLLOWING, |row| {
+    Column::when("(mm RMS: camera, object)", IS_FOLLOWING, |row| {
         column::followed_mm(row.following.as_ref())
     }),
     Column::when("change a frame", IS_FOLLOWING, |row| {
