@@ -1,6 +1,6 @@
 //! The cost of a plan and its Gauss-Newton expansion.
 //!
-//! l(V) = k_Q sum_{j=1..Np} |s_d - s_j|^2 + r sum_{j=1..Np-1} v_j^T R v_j
+//! l(V) = k_Q sum_{j=1..Np} |s_d - s_j|^2 + r sum_{j=1..Np-1} (v_j - d)^T R (v_j - d)
 //!
 //! c(V) = q sum_{b=1..Nc} (v_b - v_{b-1})^T R (v_b - v_{b-1})
 //!
@@ -10,6 +10,7 @@
 //! | k_Q, R | `task.cost` | weight of the image error, 1/px^2, and of the velocity |
 //! | r | [`r_share`] | share of R that applies |
 //! | v_0 | `standing` | the command in force |
+//! | d | `drift` | twist of the pattern itself, so that following it costs nothing |
 //! | q | `change_share` | share of R that weighs changes of the command |
 //!
 //! Source: paper, Eq. (cost), for l(V). c(V) is not the paper's: r vanishes at the goal, and
@@ -53,7 +54,12 @@ pub fn value<const N: usize>(
     preview: &Preview<'_, N>,
     plan: &[f64; N],
 ) -> f64 {
-    let Problem { task, target, .. } = problem;
+    let Problem {
+        task,
+        target,
+        initial,
+        ..
+    } = problem;
     let error: f64 = (0..preview.np())
         .flat_map(|j| preview.step(j).iter().zip(*target))
         .map(|(s, t)| (s[0] - t[0]) * (s[0] - t[0]) + (s[1] - t[1]) * (s[1] - t[1]))
@@ -61,7 +67,12 @@ pub fn value<const N: usize>(
     let effort: f64 = (0..preview.np() - 1)
         .map(|j| {
             let command = &plan[preview.offset(j)..];
-            let weighted = task.cost.r.iter().zip(command).map(|(r, v)| r * v * v);
+            let pairs = task
+                .cost
+                .r
+                .iter()
+                .zip(command.iter().zip(initial.drift.twist));
+            let weighted = pairs.map(|(r, (v, d))| r * (v - d) * (v - d));
             weighted.sum::<f64>()
         })
         .sum();
@@ -92,6 +103,7 @@ impl<const N: usize> Expansion<N> {
             task,
             target,
             r_share,
+            initial,
             ..
         } = *problem;
         let two_q = 2.0 * task.cost.k_q;
@@ -114,7 +126,8 @@ impl<const N: usize> Expansion<N> {
         for j in 0..preview.np() - 1 {
             let offset = preview.offset(j);
             for (k, r) in task.cost.r.iter().enumerate() {
-                gradient[offset + k] += 2.0 * r_share * r * plan[offset + k];
+                let relative = plan[offset + k] - initial.drift.twist[k];
+                gradient[offset + k] += 2.0 * r_share * r * relative;
                 hessian[offset + k][offset + k] += 2.0 * r_share * r;
             }
         }

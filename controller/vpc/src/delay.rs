@@ -169,13 +169,8 @@ impl History {
             return Err(Unpredictable::Unknown { known_ns });
         }
         let mut initial = initial.clone();
-        let next = self.entries().skip(1).map(|(next_ns, _)| next_ns);
-        let ends = next.chain(core::iter::once(u64::MAX));
-        for ((sent_ns, twist), end_ns) in self.entries().zip(ends) {
-            let expiry_ns = sent_ns.saturating_add(self.validity_ns);
-            let begin_ns = sent_ns.max(from_ns);
-            let length_ns = end_ns.min(expiry_ns).min(to_ns).saturating_sub(begin_ns);
-            if length_ns == 0 || *twist == [0.0; DOF] {
+        for (twist, length_ns) in self.pieces(from_ns, to_ns) {
+            if length_ns == 0 || initial.relative(twist) == [0.0; DOF] {
                 continue;
             }
             initial = initial
@@ -183,6 +178,37 @@ impl History {
                 .ok_or(Unpredictable::Lost)?;
         }
         Ok(initial)
+    }
+
+    /// The mean command in force between two instants; zero where none is known.
+    pub fn mean(&self, from_ns: u64, to_ns: u64) -> Twist {
+        let whole_ns = to_ns.saturating_sub(from_ns).max(1) as f64;
+        let mut mean = [0.0; DOF];
+        for (twist, length_ns) in self.pieces(from_ns, to_ns) {
+            let share = length_ns as f64 / whole_ns;
+            mean.iter_mut()
+                .zip(twist)
+                .for_each(|(sum, v)| *sum += share * v);
+        }
+        mean
+    }
+
+    /// The commands in force between two instants and for how long, ns, one after the other; zero
+    /// before the first and where one was no longer obeyed.
+    fn pieces(&self, from_ns: u64, to_ns: u64) -> impl Iterator<Item = (&Twist, u64)> {
+        let begins = self.entries().map(|(sent_ns, _)| sent_ns);
+        let ends = begins.chain(core::iter::once(u64::MAX));
+        let still = [(0, &[0.0; DOF])].into_iter();
+        still
+            .chain(self.entries())
+            .zip(ends)
+            .flat_map(move |((sent_ns, twist), end_ns)| {
+                let expiry_ns = sent_ns.saturating_add(self.validity_ns).min(end_ns);
+                let inside = |ns: u64| ns.clamp(from_ns, to_ns.max(from_ns));
+                let length_ns = |from_ns, to_ns| inside(to_ns) - inside(from_ns);
+                let (obeyed, over) = (length_ns(sent_ns, expiry_ns), length_ns(expiry_ns, end_ns));
+                [(twist, obeyed), (&[0.0; DOF], over)]
+            })
     }
 }
 

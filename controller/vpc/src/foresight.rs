@@ -24,6 +24,7 @@ use serde::{Deserialize, Serialize};
 use crate::command::{Policy, Present};
 use crate::features::{self, MAX_INPUTS, PlainPoints};
 use crate::guide::{Guide, Kind};
+use crate::motion::Own;
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::recall::{self, MotionMemory, Recall};
@@ -209,6 +210,8 @@ pub struct Suspended {
     points: PlainPoints,
     /// Which of two poses the model believes there.
     tilt: Option<Tilt>,
+    /// How the pattern moves by itself there.
+    drift: Own,
     /// The command in force.
     standing: Twist,
     /// The plan from which the solver starts.
@@ -525,6 +528,7 @@ impl Thinker<'_> {
             known: 0,
             points: self.initial.points.as_slice().into(),
             tilt: self.initial.tilt,
+            drift: self.initial.drift,
             standing: *self.standing,
             previous: *self.previous,
             is_from_front: gate::is_from_front(self.policy.task, &self.initial.points),
@@ -547,6 +551,7 @@ impl Thinker<'_> {
             _ => {
                 let points = now.points.get().unwrap_or_default();
                 InitialState::turned(task, settings.model, &points, now.tilt.as_ref())
+                    .with_drift(now.drift)
             }
         };
         // Costs are counted by the period.
@@ -562,7 +567,7 @@ impl Thinker<'_> {
             // Every candidate takes at least one step, so that a cycle ends.
             if self.budget == 0 {
                 now.points = initial.points.as_slice().into();
-                now.tilt = initial.tilt;
+                (now.tilt, now.drift) = (initial.tilt, initial.drift);
                 return RollOut::Suspended(now);
             }
             // Where the camera would look from the side, the features are soon refused.

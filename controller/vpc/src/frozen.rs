@@ -6,10 +6,13 @@ use crate::measurement::Refusal;
 /// Commanded motion of the image, px, after which features without a changed bit show that the
 /// image is frozen.
 const FROZEN_PX: f64 = 3.0;
+/// Share of a motion that counts where the pattern is believed to move along: coarse features of a
+/// pattern that is followed well may repeat for a second.
+const ALONG: f64 = 1.0 / 30.0;
 
-/// Compares features with those `before`; the commands should have moved a point by `moved_px`
-/// meanwhile. Real features never repeat to the last bit under motion. At rest and without noise
-/// they do, and no motion is expected. `still_px` is the largest expected motion of a point since
+/// Compares features with those `before`; a point should have moved meanwhile by the first of
+/// `moved_px`, and by the second if the pattern stood still. Real features never repeat to the last
+/// bit under motion. At rest and without noise they do, and no motion is expected. `still_px` is the largest expected motion of a point since
 /// the bits changed, summed over the frames, px.
 ///
 /// # Errors
@@ -18,8 +21,9 @@ pub fn check(
     still_px: &mut f64,
     points: &Points,
     before: &Points,
-    moved_px: f64,
+    [moved_px, commanded_px]: [f64; 2],
 ) -> Result<(), Refusal> {
+    let moved_px = moved_px.max(ALONG * commanded_px);
     let mut pairs = points.iter().flatten().zip(before.iter().flatten());
     let is_same = pairs.all(|(now, before)| now.to_bits() == before.to_bits());
     if moved_px == 0.0 || !is_same {
@@ -45,8 +49,9 @@ mod tests {
         let scene = scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let points = Task::new(&scene).unwrap().goal;
         let mut still_px = 0.0;
-        let mut frame =
-            |points: &Points, before: &Points, by: f64| check(&mut still_px, points, before, by);
+        let mut frame = |points: &Points, before: &Points, by: f64| {
+            check(&mut still_px, points, before, [by, by])
+        };
         assert_eq!(frame(&points, &points, 1.4), Ok(()));
         assert_eq!(frame(&points, &points, 1.4), Ok(()));
         let refusal = frame(&points, &points, 1.4);

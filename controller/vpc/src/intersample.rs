@@ -196,7 +196,7 @@ fn ways(
     twist: &Twist,
     ends: &[[f64; 2]],
 ) -> Option<heapless::Vec<Way, MAX_POINTS>> {
-    let [.., x, y, z] = *twist;
+    let [.., x, y, z] = initial.relative(twist);
     let turn = task.reach * libm::sqrt(x * x + y * y + z * z);
     let pieces = (libm::ceil(turn / TURN) as usize).clamp(1, MOST_PIECES);
     let mut from = initial.points.clone();

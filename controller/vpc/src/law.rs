@@ -4,10 +4,12 @@ use scene::Scene;
 
 use crate::command::{Policy, Present};
 use crate::delay::{History, Unpredictable};
+use crate::drift::{Drift, Evidence};
 use crate::features::{self, PlainPoints};
 use crate::follow::Follow;
 use crate::foresight::{FAR, Foresight, Thinker};
 use crate::measurement::{Measurement, Refusal};
+use crate::motion::Own;
 use crate::patience::Patience;
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan, repeated};
@@ -225,7 +227,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// Where the points of a live robot's camera are expected in an exposure at `exposed_ns`, px;
     /// `None` if they were not seen before, or the commands since then are unknown.
     pub fn expected(&self, exposed_ns: u64) -> Option<Points> {
-        self.expected_since(exposed_ns).map(|(points, _)| points)
+        self.expected_since(exposed_ns, self.state.drift.believed)
+            .map(|(points, _)| points)
     }
 
     /// Changes the strategy from the next cycle on; what earlier cycles left stays.
@@ -257,6 +260,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 tilt: before.tilt,
                 seen_ns: before.seen_ns,
                 still_px: before.still_px,
+                drift: before.drift,
                 follow: before.follow,
                 history: before.history,
                 ..new
@@ -270,6 +274,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.state.tilt = None;
         self.state.seen_ns = 0;
         self.state.still_px = 0.0;
+        self.state.drift = Drift::NONE;
         self.state.follow = Follow::NEW;
     }
 
@@ -335,7 +340,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             Strategy::Previous | Strategy::Knn { .. } | Strategy::Gpr => {
                 let (recall, asked) = self.recall(points, clearance_px, memory);
                 step.asked = asked;
-                let warm = recall.as_ref().map(|recall| repeated(&recall.twist));
+                // The memory knows of twists against a pattern at rest.
+                let against = |recall: &Recall| sum(&recall.twist, &initial.drift.twist);
+                let warm = recall.as_ref().map(|recall| repeated(&against(recall)));
                 let warm = warm.unwrap_or(self.state.previous);
                 let tracked = recall.map(|recall| recall.way_point);
                 self.plan(&initial, &warm, tracked, mismatch.as_ref(), &mut step);
@@ -381,32 +388,41 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let (expected, tilt) = self.expected_at_exposure(exposed_ns, age_ns).unzip();
         let tilt = tilt.flatten().or(self.state.tilt);
         let is_live = self.state.history.is_live();
-        if is_live {
-            self.check_motion(points, expected.as_ref(), exposed_ns)?;
-        }
-        let commanded = self.state.filtered.get().zip(expected.clone());
-        let (filtered, mismatch) = match expected {
-            Some(expected) if self.settings.filter_s > 0.0 => {
-                (self.filtered(points, &expected), None)
-            }
-            expected => {
-                let mismatch = expected.filter(|_| self.state.is_linked);
-                let mismatch = mismatch.map(|expected| difference(points, &expected));
-                (points.clone(), mismatch)
-            }
+        let commanded = self.commanded(expected.as_ref(), exposed_ns);
+        let motion = match is_live {
+            true => self.check_motion(points, expected.as_ref(), commanded.as_ref(), exposed_ns)?,
+            false => self.plausible(points, expected.as_ref(), exposed_ns),
+        };
+        let before = self.state.filtered.get();
+        let kept = expected
+            .as_ref()
+            .map_or(0.0, |expected| self.kept(points, expected));
+        let filtered = match &expected {
+            Some(expected) => mixed(points, expected, kept),
+            None => points.clone(),
         };
         let model = self.settings.model;
-        let measured = InitialState::turned(&self.task, model, &filtered, tilt.as_ref());
+        let mut measured = InitialState::turned(&self.task, model, &filtered, tilt.as_ref());
+        match (&expected, motion) {
+            (Some(expected), Motion::Plausible) if self.settings.drift_compensation => {
+                self.learn_drift(&measured, points, expected, kept, exposed_ns);
+            }
+            _ => self.state.drift.skip(),
+        }
+        measured.drift = self.state.drift.believed;
         let tilt = measured.tilt;
-        match &commanded {
-            Some((from, to)) if is_live => {
+        match (&before, &commanded) {
+            (Some(from), Some(to)) if is_live => {
                 let follow = &mut self.state.follow;
                 let added = follow.add(&self.task, &measured, [from, to], exposed_ns);
                 added.inspect_err(|_| self.lose_sight())?;
             }
             _ => self.state.follow = Follow::NEW,
         }
-        let initial = if age_ns == 0 || !self.settings.delay_compensation {
+        let is_unfiltered = self.settings.filter_s == 0.0 && self.state.is_linked;
+        let mismatch = expected.filter(|_| is_unfiltered);
+        let mismatch = mismatch.map(|expected| difference(points, &expected));
+        let mut initial = if age_ns == 0 || !self.settings.delay_compensation {
             measured
         } else {
             let advanced = self.advance(&measured, exposed_ns, measurement.effective_ns);
@@ -414,6 +430,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 Unpredictable::Unknown { known_ns } => Refusal::Late { age_ns, known_ns },
                 Unpredictable::Lost => Refusal::Lost,
             })?
+        };
+        // A future is simulated with the motion in the middle of the next period.
+        initial.drift = Own {
+            rate: [0.0; DOF],
+            ..initial.drift.after(0.5 * self.task.period)
         };
         self.state.seen = points.as_slice().into();
         self.state.filtered = filtered.as_slice().into();
@@ -423,22 +444,53 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         Ok((initial, mismatch))
     }
 
-    /// The features to steer by: the expected ones, corrected by a share of what the measured ones
-    /// differ. None is further from the measured one than the settings say, so that a push, or an
-    /// arm that lags behind, is believed at once.
-    fn filtered(&self, points: &Points, expected: &Points) -> Points {
+    /// The share of the expected features that stays in those to steer by. None of these is further
+    /// from the measured one than the settings say, so that a push, or an arm that lags behind, is
+    /// believed at once.
+    fn kept(&self, points: &Points, expected: &Points) -> f64 {
         let Settings {
             filter_s,
             filter_px,
             ..
         } = self.settings;
+        if filter_s == 0.0 {
+            return 0.0;
+        }
         let most_px = features::largest_distance(expected, points);
         let kept = libm::exp(-self.task.period / filter_s);
-        let kept = kept.min(filter_px / most_px.max(f64::MIN_POSITIVE));
-        let pairs = points.iter().zip(expected);
-        pairs
-            .map(|(s, e)| [s[0] + kept * (e[0] - s[0]), s[1] + kept * (e[1] - s[1])])
-            .collect()
+        kept.min(filter_px / most_px.max(f64::MIN_POSITIVE))
+    }
+
+    /// Learns how the pattern moves by itself.
+    fn learn_drift(
+        &mut self,
+        measured: &InitialState,
+        seen: &Points,
+        expected: &Points,
+        kept: f64,
+        exposed_ns: u64,
+    ) {
+        let since_ns = exposed_ns.saturating_sub(self.state.seen_ns);
+        let (seconds, command) = match since_ns {
+            // Times are not given.
+            0 => (self.task.period, self.state.standing),
+            _ => {
+                let history = &self.state.history;
+                (
+                    since_ns as f64 * 1e-9,
+                    history.mean(self.state.seen_ns, exposed_ns),
+                )
+            }
+        };
+        let evidence = Evidence {
+            measured,
+            seen,
+            expected,
+            kept,
+            seconds,
+            command: &command,
+        };
+        self.state.drift.learn(&self.task, &evidence);
     }
 
     /// Refuses features that moved as no camera under these commands, and no object, moves them.
@@ -446,18 +498,20 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         &mut self,
         points: &Points,
         expected: Option<&Points>,
+        commanded: Option<&Points>,
         exposed_ns: u64,
-    ) -> Result<(), Refusal> {
+    ) -> Result<Motion, Refusal> {
         let (Some(seen), Some(filtered)) = (self.state.seen.get(), self.state.filtered.get())
         else {
-            return Ok(());
+            return Ok(Motion::Plausible);
         };
         let since_s = exposed_ns.abs_diff(self.state.seen_ns) as f64 * 1e-9;
         let Some(expected) = expected else {
             // Any commands within the limits.
             let most_px = follow::camera_px(&self.task, &filtered, since_s)
                 + follow::object_px(&self.task, &filtered, since_s);
-            return gate::check_place(&self.task, points, &filtered, most_px);
+            gate::check_place(&self.task, points, &filtered, most_px)?;
+            return Ok(Motion::Plausible);
         };
         gate::check_names(points, expected)?;
         if since_s < gate::LEAP_PERIODS * self.task.period {
@@ -468,12 +522,48 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let object_px = follow::object_px(&self.task, &filtered, since_s);
         let most_px = moved_px + self.state.follow.ahead_px() + object_px;
         gate::check_place(&self.task, points, expected, most_px)?;
-        if gate::is_push(&self.task, points, expected, 2.0 * moved_px + object_px) {
+        let is_push = gate::is_push(&self.task, points, expected, 2.0 * moved_px + object_px);
+        if is_push {
             // Further than a command of the wrong sign would take it: no matter of the commands.
             self.state.follow = Follow::NEW;
         }
-        frozen::check(&mut self.state.still_px, points, &seen, moved_px)
-            .inspect_err(|_| self.lose_sight())
+        let commanded_px = commanded.map_or(moved_px, |commanded| {
+            features::largest_distance(commanded, &filtered)
+        });
+        frozen::check(
+            &mut self.state.still_px,
+            points,
+            &seen,
+            [moved_px, commanded_px],
+        )
+        .inspect_err(|_| self.lose_sight())?;
+        match is_push || *points == seen {
+            true => Ok(Motion::Doubtful),
+            false => Ok(Motion::Plausible),
+        }
+    }
+
+    /// Whether the motion may be a pattern's, in simulated time.
+    fn plausible(&self, points: &Points, expected: Option<&Points>, exposed_ns: u64) -> Motion {
+        let since_s = exposed_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
+        let since_s = since_s.max(self.task.period);
+        let most_px = follow::object_px(&self.task, points, since_s);
+        match expected {
+            Some(expected) if gate::is_push(&self.task, points, expected, most_px) => {
+                Motion::Doubtful
+            }
+            _ => Motion::Plausible,
+        }
+    }
+
+    /// Where the commands alone would have taken the features, if the pattern did not move.
+    fn commanded(&self, expected: Option<&Points>, exposed_ns: u64) -> Option<Points> {
+        let expected = expected?;
+        if self.state.drift.believed.is_none() || !self.state.history.is_live() {
+            return Some(expected.clone());
+        }
+        let (commanded, _) = self.expected_since(exposed_ns, Own::NONE)?;
+        Some(commanded)
     }
 
     /// Where these features were expected: predicted for this exposure from those of the previous
@@ -483,17 +573,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         if age_ns == 0 && !self.state.history.is_live() {
             return Some((self.state.predicted.get()?, self.state.predicted_tilt));
         }
-        self.expected_since(exposed_ns)
+        self.expected_since(exposed_ns, self.state.drift.believed)
     }
 
-    /// The same by the instants and commands that are known.
-    fn expected_since(&self, exposed_ns: u64) -> Option<(Points, Option<Tilt>)> {
+    /// The same by the instants and commands that are known, of a pattern with this drift.
+    fn expected_since(&self, exposed_ns: u64, drift: Own) -> Option<(Points, Option<Tilt>)> {
         let (filtered, seen_ns) = (self.state.filtered.get()?, self.state.seen_ns);
         if seen_ns >= exposed_ns {
             return None;
         }
         let (model, tilt) = (self.settings.model, self.state.tilt.as_ref());
-        let before = InitialState::turned(&self.task, model, &filtered, tilt);
+        let before = InitialState::turned(&self.task, model, &filtered, tilt).with_drift(drift);
         let expected = self.advance(&before, seen_ns, exposed_ns).ok()?;
         Some((expected.explained(&self.task), expected.tilt))
     }
@@ -587,6 +677,15 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 }
 
+/// What a check says of the motion between two images.
+#[derive(Clone, Copy, PartialEq)]
+enum Motion {
+    /// It may be a pattern's.
+    Plausible,
+    /// It tells nothing of the pattern: a push, or the same image again.
+    Doubtful,
+}
+
 /// What the law may do in a period, in counted [work](crate::work).
 #[derive(Clone, Copy, Debug)]
 struct Share {
@@ -653,6 +752,22 @@ fn corrected(tracked: &Points, mismatch: Option<&Points>) -> Points {
         Some(eps) => difference(tracked, eps),
         None => tracked.clone(),
     }
+}
+
+/// a + b.
+fn sum(a: &Twist, b: &Twist) -> Twist {
+    core::array::from_fn(|k| a.get(k).zip(b.get(k)).map_or(0.0, |(a, b)| a + b))
+}
+
+/// The measured features with a share `kept` of what the expected ones differ.
+fn mixed(points: &Points, expected: &Points, kept: f64) -> Points {
+    if kept == 0.0 {
+        return points.clone();
+    }
+    let pairs = points.iter().zip(expected);
+    pairs
+        .map(|(s, e)| [s[0] + kept * (e[0] - s[0]), s[1] + kept * (e[1] - s[1])])
+        .collect()
 }
 
 /// a - b, point by point.

@@ -61,6 +61,7 @@ pub mod constraint;
 
 pub mod cost;
 pub mod delay;
+pub mod drift;
 pub mod features;
 pub mod field;
 mod follow;

@@ -8,8 +8,9 @@
 
 use libm::{cos, sin, sqrt};
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
-use crate::Twist;
+use crate::{DOF, Twist};
 
 /// A rigid motion over one sampling time.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +45,58 @@ impl Motion {
     /// Where the point `x` (camera frame, m) is after the motion.
     pub fn apply(&self, x: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * x + self.translation
+    }
+
+    /// The twist of something that moves at `twist` (camera frame), in the frame after the motion.
+    pub fn carry(&self, twist: &Twist) -> Twist {
+        if *twist == [0.0; DOF] {
+            return *twist;
+        }
+        let [vx, vy, vz, wx, wy, wz] = *twist;
+        let turning = self.rotation * Vector3::new(wx, wy, wz);
+        let velocity = self.rotation * Vector3::new(vx, vy, vz) + self.translation.cross(&turning);
+        let ([vx, vy, vz], [wx, wy, wz]) = (velocity.into(), turning.into());
+        [vx, vy, vz, wx, wy, wz]
+    }
+}
+
+/// A motion of the pattern by itself, in the camera frame. Plain data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Own {
+    /// Its twist, m/s and rad/s.
+    pub twist: Twist,
+    /// Rate of its twist, m/s^2 and rad/s^2.
+    pub rate: Twist,
+}
+
+impl Own {
+    /// Rest.
+    pub const NONE: Self = Self {
+        twist: [0.0; DOF],
+        rate: [0.0; DOF],
+    };
+
+    /// Whether the pattern rests.
+    pub fn is_none(&self) -> bool {
+        *self == Self::NONE
+    }
+
+    /// The same after some time, in the same frame.
+    pub fn after(mut self, seconds: f64) -> Self {
+        let pairs = self.twist.iter_mut().zip(self.rate);
+        pairs.for_each(|(v, rate)| *v += seconds * rate);
+        self
+    }
+
+    /// The same in the frame of a camera after a motion of it.
+    pub fn carried(&self, motion: &Motion) -> Self {
+        if self.is_none() {
+            return *self;
+        }
+        Self {
+            twist: motion.carry(&self.twist),
+            rate: motion.carry(&self.rate),
+        }
     }
 }
 

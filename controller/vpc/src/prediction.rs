@@ -7,7 +7,8 @@
 //! | Np, Nc | `np`, `NC` | steps previewed, free commands |
 //! | Ts | `task.ts` | length of a step, s |
 //! | L | `interaction` | interaction matrix, for the depth models |
-//! | X_j = exp(-Ts v_j) X_{j-1} | [`Motion`] | points in the camera frame, m, for [`Model::Pose`] |
+//! | X_j = exp(-Ts (v_j - d)) X_{j-1} | [`Motion`] | points in the camera frame, m, for [`Model::Pose`] |
+//! | d | `drift` | twist of the pattern in the camera frame ([`crate::drift`]) |
 //! | r_j = h / Z_j | `radius` | half the diagonal of a point's marker at its depth, px |
 //!
 //! Source: paper, Eq. (model): s_j = s_{j-1} + Ts L_j v_j.
@@ -23,7 +24,7 @@ use libm::sqrt;
 use nalgebra::Vector3;
 
 use crate::clearance::Place;
-use crate::motion::{Motion, Sensitivity};
+use crate::motion::{Motion, Own, Sensitivity};
 use crate::pose::{Estimate, Tilt};
 use crate::task::Task;
 use crate::workspace::Workspace;
@@ -66,6 +67,8 @@ pub struct InitialState {
     geometry: Geometry,
     /// Which of two poses is believed; `None` where none is known.
     pub(crate) tilt: Option<Tilt>,
+    /// How the pattern moves by itself.
+    pub(crate) drift: Own,
 }
 
 /// Longest step with which the motion of a depth model is integrated, as a share of the sampling
@@ -105,7 +108,19 @@ impl InitialState {
             points: points.clone(),
             geometry,
             tilt: pose.map(|(_, tilt)| tilt),
+            drift: Own::NONE,
         }
+    }
+
+    /// The same with a pattern that moves by itself.
+    pub fn with_drift(mut self, drift: Own) -> Self {
+        self.drift = drift;
+        self
+    }
+
+    /// The twist of a camera at `twist` against the pattern.
+    pub(crate) fn relative(&self, twist: &Twist) -> Twist {
+        core::array::from_fn(|k| twist[k] - self.drift.twist[k])
     }
 
     /// The depth of each point, m.
@@ -138,9 +153,18 @@ impl InitialState {
     /// not explain of the features stays with them. `None` if a point would be behind the camera or
     /// far outside any image.
     pub fn moved(&self, task: &Task, model: Model, twist: &Twist, seconds: f64) -> Option<Self> {
+        let drift = self.drift.after(0.5 * seconds).twist;
+        let relative = core::array::from_fn(|k| twist[k] - drift[k]);
+        let drift = match self.drift.is_none() {
+            true => Own::NONE,
+            false => {
+                let motion = Motion::of_camera(twist, seconds);
+                self.drift.after(seconds).carried(&motion)
+            }
+        };
         match &self.geometry {
             Geometry::Positions(before) => {
-                let motion = Motion::of_camera(twist, seconds);
+                let motion = Motion::of_camera(&relative, seconds);
                 let after: Vec<_, MAX_POINTS> = before.iter().map(|x| motion.apply(x)).collect();
                 let in_front = |x: &Vector3<f64>| x.z > 1e-6;
                 let moves = seen(task, before).into_iter().zip(seen(task, &after));
@@ -154,15 +178,16 @@ impl InitialState {
                         normal: (motion.rotation * Vector3::from(tilt.normal)).into(),
                         ..tilt
                     }),
+                    drift,
                 })
             }
             Geometry::Depths(_) => {
                 let steps = libm::ceil(seconds / (STEP * task.period)).clamp(1.0, MOST_STEPS);
                 let mut initial = self.clone();
                 for _ in 0..steps as u32 {
-                    initial = initial.integrated(task, model, twist, seconds / steps)?;
+                    initial = initial.integrated(task, model, &relative, seconds / steps)?;
                 }
-                Some(initial)
+                Some(initial.with_drift(drift))
             }
         }
     }
@@ -171,6 +196,7 @@ impl InitialState {
     /// radii of their markers there; `None` if one comes behind the camera.
     pub(crate) fn ends(&self, task: &Task, twist: &Twist) -> Option<(Points, Radii)> {
         let camera = &task.camera;
+        let twist = &self.relative(twist);
         match &self.geometry {
             Geometry::Positions(points) => {
                 let motion = Motion::of_camera(twist, task.reach);
@@ -207,7 +233,7 @@ impl InitialState {
         out: &mut [[f64; 3]],
     ) -> bool {
         let motion = match &self.geometry {
-            Geometry::Positions(_) => Motion::of_camera(twist, share * task.reach),
+            Geometry::Positions(_) => Motion::of_camera(&self.relative(twist), share * task.reach),
             Geometry::Depths(_) => Motion::REST,
         };
         let points = out.iter_mut().zip(wanted).enumerate();
@@ -244,6 +270,7 @@ impl InitialState {
         let focal = [task.camera.fx, task.camera.fy];
         match &self.geometry {
             Geometry::Positions(points) => {
+                let twist = &self.relative(twist);
                 let x = Motion::of_camera(twist, seconds).apply(&points[point]);
                 let [a, b, c] = Sensitivity::of_camera(twist, seconds).at(&x);
                 let slope = |focal: f64, along: &Twist, at: f64| {
@@ -289,6 +316,7 @@ impl InitialState {
                 points,
                 geometry,
                 tilt: None,
+                drift: self.drift,
             }
         };
         let middle = at(slide(&self.points, self, 0.5 * h)?);
@@ -458,9 +486,11 @@ impl<'w, const N: usize> Preview<'w, N> {
         self.count = initial.points.len().min(self.room);
         match &initial.geometry {
             Geometry::Depths(depths) => {
-                self.move_image_points::<GRADIENTS>(task, &initial.points, depths, plan)
+                self.move_image_points::<GRADIENTS>(task, initial, depths, plan)
             }
-            Geometry::Positions(points) => self.move_points::<GRADIENTS>(task, points, plan),
+            Geometry::Positions(points) => {
+                self.move_points::<GRADIENTS>(task, initial, points, plan)
+            }
         }
     }
 
@@ -471,19 +501,20 @@ impl<'w, const N: usize> Preview<'w, N> {
     fn move_image_points<const GRADIENTS: bool>(
         &mut self,
         task: &Task,
-        points: &Points,
+        initial: &InitialState,
         depths: &[f64],
         plan: &[f64; N],
     ) -> bool {
         let ts = task.ts;
-        for (i, (&point, &z)) in points.iter().zip(depths).enumerate().take(self.count) {
+        let places = initial.points.iter().zip(depths);
+        for (i, (&point, &z)) in places.enumerate().take(self.count) {
             let radius = task.radius(z);
             let mut p = camera::normalise(&task.camera, point);
             let mut gradient = [[0.0; N]; 2];
             for j in 0..self.np {
                 let at = j * self.room + i;
                 let offset = self.offset(j);
-                let v = Self::command(plan, offset);
+                let v = initial.relative(&Self::command(plan, offset));
                 let (velocity, slope) = interaction::flow(p, z, &v);
                 if GRADIENTS {
                     let matrix = interaction::of_point(p, z);
@@ -514,13 +545,14 @@ impl<'w, const N: usize> Preview<'w, N> {
     fn move_points<const GRADIENTS: bool>(
         &mut self,
         task: &Task,
+        initial: &InitialState,
         points: &[Vector3<f64>],
         plan: &[f64; N],
     ) -> bool {
         let mut motions = [Motion::REST; crate::MAX_NC];
         let mut sensitivities = [Sensitivity::REST; crate::MAX_NC];
         for block in 0..Self::NC {
-            let v = Self::command(plan, DOF * block);
+            let v = initial.relative(&Self::command(plan, DOF * block));
             motions[block] = Motion::of_camera(&v, task.ts);
             if GRADIENTS {
                 sensitivities[block] = Sensitivity::of_camera(&v, task.ts);

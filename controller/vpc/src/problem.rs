@@ -53,15 +53,19 @@ impl Problem<'_> {
         ]
     }
 
-    /// The command that brakes: the one in force, slowed down as a whole, so that the camera stays
-    /// on its path.
+    /// The command that brakes: the one in force, slowed down as a whole against the pattern, so
+    /// that the camera stays on its path.
     pub fn braking(&self) -> Twist {
-        let stop_s = self.task.stop_s(&self.standing);
+        let drift = &self.initial.drift.twist;
+        let relative = self.initial.relative(&self.standing);
+        let stop_s = self.task.stop_s(&relative);
+        let left = (1.0 - self.interval / stop_s).max(0.0);
+        let mut braking = *drift;
         if stop_s > self.interval {
-            self.standing.map(|v| v * (1.0 - self.interval / stop_s))
-        } else {
-            [0.0; DOF]
+            let pairs = braking.iter_mut().zip(relative);
+            pairs.for_each(|(v, relative)| *v += left * relative);
         }
+        braking
     }
 }
 

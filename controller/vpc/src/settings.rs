@@ -147,6 +147,10 @@ settings! {
         /// Whether the commands sent since the exposure advance the features to now.
         #[default(true)]
         pub delay_compensation: bool,
+        /// Whether the law learns how the pattern moves by itself, as on a conveyor or in a hand, and
+        /// follows it. Flag of `cargo table`: --no-drift.
+        #[default(true)]
+        pub drift_compensation: bool,
         /// Time in which a component of the twist goes from zero to its limit, where the scene
         /// gives no limit of acceleration; 0: at once. The daemon takes `safety.brake_s`.
         #[default(0.0)]

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::delay::History;
+use crate::drift::Drift;
 use crate::features::PlainPoints;
 use crate::follow::Follow;
 use crate::foresight::Foresight;
@@ -44,6 +45,8 @@ pub struct State {
     pub is_linked: bool,
     /// Motion that was commanded while `seen` did not change in any bit, px.
     pub still_px: f64,
+    /// The pattern's own motion.
+    pub drift: Drift,
     /// The recent features and commands, to check that the image follows.
     pub follow: Follow,
     /// The command that was sent last.
@@ -69,6 +72,7 @@ impl State {
             seen_ns: 0,
             is_linked: false,
             still_px: 0.0,
+            drift: Drift::NONE,
             follow: Follow::NEW,
             standing: [0.0; DOF],
             history: History::new(),
@@ -153,6 +157,8 @@ mod tests {
         );
         assert_ne!(late, after(PERIOD, |state| state.filtered.count = 0));
         assert_ne!(late, after(PERIOD, |state| state.standing[0] += 0.1));
+        let moves = |state: &mut State| state.drift.believed.twist[0] += 0.1;
+        assert_ne!(late.0, after(PERIOD, moves).0);
         if settings.filter_s == 0.0 {
             assert_ne!(late, after(PERIOD, |state| state.is_linked = false));
         }

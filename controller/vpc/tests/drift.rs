@@ -1,0 +1,322 @@
+//! The law and a pattern that moves, against a truth of its own.
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+use scene::{Pose, Scene};
+use vpc::motion::{Motion, rotation};
+use vpc::{DOF, Law, Measurement, Refusal, Settings, Strategy, Twist, camera, constraint};
+
+/// The pattern's twist in its own frame after some seconds, m/s and rad/s.
+type Own = fn(f64) -> Twist;
+
+/// A camera before a pattern that moves.
+struct World {
+    scene: Scene,
+    /// The pattern in the camera frame, m.
+    points: Vec<Vector3<f64>>,
+    /// Its origin and the ends of its axes, m.
+    origin: [Vector3<f64>; 4],
+    seconds: f64,
+}
+
+/// Instants of a period at which the world is looked at.
+const INSTANTS: usize = 12;
+
+impl World {
+    fn new(start: &Pose) -> Self {
+        let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();
+        let at = |p: [f64; 3]| {
+            rotation(start.rotation) * Vector3::from(p) + Vector3::from(start.translation)
+        };
+        Self {
+            points: scene.pattern.iter().map(|p| at(*p)).collect(),
+            origin: [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(at),
+            scene,
+            seconds: 0.0,
+        }
+    }
+
+    fn features(&self) -> Vec<[f64; 2]> {
+        let see = |x: &Vector3<f64>| camera::project(&self.scene.camera, (*x).into()).unwrap();
+        self.points.iter().map(see).collect()
+    }
+
+    /// The pattern's own twist, in the camera frame.
+    fn own(&self, own: Own) -> Twist {
+        let [vx, vy, vz, wx, wy, wz] = own(self.seconds);
+        let [at, x, y, z] = self.origin;
+        let axes = [x - at, y - at, z - at];
+        let turned = |v: [f64; 3]| axes[0] * v[0] + axes[1] * v[1] + axes[2] * v[2];
+        let turning = turned([wx, wy, wz]);
+        let velocity = turned([vx, vy, vz]) - turning.cross(&at);
+        [
+            velocity.x, velocity.y, velocity.z, turning.x, turning.y, turning.z,
+        ]
+    }
+
+    fn go(&mut self, twist: &Twist, own: Own, seconds: f64) {
+        let drift = self.own(own);
+        let relative = core::array::from_fn(|k| twist[k] - drift[k]);
+        let motion = Motion::of_camera(&relative, seconds);
+        for x in self.points.iter_mut().chain(&mut self.origin) {
+            *x = motion.apply(x);
+        }
+        self.seconds += seconds;
+    }
+}
+
+/// How a run goes.
+struct Trial {
+    own: Own,
+    noise_px: f64,
+    /// Frames from an exposure to the command that answers it.
+    delay: usize,
+    /// Of the actuator.
+    gain: f64,
+    drift_compensation: bool,
+    /// The cycle from which the image stays as it is, but for its noise.
+    stuck: usize,
+}
+
+impl Default for Trial {
+    fn default() -> Self {
+        Self {
+            own: |_| [0.0; DOF],
+            noise_px: 0.3,
+            delay: 4,
+            gain: 1.0,
+            drift_compensation: true,
+            stuck: usize::MAX,
+        }
+    }
+}
+
+/// What it led to.
+#[derive(Debug, Default)]
+struct Run {
+    /// Cycles until every feature was at the goal.
+    cycles: Option<usize>,
+    /// Feature error from a second after that on, RMS, px.
+    error_px: f64,
+    /// Distance between the pattern and where it should be, in the last four seconds, RMS, mm.
+    away_mm: f64,
+    /// Mean change of the command from a second after the arrival on, as a share of the limits.
+    change: f64,
+    /// How deep a point was in an occlusion or outside the image, px.
+    deepest_px: f64,
+    /// Way of the camera after the image stuck, m.
+    way_m: f64,
+    /// The first refusal.
+    refusal: Option<Refusal>,
+}
+
+/// Mean and count of some numbers.
+#[derive(Default)]
+struct Mean(f64, f64);
+
+impl Mean {
+    fn add(&mut self, x: f64) {
+        self.0 += x;
+        self.1 += 1.0;
+    }
+
+    fn get(&self) -> f64 {
+        self.0 / self.1.max(1.0)
+    }
+}
+
+const SECONDS: f64 = 8.0;
+
+fn run(trial: &Trial, (seed, start): (usize, &Pose)) -> Run {
+    let mut world = World::new(start);
+    let scene = world.scene.clone();
+    let period = scene.sampling_time();
+    let settings = Settings {
+        strategy: Strategy::Foresight,
+        drift_compensation: trial.drift_compensation,
+        brake_s: 0.25,
+        ..Settings::default()
+    };
+    let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+    law.go_live(100_000_000);
+    let task = law.task().clone();
+    let goal = task.goal.as_flattened();
+    let mut random = ChaCha8Rng::seed_from_u64(seed as u64);
+    let noise = Normal::new(0.0, trial.noise_px).unwrap();
+    let ns = |k: usize| 1_000_000_000 + (k as f64 * period * 1e9).round() as u64;
+    let (mut run, mut frames, mut standing) = (Run::default(), Vec::new(), [0.0; DOF]);
+    let (mut errors, mut changes, mut away) = (Mean::default(), Mean::default(), Mean::default());
+    law.sent(&standing, ns(0) - 100);
+    for k in 0..(SECONDS / period) as usize {
+        let truth = world.features();
+        let each = || {
+            truth
+                .as_flattened()
+                .iter()
+                .zip(goal)
+                .map(|(s, goal)| s - goal)
+        };
+        let error_px = each().map(f64::abs).fold(0.0, f64::max);
+        if run.cycles.is_none() && error_px <= scene.success.convergence_px {
+            run.cycles = Some(k);
+        }
+        frames.push(truth.clone());
+        let mut twist = [0.0; DOF];
+        if let Some(at) = k.checked_sub(trial.delay) {
+            let seen = frames[at.min(trial.stuck)].iter();
+            let seen: Vec<_> = seen
+                .map(|p| p.map(|x| x + noise.sample(&mut random)))
+                .collect();
+            let seen = Measurement::from_points(&seen).taken(ns(at), ns(k));
+            match law.step(&seen, None) {
+                Ok(step) => twist = step.twist,
+                Err(refusal) => run.refusal = run.refusal.or(Some(refusal)),
+            }
+        }
+        if run.refusal.is_some() && trial.stuck < k {
+            return run;
+        }
+        law.sent(&twist, ns(k));
+        law.think(None);
+        if run.cycles.is_some_and(|at| k >= at + 30) {
+            each().for_each(|e| errors.add(e * e));
+            for (limit, (a, b)) in task.limits.iter().zip(twist.iter().zip(&standing)) {
+                changes.add((a - b).abs() / limit);
+            }
+        }
+        if world.seconds > SECONDS - 4.0 {
+            away.add((world.origin[0] - Vector3::from(scene.goal.translation)).norm_squared());
+        }
+        if k > trial.stuck {
+            run.way_m += period * Vector3::new(twist[0], twist[1], twist[2]).norm();
+        }
+        standing = twist;
+        for _ in 0..INSTANTS {
+            let moved = twist.map(|v| trial.gain * v);
+            world.go(&moved, trial.own, period / INSTANTS as f64);
+            for pixel in world.features() {
+                run.deepest_px = run.deepest_px.max(constraint::violation(&task, pixel, 0.0));
+            }
+        }
+    }
+    (run.error_px, run.away_mm) = (errors.get().sqrt(), 1e3 * away.get().sqrt());
+    run.change = changes.get();
+    run
+}
+
+/// Runs from some starts.
+fn runs(trial: &Trial) -> Vec<Run> {
+    runs_from(trial, 6)
+}
+
+fn runs_from(trial: &Trial, count: usize) -> Vec<Run> {
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let starts = starts.iter().enumerate().skip(40).take(count);
+    starts.map(|start| run(trial, start)).collect()
+}
+
+fn mean_cycles(runs: &[Run]) -> f64 {
+    let mut mean = Mean::default();
+    runs.iter()
+        .for_each(|run| mean.add(run.cycles.unwrap() as f64));
+    mean.get()
+}
+
+#[test]
+fn a_pattern_that_moves_is_followed() {
+    let motions: [Own; 4] = [
+        |_| [0.01, 0.0, 0.0, 0.0, 0.0, 0.0],
+        |_| [0.03, 0.0, 0.0, 0.0, 0.0, 0.0],
+        |_| [0.1, 0.0, 0.0, 0.0, 0.0, 0.0],
+        |_| [0.0, 0.0, 0.0, 0.0, 0.0, 0.2],
+    ];
+    for own in motions {
+        for run in runs(&Trial {
+            own,
+            ..Trial::default()
+        }) {
+            assert!(run.cycles.is_some() && run.refusal.is_none(), "{run:?}");
+            assert!(run.error_px < 0.3 && run.deepest_px < 3.0, "{run:?}");
+        }
+        // A law that believes that it rests stays behind.
+        let lags = Trial {
+            own,
+            drift_compensation: false,
+            ..Trial::default()
+        };
+        assert!(runs(&lags).iter().all(|run| run.cycles.is_none()));
+    }
+}
+
+#[test]
+fn a_circle_is_followed_to_two_millimetres() {
+    let own: Own = |t| [0.1 * t.cos(), 0.1 * t.sin(), 0.0, 0.0, 0.0, 0.0];
+    for run in runs(&Trial {
+        own,
+        ..Trial::default()
+    }) {
+        assert!(run.away_mm < 2.0 && run.refusal.is_none(), "{run:?}");
+    }
+}
+
+#[test]
+fn a_pattern_at_rest_costs_nothing() {
+    let of = |drift_compensation| {
+        let trial = Trial {
+            drift_compensation,
+            ..Trial::default()
+        };
+        runs_from(&trial, 20)
+    };
+    let (with, without) = (of(true), of(false));
+    assert!(mean_cycles(&with) < 1.01 * mean_cycles(&without));
+    assert!(
+        with.iter()
+            .all(|run| run.change < 0.008 && run.error_px < 0.1),
+        "{with:?}"
+    );
+}
+
+#[test]
+fn a_wrong_gain_is_no_motion_of_the_pattern() {
+    for gain in [0.8, 1.2] {
+        let of = |drift_compensation| {
+            mean_cycles(&runs(&Trial {
+                gain,
+                drift_compensation,
+                ..Trial::default()
+            }))
+        };
+        let (with, without) = (of(true), of(false));
+        assert!(with < 1.05 * without, "{gain}: {with} instead of {without}");
+    }
+}
+
+#[test]
+fn a_pattern_is_followed_with_a_wrong_gain() {
+    let own: Own = |_| [0.1, 0.0, 0.0, 0.0, 0.0, 0.0];
+    for gain in [0.8, 1.2] {
+        for run in runs(&Trial {
+            own,
+            gain,
+            ..Trial::default()
+        }) {
+            assert!(run.error_px < 0.3 && run.cycles.is_some(), "{gain} {run:?}");
+        }
+    }
+}
+
+#[test]
+fn an_image_that_sticks_is_not_taken_for_motion() {
+    for stuck in [15, 30, 45] {
+        for run in runs(&Trial {
+            stuck,
+            ..Trial::default()
+        }) {
+            let is_noticed = matches!(run.refusal, Some(Refusal::NotFollowing { .. }));
+            assert!(is_noticed && run.way_m < 0.6, "{stuck}: {run:?}");
+        }
+    }
+}
