@@ -221,6 +221,7 @@ fn laid_over(
             &document,
             Settings {
                 brake_s,
+                blind_s: tables.safety.blind_s,
                 ..tables.law
             },
         )?,
@@ -228,6 +229,7 @@ fn laid_over(
         safety: Safety {
             armed,
             brake_s: tables.safety.brake_s,
+            blind_s: tables.safety.blind_s,
             lost_s: tables.safety.lost_s,
             stale_periods: tables.cycle.stale_periods,
             needs_robot,

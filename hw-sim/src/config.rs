@@ -92,6 +92,14 @@ pub struct Keys {
     #[arg(long, default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 1))]
     pub drop: f64,
+    /// Free camera: probability that a frame does not show one of its points.
+    #[arg(long, default_value_t = 0.0)]
+    #[schemars(range(min = 0, max = 1))]
+    pub hide: f64,
+    /// Free camera: once, in the first two seconds, frames show no point for so long.
+    #[arg(long, default_value_t = 0.0)]
+    #[schemars(range(min = 0, max = 60), extend("x-unit" = "s"))]
+    pub blackout_s: f64,
     /// Seed of noise and losses.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -320,6 +328,8 @@ impl Config {
             noise_px: keys.noise_px,
             delay_frames: keys.delay_frames as usize,
             drop: keys.drop,
+            hide: keys.hide,
+            blackout_s: keys.blackout_s,
             seed: keys.seed,
         };
         let mut rig = RigSettings::new(&scene);

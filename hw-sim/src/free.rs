@@ -152,7 +152,7 @@ impl Cell for FreeCell {
             // Frames are numbered as they are exposed: a lost one shows as a gap.
             number: self.progress.frames - self.delay_frames,
             stamp_ns: frame.exposure_ns,
-            visible: (1 << frame.points.len()) - 1,
+            visible: frame.visible,
             points: frame.points,
             image: None,
         });

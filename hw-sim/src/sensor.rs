@@ -17,7 +17,11 @@ pub struct Flaws {
     pub delay_frames: usize,
     /// Probability that a frame is lost, 0 to 1.
     pub drop: f64,
-    /// Seed of noise and losses.
+    /// Probability that a frame does not show one of its points, 0 to 1.
+    pub hide: f64,
+    /// Once, in the first two seconds, frames show no point for so long, s.
+    pub blackout_s: f64,
+    /// Seed of all of these.
     pub seed: u64,
 }
 
@@ -26,6 +30,8 @@ pub struct Flaws {
 pub struct Frame {
     /// Measured features, px.
     pub points: Points,
+    /// Bit i is set if point i is seen.
+    pub visible: u32,
     /// When they were exposed, ns on the monotonic clock.
     pub exposure_ns: u64,
 }
@@ -36,13 +42,27 @@ pub struct Sensor {
     flaws: Flaws,
     under_way: VecDeque<Frame>,
     random: ChaCha8Rng,
+    /// Of hidden points.
+    hiding: ChaCha8Rng,
+    /// When the blackout begins and ends, s after the first frame.
+    blackout_s: [f64; 2],
+    first_ns: Option<u64>,
 }
+
+/// A blackout begins within this time, s.
+const BLACKOUT_S: f64 = 2.0;
 
 impl Sensor {
     /// A sensor with these flaws.
     pub fn new(flaws: Flaws) -> Self {
         let random = ChaCha8Rng::seed_from_u64(flaws.seed);
+        let mut hiding = ChaCha8Rng::seed_from_u64(flaws.seed);
+        hiding.set_stream(1);
+        let begin_s = BLACKOUT_S * hiding.random::<f64>();
         Self {
+            hiding,
+            blackout_s: [begin_s, begin_s + flaws.blackout_s],
+            first_ns: None,
             flaws,
             under_way: VecDeque::with_capacity(flaws.delay_frames + 1),
             random,
@@ -60,14 +80,32 @@ impl Sensor {
                 .flatten()
                 .for_each(|x| *x += noise.sample(&mut self.random));
         }
+        let visible = self.visible(points.len(), exposure_ns);
         self.under_way.push_back(Frame {
             points,
+            visible,
             exposure_ns,
         });
         let due = self.under_way.len() > self.flaws.delay_frames;
         due.then(|| self.under_way.pop_front())
             .flatten()
             .filter(|_| !lost)
+    }
+
+    /// The points that a frame shows.
+    fn visible(&mut self, count: usize, exposure_ns: u64) -> u32 {
+        let [is_hidden, which] = [(); 2].map(|()| self.hiding.random::<f64>());
+        let first_ns = *self.first_ns.get_or_insert(exposure_ns);
+        let since_s = exposure_ns.saturating_sub(first_ns) as f64 * 1e-9;
+        let [begin_s, end_s] = self.blackout_s;
+        let all = (1 << count) - 1;
+        if (begin_s..end_s).contains(&since_s) {
+            return 0;
+        }
+        match is_hidden < self.flaws.hide {
+            true => all & !(1 << (which * count as f64) as u32),
+            false => all,
+        }
     }
 }
 
@@ -86,6 +124,7 @@ mod tests {
             frame,
             Some(Frame {
                 points: points(),
+                visible: 0b11,
                 exposure_ns: 7
             })
         );

@@ -83,6 +83,7 @@ impl<'m> Simulated<'m> {
             self.sequence += 1;
             let mut features = Features::new(&frame.points, frame.exposure_ns);
             features.stamp.sequence = self.sequence;
+            features.visible = frame.visible;
             features
         });
         Self::received(frame, now_ns)

@@ -36,6 +36,7 @@ pub fn strategy(code: StrategyCode, neighbours: u32) -> Option<Strategy> {
 pub fn measurement(features: &Features, effective_ns: u64) -> Measurement {
     let exposed_ns = exposed_ns(&features.stamp);
     let mut measurement = Measurement::from_points(&[]).taken(exposed_ns, effective_ns);
+    measurement.visible = features.visible;
     measurement.points.extend(features.pairs());
     measurement
 }
@@ -52,6 +53,7 @@ pub fn exposed_ns(features: &Stamp) -> u64 {
 /// The hold for a refusal by the law.
 pub fn hold_of(refusal: Refusal) -> Hold {
     match refusal {
+        Refusal::Hidden { .. } => Hold::Hidden,
         Refusal::Count { .. } => Hold::Count,
         Refusal::NotFinite { .. } => Hold::NotFinite,
         Refusal::OffImage { .. } | Refusal::Lost => Hold::OffImage,

@@ -293,6 +293,10 @@ impl<'m> ControlStep<'m> {
                 let decision = self.run_law(&features, effective_ns, link, has_arrived, record);
                 match decision.hold {
                     None | Some(Hold::NoWay) => self.gate.approve(),
+                    Some(Hold::Hidden) => {
+                        self.gate.hold(Hold::Hidden);
+                        self.wait(&features, effective_ns);
+                    }
                     Some(hold) => _ = self.gate.hold(hold),
                 }
                 self.standing = Answer {
@@ -301,7 +305,12 @@ impl<'m> ControlStep<'m> {
                 };
                 self.standing
             }
-            Verdict::Repeat => self.standing,
+            Verdict::Repeat => {
+                if let Some(decision) = self.coast(inputs.now_ns, record) {
+                    self.standing.decision = decision;
+                }
+                self.standing
+            }
             Verdict::Hold(hold, stamp) => Answer {
                 stamp,
                 decision: Decision::hold(hold),
@@ -333,6 +342,29 @@ impl<'m> ControlStep<'m> {
             }
             Err(refusal) => Decision::hold(contract::hold_of(refusal)),
         }
+    }
+
+    /// Lets features without some points count as usable for as long as the law may go on without
+    /// them: it stands, and the camera works.
+    fn wait(&mut self, features: &Features, effective_ns: u64) {
+        let since_ns = effective_ns.saturating_sub(self.law.state().blind.whole_ns);
+        let most_s = self.law.settings().blind_s;
+        if features.count > 0 && (since_ns as f64) < 1e9 * most_s {
+            self.gate.approve();
+        }
+    }
+
+    /// What to command in a cycle of a moving camera without new features; `None`: the last command
+    /// again.
+    fn coast(&mut self, now_ns: u64, record: &mut CycleRecord) -> Option<Decision> {
+        let state = self.standing.decision.state;
+        let is_moving = matches!(state, TwistState::Moving | TwistState::Arrived);
+        if !(is_moving && self.gate.is_live()) {
+            return None;
+        }
+        let step = self.law.coast(now_ns, motion(&self.memory))?;
+        contract::record_step(&step, record);
+        Some(self.bounds.decide(&step, state == TwistState::Arrived))
     }
 
     /// What was received, and under which settings it is decided.

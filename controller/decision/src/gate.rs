@@ -1,8 +1,8 @@
 //! The gate: which features may reach the law, and what to do without them. Pure; the time is an
 //! argument.
 //!
-//! It checks messages: their order, their age, and whether all points were visible. The law then
-//! checks the numbers against the scene.
+//! It checks messages: their order and their age. The law then checks the numbers against the
+//! scene.
 
 use messages::{FUTURE_NS, Features, Hold, Order, Stamp};
 use serde::{Deserialize, Serialize};
@@ -129,9 +129,6 @@ impl Gate {
         self.believed = features.stamp;
         if self.is_stale(now_ns) {
             return self.hold(Hold::Stale);
-        }
-        if !features.all_visible() {
-            return self.hold(Hold::Hidden);
         }
         let link = match order {
             Order::First | Order::Restarted => Link::New,
@@ -355,10 +352,6 @@ mod tests {
             Verdict::Hold(Hold::Invalid, invalid)
         );
         assert_eq!(hold(gate.judge(&Input::Nothing, 32)), Some(Hold::Invalid));
-        let mut hidden = message(2, 60);
-        hidden.visible = 0b0111;
-        let hidden = Input::Message(hidden);
-        assert_eq!(hold(gate.judge(&hidden, 61)), Some(Hold::Hidden));
         assert_eq!(link(gate.judge(&came(3, 90), 91)), Some(Link::Broken));
     }
 }

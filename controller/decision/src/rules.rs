@@ -12,6 +12,8 @@ pub struct Safety {
     pub armed: bool,
     /// Time in which a twist at the limits is braked to zero, s.
     pub brake_s: f64,
+    /// Longest time for which the law goes on while points are hidden, s.
+    pub blind_s: f64,
     /// Time without usable features after which the camera is disarmed, s.
     pub lost_s: f64,
     /// Periods for which the last command may stand without new features; the camera brakes so
@@ -28,6 +30,7 @@ impl Default for Safety {
         Self {
             armed: false,
             brake_s: 0.15,
+            blind_s: 1.0,
             lost_s: 0.3,
             stale_periods: 3.0,
             needs_robot: true,

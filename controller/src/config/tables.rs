@@ -89,6 +89,10 @@ pub struct Safety {
     #[default(Chosen::default().brake_s)]
     #[schemars(range(min = 0, max = 0.15), extend("x-unit" = "s"))]
     pub brake_s: f64,
+    /// Longest time for which the camera goes on while points are hidden; 0: it brakes at once.
+    #[default(Chosen::default().blind_s)]
+    #[schemars(range(min = 0, max = 1), extend("x-unit" = "s"))]
+    pub blind_s: f64,
     /// Time without usable features or robot messages after which the controller disarms; at least
     /// two periods more than `cycle.stale_periods`. No effect in lockstep.
     #[default(Chosen::default().lost_s)]

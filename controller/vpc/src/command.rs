@@ -20,6 +20,8 @@ pub(crate) struct Present<'a> {
     pub interval: f64,
     /// The plan that the solver starts from.
     pub warm: &'a Plan,
+    /// Clearance kept from every border beside the settings', px.
+    pub extra_px: f64,
 }
 
 /// The policy: predictive control towards a given target, one command at a time.
@@ -45,6 +47,7 @@ impl Policy<'_> {
             initial,
             warm,
             interval,
+            extra_px,
             ..
         } = *present;
         let problem = Problem {
@@ -55,7 +58,7 @@ impl Policy<'_> {
             change_share: self.settings.change_share * self.task.ts / interval,
             standing: *present.standing,
             interval,
-            margin: self.settings.margin_px,
+            margin: self.settings.margin_px + extra_px,
         };
         let braking = repeated(&problem.braking());
         let solution = solver.solve_from(&problem, &[*warm, braking]);

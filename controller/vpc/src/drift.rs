@@ -84,6 +84,8 @@ pub(crate) struct Evidence<'a> {
     pub measured: &'a InitialState,
     /// Its points as they were measured, px.
     pub seen: &'a Points,
+    /// Bit i is set if point i tells of the pattern's motion.
+    pub visible: u32,
     /// Where they were expected, px.
     pub expected: &'a Points,
     /// Share of the difference that `measured` does not take over, in [0, 1).
@@ -132,9 +134,18 @@ impl Drift {
         };
     }
 
-    /// Lets an exposure pass that tells nothing of the pattern's motion.
-    pub(crate) fn skip(&mut self) {
-        (self.missed, self.kept) = ([[0.0; 2]; MAX_POINTS], 0.0);
+    /// Variance of a coordinate that the prediction misses, px^2.
+    pub(crate) fn noise(&self) -> f64 {
+        self.noise
+    }
+
+    /// Covariance of the twist between the pattern and a camera under this command.
+    pub(crate) fn doubt(&self, task: &Task, command: &Twist) -> SMatrix<f64, DOF, DOF> {
+        let mut covariance = Covariance::from_fn(|i, j| self.covariance[i][j]);
+        fade(task, &mut covariance, 0.0);
+        let command = SVector::<f64, DOF>::from(*command);
+        let of_twist: SMatrix<f64, DOF, DOF> = covariance.fixed_view::<DOF, DOF>(0, 0).into();
+        of_twist + command * command.transpose() * covariance[(GAIN, GAIN)]
     }
 
     /// The estimate in the frame of this exposure, before it is seen.
@@ -172,6 +183,7 @@ impl Drift {
         let Evidence {
             measured,
             seen,
+            visible,
             expected,
             kept,
             seconds,
@@ -184,7 +196,12 @@ impl Drift {
         let mut squares = 0.0;
         let points = measured.points.iter().zip(measured.depths());
         let points = points.zip(seen.iter().zip(expected)).zip(&mut self.missed);
-        for (((&at, depth), (seen, expected)), before) in points {
+        let mut count = 0.0;
+        for (i, (((&at, depth), (seen, expected)), before)) in points.enumerate() {
+            if visible >> i & 1 == 0 {
+                *before = core::array::from_fn(|c| seen[c] - expected[c]);
+                continue;
+            }
             let rows = interaction::of_point(camera::normalise(&task.camera, at), depth);
             for (c, row) in rows.iter().enumerate() {
                 let row = row.map(|x| focal[c] * seconds * x);
@@ -201,12 +218,15 @@ impl Drift {
                 *numbers += along * (error / variance);
                 *covariance -= along * along.transpose() / variance;
                 squares += error * error * noise / variance;
+                count += 1.0;
             }
         }
-        let mean = squares / (2 * seen.len().max(1)) as f64;
         let doubled = 1.0 + self.kept * self.kept;
         self.kept = kept;
-        mean / doubled
+        match count > 0.0 {
+            true => squares / count / doubled,
+            false => self.noise,
+        }
     }
 }
 

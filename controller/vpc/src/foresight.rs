@@ -601,6 +601,7 @@ impl Thinker<'_> {
                 standing: &now.standing,
                 interval: task.ts,
                 warm: &now.previous,
+                extra_px: 0.0,
             };
             let (twist, solution) = self.policy.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {

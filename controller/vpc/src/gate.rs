@@ -218,7 +218,8 @@ fn sorted_distances(points: &Points, expected: &Points) -> Vec<(usize, f64), MAX
     away
 }
 
-fn least_leap_px(task: &Task) -> f64 {
+/// Distance below which no point leaps, px.
+pub fn least_leap_px(task: &Task) -> f64 {
     LEAP * task.camera.width.max(task.camera.height)
 }
 

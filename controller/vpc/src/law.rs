@@ -2,6 +2,7 @@
 
 use scene::Scene;
 
+use crate::blind::Blind;
 use crate::command::{Policy, Present};
 use crate::delay::{History, Unpredictable};
 use crate::drift::{Drift, Evidence};
@@ -21,7 +22,7 @@ use crate::state::State;
 use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::work::Prices;
-use crate::{DOF, MAX_VARIABLES, Points, Twist, follow, frozen, gate, ibvs, limit};
+use crate::{DOF, MAX_VARIABLES, Points, Twist, blind, follow, frozen, gate, ibvs, limit};
 
 /// The visual predictive control law: task, settings, what one cycle leaves to the next (together
 /// some 40 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
@@ -38,6 +39,8 @@ pub struct Law<W> {
     root: Option<InitialState>,
     /// l(v) / Np of the last step.
     spent: f64,
+    /// Time from the last exposure to the command that answers it, s.
+    lead_s: f64,
     /// The work that the law may do in a cycle.
     share: Share,
     /// Most steps of a future.
@@ -55,6 +58,15 @@ const FEWEST_ITERATIONS: u32 = 3;
 const FEWEST_STEPS: u32 = 10;
 /// A future is at most this share of the scene's time long.
 const HORIZON: f64 = 0.5;
+
+/// Deviations of a hidden point within which it must be known.
+const SURE: f64 = 3.0;
+/// Deviations of a hidden point that it keeps clear of every border.
+const BACK_OFF: f64 = 2.0;
+/// Deviations of the worst point that it keeps clear for what is not known of the pattern's motion,
+/// and the most of it, px.
+const UNKNOWN: f64 = 0.5;
+const MOST_UNKNOWN_PX: f64 = 8.0;
 
 /// What one cycle decided.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -125,6 +137,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             settings,
             root: None,
             spent: 0.0,
+            lead_s: 0.0,
             share,
             horizon: horizon.max(1.0) as u32,
             task,
@@ -261,6 +274,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 seen_ns: before.seen_ns,
                 still_px: before.still_px,
                 drift: before.drift,
+                blind: before.blind,
                 follow: before.follow,
                 history: before.history,
                 ..new
@@ -310,6 +324,30 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             self.skip_mismatch();
             self.state.previous = [0.0; MAX_VARIABLES];
         })?;
+        Ok(self.answer(initial, mismatch.as_ref(), is_linked, memory))
+    }
+
+    /// The command for a cycle without an image, that takes effect at `effective_ns`: the answer to
+    /// the prediction. `None` if the commands since the last image are not known.
+    pub fn coast(&mut self, effective_ns: u64, memory: Option<&dyn MotionMemory>) -> Option<Step> {
+        self.root = None;
+        let mut initial = self.state_at(effective_ns, self.state.drift.believed)?;
+        initial.drift.rate = [0.0; DOF];
+        self.lead_s = effective_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
+        let step = self.answer(initial, None, false, memory);
+        // The next image is compared with the last one.
+        self.skip_mismatch();
+        Some(step)
+    }
+
+    /// The command in answer to where the features are.
+    fn answer(
+        &mut self,
+        initial: InitialState,
+        mismatch: Option<&Points>,
+        is_linked: bool,
+        memory: Option<&dyn MotionMemory>,
+    ) -> Step {
         let points = &initial.points;
         let clearance_px = recall::clearance(&self.task, &initial);
         let mut step = Step {
@@ -335,7 +373,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                     step.asked = Asked::Followed;
                 }
                 let warm = self.state.previous;
-                self.plan(&initial, &warm, tracked, mismatch.as_ref(), &mut step);
+                self.plan(&initial, &warm, tracked, mismatch, &mut step);
             }
             Strategy::Previous | Strategy::Knn { .. } | Strategy::Gpr => {
                 let (recall, asked) = self.recall(points, clearance_px, memory);
@@ -345,9 +383,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 let warm = recall.as_ref().map(|recall| repeated(&against(recall)));
                 let warm = warm.unwrap_or(self.state.previous);
                 let tracked = recall.map(|recall| recall.way_point);
-                self.plan(&initial, &warm, tracked, mismatch.as_ref(), &mut step);
+                self.plan(&initial, &warm, tracked, mismatch, &mut step);
             }
         }
+        step.twist = self.slowed(&initial, &step.twist);
         self.predict(&initial, &step.twist);
         let policy = Policy {
             task: &self.task,
@@ -359,7 +398,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         });
         self.root = Some(initial);
         self.spent = step.cost / self.settings.np as f64;
-        Ok(step)
+        step
     }
 
     /// Whether the camera is to stand, because no way is known and nothing has improved. What
@@ -383,13 +422,22 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         &mut self,
         measurement: &Measurement,
     ) -> Result<(InitialState, Option<Points>), Refusal> {
+        let completed;
+        let (measurement, blind) = match measurement.is_whole() {
+            true => (measurement, Blind::whole(measurement.exposed_ns)),
+            false => {
+                let (whole, blind) = self.completed(measurement)?;
+                completed = whole;
+                (&completed, blind)
+            }
+        };
         let points = gate::pass(&self.task, measurement, self.off_image_px)?;
         let (exposed_ns, age_ns) = (measurement.exposed_ns, measurement.age_ns());
         let (expected, tilt) = self.expected_at_exposure(exposed_ns, age_ns).unzip();
         let tilt = tilt.flatten().or(self.state.tilt);
         let is_live = self.state.history.is_live();
         let commanded = self.commanded(expected.as_ref(), exposed_ns);
-        let motion = match is_live {
+        let motion = match is_live && measurement.visible != 0 {
             true => self.check_motion(points, expected.as_ref(), commanded.as_ref(), exposed_ns)?,
             false => self.plausible(points, expected.as_ref(), exposed_ns),
         };
@@ -403,11 +451,14 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         };
         let model = self.settings.model;
         let mut measured = InitialState::turned(&self.task, model, &filtered, tilt.as_ref());
-        match (&expected, motion) {
-            (Some(expected), Motion::Plausible) if self.settings.drift_compensation => {
-                self.learn_drift(&measured, points, expected, kept, exposed_ns);
-            }
-            _ => self.state.drift.skip(),
+        if let Some(expected) = &expected
+            && self.settings.drift_compensation
+        {
+            let visible = match motion {
+                Motion::Plausible => measurement.visible,
+                Motion::Doubtful => 0,
+            };
+            self.learn_drift(&measured, measurement, visible, expected, kept);
         }
         measured.drift = self.state.drift.believed;
         let tilt = measured.tilt;
@@ -438,8 +489,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         };
         self.state.seen = points.as_slice().into();
         self.state.filtered = filtered.as_slice().into();
-        self.state.tilt = tilt;
+        (self.state.tilt, self.state.blind) = (tilt, blind);
         self.state.seen_ns = exposed_ns;
+        self.lead_s = age_ns as f64 * 1e-9;
         self.state.is_linked = true;
         Ok((initial, mismatch))
     }
@@ -461,36 +513,97 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         kept.min(filter_px / most_px.max(f64::MIN_POSITIVE))
     }
 
-    /// Learns how the pattern moves by itself.
+    /// Learns how the pattern moves by itself, from the points of these bits.
     fn learn_drift(
         &mut self,
         measured: &InitialState,
-        seen: &Points,
+        measurement: &Measurement,
+        visible: u32,
         expected: &Points,
         kept: f64,
-        exposed_ns: u64,
     ) {
-        let since_ns = exposed_ns.saturating_sub(self.state.seen_ns);
-        let (seconds, command) = match since_ns {
-            // Times are not given.
-            0 => (self.task.period, self.state.standing),
-            _ => {
-                let history = &self.state.history;
-                (
-                    since_ns as f64 * 1e-9,
-                    history.mean(self.state.seen_ns, exposed_ns),
-                )
-            }
-        };
+        let (seconds, command) = self.since(measurement.exposed_ns);
         let evidence = Evidence {
             measured,
-            seen,
+            seen: &measurement.points,
+            visible,
             expected,
             kept,
             seconds,
             command: &command,
         };
         self.state.drift.learn(&self.task, &evidence);
+    }
+
+    /// Time since the last image, s, and the mean command in it.
+    fn since(&self, exposed_ns: u64) -> (f64, Twist) {
+        let seen_ns = self.state.seen_ns;
+        match exposed_ns.saturating_sub(seen_ns) {
+            // Times are not given.
+            0 => (self.task.period, self.state.standing),
+            since_ns => {
+                let mean = self.state.history.mean(seen_ns, exposed_ns);
+                (since_ns as f64 * 1e-9, mean)
+            }
+        }
+    }
+
+    /// The measurement with the points that it does not show where they should be, and how well
+    /// that is known.
+    ///
+    /// # Errors
+    /// [`Refusal::Hidden`] if that is not well enough, or nothing is known at all.
+    fn completed(&self, measurement: &Measurement) -> Result<(Measurement, Blind), Refusal> {
+        let State {
+            mut blind,
+            drift,
+            seen_ns,
+            ..
+        } = self.state;
+        let exposed_ns = measurement.exposed_ns;
+        let (most_s, most_px) = (
+            self.settings.blind_s,
+            gate::least_leap_px(&self.task) / SURE,
+        );
+        let refusal = |blind: &Blind| Refusal::Hidden {
+            blind_s: exposed_ns.saturating_sub(blind.whole_ns) as f64 * 1e-9,
+            most_s,
+            deviation_px: blind.deviation_px,
+            most_px,
+        };
+        let found = measurement.points.len();
+        if found != self.task.goal.len() {
+            let expected = self.task.goal.len();
+            return Err(Refusal::Count { found, expected });
+        }
+        let is_over = |blind: &Blind| {
+            let since_ns = exposed_ns.saturating_sub(blind.whole_ns);
+            since_ns as f64 * 1e-9 > most_s || blind.deviation_px > most_px
+        };
+        let expected = self.state_at(exposed_ns, drift.believed);
+        let Some(expected) = expected.filter(|_| !is_over(&blind)) else {
+            return Err(refusal(&blind));
+        };
+        let (_, command) = self.since(exposed_ns);
+        blind.grow(
+            &self.task,
+            &expected,
+            &drift,
+            &command,
+            [seen_ns, exposed_ns],
+        );
+        let (task, model) = (&self.task, self.settings.model);
+        let points = blind.complete(task, model, &expected, measurement, drift.noise());
+        match points.filter(|_| !is_over(&blind)) {
+            Some(points) => {
+                let whole = Measurement {
+                    points,
+                    ..measurement.clone()
+                };
+                Ok((whole, blind))
+            }
+            None => Err(refusal(&blind)),
+        }
     }
 
     /// Refuses features that moved as no camera under these commands, and no object, moves them.
@@ -578,14 +691,19 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
 
     /// The same by the instants and commands that are known, of a pattern with this drift.
     fn expected_since(&self, exposed_ns: u64, drift: Own) -> Option<(Points, Option<Tilt>)> {
+        let expected = self.state_at(exposed_ns, drift)?;
+        Some((expected.explained(&self.task), expected.tilt))
+    }
+
+    /// The state that the last image leads to, of a pattern with this drift.
+    fn state_at(&self, exposed_ns: u64, drift: Own) -> Option<InitialState> {
         let (filtered, seen_ns) = (self.state.filtered.get()?, self.state.seen_ns);
         if seen_ns >= exposed_ns {
             return None;
         }
         let (model, tilt) = (self.settings.model, self.state.tilt.as_ref());
         let before = InitialState::turned(&self.task, model, &filtered, tilt).with_drift(drift);
-        let expected = self.advance(&before, seen_ns, exposed_ns).ok()?;
-        Some((expected.explained(&self.task), expected.tilt))
+        self.advance(&before, seen_ns, exposed_ns).ok()
     }
 
     fn advance(
@@ -650,6 +768,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             standing: &self.state.standing,
             interval: self.task.period,
             warm,
+            extra_px: self.back_off_px(initial),
         };
         let Some(mut solver) = self.share.solver(&self.settings, self.workspace.as_mut()) else {
             step.status = Status::NumericalFailure;
@@ -664,6 +783,31 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         step.violation_px = solution.violation_px;
         step.way_point = tracked;
         self.state.previous = solution.warm(&twist);
+    }
+
+    /// The command, slowed down against the pattern as certainty of hidden points falls.
+    fn slowed(&self, initial: &InitialState, twist: &Twist) -> Twist {
+        let deviation_px = self.state.blind.deviation_px;
+        if deviation_px == 0.0 {
+            return *twist;
+        }
+        let unsure = (SURE * deviation_px / gate::least_leap_px(&self.task)).min(1.0);
+        let relative = initial.relative(twist);
+        let slower = core::array::from_fn(|k| twist[k] - unsure * relative[k]);
+        limit::approach(&slower, &self.state.standing, &self.task, self.task.period)
+    }
+
+    /// Clearance kept from every border beside the settings': for hidden points, and for what is not
+    /// known yet of the pattern's motion, px.
+    fn back_off_px(&self, initial: &InitialState) -> f64 {
+        let hidden_px = BACK_OFF * self.state.blind.deviation_px;
+        if !self.settings.drift_compensation {
+            return hidden_px;
+        }
+        let drift = &self.state.drift;
+        let seconds = self.lead_s + self.task.period;
+        let unknown_px = blind::lead_px(&self.task, initial, drift, seconds);
+        hidden_px + (UNKNOWN * unknown_px).min(MOST_UNKNOWN_PX)
     }
 
     /// Remembers where the features should be one period after `twist`.

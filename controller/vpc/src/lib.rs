@@ -54,6 +54,7 @@
 #[cfg(feature = "file")]
 extern crate alloc;
 
+mod blind;
 pub mod camera;
 pub mod clearance;
 mod command;

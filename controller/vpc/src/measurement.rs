@@ -5,8 +5,10 @@ use crate::{MAX_POINTS, Points};
 /// Measured features, px, in the order of the pattern.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
-    /// The points (u, v).
+    /// The points (u, v); one that was not seen may have any value.
     pub points: Points,
+    /// Bit i is set if point i was seen.
+    pub visible: u32,
     /// When they were exposed, ns.
     pub exposed_ns: u64,
     /// When the command that answers them takes effect, on the same clock, ns.
@@ -19,6 +21,7 @@ impl Measurement {
     pub fn from_points(points: &[[f64; 2]]) -> Self {
         Self {
             points: points.iter().copied().take(MAX_POINTS).collect(),
+            visible: u32::MAX,
             exposed_ns: 0,
             effective_ns: 0,
         }
@@ -29,6 +32,22 @@ impl Measurement {
     pub fn taken(mut self, exposed_ns: u64, effective_ns: u64) -> Self {
         (self.exposed_ns, self.effective_ns) = (exposed_ns.min(effective_ns), effective_ns);
         self
+    }
+
+    /// The same, of which only the points of these bits were seen.
+    pub fn seeing(mut self, visible: u32) -> Self {
+        self.visible = visible;
+        self
+    }
+
+    /// Whether this point was seen.
+    pub fn sees(&self, point: usize) -> bool {
+        self.visible >> point & 1 == 1
+    }
+
+    /// Whether every point was seen.
+    pub fn is_whole(&self) -> bool {
+        (0..self.points.len()).all(|point| self.sees(point))
     }
 
     /// Time from the exposure to the command's effect, ns.
@@ -43,6 +62,16 @@ impl Measurement {
 pub enum Refusal {
     #[error("features: {found} points; allowed: the pattern's {expected}")]
     Count { found: usize, expected: usize },
+    /// It would be steered on without some points, but no longer.
+    #[error(
+        "features: points are hidden, for {blind_s:.2} s so far, and known to {deviation_px:.1} px; allowed: {most_s:.2} s and {most_px:.1} px"
+    )]
+    Hidden {
+        blind_s: f64,
+        most_s: f64,
+        deviation_px: f64,
+        most_px: f64,
+    },
     #[error("features: point {point} is not finite; allowed: finite pixels")]
     NotFinite { point: usize },
     /// By more than the scene's tolerance.

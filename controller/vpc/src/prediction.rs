@@ -118,6 +118,11 @@ impl InitialState {
         self
     }
 
+    /// The same with a pattern at rest.
+    pub(crate) fn without_drift(self) -> Self {
+        self.with_drift(Own::NONE)
+    }
+
     /// The twist of a camera at `twist` against the pattern.
     pub(crate) fn relative(&self, twist: &Twist) -> Twist {
         core::array::from_fn(|k| twist[k] - self.drift.twist[k])

@@ -151,6 +151,12 @@ settings! {
         /// follows it. Flag of `cargo table`: --no-drift.
         #[default(true)]
         pub drift_compensation: bool,
+        /// Longest time for which the law goes on while points are hidden, s; 0: not at all. The
+        /// daemon takes `safety.blind_s`.
+        #[default(1.0)]
+        #[allowed(0 to 1, "s")]
+        #[key(skip)]
+        pub blind_s: f64,
         /// Time in which a component of the twist goes from zero to its limit, where the scene
         /// gives no limit of acceleration; 0: at once. The daemon takes `safety.brake_s`.
         #[default(0.0)]

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::blind::Blind;
 use crate::delay::History;
 use crate::drift::Drift;
 use crate::features::PlainPoints;
@@ -47,6 +48,8 @@ pub struct State {
     pub still_px: f64,
     /// The pattern's own motion.
     pub drift: Drift,
+    /// How well the pose is known while points are hidden.
+    pub blind: Blind,
     /// The recent features and commands, to check that the image follows.
     pub follow: Follow,
     /// The command that was sent last.
@@ -73,6 +76,7 @@ impl State {
             is_linked: false,
             still_px: 0.0,
             drift: Drift::NONE,
+            blind: Blind::whole(0),
             follow: Follow::NEW,
             standing: [0.0; DOF],
             history: History::new(),

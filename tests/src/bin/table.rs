@@ -226,6 +226,8 @@ fn free(
                 noise_px: noise,
                 delay_frames: usize::from(delay),
                 drop,
+                hide: cli.common.hide,
+                blackout_s: cli.common.blackout_s,
                 seed: cli.common.seed + start as u64,
             };
             let world = World {
@@ -268,6 +270,8 @@ fn title(cli: &Cli, starts: usize) -> String {
         drop,
         depth_error,
         no_compensation,
+        hide,
+        blackout_s,
         ref motion,
         ..
     } = cli.common;
@@ -280,6 +284,11 @@ fn title(cli: &Cli, starts: usize) -> String {
         (delay > 0, format!("delay {delay} frames, {compensation}")),
         (noise > 0.0, format!("noise {noise} px")),
         (drop > 0.0, format!("{} % of frames lost", 100.0 * drop)),
+        (
+            hide > 0.0,
+            format!("a point hidden in {} % of frames", 100.0 * hide),
+        ),
+        (blackout_s > 0.0, format!("nothing seen for {blackout_s} s")),
         (gain != 1.0, format!("moves by {gain} of its command")),
         (
             depth_error != 0.0,
