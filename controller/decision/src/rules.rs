@@ -30,7 +30,7 @@ impl Default for Safety {
         Self {
             armed: false,
             brake_s: 0.15,
-            blind_s: 1.0,
+            blind_s: 0.0,
             lost_s: 0.3,
             stale_periods: 3.0,
             needs_robot: true,

@@ -51,6 +51,7 @@ impl Bench {
         write_memory(&scene, &memory, &mut ChaCha8Rng::seed_from_u64(1));
         let settings = vpc::Settings {
             foresight_steps: PERIODS,
+            blind_s: 0.0,
             ..vpc::Settings::default()
         };
         let loaded = Loaded::open(&path, Some(&memory), settings).unwrap();

@@ -53,8 +53,10 @@ const MOST: f64 = 0.4;
 const LEAST_FOLLOWED: f64 = 0.5;
 /// Time in which the belief may go from zero to that, s.
 const RISE_S: f64 = 0.2;
-/// Chi-squared above which d is no chance (99.9 % of six degrees of freedom), and d'.
-const CHANCE: f64 = 22.5;
+/// Chi-squared, of six degrees of freedom, above which d is no chance, and d' where d is none: 22.5
+/// would be 99.9 %; the noise of consecutive images is not independent, and there are many of them.
+const CHANCE: f64 = 45.0;
+const CHANCE_OF_RATE: f64 = 22.5;
 /// Time in which the estimate of the noise follows, s.
 const NOISE_S: f64 = 2.0;
 /// Variance of a coordinate's noise at first, and at least, px^2.
@@ -261,9 +263,14 @@ fn beyond_chance(numbers: &Numbers, covariance: &Covariance, before: &Own) -> Ow
         return Own::NONE;
     };
     let weighted = factor.solve(&rate);
-    let is_sure =
-        |evidence: f64, was_sure: bool| evidence > if was_sure { DOF as f64 } else { CHANCE };
-    let has_rate = is_sure(rate.dot(&weighted), before.rate != [0.0; DOF]);
+    let is_sure = |evidence: f64, chance: f64, was_sure: bool| {
+        evidence > if was_sure { DOF as f64 } else { chance }
+    };
+    let has_rate = is_sure(
+        rate.dot(&weighted),
+        CHANCE_OF_RATE,
+        before.rate != [0.0; DOF],
+    );
     let mut twist: Six = numbers.fixed_rows::<DOF>(0).into();
     let mut of_twist = block(0, 0);
     if !has_rate {
@@ -275,7 +282,7 @@ fn beyond_chance(numbers: &Numbers, covariance: &Covariance, before: &Own) -> Ow
         return Own::NONE;
     };
     let evidence = twist.dot(&factor.solve(&twist));
-    if !is_sure(evidence, before.twist != [0.0; DOF]) {
+    if !is_sure(evidence, CHANCE, before.twist != [0.0; DOF]) {
         return Own::NONE;
     }
     Own {

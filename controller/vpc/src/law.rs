@@ -273,7 +273,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 tilt: before.tilt,
                 seen_ns: before.seen_ns,
                 still_px: before.still_px,
-                drift: before.drift,
                 blind: before.blind,
                 follow: before.follow,
                 history: before.history,

@@ -339,7 +339,7 @@ typedef struct {
     uint64_t exposure_ns;
     // Points in this message, in the order of the scene's pattern. 1 to 8.
     uint32_t count;
-    // Bit i is set if point i was measured in this frame; otherwise the tracker guessed it.
+    // Bit i is set if point i was measured in this frame; nobody reads the others.
     uint32_t visible;
     // Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left pixel.
     // The first 2 * count are finite, the rest zero. Unit: px.

@@ -349,7 +349,7 @@ class Features(Message):
         ("exposure_ns", ctypes.c_uint64),
         # Points in this message, in the order of the scene's pattern. 1 to 8.
         ("count", ctypes.c_uint32),
-        # Bit i is set if point i was measured in this frame; otherwise the tracker guessed it.
+        # Bit i is set if point i was measured in this frame; nobody reads the others.
         ("visible", ctypes.c_uint32),
         # Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left
         # pixel. The first `2 * count` are finite, the rest zero. Unit: px.
