@@ -791,8 +791,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             return *twist;
         }
         let unsure = (SURE * deviation_px / gate::least_leap_px(&self.task)).min(1.0);
-        let relative = initial.relative(twist);
-        let slower = core::array::from_fn(|k| twist[k] - unsure * relative[k]);
+        let mut slower = *twist;
+        let pairs = slower.iter_mut().zip(initial.relative(twist));
+        pairs.for_each(|(v, relative)| *v -= unsure * relative);
         limit::approach(&slower, &self.state.standing, &self.task, self.task.period)
     }
 
@@ -899,7 +900,9 @@ fn corrected(tracked: &Points, mismatch: Option<&Points>) -> Points {
 
 /// a + b.
 fn sum(a: &Twist, b: &Twist) -> Twist {
-    core::array::from_fn(|k| a.get(k).zip(b.get(k)).map_or(0.0, |(a, b)| a + b))
+    let mut sum = *a;
+    sum.iter_mut().zip(b).for_each(|(sum, b)| *sum += b);
+    sum
 }
 
 /// The measured features with a share `kept` of what the expected ones differ.
