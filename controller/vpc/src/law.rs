@@ -801,11 +801,13 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// known yet of the pattern's motion, px.
     fn back_off_px(&self, initial: &InitialState) -> f64 {
         let hidden_px = BACK_OFF * self.state.blind.deviation_px;
-        if !self.settings.drift_compensation {
+        let drift = &self.state.drift;
+        if drift.believed.is_none() {
             return hidden_px;
         }
-        let drift = &self.state.drift;
-        let seconds = self.lead_s + self.task.period;
+        // In whole periods, so that a hair of time does not move a border.
+        let period = self.task.period;
+        let seconds = period * (1.0 + libm::round(self.lead_s / period));
         let unknown_px = blind::lead_px(&self.task, initial, drift, seconds);
         hidden_px + (UNKNOWN * unknown_px).min(MOST_UNKNOWN_PX)
     }
