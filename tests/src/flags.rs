@@ -43,6 +43,9 @@ pub struct Common {
         allow_negative_numbers = true
     )]
     pub depth_error: f64,
+    /// The law learns how the pattern moves by itself.
+    #[arg(long)]
+    pub drift: bool,
     /// How the pattern moves.
     #[arg(long, value_name = "KIND:NUMBERS", help = HELP)]
     pub motion: Vec<MotionKeys>,
@@ -126,6 +129,7 @@ impl Common {
             strategy: spec.strategy,
             np: spec.np,
             delay_compensation: !self.no_compensation,
+            drift_compensation: self.drift,
             intersample: !self.at_samples_only,
             brake_s: self.brake_s,
             ..self.law.0

@@ -96,6 +96,7 @@ fn settings() -> Settings {
     Settings {
         strategy: Strategy::Foresight,
         brake_s: 0.15,
+        drift_compensation: true,
         ..Settings::default()
     }
 }
