@@ -246,7 +246,10 @@ fn what_the_law_refuses_is_held_with_its_cause() {
     mixed.points[..4].rotate_left(2);
     let mut zeros = displaced(&law, 0.0);
     zeros.points.fill(0.0);
+    let mut hidden = displaced(&law, 0.0);
+    hidden.visible = 0b0111;
     for (bad, hold) in [
+        (hidden, Hold::Hidden),
         (off, Hold::OffImage),
         (nan, Hold::NotFinite),
         (five, Hold::Count),
