@@ -319,6 +319,11 @@ impl Config {
             let allowed = "0 with robot = \"panda\", whose camera has latency_ms";
             return Err(document.refuse("delay_frames", keys.delay_frames, allowed));
         }
+        for (key, value) in [("hide", keys.hide), ("blackout_s", keys.blackout_s)] {
+            if keys.robot == Body::Panda && value > 0.0 {
+                return Err(document.refuse(key, value, "0 with robot = \"panda\""));
+            }
+        }
         for (index, motion) in keys.motion.iter().enumerate() {
             if let Some((key, value, allowed)) = motion.stray() {
                 return Err(document.refuse(&format!("motion[{index}].{key}"), value, allowed));
@@ -528,6 +533,14 @@ mod tests {
                 ["motion[0].by_m", "2", "-1 to 1 m"],
             ),
             ("follow_s = -1.0", ["follow_s", "-1", "0 to 3600 s"]),
+            (
+                "robot = \"panda\"\nhide = 0.3",
+                ["hide", "0.3", "0 with robot"],
+            ),
+            (
+                "robot = \"panda\"\nblackout_s = 0.5",
+                ["blackout_s", "0.5", "0 with robot"],
+            ),
             (
                 "robot = \"panda\"\ndelay_frames = 3",
                 ["delay_frames", "3", "latency_ms"],

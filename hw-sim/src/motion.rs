@@ -438,8 +438,8 @@ impl Motion {
     }
 }
 
-/// The angular velocity, rad/s, of a rotation whose rotation vector r changes at r': the left
-/// Jacobian of the rotations times r'.
+/// The angular velocity, rad/s, from a rotation vector r and its rate r': the left Jacobian of the
+/// rotations times r'.
 fn angular_velocity(course: &Course) -> Vector3<f64> {
     let (r, rate) = (course.turn, course.turn_rate);
     let angle = r.norm();

@@ -29,12 +29,6 @@ pub struct Common {
     /// Probability that a frame is lost.
     #[arg(long, value_name = "P", default_value_t = 0.0)]
     pub drop: f64,
-    /// Probability that a frame does not show one of its points. Free camera.
-    #[arg(long, value_name = "P", default_value_t = 0.0)]
-    pub hide: f64,
-    /// Once, in the first two seconds, frames show no point for so long. Free camera.
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
-    pub blackout_s: f64,
     /// The law believes that pattern and goal are 1 + E times as large and as far as they are.
     #[arg(
         long,
@@ -153,8 +147,6 @@ impl Common {
     pub fn check(&self) -> anyhow::Result<()> {
         check("--noise", self.noise, 0.0, 100.0)?;
         check("--drop", self.drop, 0.0, 1.0)?;
-        check("--hide", self.hide, 0.0, 1.0)?;
-        check("--blackout-s", self.blackout_s, 0.0, 60.0)?;
         check("--follow-s", self.follow_s, 0.0, 3600.0)?;
         check("--brake-s", self.brake_s, 0.0, 10.0)?;
         check("--rate", self.rate.unwrap_or(30.0), 1.0, 1000.0)?;

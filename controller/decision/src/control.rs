@@ -12,7 +12,7 @@ use messages::{
 };
 use scene::Scene;
 use serde::{Deserialize, Serialize};
-use vpc::{Law, MotionMemory, Settings, SettingsError};
+use vpc::{Law, MotionMemory, Refusal, Settings, SettingsError};
 
 use crate::contract;
 use crate::decision::Decision;
@@ -293,10 +293,6 @@ impl<'m> ControlStep<'m> {
                 let decision = self.run_law(&features, effective_ns, link, has_arrived, record);
                 match decision.hold {
                     None | Some(Hold::NoWay) => self.gate.approve(),
-                    Some(Hold::Hidden) => {
-                        self.gate.hold(Hold::Hidden);
-                        self.wait(&features, effective_ns);
-                    }
                     Some(hold) => _ = self.gate.hold(hold),
                 }
                 self.standing = Answer {
@@ -340,17 +336,17 @@ impl<'m> ControlStep<'m> {
                 contract::record_step(&step, record);
                 self.bounds.decide(&step, had_arrived && link != Link::New)
             }
-            Err(refusal) => Decision::hold(contract::hold_of(refusal)),
-        }
-    }
-
-    /// Lets features without some points count as usable for as long as the law may go on without
-    /// them: it stands, and the camera works.
-    fn wait(&mut self, features: &Features, effective_ns: u64) {
-        let since_ns = effective_ns.saturating_sub(self.law.state().blind.whole_ns);
-        let most_s = self.law.settings().blind_s;
-        if features.count > 0 && (since_ns as f64) < 1e9 * most_s {
-            self.gate.approve();
+            Err(refusal) => {
+                // The camera works, and the robot stands: features are not lost yet.
+                if let Refusal::Hidden {
+                    blind_s, most_s, ..
+                } = refusal
+                    && blind_s < most_s
+                {
+                    self.gate.approve();
+                }
+                Decision::hold(contract::hold_of(refusal))
+            }
         }
     }
 

@@ -19,7 +19,8 @@ pub enum Verdict {
         /// Their relation to the previous ones.
         link: Link,
     },
-    /// Nothing new, and the last command is still good: send it again.
+    /// Nothing new, and the last features are still good: answer the prediction, or send the last
+    /// command again.
     Repeat,
     /// Send the zero twist, as the answer to the message with this head.
     Hold(Hold, Stamp),

@@ -28,7 +28,7 @@ use crate::prediction::{InitialState, Model};
 use crate::task::Task;
 use crate::{DOF, Points, Twist, camera, interaction};
 
-type Motion = SVector<f64, DOF>;
+type Six = SVector<f64, DOF>;
 type Covariance = SMatrix<f64, DOF, DOF>;
 
 /// Gauss-Newton steps of a correction.
@@ -80,8 +80,7 @@ impl Blind {
 
     fn keep(&mut self, task: &Task, at: &InitialState, covariance: &Covariance) {
         self.covariance = core::array::from_fn(|i| core::array::from_fn(|j| covariance[(i, j)]));
-        let variances = rows(task, at, &at.points).map(|(row, _)| row.dot(&(covariance * row)));
-        self.deviation_px = libm::sqrt(variances.fold(0.0, f64::max));
+        self.deviation_px = deviation_px(task, at, covariance);
     }
 
     /// The points of an image that shows some, or none, where `expected` is the prediction for it.
@@ -96,7 +95,7 @@ impl Blind {
         let mut refined = expected.clone();
         if measurement.visible != 0 {
             let prior = Covariance::from_fn(|i, j| self.covariance[i][j]).try_inverse()?;
-            let mut moved = Motion::zeros();
+            let mut moved = Six::zeros();
             let mut information = prior;
             for _ in 0..STEPS {
                 information = prior;
@@ -123,20 +122,24 @@ impl Blind {
 /// Deviation of the worst point by what is not known of the pattern's motion, in the time until
 /// the command takes effect, px.
 pub(crate) fn lead_px(task: &Task, at: &InitialState, drift: &Drift, seconds: f64) -> f64 {
-    let covariance = drift.doubt(task, &[0.0; DOF]);
+    seconds * deviation_px(task, at, &drift.doubt(task, &[0.0; DOF]))
+}
+
+/// Deviation of the worst coordinate by a motion of this covariance, px.
+fn deviation_px(task: &Task, at: &InitialState, covariance: &Covariance) -> f64 {
     let variances = rows(task, at, &at.points).map(|(row, _)| row.dot(&(covariance * row)));
-    seconds * libm::sqrt(variances.fold(0.0, f64::max))
+    libm::sqrt(variances.fold(0.0, f64::max))
 }
 
 /// Of each coordinate: its derivative by a small motion of the camera, and how far `points` are
 /// from it, px.
-fn rows(task: &Task, at: &InitialState, points: &Points) -> impl Iterator<Item = (Motion, f64)> {
+fn rows(task: &Task, at: &InitialState, points: &Points) -> impl Iterator<Item = (Six, f64)> {
     let focal = [task.camera.fx, task.camera.fy];
     let pairs = at.points.clone().into_iter().zip(points.clone());
     pairs
         .zip(at.depths())
         .flat_map(move |((own, seen), depth)| {
             let rows = interaction::of_point(camera::normalise(&task.camera, own), depth);
-            [0, 1].map(|c| (Motion::from(rows[c]) * focal[c], seen[c] - own[c]))
+            [0, 1].map(|c| (Six::from(rows[c]) * focal[c], seen[c] - own[c]))
         })
 }

@@ -7,7 +7,7 @@
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
 //! | d, d' | `twist`, `rate` | twist of the pattern, camera frame, and the rate of its velocity, m/s^2 |
-//! | g | `gain` | share by which the camera moves more than it is told |
+//! | g | `gain` | share by which the camera moves more than commanded |
 //! | e | `missed` | measured minus expected features, px |
 //! | k | `kept` | share of e that the filtered features do not take over |
 //! | L | `interaction` | interaction matrix of a point |

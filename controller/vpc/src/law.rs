@@ -436,9 +436,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let tilt = tilt.flatten().or(self.state.tilt);
         let is_live = self.state.history.is_live();
         let commanded = self.commanded(expected.as_ref(), exposed_ns);
-        let motion = match is_live && measurement.visible != 0 {
+        let is_telling = match is_live && measurement.visible != 0 {
             true => self.check_motion(points, expected.as_ref(), commanded.as_ref(), exposed_ns)?,
-            false => self.plausible(points, expected.as_ref(), exposed_ns),
+            false => self.is_telling(points, expected.as_ref(), exposed_ns),
         };
         let before = self.state.filtered.get();
         let kept = expected
@@ -453,10 +453,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         if let Some(expected) = &expected
             && self.settings.drift_compensation
         {
-            let visible = match motion {
-                Motion::Plausible => measurement.visible,
-                Motion::Doubtful => 0,
-            };
+            let visible = if is_telling { measurement.visible } else { 0 };
             self.learn_drift(&measured, measurement, visible, expected, kept);
         }
         measured.drift = self.state.drift.believed;
@@ -606,16 +603,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// Refuses features that moved as no camera under these commands, and no object, moves them.
+    /// Whether their motion tells of the pattern's own: a push or a repeated image does not.
     fn check_motion(
         &mut self,
         points: &Points,
         expected: Option<&Points>,
         commanded: Option<&Points>,
         exposed_ns: u64,
-    ) -> Result<Motion, Refusal> {
+    ) -> Result<bool, Refusal> {
         let (Some(seen), Some(filtered)) = (self.state.seen.get(), self.state.filtered.get())
         else {
-            return Ok(Motion::Plausible);
+            return Ok(true);
         };
         let since_s = exposed_ns.abs_diff(self.state.seen_ns) as f64 * 1e-9;
         let Some(expected) = expected else {
@@ -623,7 +621,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             let most_px = follow::camera_px(&self.task, &filtered, since_s)
                 + follow::object_px(&self.task, &filtered, since_s);
             gate::check_place(&self.task, points, &filtered, most_px)?;
-            return Ok(Motion::Plausible);
+            return Ok(true);
         };
         gate::check_names(points, expected)?;
         if since_s < gate::LEAP_PERIODS * self.task.period {
@@ -649,23 +647,18 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             [moved_px, commanded_px],
         )
         .inspect_err(|_| self.lose_sight())?;
-        match is_push || *points == seen {
-            true => Ok(Motion::Doubtful),
-            false => Ok(Motion::Plausible),
-        }
+        Ok(!is_push && *points != seen)
     }
 
-    /// Whether the motion may be a pattern's, in simulated time.
-    fn plausible(&self, points: &Points, expected: Option<&Points>, exposed_ns: u64) -> Motion {
+    /// Whether the motion tells of the pattern's own, in simulated time: a push does not.
+    fn is_telling(&self, points: &Points, expected: Option<&Points>, exposed_ns: u64) -> bool {
+        if !self.settings.drift_compensation {
+            return false;
+        }
         let since_s = exposed_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
         let since_s = since_s.max(self.task.period);
         let most_px = follow::object_px(&self.task, points, since_s);
-        match expected {
-            Some(expected) if gate::is_push(&self.task, points, expected, most_px) => {
-                Motion::Doubtful
-            }
-            _ => Motion::Plausible,
-        }
+        expected.is_none_or(|expected| !gate::is_push(&self.task, points, expected, most_px))
     }
 
     /// Where the commands alone would have taken the features, if the pattern did not move.
@@ -821,15 +814,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             None => (PlainPoints::NONE, None),
         };
     }
-}
-
-/// What a check says of the motion between two images.
-#[derive(Clone, Copy, PartialEq)]
-enum Motion {
-    /// It may be a pattern's.
-    Plausible,
-    /// It tells nothing of the pattern: a push, or the same image again.
-    Doubtful,
 }
 
 /// What the law may do in a period, in counted [work](crate::work).

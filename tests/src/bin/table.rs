@@ -91,6 +91,12 @@ struct CameraFlags {
     /// The camera moves by G times its command.
     #[arg(long, value_name = "G", default_value_t = 1.0)]
     gain: f64,
+    /// Probability that a frame does not show one of its points.
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    hide: f64,
+    /// Once, in the first two seconds, frames show no point for so long.
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    blackout_s: f64,
 }
 
 /// The paper's memory has 900 trajectories.
@@ -202,8 +208,12 @@ fn free(
         repeats,
         cold,
         gain,
+        hide,
+        blackout_s,
     } = cli.camera;
     check("--gain", gain, 0.0, 10.0)?;
+    check("--hide", hide, 0.0, 1.0)?;
+    check("--blackout-s", blackout_s, 0.0, 60.0)?;
     // The same images, from pattern and goal of another size.
     let wrong = Truth {
         depth: cli.common.depth_error,
@@ -226,8 +236,8 @@ fn free(
                 noise_px: noise,
                 delay_frames: usize::from(delay),
                 drop,
-                hide: cli.common.hide,
-                blackout_s: cli.common.blackout_s,
+                hide,
+                blackout_s,
                 seed: cli.common.seed + start as u64,
             };
             let world = World {
@@ -270,12 +280,16 @@ fn title(cli: &Cli, starts: usize) -> String {
         drop,
         depth_error,
         no_compensation,
-        hide,
-        blackout_s,
         ref motion,
         ..
     } = cli.common;
-    let CameraFlags { delay, gain, .. } = cli.camera;
+    let CameraFlags {
+        delay,
+        gain,
+        hide,
+        blackout_s,
+        ..
+    } = cli.camera;
     let compensation = match no_compensation {
         true => "not compensated",
         false => "compensated",
@@ -473,6 +487,11 @@ mod tests {
             ),
             ("--delay 4 --robot panda", "--delay goes with --robot free"),
             ("--gain 0.8 --robot panda", "--gain goes with --robot free"),
+            ("--hide 0.3 --robot panda", "--hide goes with --robot free"),
+            (
+                "--blackout-s 0.5 --robot panda",
+                "--blackout-s goes with --robot free",
+            ),
             ("--jobs 4", "--jobs goes with --robot fci"),
             (
                 "--noise 1 --robot fci",
