@@ -5,7 +5,7 @@ use std::path::Path;
 
 use hw_sim::{FreeCamera, Referee};
 use ipc::{CameraPorts, Domain, RobotPorts, Sent, now_ns};
-use messages::{Features, RobotState, TwistCommand};
+use messages::{Features, RobotState, Stamp, TwistCommand};
 use scene::{Pose, Scene};
 
 /// Frames after which it begins elsewhere, wherever it is.
@@ -33,6 +33,8 @@ pub struct Camera<'a> {
     is_blind: bool,
     /// Whether it is nudged instead of beginning elsewhere, which would disarm in real time.
     is_nudged: bool,
+    /// In lockstep: its number and time of the last frame.
+    lockstep: Option<(u64, u64)>,
     // The last to be dropped.
     _domain: Domain,
 }
@@ -53,6 +55,7 @@ impl<'a> Camera<'a> {
             twist: [0.0; 6],
             is_blind: false,
             is_nudged: false,
+            lockstep: None,
             _domain: domain,
         }
     }
@@ -61,6 +64,14 @@ impl<'a> Camera<'a> {
     pub fn nudged(self) -> Self {
         Self {
             is_nudged: true,
+            ..self
+        }
+    }
+
+    /// The same, for a daemon in lockstep: its frames are the clock.
+    pub fn in_lockstep(self) -> Self {
+        Self {
+            lockstep: Some((0, now_ns())),
             ..self
         }
     }
@@ -98,13 +109,27 @@ impl<'a> Camera<'a> {
                 if std::mem::take(&mut self.is_blind) {
                     features.visible = 0;
                 }
-                return self.ports.features.publish(&features).unwrap();
+                return self.publish(features);
             }
             let start = self.starts[self.next % self.starts.len()];
             (self.camera, self.frames) = (FreeCamera::new(self.scene, &start), 0);
             self.is_blind = true;
             self.next += 1;
         }
+    }
+
+    fn publish(&mut self, mut features: Features) -> Sent {
+        let Some((sequence, now_ns)) = &mut self.lockstep else {
+            return self.ports.features.publish(&features).unwrap();
+        };
+        *sequence += 1;
+        *now_ns += (self.scene.sampling_time() * 1e9) as u64;
+        features.stamp = Stamp {
+            sequence: *sequence,
+            published_ns: *now_ns,
+            data_ns: *now_ns,
+        };
+        self.ports.features.publish_verbatim(&features).unwrap()
     }
 
     /// Moves for one period as commanded.

@@ -48,7 +48,7 @@ fn run(strategy: &str, cycles: u64) -> Report {
     daemon.arg("--report").arg(&report);
     let scene = Scene::read(&scene_file()).unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
-    let mut camera = Camera::new(&scene, &starts, &place.domain());
+    let mut camera = Camera::new(&scene, &starts, &place.domain()).in_lockstep();
     let daemon = Running::start(daemon.stderr(Stdio::null()));
     // And those in which the camera has just jumped, and shows nothing.
     for cycle in 0..Report::WARM_UP + cycles + cycles / 20 {

@@ -194,7 +194,7 @@ fn an_edited_recording_is_refused_or_replayed_to_its_end() {
     let text = "[cycle]\nclock = 'lockstep'\n[flight]\ndirectory = 'records'\nat_exit = true\n";
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
-    let mut camera = Camera::new(&scene, &starts, &place.domain());
+    let mut camera = Camera::new(&scene, &starts, &place.domain()).in_lockstep();
     let daemon = Running::start(place.vpcd(text));
     for _ in 0..100 {
         let sent = camera.show();
