@@ -3,8 +3,8 @@
 //! A [`Motion`] depends on time alone. It gives the displacement M(t) of the pattern from its place
 //! at rest, in the pattern's own frame there: x and y along the pattern, z along its normal. The
 //! object in the camera frame is (object at rest in the camera frame) M(t). Time counts from the
-//! begin of the run; before it the pattern rests. Translations and rotation vectors of several
-//! motions add up.
+//! begin of the run; before it the pattern rests. Conveyor and circle without a start are at full
+//! speed from there on. Translations and rotation vectors of several motions add up.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -91,7 +91,7 @@ pub struct MotionKeys {
     pub until_s: Option<f64>,
     /// Conveyor, circle: time to full speed, and to rest.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0, max = 60), extend("x-unit" = "s", "x-default" = "0.2"))]
+    #[schemars(range(min = 0, max = 60), extend("x-unit" = "s", "x-default" = "0.2; 0 without a start"))]
     pub ramp_s: Option<f64>,
     /// Circle: radius.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -272,7 +272,9 @@ fn passed(t: f64, ramp: f64) -> [f64; 2] {
 impl Part {
     fn new(keys: &MotionKeys) -> Self {
         let vector = |value: Option<[f64; 3]>| value.map_or(Vector3::zeros(), Vector3::from);
-        let ramp_s = keys.ramp_s.unwrap_or(RAMP_S);
+        // What has no start has always moved.
+        let usual_s = keys.from_s.map_or(0.0, |_| RAMP_S);
+        let ramp_s = keys.ramp_s.unwrap_or(usual_s);
         let speed = keys.speed_m_s.unwrap_or(0.05);
         match keys.kind {
             Kind::Conveyor => Self::Conveyor {
@@ -478,10 +480,17 @@ mod tests {
         Motion::new(&keys(texts))
     }
 
+    /// Motions that begin with the run.
+    fn begun(texts: &[&str]) -> Motion {
+        let mut keys = keys(texts);
+        keys.iter_mut().for_each(|keys| keys.from_s = Some(0.0));
+        Motion::new(&keys)
+    }
+
     /// Each motion alone, all together, and a conveyor that starts and stops.
     fn all() -> Vec<Motion> {
-        let mut all: Vec<Motion> = EACH.iter().map(|text| of(&[text])).collect();
-        all.push(of(&EACH));
+        let mut all: Vec<Motion> = EACH.iter().map(|text| begun(&[text])).collect();
+        all.push(begun(&EACH));
         let mut stops = keys(&EACH[..1]);
         (stops[0].from_s, stops[0].until_s) = (Some(1.0), Some(2.5));
         all.push(Motion::new(&stops));
@@ -546,13 +555,17 @@ mod tests {
     fn conveyor_circle_and_push_go_where_they_should() {
         let place = |text: &str, t: f64| of(&[text]).at(t).0.translation.vector;
         let close = |a: Vector3<f64>, b: [f64; 3]| (a - Vector3::from(b)).norm() < 1e-9;
+        assert!(close(place("conveyor:0.03", 2.0), [0.06, 0.0, 0.0]));
         // Half of the ramp is lost.
-        assert!(close(place("conveyor:0.03", 2.1), [0.06, 0.0, 0.0]));
+        let mut begins = keys(&["conveyor:0.03"]);
+        begins[0].from_s = Some(1.0);
+        let (begun, _) = Motion::new(&begins).at(3.1);
+        assert!(close(begun.translation.vector, [0.06, 0.0, 0.0]));
         assert!(close(place("push:2:0.03", 2.25), [0.015, 0.0, 0.0]));
         assert!(close(place("push:2:0.03", 9.0), [0.03, 0.0, 0.0]));
-        let half = PI * 0.05 / 0.1 + 0.1;
+        let half = PI * 0.05 / 0.1;
         assert!(close(place("circle:0.05:0.1", half), [0.0, 0.1, 0.0]));
-        let turned = of(&["turn:0.2"]).at(1.1).0.rotation;
+        let turned = of(&["turn:0.2"]).at(1.0).0.rotation;
         assert!((turned.angle() - 0.2).abs() < 1e-9);
         let mut stops = keys(&["conveyor:0.1"]);
         (stops[0].from_s, stops[0].until_s) = (Some(1.0), Some(3.0));

@@ -37,9 +37,9 @@ pub struct Common {
         allow_negative_numbers = true
     )]
     pub depth_error: f64,
-    /// The law learns how the pattern moves by itself.
+    /// The law believes that the pattern stands still.
     #[arg(long)]
-    pub drift: bool,
+    pub no_drift: bool,
     /// How the pattern moves.
     #[arg(long, value_name = "KIND:NUMBERS", help = HELP)]
     pub motion: Vec<MotionKeys>,
@@ -123,7 +123,7 @@ impl Common {
             strategy: spec.strategy,
             np: spec.np,
             delay_compensation: !self.no_compensation,
-            drift_compensation: self.drift,
+            drift_compensation: !self.no_drift,
             intersample: !self.at_samples_only,
             brake_s: self.brake_s,
             ..self.law.0

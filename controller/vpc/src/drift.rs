@@ -6,16 +6,19 @@
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
+//! | x | `POSE` | the camera's true pose less that of the filtered features: a small motion |
 //! | d, d' | `twist`, `rate` | twist of the pattern, camera frame, and the rate of its velocity, m/s^2 |
 //! | g | `gain` | share by which the camera moves more than commanded |
+//! | a | `lag` | how late the camera carries a command out, s |
 //! | e | `missed` | measured minus expected features, px |
 //! | k | `kept` | share of e that the filtered features do not take over |
 //! | L | `interaction` | interaction matrix of a point |
 //!
-//! From exposure to exposure e_j = k e_{j-1} + dt L (g v - (d - d_b)), where d_b was believed. A
-//! Kalman filter of d, d' and g, of which d and d' may change by chance, learns from it. A wrong
-//! gain shows in proportion to the command and an object does not, so that each takes its own part.
-//! Noise alone leaves the drift exactly zero: d and d' are believed once they are beyond chance.
+//! From exposure to exposure x grows by dt (g v - (d - d_b)) - a (v - v_before), where d_b was
+//! believed; then e = L x + noise; then the features are filtered, and x falls by (1 - k) L^+ e. A
+//! Kalman filter of all five learns from it. A wrong gain shows in proportion to the command, a lag
+//! to its change, and an object to neither, so that each takes its own part. Noise alone leaves the
+//! drift exactly zero: d and d' are believed once they are beyond chance.
 //!
 //! Sources: Pannocchia and Rawlings, "Disturbance models for offset-free model-predictive control",
 //! AIChE J. 49(2), 2003; Y. Bar-Shalom et al., "Estimation with Applications to Tracking and
@@ -33,30 +36,38 @@ use crate::prediction::InitialState;
 use crate::task::Task;
 use crate::{DOF, MAX_POINTS, Points, Twist, camera, interaction};
 
-/// Numbers of the estimate: the twist, the rate of its velocity, the gain.
-const COUNT: usize = 2 * DOF + 1;
-const RATE: usize = DOF;
-const GAIN: usize = 2 * DOF;
+/// Numbers of the estimate: the pose, the twist, the rate of its velocity, the gain, the lag.
+const COUNT: usize = 3 * DOF + 2;
+const TWIST: usize = DOF;
+const RATE: usize = 2 * DOF;
+const GAIN: usize = 3 * DOF;
+const LAG: usize = GAIN + 1;
 /// Deviations before any evidence: of d, as a share of the velocity limits; of d', as a share of
-/// them in a second; of g.
+/// them in a second; of g and a, the latter in s.
 const USUAL: f64 = 0.1;
 const USUAL_RATE: f64 = 0.3;
 const USUAL_GAIN: f64 = 0.3;
-/// Deviations of what chance adds to each in a second, in the same units.
+const USUAL_LAG_S: f64 = 0.05;
+/// Deviations of what chance adds to each in a second, in the same units; to x as a share of the
+/// limits times a second.
+const POSE_CHANGE: f64 = 0.0002;
 const CHANGE: f64 = 0.005;
 const RATE_CHANGE: f64 = 0.1;
 const GAIN_CHANGE: f64 = 0.02;
+const LAG_CHANGE_S: f64 = 0.01;
 /// Most of the speed and of the turning rate that is believed, as a share of the limits: what
 /// [`crate::follow`] takes for an object's motion.
-const MOST: f64 = 0.4;
+const MOST: f64 = 0.5;
 /// Least gain of an actuator, and the inverse of the greatest.
 const LEAST_FOLLOWED: f64 = 0.5;
-/// Time in which the belief may go from zero to that, s.
+/// Time in which the belief may go from zero to that, s; and in which a pattern may, at most, as far
+/// as its rate is believed.
 const RISE_S: f64 = 0.2;
+const QUICKEST_S: f64 = 0.05;
 /// Chi-squared, of six degrees of freedom, above which d is no chance, and d' where d is none: 22.5
-/// would be 99.9 %; the noise of consecutive images is not independent, and there are many of them.
-const CHANCE: f64 = 45.0;
-const CHANCE_OF_RATE: f64 = 22.5;
+/// is 99.9 %, and there are many images.
+const CHANCE: f64 = 30.0;
+const CHANCE_OF_RATE: f64 = 16.8;
 /// Time in which the estimate of the noise follows, s.
 const NOISE_S: f64 = 2.0;
 /// Variance of a coordinate's noise at first, and at least, px^2.
@@ -70,55 +81,79 @@ pub struct Drift {
     pub believed: Own,
     /// The same as estimated, and the gain: `COUNT` numbers.
     estimate: [f64; COUNT],
-    /// Their covariance; zero before any evidence.
-    covariance: [[f64; COUNT]; COUNT],
-    /// Variance of a coordinate that the prediction misses, px^2.
+    /// Their covariance, which is symmetric: its lower half row by row, in rows of their own; zero
+    /// before any evidence.
+    covariance: [[f64; COUNT]; COUNT / 2 + 1],
+    /// Variance of a measured coordinate, px^2.
     noise: f64,
-    /// What the prediction missed of each point in the last exposure, px, and the share of it that
-    /// the filtered features did not take over.
-    missed: [[f64; 2]; MAX_POINTS],
-    kept: f64,
+    /// Mean command in force before the last exposure.
+    command: Twist,
 }
 
-/// What two exposures show.
-pub(crate) struct Evidence<'a> {
-    /// The later one, filtered.
-    pub measured: &'a InitialState,
-    /// Its points as they were measured, px.
-    pub seen: &'a Points,
-    /// Bit i is set if point i tells of the pattern's motion.
-    pub visible: u32,
-    /// Where they were expected, px.
-    pub expected: &'a Points,
-    /// Share of the difference that `measured` does not take over, in [0, 1).
-    pub kept: f64,
-    /// Time between the exposures, s.
+/// What passed between two exposures.
+pub(crate) struct Elapsed<'a> {
+    /// The pose at the later one: where it was expected, or filtered.
+    pub at: &'a InitialState,
+    /// Time between them, s.
     pub seconds: f64,
     /// Mean command in force between them.
     pub command: &'a Twist,
 }
 
+/// What the later one shows.
+pub(crate) struct Evidence<'a> {
+    /// Its points, px; those that it does not show are where they are believed.
+    pub seen: &'a Points,
+    /// Where they were expected, px.
+    pub expected: &'a Points,
+    /// Bit i is set if point i was measured.
+    pub visible: u32,
+    /// Whether the motion since then is the pattern's own; a push is not.
+    pub is_telling: bool,
+    /// Share of what was missed that the filtered features do not take over, in [0, 1).
+    pub kept: f64,
+}
+
 type Numbers = SVector<f64, COUNT>;
 type Covariance = SMatrix<f64, COUNT, COUNT>;
+pub(crate) type Six = SVector<f64, DOF>;
+pub(crate) type Square = SMatrix<f64, DOF, DOF>;
 
 impl Drift {
     /// The pattern stands still.
     pub const NONE: Self = Self {
         believed: Own::NONE,
         estimate: [0.0; COUNT],
-        covariance: [[0.0; COUNT]; COUNT],
+        covariance: [[0.0; COUNT]; COUNT / 2 + 1],
         noise: USUAL_NOISE,
-        missed: [[0.0; 2]; MAX_POINTS],
-        kept: 0.0,
+        command: [0.0; DOF],
     };
 
     /// Learns from two exposures.
-    pub(crate) fn learn(&mut self, task: &Task, evidence: &Evidence<'_>) {
-        let seconds = evidence.seconds;
-        let motion = Motion::of_camera(evidence.command, seconds);
-        let (mut numbers, mut covariance) = self.carried(&motion, seconds);
-        fade(task, &mut covariance, seconds);
-        let missed = self.fit(task, evidence, &mut numbers, &mut covariance);
+    pub(crate) fn learn(&mut self, task: &Task, elapsed: &Elapsed<'_>, evidence: &Evidence<'_>) {
+        let seconds = elapsed.seconds;
+        let rows = Rows::of(task, elapsed.at, evidence.seen, evidence.expected);
+        let carried = self.carried(task, elapsed);
+        let (Some((mut numbers, mut covariance)), Some(inverse)) =
+            (carried, rows.normal.try_inverse())
+        else {
+            return;
+        };
+        let mut missed = self.noise;
+        if evidence.is_telling {
+            missed = rows.fit(&mut numbers, &mut covariance, evidence.visible, self.noise);
+            let mut pose = numbers.fixed_rows_mut::<DOF>(0);
+            pose -= inverse * rows.right * (1.0 - evidence.kept);
+        } else {
+            // The filtered features are where the pattern is now.
+            numbers.fixed_rows_mut::<DOF>(0).fill(0.0);
+            covariance.fixed_rows_mut::<DOF>(0).fill(0.0);
+            covariance.fixed_columns_mut::<DOF>(0).fill(0.0);
+            let fresh = inverse * self.noise;
+            covariance
+                .fixed_view_mut::<DOF, DOF>(0, 0)
+                .copy_from(&fresh);
+        }
         let is_sound = (0..COUNT).all(|k| numbers[k].is_finite() && covariance[(k, k)] > 0.0);
         if !(is_sound && missed.is_finite()) {
             *self = Self::NONE;
@@ -126,109 +161,173 @@ impl Drift {
         }
         let faded = libm::exp(-seconds / NOISE_S);
         self.noise = (missed + faded * (self.noise - missed)).max(LEAST_NOISE);
+        self.command = *elapsed.command;
         self.estimate = numbers.into();
-        self.covariance = core::array::from_fn(|i| core::array::from_fn(|j| covariance[(i, j)]));
+        let halves = (0..COUNT).flat_map(|i| (0..=i).map(move |j| (i, j)));
+        let places = self.covariance.as_flattened_mut().iter_mut();
+        places
+            .zip(halves)
+            .for_each(|(to, place)| *to = covariance[place]);
         let believed = beyond_chance(&numbers, &covariance, &self.believed);
+        let motion = Motion::of_camera(elapsed.command, seconds);
         let before = motion.carry(&self.believed.twist);
+        let mut rate = believed.rate;
+        shorten(task, &mut rate, &[0.0; DOF], MOST / QUICKEST_S);
         self.believed = Own {
             twist: approach(task, &before, &believed.twist, seconds),
-            ..believed
+            rate,
         };
     }
 
-    /// Variance of a coordinate that the prediction misses, px^2.
+    /// Forgets the belief: the law is not to follow.
+    pub(crate) fn stand(&mut self) {
+        self.believed = Own::NONE;
+    }
+
+    /// Variance of a measured coordinate, px^2.
     pub(crate) fn noise(&self) -> f64 {
         self.noise
     }
 
-    /// Covariance of the twist between the pattern and a camera under this command.
-    pub(crate) fn doubt(&self, task: &Task, command: &Twist) -> SMatrix<f64, DOF, DOF> {
-        let mut covariance = Covariance::from_fn(|i, j| self.covariance[i][j]);
-        fade(task, &mut covariance, 0.0);
-        let command = SVector::<f64, DOF>::from(*command);
-        let of_twist: SMatrix<f64, DOF, DOF> = covariance.fixed_view::<DOF, DOF>(0, 0).into();
-        of_twist + command * command.transpose() * covariance[(GAIN, GAIN)]
+    fn covariance(&self) -> Covariance {
+        let half = self.covariance.as_flattened();
+        Covariance::from_fn(|i, j| {
+            let (i, j) = (i.max(j), i.min(j));
+            half[i * (i + 1) / 2 + j]
+        })
     }
 
-    /// The estimate in the frame of this exposure, before it is seen.
-    fn carried(&self, motion: &Motion, seconds: f64) -> (Numbers, Covariance) {
-        let own = Own {
-            twist: core::array::from_fn(|k| self.estimate[k]),
-            rate: core::array::from_fn(|k| self.estimate[RATE + k]),
-        };
-        let Own { twist, rate } = own.after(seconds).carried(motion);
+    /// Covariance of the pattern's own twist.
+    pub(crate) fn doubt(&self, task: &Task) -> Square {
+        let mut covariance = self.covariance();
+        fade(task, &mut covariance, 0.0);
+        covariance.fixed_view::<DOF, DOF>(TWIST, TWIST).into()
+    }
+
+    /// Where the true pose is from the expected one before this exposure is seen, as a small motion
+    /// of the camera, and its covariance; `None` where no image tells.
+    pub(crate) fn pose(&self, task: &Task, elapsed: &Elapsed<'_>) -> Option<(Six, Square)> {
+        let (numbers, covariance) = self.carried(task, elapsed)?;
+        let pose = numbers.fixed_rows::<DOF>(0).into();
+        Some((pose, covariance.fixed_view::<DOF, DOF>(0, 0).into()))
+    }
+
+    /// The estimate at this exposure, before it is seen.
+    fn carried(&self, task: &Task, elapsed: &Elapsed<'_>) -> Option<(Numbers, Covariance)> {
+        let Elapsed {
+            at,
+            seconds,
+            command,
+        } = *elapsed;
         let mut numbers = Numbers::from(self.estimate);
-        let places = numbers.iter_mut().zip(twist.into_iter().chain(rate));
-        places.for_each(|(to, x)| *to = x);
-        let mut covariance = Covariance::from_fn(|i, j| self.covariance[i][j]);
+        let mut covariance = self.covariance();
+        if covariance[(0, 0)] == 0.0 {
+            let normal = Rows::of(task, at, &at.points, &at.points).normal;
+            let fresh = normal.try_inverse()? * self.noise;
+            covariance
+                .fixed_view_mut::<DOF, DOF>(0, 0)
+                .copy_from(&fresh);
+        }
+        fade(task, &mut covariance, seconds);
+        let motion = Motion::of_camera(command, seconds);
+        let part = |from: usize| -> Twist { core::array::from_fn(|k| numbers[from + k]) };
+        let own = Own {
+            twist: part(TWIST),
+            rate: core::array::from_fn(|k| numbers[RATE + k]),
+        };
+        let (middle, believed) = (own.after(0.5 * seconds).twist, self.believed);
+        let believed = believed.after(0.5 * seconds).twist;
+        let moved = |k: usize| numbers[GAIN] * command[k] - (middle[k] - believed[k]);
+        let pose = part(0);
+        let change: Twist = core::array::from_fn(|k| command[k] - self.command[k]);
+        let late = |k: usize| numbers[LAG] * change[k];
+        let pose = core::array::from_fn(|k| pose[k] + seconds * moved(k) - late(k));
+        let pose = motion.carry(&pose);
+        let Own { twist, rate } = own.after(seconds).carried(&motion);
+        let places = numbers.iter_mut();
+        let next = pose.into_iter().chain(twist).chain(rate);
+        places.zip(next).for_each(|(to, x)| *to = x);
+        // F P F': first the rows of F P, then its columns by the same sums.
+        let half = -0.5 * seconds * seconds;
         for k in 0..DOF {
-            let row = covariance.row(RATE + k) * seconds;
+            let row = covariance.row(TWIST + k) * -seconds
+                + covariance.row(RATE + k) * half
+                + covariance.row(GAIN) * (seconds * command[k])
+                - covariance.row(LAG) * change[k];
             let mut to = covariance.row_mut(k);
+            to += row;
+            let row = covariance.row(RATE + k) * seconds;
+            let mut to = covariance.row_mut(TWIST + k);
             to += row;
         }
         for k in 0..DOF {
-            let column = covariance.column(RATE + k) * seconds;
+            let column = covariance.column(TWIST + k) * -seconds
+                + covariance.column(RATE + k) * half
+                + covariance.column(GAIN) * (seconds * command[k])
+                - covariance.column(LAG) * change[k];
             let mut to = covariance.column_mut(k);
             to += column;
+            let column = covariance.column(RATE + k) * seconds;
+            let mut to = covariance.column_mut(TWIST + k);
+            to += column;
         }
-        (numbers, covariance)
+        Some((numbers, covariance))
+    }
+}
+
+/// What the coordinates of an image say of the pose.
+struct Rows {
+    /// Of each coordinate: its derivative by a small motion of the camera, px, and what was missed.
+    each: heapless::Vec<(Six, f64), { 2 * MAX_POINTS }>,
+    /// J'J and J'e.
+    normal: Square,
+    right: Six,
+}
+
+impl Rows {
+    fn of(task: &Task, at: &InitialState, seen: &Points, expected: &Points) -> Self {
+        let focal = [task.camera.fx, task.camera.fy];
+        let mut rows = Self {
+            each: heapless::Vec::new(),
+            normal: Square::zeros(),
+            right: Six::zeros(),
+        };
+        let points = at.points.iter().zip(at.depths());
+        for ((&at, depth), (seen, expected)) in points.zip(seen.iter().zip(expected)) {
+            let derivative = interaction::of_point(camera::normalise(&task.camera, at), depth);
+            for c in [0, 1] {
+                let row = Six::from(derivative[c]) * focal[c];
+                let missed = seen[c] - expected[c];
+                rows.normal += row * row.transpose();
+                rows.right += row * missed;
+                let _ = rows.each.push((row, missed));
+            }
+        }
+        rows
     }
 
-    /// One step of the filter; the mean square of what it leaves, px^2.
+    /// One step of the filter by the points of these bits; the mean square of what it leaves, px^2.
     fn fit(
-        &mut self,
-        task: &Task,
-        evidence: &Evidence<'_>,
+        &self,
         numbers: &mut Numbers,
         covariance: &mut Covariance,
+        visible: u32,
+        noise: f64,
     ) -> f64 {
-        let Evidence {
-            measured,
-            seen,
-            visible,
-            expected,
-            kept,
-            seconds,
-            command,
-        } = *evidence;
-        let believed = self.believed.after(0.5 * seconds).twist;
-        let focal = [task.camera.fx, task.camera.fy];
-        // What an image misses by chance, the next one misses the other way.
-        let noise = self.noise * (1.0 - self.kept * self.kept);
-        let mut squares = 0.0;
-        let points = measured.points.iter().zip(measured.depths());
-        let points = points.zip(seen.iter().zip(expected)).zip(&mut self.missed);
-        let mut count = 0.0;
-        for (i, (((&at, depth), (seen, expected)), before)) in points.enumerate() {
-            if visible >> i & 1 == 0 {
-                *before = core::array::from_fn(|c| seen[c] - expected[c]);
+        let (mut squares, mut count) = (0.0, 0.0);
+        for (place, (row, missed)) in self.each.iter().enumerate() {
+            if visible >> (place / 2) & 1 == 0 {
                 continue;
             }
-            let rows = interaction::of_point(camera::normalise(&task.camera, at), depth);
-            for (c, row) in rows.iter().enumerate() {
-                let row = row.map(|x| focal[c] * seconds * x);
-                let by = |twist: &Twist| row.iter().zip(twist).map(|(x, v)| x * v).sum::<f64>();
-                let mut slope = Numbers::zeros();
-                slope.iter_mut().zip(row).for_each(|(x, row)| *x = -row);
-                slope[GAIN] = by(command);
-                let missed = seen[c] - expected[c];
-                let found = missed - self.kept * before[c] - by(&believed);
-                before[c] = missed;
-                let along = *covariance * slope;
-                let variance = slope.dot(&along) + noise;
-                let error = found - slope.dot(numbers);
-                *numbers += along * (error / variance);
-                *covariance -= along * along.transpose() / variance;
-                squares += error * error * noise / variance;
-                count += 1.0;
-            }
+            let along = covariance.fixed_columns::<DOF>(0) * row;
+            let variance = row.dot(&along.fixed_rows::<DOF>(0)) + noise;
+            let error = missed - row.dot(&numbers.fixed_rows::<DOF>(0));
+            *numbers += along * (error / variance);
+            *covariance -= along * along.transpose() / variance;
+            squares += error * error * noise / variance;
+            count += 1.0;
         }
-        let doubled = 1.0 + self.kept * self.kept;
-        self.kept = kept;
-        match count > 0.0 {
-            true => squares / count / doubled,
-            false => self.noise,
-        }
+        if count > 0.0 { squares / count } else { noise }
     }
 }
 
@@ -237,12 +336,14 @@ fn fade(task: &Task, covariance: &mut Covariance, seconds: f64) {
     for k in 0..COUNT {
         let limit = task.limits.get(k % DOF).copied().unwrap_or(1.0);
         let (usual, change) = match k {
+            ..TWIST => (0.0, POSE_CHANGE * limit),
             GAIN => (USUAL_GAIN, GAIN_CHANGE),
+            LAG => (USUAL_LAG_S, LAG_CHANGE_S),
             RATE.. => (USUAL_RATE * limit, RATE_CHANGE * limit),
             _ => (USUAL * limit, CHANGE * limit),
         };
         let variance = covariance[(k, k)];
-        if variance == 0.0 {
+        if variance == 0.0 && k >= TWIST {
             covariance[(k, k)] = usual * usual;
         } else {
             covariance[(k, k)] += seconds * change * change;
@@ -255,8 +356,6 @@ fn fade(task: &Task, covariance: &mut Covariance, seconds: f64) {
 /// follows the pattern, by an actuator of the estimated gain.
 fn beyond_chance(numbers: &Numbers, covariance: &Covariance, before: &Own) -> Own {
     let follows = (1.0 + numbers[GAIN]).clamp(LEAST_FOLLOWED, 1.0 / LEAST_FOLLOWED);
-    type Six = SVector<f64, DOF>;
-    type Square = SMatrix<f64, DOF, DOF>;
     let block = |i, j| -> Square { covariance.fixed_view::<DOF, DOF>(i, j).into() };
     let rate: Six = numbers.fixed_rows::<DOF>(RATE).into();
     let Some(factor) = block(RATE, RATE).cholesky() else {
@@ -271,10 +370,10 @@ fn beyond_chance(numbers: &Numbers, covariance: &Covariance, before: &Own) -> Ow
         CHANCE_OF_RATE,
         before.rate != [0.0; DOF],
     );
-    let mut twist: Six = numbers.fixed_rows::<DOF>(0).into();
-    let mut of_twist = block(0, 0);
+    let mut twist: Six = numbers.fixed_rows::<DOF>(TWIST).into();
+    let mut of_twist = block(TWIST, TWIST);
     if !has_rate {
-        let shared = block(0, RATE);
+        let shared = block(TWIST, RATE);
         twist -= shared * weighted;
         of_twist -= shared * factor.solve(&shared.transpose());
     }
@@ -291,24 +390,25 @@ fn beyond_chance(numbers: &Numbers, covariance: &Covariance, before: &Own) -> Ow
     }
 }
 
-/// The belief, brought nearer to `wanted` as quickly as an object may change its motion.
+/// The belief, brought nearer to `wanted` as quickly as an object may change its motion. Turn and
+/// translation are shortened by one factor: an image tells their sum better than their parts.
 fn approach(task: &Task, standing: &Twist, wanted: &Twist, seconds: f64) -> Twist {
     let mut next = *wanted;
-    let pairs = next.chunks_mut(3).zip(standing.chunks(3));
-    for ((next, before), limits) in pairs.zip(task.limits.chunks(3)) {
-        let most = MOST * limits.iter().copied().fold(f64::INFINITY, f64::min);
-        shorten(next, &[0.0; 3], most);
-        shorten(next, before, most * seconds / RISE_S);
-    }
+    shorten(task, &mut next, &[0.0; DOF], MOST);
+    shorten(task, &mut next, standing, MOST * seconds / RISE_S);
     next
 }
 
-/// Brings a vector as near to another one as `most`.
-fn shorten(vector: &mut [f64], to: &[f64], most: f64) {
-    let pairs = vector.iter().zip(to);
-    let length = libm::sqrt(pairs.map(|(x, y)| (x - y) * (x - y)).sum());
-    if length > most {
-        let pairs = vector.iter_mut().zip(to);
-        pairs.for_each(|(x, y)| *x = y + (*x - y) * most / length);
+/// Brings a twist as near to another one as this share of the limits, in speed and in turn rate.
+fn shorten(task: &Task, twist: &mut Twist, to: &Twist, most: f64) {
+    let mut factor: f64 = 1.0;
+    let away: Twist = core::array::from_fn(|k| twist[k] - to[k]);
+    for (away, limits) in away.chunks(3).zip(task.limits.chunks(3)) {
+        let length = libm::sqrt(away.iter().map(|x| x * x).sum());
+        let most = most * limits.iter().copied().fold(f64::INFINITY, f64::min);
+        if length > most {
+            factor = factor.min(most / length);
+        }
     }
+    *twist = core::array::from_fn(|k| to[k] + factor * away[k]);
 }

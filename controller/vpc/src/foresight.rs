@@ -252,6 +252,8 @@ pub(crate) struct Thinker<'a> {
     pub standing: &'a Twist,
     /// The plan from which the solver starts then.
     pub previous: &'a Plan,
+    /// Clearance that the present command keeps beside the settings', px: so do all futures.
+    pub extra_px: f64,
     /// l(v) / Np of the present period.
     pub spent: f64,
     /// Distance below which the features are at the goal (largest component), px.
@@ -601,7 +603,7 @@ impl Thinker<'_> {
                 standing: &now.standing,
                 interval: task.ts,
                 warm: &now.previous,
-                extra_px: 0.0,
+                extra_px: self.extra_px,
             };
             let (twist, solution) = self.policy.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {

@@ -5,7 +5,7 @@ use scene::Scene;
 use crate::blind::Blind;
 use crate::command::{Policy, Present};
 use crate::delay::{History, Unpredictable};
-use crate::drift::{Drift, Evidence};
+use crate::drift::{Drift, Elapsed, Evidence};
 use crate::features::{self, PlainPoints};
 use crate::follow::Follow;
 use crate::foresight::{FAR, Foresight, Thinker};
@@ -61,12 +61,10 @@ const HORIZON: f64 = 0.5;
 
 /// Deviations of a hidden point within which it must be known.
 const SURE: f64 = 3.0;
-/// Deviations of a hidden point that it keeps clear of every border.
+/// Deviations that points keep clear of every border: those of a hidden point, and those by what is
+/// not known of the pattern's motion, of which no more than so many px count.
 const BACK_OFF: f64 = 2.0;
-/// Deviations of the worst point that it keeps clear for what is not known of the pattern's motion,
-/// and the most of it, px.
-const UNKNOWN: f64 = 0.5;
-const MOST_UNKNOWN_PX: f64 = 8.0;
+const MOST_UNKNOWN_PX: f64 = 16.0;
 
 /// What one cycle decided.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -178,6 +176,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let Some(next) = root.moved(&self.task, model, &self.state.standing, period) else {
             return;
         };
+        let extra_px = self.back_off_px(&root);
         let Some(solver) = &mut self.share.solver(&self.settings, self.workspace.as_mut()) else {
             return;
         };
@@ -191,6 +190,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             initial: &next,
             standing: &self.state.standing,
             previous: &self.state.previous,
+            extra_px,
             spent: self.spent,
             converged_px: self.converged_px,
             horizon: self.horizon,
@@ -242,6 +242,26 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     pub fn expected(&self, exposed_ns: u64) -> Option<Points> {
         self.expected_since(exposed_ns, self.state.drift.believed)
             .map(|(points, _)| points)
+    }
+
+    /// The points of the last image that was believed, with those that it did not show, px.
+    pub fn seen(&self) -> Option<Points> {
+        self.state.seen.get()
+    }
+
+    /// How well the points are known that the last image did not show.
+    pub fn blind(&self) -> &Blind {
+        &self.state.blind
+    }
+
+    /// The command that was sent last.
+    pub fn standing(&self) -> &Twist {
+        &self.state.standing
+    }
+
+    /// The pattern's own motion as it is believed, camera frame, m/s and rad/s.
+    pub fn drift(&self) -> &Twist {
+        &self.state.drift.believed.twist
     }
 
     /// Changes the strategy from the next cycle on; what earlier cycles left stays.
@@ -450,11 +470,28 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         };
         let model = self.settings.model;
         let mut measured = InitialState::turned(&self.task, model, &filtered, tilt.as_ref());
-        if let Some(expected) = &expected
-            && self.settings.drift_compensation
-        {
-            let visible = if is_telling { measurement.visible } else { 0 };
-            self.learn_drift(&measured, measurement, visible, expected, kept);
+        if let Some(expected) = &expected {
+            let (seconds, command) = match age_ns == 0 && !is_live {
+                // What was expected is one period later, whatever the stamps say.
+                true => (self.task.period, self.state.standing),
+                false => self.since(exposed_ns),
+            };
+            let elapsed = Elapsed {
+                at: &measured,
+                seconds,
+                command: &command,
+            };
+            let evidence = Evidence {
+                seen: points,
+                expected,
+                visible: measurement.visible,
+                is_telling,
+                kept,
+            };
+            self.state.drift.learn(&self.task, &elapsed, &evidence);
+            if !self.settings.drift_compensation {
+                self.state.drift.stand();
+            }
         }
         measured.drift = self.state.drift.believed;
         let tilt = measured.tilt;
@@ -509,39 +546,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         kept.min(filter_px / most_px.max(f64::MIN_POSITIVE))
     }
 
-    /// Learns how the pattern moves by itself, from the points of these bits.
-    fn learn_drift(
-        &mut self,
-        measured: &InitialState,
-        measurement: &Measurement,
-        visible: u32,
-        expected: &Points,
-        kept: f64,
-    ) {
-        let (seconds, command) = self.since(measurement.exposed_ns);
-        let evidence = Evidence {
-            measured,
-            seen: &measurement.points,
-            visible,
-            expected,
-            kept,
-            seconds,
-            command: &command,
-        };
-        self.state.drift.learn(&self.task, &evidence);
-    }
-
     /// Time since the last image, s, and the mean command in it.
     fn since(&self, exposed_ns: u64) -> (f64, Twist) {
         let seen_ns = self.state.seen_ns;
-        match exposed_ns.saturating_sub(seen_ns) {
-            // Times are not given.
-            0 => (self.task.period, self.state.standing),
-            since_ns => {
-                let mean = self.state.history.mean(seen_ns, exposed_ns);
-                (since_ns as f64 * 1e-9, mean)
-            }
-        }
+        let mean = self.state.history.mean(seen_ns, exposed_ns);
+        (exposed_ns.saturating_sub(seen_ns) as f64 * 1e-9, mean)
     }
 
     /// The measurement with the points that it does not show where they should be, and how well
@@ -551,10 +560,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// [`Refusal::Hidden`] if that is not well enough, or nothing is known at all.
     fn completed(&self, measurement: &Measurement) -> Result<(Measurement, Blind), Refusal> {
         let State {
-            mut blind,
-            drift,
-            seen_ns,
-            ..
+            mut blind, drift, ..
         } = self.state;
         let exposed_ns = measurement.exposed_ns;
         let (most_s, most_px) = (
@@ -580,16 +586,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let Some(expected) = expected.filter(|_| !is_over(&blind)) else {
             return Err(refusal(&blind));
         };
-        let (_, command) = self.since(exposed_ns);
-        blind.grow(
-            &self.task,
-            &expected,
-            &drift,
-            &command,
-            [seen_ns, exposed_ns],
-        );
+        let (seconds, command) = self.since(exposed_ns);
+        let elapsed = Elapsed {
+            at: &expected,
+            seconds,
+            command: &command,
+        };
         let (task, model) = (&self.task, self.settings.model);
-        let points = blind.complete(task, model, &expected, measurement, drift.noise());
+        let pose = drift.pose(task, &elapsed);
+        let points = pose.and_then(|pose| {
+            blind.complete(task, model, &expected, measurement, pose, drift.noise())
+        });
         match points.filter(|_| !is_over(&blind)) {
             Some(points) => {
                 let whole = Measurement {
@@ -652,9 +659,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
 
     /// Whether the motion tells of the pattern's own, in simulated time: a push does not.
     fn is_telling(&self, points: &Points, expected: Option<&Points>, exposed_ns: u64) -> bool {
-        if !self.settings.drift_compensation {
-            return false;
-        }
         let since_s = exposed_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
         let since_s = since_s.max(self.task.period);
         let most_px = follow::object_px(&self.task, points, since_s);
@@ -794,15 +798,14 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// known yet of the pattern's motion, px.
     fn back_off_px(&self, initial: &InitialState) -> f64 {
         let hidden_px = BACK_OFF * self.state.blind.deviation_px;
-        let drift = &self.state.drift;
-        if drift.believed.is_none() {
+        if !self.settings.drift_compensation {
             return hidden_px;
         }
         // In whole periods, so that a hair of time does not move a border.
         let period = self.task.period;
         let seconds = period * (1.0 + libm::round(self.lead_s / period));
-        let unknown_px = blind::lead_px(&self.task, initial, drift, seconds);
-        hidden_px + (UNKNOWN * unknown_px).min(MOST_UNKNOWN_PX)
+        let unknown_px = blind::lead_px(&self.task, initial, &self.state.drift, seconds);
+        hidden_px + (BACK_OFF * unknown_px).min(MOST_UNKNOWN_PX)
     }
 
     /// Remembers where the features should be one period after `twist`.

@@ -65,6 +65,9 @@ impl Problem<'_> {
             let pairs = braking.iter_mut().zip(relative);
             pairs.for_each(|(v, relative)| *v += left * relative);
         }
+        // A pattern may be believed to be faster.
+        let pairs = braking.iter_mut().zip(&self.task.limits);
+        pairs.for_each(|(v, limit)| *v = v.max(-limit).min(*limit));
         braking
     }
 }

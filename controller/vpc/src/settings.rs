@@ -148,8 +148,8 @@ settings! {
         #[default(true)]
         pub delay_compensation: bool,
         /// Whether the law learns how the pattern moves by itself, as on a conveyor or in a hand, and
-        /// follows it. Flag of `cargo table`: --drift.
-        #[default(false)]
+        /// follows it. Flag of `cargo table`: --no-drift.
+        #[default(true)]
         pub drift_compensation: bool,
         /// Longest time for which the law goes on while points are hidden, s; 0: not at all. The
         /// daemon takes `safety.blind_s`.

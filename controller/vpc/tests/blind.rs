@@ -135,6 +135,11 @@ fn half_a_second_without_points_is_bridged() {
     }
 }
 
+/// Runs of each kind; with `VPC_LONG=1` 10,000 in all.
+fn runs() -> usize {
+    std::env::var_os("VPC_LONG").map_or(30, |_| 2_000)
+}
+
 #[test]
 fn points_are_where_they_are_believed_as_often_as_told() {
     let moving: Own = |_| [0.05, 0.0, 0.0, 0.0, 0.0, 0.1];
@@ -146,7 +151,8 @@ fn points_are_where_they_are_believed_as_often_as_told() {
         (moving, 0b0111),
     ] {
         let (mut within, mut count, mut squares) = ([0; 2], 0, 0.0);
-        for (index, start) in starts().iter().enumerate() {
+        let starts = starts();
+        for (index, start) in starts.iter().cycle().take(runs()).enumerate() {
             for belief in run((index, start), own, settings(), blackout(index, seen)).beliefs {
                 let share = belief.error_px / belief.deviation_px;
                 for (count, most) in within.iter_mut().zip([2.0, 3.0]) {

@@ -41,6 +41,8 @@ impl World {
         let settings = Settings {
             delay_compensation: compensated,
             filter_s: self.filter_s,
+            // A point that is not where it is looks like a motion of the pattern.
+            drift_compensation: self.bias == 0.0,
             ..Settings::default()
         };
         Law::new(&self.scene, settings, |len| vec![0.0; len]).unwrap()

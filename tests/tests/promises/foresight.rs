@@ -197,8 +197,13 @@ fn in_the_exact_model_a_run_costs_no_more_than_was_foreseen() {
         repeats("promises of foresight, starts", 300, 3000),
     );
     let spec: Spec = "foresight:3".parse().unwrap();
+    // What is not known of a pattern's motion costs a margin that no future foresees.
+    let settings = Settings {
+        drift_compensation: false,
+        ..spec.settings()
+    };
     for has_memory in [true, false] {
-        let runs = all_bare(&starts, has_memory, spec.settings(), 0.0);
+        let runs = all_bare(&starts, has_memory, settings, 0.0);
         let worst = |of: fn(&Bare) -> f64| runs.iter().map(of).fold(0.0, f64::max);
         let (steepest, beyond) = (worst(|run| run.steepest), worst(|run| run.beyond));
         let promises: u32 = runs.iter().map(|run| run.promises).sum();
