@@ -99,6 +99,7 @@ impl Drawn {
             goal: task.goal.to_vec(),
             way_points: way_points.flatten().cloned().collect(),
             foreseen: Vec::new(),
+            ellipses: Vec::new(),
             title: self.title.clone(),
         }
     }
@@ -146,6 +147,7 @@ pub fn comparison<'a, 'r, R: Draw + 'r>(
         let velocity = Velocity {
             period_s: task.ts,
             twists: drawn.twists.clone(),
+            own: Vec::new(),
             limits: scene.limits,
             title: format!("{spec}: velocity command"),
         };

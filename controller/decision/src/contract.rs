@@ -5,7 +5,7 @@ use messages::{
 };
 use vpc::foresight::{Foresight, Outcome, PLACES};
 use vpc::guide::Kind;
-use vpc::{Asked, Measurement, Refusal, Status, Step, Strategy};
+use vpc::{Asked, Law, Measurement, Refusal, Status, Step, Strategy};
 
 // A step takes all the points that a message can have: more than the law has room for would panic
 // in the loop. And a path has its places and points side by side in both.
@@ -122,6 +122,25 @@ pub fn record_step(step: &Step, record: &mut CycleRecord) {
         pairs
             .zip(way_point)
             .for_each(|(to, from)| to.copy_from_slice(from));
+    }
+}
+
+/// Copies where the law believes the points that an image does not show into its cycle's record.
+pub fn record_hidden<W: AsRef<[f64]> + AsMut<[f64]>>(law: &Law<W>, record: &mut CycleRecord) {
+    let hidden = (0..vpc::MAX_POINTS).filter(|&point| record.visible >> point & 1 == 0);
+    let seen = law.seen().unwrap_or_default();
+    for point in hidden {
+        let (Some(pixel), Some(ellipse)) = (seen.get(point), law.blind().ellipses.get(point))
+        else {
+            break;
+        };
+        let (pixels, covariances) = (
+            record.points.as_chunks_mut().0,
+            record.covariance.as_chunks_mut().0,
+        );
+        if let (Some(to), Some(covariance)) = (pixels.get_mut(point), covariances.get_mut(point)) {
+            (*to, *covariance) = (*pixel, ellipse.map(f64::from));
+        }
     }
 }
 

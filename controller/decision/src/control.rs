@@ -12,15 +12,16 @@ use messages::{
 };
 use scene::Scene;
 use serde::{Deserialize, Serialize};
-use vpc::{Law, MotionMemory, Refusal, Settings, SettingsError};
+use vpc::{Law, MotionMemory, Refusal, Settings, SettingsError, limit};
 
 use crate::contract;
 use crate::decision::Decision;
 use crate::gate::{Gate, Link, Verdict};
 use crate::input::{Input, Inputs};
 use crate::law::{self, Bounds};
+use crate::retrace::Way;
 use crate::robot::RobotWatch;
-use crate::rules::{Rules, ns};
+use crate::rules::{OnLoss, Rules, ns};
 use crate::supervisor::{Situation, Supervisor};
 
 /// What a cycle is to send.
@@ -42,6 +43,10 @@ pub struct State {
     pub supervisor: Supervisor,
     /// The last command of the law, for cycles without new features.
     pub standing: Answer,
+    /// Cycles in a row that the law answered by prediction.
+    pub predicted: u32,
+    /// The way that the camera came.
+    pub way: Way,
 }
 
 /// Decides cycle by cycle: gate, law and supervisor, with what a cycle leaves to the next. The
@@ -54,6 +59,8 @@ pub struct ControlStep<'m> {
     bounds: Bounds,
     supervisor: Supervisor,
     standing: Answer,
+    predicted: u32,
+    way: Way,
 }
 
 impl<'m> ControlStep<'m> {
@@ -85,6 +92,8 @@ impl<'m> ControlStep<'m> {
                 stamp: Stamp::default(),
                 decision: Decision::hold(Hold::NoFeatures),
             },
+            predicted: 0,
+            way: Way::default(),
         })
     }
 
@@ -104,6 +113,8 @@ impl<'m> ControlStep<'m> {
             bounds: _,
             supervisor,
             standing,
+            predicted,
+            way,
         } = self;
         State {
             gate: *gate,
@@ -111,6 +122,8 @@ impl<'m> ControlStep<'m> {
             law: law.state(),
             supervisor: *supervisor,
             standing: *standing,
+            predicted: *predicted,
+            way: *way,
         }
     }
 
@@ -122,6 +135,8 @@ impl<'m> ControlStep<'m> {
         self.law.restore(&state.law);
         self.supervisor = state.supervisor;
         self.standing = state.standing;
+        self.predicted = state.predicted;
+        self.way = state.way;
     }
 
     /// The law.
@@ -190,6 +205,7 @@ impl<'m> ControlStep<'m> {
             self.law.expect_no_motion();
         }
         let proposed = self.propose(inputs, record);
+        (record.predicted, record.drift) = (self.predicted, *self.law.drift());
         let situation = Situation {
             decision: proposed.decision,
             good_ns: self.gate.good_ns(),
@@ -208,6 +224,12 @@ impl<'m> ControlStep<'m> {
         if decision.state == TwistState::Disarmed && is_new_place {
             // Nothing moves before an operator has armed: the object may be anywhere.
             self.law.lose_sight();
+        }
+        let is_whole = record.count > 0 && self.law.blind().deviation_px == 0.0;
+        if decision.state == TwistState::Disarmed {
+            self.way = Way::default();
+        } else if is_whole && contract::solver_failed(record) == Some(false) {
+            self.way.add(&decision.twist, self.law.task().period);
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's
         // plan, so that a replay needs no other clock.
@@ -288,6 +310,8 @@ impl<'m> ControlStep<'m> {
         match self.gate.judge(&inputs.features, inputs.now_ns) {
             Verdict::Step { features, link } => {
                 (record.count, record.points) = (features.count, features.points);
+                record.visible = features.visible;
+                self.predicted = 0;
                 let effective_ns = self.effective_ns(&features.stamp, inputs.now_ns);
                 let has_arrived = self.standing.decision.state == TwistState::Arrived;
                 let decision = self.run_law(&features, effective_ns, link, has_arrived, record);
@@ -304,13 +328,17 @@ impl<'m> ControlStep<'m> {
             Verdict::Repeat => {
                 if let Some(decision) = self.coast(inputs.now_ns, record) {
                     self.standing.decision = decision;
+                    self.predicted = self.predicted.saturating_add(1);
                 }
                 self.standing
             }
-            Verdict::Hold(hold, stamp) => Answer {
-                stamp,
-                decision: Decision::hold(hold),
-            },
+            Verdict::Hold(hold, stamp) => {
+                self.predicted = 0;
+                Answer {
+                    stamp,
+                    decision: Decision::hold(hold),
+                }
+            }
         }
     }
 
@@ -334,20 +362,41 @@ impl<'m> ControlStep<'m> {
         match self.law.step(&measurement, motion(&self.memory)) {
             Ok(step) => {
                 contract::record_step(&step, record);
-                self.bounds.decide(&step, had_arrived && link != Link::New)
+                contract::record_hidden(&self.law, record);
+                self.bounds
+                    .decide(&step, self.law.drift(), had_arrived && link != Link::New)
             }
             Err(refusal) => {
                 // The camera works, and the robot stands: features are not lost yet.
                 if let Refusal::Hidden {
                     blind_s, most_s, ..
                 } = refusal
-                    && blind_s < most_s
                 {
-                    self.gate.approve();
+                    if blind_s < most_s {
+                        self.gate.approve();
+                    }
+                    if let Some(decision) = self.retrace() {
+                        return decision;
+                    }
                 }
                 Decision::hold(contract::hold_of(refusal))
             }
         }
+    }
+
+    /// The command that goes back along the way, where the rules say so and there is one.
+    fn retrace(&mut self) -> Option<Decision> {
+        let (state, _) = self.supervisor.state();
+        if self.rules().on_loss != OnLoss::Retrace || state == TwistState::Disarmed {
+            return None;
+        }
+        let task = self.law.task();
+        let twist = self.way.back(task.period)?;
+        Some(Decision {
+            twist: limit::approach(&twist, self.law.standing(), task, task.period),
+            state: TwistState::Moving,
+            hold: None,
+        })
     }
 
     /// What to command in a cycle of a moving camera without new features; `None`: the last command
@@ -360,7 +409,8 @@ impl<'m> ControlStep<'m> {
         }
         let step = self.law.coast(now_ns, motion(&self.memory))?;
         contract::record_step(&step, record);
-        Some(self.bounds.decide(&step, state == TwistState::Arrived))
+        let had_arrived = state == TwistState::Arrived;
+        Some(self.bounds.decide(&step, self.law.drift(), had_arrived))
     }
 
     /// What was received, and under which settings it is decided.

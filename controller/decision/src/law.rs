@@ -35,9 +35,9 @@ impl Bounds {
         }
     }
 
-    /// The command after this step of the law. `had_arrived` is whether the last one was
-    /// [`TwistState::Arrived`].
-    pub fn decide(&self, step: &Step, had_arrived: bool) -> Decision {
+    /// The command after this step of the law against a pattern with this twist. `had_arrived` is
+    /// whether the last one was [`TwistState::Arrived`].
+    pub fn decide(&self, step: &Step, own: &[f64; 6], had_arrived: bool) -> Decision {
         if step.status == Status::NumericalFailure {
             return Decision::hold(Hold::Solver);
         }
@@ -49,7 +49,7 @@ impl Bounds {
         }
         Decision {
             twist: step.twist,
-            state: match self.has_arrived(step, had_arrived) {
+            state: match self.has_arrived(step, own, had_arrived) {
                 true => TwistState::Arrived,
                 false => TwistState::Moving,
             },
@@ -57,12 +57,13 @@ impl Bounds {
         }
     }
 
-    /// Whether the camera has arrived: it is at the goal and all but at rest; and from then on
-    /// until it is clearly away.
-    fn has_arrived(&self, step: &Step, had_arrived: bool) -> bool {
+    /// Whether the camera has arrived: it is at the goal and all but at rest against the pattern; and
+    /// from then on until it is clearly away.
+    fn has_arrived(&self, step: &Step, own: &[f64; 6], had_arrived: bool) -> bool {
+        let relative = core::array::from_fn(|k| step.twist[k] - own[k]);
         match had_arrived {
             true => step.error_px < LEAVES * self.convergence_px,
-            false => step.error_px < self.convergence_px && self.is_within(&step.twist, AT_REST),
+            false => step.error_px < self.convergence_px && self.is_within(&relative, AT_REST),
         }
     }
 
@@ -98,7 +99,11 @@ mod tests {
         assert!(step.error_px < 2.0);
         step.twist = [0.0, 0.0, 0.1 * scene.limits.linear, 0.0, 0.0, 0.0];
         let bounds = Bounds::of(&scene);
-        assert!(!bounds.has_arrived(&step, false) && bounds.has_arrived(&step, true));
+        let still = [0.0; 6];
+        assert!(!bounds.has_arrived(&step, &still, false));
+        assert!(bounds.has_arrived(&step, &still, true));
+        // With the pattern.
+        assert!(bounds.has_arrived(&step, &step.twist, false));
     }
 
     #[test]

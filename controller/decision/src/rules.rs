@@ -23,6 +23,8 @@ pub struct Safety {
     pub needs_robot: bool,
     /// What it does when it has arrived.
     pub after_arrival: AfterArrival,
+    /// What it does when points have been hidden for too long.
+    pub on_loss: OnLoss,
 }
 
 impl Default for Safety {
@@ -30,11 +32,12 @@ impl Default for Safety {
         Self {
             armed: false,
             brake_s: 0.15,
-            blind_s: 0.0,
+            blind_s: 1.0,
             lost_s: 0.3,
             stale_periods: 3.0,
             needs_robot: true,
             after_arrival: AfterArrival::Follow,
+            on_loss: OnLoss::Hold,
         }
     }
 }
@@ -49,6 +52,16 @@ pub enum AfterArrival {
     Hold,
     /// It disarms.
     Disarm,
+}
+
+/// What the controller does when points have been hidden for too long.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum OnLoss {
+    /// It brakes and stands.
+    #[default]
+    Hold,
+    /// It goes back along its own way, until it sees them or has come to where the way begins.
+    Retrace,
 }
 
 /// The rules of the supervisor and of the gate.
@@ -77,6 +90,8 @@ pub struct Rules {
     pub begins_armed: bool,
     /// What it does when it has arrived.
     pub after_arrival: AfterArrival,
+    /// What it does when points have been hidden for too long.
+    pub on_loss: OnLoss,
 }
 
 impl Rules {
@@ -99,6 +114,7 @@ impl Rules {
             needs_robot: safety.needs_robot,
             begins_armed: safety.armed,
             after_arrival: safety.after_arrival,
+            on_loss: safety.on_loss,
         }
     }
 

@@ -10,7 +10,7 @@ use messages::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 8;
+pub const VERSION: u32 = 9;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -68,6 +68,7 @@ mod tests {
     use crate::decision::Decision;
     use crate::gate::Gate;
     use crate::input::Input;
+    use crate::retrace::Way;
     use crate::robot::RobotWatch;
     use crate::rules::Rules;
     use crate::supervisor::{Situation, Supervisor};
@@ -102,6 +103,7 @@ mod tests {
             needs_robot: false,
             begins_armed: true,
             after_arrival: Default::default(),
+            on_loss: Default::default(),
         };
         let mut gate = Gate::new(Some(u64::MAX));
         let mut message = Features::new(&[[1.0; 2]; 4], 0);
@@ -142,6 +144,8 @@ mod tests {
                 stamp: STAMP,
                 decision,
             },
+            predicted: u32::MAX,
+            way: Way::default(),
         }
     }
 

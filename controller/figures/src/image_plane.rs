@@ -19,6 +19,11 @@ fn foreseen(colour: &str) -> String {
     format!("stroke=\"{colour}\" stroke-width=\"1.4\" stroke-dasharray=\"5 4\"")
 }
 
+/// The style of the outline of where a hidden point is believed.
+fn outline(colour: &str) -> String {
+    format!("fill=\"none\" stroke=\"{colour}\" stroke-width=\"0.6\"")
+}
+
 /// The style of a way point.
 fn way_point(colour: &str) -> String {
     format!("stroke=\"{colour}\" stroke-width=\"1.3\"")
@@ -37,6 +42,7 @@ enum Mark {
     Occlusion,
     WayPoints,
     Foreseen,
+    Hidden,
 }
 
 impl Mark {
@@ -49,6 +55,7 @@ impl Mark {
             Self::Occlusion => "occlusion",
             Self::WayPoints => "way points",
             Self::Foreseen => "foreseen at the start",
+            Self::Hidden => "hidden, 2 deviations",
         }
     }
 
@@ -75,6 +82,7 @@ impl Mark {
             Self::Foreseen => {
                 canvas.polyline([[x, y], [x + 14.0, y]].into_iter(), &foreseen(ANY));
             }
+            Self::Hidden => canvas.circle([x + 5.0, y], 5.0, &outline(ANY)),
         }
     }
 }
@@ -109,6 +117,8 @@ pub struct ImagePlane<'a> {
     pub way_points: Vec<Points>,
     /// The way of each point that was foreseen at the start, px.
     pub foreseen: Vec<Points>,
+    /// Outlines of where hidden points are believed, px, with the index of each point.
+    pub ellipses: Vec<(usize, Points)>,
     /// Title.
     pub title: String,
 }
@@ -131,6 +141,10 @@ impl ImagePlane<'_> {
             frame.polyline(path.clone(), &line);
             path.for_each(|point| frame.circle(point, 1.5, &filled(colour(i))));
         }
+        for (i, corners) in &self.ellipses {
+            let closed = corners.iter().chain(corners.first()).copied();
+            frame.polyline(closed, &outline(colour(*i)));
+        }
         for (i, way) in self.foreseen.iter().enumerate() {
             frame.polyline(way.iter().copied(), &foreseen(colour(i)));
         }
@@ -152,6 +166,9 @@ impl ImagePlane<'_> {
         }
         if !self.foreseen.is_empty() {
             marks.push(Mark::Foreseen);
+        }
+        if !self.ellipses.is_empty() {
+            marks.push(Mark::Hidden);
         }
         for (mark, (x, row)) in marks.iter().zip(rows(&marks)) {
             let (x, y) = (MARGIN[0] + x, y + ROW * row as f64);
@@ -190,6 +207,7 @@ mod tests {
             goal: Vec::new(),
             way_points: (0..100).map(|k| vec![[f64::from(k), 50.0]]).collect(),
             foreseen: Vec::new(),
+            ellipses: Vec::new(),
             title: String::new(),
         };
         let places: Vec<f64> = plane
@@ -209,10 +227,11 @@ mod tests {
             Mark::Occlusion,
             Mark::WayPoints,
             Mark::Foreseen,
+            Mark::Hidden,
         ];
         for (mark, (x, row)) in all.iter().zip(rows(&all)) {
             let end = x + mark.width() + 4.0 + LETTER * mark.words().len() as f64;
-            assert!(end <= KEY && row < 2, "{}: {end}, row {row}", mark.words());
+            assert!(end <= KEY && row < 3, "{}: {end}, row {row}", mark.words());
         }
     }
 
@@ -226,6 +245,7 @@ mod tests {
             goal: points.clone(),
             way_points: vec![points.clone()],
             foreseen: vec![points.clone(), points],
+            ellipses: Vec::new(),
             title: String::new(),
         };
         let svg = plane.canvas().svg();
@@ -246,6 +266,7 @@ mod tests {
                 goal: Vec::new(),
                 way_points,
                 foreseen: Vec::new(),
+                ellipses: Vec::new(),
                 title: String::new(),
             };
             plane.canvas()

@@ -11,13 +11,16 @@ const GAP: f64 = 24.0;
 /// More commands than this are drawn with a finer line: they may change from one to the next.
 const DENSE: usize = 400;
 
-/// The camera twist over time: linear components above, angular ones below, limits dashed.
+/// The camera twist over time: linear components above, angular ones below, limits dashed, the
+/// pattern's own motion dotted.
 #[derive(Clone, Debug)]
 pub struct Velocity {
     /// Time between two commands, s.
     pub period_s: f64,
     /// Commands (vx vy vz m/s, wx wy wz rad/s).
     pub twists: Vec<[f64; 6]>,
+    /// The pattern's own motion in the same periods; empty where it stands.
+    pub own: Vec<[f64; 6]>,
     /// Limits of each component.
     pub limits: Limits,
     /// Title.
@@ -28,7 +31,11 @@ impl Velocity {
     /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
         let mut canvas = Canvas::new(WIDTH, MARGIN[1] + 2.0 * PANEL + GAP + MARGIN[3]);
-        canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &self.title);
+        let title = match self.own.is_empty() {
+            true => self.title.clone(),
+            false => format!("{}; dotted: the pattern's own motion", self.title),
+        };
+        canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &title);
         let below = MARGIN[1] + PANEL + GAP;
         let (linear, angular) = (self.limits.linear, self.limits.angular);
         self.panel(&mut canvas, MARGIN[1], 0, linear, "m/s", "v");
@@ -69,15 +76,22 @@ impl Velocity {
         for (k, axis) in ["x", "y", "z"].iter().enumerate() {
             let colour = FEATURES[k];
             // A command holds for its period: stairs.
-            let stairs = self.twists.iter().enumerate().flat_map(|(i, twist)| {
-                let value = y(twist[first + k]);
-                let t = self.period_s * i as f64;
-                [[self.x(t), value], [self.x(t + self.period_s), value]]
-            });
+            let stairs = |twists: &[[f64; 6]]| {
+                let steps = twists.iter().enumerate().flat_map(|(i, twist)| {
+                    let value = y(twist[first + k]);
+                    let t = self.period_s * i as f64;
+                    [[self.x(t), value], [self.x(t + self.period_s), value]]
+                });
+                steps.collect::<Vec<_>>().into_iter()
+            };
             let fine = self.twists.len() > DENSE;
             let width = if fine { 0.8 } else { 1.5 };
             let style = format!("stroke=\"{colour}\" stroke-width=\"{width}\"");
-            canvas.polyline(stairs, &style);
+            canvas.polyline(stairs(&self.twists), &style);
+            if !self.own.is_empty() {
+                let style = format!("stroke=\"{colour}\" stroke-dasharray=\"1.5 2.5\"");
+                canvas.polyline(stairs(&self.own), &style);
+            }
             // Above the panel, where no curve runs.
             let x = right - 112.0 + 38.0 * k as f64;
             let style = format!("stroke=\"{colour}\" stroke-width=\"2\"");

@@ -74,6 +74,7 @@ pub fn plot(
             goal: scene.goal_px().collect(),
             way_points: Vec::new(),
             foreseen: Vec::new(),
+            ellipses: Vec::new(),
             title: "features (no cycles)".to_owned(),
         };
         files.extend(plane.canvas().write(&directory.join("features"))?);
@@ -140,14 +141,23 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
             .collect(),
         foreseen: first_known
             .map_or_else(Vec::new, |c| c.foreseen().map(Iterator::collect).collect()),
+        ellipses: run
+            .iter()
+            .flat_map(|c| c.ellipses())
+            .map(|(point, outline)| (point, outline.collect()))
+            .collect(),
         title: format!(
             "{name}{strategy}: {:.1} s{error}",
-            twists.len() as f64 * period_s
+            twists.sent.len() as f64 * period_s
         ),
     };
     let velocity = Velocity {
         period_s,
-        twists,
+        own: match twists.own.iter().any(|own| *own != [0.0; 6]) {
+            true => twists.own,
+            false => Vec::new(),
+        },
+        twists: twists.sent,
         limits: scene.limits,
         title: "velocity command".to_owned(),
     };
@@ -156,24 +166,37 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     }
 }
 
-/// The command of each period; where records are missing, the last one for a while, then zero.
-fn twists(run: &[&CycleRecord], period_s: f64) -> Vec<[f64; 6]> {
-    let mut twists: Vec<[f64; 6]> = Vec::new();
+/// The command of each period, and what was believed of the pattern's own motion.
+#[derive(Default)]
+struct Twists {
+    sent: Vec<[f64; 6]>,
+    own: Vec<[f64; 6]>,
+}
+
+/// The twists of each period; where records are missing, the last ones for a while, then zero.
+fn twists(run: &[&CycleRecord], period_s: f64) -> Twists {
+    let mut twists = Twists::default();
     let Some(first) = run.first() else {
         return twists;
     };
+    let mut add = |sent, own| {
+        twists.sent.push(sent);
+        twists.own.push(own);
+        twists.sent.len()
+    };
+    let (mut count, mut last) = (0, [[0.0; 6]; 2]);
     for cycle in run {
         if cycle.clock != ClockMode::Lockstep.code() {
             let since = cycle.stamp.data_ns.saturating_sub(first.stamp.data_ns);
             let place = (since as f64 / 1e9 / period_s).round() as usize;
-            let last = twists.last().copied().unwrap_or([0.0; 6]);
-            let stands = twists.len() + STANDING;
-            while twists.len() < place.min(LONGEST) {
-                let standing = twists.len() < stands;
-                twists.push(if standing { last } else { [0.0; 6] });
+            let stands = count + STANDING;
+            while count < place.min(LONGEST) {
+                let [sent, own] = if count < stands { last } else { [[0.0; 6]; 2] };
+                count = add(sent, own);
             }
         }
-        twists.push(cycle.twist);
+        last = [cycle.twist, cycle.drift];
+        count = add(cycle.twist, cycle.drift);
     }
     twists
 }
@@ -252,7 +275,7 @@ mod tests {
     fn a_command_stands_for_a_while_where_records_are_missing() {
         let cycles = [cycle(10, 1), cycle(11, 2), cycle(18, 9)];
         let run: Vec<_> = cycles.iter().collect();
-        let vx: Vec<_> = twists(&run, 1.0 / 30.0).iter().map(|v| v[0]).collect();
+        let vx: Vec<_> = twists(&run, 1.0 / 30.0).sent.iter().map(|v| v[0]).collect();
         assert_eq!(vx, [10.0, 11.0, 11.0, 11.0, 11.0, 0.0, 0.0, 0.0, 18.0]);
     }
 }

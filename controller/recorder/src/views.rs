@@ -11,7 +11,7 @@ use messages::{
 use nalgebra::Isometry3;
 use recording::{Recorded, Sink, WriteError};
 
-use crate::annotation::{BLUE, CLEAR, GREY, RED, circle, lines, text};
+use crate::annotation::{AMBER, BLUE, CLEAR, GREY, RED, circle, lines, text};
 use crate::scenery::CAMERA;
 use crate::view_writer::ViewWriter;
 use crate::world::{BASE, FLANGE, OBJECT, arm, base_from_flange, foreseen, isometry, pose};
@@ -98,8 +98,12 @@ impl Viewed for CycleRecord {
                 let ways = self
                     .foreseen()
                     .map(|way| lines(at, Type::LineStrip, way, GREY));
+                let ellipses = self
+                    .ellipses()
+                    .map(|(_, outline)| lines(at, Type::LineLoop, outline, AMBER));
+                let points = ways.chain([lines(at, Type::LineList, ends, RED)]);
                 ImageAnnotations {
-                    points: ways.chain([lines(at, Type::LineList, ends, RED)]).collect(),
+                    points: points.chain(ellipses).collect(),
                     texts: vec![text(at, [8.0, 24.0], caption(self))],
                     ..ImageAnnotations::default()
                 }
@@ -191,6 +195,17 @@ fn caption(record: &CycleRecord) -> String {
         text += &format!(", arrives in {:.1} s", record.arrival_s);
     } else if record.knows_no_way() {
         text += ", no way known";
+    }
+    let [metres, radians] = record.drift_speed();
+    if metres + radians > 0.0 {
+        text += &format!(
+            ", pattern moves {:.1} cm/s, {radians:.2} rad/s",
+            100.0 * metres
+        );
+    }
+    match record.ellipses().count() {
+        0 => (),
+        hidden => text += &format!(", {hidden} hidden"),
     }
     text
 }

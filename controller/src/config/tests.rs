@@ -23,7 +23,6 @@ fn an_empty_file_with_a_scene_is_the_default() {
     let expected = Settings {
         strategy: vpc::Strategy::Foresight,
         brake_s: 0.15,
-        blind_s: 0.0,
         ..Settings::default()
     };
     assert_eq!(config.settings, expected);

@@ -168,8 +168,9 @@ fn bad_features_are_answered_with_zero_and_good_ones_go_on() {
     );
     let nine = Features::new(&[[100.0, 100.0]; 9], ipc::now_ns());
     let bad = [
-        (nan, Hold::Invalid),
+        // Before any image showed all points, nothing carries it on.
         (hidden, Hold::Hidden),
+        (nan, Hold::Invalid),
         (off, Hold::OffImage),
         (three, Hold::Count),
         (nine, Hold::Invalid),
@@ -583,7 +584,8 @@ fn a_restarted_camera_is_a_new_run() {
     let mut command = vpcd_in(&place);
     command.args(["--clock", "lockstep"]);
     let daemon = Running::start(command);
-    let features = Features::new(&square(&scene, &mut random), ipc::now_ns());
+    // Exposed when they are delivered.
+    let features = Features::new(&square(&scene, &mut random), 0);
     let answers: Vec<_> = (0..3)
         .map(|_| {
             let domain = Domain::join(&place.domain()).unwrap();

@@ -166,9 +166,9 @@ fn every_cause_of_a_flight_record_leaves_one_that_replays() {
     assert_eq!(answered.unwrap().strategy, StrategyCode::Gpr.code());
     assert!(flight.config().unwrap().contains("strategy = \"knn3\""));
 
-    bench.show(|features| features.visible = 0b0001);
+    bench.show(|features| features.points[0] = -500.0);
     let told = report(&bench.file(2));
-    assert_eq!(told["cause"], "fault: hidden point");
+    assert_eq!(told["cause"], "fault: off image");
     assert_eq!(told["report"]["last"], 201);
 
     bench.show(|_| ());

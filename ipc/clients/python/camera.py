@@ -20,6 +20,7 @@ import csv
 import json
 import pathlib
 import sys
+import time
 import tomllib
 
 try:
@@ -82,6 +83,7 @@ def run(scene, referee, ports, start, steps):
     camera = Camera(scene, start)
     period = 1.0 / scene["camera"]["rate_hz"]
     state = vpc_client.TwistState.STOPPED
+    begin_ns = time.monotonic_ns()
     ports.restart()
 
     def ended(step, reason, error):
@@ -96,7 +98,9 @@ def run(scene, referee, ports, start, steps):
             return ended(step, "violation", error)
         if referee.arrived(pixels):
             return ended(step, None, error)
-        answer = ports.wait_for_answer(ports.publish_features(pixels.tolist()))
+        # In lockstep the frames are the clock.
+        sent = ports.publish_features(pixels.tolist(), published_ns=begin_ns + int(1e9 * period * step))
+        answer = ports.wait_for_answer(sent)
         state = vpc_client.TwistState(answer.state)
         camera.move(answer.twist, period)
     error = referee.error(camera.pixels()) if camera.sees() else float("inf")

@@ -17,8 +17,9 @@ codes! {
         Stopped = 0 => "stopped",
         /// On the way to the goal.
         Moving = 1 => "moving",
-        /// The image error is below the scene's convergence threshold and the twist near zero; it
-        /// stays so until the error is twice the threshold. The controller keeps regulating.
+        /// The image error is below the scene's convergence threshold, and the camera moves as the
+        /// pattern does; it stays so until the error is twice the threshold. The controller keeps
+        /// regulating.
         Arrived = 2 => "arrived",
         /// Features are missing, stale or refused; the twist is zero until good ones come.
         Holding = 3 => "holding",

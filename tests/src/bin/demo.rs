@@ -300,11 +300,13 @@ impl<'a> Demo<'a> {
             goal: head.goal,
             way_points: Vec::new(),
             foreseen: Vec::new(),
+            ellipses: Vec::new(),
             title: format!("vpcd {} and hw-sim over shared memory", self.strategy),
         };
         let velocity = figures::Velocity {
             period_s: self.scene.sampling_time(),
             twists: steered.map(|record| record.twist).collect(),
+            own: Vec::new(),
             limits: self.scene.limits,
             title: "twist executed by hw-sim".to_owned(),
         };

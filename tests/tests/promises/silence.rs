@@ -33,6 +33,9 @@ const FORGOTTEN: u64 = 36;
 /// Time in which it notices that an image does not follow, ns.
 const NOTICED_NS: u64 = 1_500_000_000;
 
+/// Longest time for which it goes on while points are hidden, ns: `safety.blind_s`.
+const BLIND_NS: u64 = 1_000_000_000;
+
 /// Where the object is at first, far from the goal.
 const START: Pose = Pose {
     translation: [0.25, 0.1, 0.9],
@@ -292,6 +295,8 @@ fn fail(fault: Fault, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
     })?;
     let noticed_ns = match fault {
         Fault::Noise(_) => NOTICED_NS,
+        // It goes on by the other points.
+        Fault::Hidden => BLIND_NS,
         _ => 0,
     };
     check_stop(&commands, last_good_ns, noticed_ns)

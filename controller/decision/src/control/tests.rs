@@ -80,9 +80,9 @@ fn control_with(settings: Settings, rules: Rules) -> ControlStep<'static> {
     ControlStep::new(&scene, settings, None, rules).unwrap()
 }
 
-/// In real time, at rest.
-fn control() -> ControlStep<'static> {
-    let rules = Rules {
+/// Real time.
+fn rules() -> Rules {
+    Rules {
         valid_ns: Some(3 * PERIOD),
         limits: LIMITS,
         change: [f64::INFINITY; 6],
@@ -92,8 +92,13 @@ fn control() -> ControlStep<'static> {
         needs_robot: false,
         begins_armed: true,
         after_arrival: Default::default(),
-    };
-    control_with(Settings::default(), rules)
+        on_loss: Default::default(),
+    }
+}
+
+/// In real time, at rest.
+fn control() -> ControlStep<'static> {
+    control_with(Settings::default(), rules())
 }
 
 #[test]
@@ -258,6 +263,90 @@ fn what_the_law_refuses_is_held_with_its_cause() {
     ] {
         let decision = law.run_law(&bad, 0, Link::Next, false, &mut CycleRecord::default());
         assert_eq!(decision, Decision::hold(hold));
+    }
+}
+
+#[test]
+fn hidden_points_are_carried_on_for_a_second() {
+    let mut law = law();
+    law.law.go_live(2_000_000_000);
+    law.law.sent(&[0.0; 6], 1);
+    let mut features = displaced(&law, 30.0);
+    let mut step = |ns: u64, visible| {
+        features.stamp.data_ns = ns;
+        features.visible = visible;
+        features.points[0] = if visible & 1 == 0 {
+            1e9
+        } else {
+            features.points[0]
+        };
+        let mut record = CycleRecord {
+            visible,
+            ..CycleRecord::default()
+        };
+        let decision = law.run_law(&features, ns, Link::Next, false, &mut record);
+        law.law.sent(&[0.0; 6], ns);
+        (decision.hold, record)
+    };
+    const BEGIN_NS: u64 = 1_000_000_000;
+    assert_eq!(step(BEGIN_NS, 0b1111).0, None);
+    for k in 1..30 {
+        let (hold, record) = step(BEGIN_NS + k * PERIOD, 0b1110);
+        assert_eq!(hold, None, "{k}");
+        // Where it was, within an ellipse that is not empty.
+        let middle = record.points;
+        assert!(
+            middle[0] < 1000.0 && record.covariance[0] > 0.0,
+            "{record:?}"
+        );
+        assert_eq!(record.covariance[3..], [0.0; 21]);
+    }
+    assert_eq!(step(BEGIN_NS + 31 * PERIOD, 0b1110).0, Some(Hold::Hidden));
+}
+
+#[test]
+fn a_camera_that_lost_the_pattern_goes_back_where_it_may() {
+    for (on_loss, goes_back) in [(OnLoss::Hold, false), (OnLoss::Retrace, true)] {
+        let mut law = control_with(Settings::default(), Rules { on_loss, ..rules() });
+        let far = displaced(&law, 60.0);
+        let mut answer = |k: u64, visible| {
+            let mut features = far;
+            let now_ns = 1_000_000_000 + k * PERIOD;
+            features.stamp = Stamp {
+                sequence: k,
+                published_ns: now_ns,
+                data_ns: now_ns,
+            };
+            features.visible = visible;
+            // No image is the last one to the last bit.
+            features.points[0] += 1e-9 * k as f64;
+            let inputs = Inputs {
+                now_ns,
+                features: Input::Message(features),
+                robot: Input::Nothing,
+                missed: 0,
+                suspended: false,
+                shutdown: false,
+            };
+            law.decide(&inputs, &mut CycleRecord::default()).decision
+        };
+        let came: Vec<_> = (1..8).map(|k| answer(k, 0b1111)).collect();
+        let along = came.last().unwrap().twist;
+        assert_ne!(along, [0.0; 6]);
+        // Blind until nobody knows where the points are; then it is lost.
+        let lost: Vec<_> = (8..60).map(|k| answer(k, 0)).collect();
+        let back = |decision: &&Decision| {
+            let pairs = decision.twist.iter().zip(along);
+            pairs.map(|(v, along)| v * along).sum::<f64>() < 0.0
+        };
+        let backwards = lost.iter().filter(back).count();
+        assert_eq!(backwards > 10, goes_back, "{on_loss:?}: {lost:?}");
+        // It ends where the way began.
+        assert_eq!(
+            lost.last().unwrap().state,
+            TwistState::Disarmed,
+            "{on_loss:?}"
+        );
     }
 }
 

@@ -30,6 +30,7 @@ impl Bench {
             needs_robot: false,
             begins_armed: armed,
             after_arrival: AfterArrival::Follow,
+            on_loss: Default::default(),
         };
         Self {
             supervisor: Supervisor::new(rules),
@@ -494,6 +495,7 @@ fn in_lockstep_braking_takes_no_time() {
         needs_robot: false,
         begins_armed: true,
         after_arrival: AfterArrival::Follow,
+        on_loss: Default::default(),
     };
     let mut bench = Bench::moving();
     bench.supervisor = Supervisor::new(rules);

@@ -53,6 +53,10 @@ impl Feed {
                 "error_px": record.error_px,
                 "clearance_px": record.clearance_px,
                 "points": record.pairs().collect::<Vec<_>>(),
+                "hidden": record
+                    .ellipses()
+                    .map(|(point, outline)| json!([point, outline.collect::<Vec<_>>()]))
+                    .collect::<Vec<_>>(),
                 "way_point": record.way_point_pairs().collect::<Vec<_>>(),
                 "foreseen": record.foreseen().map(Iterator::collect).collect::<Vec<Vec<_>>>(),
             })
@@ -100,8 +104,9 @@ impl Feed {
     }
 }
 
-/// Time in s, error px, clearance px, cycle us, wake-up us, the six of the twist, the points px, and
-/// the number of their frame: where it falls, the camera began another run.
+/// Time in s, error px, clearance px, cycle us, wake-up us, the six of the twist, the points px,
+/// the number of their frame (where it falls, the camera began another run), and the six of the
+/// pattern's own motion.
 fn row(record: &CycleRecord) -> Value {
     let us = durations(record).map(|ns| ns as f64 / 1e3);
     let [vx, vy, vz, wx, wy, wz] = record.twist;
@@ -109,9 +114,13 @@ fn row(record: &CycleRecord) -> Value {
     let time = record.stamp.data_ns as f64 / 1e9;
     let (error, clearance) = (record.error_px, record.clearance_px);
     let frame = record.features_sequence;
-    json!([
-        time, error, clearance, us[CYCLE], us[WAKE], vx, vy, vz, wx, wy, wz, points, frame
-    ])
+    let numbers = [
+        time, error, clearance, us[CYCLE], us[WAKE], vx, vy, vz, wx, wy, wz,
+    ];
+    let numbers = numbers.into_iter().map(Value::from);
+    let own = record.drift.into_iter().map(Value::from);
+    let row = numbers.chain([json!(points), json!(frame)]).chain(own);
+    row.collect()
 }
 
 /// The image plane. Parts are the corners [u, v] of their outlines, painted pixels are rectangles

@@ -1,4 +1,5 @@
-//! The image plane in Braille: occlusions, trails, way point, goal, features.
+//! The image plane in Braille: occlusions, trails, way point, goal, features; hidden ones are red, in
+//! the ellipse of where they are believed.
 
 use messages::CycleRecord;
 use ratatui::Frame;
@@ -99,6 +100,12 @@ fn paint(context: &mut Context, plane: &ImagePlane, view: &View, height: f64, pa
             }
         }
     }
+    let ellipses = view.seen.iter().flat_map(CycleRecord::ellipses);
+    let outlines: Vec<(f64, f64)> = ellipses
+        .flat_map(|(_, outline)| outline)
+        .map(|[u, v]| (u, height - v))
+        .collect();
+    context.draw(&Points::new(&outlines, palette.color(Color::Red)));
     context.layer();
     let mut print = |[u, v]: [f64; 2], text: String, color: Color| {
         let style: Style = palette.style(color).bold();
@@ -114,7 +121,12 @@ fn paint(context: &mut Context, plane: &ImagePlane, view: &View, height: f64, pa
         print(point, "o".to_owned(), Color::Yellow);
     }
     for (index, point) in seen.pairs().enumerate() {
-        print(point, index.to_string(), Color::Cyan);
+        let color = if seen.sees(index) {
+            Color::Cyan
+        } else {
+            Color::Red
+        };
+        print(point, index.to_string(), color);
     }
 }
 

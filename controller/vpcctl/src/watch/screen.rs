@@ -125,10 +125,30 @@ fn bar(share: f64, width: usize) -> String {
     }
 }
 
+/// The same bar with a mark where the pattern's own motion is, if it moves.
+fn marked(bar: String, share: f64) -> String {
+    if share == 0.0 {
+        return bar;
+    }
+    let half = bar.chars().count() / 2;
+    let place = half as f64 * (1.0 + share.clamp(-1.0, 1.0));
+    let marks = bar.chars().enumerate();
+    let marks = marks.map(|(k, c)| {
+        if k == place.round() as usize {
+            '◆'
+        } else {
+            c
+        }
+    });
+    marks.collect()
+}
+
 fn twist_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
     let view = &screen.status.view;
     let [linear, angular] = screen.plane.limits(view);
-    let twist = view.latest().map_or([0.0; 6], |last| last.twist);
+    let [twist, drift] = view
+        .latest()
+        .map_or([[0.0; 6]; 2], |last| [last.twist, last.drift]);
     let width = usize::from(area.width).saturating_sub(14);
     let names = ["vx", "vy", "vz", "wx", "wy", "wz"];
     let lines = names.iter().enumerate().map(|(i, name)| {
@@ -137,9 +157,10 @@ fn twist_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
             true => Color::Yellow,
             false => Color::Cyan,
         };
+        let own = drift[i] / if i < 3 { linear } else { angular };
         Line::from(vec![
             Span::raw(format!("{name} ")),
-            Span::styled(bar(share, width), screen.palette.style(color)),
+            Span::styled(marked(bar(share, width), own), screen.palette.style(color)),
             Span::raw(format!("{:+.3}", twist[i])),
         ])
     });

@@ -39,8 +39,9 @@ enum vpc_state {
     VPC_STATE_STOPPED = 0,
     // On the way to the goal.
     VPC_STATE_MOVING = 1,
-    // The image error is below the scene's convergence threshold and the twist near zero; it stays
-    // so until the error is twice the threshold. The controller keeps regulating.
+    // The image error is below the scene's convergence threshold, and the camera moves as the
+    // pattern does; it stays so until the error is twice the threshold. The controller keeps
+    // regulating.
     VPC_STATE_ARRIVED = 2,
     // Features are missing, stale or refused; the twist is zero until good ones come.
     VPC_STATE_HOLDING = 3,
@@ -125,7 +126,7 @@ enum vpc_hold {
     VPC_HOLD_STALE = 2,
     // A message was refused on reception: count or numbers.
     VPC_HOLD_INVALID = 3,
-    // A point was not visible.
+    // Points were not visible, for longer than `safety.blind_s`, or nobody knows where they are.
     VPC_HOLD_HIDDEN = 4,
     // The number of points is not that of the pattern.
     VPC_HOLD_COUNT = 5,
@@ -339,7 +340,8 @@ typedef struct {
     uint64_t exposure_ns;
     // Points in this message, in the order of the scene's pattern. 1 to 8.
     uint32_t count;
-    // Bit i is set if point i was measured in this frame; nobody reads the others.
+    // Bit i is set if point i was measured in this frame. Nobody reads the others: the controller
+    // goes on for safety.blind_s with those that it believes.
     uint32_t visible;
     // Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left pixel.
     // The first 2 * count are finite, the rest zero. Unit: px.
@@ -443,8 +445,13 @@ typedef struct {
     uint32_t hold;
     // State of the controller. Code: vpc_state.
     uint32_t state;
-    // Features used, u1 v1 u2 v2 .... Unit: px.
+    // Features used, u1 v1 u2 v2 ...; a point that was not seen is where it is believed. Unit: px.
     double points[16];
+    // Covariance of each point that was not seen, uu uv vv; zero for the others. Unit: px^2.
+    double covariance[24];
+    // The pattern's own motion as the law believes it, in the camera frame: vx vy vz wx wy wz.
+    // Unit: m/s, rad/s.
+    double drift[6];
     // Way point tracked instead of the goal, u1 v1 u2 v2 .... Unit: px.
     double way_point[16];
     // Camera velocity of the command, in the camera frame: vx vy vz wx wy wz. Unit: m/s, rad/s.
@@ -507,6 +514,10 @@ typedef struct {
     uint32_t flags;
     // Stops by operators so far.
     uint32_t stops;
+    // Bit i is set if point i of points was seen.
+    uint32_t visible;
+    // Cycles in a row that the law answered by prediction, because no image came.
+    uint32_t predicted;
 } vpc_cycle_record;
 
 // All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
@@ -888,7 +899,7 @@ static_assert(offsetof(vpc_robot_state, reserved) == 140, "vpc_robot_state.reser
 static_assert(offsetof(vpc_robot_state, q) == 144, "vpc_robot_state.q");
 static_assert(offsetof(vpc_robot_state, dq) == 200, "vpc_robot_state.dq");
 static_assert(offsetof(vpc_robot_state, commands_in_time) == 256, "vpc_robot_state.commands_in_time");
-static_assert(sizeof(vpc_cycle_record) == 1648, "vpc_cycle_record");
+static_assert(sizeof(vpc_cycle_record) == 1896, "vpc_cycle_record");
 static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
 static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
 static_assert(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
@@ -912,36 +923,40 @@ static_assert(offsetof(vpc_cycle_record, qp_iterations) == 132, "vpc_cycle_recor
 static_assert(offsetof(vpc_cycle_record, hold) == 136, "vpc_cycle_record.hold");
 static_assert(offsetof(vpc_cycle_record, state) == 140, "vpc_cycle_record.state");
 static_assert(offsetof(vpc_cycle_record, points) == 144, "vpc_cycle_record.points");
-static_assert(offsetof(vpc_cycle_record, way_point) == 272, "vpc_cycle_record.way_point");
-static_assert(offsetof(vpc_cycle_record, twist) == 400, "vpc_cycle_record.twist");
-static_assert(offsetof(vpc_cycle_record, cost) == 448, "vpc_cycle_record.cost");
-static_assert(offsetof(vpc_cycle_record, violation_px) == 456, "vpc_cycle_record.violation_px");
-static_assert(offsetof(vpc_cycle_record, clearance_px) == 464, "vpc_cycle_record.clearance_px");
-static_assert(offsetof(vpc_cycle_record, error_px) == 472, "vpc_cycle_record.error_px");
-static_assert(offsetof(vpc_cycle_record, foresight) == 480, "vpc_cycle_record.foresight");
-static_assert(offsetof(vpc_cycle_record, candidates) == 484, "vpc_cycle_record.candidates");
-static_assert(offsetof(vpc_cycle_record, simulated) == 488, "vpc_cycle_record.simulated");
-static_assert(offsetof(vpc_cycle_record, switches) == 492, "vpc_cycle_record.switches");
-static_assert(offsetof(vpc_cycle_record, arrival_s) == 496, "vpc_cycle_record.arrival_s");
-static_assert(offsetof(vpc_cycle_record, path_every_s) == 504, "vpc_cycle_record.path_every_s");
-static_assert(offsetof(vpc_cycle_record, path_count) == 512, "vpc_cycle_record.path_count");
-static_assert(offsetof(vpc_cycle_record, path_points) == 516, "vpc_cycle_record.path_points");
-static_assert(offsetof(vpc_cycle_record, path) == 520, "vpc_cycle_record.path");
-static_assert(offsetof(vpc_cycle_record, realtime) == 1544, "vpc_cycle_record.realtime");
-static_assert(offsetof(vpc_cycle_record, phase) == 1548, "vpc_cycle_record.phase");
-static_assert(offsetof(vpc_cycle_record, phase_error_ns) == 1552, "vpc_cycle_record.phase_error_ns");
-static_assert(offsetof(vpc_cycle_record, minor_faults) == 1560, "vpc_cycle_record.minor_faults");
-static_assert(offsetof(vpc_cycle_record, major_faults) == 1564, "vpc_cycle_record.major_faults");
-static_assert(offsetof(vpc_cycle_record, blocked) == 1568, "vpc_cycle_record.blocked");
-static_assert(offsetof(vpc_cycle_record, allocations) == 1572, "vpc_cycle_record.allocations");
-static_assert(offsetof(vpc_cycle_record, features_input) == 1576, "vpc_cycle_record.features_input");
-static_assert(offsetof(vpc_cycle_record, robot_input) == 1580, "vpc_cycle_record.robot_input");
-static_assert(offsetof(vpc_cycle_record, features_seen) == 1584, "vpc_cycle_record.features_seen");
-static_assert(offsetof(vpc_cycle_record, robot_seen) == 1608, "vpc_cycle_record.robot_seen");
-static_assert(offsetof(vpc_cycle_record, requests) == 1632, "vpc_cycle_record.requests");
-static_assert(offsetof(vpc_cycle_record, missed) == 1636, "vpc_cycle_record.missed");
-static_assert(offsetof(vpc_cycle_record, flags) == 1640, "vpc_cycle_record.flags");
-static_assert(offsetof(vpc_cycle_record, stops) == 1644, "vpc_cycle_record.stops");
+static_assert(offsetof(vpc_cycle_record, covariance) == 272, "vpc_cycle_record.covariance");
+static_assert(offsetof(vpc_cycle_record, drift) == 464, "vpc_cycle_record.drift");
+static_assert(offsetof(vpc_cycle_record, way_point) == 512, "vpc_cycle_record.way_point");
+static_assert(offsetof(vpc_cycle_record, twist) == 640, "vpc_cycle_record.twist");
+static_assert(offsetof(vpc_cycle_record, cost) == 688, "vpc_cycle_record.cost");
+static_assert(offsetof(vpc_cycle_record, violation_px) == 696, "vpc_cycle_record.violation_px");
+static_assert(offsetof(vpc_cycle_record, clearance_px) == 704, "vpc_cycle_record.clearance_px");
+static_assert(offsetof(vpc_cycle_record, error_px) == 712, "vpc_cycle_record.error_px");
+static_assert(offsetof(vpc_cycle_record, foresight) == 720, "vpc_cycle_record.foresight");
+static_assert(offsetof(vpc_cycle_record, candidates) == 724, "vpc_cycle_record.candidates");
+static_assert(offsetof(vpc_cycle_record, simulated) == 728, "vpc_cycle_record.simulated");
+static_assert(offsetof(vpc_cycle_record, switches) == 732, "vpc_cycle_record.switches");
+static_assert(offsetof(vpc_cycle_record, arrival_s) == 736, "vpc_cycle_record.arrival_s");
+static_assert(offsetof(vpc_cycle_record, path_every_s) == 744, "vpc_cycle_record.path_every_s");
+static_assert(offsetof(vpc_cycle_record, path_count) == 752, "vpc_cycle_record.path_count");
+static_assert(offsetof(vpc_cycle_record, path_points) == 756, "vpc_cycle_record.path_points");
+static_assert(offsetof(vpc_cycle_record, path) == 760, "vpc_cycle_record.path");
+static_assert(offsetof(vpc_cycle_record, realtime) == 1784, "vpc_cycle_record.realtime");
+static_assert(offsetof(vpc_cycle_record, phase) == 1788, "vpc_cycle_record.phase");
+static_assert(offsetof(vpc_cycle_record, phase_error_ns) == 1792, "vpc_cycle_record.phase_error_ns");
+static_assert(offsetof(vpc_cycle_record, minor_faults) == 1800, "vpc_cycle_record.minor_faults");
+static_assert(offsetof(vpc_cycle_record, major_faults) == 1804, "vpc_cycle_record.major_faults");
+static_assert(offsetof(vpc_cycle_record, blocked) == 1808, "vpc_cycle_record.blocked");
+static_assert(offsetof(vpc_cycle_record, allocations) == 1812, "vpc_cycle_record.allocations");
+static_assert(offsetof(vpc_cycle_record, features_input) == 1816, "vpc_cycle_record.features_input");
+static_assert(offsetof(vpc_cycle_record, robot_input) == 1820, "vpc_cycle_record.robot_input");
+static_assert(offsetof(vpc_cycle_record, features_seen) == 1824, "vpc_cycle_record.features_seen");
+static_assert(offsetof(vpc_cycle_record, robot_seen) == 1848, "vpc_cycle_record.robot_seen");
+static_assert(offsetof(vpc_cycle_record, requests) == 1872, "vpc_cycle_record.requests");
+static_assert(offsetof(vpc_cycle_record, missed) == 1876, "vpc_cycle_record.missed");
+static_assert(offsetof(vpc_cycle_record, flags) == 1880, "vpc_cycle_record.flags");
+static_assert(offsetof(vpc_cycle_record, stops) == 1884, "vpc_cycle_record.stops");
+static_assert(offsetof(vpc_cycle_record, visible) == 1888, "vpc_cycle_record.visible");
+static_assert(offsetof(vpc_cycle_record, predicted) == 1892, "vpc_cycle_record.predicted");
 static_assert(sizeof(vpc_snapshot) == 32808, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");

@@ -20,8 +20,9 @@ class TwistState(Code):
     STOPPED = 0, "stopped"
     # On the way to the goal.
     MOVING = 1, "moving"
-    # The image error is below the scene's convergence threshold and the twist near zero; it stays
-    # so until the error is twice the threshold. The controller keeps regulating.
+    # The image error is below the scene's convergence threshold, and the camera moves as the
+    # pattern does; it stays so until the error is twice the threshold. The controller keeps
+    # regulating.
     ARRIVED = 2, "arrived"
     # Features are missing, stale or refused; the twist is zero until good ones come.
     HOLDING = 3, "holding"
@@ -112,7 +113,7 @@ class Hold(Code):
     STALE = 2, "stale features"
     # A message was refused on reception: count or numbers.
     INVALID = 3, "invalid message"
-    # A point was not visible.
+    # Points were not visible, for longer than `safety.blind_s`, or nobody knows where they are.
     HIDDEN = 4, "hidden point"
     # The number of points is not that of the pattern.
     COUNT = 5, "wrong count"
@@ -349,7 +350,8 @@ class Features(Message):
         ("exposure_ns", ctypes.c_uint64),
         # Points in this message, in the order of the scene's pattern. 1 to 8.
         ("count", ctypes.c_uint32),
-        # Bit i is set if point i was measured in this frame; nobody reads the others.
+        # Bit i is set if point i was measured in this frame. Nobody reads the others: the
+        # controller goes on for `safety.blind_s` with those that it believes.
         ("visible", ctypes.c_uint32),
         # Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left
         # pixel. The first `2 * count` are finite, the rest zero. Unit: px.
@@ -505,8 +507,14 @@ class CycleRecord(Message):
         ("hold", ctypes.c_uint32),
         # State of the controller. Code: `TwistState`.
         ("state", ctypes.c_uint32),
-        # Features used, u1 v1 u2 v2 .... Unit: px.
+        # Features used, u1 v1 u2 v2 ...; a point that was not seen is where it is believed. Unit:
+        # px.
         ("points", ctypes.c_double * 16),
+        # Covariance of each point that was not seen, uu uv vv; zero for the others. Unit: px^2.
+        ("covariance", ctypes.c_double * 24),
+        # The pattern's own motion as the law believes it, in the camera frame: vx vy vz wx wy wz.
+        # Unit: m/s, rad/s.
+        ("drift", ctypes.c_double * 6),
         # Way point tracked instead of the goal, u1 v1 u2 v2 .... Unit: px.
         ("way_point", ctypes.c_double * 16),
         # Camera velocity of the command, in the camera frame: vx vy vz wx wy wz. Unit: m/s, rad/s.
@@ -569,6 +577,10 @@ class CycleRecord(Message):
         ("flags", ctypes.c_uint32),
         # Stops by operators so far.
         ("stops", ctypes.c_uint32),
+        # Bit i is set if point i of `points` was seen.
+        ("visible", ctypes.c_uint32),
+        # Cycles in a row that the law answered by prediction, because no image came.
+        ("predicted", ctypes.c_uint32),
     ]
 
     if TYPE_CHECKING:
@@ -595,6 +607,8 @@ class CycleRecord(Message):
         hold: int
         state: int
         points: ctypes.Array[ctypes.c_double]
+        covariance: ctypes.Array[ctypes.c_double]
+        drift: ctypes.Array[ctypes.c_double]
         way_point: ctypes.Array[ctypes.c_double]
         twist: ctypes.Array[ctypes.c_double]
         cost: float
@@ -625,10 +639,12 @@ class CycleRecord(Message):
         missed: int
         flags: int
         stops: int
+        visible: int
+        predicted: int
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/c2474e4c"
+        return "vpc/CycleRecord/0531335b"
 
 
 class Snapshot(Message):
@@ -807,6 +823,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "strategy": StrategyCode,
         "hold": Hold,
         "state": TwistState,
+        "drift": "",
         "twist": "",
         "foresight": ForesightCode,
         "path_count": (0, 8),

@@ -1,0 +1,81 @@
+//! The way back: a camera that has lost the pattern returns along its own way, slowly.
+
+use serde::{Deserialize, Serialize};
+
+/// Length of a leg, s, and how many are kept: so far back it goes at most.
+const LEG_S: f32 = 0.2;
+const LEGS: usize = 16;
+/// Share of the speed at which it came.
+const SHARE: f64 = 0.25;
+
+/// A part of the way. Plain data.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Leg {
+    /// Mean twist, m/s and rad/s, camera frame.
+    twist: [f32; 6],
+    /// How long it took, s.
+    seconds: f32,
+}
+
+/// The last few seconds of a camera's way. Plain data.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Way {
+    /// The newest first; where it took no time there is none.
+    legs: [Leg; LEGS],
+}
+
+impl Way {
+    /// Adds a twist that was in force for `seconds` while the pattern was seen.
+    pub fn add(&mut self, twist: &[f64; 6], seconds: f64) {
+        if self.legs[0].seconds >= LEG_S {
+            self.legs.rotate_right(1);
+            self.legs[0] = Leg::default();
+        }
+        let leg = &mut self.legs[0];
+        leg.seconds += seconds as f32;
+        let share = seconds as f32 / leg.seconds;
+        for (mean, v) in leg.twist.iter_mut().zip(twist) {
+            *mean += share * (*v as f32 - *mean);
+        }
+    }
+
+    /// The twist that goes back for `seconds`; `None` where the way begins.
+    pub fn back(&mut self, seconds: f64) -> Option<[f64; 6]> {
+        if self.legs[0].seconds <= 0.0 {
+            self.legs[0] = Leg::default();
+            self.legs.rotate_left(1);
+        }
+        let leg = &mut self.legs[0];
+        if leg.seconds <= 0.0 {
+            return None;
+        }
+        leg.seconds -= (SHARE * seconds) as f32;
+        Some(leg.twist.map(|v| -SHARE * f64::from(v)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_way_back_is_the_way_there_and_slower() {
+        let mut way = Way::default();
+        assert_eq!(way.back(0.03), None);
+        let there = |k: usize| [0.1 * k as f64, 0.0, -0.2, 0.0, 0.0, 0.3];
+        (0..60).for_each(|k| way.add(&there(k / 30), 0.033));
+        let (mut went, mut seconds) = ([0.0; 6], 0.0_f64);
+        while let Some(twist) = way.back(0.033) {
+            assert!((twist[2] - 0.05).abs() < 1e-6, "{twist:?}");
+            went.iter_mut()
+                .zip(twist)
+                .for_each(|(x, v)| *x += 0.033 * v);
+            seconds += 0.033;
+        }
+        // All of it, as it is no longer than what is kept; four times as slowly.
+        assert!((seconds - 4.0 * 60.0 * 0.033).abs() < 0.5, "{seconds}");
+        for (went, there) in went.iter().zip([0.099_f64, 0.0, -0.396, 0.0, 0.0, 0.594]) {
+            assert!((went + there).abs() < 0.03, "{went} {there}");
+        }
+    }
+}
