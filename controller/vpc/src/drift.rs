@@ -322,8 +322,8 @@ impl Rows {
             let along = covariance.fixed_columns::<DOF>(0) * row;
             let variance = row.dot(&along.fixed_rows::<DOF>(0)) + noise;
             let error = missed - row.dot(&numbers.fixed_rows::<DOF>(0));
-            *numbers += along * (error / variance);
-            *covariance -= along * along.transpose() / variance;
+            numbers.axpy(error / variance, &along, 1.0);
+            covariance.ger(-1.0 / variance, &along, &along, 1.0);
             squares += error * error * noise / variance;
             count += 1.0;
         }
