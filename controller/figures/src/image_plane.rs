@@ -21,7 +21,7 @@ fn foreseen(colour: &str) -> String {
 
 /// The style of the outline of where a hidden point is believed.
 fn outline(colour: &str) -> String {
-    format!("fill=\"none\" stroke=\"{colour}\" stroke-width=\"0.6\"")
+    format!("stroke=\"{colour}\" stroke-width=\"0.6\"")
 }
 
 /// The style of a way point.
@@ -82,7 +82,10 @@ impl Mark {
             Self::Foreseen => {
                 canvas.polyline([[x, y], [x + 14.0, y]].into_iter(), &foreseen(ANY));
             }
-            Self::Hidden => canvas.circle([x + 5.0, y], 5.0, &outline(ANY)),
+            Self::Hidden => {
+                let style = format!("fill=\"none\" {}", outline(ANY));
+                canvas.circle([x + 5.0, y], 5.0, &style);
+            }
         }
     }
 }
@@ -245,13 +248,17 @@ mod tests {
             goal: points.clone(),
             way_points: vec![points.clone()],
             foreseen: vec![points.clone(), points],
-            ellipses: Vec::new(),
+            ellipses: (0..2)
+                .map(|i| (i, vec![[40.0, 50.0], [50.0, 40.0]]))
+                .collect(),
             title: String::new(),
         };
-        let svg = plane.canvas().svg();
-        // Line, cycle, start, goal, way point and foreseen way.
+        let canvas = plane.canvas();
+        assert!(crate::output::pixels(&canvas, 1.0).is_ok());
+        let svg = canvas.svg();
+        // Line, cycle, start, goal, way point, foreseen way and ellipse.
         for i in 0..2 {
-            assert_eq!(svg.matches(colour(i)).count(), 6, "{}", colour(i));
+            assert_eq!(svg.matches(colour(i)).count(), 7, "{}", colour(i));
         }
     }
 
