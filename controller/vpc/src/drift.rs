@@ -55,13 +55,12 @@ const CHANGE: f64 = 0.005;
 const RATE_CHANGE: f64 = 0.1;
 const GAIN_CHANGE: f64 = 0.02;
 const LAG_CHANGE_S: f64 = 0.01;
-/// Most of the speed and of the turning rate that is believed, as a share of the limits: what
-/// [`crate::follow`] takes for an object's motion.
+/// Most of the speed and of the turning rate that is believed, as a share of the limits: more than
+/// [`crate::follow`] takes for an object's motion, so that an image that sticks is noticed.
 const MOST: f64 = 0.5;
 /// Least gain of an actuator, and the inverse of the greatest.
 const LEAST_FOLLOWED: f64 = 0.5;
-/// Time in which the belief may go from zero to that, s; and in which a pattern may, at most, as far
-/// as its rate is believed.
+/// Times in which the belief may go from zero to that, s: of the twist, and at the believed rate.
 const RISE_S: f64 = 0.2;
 const QUICKEST_S: f64 = 0.05;
 /// Chi-squared, of six degrees of freedom, above which d is no chance, and d' where d is none: 22.5
@@ -79,10 +78,9 @@ const LEAST_NOISE: f64 = 0.1 * 0.1;
 pub struct Drift {
     /// The motion that the law believes, in the camera frame of the last exposure.
     pub believed: Own,
-    /// The same as estimated, and the gain: `COUNT` numbers.
+    /// All numbers as they are estimated.
     estimate: [f64; COUNT],
-    /// Their covariance, which is symmetric: its lower half row by row, in rows of their own; zero
-    /// before any evidence.
+    /// The lower half of their covariance, row after row; zero before any evidence.
     covariance: [[f64; COUNT]; COUNT / 2 + 1],
     /// Variance of a measured coordinate, px^2.
     noise: f64,
