@@ -57,8 +57,8 @@ impl Bounds {
         }
     }
 
-    /// Whether the camera has arrived: it is at the goal and all but at rest against the pattern; and
-    /// from then on until it is clearly away.
+    /// Whether the camera has arrived: it is at the goal and all but at rest against the pattern;
+    /// and from then on until it is clearly away.
     fn has_arrived(&self, step: &Step, own: &[f64; 6], had_arrived: bool) -> bool {
         let relative = core::array::from_fn(|k| step.twist[k] - own[k]);
         match had_arrived {

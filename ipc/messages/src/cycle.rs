@@ -93,7 +93,8 @@ codes! {
         Stale = 2 => "stale features",
         /// A message was refused on reception: count or numbers.
         Invalid = 3 => "invalid message",
-        /// Points were not visible, for longer than `safety.blind_s`, or nobody knows where they are.
+        /// Points were not visible for longer than `safety.blind_s`, or it is not known where they
+        /// are.
         Hidden = 4 => "hidden point",
         /// The number of points is not that of the pattern.
         Count = 5 => "wrong count",

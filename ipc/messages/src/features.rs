@@ -15,8 +15,8 @@ message! {
         exposure_ns: u64 ["ns"],
         /// Points in this message, in the order of the scene's pattern.
         count: u32 [range(1, MAX_POINTS)],
-        /// Bit i is set if point i was measured in this frame. Nobody reads the others: the controller
-        /// goes on for `safety.blind_s` with those that it believes.
+        /// Bit i is set if point i was measured in this frame. Nobody reads the others: the
+        /// controller goes on for `safety.blind_s` with those that it believes.
         visible: u32,
         /// Image points u1 v1 u2 v2 ...; u right, v down, origin at the center of the upper left
         /// pixel. The first `2 * count` are finite, the rest zero.

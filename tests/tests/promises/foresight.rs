@@ -197,7 +197,7 @@ fn in_the_exact_model_a_run_costs_no_more_than_was_foreseen() {
         repeats("promises of foresight, starts", 300, 3000),
     );
     let spec: Spec = "foresight:3".parse().unwrap();
-    // What is not known of a pattern's motion costs a margin that no future foresees.
+    // The margin for what is not known of a pattern's motion changes from cycle to cycle.
     let settings = Settings {
         drift_compensation: false,
         ..spec.settings()

@@ -1,5 +1,5 @@
-//! The image plane in Braille: occlusions, trails, way point, goal, features; hidden ones are red, in
-//! the ellipse of where they are believed.
+//! The image plane in Braille: occlusions, trails, way point, goal, features. Hidden ones are
+//! red, in the ellipse of where they are believed.
 
 use messages::CycleRecord;
 use ratatui::Frame;

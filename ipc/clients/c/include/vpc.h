@@ -126,7 +126,7 @@ enum vpc_hold {
     VPC_HOLD_STALE = 2,
     // A message was refused on reception: count or numbers.
     VPC_HOLD_INVALID = 3,
-    // Points were not visible, for longer than `safety.blind_s`, or nobody knows where they are.
+    // Points were not visible for longer than `safety.blind_s`, or it is not known where they are.
     VPC_HOLD_HIDDEN = 4,
     // The number of points is not that of the pattern.
     VPC_HOLD_COUNT = 5,

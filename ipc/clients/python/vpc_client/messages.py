@@ -113,7 +113,7 @@ class Hold(Code):
     STALE = 2, "stale features"
     # A message was refused on reception: count or numbers.
     INVALID = 3, "invalid message"
-    # Points were not visible, for longer than `safety.blind_s`, or nobody knows where they are.
+    # Points were not visible for longer than `safety.blind_s`, or it is not known where they are.
     HIDDEN = 4, "hidden point"
     # The number of points is not that of the pattern.
     COUNT = 5, "wrong count"
