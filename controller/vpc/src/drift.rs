@@ -182,6 +182,11 @@ impl Drift {
         self.believed = Own::NONE;
     }
 
+    /// Whether nothing was learned yet.
+    pub(crate) fn is_new(&self) -> bool {
+        *self == Self::NONE
+    }
+
     /// Variance of a measured coordinate, px^2.
     pub(crate) fn noise(&self) -> f64 {
         self.noise

@@ -456,10 +456,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let tilt = tilt.flatten().or(self.state.tilt);
         let is_live = self.state.history.is_live();
         let commanded = self.commanded(expected.as_ref(), exposed_ns);
-        let is_telling = match is_live && measurement.visible != 0 {
+        let is_steady = match is_live && measurement.visible != 0 {
             true => self.check_motion(points, expected.as_ref(), commanded.as_ref(), exposed_ns)?,
-            false => self.is_telling(points, expected.as_ref(), exposed_ns),
+            false => self.is_steady(points, expected.as_ref(), exposed_ns),
         };
+        let is_telling = is_steady && self.sees_on(exposed_ns);
         let before = self.state.filtered.get();
         let kept = expected
             .as_ref()
@@ -610,7 +611,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// Refuses features that moved as no camera under these commands, and no object, moves them.
-    /// Whether their motion tells of the pattern's own: a push or a repeated image does not.
+    /// Whether their motion may tell of the pattern's own: a push or a repeated image does not.
     fn check_motion(
         &mut self,
         points: &Points,
@@ -657,8 +658,22 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         Ok(!is_push && *points != seen)
     }
 
-    /// Whether the motion tells of the pattern's own, in simulated time: a push does not.
-    fn is_telling(&self, points: &Points, expected: Option<&Points>, exposed_ns: u64) -> bool {
+    /// Whether a motion may tell of the pattern's own: not across a gap, nor where the camera has
+    /// begun again. The pattern may have been anywhere meanwhile.
+    fn sees_on(&self, exposed_ns: u64) -> bool {
+        let State {
+            seen_ns,
+            is_linked,
+            drift,
+            ..
+        } = &self.state;
+        let since_s = exposed_ns.saturating_sub(*seen_ns) as f64 * 1e-9;
+        let has_begun = !is_linked && drift.is_new();
+        since_s < gate::LEAP_PERIODS * self.task.period && !has_begun
+    }
+
+    /// The same as [`Law::check_motion`] says, in simulated time: a push does not.
+    fn is_steady(&self, points: &Points, expected: Option<&Points>, exposed_ns: u64) -> bool {
         let since_s = exposed_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
         let since_s = since_s.max(self.task.period);
         let most_px = follow::object_px(&self.task, points, since_s);

@@ -154,8 +154,12 @@ fn runs(trial: &Trial) -> Vec<Run> {
     runs_from(trial, 6)
 }
 
+fn starts() -> Vec<Pose> {
+    scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap()
+}
+
 fn runs_from(trial: &Trial, count: usize) -> Vec<Run> {
-    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let starts = starts();
     let starts = starts.iter().enumerate().skip(40).take(count);
     starts.map(|start| run(trial, start)).collect()
 }
@@ -273,4 +277,30 @@ fn an_image_that_sticks_is_not_taken_for_motion() {
     ways.sort_by(f64::total_cmp);
     // One of 18 begins while the camera all but stands.
     assert!(ways[16] < 0.6 && ways[17] < 1.0, "{ways:?}");
+}
+
+#[test]
+fn a_camera_that_begins_again_elsewhere_teaches_nothing() {
+    let (scene, starts) = (World::new(&starts()[0]).scene, starts());
+    let seen = |start| Measurement::from_points(&World::new(start).features());
+    let ns = |k: usize| 1_000_000_000 + k as u64 * 33_333_333;
+    let mut taken = 0;
+    for (k, before) in starts.iter().enumerate() {
+        for (j, after) in starts.iter().enumerate() {
+            let mut law = Law::new(&scene, Settings::default(), |len| vec![0.0; len]).unwrap();
+            law.go_live(100_000_000);
+            (0..40).for_each(|k| law.sent(&[0.0; DOF], ns(k)));
+            law.step(&seen(before).taken(ns(0), ns(0)), None).unwrap();
+            law.reset();
+            // After a pause, or at once.
+            let pause = [1, 12][(k + j) % 2];
+            for at in pause..pause + 5 {
+                if law.step(&seen(after).taken(ns(at), ns(at)), None).is_ok() {
+                    taken += 1;
+                    assert_eq!(*law.drift(), [0.0; DOF], "{k} {j}");
+                }
+            }
+        }
+    }
+    assert!(taken > 1000, "{taken}");
 }
