@@ -38,7 +38,7 @@ impl FreeCell {
             scene: scene.clone(),
             camera: FreeCamera::new(scene, start),
             motion: Motion::default(),
-            sensor: Sensor::new(flaws),
+            sensor: Sensor::new(scene, flaws),
             delay_frames: flaws.delay_frames as u64,
             time_limit_s,
             progress: Progress::new(scene),

@@ -61,11 +61,12 @@ pub struct Referee {
 }
 
 impl Referee {
-    /// A referee for a scene.
+    /// A referee for a scene. What may be crossed is no violation.
     pub fn new(scene: &Scene) -> Self {
+        let forbidden = scene.occlusions.iter().filter(|one| !one.crossable);
         Self {
             scene: scene.clone(),
-            shapes: scene.occlusions.iter().map(Shape::new).collect(),
+            shapes: forbidden.map(Shape::new).collect(),
             // A checked scene sees its goal.
             goal: project(scene, &from_scene(&scene.goal)).unwrap_or_default(),
             least_clearance: f64::INFINITY,

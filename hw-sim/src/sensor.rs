@@ -1,12 +1,15 @@
-//! Flaws of the free camera: pixel noise, delay and lost frames, all seeded.
+//! The free camera's frames: what hides points, and its flaws, pixel noise, delay and lost frames,
+//! all seeded.
 
 use std::collections::VecDeque;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
+use scene::Scene;
 
 use crate::camera::Points;
+use crate::occlusion::Shape;
 
 /// Flaws of the camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,6 +43,8 @@ pub struct Frame {
 #[derive(Clone, Debug)]
 pub struct Sensor {
     flaws: Flaws,
+    /// What may hide points.
+    shapes: Vec<Shape>,
     under_way: VecDeque<Frame>,
     random: ChaCha8Rng,
     /// Of hidden points.
@@ -53,8 +58,9 @@ pub struct Sensor {
 const BLACKOUT_S: f64 = 2.0;
 
 impl Sensor {
-    /// A sensor with these flaws.
-    pub fn new(flaws: Flaws) -> Self {
+    /// A sensor with these flaws, behind the crossable occlusions of a scene.
+    pub fn new(scene: &Scene, flaws: Flaws) -> Self {
+        let crossable = scene.occlusions.iter().filter(|one| one.crossable);
         let random = ChaCha8Rng::seed_from_u64(flaws.seed);
         let mut hiding = ChaCha8Rng::seed_from_u64(flaws.seed);
         hiding.set_stream(1);
@@ -63,6 +69,7 @@ impl Sensor {
             hiding,
             blackout_s: [begin_s, begin_s + flaws.blackout_s],
             first_ns: None,
+            shapes: crossable.map(Shape::new).collect(),
             flaws,
             under_way: VecDeque::with_capacity(flaws.delay_frames + 1),
             random,
@@ -73,6 +80,7 @@ impl Sensor {
     pub fn expose(&mut self, points: &Points, exposure_ns: u64) -> Option<Frame> {
         // Drawn for every frame, so that one flaw does not change the numbers of another.
         let lost = self.random.random::<f64>() < self.flaws.drop;
+        let covered = self.covered(points);
         let mut points = points.clone();
         if let Ok(noise) = Normal::new(0.0, self.flaws.noise_px) {
             points
@@ -80,7 +88,7 @@ impl Sensor {
                 .flatten()
                 .for_each(|x| *x += noise.sample(&mut self.random));
         }
-        let visible = self.visible(points.len(), exposure_ns);
+        let visible = self.visible(points.len(), exposure_ns) & !covered;
         self.under_way.push_back(Frame {
             points,
             visible,
@@ -92,7 +100,16 @@ impl Sensor {
             .filter(|_| !lost)
     }
 
-    /// The points that a frame shows.
+    /// The points behind an occlusion.
+    fn covered(&self, points: &Points) -> u32 {
+        let is_covered = |pixel| self.shapes.iter().any(|shape| shape.covers(pixel));
+        let points = points.iter().enumerate();
+        points.fold(0, |bits, (point, &pixel)| {
+            bits | u32::from(is_covered(pixel)) << point
+        })
+    }
+
+    /// The points that no flaw hides in a frame.
     fn visible(&mut self, count: usize, exposure_ns: u64) -> u32 {
         let [is_hidden, which] = [(); 2].map(|()| self.hiding.random::<f64>());
         let first_ns = *self.first_ns.get_or_insert(exposure_ns);
@@ -117,9 +134,25 @@ mod tests {
         [[10.0, 20.0], [30.0, 40.0]].into_iter().collect()
     }
 
+    fn sensor(flaws: Flaws) -> Sensor {
+        Sensor::new(&Scene::parse(scene::PAPER_SIM, "sim").unwrap(), flaws)
+    }
+
+    #[test]
+    fn what_may_be_crossed_hides_points() {
+        let mut scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let middle = scene.occlusions[1].parts[0].center;
+        let points = [[10.0, 20.0], middle].into_iter().collect();
+        for (crossable, visible) in [(false, 0b11), (true, 0b01)] {
+            scene.occlusions[1].crossable = crossable;
+            let mut sensor = Sensor::new(&scene, Flaws::default());
+            assert_eq!(sensor.expose(&points, 7).unwrap().visible, visible);
+        }
+    }
+
     #[test]
     fn without_flaws_what_is_exposed_is_delivered() {
-        let frame = Sensor::new(Flaws::default()).expose(&points(), 7);
+        let frame = sensor(Flaws::default()).expose(&points(), 7);
         assert_eq!(
             frame,
             Some(Frame {
@@ -132,7 +165,7 @@ mod tests {
 
     #[test]
     fn delayed_frames_keep_their_exposure_stamp() {
-        let mut sensor = Sensor::new(Flaws {
+        let mut sensor = sensor(Flaws {
             delay_frames: 2,
             ..Flaws::default()
         });
@@ -151,7 +184,7 @@ mod tests {
             ..Flaws::default()
         };
         let deliver = |flaws| {
-            let mut sensor = Sensor::new(flaws);
+            let mut sensor = sensor(flaws);
             (0..4000)
                 .map(|k| sensor.expose(&points(), k))
                 .collect::<Vec<_>>()

@@ -148,7 +148,7 @@ pub fn through(scene: &Scene, daemon: &mut Simulated, start: &Pose, world: &Worl
     let np = daemon.law().settings().np;
     let mut camera = FreeCamera::new(scene, start);
     let mut referee = Referee::new(scene);
-    let mut sensor = Sensor::new(world.flaws);
+    let mut sensor = Sensor::new(scene, world.flaws);
     let mut following = Following::new(scene, world.follow_s);
     let following_s = following.end_s();
     let mut run = Run {

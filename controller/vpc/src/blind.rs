@@ -22,8 +22,10 @@ use crate::drift::{Drift, Six, Square};
 use crate::measurement::Measurement;
 use crate::prediction::{InitialState, Model};
 use crate::task::Task;
-use crate::{MAX_POINTS, Points, camera, interaction};
+use crate::{MAX_POINTS, Points, camera, gate, interaction};
 
+/// Deviations of a hidden point within which it must be known.
+const SURE: f64 = 3.0;
 /// Gauss-Newton steps of a correction.
 const STEPS: usize = 3;
 
@@ -95,6 +97,11 @@ impl Blind {
         let points = points.map(|(i, (&own, &seen))| if measurement.sees(i) { seen } else { own });
         Some(points.collect())
     }
+}
+
+/// Most deviation of a hidden point that is known well enough, px.
+pub(crate) fn most_px(task: &Task) -> f64 {
+    gate::least_leap_px(task) / SURE
 }
 
 /// Deviation of the worst point by what is not known of the pattern's motion, in the time until

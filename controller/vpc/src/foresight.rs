@@ -14,7 +14,8 @@
 //! that k-NN and the Gaussian process infer; and samples of the memory, in turn one of the nearest
 //! and any one. A cycle may simulate a fixed number of steps. No clock decides, so a replay gives
 //! the same bits. A future that takes more steps continues in the next cycle; its cost is then
-//! accurate up to the camera's motion in between.
+//! accurate up to the camera's motion in between. Where the scene has a crossable occlusion, every
+//! second candidate may [cross](crate::crossing) it.
 //!
 //! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning"
 //! (2020), Sect. 2.3 (fortified rollout).
@@ -22,6 +23,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::command::{Policy, Present};
+use crate::crossing::{self, Crossing};
 use crate::features::{self, MAX_INPUTS, PlainPoints};
 use crate::guide::{Guide, Kind};
 use crate::motion::Own;
@@ -226,6 +228,8 @@ pub struct Suspended {
     nearest_px: f64,
     /// Steps since that least distance.
     idle: u32,
+    /// For how long points have been out of sight there, s.
+    blind_s: f64,
     /// Steps that the camera has moved since the beginning.
     since: f64,
     /// Cost of the camera's motion since the beginning.
@@ -246,6 +250,12 @@ pub(crate) struct Thinker<'a> {
     pub policy: Policy<'a>,
     pub solver: &'a mut Solver<'a>,
     pub memory: Option<&'a dyn MotionMemory>,
+    /// Where futures may cross an occlusion.
+    pub crossing: Option<&'a Crossing>,
+    /// For how long a future may take points out of sight, s.
+    pub most_blind_s: f64,
+    /// For how long they have been out of sight in the next period, s, if they are.
+    pub blind_s: f64,
     /// The features in the next period, where every future begins.
     pub initial: &'a InitialState,
     /// The command in force until then.
@@ -278,8 +288,14 @@ impl Thinker<'_> {
             features::largest_error(points, &self.policy.task.goal) >= FAR * self.converged_px;
         foresight.tried = 0;
         let answers = self.ask();
-        if !is_far && foresight.guide != Guide::GOAL {
-            (foresight.guide, foresight.suspended) = (Guide::GOAL, None);
+        let is_crossing =
+            self.crossing.is_some() && crossing::is_hidden(self.policy.task, self.initial);
+        let direct = match is_crossing {
+            true => foresight.guide.direct(),
+            false => Guide::GOAL,
+        };
+        if !is_far && foresight.guide != direct {
+            (foresight.guide, foresight.suspended) = (direct, None);
         }
         self.pass(foresight);
         let suspended = foresight.suspended.take().map(|rest| match rest.step {
@@ -377,8 +393,11 @@ impl Thinker<'_> {
         if let Some(rest) = rest {
             self.consider(rest, best, foresight);
         } else {
-            if best.guide.kind != Kind::Goal {
+            if best.guide != Guide::GOAL {
                 self.try_out(Guide::GOAL, best, foresight);
+            }
+            if self.crossing.is_some() && best.guide != Guide::ACROSS {
+                self.try_out(Guide::ACROSS, best, foresight);
             }
             for (kind, answer) in answers.iter().flatten() {
                 let guide = Guide::GOAL.after(*kind, &answer.way_point);
@@ -391,7 +410,9 @@ impl Thinker<'_> {
                 return;
             }
             foresight.drawn += 1;
-            if let Some(guide) = self.drawn(foresight.drawn, best.outcome) {
+            if let Some(mut guide) = self.drawn(foresight.drawn, best.outcome) {
+                // Each kind of them in turn.
+                guide.crosses = self.crossing.is_some() && foresight.drawn / 4 % 2 == 1;
                 self.try_out(guide, best, foresight);
             }
         }
@@ -538,6 +559,7 @@ impl Thinker<'_> {
             cost: 0.0,
             nearest_px: f64::INFINITY,
             idle: 0,
+            blind_s: self.blind_s,
             since: 0.0,
             spent: 0.0,
             path: Path::NONE,
@@ -547,7 +569,12 @@ impl Thinker<'_> {
     /// Simulates the law under a guide until its future is known, at a cost of at most `most` from
     /// now on, or until the budget is used up.
     fn roll_out(&mut self, mut now: Suspended, most: f64) -> RollOut {
-        let Policy { task, settings } = self.policy;
+        let crossing = self.crossing.filter(|_| now.candidate.crosses);
+        let policy = Policy {
+            task: crossing.map_or(self.policy.task, |crossing| &crossing.task),
+            ..self.policy
+        };
+        let Policy { task, settings } = policy;
         let mut initial = match now.step {
             0 => self.initial.clone(),
             _ => {
@@ -577,10 +604,20 @@ impl Thinker<'_> {
             if now.is_from_front && !is_known && !gate::is_from_front(task, &initial.points) {
                 return ended(&now, Outcome::Unknown);
             }
+            if crossing.is_some() {
+                let is_hidden = crossing::is_hidden(self.policy.task, &initial);
+                now.blind_s = match is_hidden {
+                    true => now.blind_s + task.ts,
+                    false => 0.0,
+                };
+                if now.blind_s > self.most_blind_s {
+                    return ended(&now, Outcome::Unknown);
+                }
+            }
             now.path.note(now.step, &initial.points);
             let error_px = features::largest_error(&initial.points, &task.goal);
             if error_px < FAR * self.converged_px {
-                now.guide = Guide::GOAL;
+                now.guide = now.guide.direct();
             }
             if error_px < PROGRESS * now.nearest_px {
                 (now.nearest_px, now.idle) = (error_px, 0);
@@ -605,11 +642,11 @@ impl Thinker<'_> {
                 warm: &now.previous,
                 extra_px: self.extra_px,
             };
-            let (twist, solution) = self.policy.command(self.solver, &present, aim, aim);
+            let (twist, solution) = policy.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost,
-                false => self.policy.running_cost(self.solver, &initial, &twist),
+                false => policy.running_cost(self.solver, &initial, &twist),
             };
             if self.solver.done() >= self.most_work {
                 self.budget = 0;

@@ -53,6 +53,8 @@ pub struct Guide {
     pub least_px: f64,
     /// Steps without progress.
     pub idle: f64,
+    /// Whether the way may lead behind a crossable occlusion.
+    pub crosses: bool,
 }
 
 impl Guide {
@@ -64,7 +66,22 @@ impl Guide {
         left: 0.0,
         least_px: f64::INFINITY,
         idle: 0.0,
+        crosses: false,
     };
+
+    /// Straight to the goal, by a way that may cross.
+    pub const ACROSS: Self = Self {
+        crosses: true,
+        ..Self::GOAL
+    };
+
+    /// What is left of this guide without its sub-goals.
+    pub fn direct(self) -> Self {
+        match self.crosses {
+            true => Self::ACROSS,
+            false => Self::GOAL,
+        }
+    }
 
     /// This guide with a sub-goal before it; it must have room for one more.
     pub fn after(mut self, kind: Kind, target: &[[f64; 2]]) -> Self {
@@ -100,7 +117,7 @@ impl Guide {
             (self.ahead, self.left) = (ahead, LENGTH);
             (self.least_px, self.idle) = (f64::INFINITY, 0.0);
             if ahead == 0 {
-                *self = Self::GOAL;
+                *self = self.direct();
             }
         }
     }

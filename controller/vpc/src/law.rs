@@ -4,6 +4,7 @@ use scene::Scene;
 
 use crate::blind::Blind;
 use crate::command::{Policy, Present};
+use crate::crossing::{self, Crossing};
 use crate::delay::{History, Unpredictable};
 use crate::drift::{Drift, Elapsed, Evidence};
 use crate::features::{self, PlainPoints};
@@ -30,6 +31,8 @@ use crate::{DOF, MAX_VARIABLES, Points, Twist, blind, follow, frozen, gate, ibvs
 #[derive(Clone)]
 pub struct Law<W> {
     task: Task,
+    /// Of a scene with a crossable occlusion.
+    crossing: Option<Crossing>,
     settings: Settings,
     off_image_px: f64,
     converged_px: f64,
@@ -59,8 +62,6 @@ const FEWEST_STEPS: u32 = 10;
 /// A future is at most this share of the scene's time long.
 const HORIZON: f64 = 0.5;
 
-/// Deviations of a hidden point within which it must be known.
-const SURE: f64 = 3.0;
 /// Deviations that points keep clear of every border: those of a hidden point, and those by what is
 /// not known of the pattern's motion, of which no more than so many px count.
 const BACK_OFF: f64 = 2.0;
@@ -111,6 +112,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     ) -> Result<Self, SettingsError> {
         settings.check()?;
         let mut task = Task::new(scene)?;
+        let mut crossing = Crossing::of(scene)?;
         task.acceleration = settings.acceleration(&scene.limits);
         let stop_s = task.period + task.stop_s(&task.limits);
         // The window is long enough for a stop.
@@ -119,6 +121,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             .max(task.period)
             .max(stop_s / settings.np as f64);
         task.reach = task.ts.max(stop_s);
+        if let Some(Crossing { task: open }) = &mut crossing {
+            (open.acceleration, open.ts, open.reach) = (task.acceleration, task.ts, task.reach);
+        }
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         let share = Share::of(&task, &settings)?;
         let needed = share.size.workspace();
@@ -139,6 +144,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             share,
             horizon: horizon.max(1.0) as u32,
             task,
+            crossing,
         })
     }
 
@@ -177,6 +183,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             return;
         };
         let extra_px = self.back_off_px(&root);
+        let drift = &self.state.drift;
+        let most_blind_s = crossing::most_s(&self.task, &self.settings, &root, drift);
+        let since_ns = self.state.seen_ns.saturating_sub(self.state.blind.whole_ns);
+        let blind_s = self.lead_s + since_ns as f64 * 1e-9;
         let Some(solver) = &mut self.share.solver(&self.settings, self.workspace.as_mut()) else {
             return;
         };
@@ -187,6 +197,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             },
             solver,
             memory,
+            crossing: self.crossing.as_ref(),
+            most_blind_s,
+            blind_s,
             initial: &next,
             standing: &self.state.standing,
             previous: &self.state.previous,
@@ -564,10 +577,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             mut blind, drift, ..
         } = self.state;
         let exposed_ns = measurement.exposed_ns;
-        let (most_s, most_px) = (
-            self.settings.blind_s,
-            gate::least_leap_px(&self.task) / SURE,
-        );
+        let (most_s, most_px) = (self.settings.blind_s, blind::most_px(&self.task));
         let refusal = |blind: &Blind| Refusal::Hidden {
             blind_s: exposed_ns.saturating_sub(blind.whole_ns) as f64 * 1e-9,
             most_s,
@@ -770,8 +780,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     ) {
         let aim = tracked.as_ref().unwrap_or(&self.task.goal);
         let target = corrected(aim, mismatch);
+        let guide = &self.state.foresight.guide;
+        let crosses = self.settings.strategy == Strategy::Foresight && guide.crosses;
+        let open = self.crossing.as_ref().filter(|_| crosses);
         let policy = Policy {
-            task: &self.task,
+            task: open.map_or(&self.task, |crossing| &crossing.task),
             settings: &self.settings,
         };
         let present = Present {
@@ -802,7 +815,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         if deviation_px == 0.0 {
             return *twist;
         }
-        let unsure = (SURE * deviation_px / gate::least_leap_px(&self.task)).min(1.0);
+        let unsure = (deviation_px / blind::most_px(&self.task)).min(1.0);
         let mut slower = *twist;
         let pairs = slower.iter_mut().zip(initial.relative(twist));
         pairs.for_each(|(v, relative)| *v -= unsure * relative);

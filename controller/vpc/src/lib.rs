@@ -59,8 +59,8 @@ pub mod camera;
 pub mod clearance;
 mod command;
 pub mod constraint;
-
 pub mod cost;
+mod crossing;
 pub mod delay;
 pub mod drift;
 pub mod features;

@@ -11,7 +11,7 @@ use crate::model::*;
 
 /// Controller, builder and emulator must agree on the scene. A memory fits only the scene it was
 /// built for, but `success`, `starts`, `cost`, the limits of acceleration, `marker_size` and the
-/// keys `name`, `grasped` and `on_lens` of occlusions may change.
+/// keys `name`, `grasped`, `on_lens` and `crossable` of occlusions may change.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Scene")]
@@ -68,6 +68,11 @@ struct Painted {
     /// Whether the emulated camera shows this as a blurred spot on its lens instead of an object.
     #[serde(default)]
     on_lens: bool,
+    /// Whether foresight may take points behind this for a moment, where it expects to find them
+    /// again: for no longer than `safety.blind_s`, and where three deviations of every point stay
+    /// below what the law takes for a leap (a chance of 1.1 % at most to lose one).
+    #[serde(default)]
+    crossable: bool,
 }
 
 /// Returns the JSON Schema of a scene file.
@@ -280,6 +285,7 @@ impl Checker<'_> {
                 mask,
                 grasped: table.grasped,
                 on_lens: table.on_lens,
+                crossable: table.crossable,
             });
             let grasped = occlusions.iter().filter(|one| one.grasped).count();
             let allowed = "true in one occlusion, the one in the gripper";

@@ -208,6 +208,8 @@ pub struct Occlusion {
     pub grasped: bool,
     /// Whether it is dirt on the lens, which blurs what lies behind; else it hides that.
     pub on_lens: bool,
+    /// Whether the law may take points behind it for a short time.
+    pub crossable: bool,
 }
 
 table! {
@@ -259,6 +261,11 @@ impl Scene {
     /// Every area of every mask, in the order of the file: at most [`crate::MAX_AREAS`].
     pub fn areas(&self) -> impl Iterator<Item = &'static Area> {
         self.masks().flat_map(|mask| mask.areas())
+    }
+
+    /// Whether an occlusion may be crossed.
+    pub fn is_crossable(&self) -> bool {
+        self.occlusions.iter().any(|occlusion| occlusion.crossable)
     }
 
     /// The sampling time, s.

@@ -22,8 +22,14 @@ pub struct World {
 pub const INSTANTS: usize = 12;
 
 impl World {
+    /// The paper's simulated scene.
+    #[allow(dead_code, reason = "not every test has that scene")]
     pub fn new(start: &Pose) -> Self {
         let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();
+        Self::of(scene, start)
+    }
+
+    pub fn of(scene: Scene, start: &Pose) -> Self {
         let at = |p: [f64; 3]| {
             rotation(start.rotation) * Vector3::from(p) + Vector3::from(start.translation)
         };
