@@ -21,6 +21,7 @@ pub mod simulated;
 pub mod source;
 pub mod spec;
 mod statistics;
+pub mod steering;
 
 /// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo
 /// demo --help` asks the program; who writes `cargo demo -- --help`, as everywhere else, gets the

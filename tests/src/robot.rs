@@ -17,6 +17,7 @@ use serde::Serialize;
 
 use crate::run::way_point;
 use crate::simulated::Simulated;
+use crate::steering::Steering;
 
 /// Periods for which a command holds without a newer one, as the daemon's.
 const PERIODS: f64 = 3.0;

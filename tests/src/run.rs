@@ -11,15 +11,16 @@ use hw_sim::following::{Following, FollowingReport};
 use hw_sim::motion::{Motion, relative};
 use hw_sim::pose::RigidPose;
 use hw_sim::referee::INSTANTS;
-use hw_sim::sensor::{Flaws, Sensor};
+use hw_sim::sensor::{Flaws, Frame, Sensor};
 use hw_sim::{End, FreeCamera, Referee};
-use messages::{CycleRecord, Hold, SolverStatus, TwistState};
+use messages::{CycleRecord, Features, Hold, SolverStatus, TwistState};
 use nalgebra::Rotation3;
 use scene::{Pose, Scene};
 use serde::Serialize;
 
 use crate::simulated::Simulated;
 use crate::statistics::mean;
+use crate::steering::Steering;
 
 /// What happened in a run.
 #[derive(Clone, Debug, Serialize)]
@@ -131,21 +132,30 @@ impl From<Flaws> for World {
 /// Runs the daemon from a start for the scene's time, against a camera with these flaws. As
 /// [`through`].
 pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws) -> Run {
-    through(scene, daemon, start, &flaws.into())
+    let Ok(run) = through(scene, daemon, start, &flaws.into());
+    run
 }
 
-/// Runs the daemon from a start for the scene's time, or until the following is measured, if that
+/// Lets `steering` run from a start for the scene's time, or until the following is measured, if that
 /// takes longer. The run is decided when the features arrive, when a constraint is violated, when
 /// the daemon disarms, or when time is up; a run that arrived goes on regulating, watched, so that
 /// the mean cost of every run is taken over the same time.
 ///
 /// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and
 /// what answers it takes effect when it is delivered.
-pub fn through(scene: &Scene, daemon: &mut Simulated, start: &Pose, world: &World) -> Run {
-    daemon.restart();
+///
+/// # Errors
+/// It gives no command.
+pub fn through<S: Steering>(
+    scene: &Scene,
+    steering: &mut S,
+    start: &Pose,
+    world: &World,
+) -> Result<Run, S::Error> {
+    steering.begin()?;
     let ts = scene.sampling_time();
     let periods = (scene.success.time_s * scene.camera.rate_hz).round() as usize;
-    let np = daemon.law().settings().np;
+    let np = steering.np();
     let mut camera = FreeCamera::new(scene, start);
     let mut referee = Referee::new(scene);
     let mut sensor = Sensor::new(scene, world.flaws);
@@ -172,13 +182,13 @@ pub fn through(scene: &Scene, daemon: &mut Simulated, start: &Pose, world: &Worl
         history: Vec::new(),
     };
     let (mut cost, mut cycles) = (0.0, 0.0_f64);
-    let limits = daemon.law().task().limits;
+    let limits = steering.task().limits;
     let mut standing = [0.0; 6];
     let mut changes = Vec::new();
     // The object where it is at an instant: the camera's own pose of it is the one at rest.
     let object = |camera: &FreeCamera, time_s| world.motion.moved(&camera.pose, time_s);
     let mut last = periods;
-    let mut k = 0;
+    let (mut k, mut frames) = (0, 0);
     'run: while k < last {
         let time_s = k as f64 * ts;
         let pose = object(&camera, time_s);
@@ -201,9 +211,10 @@ pub fn through(scene: &Scene, daemon: &mut Simulated, start: &Pose, world: &Worl
         }
         let now_ns = (time_s * 1e9).round() as u64;
         let frame = sensor.expose(&features, now_ns);
-        let inputs = daemon.inputs(frame.as_ref(), now_ns);
-        let record = daemon.decide(&inputs);
-        daemon.think();
+        frames += u64::from(frame.is_some());
+        let frame = frame.map(|frame| message(&frame, frames));
+        let inputs = Simulated::received(frame, now_ns);
+        let record = steering.answer(&inputs)?;
         let twist = record.twist;
         let moving = twist.map(|v| world.gain * v);
         if k < periods {
@@ -214,7 +225,7 @@ pub fn through(scene: &Scene, daemon: &mut Simulated, start: &Pose, world: &Worl
         let reason = if record.state == TwistState::Disarmed.code() {
             Some(Reason::Disarmed)
         } else {
-            let is_within = daemon.is_within_limits(&twist, &standing);
+            let is_within = steering.is_within_limits(&twist, &standing);
             (!is_within).then_some(Reason::BeyondLimits)
         };
         if let Some(reason) = reason {
@@ -266,7 +277,15 @@ pub fn through(scene: &Scene, daemon: &mut Simulated, start: &Pose, world: &Worl
     run.least_edge_px = referee.least_edge();
     run.cost = cost / cycles.max(1.0);
     run.change = mean(changes.into_iter());
-    run
+    Ok(run)
+}
+
+/// The message of a frame, by its number.
+fn message(frame: &Frame, sequence: u64) -> Features {
+    let mut features = Features::new(&frame.points, frame.exposure_ns);
+    features.stamp.sequence = sequence;
+    features.visible = frame.visible;
+    features
 }
 
 /// How far the object is from its pose at the goal: mm and mrad.

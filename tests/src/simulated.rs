@@ -3,7 +3,6 @@
 
 use decision::control::State;
 use decision::{ControlStep, Input, Inputs, Rules, Safety};
-use hw_sim::sensor::Frame;
 use memory_blob::MemoryFile;
 use messages::{ClockMode, CycleRecord, Features};
 use scene::Scene;
@@ -12,16 +11,11 @@ use vpc::{Law, Settings, SettingsError};
 /// When a run begins: any time but zero, which means that a time is unknown, ns.
 const BEGIN_NS: u64 = 1_000_000_000;
 
-/// Rounding that a command may have beyond the limits, as a share of them.
-const ROUNDING: f64 = 1e-9;
-
 /// A daemon that is armed, with the configuration that it has by itself but for the law.
 pub struct Simulated<'m> {
     control: ControlStep<'m>,
     /// Its state before the first cycle.
     fresh: Box<State>,
-    /// Number of the last frame.
-    sequence: u64,
 }
 
 impl<'m> Simulated<'m> {
@@ -46,47 +40,17 @@ impl<'m> Simulated<'m> {
         let memory = memory.map(MemoryFile::view);
         let control = ControlStep::new(scene, settings, memory, rules)?;
         let fresh = Box::new(control.state());
-        Ok(Self {
-            control,
-            fresh,
-            sequence: 0,
-        })
+        Ok(Self { control, fresh })
     }
 
     /// Begins a run.
     pub fn restart(&mut self) {
         self.control.restore(&self.fresh);
-        self.sequence = 0;
-    }
-
-    /// Whether a command that follows another one is within the limits of velocity and
-    /// acceleration.
-    pub fn is_within_limits(&self, twist: &[f64; 6], before: &[f64; 6]) -> bool {
-        let task = self.law().task();
-        let pairs = twist.iter().zip(before);
-        let mut each = pairs.zip(task.limits.iter().zip(task.acceleration));
-        each.all(|((v, before), (limit, acceleration))| {
-            // A NaN is not within.
-            let is_within = |x: f64, most: f64| x.abs() <= most * (1.0 + ROUNDING);
-            is_within(*v, *limit) && is_within(v - before, acceleration * task.period)
-        })
     }
 
     /// The law.
     pub fn law(&self) -> &Law<Vec<f64>> {
         self.control.law()
-    }
-
-    /// What a cycle receives `now_ns` after the begin of the run: the frame that arrives, if any.
-    pub fn inputs(&mut self, frame: Option<&Frame>, now_ns: u64) -> Inputs {
-        let frame = frame.map(|frame| {
-            self.sequence += 1;
-            let mut features = Features::new(&frame.points, frame.exposure_ns);
-            features.stamp.sequence = self.sequence;
-            features.visible = frame.visible;
-            features
-        });
-        Self::received(frame, now_ns)
     }
 
     /// What a cycle receives `now_ns` after the begin of the run: a message whose exposure is

@@ -246,7 +246,7 @@ fn free(
                 follow_s: cli.common.follow_s,
                 ..World::from(flaws)
             };
-            let mut run = through(scene, &mut daemon, pose, &world);
+            let mut run = through(scene, &mut daemon, pose, &world)?;
             time(&mut run, &mut daemon, usize::from(repeats))?;
             if cold {
                 caches.time(&run, &mut daemon);
