@@ -1,8 +1,8 @@
 //! What `cargo table --json` writes: rows, and every run.
 
-use serde::Serialize;
+use std::fmt::Display;
 
-use crate::spec::Spec;
+use serde::Serialize;
 
 /// The document.
 #[derive(Clone, Debug, Serialize)]
@@ -22,7 +22,7 @@ pub struct Document<Row, Run> {
 pub struct Record<Run> {
     /// Index of its start among all starts.
     pub start: usize,
-    /// Strategy and window.
+    /// Strategy and window, or a rival.
     pub strategy: String,
     /// What happened.
     #[serde(flatten)]
@@ -30,11 +30,11 @@ pub struct Record<Run> {
 }
 
 /// The runs of each strategy as they stand in a document; the first is from start `first`.
-pub fn records<Run>(all: &[(Spec, Vec<Run>)], first: usize) -> Vec<Record<&Run>> {
-    let each = all.iter().flat_map(|(spec, runs)| {
+pub fn records<Run>(all: &[(impl Display, Vec<Run>)], first: usize) -> Vec<Record<&Run>> {
+    let each = all.iter().flat_map(|(name, runs)| {
         (first..).zip(runs).map(move |(start, run)| Record {
             start,
-            strategy: spec.to_string(),
+            strategy: name.to_string(),
             run,
         })
     });

@@ -13,6 +13,7 @@ pub mod flaw;
 pub mod laboratory;
 pub mod pictures;
 pub mod processes;
+pub mod rival;
 pub mod robot;
 pub mod robot_table;
 pub mod row;

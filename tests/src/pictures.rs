@@ -1,6 +1,7 @@
 //! Pictures of runs and memories.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use figures::{Animation, Comparison, ImagePlane, Joints, Points, Samples, Velocity};
@@ -115,7 +116,7 @@ pub fn of_table<R: Draw>(
     scene: &Scene,
     task: &Task,
     memory: Option<&MemoryFile>,
-    all: &[(Spec, Vec<R>)],
+    all: &[(impl Display, Vec<R>)],
     only: Option<usize>,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let mut written = Vec::new();
@@ -128,7 +129,7 @@ pub fn of_table<R: Draw>(
         let index = (0..first.len()).find(telling).unwrap_or(0);
         let runs = all
             .iter()
-            .filter_map(|(spec, runs)| Some((*spec, runs.get(index)?)));
+            .filter_map(|(name, runs)| Some((name, runs.get(index)?)));
         let name = format!("start-{}", only.unwrap_or(index));
         let canvas = comparison(scene, task, runs).canvas();
         written.extend(canvas.write(&directory.join(name))?);
@@ -140,16 +141,16 @@ pub fn of_table<R: Draw>(
 pub fn comparison<'a, 'r, R: Draw + 'r>(
     scene: &'a Scene,
     task: &Task,
-    runs: impl Iterator<Item = (Spec, &'r R)>,
+    runs: impl Iterator<Item = (impl Display, &'r R)>,
 ) -> Comparison<'a> {
-    let columns = runs.map(|(spec, run)| {
-        let drawn = run.drawn(&spec.to_string(), task);
+    let columns = runs.map(|(name, run)| {
+        let drawn = run.drawn(&name.to_string(), task);
         let velocity = Velocity {
             period_s: task.ts,
             twists: drawn.twists.clone(),
             own: Vec::new(),
             limits: scene.limits,
-            title: format!("{spec}: velocity command"),
+            title: format!("{name}: velocity command"),
         };
         (drawn.plane(scene, task, usize::MAX), velocity)
     });

@@ -5,16 +5,16 @@ use serde::Serialize;
 
 use crate::column::{self, Column, Shown};
 use crate::run::{Reason, Run};
-use crate::spec::Spec;
 use crate::statistics::{mean, wilson};
 
 /// The paper's Table I for one strategy, and what the paper does not show.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Name of the strategy.
+    /// Name of the strategy, or a rival.
     pub strategy: String,
-    /// Steps previewed.
-    pub np: usize,
+    /// Steps previewed; a rival tells nothing of its law.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub np: Option<usize>,
     /// Share of successful runs, 0 to 1.
     pub success_rate: f64,
     /// Its 95 % interval (Wilson).
@@ -86,8 +86,9 @@ impl CycleTime {
 }
 
 impl Row {
-    /// The row of a strategy's runs, which shows how well they followed if it `is_following`.
-    pub fn of(spec: Spec, runs: &[Run], is_following: bool) -> Self {
+    /// The row of a strategy's runs, or of a rival's without `np`, which shows how well they
+    /// followed if it `is_following`.
+    pub fn of(strategy: String, np: Option<usize>, runs: &[Run], is_following: bool) -> Self {
         let count = runs.len().max(1) as f64;
         let cycles: Vec<f64> = runs
             .iter()
@@ -116,8 +117,8 @@ impl Row {
             .map(|run| run.steps)
             .sum();
         Self {
-            strategy: spec.strategy.to_string(),
-            np: spec.np,
+            strategy,
+            np,
             success_rate: successes as f64 / count,
             success_interval: wilson(successes, runs.len()),
             mean_cost: runs.iter().map(|run| run.cost).sum::<f64>() / count,
@@ -148,7 +149,10 @@ const SHOWS_MORE: Shown<Row> = |is_wide, row| is_wide || row.is_following;
 
 /// The columns in their order. A new figure is a field of [`Row`] and a line here.
 pub const COLUMNS: [Column<Row>; 23] = [
-    Column::always("strategy", |row| format!("{}:{}", row.strategy, row.np)),
+    Column::always("strategy", |row| match row.np {
+        Some(np) => format!("{}:{np}", row.strategy),
+        None => row.strategy.clone(),
+    }),
     Column::always("success", |row| percent(row.success_rate)),
     Column::wide("95 % interval", |row| {
         let [low, high] = row.success_interval.map(|rate| 100.0 * rate);
@@ -156,7 +160,9 @@ pub const COLUMNS: [Column<Row>; 23] = [
     }),
     Column::always("cost", |row| format!("{:.2}", row.mean_cost)),
     Column::always("cycles", |row| format!("{:.0}", row.steps)),
-    Column::always("p99 (us)", |row| format!("{:.1}", row.cycle_us.p99)),
+    Column::always("p99 (us)", |row| {
+        of_law(row, format!("{:.1}", row.cycle_us.p99))
+    }),
     Column::always("failures", |row| {
         column::failures(&[
             (row.violations, "violation"),
@@ -176,24 +182,47 @@ pub const COLUMNS: [Column<Row>; 23] = [
     Column::when("change a frame", IS_FOLLOWING, |row| {
         column::followed_change(row.following.as_ref())
     }),
-    Column::wide("at rest (s)", |row| format!("{:.1}", row.standstill_s)),
+    Column::wide("at rest (s)", |row| {
+        of_law(row, format!("{:.1}", row.standstill_s))
+    }),
     Column::wide("pose error (mm, mrad)", |row| {
         let [mm, mrad] = row.pose_error;
         format!("{mm:.2}, {mrad:.2}")
     }),
     Column::wide("change at the goal", |row| percent(row.change)),
-    Column::wide("iterations", |row| format!("{:.1}", row.iterations)),
-    Column::wide("not converged", |row| percent(row.solver_not_converged)),
-    Column::wide("mean (us)", |row| format!("{:.1}", row.cycle_us.mean)),
-    Column::wide("p50 (us)", |row| format!("{:.1}", row.cycle_us.p50)),
-    Column::wide("max (us)", |row| format!("{:.1}", row.cycle_us.max)),
-    Column::wide("slack p50 (us)", |row| format!("{:.0}", row.slack_us.p50)),
-    Column::wide("slack p99 (us)", |row| format!("{:.0}", row.slack_us.p99)),
-    Column::wide("slack max (us)", |row| format!("{:.0}", row.slack_us.max)),
+    Column::wide("iterations", |row| {
+        of_law(row, format!("{:.1}", row.iterations))
+    }),
+    Column::wide("not converged", |row| {
+        of_law(row, percent(row.solver_not_converged))
+    }),
+    Column::wide("mean (us)", |row| {
+        of_law(row, format!("{:.1}", row.cycle_us.mean))
+    }),
+    Column::wide("p50 (us)", |row| {
+        of_law(row, format!("{:.1}", row.cycle_us.p50))
+    }),
+    Column::wide("max (us)", |row| {
+        of_law(row, format!("{:.1}", row.cycle_us.max))
+    }),
+    Column::wide("slack p50 (us)", |row| {
+        of_law(row, format!("{:.0}", row.slack_us.p50))
+    }),
+    Column::wide("slack p99 (us)", |row| {
+        of_law(row, format!("{:.0}", row.slack_us.p99))
+    }),
+    Column::wide("slack max (us)", |row| {
+        of_law(row, format!("{:.0}", row.slack_us.max))
+    }),
     Column::wide("simulated step (us)", |row| {
-        format!("{:.1}", row.simulated_us)
+        of_law(row, format!("{:.1}", row.simulated_us))
     }),
 ];
+
+/// A figure of our law; `-` for a rival.
+fn of_law(row: &Row, figure: String) -> String {
+    row.np.map_or("-".to_owned(), |_| figure)
+}
 
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
@@ -213,7 +242,7 @@ mod tests {
         };
         let row = Row {
             strategy: "foresight".to_owned(),
-            np: 30,
+            np: Some(30),
             success_rate: 1.0,
             success_interval: [0.963, 1.0],
             mean_cost: 1234.567,

@@ -269,7 +269,7 @@ impl<'a> Demo<'a> {
         for (spec, run) in runs {
             println!("  {}", run.drawn(&spec.to_string(), &self.task).title);
         }
-        let named = runs.iter().map(|(spec, run)| (*spec, run));
+        let named = runs.iter().map(|(spec, run)| (spec, run));
         pictures::comparison(&self.scene, &self.task, named)
             .canvas()
             .write(path)?;

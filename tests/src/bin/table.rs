@@ -1,6 +1,7 @@
 //! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
 //! paper's Table I.
 
+use std::fmt::Display;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -22,13 +23,14 @@ use system_tests::document::{self, Document};
 use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, RobotFlags, check};
 use system_tests::pictures::{self, Draw};
+use system_tests::rival::Rival;
 use system_tests::row::{self, Row};
-use system_tests::run::{Caches, World, through, time};
+use system_tests::run::{Caches, Run, World, through, time};
 use system_tests::simulated::Simulated;
 use system_tests::source::{Product, Source};
-use system_tests::spec::Spec;
+use system_tests::steering::Steering;
 use system_tests::{arguments, column, robot_table};
-use vpc::Task;
+use vpc::{Settings, Task};
 
 /// Runs every strategy from the same starts against an emulated camera, as in the paper's Table I.
 ///
@@ -97,6 +99,10 @@ struct CameraFlags {
     /// Once, in the first two seconds, frames show no point for so long.
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     blackout_s: f64,
+    /// Another program that steers, with its arguments; `tests/rivals/visp.cpp` says what it reads
+    /// and writes. Several have a row each.
+    #[arg(long, value_name = "PROGRAM ARGS")]
+    rival: Vec<String>,
 }
 
 /// The paper's memory has 900 trajectories.
@@ -202,14 +208,14 @@ fn free(
     starts: &[Pose],
     memory: Option<&MemoryFile>,
 ) -> anyhow::Result<()> {
-    let Common { noise, drop, .. } = cli.common;
     let CameraFlags {
-        delay,
         repeats,
         cold,
         gain,
         hide,
         blackout_s,
+        ref rival,
+        ..
     } = cli.camera;
     check("--gain", gain, 0.0, 10.0)?;
     check("--hide", hide, 0.0, 1.0)?;
@@ -220,45 +226,45 @@ fn free(
         ..Truth::default()
     };
     let believed = wrong.scene(scene);
-    let bar = bar(cli.common.strategies.len() * starts.len());
+    let is_following = cli.common.is_following();
+    let bar = bar((cli.common.strategies.len() + rival.len()) * starts.len());
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
     for &spec in &cli.common.strategies {
-        if bar.is_hidden() {
-            eprintln!("table: {spec} from {} starts", starts.len());
-        }
         let settings = cli.common.settings(spec);
         let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
-        let mut runs = Vec::with_capacity(starts.len());
         let mut caches = Caches::default();
-        for (start, pose) in starts.iter().enumerate() {
-            bar.set_message(format!("{spec}, start {start}"));
-            let flaws = Flaws {
-                noise_px: noise,
-                delay_frames: usize::from(delay),
-                drop,
-                hide,
-                blackout_s,
-                seed: cli.common.seed + start as u64,
-            };
-            let world = World {
-                motion: cli.common.motion(),
-                gain,
-                follow_s: cli.common.follow_s,
-                ..World::from(flaws)
-            };
-            let mut run = through(scene, &mut daemon, pose, &world)?;
-            time(&mut run, &mut daemon, usize::from(repeats))?;
-            if cold {
-                caches.time(&run, &mut daemon);
-            }
-            runs.push(run);
-            bar.inc(1);
-        }
-        rows.push(Row::of(spec, &runs, cli.common.is_following()));
-        all.push((spec, runs));
+        let name = spec.to_string();
+        let runs = runs(
+            cli,
+            scene,
+            starts,
+            (&name, &bar),
+            &mut daemon,
+            |run, daemon| {
+                time(run, daemon, usize::from(repeats))?;
+                if cold {
+                    caches.time(run, daemon);
+                }
+                Ok(())
+            },
+        )?;
+        let (strategy, np) = (spec.strategy.to_string(), Some(spec.np));
+        rows.push(Row::of(strategy, np, &runs, is_following));
         if cold {
             told += &format!("{spec}: {caches}\n");
         }
+        all.push((name, runs));
+    }
+    for words in rival {
+        let settings = Settings {
+            brake_s: cli.common.brake_s,
+            ..Settings::default()
+        };
+        let mut rival = Rival::start(words, &believed, &settings)?;
+        let name = rival.name().to_owned();
+        let runs = runs(cli, scene, starts, (&name, &bar), &mut rival, |_, _| Ok(()))?;
+        rows.push(Row::of(name.clone(), None, &runs, is_following));
+        all.push((name, runs));
     }
     bar.finish_and_clear();
     let title = title(cli, starts.len());
@@ -271,6 +277,42 @@ fn free(
         runs: document::records(&all, 0),
     };
     finish(cli, scene, memory, &text, &document, &all, 0)
+}
+
+/// The runs of what steers, by its name, from all starts; after each, `then` is called.
+fn runs<S: Steering<Error: std::error::Error + Send + Sync + 'static>>(
+    cli: &Cli,
+    scene: &Scene,
+    starts: &[Pose],
+    (name, bar): (&str, &ProgressBar),
+    steering: &mut S,
+    mut then: impl FnMut(&mut Run, &mut S) -> anyhow::Result<()>,
+) -> anyhow::Result<Vec<Run>> {
+    if bar.is_hidden() {
+        eprintln!("table: {name} from {} starts", starts.len());
+    }
+    let each = starts.iter().enumerate().map(|(start, pose)| {
+        bar.set_message(format!("{name}, start {start}"));
+        let flaws = Flaws {
+            noise_px: cli.common.noise,
+            delay_frames: usize::from(cli.camera.delay),
+            drop: cli.common.drop,
+            hide: cli.camera.hide,
+            blackout_s: cli.camera.blackout_s,
+            seed: cli.common.seed + start as u64,
+        };
+        let world = World {
+            motion: cli.common.motion(),
+            gain: cli.camera.gain,
+            follow_s: cli.common.follow_s,
+            ..World::from(flaws)
+        };
+        let mut run = through(scene, steering, pose, &world)?;
+        then(&mut run, steering)?;
+        bar.inc(1);
+        Ok(run)
+    });
+    each.collect()
 }
 
 /// Scene, starts, and the camera's flaws: those that it has.
@@ -385,7 +427,7 @@ fn by_interface(
 /// start `first`.
 fn say_failures<Run: Draw>(
     out: &mut impl Write,
-    all: &[(Spec, Vec<Run>)],
+    all: &[(impl Display, Vec<Run>)],
     first: usize,
     is_wide: bool,
 ) -> anyhow::Result<()> {
@@ -393,11 +435,11 @@ fn say_failures<Run: Draw>(
         writeln!(out, "{MORE}")?;
         return Ok(());
     }
-    for (spec, runs) in all {
+    for (name, runs) in all {
         let failed = (first..).zip(runs).filter(|(_, run)| !run.is_success());
         let failed: Vec<_> = failed.map(|(start, _)| start.to_string()).collect();
         if !failed.is_empty() {
-            writeln!(out, "{spec} failed from {}", failed.join(", "))?;
+            writeln!(out, "{name} failed from {}", failed.join(", "))?;
         }
     }
     Ok(())
@@ -410,7 +452,7 @@ fn finish<Row: Serialize, Run: Draw + Serialize>(
     memory: Option<&MemoryFile>,
     text: &str,
     document: &Document<Row, &Run>,
-    all: &[(Spec, Vec<Run>)],
+    all: &[(impl Display, Vec<Run>)],
     first: usize,
 ) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
@@ -488,6 +530,10 @@ mod tests {
             ("--delay 4 --robot panda", "--delay goes with --robot free"),
             ("--gain 0.8 --robot panda", "--gain goes with --robot free"),
             ("--hide 0.3 --robot panda", "--hide goes with --robot free"),
+            (
+                "--rival visp --robot panda",
+                "--rival goes with --robot free",
+            ),
             (
                 "--blackout-s 0.5 --robot panda",
                 "--blackout-s goes with --robot free",

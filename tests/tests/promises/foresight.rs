@@ -58,7 +58,7 @@ fn row(text: &str, starts: &[Pose], change: fn(&mut Settings)) -> (Row, Vec<Run>
             |daemon, start| run(&scene, daemon, start),
         )
         .collect();
-    let row = Row::of(spec, &runs, false);
+    let row = Row::of(spec.strategy.to_string(), Some(spec.np), &runs, false);
     tell(format!(
         "{text}: {:.1} % ({:.1} to {:.1}) of {} starts, mean cost {:.2}, {:.1} cycles, deepest {:.2} px",
         100.0 * row.success_rate,
