@@ -87,7 +87,7 @@ impl Finder {
         let mut tags = self.look_near(image, frames)?;
         let is_whole = self.is_to_look_everywhere(&tags, frames);
         if is_whole {
-            tags = self.everywhere.find(image)?;
+            tags = self.look_everywhere(image)?;
             self.since_whole = 0;
         }
         self.since_whole = self.since_whole.saturating_add(1);
@@ -141,12 +141,28 @@ impl Finder {
                 continue;
             };
             let [u, v] = place;
+            let number = self.targets.numbers()[index];
             let finder = self.window_finder(side, coarse)?;
             let part = image.part(u..u + side, v..v + side);
-            let found = finder.find(&part)?;
-            let number = self.targets.numbers()[index];
-            let ours = found.iter().filter(|tag| tag.number == number);
+            let is_ours = |tag: &Tag| tag.number == number;
+            let mut found = finder.find(&part)?;
+            if !found.iter().any(is_ours) {
+                found = finder.find_blurred(&part)?;
+            }
+            let ours = found.iter().filter(|tag| is_ours(tag));
             tags.extend(ours.map(|tag| tag.shifted([u as f64, v as f64])));
+        }
+        Ok(tags)
+    }
+
+    /// Looks for all tags in the whole image, and once more for those that may be out of focus.
+    fn look_everywhere(&mut self, image: &Grey) -> Result<Vec<Tag>, TagError> {
+        let mut tags = self.everywhere.find(image)?;
+        let is_missing = |number: u32| tags.iter().all(|tag| tag.number != number);
+        let missing: Vec<u32> = self.tracker.numbers().filter(|&k| is_missing(k)).collect();
+        if !missing.is_empty() {
+            let blurred = self.everywhere.find_blurred(image)?.into_iter();
+            tags.extend(blurred.filter(|tag| missing.contains(&tag.number)));
         }
         Ok(tags)
     }

@@ -11,6 +11,10 @@ use crate::template::{Blur, Cell, Edge, MODULE, Template};
 
 /// Passes of the fit.
 const PASSES: usize = 3;
+/// Blurs that are tried where edges are too wide to be measured one by one, modules.
+const WIDE: [f64; 4] = [0.35, 0.45, 0.55, 0.65];
+/// Share of such a blur that is measured at least.
+const MEASURED: f64 = 0.5;
 /// Distance between samples across an edge, px, at most.
 const STEP: f64 = 0.5;
 /// Farthest sample from an edge, px and modules.
@@ -48,8 +52,19 @@ pub(crate) fn register(
     template: &Template,
     start: &Matrix3<f64>,
 ) -> Option<Matrix3<f64>> {
+    let known = |sigma| fit(image, template, start, Some(sigma));
+    fit(image, template, start, None).or_else(|| WIDE.into_iter().find_map(known))
+}
+
+/// The same for a blur of this deviation, modules, or for one that is measured.
+fn fit(
+    image: &Grey,
+    template: &Template,
+    start: &Matrix3<f64>,
+    known: Option<f64>,
+) -> Option<Matrix3<f64>> {
     let mut h = start / start[(2, 2)];
-    let mut blur = Blur::new([0.15; 2]);
+    let mut blur = Blur::new([known.unwrap_or(0.15); 2]);
     for pass in 1.. {
         let light = Light::of(image, template, &blur, &h)?;
         let (mut a, mut b) = (Normal::zeros(), Unknowns::zeros());
@@ -74,7 +89,16 @@ pub(crate) fn register(
             h[(k / 3, k % 3)] += step[k];
         }
         // The integral of p (1 - p) over a Gaussian's distribution p is sigma / sqrt(pi).
-        blur = Blur::new(softness.map(|[sum, count]| std::f64::consts::PI.sqrt() * sum / count));
+        let sigma = |[sum, count]: [f64; 2]| std::f64::consts::PI.sqrt() * sum / count;
+        let sigma = softness.map(sigma);
+        // Where what should be white is darker than the bits, an edge seems sharper than any.
+        let least = MEASURED * known.unwrap_or(0.0);
+        if sigma.iter().any(|&sigma| sigma <= least) {
+            return None;
+        }
+        if known.is_none() {
+            blur = Blur::new(sigma);
+        }
         if pass < PASSES {
             continue;
         }
