@@ -68,9 +68,7 @@ struct Painted {
     /// Whether the emulated camera shows this as a blurred spot on its lens instead of an object.
     #[serde(default)]
     on_lens: bool,
-    /// Whether foresight may take points behind this for a moment, where it expects to find them
-    /// again: for no longer than `safety.blind_s`, and where three deviations of every point stay
-    /// below what the law takes for a leap (a chance of 1.1 % at most to lose one).
+    /// Whether foresight may take points behind this, for `safety.blind_s` at most.
     #[serde(default)]
     crossable: bool,
 }
