@@ -225,10 +225,9 @@ impl<'m> ControlStep<'m> {
             // Nothing moves before an operator has armed: the object may be anywhere.
             self.law.lose_sight();
         }
-        let is_whole = record.count > 0 && self.law.blind().deviation_px == 0.0;
         if decision.state == TwistState::Disarmed {
             self.way = Way::default();
-        } else if is_whole && contract::solver_failed(record) == Some(false) {
+        } else {
             self.way.add(&decision.twist, self.law.task().period);
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's

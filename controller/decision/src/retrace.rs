@@ -22,11 +22,16 @@ struct Leg {
 pub struct Way {
     /// The newest first; where it took no time there is none.
     legs: [Leg; LEGS],
+    /// Whether this cycle goes back.
+    goes_back: bool,
 }
 
 impl Way {
-    /// Adds a twist that was in force for `seconds` while the pattern was seen.
+    /// Adds a cycle's twist that is in force for `seconds`, unless it goes back.
     pub fn add(&mut self, twist: &[f64; 6], seconds: f64) {
+        if core::mem::take(&mut self.goes_back) {
+            return;
+        }
         if self.legs[0].seconds >= LEG_S {
             self.legs.rotate_right(1);
             self.legs[0] = Leg::default();
@@ -50,6 +55,7 @@ impl Way {
             return None;
         }
         leg.seconds -= (SHARE * seconds) as f32;
+        self.goes_back = true;
         Some(leg.twist.map(|v| -SHARE * f64::from(v)))
     }
 }

@@ -11,6 +11,7 @@ use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use decision::OnLoss;
 use hw_sim::robot::truth::Truth;
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -99,6 +100,9 @@ struct CameraFlags {
     /// Once, in the first two seconds, frames show no point for so long.
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     blackout_s: f64,
+    /// Where points are hidden for longer than `safety.blind_s`, the camera goes back along its way.
+    #[arg(long)]
+    retrace: bool,
     /// Another program that steers, with its arguments; `tests/rivals/visp.cpp` says what it reads
     /// and writes. Several have a row each.
     #[arg(long, value_name = "PROGRAM ARGS")]
@@ -214,9 +218,14 @@ fn free(
         gain,
         hide,
         blackout_s,
+        retrace,
         ref rival,
         ..
     } = cli.camera;
+    let on_loss = match retrace {
+        true => OnLoss::Retrace,
+        false => OnLoss::Hold,
+    };
     check("--gain", gain, 0.0, 10.0)?;
     check("--hide", hide, 0.0, 1.0)?;
     check("--blackout-s", blackout_s, 0.0, 60.0)?;
@@ -231,7 +240,7 @@ fn free(
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
     for &spec in &cli.common.strategies {
         let settings = cli.common.settings(spec);
-        let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
+        let mut daemon = Simulated::with(&believed, memory, settings, ClockMode::Fixed, on_loss)?;
         let mut caches = Caches::default();
         let name = spec.to_string();
         let runs = runs(
