@@ -228,7 +228,9 @@ impl<'m> ControlStep<'m> {
         if decision.state == TwistState::Disarmed {
             self.way = Way::default();
         } else {
-            self.way.add(&decision.twist, self.law.task().period);
+            let has_seen = contract::solver_failed(record).is_some();
+            self.way
+                .add(&decision.twist, self.law.task().period, has_seen);
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's
         // plan, so that a replay needs no other clock.
@@ -386,7 +388,10 @@ impl<'m> ControlStep<'m> {
     /// The command that goes back along the way, where the rules say so and there is one.
     fn retrace(&mut self) -> Option<Decision> {
         let (state, _) = self.supervisor.state();
-        if self.rules().on_loss != OnLoss::Retrace || state == TwistState::Disarmed {
+        // First it stops: what it moves meanwhile is part of its way.
+        let may_turn = self.way.went_back || self.supervisor.is_at_rest();
+        let goes_back = self.rules().on_loss == OnLoss::Retrace && may_turn;
+        if !goes_back || state == TwistState::Disarmed {
             return None;
         }
         let task = self.law.task();

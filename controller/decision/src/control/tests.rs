@@ -334,7 +334,7 @@ fn a_camera_that_lost_the_pattern_goes_back_where_it_may() {
         let along = came.last().unwrap().twist;
         assert_ne!(along, [0.0; 6]);
         // Blind until nobody knows where the points are; then it is lost.
-        let lost: Vec<_> = (8..60).map(|k| answer(k, 0)).collect();
+        let lost: Vec<_> = (8..300).map(|k| answer(k, 0)).collect();
         let back = |decision: &&Decision| {
             let pairs = decision.twist.iter().zip(along);
             pairs.map(|(v, along)| v * along).sum::<f64>() < 0.0
