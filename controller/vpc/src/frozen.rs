@@ -12,8 +12,8 @@ const ALONG: f64 = 1.0 / 30.0;
 
 /// Compares features with those `before`; a point should have moved meanwhile by the first of
 /// `moved_px`, and by the second if the pattern stood still. Real features never repeat to the last
-/// bit under motion. At rest and without noise they do, and no motion is expected. `still_px` is the largest expected motion of a point since
-/// the bits changed, summed over the frames, px.
+/// bit under motion. At rest and without noise they do, and no motion is expected. `still_px` is
+/// the largest expected motion of a point since the bits changed, summed over the frames, px.
 ///
 /// # Errors
 /// [`Refusal::Frozen`] if more motion was commanded than a live image can hide.
