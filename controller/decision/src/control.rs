@@ -228,9 +228,10 @@ impl<'m> ControlStep<'m> {
         if decision.state == TwistState::Disarmed {
             self.way = Way::default();
         } else {
-            let has_seen = contract::solver_failed(record).is_some();
-            self.way
-                .add(&decision.twist, self.law.task().period, has_seen);
+            // A prediction without a message shows nothing.
+            let has_answered = record.count > 0 && contract::solver_failed(record).is_some();
+            let period = self.law.task().period;
+            self.way.add(&decision.twist, period, has_answered);
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's
         // plan, so that a replay needs no other clock.
@@ -388,7 +389,7 @@ impl<'m> ControlStep<'m> {
     /// The command that goes back along the way, where the rules say so and there is one.
     fn retrace(&mut self) -> Option<Decision> {
         let (state, _) = self.supervisor.state();
-        // First it stops: what it moves meanwhile is part of its way.
+        // It stops first: the motion until then belongs to the way.
         let may_turn = self.way.went_back || self.supervisor.is_at_rest();
         let goes_back = self.rules().on_loss == OnLoss::Retrace && may_turn;
         if !goes_back || state == TwistState::Disarmed {
@@ -410,6 +411,11 @@ impl<'m> ControlStep<'m> {
         let is_moving = matches!(state, TwistState::Moving | TwistState::Arrived);
         if !(is_moving && self.gate.is_live()) {
             return None;
+        }
+        if self.way.went_back {
+            // Nobody knows where the points are: it goes on back.
+            let hold = Decision::hold(Hold::Hidden);
+            return Some(self.retrace().unwrap_or(hold));
         }
         let step = self.law.coast(now_ns, motion(&self.memory))?;
         contract::record_step(&step, record);

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Length of a leg, s, and how many are kept: so far back it goes at most.
+/// Longest leg, s, and how many are kept: so far back it goes at most, and less where the twist
+/// bends often.
 const LEG_S: f32 = 0.2;
 const LEGS: usize = 16;
 /// Change of the twist with which a new leg begins, as a share of its greater size.
@@ -20,7 +21,8 @@ struct Leg {
 }
 
 impl Leg {
-    /// Whether a twist leads elsewhere, or at another speed.
+    /// Whether a twist differs from the leg's mean by more than [`BEND`], in its linear or its
+    /// angular part.
     fn bends(&self, twist: &[f64; 6]) -> bool {
         let mean = self.twist.map(f64::from);
         let size = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>();
@@ -36,17 +38,18 @@ impl Leg {
 pub struct Way {
     /// The newest first; where it took no time there is none.
     legs: [Leg; LEGS],
-    /// Whether this cycle goes back, and whether one did since the pattern was seen.
+    /// Whether this cycle goes back.
     goes_back: bool,
+    /// Whether one did since the law last answered an image.
     pub(crate) went_back: bool,
 }
 
 impl Way {
     /// Adds a cycle's twist that is in force for `seconds`, unless it goes back or has gone back
-    /// since the law last saw the pattern.
-    pub fn add(&mut self, twist: &[f64; 6], seconds: f64, has_seen: bool) {
+    /// since the law last answered an image.
+    pub fn add(&mut self, twist: &[f64; 6], seconds: f64, has_answered: bool) {
         let goes_back = core::mem::take(&mut self.goes_back);
-        self.went_back = goes_back || (self.went_back && !has_seen);
+        self.went_back = goes_back || (self.went_back && !has_answered);
         if self.went_back || *twist == [0.0; 6] {
             return;
         }
@@ -62,7 +65,8 @@ impl Way {
         }
     }
 
-    /// The twist that goes back for `seconds`; `None` where the way begins.
+    /// The twist that goes back for `seconds`; `None` where the way begins. Counts that part of the
+    /// way as gone, also if another twist is sent.
     pub fn back(&mut self, seconds: f64) -> Option<[f64; 6]> {
         let whole = (SHARE * seconds) as f32;
         let mut left = whole;

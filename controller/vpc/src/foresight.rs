@@ -14,8 +14,8 @@
 //! that k-NN and the Gaussian process infer; and samples of the memory, in turn one of the nearest
 //! and any one. A cycle may simulate a fixed number of steps. No clock decides, so a replay gives
 //! the same bits. A future that takes more steps continues in the next cycle; its cost is then
-//! accurate up to the camera's motion in between. Where the scene has a crossable occlusion, every
-//! second candidate may cross it (`crossing.rs`).
+//! accurate up to the camera's motion in between. Where the scene has a crossable occlusion, half of
+//! the drawn candidates may cross it (`crossing.rs`).
 //!
 //! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning"
 //! (2020), Sect. 2.3 (fortified rollout).
@@ -288,12 +288,7 @@ impl Thinker<'_> {
             features::largest_error(points, &self.policy.task.goal) >= FAR * self.converged_px;
         foresight.tried = 0;
         let answers = self.ask();
-        let is_crossing =
-            self.crossing.is_some() && crossing::is_hidden(self.policy.task, self.initial);
-        let direct = match is_crossing {
-            true => foresight.guide.direct(),
-            false => Guide::GOAL,
-        };
+        let direct = foresight.guide.direct();
         if !is_far && foresight.guide != direct {
             (foresight.guide, foresight.suspended) = (direct, None);
         }
@@ -411,7 +406,7 @@ impl Thinker<'_> {
             }
             foresight.drawn += 1;
             if let Some(mut guide) = self.drawn(foresight.drawn, best.outcome) {
-                // Each kind of them in turn.
+                // In fours, so that each kind of candidate takes its turn.
                 guide.crosses = self.crossing.is_some() && foresight.drawn / 4 % 2 == 1;
                 self.try_out(guide, best, foresight);
             }
