@@ -145,7 +145,7 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
 /// what answers it takes effect when it is delivered.
 ///
 /// # Errors
-/// It gives no command.
+/// `steering` gives no command.
 pub fn through<S: Steering>(
     scene: &Scene,
     steering: &mut S,

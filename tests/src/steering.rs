@@ -25,13 +25,13 @@ pub trait Steering {
     /// Begins a run.
     ///
     /// # Errors
-    /// It cannot.
+    /// The run cannot begin.
     fn begin(&mut self) -> Result<(), Self::Error>;
 
     /// The command that answers what a cycle receives.
     ///
     /// # Errors
-    /// There is none.
+    /// No command can be given.
     fn answer(&mut self, inputs: &Inputs) -> Result<CycleRecord, Self::Error>;
 
     /// Whether a command that follows another one is within the limits of velocity and

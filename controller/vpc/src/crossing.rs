@@ -19,7 +19,7 @@ pub(crate) struct Crossing {
 }
 
 impl Crossing {
-    /// That of a scene; `None` where nothing may be crossed.
+    /// What they need of this scene; `None` if it has no crossable occlusion.
     ///
     /// # Errors
     /// [`TaskError`] of what is left of the scene.

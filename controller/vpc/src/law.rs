@@ -473,7 +473,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             true => self.check_motion(points, expected.as_ref(), commanded.as_ref(), exposed_ns)?,
             false => self.is_steady(points, expected.as_ref(), exposed_ns),
         };
-        let is_telling = is_steady && self.sees_on(exposed_ns);
+        let is_telling = is_steady && self.is_continuous(exposed_ns);
         let before = self.state.filtered.get();
         let kept = expected
             .as_ref()
@@ -668,9 +668,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         Ok(!is_push && *points != seen)
     }
 
-    /// Whether a motion may tell of the pattern's own: not across a gap, nor where the camera has
-    /// begun again. The pattern may have been anywhere meanwhile.
-    fn sees_on(&self, exposed_ns: u64) -> bool {
+    /// Whether the last image is recent enough to learn the pattern's motion from: not across a gap,
+    /// nor where the camera has begun again. The pattern may have been anywhere meanwhile.
+    fn is_continuous(&self, exposed_ns: u64) -> bool {
         let State {
             seen_ns,
             is_linked,

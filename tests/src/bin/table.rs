@@ -100,7 +100,7 @@ struct CameraFlags {
     /// Once, in the first two seconds, frames show no point for so long.
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     blackout_s: f64,
-    /// Where points are hidden for longer than `safety.blind_s`, the camera goes back along its way.
+    /// Go back along the camera's way where points are hidden for longer than `safety.blind_s`.
     #[arg(long)]
     retrace: bool,
     /// Another program that steers, with its arguments; `tests/rivals/visp.cpp` says what it reads

@@ -13,7 +13,7 @@ use crate::template::{Blur, Cell, Edge, MODULE, Template};
 const PASSES: usize = 3;
 /// Blurs that are tried where edges are too wide to be measured one by one, modules.
 const WIDE: [f64; 4] = [0.35, 0.45, 0.55, 0.65];
-/// Share of such a blur that is measured at least.
+/// Least measured blur, as a share of the tried one.
 const MEASURED: f64 = 0.5;
 /// Distance between samples across an edge, px, at most.
 const STEP: f64 = 0.5;
@@ -91,7 +91,7 @@ fn fit(
         // The integral of p (1 - p) over a Gaussian's distribution p is sigma / sqrt(pi).
         let sigma = |[sum, count]: [f64; 2]| std::f64::consts::PI.sqrt() * sum / count;
         let sigma = softness.map(sigma);
-        // Where what should be white is darker than the bits, an edge seems sharper than any.
+        // An edge sharper than possible: what should be white is darker than the bits.
         let least = MEASURED * known.unwrap_or(0.0);
         if sigma.iter().any(|&sigma| sigma <= least) {
             return None;

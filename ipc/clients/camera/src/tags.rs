@@ -13,8 +13,8 @@ use crate::grey::Grey;
 use crate::registration::{project, register};
 use crate::template::Template;
 
-/// How much an image is sharpened, and the standard deviation of what it is compared with, px:
-/// chosen on renderings of the laboratory's starts at a blur of 2.1 px.
+/// Unsharp mask: its gain, and the standard deviation of its Gaussian, px. Chosen on renderings of
+/// the laboratory's starts at a blur of 2.1 px.
 const SHARPER: i32 = 3;
 const SHARPENED_PX: f32 = 2.0;
 
@@ -119,7 +119,8 @@ impl TagFinder {
         self.decode(image)
     }
 
-    /// The same, where bits are read in a sharpened image: for tags that are out of focus.
+    /// The same in a sharpened image, for tags that are out of focus; they are registered in the
+    /// original.
     ///
     /// # Errors
     /// The image has another size than the finder.
