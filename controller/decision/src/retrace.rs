@@ -100,8 +100,10 @@ mod tests {
         let there = |k: usize| [0.1 * k as f64, 0.0, -0.2, 0.0, 0.0, 0.3];
         (0..60).for_each(|k| way.add(&there(k / 30), 0.033, true));
         let (mut went, mut seconds) = ([0.0; 6], 0.0_f64);
+        // But for the last cycle, in which less may be left.
         while let Some(twist) = way.back(0.033) {
-            assert!((0.0..0.05 + 1e-6).contains(&twist[2]), "{twist:?}");
+            let is_last = way.legs[0].seconds <= 0.0;
+            assert!((twist[2] - 0.05).abs() < 1e-6 || is_last, "{twist:?}");
             went.iter_mut()
                 .zip(twist)
                 .for_each(|(x, v)| *x += 0.033 * v);
