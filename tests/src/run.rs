@@ -137,9 +137,10 @@ pub fn flawed(scene: &Scene, daemon: &mut Simulated, start: &Pose, flaws: Flaws)
 }
 
 /// Lets `steering` run from a start for the scene's time, or until the following is measured, if
-/// that takes longer. The run is decided when the features arrive, when a constraint is violated, when
-/// the daemon disarms, or when time is up; a run that arrived goes on regulating, watched, so that
-/// the mean cost of every run is taken over the same time.
+/// that takes longer. The run is decided when the features arrive, when a constraint is violated,
+/// when a command is beyond the limits, when the daemon disarms, or when time is up; a run that
+/// arrived goes on regulating, watched, so that the mean cost of every run is taken over the same
+/// time.
 ///
 /// Time is simulated: frame k is exposed at k sampling times, delivered `delay_frames` later, and
 /// what answers it takes effect when it is delivered.

@@ -19,17 +19,19 @@ pub(crate) struct Crossing {
 }
 
 impl Crossing {
-    /// What they need of this scene; `None` if it has no crossable occlusion.
+    /// What they need of a scene with this task; `None` if it has no crossable occlusion.
     ///
     /// # Errors
     /// [`TaskError`] of what is left of the scene.
-    pub fn of(scene: &Scene) -> Result<Option<Self>, TaskError> {
+    pub fn of(scene: &Scene, whole: &Task) -> Result<Option<Self>, TaskError> {
         if !scene.is_crossable() {
             return Ok(None);
         }
         let mut open = scene.clone();
         open.occlusions.retain(|occlusion| !occlusion.crossable);
-        let task = Task::new(&open)?;
+        let mut task = Task::new(&open)?;
+        task.acceleration = whole.acceleration;
+        (task.ts, task.reach) = (whole.ts, whole.reach);
         Ok(Some(Self { task }))
     }
 }

@@ -14,8 +14,8 @@
 //! that k-NN and the Gaussian process infer; and samples of the memory, in turn one of the nearest
 //! and any one. A cycle may simulate a fixed number of steps. No clock decides, so a replay gives
 //! the same bits. A future that takes more steps continues in the next cycle; its cost is then
-//! accurate up to the camera's motion in between. Where the scene has a crossable occlusion, half of
-//! the drawn candidates may cross it (`crossing.rs`).
+//! accurate up to the camera's motion in between. Where the scene has a crossable occlusion, half
+//! of the drawn candidates may cross it (`crossing.rs`).
 //!
 //! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning"
 //! (2020), Sect. 2.3 (fortified rollout).

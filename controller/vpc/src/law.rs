@@ -112,7 +112,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     ) -> Result<Self, SettingsError> {
         settings.check()?;
         let mut task = Task::new(scene)?;
-        let mut crossing = Crossing::of(scene)?;
         task.acceleration = settings.acceleration(&scene.limits);
         let stop_s = task.period + task.stop_s(&task.limits);
         // The window is long enough for a stop.
@@ -121,9 +120,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             .max(task.period)
             .max(stop_s / settings.np as f64);
         task.reach = task.ts.max(stop_s);
-        if let Some(Crossing { task: open }) = &mut crossing {
-            (open.acceleration, open.ts, open.reach) = (task.acceleration, task.ts, task.reach);
-        }
+        let crossing = Crossing::of(scene, &task)?;
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         let share = Share::of(&task, &settings)?;
         let needed = share.size.workspace();
@@ -183,8 +180,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             return;
         };
         let extra_px = self.back_off_px(&root);
-        let drift = &self.state.drift;
-        let most_blind_s = crossing::most_s(&self.task, &self.settings, &root, drift);
+        let most_s = |_: &Crossing| {
+            let drift = &self.state.drift;
+            crossing::most_s(&self.task, &self.settings, &root, drift)
+        };
+        let most_blind_s = self.crossing.as_ref().map_or(0.0, most_s);
         let since_ns = self.state.seen_ns.saturating_sub(self.state.blind.whole_ns);
         let blind_s = self.lead_s + since_ns as f64 * 1e-9;
         let Some(solver) = &mut self.share.solver(&self.settings, self.workspace.as_mut()) else {
@@ -668,8 +668,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         Ok(!is_push && *points != seen)
     }
 
-    /// Whether the last image is recent enough to learn the pattern's motion from: not across a gap,
-    /// nor where the camera has begun again. The pattern may have been anywhere meanwhile.
+    /// Whether the last image is recent enough to learn the pattern's motion from: not across a
+    /// gap, nor where the camera has begun again. The pattern may have been anywhere meanwhile.
     fn is_continuous(&self, exposed_ns: u64) -> bool {
         let State {
             seen_ns,

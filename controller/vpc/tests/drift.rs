@@ -285,20 +285,15 @@ fn a_camera_that_begins_again_elsewhere_teaches_nothing() {
     let scene = World::new(&starts[0]).scene;
     let seen = |start| Measurement::from_points(&World::new(start).features());
     let ns = |k: usize| 1_000_000_000 + k as u64 * 33_333_333;
-    let settings = Settings {
-        drift_compensation: true,
-        brake_s: 0.15,
-        ..Settings::default()
-    };
-    let fresh = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+    let fresh = Law::new(&scene, Settings::default(), |len| vec![0.0; len]).unwrap();
     let mut taken = 0;
     for (k, before) in starts.iter().enumerate() {
         for (j, after) in starts.iter().enumerate() {
             let mut law = fresh.clone();
             law.go_live(100_000_000);
             // It moves, stops, and begins again at once or after a pause.
-            let speed = [0.2, -0.1, -0.2, 0.1, 0.3, -0.3];
-            law.sent(&[0.0; DOF], ns(0) - 1);
+            let (still, moves) = ([0.0; DOF], [0.2, -0.1, -0.2, 0.1, 0.3, -0.3]);
+            law.sent(&still, ns(0) - 1);
             law.step(&seen(before).taken(ns(0), ns(0)), None).unwrap();
             let pause = [2, 12][(k + j) % 2];
             for at in 0..pause + 3 {
@@ -310,14 +305,8 @@ fn a_camera_that_begins_again_elsewhere_teaches_nothing() {
                     taken += 1;
                     assert_eq!(*law.drift(), [0.0; DOF], "{k} {j}");
                 }
-                law.sent(
-                    if at < 6.min(pause) {
-                        &speed
-                    } else {
-                        &[0.0; DOF]
-                    },
-                    ns(at),
-                );
+                let is_moving = at < 6.min(pause);
+                law.sent(if is_moving { &moves } else { &still }, ns(at));
             }
         }
     }
