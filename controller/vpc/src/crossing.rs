@@ -8,7 +8,7 @@ use scene::Scene;
 use crate::drift::Drift;
 use crate::prediction::InitialState;
 use crate::settings::Settings;
-use crate::task::{Task, TaskError};
+use crate::task::Task;
 use crate::{blind, constraint};
 
 /// What crossing futures need of a scene.
@@ -20,19 +20,12 @@ pub(crate) struct Crossing {
 
 impl Crossing {
     /// What they need of a scene with this task; `None` if it has no crossable occlusion.
-    ///
-    /// # Errors
-    /// [`TaskError`] of what is left of the scene.
-    pub fn of(scene: &Scene, whole: &Task) -> Result<Option<Self>, TaskError> {
-        if !scene.is_crossable() {
-            return Ok(None);
-        }
-        let mut open = scene.clone();
-        open.occlusions.retain(|occlusion| !occlusion.crossable);
-        let mut task = Task::new(&open)?;
-        task.acceleration = whole.acceleration;
-        (task.ts, task.reach) = (whole.ts, whole.reach);
-        Ok(Some(Self { task }))
+    pub fn of(scene: &Scene, whole: &Task) -> Option<Self> {
+        scene.is_crossable().then(|| {
+            let mut task = whole.clone();
+            task.open(scene);
+            Self { task }
+        })
     }
 }
 

@@ -120,7 +120,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             .max(task.period)
             .max(stop_s / settings.np as f64);
         task.reach = task.ts.max(stop_s);
-        let crossing = Crossing::of(scene, &task)?;
+        let crossing = Crossing::of(scene, &task);
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         let share = Share::of(&task, &settings)?;
         let needed = share.size.workspace();

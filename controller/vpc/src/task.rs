@@ -125,6 +125,15 @@ impl Task {
         Ok(task)
     }
 
+    /// Leaves out the crossable occlusions of its scene.
+    pub(crate) fn open(&mut self, scene: &Scene) {
+        let kept = || scene.occlusions.iter().filter(|one| !one.crossable);
+        self.parts = kept().flat_map(|one| &one.parts).copied().collect();
+        let masks = kept().filter_map(|one| one.mask.as_ref());
+        self.areas = masks.flat_map(|mask| mask.areas()).copied().collect();
+        self.boxes = self.obstacles().map(Obstacle::bounding_box).collect();
+    }
+
     /// Whether every point is in sight at the goal, and then whether every marker is wholly so.
     fn check_goal(&self) -> Result<(), TaskError> {
         let Camera { width, height, .. } = self.camera;
