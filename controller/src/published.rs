@@ -25,14 +25,14 @@ impl Published {
         let directory = |file: &Path| file.parent().unwrap_or(domain).to_owned();
         let published = Self([directory(&scene), directory(&configuration)]);
         replace(&configuration, config.as_bytes())?;
-        for (name, png) in &files.masks {
+        for (name, bytes) in &files.beside {
             let mut parts = Path::new(name).components();
             if !parts.all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
                 return Err(io::Error::other(format!(
-                    "mask = {name}; allowed: a path below the directory of the scene"
+                    "{name}: allowed: a path below the directory of the scene"
                 )));
             }
-            replace(&directory(&scene).join(name), png)?;
+            replace(&directory(&scene).join(name), bytes)?;
         }
         replace(&scene, files.text.as_bytes())?;
         Ok(published)
@@ -84,7 +84,7 @@ mod tests {
         );
         let read = SceneFiles::read(&scene).unwrap();
         assert_eq!(read.scene.fingerprint(), files.scene.fingerprint());
-        assert_eq!((&read.text, &read.masks), (&files.text, &files.masks));
+        assert_eq!((&read.text, &read.beside), (&files.text, &files.beside));
         assert_eq!(fs::read_to_string(&config).unwrap(), "[law]");
         drop(published);
         assert!(!scene.exists() && !config.exists());
@@ -95,7 +95,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let mut files =
             SceneFiles::parse(scene::PAPER_SIM.to_owned(), "s", &|_| Ok(vec![])).unwrap();
-        files.masks.insert("../up.png".to_owned(), vec![1]);
+        files.beside.insert("../up.png".to_owned(), vec![1]);
         let error = Published::write(&files, "", place.path()).unwrap_err();
         assert!(error.to_string().contains("mask = ../up.png"), "{error}");
         assert!(!place.path().join("up.png").exists());

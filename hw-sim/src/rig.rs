@@ -292,6 +292,9 @@ impl Cell for Rig {
             self.eye.show(occlusion, false);
         }
         self.arm.step(now_ns);
+        if self.obeys_controller() && self.progress.has_begun() {
+            self.arm.note_steered();
+        }
         self.steps += 1;
         self.progress.tick(self.now_ns());
         let between = (1000.0 / (self.scene.camera.rate_hz * f64::from(INSTANTS))) as u64;

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use hw_sim::following::FollowingReport;
 use hw_sim::motion::MotionKeys;
+use hw_sim::robot::inspector::ArmReport;
 use ipc::{Domain, Subscriber};
 use messages::CycleRecord;
 use scene::Scene;
@@ -80,6 +81,8 @@ pub struct Row {
     pub arrived_s: Option<f64>,
     /// Largest share of the joints' speed limits in any run.
     pub joint_speed: f64,
+    /// Share of the time in which the robot's bridge slowed the camera down, of all runs together.
+    pub slowed: f64,
     /// Least clearance of a point in any run, px.
     pub least_clearance_px: f64,
     /// How well the runs that arrived followed, all their frames together.
@@ -119,6 +122,7 @@ pub fn row(setup: &Setup<'_>, name: &str, levels: &Levels<'_>) -> anyhow::Result
         summary,
         arrived_s: processes::arrival_s(all().filter(|run| run.is_good())),
         joint_speed: processes::largest(&runs, |arm| arm.joint_velocity),
+        slowed: slowed(runs.iter().map(|(_, run)| &run.arm)),
         least_clearance_px: all()
             .map(|run| run.least_clearance_px)
             .fold(f64::INFINITY, f64::min),
@@ -129,6 +133,12 @@ pub fn row(setup: &Setup<'_>, name: &str, levels: &Levels<'_>) -> anyhow::Result
         ),
         is_following: setup.follow_s > 0.0,
     })
+}
+
+/// The share of the controller's time in which bridges slowed the camera down.
+fn slowed<'a>(reports: impl Iterator<Item = &'a ArmReport> + Clone) -> f64 {
+    let sum = |ms: fn(&ArmReport) -> u64| reports.clone().map(ms).sum::<u64>() as f64;
+    sum(|arm| arm.slowed_ms) / sum(|arm| arm.steered_ms).max(1.0)
 }
 
 /// Three processes, and the starts that they run one after another.
@@ -308,7 +318,7 @@ impl Holds {
 const IS_FOLLOWING: Shown<Row> = |_, row| row.is_following;
 
 /// The columns in their order.
-const COLUMNS: [Column<Row>; 12] = [
+const COLUMNS: [Column<Row>; 13] = [
     Column::always("errors", |row| row.errors.clone()),
     Column::always("arrived", |row| {
         format!("{} of {}", row.summary.arrived, row.summary.runs)
@@ -335,6 +345,9 @@ const COLUMNS: [Column<Row>; 12] = [
     }),
     Column::always("joint speed (% of limit)", |row| {
         format!("{:.0}", 100.0 * row.joint_speed)
+    }),
+    Column::always("slowed by the bridge (% of time)", |row| {
+        format!("{:.2}", 100.0 * row.slowed)
     }),
 ];
 

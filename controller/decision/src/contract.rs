@@ -65,6 +65,7 @@ pub fn hold_of(refusal: Refusal) -> Hold {
         Refusal::NotFollowing { .. } => Hold::NotFollowing,
         Refusal::Elsewhere { .. } => Hold::Elsewhere,
         Refusal::Late { .. } => Hold::Stale,
+        Refusal::NoJoints => Hold::NoRobot,
     }
 }
 

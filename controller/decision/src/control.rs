@@ -204,6 +204,10 @@ impl<'m> ControlStep<'m> {
         if self.robot.is_idle() {
             self.law.expect_no_motion();
         }
+        if let Input::Message(state) = &inputs.robot {
+            let joints = state.q.get(..state.joints as usize).unwrap_or_default();
+            self.law.see_joints(joints, state.stamp.data_ns);
+        }
         let proposed = self.propose(inputs, record);
         (record.predicted, record.drift) = (self.predicted, *self.law.drift());
         let situation = Situation {

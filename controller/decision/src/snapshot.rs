@@ -10,7 +10,7 @@ use messages::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 10;
+pub const VERSION: u32 = 11;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -133,6 +133,7 @@ mod tests {
         law.history.twists.as_flattened_mut().fill(decision.twist);
         (law.history.count, law.predicted.count, law.seen.count) = (u32::MAX, u32::MAX, u32::MAX);
         law.seen_ns = u64::MAX;
+        law.joints = Some(vpc::arm::Posture::new(&[f64::MAX; 7], u64::MAX));
         law.previous.fill(f64::NAN);
         law.predicted.points.fill([f64::NEG_INFINITY, -0.0]);
         State {

@@ -37,14 +37,14 @@ impl Recorder {
         Ok(Self::new(file, 0))
     }
 
-    /// Attaches a scene with its masks, and draws it; once for a recording.
+    /// Attaches a scene with the files beside it, and draws it; once for a recording.
     ///
     /// # Errors
     /// [`WriteError`].
     pub fn describe(&mut self, files: &SceneFiles) -> Result<(), WriteError> {
         let (scene, file) = (&files.scene, &mut self.writer.sink);
-        for (name, png) in &files.masks {
-            file.attach(name, png)?;
+        for (name, bytes) in &files.beside {
+            file.attach(name, bytes)?;
         }
         file.attach(SCENE_FILE, files.text.as_bytes())?;
         file.origin([

@@ -90,7 +90,7 @@ pub(crate) fn foreseen(scene: &Scene, record: &CycleRecord, at: Option<Timestamp
 
 /// The arm at these joint positions, as a line through its joints in the base.
 pub(crate) fn arm(q: [f64; arm::JOINTS], at: Option<Timestamp>) -> SceneUpdate {
-    let places = Chain::default().places(&Joints::from(q));
+    let places = Chain::FRANKA.places(&Joints::from(q));
     let mut entity = entity("arm", BASE, at);
     let spheres = places.iter().map(|&place| sphere(place.into(), ARM, GREY));
     entity.spheres = spheres.collect();
@@ -104,7 +104,7 @@ pub(crate) fn arm(q: [f64; arm::JOINTS], at: Option<Timestamp>) -> SceneUpdate {
 
 /// The flange in the base at these joint positions.
 pub(crate) fn base_from_flange(q: [f64; arm::JOINTS]) -> Isometry3<f64> {
-    isometry(&Chain::default().flange(&Joints::from(q)))
+    isometry(&Chain::FRANKA.flange(&Joints::from(q)))
 }
 
 /// The same pose with a quaternion.

@@ -65,8 +65,8 @@ pub fn write(
         file.origin([(origin::MEMORY_SHA256, sha256.clone())])?;
     }
     file.attach(CONFIG_FILE, about.config.as_bytes())?;
-    for (name, png) in &about.scene.masks {
-        file.attach(name, png)?;
+    for (name, bytes) in &about.scene.beside {
+        file.attach(name, bytes)?;
     }
     file.attach(SCENE_FILE, about.scene.text.as_bytes())?;
     messages(&mut file, ring, progress)?;

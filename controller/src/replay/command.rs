@@ -131,8 +131,8 @@ fn load(
         });
     };
     let files = SceneFiles::parse(scene.to_owned(), SCENE_FILE, &|name| {
-        let mask = recording.attachments.get(name).cloned();
-        mask.ok_or_else(|| io::Error::other("not in the recording"))
+        let file = recording.attachments.get(name).cloned();
+        file.ok_or_else(|| io::Error::other("not in the recording"))
     });
     let files = files.map_err(LoadError::from)?;
     let config = config(recording, arguments)?;

@@ -50,6 +50,7 @@ impl Policy<'_> {
             extra_px,
             ..
         } = *present;
+        let dampers = self.task.dampers(initial.q.as_ref(), interval);
         let problem = Problem {
             task: self.task,
             initial,
@@ -59,6 +60,7 @@ impl Policy<'_> {
             standing: *present.standing,
             interval,
             margin: self.settings.margin_px + extra_px,
+            dampers: dampers.as_ref(),
         };
         let braking = repeated(&problem.braking());
         let solution = solver.solve_from(&problem, &[*warm, braking]);
@@ -83,6 +85,7 @@ impl Policy<'_> {
             standing: [0.0; DOF],
             interval: self.task.ts,
             margin: 0.0,
+            dampers: None,
         };
         solver.evaluate(&problem, &repeated(twist)).unwrap_or(0.0)
     }

@@ -188,6 +188,7 @@ mod tests {
             standing: [0.1, -0.2, 0.3, 0.1, 0.0, -0.4],
             interval: task.ts,
             margin: 0.0,
+            dampers: None,
         };
         let mut at = |plan: &[f64; 12]| {
             assert!(preview.linearize(&task, &initial, plan));

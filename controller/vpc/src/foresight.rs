@@ -20,6 +20,7 @@
 //! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning"
 //! (2020), Sect. 2.3 (fortified rollout).
 
+use ::arm::JOINTS;
 use serde::{Deserialize, Serialize};
 
 use crate::command::{Policy, Present};
@@ -214,6 +215,8 @@ pub struct Suspended {
     tilt: Option<Tilt>,
     /// How the pattern moves by itself there.
     drift: Own,
+    /// The joints of the arm there, where it is known.
+    q: Option<[f64; JOINTS]>,
     /// The command in force.
     standing: Twist,
     /// The plan from which the solver starts.
@@ -547,6 +550,7 @@ impl Thinker<'_> {
             points: self.initial.points.as_slice().into(),
             tilt: self.initial.tilt,
             drift: self.initial.drift,
+            q: self.initial.q.map(Into::into),
             standing: *self.standing,
             previous: *self.previous,
             is_from_front: gate::is_from_front(self.policy.task, &self.initial.points),
@@ -576,6 +580,7 @@ impl Thinker<'_> {
                 let points = now.points.get().unwrap_or_default();
                 InitialState::turned(task, settings.model, &points, now.tilt.as_ref())
                     .with_drift(now.drift)
+                    .with_joints(now.q.map(Into::into))
             }
         };
         // Costs are counted by the period.
@@ -592,6 +597,7 @@ impl Thinker<'_> {
             if self.budget == 0 {
                 now.points = initial.points.as_slice().into();
                 (now.tilt, now.drift) = (initial.tilt, initial.drift);
+                now.q = initial.q.map(Into::into);
                 return RollOut::Suspended(now);
             }
             // Where the camera would look from the side, the features are soon refused.

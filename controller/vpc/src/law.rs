@@ -1,7 +1,9 @@
 //! The law, one cycle at a time.
 
+use ::arm::Joints;
 use scene::Scene;
 
+use crate::arm::Posture;
 use crate::blind::Blind;
 use crate::command::{Policy, Present};
 use crate::crossing::{self, Crossing};
@@ -23,7 +25,7 @@ use crate::state::State;
 use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::work::Prices;
-use crate::{DOF, MAX_VARIABLES, Points, Twist, blind, follow, frozen, gate, ibvs, limit};
+use crate::{DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit};
 
 /// The visual predictive control law: task, settings, what one cycle leaves to the next (together
 /// some 40 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
@@ -164,6 +166,15 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
         self.state.standing = *twist;
+    }
+
+    /// Takes the positions of the arm's joints at an instant, base to flange, rad or m; only in a
+    /// scene with an arm, which asks for them before the first features.
+    pub fn see_joints(&mut self, q: &[f64], at_ns: u64) {
+        let arm = self.task.arm.as_ref();
+        if arm.is_some_and(|arm| arm.chain.count() == q.len()) {
+            self.state.joints = Some(Posture::new(q, at_ns));
+        }
     }
 
     /// Runs foresight in the spare time of a cycle, after its command was sent.
@@ -307,6 +318,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 seen_ns: before.seen_ns,
                 still_px: before.still_px,
                 blind: before.blind,
+                joints: before.joints,
                 follow: before.follow,
                 history: before.history,
                 ..new
@@ -365,6 +377,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.root = None;
         let mut initial = self.state_at(effective_ns, self.state.drift.believed)?;
         initial.drift.rate = [0.0; DOF];
+        initial.q = self.joints_at(effective_ns);
+        if self.task.arm.is_some() && initial.q.is_none() {
+            return None;
+        }
         self.lead_s = effective_ns.saturating_sub(self.state.seen_ns) as f64 * 1e-9;
         let step = self.answer(initial, None, false, memory);
         // The next image is compared with the last one.
@@ -529,6 +545,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 Unpredictable::Lost => Refusal::Lost,
             })?
         };
+        initial.q = self.joints_at(measurement.effective_ns);
+        if self.task.arm.is_some() && initial.q.is_none() {
+            return Err(Refusal::NoJoints);
+        }
         // A future is simulated with the motion in the middle of the next period.
         initial.drift = Own {
             rate: [0.0; DOF],
@@ -541,6 +561,18 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.lead_s = age_ns as f64 * 1e-9;
         self.state.is_linked = true;
         Ok((initial, mismatch))
+    }
+
+    /// The joints at this instant, by the commands since they were seen.
+    fn joints_at(&self, at_ns: u64) -> Option<Joints> {
+        let Posture { q, at_ns: seen_ns } = self.state.joints?;
+        let q = Joints::from(q);
+        if seen_ns >= at_ns {
+            return Some(q);
+        }
+        let mean = self.state.history.mean(seen_ns, at_ns);
+        let seconds = (at_ns - seen_ns) as f64 * 1e-9;
+        arm::moved(self.task.arm.as_ref(), Some(&q), &mean, seconds)
     }
 
     /// The share of the expected features that stays in those to steer by. None of these is further
@@ -746,6 +778,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             Some(twist) => {
                 let (task, standing) = (&self.task, &self.state.standing);
                 let twist = limit::scale(&twist, &task.limits);
+                let dampers = task.dampers(initial.q.as_ref(), task.reach);
+                let twist = arm::within(dampers.as_ref(), &twist);
                 step.twist = limit::approach(&twist, standing, task, task.period);
             }
             None => step.status = Status::NumericalFailure,

@@ -54,6 +54,7 @@
 #[cfg(feature = "file")]
 extern crate alloc;
 
+pub mod arm;
 mod blind;
 pub mod camera;
 pub mod clearance;

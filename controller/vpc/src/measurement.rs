@@ -111,6 +111,8 @@ pub enum Refusal {
         ms(.age_ns), ms(.known_ns)
     )]
     Late { age_ns: u64, known_ns: u64 },
+    #[error("arm: no joint positions; allowed: those of every joint before the features")]
+    NoJoints,
     /// By the commands sent since the exposure, the pattern is behind the camera now.
     #[error(
         "features: the commands since the exposure put the pattern behind the camera; allowed: in front of it"

@@ -19,6 +19,7 @@
 
 use core::ops::Range;
 
+use ::arm::Joints;
 use heapless::Vec;
 use libm::sqrt;
 use nalgebra::Vector3;
@@ -29,7 +30,7 @@ use crate::pose::{Estimate, Tilt};
 use crate::task::Task;
 use crate::workspace::Workspace;
 use crate::{
-    DOF, MAX_NP, MAX_POINTS, MAX_VARIABLES, Points, Twist, camera, features, interaction, pose,
+    DOF, MAX_NP, MAX_POINTS, MAX_VARIABLES, Points, Twist, arm, camera, features, interaction, pose,
 };
 
 /// The radius of the marker of each point, px; zeros where markers are points.
@@ -69,6 +70,8 @@ pub struct InitialState {
     pub(crate) tilt: Option<Tilt>,
     /// How the pattern moves by itself.
     pub(crate) drift: Own,
+    /// The joints of the arm, where it is known.
+    pub(crate) q: Option<Joints>,
 }
 
 /// Longest step with which the motion of a depth model is integrated, as a share of the sampling
@@ -109,12 +112,19 @@ impl InitialState {
             geometry,
             tilt: pose.map(|(_, tilt)| tilt),
             drift: Own::NONE,
+            q: None,
         }
     }
 
     /// The same with a pattern that moves by itself.
     pub fn with_drift(mut self, drift: Own) -> Self {
         self.drift = drift;
+        self
+    }
+
+    /// The same with an arm whose joints are there.
+    pub(crate) fn with_joints(mut self, q: Option<Joints>) -> Self {
+        self.q = q;
         self
     }
 
@@ -167,6 +177,7 @@ impl InitialState {
                 self.drift.after(seconds).carried(&motion)
             }
         };
+        let q = arm::moved(task.arm.as_ref(), self.q.as_ref(), twist, seconds);
         match &self.geometry {
             Geometry::Positions(before) => {
                 let motion = Motion::of_camera(&relative, seconds);
@@ -184,6 +195,7 @@ impl InitialState {
                         ..tilt
                     }),
                     drift,
+                    q,
                 })
             }
             Geometry::Depths(_) => {
@@ -192,7 +204,7 @@ impl InitialState {
                 for _ in 0..steps as u32 {
                     initial = initial.integrated(task, model, &relative, seconds / steps)?;
                 }
-                Some(initial.with_drift(drift))
+                Some(initial.with_drift(drift).with_joints(q))
             }
         }
     }
@@ -322,6 +334,7 @@ impl InitialState {
                 geometry,
                 tilt: None,
                 drift: self.drift,
+                q: None,
             }
         };
         let middle = at(slide(&self.points, self, 0.5 * h)?);

@@ -2,9 +2,11 @@
 //!
 //! Source: paper, Eq. (vpc).
 
+use ::arm::Dampers;
+
 use crate::prediction::{InitialState, Plan, repeated};
 use crate::task::Task;
-use crate::{DOF, MAX_VARIABLES, Points, Twist};
+use crate::{DOF, MAX_VARIABLES, Points, Twist, arm};
 
 /// When the solver stops.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +38,8 @@ pub struct Problem<'a> {
     pub interval: f64,
     /// Extra clearance kept from every border by each point with its marker, px.
     pub margin: f64,
+    /// What the arm allows, where it is known.
+    pub dampers: Option<&'a Dampers>,
 }
 
 impl Problem<'_> {
@@ -54,13 +58,15 @@ impl Problem<'_> {
     }
 
     /// The command that brakes: the one in force, slowed down as a whole against the pattern, so
-    /// that the camera stays on its path.
+    /// that the camera stays on its path. It follows a pattern as far as the arm goes.
     pub fn braking(&self) -> Twist {
-        let drift = &self.initial.drift.twist;
-        let relative = self.initial.relative(&self.standing);
+        let with = arm::within(self.dampers, &self.initial.drift.twist);
+        let mut relative = self.standing;
+        let pairs = relative.iter_mut().zip(with);
+        pairs.for_each(|(v, with)| *v -= with);
         let stop_s = self.task.stop_s(&relative);
         let left = (1.0 - self.interval / stop_s).max(0.0);
-        let mut braking = *drift;
+        let mut braking = with;
         if stop_s > self.interval {
             let pairs = braking.iter_mut().zip(relative);
             pairs.for_each(|(v, relative)| *v += left * relative);

@@ -1,5 +1,7 @@
 //! How large the problems of a solver are.
 
+use ::arm::damper::MAX_BOUNDS;
+
 use crate::constraint::SIDES;
 use crate::intersample::most_stretches;
 use crate::obstacle::Obstacle;
@@ -22,6 +24,8 @@ pub struct Size {
     pub(crate) stretches: usize,
     /// Parts and areas of occlusions.
     pub(crate) obstacles: usize,
+    /// Whether the arm is known.
+    pub(crate) has_arm: bool,
     /// What the clearance from the dearest of them costs, [work](crate::work).
     pub(crate) clearance_ns: u32,
 }
@@ -31,9 +35,11 @@ impl Size {
     /// free commands (1 to [`MAX_NC`]).
     pub fn of(task: &Task, np: usize, nc: usize) -> Self {
         let (np, points) = (np.clamp(1, MAX_NP), task.pattern.len());
-        // One for each point and border in every step, and on the way of the first command.
+        // One for each damper and free command, and for each point and border in every step and on the
+        // way of the first command.
         let obstacles = task.obstacles().count();
-        let rows = (np + 1) * points * (SIDES + obstacles);
+        let dampers = task.arm.as_ref().map_or(0, |_| nc * MAX_BOUNDS);
+        let rows = dampers + (np + 1) * points * (SIDES + obstacles);
         Self {
             np,
             nc: nc.clamp(1, MAX_NC),
@@ -41,6 +47,7 @@ impl Size {
             rows: rows.min(MAX_ROWS),
             stretches: most_stretches(task),
             obstacles,
+            has_arm: task.arm.is_some(),
             clearance_ns: task.obstacles().map(Obstacle::price_ns).max().unwrap_or(0),
         }
     }

@@ -20,7 +20,7 @@
     reason = "indices run over the N variables, the DOF components or the 2 coordinates of arrays of that length"
 )]
 
-use crate::clearance::{Clearance, Place};
+use crate::clearance::Place;
 use crate::constraint;
 use crate::cost::{self, Expansion};
 use crate::intersample::{Intersample, NEAR_PX};
@@ -30,7 +30,7 @@ use crate::qp::{ActiveSet, Answer, QpStatus, Quadratic, Rows};
 use crate::size::Size;
 use crate::work::Prices;
 use crate::workspace::Workspace;
-use crate::{DOF, MAX_VARIABLES, Twist};
+use crate::{DOF, MAX_VARIABLES, Twist, arm};
 
 /// Halvings of a step before the line search gives up.
 const MAX_HALVINGS: usize = 8;
@@ -74,10 +74,10 @@ struct Iterate<const N: usize> {
 }
 
 /// The clearance that a row linearises: of which point in which step, from which of the
-/// [borders](constraint::border).
+/// [borders](constraint::border); or the damper of a free command.
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command.
+    /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command; [`DAMPER`] none.
     step: usize,
     point: usize,
     border: usize,
@@ -101,6 +101,9 @@ impl Source {
 
 /// The "step" of a row for a place on the way of the first command.
 const INSIDE: usize = 255;
+
+/// The "step" of a damper's row, which is exact.
+const DAMPER: usize = 254;
 
 /// How far the present solution has come.
 #[derive(Clone, Copy, Debug, Default)]
@@ -182,6 +185,13 @@ impl<'w, const N: usize> Sqp<'w, N> {
         let (pixels, radii) = (initial.explained(task), initial.radii(task));
         let begins = pixels.into_iter().zip(radii);
         let begins = begins.map(|(pixel, radius)| Place { pixel, radius });
+        // Braking asks less of the joints than any other command, and may ask too much.
+        let most = |twist: &Twist| arm::violations_px(problem.dampers, twist).fold(0.0, f64::max);
+        if problem.dampers.is_some()
+            && most(&first_command(&plan)) > most(&problem.braking()).max(slack)
+        {
+            return false;
+        }
         let (mut is_clear, mut sums, mut worst) = (true, [0.0; 2], [0.0_f64; 2]);
         for (i, (begin, end)) in begins.zip(self.preview.places(0)).enumerate() {
             let inside = self.inside.violation(task, i, problem.margin);
@@ -216,6 +226,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
             rho: first_rho(problem, self.preview.np()),
             ..Progress::default()
         };
+        self.count(self.prices.arm);
         let Some(mut here) = self.first(problem, warm) else {
             return self.failure();
         };
@@ -316,7 +327,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
             ..
         } = self;
         // Returns whether there is room for another one.
-        let mut add = |step, point, border, clearance: Clearance, gradient| {
+        let mut add = |step, point, border, distance: f64, gradient| {
             let source = Source {
                 step,
                 point,
@@ -325,8 +336,26 @@ impl<'w, const N: usize> Sqp<'w, N> {
             if let Some(place) = sources.get_mut(rows.len()) {
                 *place = source.stored();
             }
-            rows.push(gradient, clearance.distance - margin)
+            rows.push(gradient, distance)
         };
+        for (bound, damper) in problem
+            .dampers
+            .into_iter()
+            .flat_map(|all| &all.bounds)
+            .enumerate()
+        {
+            let (commands, slope) = (plan.as_chunks::<DOF>().0, arm::slope(damper));
+            for (command, twist) in commands.iter().enumerate() {
+                let gradient: [f64; N] = core::array::from_fn(|k| match k / DOF == command {
+                    true => slope[k % DOF],
+                    false => 0.0,
+                });
+                let distance = arm::clearance_px(damper, twist);
+                if distance < greatest(&gradient.map(|g| -g), bounds) {
+                    add(DAMPER, command, bound, distance, gradient);
+                }
+            }
+        }
         let command = first_command(plan);
         for i in inside.near() {
             for (index, border) in inside.borders(task, i, margin + NEAR_PX) {
@@ -339,7 +368,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
                     reduce(&mut first, &growth);
                 }
                 let gradient = core::array::from_fn(|k| first.get(k).copied().unwrap_or(0.0));
-                add(INSIDE, i, index, clearance, gradient);
+                add(INSIDE, i, index, clearance.distance - margin, gradient);
             }
         }
         'window: for (j, step) in preview.steps().enumerate() {
@@ -356,7 +385,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
                     if task.has_markers() {
                         reduce(&mut gradient, point.growth);
                     }
-                    if !add(j, i, index, clearance, gradient) {
+                    if !add(j, i, index, clearance.distance - margin, gradient) {
                         break 'window;
                     }
                 }
@@ -457,7 +486,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
                 point,
                 border,
             } = Source::read(source);
-            let Some(border) = constraint::border(task, border) else {
+            let Some(border) = constraint::border(task, border).filter(|_| step != DAMPER) else {
                 continue;
             };
             let found = if step == INSIDE {
@@ -501,6 +530,9 @@ impl<'w, const N: usize> Sqp<'w, N> {
             for Place { pixel, radius } in self.preview.places(j) {
                 count(constraint::violation(task, pixel, margin + radius));
             }
+        }
+        for command in plan.as_chunks::<DOF>().0 {
+            arm::violations_px(problem.dampers, command).for_each(&mut count);
         }
         let is_finite = outcome.merit(1.0).is_finite();
         is_finite.then_some(Iterate { plan, outcome })

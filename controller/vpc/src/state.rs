@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::arm::Posture;
 use crate::blind::Blind;
 use crate::delay::History;
 use crate::drift::Drift;
@@ -50,6 +51,8 @@ pub struct State {
     pub drift: Drift,
     /// How well the pose is known while points are hidden.
     pub blind: Blind,
+    /// Where the arm's joints were told to be, where it is known.
+    pub joints: Option<Posture>,
     /// The recent features and commands, to check that the image follows.
     pub follow: Follow,
     /// The command that was sent last.
@@ -77,6 +80,7 @@ impl State {
             still_px: 0.0,
             drift: Drift::NONE,
             blind: Blind::whole(0),
+            joints: None,
             follow: Follow::NEW,
             standing: [0.0; DOF],
             history: History::new(),

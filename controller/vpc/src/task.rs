@@ -2,12 +2,13 @@
 
 use core::f64::consts::FRAC_1_SQRT_2;
 
+use ::arm::{Arm, Dampers, Joints};
 use nalgebra::Vector3;
 use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
 use crate::obstacle::Obstacle;
-use crate::{MAX_POINTS, Twist, camera, motion};
+use crate::{MAX_POINTS, Twist, arm, camera, motion};
 
 /// Most parts of all occlusions together.
 pub const MAX_ALL_PARTS: usize = 48;
@@ -47,6 +48,8 @@ pub struct Task {
     /// h: half the diagonal of a marker's square at a depth of 1 m, px m; 0 where markers are
     /// points.
     pub half_diagonal: f64,
+    /// The arm that carries the camera, where it is known.
+    pub arm: Option<Arm>,
     /// The bounding box of each obstacle, px.
     boxes: heapless::Vec<[[f64; 2]; 2], { MAX_ALL_PARTS + MAX_AREAS }>,
 }
@@ -118,6 +121,7 @@ impl Task {
             ts: scene.sampling_time(),
             reach: scene.sampling_time(),
             half_diagonal: scene.camera.fx.max(scene.camera.fy) * scene.marker_size * FRAC_1_SQRT_2,
+            arm: scene.arm.as_ref().map(arm::of),
             boxes: heapless::Vec::new(),
         };
         task.boxes = task.obstacles().map(Obstacle::bounding_box).collect();
@@ -189,6 +193,17 @@ impl Task {
     pub fn stop_s(&self, twist: &Twist) -> f64 {
         let each = twist.iter().zip(self.acceleration);
         each.map(|(v, most)| v.abs() / most).fold(0.0, f64::max)
+    }
+
+    /// What the arm allows with its joints at `q` of a command in force for `seconds`; `None` where
+    /// either is not known.
+    pub(crate) fn dampers(&self, q: Option<&Joints>, seconds: f64) -> Option<Dampers> {
+        Some(Dampers::at(
+            self.arm.as_ref()?,
+            q?,
+            &self.acceleration,
+            seconds,
+        ))
     }
 
     /// Every part and every area that features must keep clear of.

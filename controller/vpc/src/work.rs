@@ -15,6 +15,8 @@ const ITERATIONS_A_STEP: u32 = 2;
 const STRETCHES: u32 = 11;
 /// Changes of the active set that an iteration may take.
 const CHANGES: u32 = 12;
+/// What an arm costs a command, ns (`cargo bench --bench steer`).
+const ARM: u32 = 2600;
 /// Of this many possible rows, usually one is near enough to count.
 const PAIRS_A_ROW: usize = 20;
 /// Previews of the window beside the solution: the last check with its halvings, the running cost.
@@ -35,6 +37,8 @@ pub struct Prices {
     pub look: u32,
     /// A change of the active set.
     pub change: u32,
+    /// The dampers of an arm, and its joints a step later.
+    pub arm: u32,
     /// Rows of a program, usually.
     rows: u32,
 }
@@ -56,6 +60,7 @@ impl Prices {
             row: 2 + size.clearance_ns,
             look: 1 + n,
             change: 50 + 10 * n * n / 7,
+            arm: if size.has_arm { ARM } else { 0 },
             rows: rows as u32,
         }
     }
@@ -81,11 +86,14 @@ impl Prices {
 
     /// Most work of a decision whose solution has this budget.
     pub const fn decision(self, budget: u32) -> u32 {
-        (budget.saturating_add(budget / 2)).saturating_add(OTHER_PREVIEWS * self.evaluation)
+        (budget.saturating_add(budget / 2))
+            .saturating_add(OTHER_PREVIEWS * self.evaluation + self.arm)
     }
 
     /// The work of a simulated step of foresight, usually.
     pub const fn step(self) -> u32 {
-        self.iteration().saturating_mul(ITERATIONS_A_STEP)
+        self.iteration()
+            .saturating_mul(ITERATIONS_A_STEP)
+            .saturating_add(self.arm)
     }
 }

@@ -77,7 +77,7 @@ impl Driver for Robot {
             margin: 0.15,
             speed: 0.3,
         };
-        let (chain, limits) = (Chain::new(state.f_t_ee), Model::Panda.limits());
+        let (chain, limits) = (Chain::FRANKA.with_ee(state.f_t_ee), Model::Panda.limits());
         let shaper = ShaperSettings::default();
         Room {
             joints: reserve.room(&chain, limits, &shaper, &state.q_d, twist),

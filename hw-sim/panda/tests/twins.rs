@@ -29,7 +29,7 @@ fn postures() -> impl Iterator<Item = Joints> {
 
 #[test]
 fn poses_and_jacobians_are_the_same() {
-    let (ours, theirs) = (Chain::new(hand()), arm::Chain::new(hand()));
+    let (ours, theirs) = (Chain::new(hand()), arm::Chain::FRANKA.with_ee(hand()));
     for q in postures() {
         let posture = ours.posture(&q);
         assert!(difference(&posture.pose, &theirs.pose(&q)).norm() < 1e-9);
@@ -109,7 +109,7 @@ fn joints_move_the_end_effector_the_same_way() {
     let chain = Chain::new(hand());
     let twist = panda::Twist::new(0.05, -0.08, 0.03, 0.1, 0.2, -0.15);
     for q in postures() {
-        let jacobian = arm::Chain::new(hand()).jacobian(&q);
+        let jacobian = arm::Chain::FRANKA.with_ee(hand()).jacobian(&q);
         let dq = inverse(&jacobian) * twist;
         let is_clear = (jacobian * jacobian.transpose()).determinant().sqrt() > 0.01;
         let moved = chain.posture(&q).jacobian * dq;

@@ -169,6 +169,11 @@ impl Arm {
         self.bridge.limited().is_cut
     }
 
+    /// Notes that the robot obeys the controller in this millisecond.
+    pub fn note_steered(&mut self) {
+        self.inspector.steered(self.bridge.limited().by_joint);
+    }
+
     /// Takes a command of the robot's own side, to which the limits of the servoing do not apply.
     pub fn move_by_itself(&mut self, twist: &[f64; 6], until_ns: u64) {
         self.bridge.obey(twist, until_ns, &Caps::NONE);

@@ -78,7 +78,7 @@ impl Driver for Emulated {
 
     fn room(&self, twist: &Twist) -> Room {
         let state = self.robot.state();
-        let chain = Chain::new(state.f_t_ee);
+        let chain = Chain::FRANKA.with_ee(state.f_t_ee);
         let room = |shaper| RESERVE.room(&chain, self.limits, &shaper, &state.q_d, twist);
         Room {
             joints: self.shaper.map_or(1.0, room),

@@ -50,6 +50,10 @@ pub struct ArmReport {
     pub joint_jerk: f64,
     /// Least distance of a joint from an end of its range, rad.
     pub joint_room: f64,
+    /// Milliseconds in which the robot obeyed the controller.
+    pub steered_ms: u64,
+    /// Those in which the bridge slowed the camera down, for a joint or a singular posture.
+    pub slowed_ms: u64,
 }
 
 impl ArmReport {
@@ -92,6 +96,12 @@ impl Inspector {
     /// The report so far.
     pub fn report(&self) -> &ArmReport {
         &self.report
+    }
+
+    /// Notes a millisecond of the controller's, and whether the bridge slowed the camera down.
+    pub fn steered(&mut self, is_slowed: bool) {
+        self.report.steered_ms += 1;
+        self.report.slowed_ms += u64::from(is_slowed);
     }
 
     /// Looks at the state of the next millisecond.

@@ -17,6 +17,8 @@ use crate::ramp::Ramp;
 const SINGULAR: f64 = 0.01;
 /// The damping in a singularity, mixed units of the Jacobian.
 const DAMPING: f64 = 0.05;
+/// The index of joint 3.
+const ELBOW: usize = 2;
 /// Rate at which joint 3 returns to its reference, 1/s.
 const ELBOW_RATE: f64 = 2.0;
 /// Squared part of joint 3 in the free direction under which the elbow is no longer held.
@@ -46,6 +48,13 @@ pub fn inverse(jacobian: &Jacobian) -> Inverse {
     Cholesky::new(damped).map_or_else(Inverse::zeros, |f| jacobian.transpose() * f.inverse())
 }
 
+/// The same with the elbow of seven joints held: joint 3 stands, as far as the free direction turns
+/// it.
+pub fn held(inverse: &Inverse, jacobian: &Jacobian) -> Inverse {
+    let free = free(inverse, jacobian, ELBOW);
+    inverse - free * (inverse.row(ELBOW) / (free[ELBOW] + ELBOW_FADE))
+}
+
 /// The velocity inverse kinematics during one motion.
 #[derive(Clone, Copy, Debug)]
 pub struct VelocityIk {
@@ -70,11 +79,11 @@ impl VelocityIk {
         let longest = columns.max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
         let longest = longest.unwrap_or_default();
         // Positive turns joint 3 forward, where it can.
-        let sign = if longest[2] < 0.0 { -1.0 } else { 1.0 };
+        let sign = if longest[ELBOW] < 0.0 { -1.0 } else { 1.0 };
         Self {
             chain,
             limits,
-            elbow: q[2],
+            elbow: q[ELBOW],
             free: longest.normalize() * sign,
             speed: 0.0,
             acceleration: 0.0,
@@ -96,7 +105,7 @@ impl VelocityIk {
         }
         let task = inverse * twist;
         let target = match is_elbow_free {
-            true => self.elbow_speed(&q, task[2]),
+            true => self.elbow_speed(&q, task[ELBOW]),
             false => 0.0,
         };
         (self.speed, self.acceleration) =
@@ -108,9 +117,9 @@ impl VelocityIk {
     /// at its reference and keeps all joints off the ends of their ranges.
     fn elbow_speed(&self, q: &Joints, task: f64) -> f64 {
         // Where the free direction hardly turns joint 3, the quotient fades instead of growing.
-        let turns = self.free[2];
+        let turns = self.free[ELBOW];
         let share = turns / (turns * turns + ELBOW_FADE);
-        let hold = share * (ELBOW_RATE * (self.elbow - q[2]) - task);
+        let hold = share * (ELBOW_RATE * (self.elbow - q[ELBOW]) - task);
         (hold + self.free.dot(&self.repulsion(q))).clamp(-ELBOW_SPEED, ELBOW_SPEED)
     }
 
@@ -142,7 +151,7 @@ mod tests {
 
     /// The joints after so many milliseconds at this velocity.
     fn follow(q: [f64; 7], twist: Twist, ticks: usize) -> (Chain, Joints) {
-        let chain = Chain::default();
+        let chain = Chain::FRANKA;
         let mut desired = Setpoint {
             q: Joints::from(q),
             dq: Joints::zeros(),
@@ -166,7 +175,7 @@ mod tests {
     #[test]
     fn the_joints_allow_less_than_the_end_effector_may() {
         // At the ready position, along x: 2.38 m/s^2 of 13, joint 2 being the first.
-        let joints = inverse(&Chain::default().jacobian(&Joints::from(READY))) * Twist::x();
+        let joints = inverse(&Chain::FRANKA.jacobian(&Joints::from(READY))) * Twist::x();
         let most = (0..JOINTS).map(|k| LIMITS.0[k].acceleration / joints[k].abs());
         let least = most.fold(f64::INFINITY, f64::min);
         assert!((least - 2.38).abs() < 0.005, "{least}");
@@ -187,7 +196,7 @@ mod tests {
     fn joint_velocities_stay_bounded_in_a_singularity() {
         // The outstretched arm cannot go further out.
         let q = Joints::from([0.0, 0.0, 0.0, -0.07, 0.0, 1.6, 0.0]);
-        let inverse = inverse(&Chain::default().jacobian(&q));
+        let inverse = inverse(&Chain::FRANKA.jacobian(&q));
         assert!(inverse.amax() * 0.1 < 2.0, "{inverse}");
     }
 }

@@ -12,10 +12,11 @@ use nalgebra::{
     IsometryMatrix3, Matrix3, Rotation3, SMatrix, SVector, Translation3, Unit, Vector3,
 };
 
-/// Joints of the arm.
+/// Most joints of an arm.
 pub const JOINTS: usize = 7;
 
-/// One number a joint, base to flange: rad, rad/s, rad/s^2 or rad/s^3.
+/// One number a joint, base to flange: rad, rad/s, rad/s^2 or rad/s^3 of one that turns, m and so on of one
+/// that slides.
 pub type Joints = SVector<f64, JOINTS>;
 
 /// A velocity (vx vy vz in m/s, wx wy wz in rad/s) of a frame's origin, along the axes that the
@@ -28,22 +29,6 @@ pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 /// The pose of a frame in another: x_other = R x + t, m.
 pub type Pose = IsometryMatrix3<f64>;
 
-/// The axis of each joint, and a point on it, m, of the arm that stands straight up, its hand
-/// forward and down.
-const SCREWS: [([f64; 3], [f64; 3]); JOINTS] = [
-    ([0.0, 0.0, 1.0], [0.0, 0.0, 0.333]),
-    ([0.0, 1.0, 0.0], [0.0, 0.0, 0.333]),
-    ([0.0, 0.0, 1.0], [0.0, 0.0, 0.649]),
-    ([0.0, -1.0, 0.0], [0.0825, 0.0, 0.649]),
-    ([0.0, 0.0, 1.0], [0.0, 0.0, 1.033]),
-    ([0.0, -1.0, 0.0], [0.0, 0.0, 1.033]),
-    ([0.0, 0.0, -1.0], [0.088, 0.0, 1.033]),
-];
-
-/// The flange of that arm: its origin, m, and its axes, the x axis forward and the z axis down.
-const FLANGE: Vector3<f64> = Vector3::new(0.088, 0.0, 0.926);
-const FLANGE_AXES: Matrix3<f64> = Matrix3::new(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0);
-
 /// The ready position that Franka's examples start from, rad.
 pub const READY: [f64; JOINTS] = [
     0.0,
@@ -55,23 +40,85 @@ pub const READY: [f64; JOINTS] = [
     FRAC_PI_4,
 ];
 
-/// The arm as a chain of joints from the base to the end effector.
+/// A joint of a chain, as it is where all joints stand at zero; base axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Chain {
-    flange_from_ee: Pose,
+pub struct Screw {
+    /// The direction about which it turns, or along which it slides, of length 1.
+    pub axis: Vector3<f64>,
+    /// A point on the axis, m.
+    pub point: Vector3<f64>,
+    /// Whether it slides; its position and its limits are in m then.
+    pub slides: bool,
 }
 
-impl Default for Chain {
-    /// The end effector is the flange.
-    fn default() -> Self {
-        Self::new(Pose::identity())
+impl Screw {
+    /// The place of a joint that a chain does not have.
+    const NONE: Self = Self::turning([0.0; 3], [0.0; 3]);
+
+    /// A joint that turns.
+    const fn turning([x, y, z]: [f64; 3], [a, b, c]: [f64; 3]) -> Self {
+        Self {
+            axis: Vector3::new(x, y, z),
+            point: Vector3::new(a, b, c),
+            slides: false,
+        }
     }
 }
 
+/// An arm as a chain of 1 to 7 joints from the base to the flange, and an end effector on it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Chain {
+    screws: [Screw; JOINTS],
+    count: usize,
+    /// Where all joints stand at zero.
+    flange: Pose,
+    flange_from_ee: Pose,
+}
+
 impl Chain {
-    /// An arm with this end effector in its flange (F_T_EE).
-    pub const fn new(flange_from_ee: Pose) -> Self {
-        Self { flange_from_ee }
+    /// A Franka Panda or Research 3; its end effector is the flange. At zero it stands straight up,
+    /// its hand forward and down.
+    pub const FRANKA: Self = Self {
+        screws: [
+            Screw::turning([0.0, 0.0, 1.0], [0.0, 0.0, 0.333]),
+            Screw::turning([0.0, 1.0, 0.0], [0.0, 0.0, 0.333]),
+            Screw::turning([0.0, 0.0, 1.0], [0.0, 0.0, 0.649]),
+            Screw::turning([0.0, -1.0, 0.0], [0.0825, 0.0, 0.649]),
+            Screw::turning([0.0, 0.0, 1.0], [0.0, 0.0, 1.033]),
+            Screw::turning([0.0, -1.0, 0.0], [0.0, 0.0, 1.033]),
+            Screw::turning([0.0, 0.0, -1.0], [0.088, 0.0, 1.033]),
+        ],
+        count: JOINTS,
+        flange: placed([0.088, 0.0, 0.926], [1.0, -1.0, -1.0]),
+        flange_from_ee: placed([0.0; 3], [1.0; 3]),
+    };
+
+    /// A chain of these joints, of which the first seven count, with the flange where all stand at
+    /// zero; the end effector is the flange.
+    pub fn new(joints: &[Screw], flange: Pose) -> Self {
+        let mut screws = [Screw::NONE; JOINTS];
+        let pairs = screws.iter_mut().zip(joints);
+        pairs.for_each(|(to, from)| *to = *from);
+        Self {
+            screws,
+            count: joints.len().min(JOINTS),
+            flange,
+            flange_from_ee: Pose::identity(),
+        }
+    }
+
+    /// The same arm with this end effector in its flange (F_T_EE).
+    #[must_use]
+    pub const fn with_ee(self, flange_from_ee: Pose) -> Self {
+        Self {
+            flange_from_ee,
+            ..self
+        }
+    }
+
+    /// How many joints it has; further entries of [`Joints`] mean nothing.
+    pub fn count(&self) -> usize {
+        self.count
     }
 
     /// O_T_F, the flange in the base.
@@ -84,7 +131,8 @@ impl Chain {
         self.flange(q) * self.flange_from_ee
     }
 
-    /// The origins of base, joints 1 to 7 and flange in the base, m.
+    /// The origins of base, joints and flange in the base, m; the base's for a joint that the arm
+    /// does not have.
     pub fn places(&self, q: &Joints) -> [Vector3<f64>; JOINTS + 2] {
         let mut places = [Vector3::zeros(); JOINTS + 2];
         let flange = self.walk(q, |joint, _, point| places[joint + 1] = *point);
@@ -92,21 +140,30 @@ impl Chain {
         places
     }
 
-    /// From joint velocities to the velocity of the end effector's origin along base axes.
+    /// From joint velocities to the velocity of the end effector's origin along base axes; zero for
+    /// a joint that the arm does not have.
     pub fn jacobian(&self, q: &Joints) -> Jacobian {
+        self.at(q).1
+    }
+
+    /// O_T_EE and the Jacobian.
+    pub fn at(&self, q: &Joints) -> (Pose, Jacobian) {
         let mut jacobian = Jacobian::zeros();
         let flange = self.walk(q, |joint, axis, point| {
-            // The velocity of the base's origin, which the end effector's replaces below.
-            let moment = point.cross(axis);
-            jacobian.set_column(joint, &join(&moment, axis));
+            let column = match self.screws[joint].slides {
+                true => join(axis, &Vector3::zeros()),
+                // The velocity of the base's origin, which the end effector's replaces below.
+                false => join(&point.cross(axis), axis),
+            };
+            jacobian.set_column(joint, &column);
         });
-        let origin = (flange * self.flange_from_ee).translation.vector;
+        let ee = flange * self.flange_from_ee;
         for mut column in jacobian.column_iter_mut() {
-            let turn = Vector3::from(column.fixed_rows::<3>(3)).cross(&origin);
+            let turn = Vector3::from(column.fixed_rows::<3>(3)).cross(&ee.translation.vector);
             let mut linear = column.fixed_rows_mut::<3>(0);
             linear += turn;
         }
-        jacobian
+        (ee, jacobian)
     }
 
     /// Walks from the base to the flange, which it returns, and shows the axis and the point of
@@ -114,16 +171,32 @@ impl Chain {
     fn walk(&self, q: &Joints, mut show: impl FnMut(usize, &Vector3<f64>, &Vector3<f64>)) -> Pose {
         let mut rotation = Rotation3::identity();
         let mut shift = Vector3::zeros();
-        for (joint, (axis, point)) in SCREWS.into_iter().enumerate() {
-            let (axis, point) = (Vector3::from(axis), Vector3::from(point));
-            let place = rotation * point + shift;
-            show(joint, &(rotation * axis), &place);
-            rotation *= Rotation3::from_axis_angle(&Unit::new_unchecked(axis), q[joint]);
-            shift = place - rotation * point;
+        for (joint, screw) in self.screws.iter().enumerate().take(self.count) {
+            let axis = rotation * screw.axis;
+            let place = rotation * screw.point + shift;
+            show(joint, &axis, &place);
+            if screw.slides {
+                shift += axis * q[joint];
+            } else {
+                let axis = Unit::new_unchecked(screw.axis);
+                rotation *= Rotation3::from_axis_angle(&axis, q[joint]);
+                shift = place - rotation * screw.point;
+            }
         }
-        let origin = rotation * FLANGE + shift;
-        let axes = rotation * Rotation3::from_matrix_unchecked(FLANGE_AXES);
-        Pose::from_parts(Translation3::from(origin), axes)
+        let origin = rotation * self.flange.translation.vector + shift;
+        Pose::from_parts(Translation3::from(origin), rotation * self.flange.rotation)
+    }
+}
+
+/// A pose there, m, with these axes of the other frame, or against them.
+const fn placed([x, y, z]: [f64; 3], [a, b, c]: [f64; 3]) -> Pose {
+    Pose {
+        rotation: Rotation3::from_matrix_unchecked(Matrix3::new(
+            a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c,
+        )),
+        translation: Translation3 {
+            vector: Vector3::new(x, y, z),
+        },
     }
 }
 
@@ -148,7 +221,7 @@ mod tests {
 
     #[test]
     fn the_ready_position_is_that_of_the_data_sheet() {
-        let flange = Chain::default().flange(&Joints::from(READY));
+        let flange = Chain::FRANKA.flange(&Joints::from(READY));
         let expected = Vector3::new(0.306_890_566, 0.0, 0.590_282_1);
         assert!((flange.translation.vector - expected).norm() < 1e-6);
         // The flange points down, its x axis forward.
@@ -161,7 +234,7 @@ mod tests {
             Translation3::new(0.05, -0.03, 0.1),
             Rotation3::new(Vector3::new(0.3, -0.2, 0.5)),
         );
-        let chain = Chain::new(ee);
+        let chain = Chain::FRANKA.with_ee(ee);
         let q = Joints::from([0.3, -0.6, 0.4, -1.9, 0.7, 1.4, -0.9]);
         let jacobian = chain.jacobian(&q);
         let h = 1e-6;

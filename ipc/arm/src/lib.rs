@@ -5,6 +5,8 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod bridge;
+pub mod damper;
+pub mod description;
 pub mod ik;
 pub mod kinematics;
 pub mod limits;
@@ -15,7 +17,9 @@ pub mod shaper;
 pub mod singularity;
 
 pub use bridge::{Bridge, Caps, Driver, Limited, Measured, Room};
-pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Twist};
+pub use damper::{Bound, Cause, Dampers};
+pub use description::{Arm, Wall};
+pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Screw, Twist};
 pub use limits::{JointLimits, Limits, Model, PERIOD, Setpoint};
 pub use mount::Mount;
 pub use ramp::Ramp;

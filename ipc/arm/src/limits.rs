@@ -152,6 +152,21 @@ static FR3: Limits = Limits([
 ]);
 
 impl JointLimits {
+    /// Those of a joint that an arm does not have.
+    pub const NONE: Self = Self {
+        range: [f64::NEG_INFINITY, f64::INFINITY],
+        velocity: f64::INFINITY,
+        acceleration: f64::INFINITY,
+        jerk: f64::INFINITY,
+        taper: None,
+    };
+
+    /// Limits that are the same in the whole range, rad, rad/s and rad/s^2; of a joint that slides
+    /// in m. The jerk is that of a Franka robot, by its acceleration.
+    pub const fn new(range: [f64; 2], velocity: f64, acceleration: f64) -> Self {
+        joint(range[0], range[1], velocity, acceleration)
+    }
+
     /// The distances from the lower and to the upper end of the range, rad; negative beyond them.
     pub fn room(&self, q: f64) -> [f64; 2] {
         [q - self.range[0], self.range[1] - q]

@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn the_camera_moves_as_told_when_the_joints_move_the_flange_so() {
         let (hand, mount) = (hand(), mount());
-        let chain = Chain::new(hand);
+        let chain = Chain::FRANKA.with_ee(hand);
         let q = Joints::from(POSITIONS);
         let dq = Joints::from([0.3, -0.2, 0.5, 0.1, -0.4, 0.6, -0.7]);
         let ee = chain.pose(&q).rotation;
@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn there_and_back_is_the_same_motion_and_the_same_place() {
         let mount = mount();
-        let flange = Chain::default().flange(&Joints::from(POSITIONS));
+        let flange = Chain::FRANKA.flange(&Joints::from(POSITIONS));
         let twist = Twist::new(0.1, -0.2, 0.3, 0.4, -0.5, 0.6);
         let hand = hand();
         let ee = flange.rotation * hand.rotation;

@@ -58,7 +58,7 @@ mod tests {
 
     fn strained(q: [f64; 7]) -> f64 {
         let (limits, shaper) = (Model::Panda.limits(), ShaperSettings::default());
-        strain(&Chain::default(), limits, &shaper, &Joints::from(q))
+        strain(&Chain::FRANKA, limits, &shaper, &Joints::from(q))
     }
 
     #[test]
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn the_way_into_a_singularity_slows_and_the_way_out_does_not() {
-        let (chain, limits) = (Chain::default(), Model::Panda.limits());
+        let (chain, limits) = (Chain::FRANKA, Model::Panda.limits());
         let shaper = ShaperSettings::default();
         let up = Twist::z() * 0.1;
         let mut q = Joints::from(crate::READY);

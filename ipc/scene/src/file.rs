@@ -10,12 +10,17 @@ use toml_schema::{Document, FileError};
 use crate::model::*;
 
 /// Controller, builder and emulator must agree on the scene. A memory fits only the scene it was
-/// built for, but `success`, `starts`, `cost`, the limits of acceleration, `marker_size` and the
-/// keys `name`, `grasped`, `on_lens` and `crossable` of occlusions may change.
+/// built for, but `success`, `starts`, `cost`, the limits of acceleration, `arm`, `marker_size` and
+/// the keys `name`, `grasped`, `on_lens` and `crossable` of occlusions may change.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Scene")]
 struct Tables {
+    /// File of the arm that carries the camera, relative to the scene file. Without one the camera
+    /// flies freely.
+    #[serde(default)]
+    #[schemars(extend("x-allowed" = "a TOML file, see arm.schema.json"))]
+    arm: Option<String>,
     camera: Camera,
     pattern: Pattern,
     /// Pose of the object in the camera frame (x right, y down, z forward) at the goal; it shows
@@ -87,46 +92,47 @@ impl Scene {
         Self::parse(&toml_schema::read_text(path)?, &path.display().to_string())
     }
 
-    /// Checks the text of a scene file; `path` is for messages, and masks are looked for beside it.
+    /// Checks the text of a scene file; `path` is for messages, and the files that it names are looked
+    /// for beside it.
     ///
     /// # Errors
     /// As [`Scene::read`].
     pub fn parse(text: &str, path: &str) -> Result<Self, FileError> {
-        Self::parse_with(text, path, &|mask| read_mask(&beside(path, mask)))
+        Self::parse_with(text, path, &|name| read_beside(&beside(path, name)))
     }
 
-    /// As [`Scene::parse`], with masks from elsewhere: `masks` returns the PNG file of a name in
-    /// the text.
+    /// As [`Scene::parse`], with the files that it names from elsewhere: `beside` returns the one of
+    /// a name in the text.
     ///
     /// # Errors
     /// As [`Scene::read`].
     pub fn parse_with(
         text: &str,
         path: &str,
-        masks: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
+        beside: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
     ) -> Result<Self, FileError> {
         let document = Document::parse(text, path)?;
         let tables: Tables = document.check()?;
         Checker {
             document,
             path,
-            masks,
+            beside,
         }
         .scene(tables)
     }
 }
 
-/// Reads a file that is to be a mask.
-pub(crate) fn read_mask(path: &Path) -> std::io::Result<Vec<u8>> {
-    toml_schema::read_bytes(path, MOST_MASK)
+/// Reads a file that a scene names.
+pub(crate) fn read_beside(path: &Path) -> std::io::Result<Vec<u8>> {
+    toml_schema::read_bytes(path, MOST_BESIDE)
 }
 
-fn beside(path: &str, mask: &str) -> std::path::PathBuf {
-    Path::new(path).parent().unwrap_or(Path::new("")).join(mask)
+fn beside(path: &str, name: &str) -> std::path::PathBuf {
+    Path::new(path).parent().unwrap_or(Path::new("")).join(name)
 }
 
-/// Largest mask file, bytes: four for each pixel that a mask may have, not compressed.
-const MOST_MASK: u64 = 4 * mask::MOST_PIXELS as u64;
+/// Largest file that a scene names, bytes: four for each pixel that a mask may have, not compressed.
+const MOST_BESIDE: u64 = 4 * mask::MOST_PIXELS as u64;
 /// Longest time that a stop from the velocity limits may take, s.
 const MAX_STOP_S: f64 = 5.0;
 
@@ -134,7 +140,8 @@ const MAX_STOP_S: f64 = 5.0;
 struct Checker<'a> {
     document: Document,
     path: &'a str,
-    masks: &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>,
+    /// Reads a file that the scene, or its arm, names.
+    beside: &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>,
 }
 
 impl Checker<'_> {
@@ -160,6 +167,7 @@ impl Checker<'_> {
             success: tables.success,
             starts: tables.starts,
             occlusions: self.occlusions(tables.occlusion, &camera)?,
+            arm: self.arm(tables.arm.as_deref())?,
         };
         self.goal(&scene)?;
         Ok(scene)
@@ -292,8 +300,14 @@ impl Checker<'_> {
         Ok(occlusions)
     }
 
+    fn arm(&self, name: Option<&str>) -> Result<Option<Arm>, FileError> {
+        let directory = Path::new(self.path).parent().unwrap_or(Path::new(""));
+        let read = |name: &str| crate::arm::parse(name, directory, self.beside);
+        name.map(read).transpose()
+    }
+
     fn mask(&self, key: &str, mask: &str, camera: &Camera) -> Result<Mask, FileError> {
-        let bytes = (self.masks)(mask).map_err(MaskError::Read);
+        let bytes = (self.beside)(mask).map_err(MaskError::Read);
         let (width, height) = (camera.width as u32, camera.height as u32);
         let read = bytes.and_then(|bytes| Mask::decode(&bytes, width, height));
         read.map_err(|reason| FileError::Syntax {

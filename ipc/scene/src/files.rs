@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use toml_schema::FileError;
 
 use crate::Scene;
-use crate::file::read_mask;
+use crate::file::read_beside;
 
 /// A scene with its files, as they were read: one may be painted over meanwhile.
 #[derive(Clone, Debug)]
@@ -21,12 +21,13 @@ pub struct SceneFiles {
     pub path: String,
     /// The scene file.
     pub text: String,
-    /// Its masks (PNG), by the names that it gives them.
-    pub masks: BTreeMap<String, Vec<u8>>,
+    /// The files beside it, by the names that it gives them: masks (PNG), the arm (TOML) and its
+    /// URDF.
+    pub beside: BTreeMap<String, Vec<u8>>,
 }
 
 impl SceneFiles {
-    /// Reads a scene file and its masks.
+    /// Reads a scene file and those beside it.
     ///
     /// # Errors
     /// As [`Scene::read`].
@@ -34,34 +35,34 @@ impl SceneFiles {
         let name = path.display().to_string();
         let text = toml_schema::read_text(path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
-        Self::parse(text, &name, &|mask| read_mask(&directory.join(mask)))
+        Self::parse(text, &name, &|name| read_beside(&directory.join(name)))
     }
 
-    /// Parses the text of a scene file; `path` is for messages, and `mask` returns the PNG file of
-    /// a name in the text.
+    /// Parses the text of a scene file; `path` is for messages, and `beside` returns the file of a
+    /// name in the text.
     ///
     /// # Errors
     /// As [`Scene::read`].
     pub fn parse(
         text: String,
         path: &str,
-        mask: &dyn Fn(&str) -> io::Result<Vec<u8>>,
+        beside: &dyn Fn(&str) -> io::Result<Vec<u8>>,
     ) -> Result<Self, FileError> {
-        let masks = RefCell::new(BTreeMap::new());
+        let files = RefCell::new(BTreeMap::new());
         let scene = Scene::parse_with(&text, path, &|name| {
-            let png = mask(name)?;
-            masks.borrow_mut().insert(name.to_owned(), png.clone());
-            Ok(png)
+            let bytes = beside(name)?;
+            files.borrow_mut().insert(name.to_owned(), bytes.clone());
+            Ok(bytes)
         })?;
         Ok(Self {
             scene,
             path: path.to_owned(),
             text,
-            masks: masks.into_inner(),
+            beside: files.into_inner(),
         })
     }
 
-    /// SHA-256 of the scene file and its masks, 64 hexadecimal digits. Unlike the fingerprint,
+    /// SHA-256 of the scene file and those beside it, 64 hexadecimal digits. Unlike the fingerprint,
     /// which is the task's, it changes with every byte.
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();
@@ -70,9 +71,9 @@ impl SceneFiles {
             hash.update(bytes);
         };
         put(self.text.as_bytes());
-        for (name, mask) in &self.masks {
+        for (name, bytes) in &self.beside {
             put(name.as_bytes());
-            put(mask);
+            put(bytes);
         }
         let digest: [u8; 32] = hash.finalize().into();
         digest.iter().map(|byte| format!("{byte:02x}")).collect()

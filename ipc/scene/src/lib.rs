@@ -25,6 +25,8 @@ mod fingerprint;
 mod model;
 
 #[cfg(feature = "file")]
+mod arm;
+#[cfg(feature = "file")]
 mod file;
 #[cfg(feature = "file")]
 mod files;
@@ -38,10 +40,13 @@ mod text;
 pub use fingerprint::Fingerprint;
 pub use mask::{Area, Field, MAX_AREAS, Mask};
 pub use model::{
-    Camera, Cost, Limits, MAX_OCCLUSIONS, MAX_PARTS, MAX_POINTS, MIN_POINTS, Name, Occlusion, Part,
-    Pose, Scene, StartRegion, Success,
+    Arm, ArmJoint, Camera, Cost, Limits, MAX_JOINTS, MAX_OCCLUSIONS, MAX_PARTS, MAX_POINTS,
+    MAX_WALL_POINTS, MAX_WALLS, MIN_POINTS, Name, Occlusion, Part, Pose, Scene, StartRegion,
+    Success, Wall,
 };
 
+#[cfg(feature = "file")]
+pub use arm::schema as arm_schema;
 #[cfg(feature = "file")]
 pub use file::schema;
 #[cfg(feature = "file")]

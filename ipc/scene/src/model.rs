@@ -15,6 +15,13 @@ pub const MAX_OCCLUSIONS: usize = 12;
 /// Most parts of one occlusion.
 pub const MAX_PARTS: usize = 8;
 
+/// Most joints of an arm.
+pub const MAX_JOINTS: usize = 7;
+/// Most walls of its workspace.
+pub const MAX_WALLS: usize = 8;
+/// Most points that keep behind them, beside the camera.
+pub const MAX_WALL_POINTS: usize = 3;
+
 /// A name of at most 32 bytes.
 pub type Name = String<32>;
 
@@ -45,6 +52,55 @@ pub struct Scene {
     pub starts: StartRegion,
     /// Areas of the image in which no feature may be.
     pub occlusions: Vec<Occlusion, MAX_OCCLUSIONS>,
+    /// The arm that carries the camera, where it is known.
+    pub arm: Option<Arm>,
+}
+
+/// The arm that carries the camera, where all its joints stand at zero, in the frame of its base.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arm {
+    /// Base to camera.
+    pub joints: Vec<ArmJoint, MAX_JOINTS>,
+    /// The camera's origin, m.
+    pub translation: [f64; 3],
+    /// Rows of the rotation from the camera's axes (x right, y down, z forward) to the base's.
+    pub rotation: [[f64; 3]; 3],
+    /// Distance that joints keep from the ends of their ranges, rad, or m of those that slide.
+    pub margin: f64,
+    /// Greatest share of a joint's speed limit, 0 to 1.
+    pub speed: f64,
+    /// Greatest share of a joint's acceleration that the camera's may take, 0 to 1.
+    pub strain: f64,
+    /// Walls of its workspace.
+    pub walls: Vec<Wall, MAX_WALLS>,
+    /// Points that keep behind the walls beside the camera's origin, along camera axes, m.
+    pub points: Vec<[f64; 3], MAX_WALL_POINTS>,
+}
+
+/// A joint of an arm; m in place of rad where it slides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmJoint {
+    /// The direction about which it turns, or along which it slides, of length 1.
+    pub axis: [f64; 3],
+    /// A point on the axis, m.
+    pub point: [f64; 3],
+    /// Whether it slides.
+    pub slides: bool,
+    /// Least and greatest position, rad.
+    pub range: [f64; 2],
+    /// rad/s.
+    pub velocity: f64,
+    /// rad/s^2.
+    pub acceleration: f64,
+}
+
+/// A wall: points stay on the side that its normal shows to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wall {
+    /// Of length 1.
+    pub normal: [f64; 3],
+    /// How far the wall is from the base's origin along the normal, m.
+    pub offset: f64,
 }
 
 /// A table of the scene file: a struct that is read from TOML and has a JSON Schema with the

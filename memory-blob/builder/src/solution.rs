@@ -97,6 +97,7 @@ impl<'a> Finder<'a> {
             standing: [0.0; 6],
             interval: f64::INFINITY,
             margin: 0.0,
+            dampers: None,
         };
         let plan: Plan = std::array::from_fn(|k| if k < 6 { warm[k] } else { 0.0 });
         let mut solver = Solver::new(self.size, self.settings.solver(), &mut self.workspace)?;

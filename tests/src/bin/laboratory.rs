@@ -48,6 +48,12 @@ struct Cli {
     /// Times the scene's limits of speed.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
+    /// The arm that the law is told of (TOML).
+    #[arg(long, default_value = "ipc/scene/scenes/panda.toml")]
+    arm: PathBuf,
+    /// Tell the law of no arm: it takes the camera for a free one.
+    #[arg(long)]
+    free: bool,
     /// A key of `[law]` that goes over controller/vpcd-tags.toml, such as margin_px=6; may be given
     /// several times.
     #[arg(long, value_name = "KEY=VALUE")]
@@ -86,7 +92,7 @@ fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     let place = laboratory::place();
     let _place = children.place(place.clone());
     fs::create_dir_all(&place)?;
-    let scene = faster(&cli.scene, cli.speed, &place)?;
+    let scene = told(cli, &place)?;
     let programs = children.build(&["vpcd", "hw-sim", "vpc-memory"])?;
     children.build_package("vpc-camera")?;
     let starts = cli.starts.file(children, &scene, Product::Starts, &place)?;
@@ -152,9 +158,10 @@ fn chosen(mut flaws: Vec<Flaw>, only: &[String]) -> anyhow::Result<Vec<Flaw>> {
     Ok(flaws)
 }
 
-/// The scene with other limits of speed, in a directory; its masks stay where they are.
-fn faster(scene: &Path, factor: f64, place: &Path) -> anyhow::Result<PathBuf> {
-    if factor == 1.0 {
+/// The scene with other limits of speed and an arm, in a directory; its masks stay where they are.
+fn told(cli: &Cli, place: &Path) -> anyhow::Result<PathBuf> {
+    let (scene, factor) = (&cli.scene, cli.speed);
+    if factor == 1.0 && cli.free {
         return Ok(scene.to_owned());
     }
     let mut keys: Table = toml::from_str(&fs::read_to_string(scene)?)?;
@@ -165,9 +172,25 @@ fn faster(scene: &Path, factor: f64, place: &Path) -> anyhow::Result<PathBuf> {
         let value = value.with_context(|| format!("{}: limits.{key}", scene.display()))?;
         limits.insert(key.to_owned(), (value * factor).into());
     }
+    if !cli.free {
+        keys.insert("arm".to_owned(), carried(&cli.arm, place)?.into());
+    }
     let path = place.join("scene.toml");
     fs::write(&path, toml::to_string(&keys)?)?;
     Ok(path)
+}
+
+/// Copies the file of an arm and its URDF into a directory; returns the file's name there.
+fn carried(arm: &Path, place: &Path) -> anyhow::Result<String> {
+    let text = fs::read_to_string(arm).with_context(|| arm.display().to_string())?;
+    let mut keys: Table = toml::from_str(&text).with_context(|| arm.display().to_string())?;
+    let urdf = keys.get("urdf").and_then(Value::as_str);
+    let urdf = urdf.with_context(|| format!("{}: no urdf", arm.display()))?;
+    let urdf = arm.parent().unwrap_or(Path::new("")).join(urdf);
+    fs::copy(&urdf, place.join("arm.urdf")).with_context(|| urdf.display().to_string())?;
+    keys.insert("urdf".to_owned(), "arm.urdf".into());
+    fs::write(place.join("arm.toml"), toml::to_string(&keys)?)?;
+    Ok("arm.toml".to_owned())
 }
 
 /// Keys of the law, from KEY=VALUE.

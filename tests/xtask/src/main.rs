@@ -53,6 +53,10 @@ const ARTEFACTS: &[Artefact] = &[
         make: |_| Ok(schema_file(scene::schema())),
     },
     Artefact {
+        path: "ipc/scene/arm.schema.json",
+        make: |_| Ok(schema_file(scene::arm_schema())),
+    },
+    Artefact {
         path: "hw-sim/hw-sim.schema.json",
         make: |_| Ok(schema_file(hw_sim::config::schema())),
     },

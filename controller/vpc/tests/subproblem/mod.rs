@@ -113,6 +113,7 @@ impl Case {
             standing: [0.0; 6],
             interval: self.task.ts,
             margin: 0.0,
+            dampers: None,
         }
     }
 

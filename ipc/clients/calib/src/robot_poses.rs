@@ -32,7 +32,7 @@ pub fn read(path: &Path) -> Result<Vec<RobotPose>, FileError> {
 
 /// The flange in the base, from the joints.
 pub fn flange(q: [f64; 7]) -> Iso3 {
-    let pose = Chain::default().flange(&Joints::from(q));
+    let pose = Chain::FRANKA.flange(&Joints::from(q));
     let [x, y, z] = pose.translation.vector.into();
     let turn = UnitQuaternion::from_rotation_matrix(&pose.rotation).scaled_axis();
     Iso3::new(Vec3::new(x, y, z), Vec3::new(turn.x, turn.y, turn.z))

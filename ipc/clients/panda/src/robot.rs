@@ -178,7 +178,7 @@ pub fn told(state: &Told, mount: &Mount, doing: Doing, data_ns: u64) -> RobotSta
     }
     let (base_from_ee, flange_from_ee) = (pose(&state.O_T_EE), pose(&state.F_T_EE));
     // What is carried out: by the desired joints, on either interface.
-    let chain = Chain::new(flange_from_ee);
+    let chain = Chain::FRANKA.with_ee(flange_from_ee);
     let jacobian = chain.jacobian(&Joints::from(state.q_d));
     let twist = jacobian * Joints::from(state.dq_d);
     let camera = mount.to_camera(&base_from_ee.rotation, &flange_from_ee, &twist);

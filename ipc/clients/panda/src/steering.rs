@@ -37,7 +37,7 @@ pub struct Measured {
 
 impl Measured {
     fn chain(&self) -> Chain {
-        Chain::new(self.end_effector.flange_from_ee)
+        Chain::FRANKA.with_ee(self.end_effector.flange_from_ee)
     }
 }
 

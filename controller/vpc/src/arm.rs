@@ -1,0 +1,113 @@
+//! The arm that carries the camera, as far as the law knows it: where its joints are, and the rows
+//! that they give the optimal-control problem.
+//!
+//! The state of the preview has the joints q beside the pose; every step moves them by the bridges'
+//! own mapping. A row is a velocity damper ([`arm::damper`](::arm::damper)) on each free command:
+//! what is left of a joint's range, of its speed, of the way to a wall or to a singular posture. So
+//! a simulated future goes no farther than the arm does, and one that would have to does not arrive.
+//!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | q | [`Posture::q`] | joint positions, rad or m |
+//! | g v <= b | `Bound` | a damper |
+//! | c = P (b - g v) | [`clearance_px`] | its clearance as the solver has it, px |
+//! | P | [`PX`] | weight of a damper against a clearance in the image |
+
+use ::arm::description::{MAX_POINTS, MAX_WALLS};
+use ::arm::{Arm, Bound, Chain, Dampers, JOINTS, JointLimits, Joints, Limits, Pose, Screw, Wall};
+use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3};
+use serde::{Deserialize, Serialize};
+
+use crate::{DOF, Twist};
+
+/// Pixels that 1 rad/s, m/s or 1/s of a damper counts as: above what the same motion moves in the
+/// image.
+const PX: f64 = 1000.0;
+
+/// The arm of a scene; its chain ends at the camera.
+pub fn of(scene: &scene::Arm) -> Arm {
+    let screws = scene.joints.iter().map(|joint| Screw {
+        axis: joint.axis.into(),
+        point: joint.point.into(),
+        slides: joint.slides,
+    });
+    let screws: heapless::Vec<Screw, JOINTS> = screws.collect();
+    let rows = scene.rotation.map(RowVector3::from);
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
+    let camera = Pose::from_parts(Translation3::from(scene.translation), rotation);
+    let mut limits = [JointLimits::NONE; JOINTS];
+    for (to, from) in limits.iter_mut().zip(&scene.joints) {
+        *to = JointLimits::new(from.range, from.velocity, from.acceleration);
+    }
+    let walls = scene.walls.iter().map(|wall| Wall {
+        normal: wall.normal,
+        offset: wall.offset,
+    });
+    let points = core::iter::once([0.0; 3]).chain(scene.points.iter().copied());
+    Arm {
+        chain: Chain::new(&screws, camera),
+        limits: Limits(limits),
+        margin: scene.margin,
+        speed: scene.speed,
+        strain: scene.strain,
+        walls: walls.collect(),
+        points: points.collect(),
+    }
+}
+
+const _: () = assert!(JOINTS == scene::MAX_JOINTS);
+const _: () = assert!(MAX_WALLS == scene::MAX_WALLS && MAX_POINTS == scene::MAX_WALL_POINTS + 1);
+
+/// Where an arm's joints were. Plain data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Posture {
+    /// Base to flange, rad or m; further entries are zero.
+    pub q: [f64; JOINTS],
+    /// When, on the clock of the exposures, ns.
+    pub at_ns: u64,
+}
+
+impl Posture {
+    /// The posture of an arm with so many joints.
+    pub fn new(q: &[f64], at_ns: u64) -> Self {
+        let mut all = [0.0; JOINTS];
+        all.iter_mut().zip(q).for_each(|(to, from)| *to = *from);
+        Self { q: all, at_ns }
+    }
+}
+
+/// The joints after the camera has moved at `twist` for `seconds`.
+pub(crate) fn moved(
+    arm: Option<&Arm>,
+    q: Option<&Joints>,
+    twist: &Twist,
+    seconds: f64,
+) -> Option<Joints> {
+    Some(arm?.moved(q?, twist, seconds))
+}
+
+/// How far a command is within a damper, px; negative beyond it.
+pub(crate) fn clearance_px(bound: &Bound, twist: &Twist) -> f64 {
+    let along: f64 = bound.gradient.iter().zip(twist).map(|(g, v)| g * v).sum();
+    PX * (bound.most - along)
+}
+
+/// The derivative of [`clearance_px`] by the command.
+pub(crate) fn slope(bound: &Bound) -> [f64; DOF] {
+    bound.gradient.map(|g| -PX * g)
+}
+
+/// By how much a command is beyond its dampers, px: each.
+pub(crate) fn violations_px<'a>(
+    dampers: Option<&'a Dampers>,
+    twist: &'a Twist,
+) -> impl Iterator<Item = f64> + 'a {
+    let bounds = dampers.into_iter().flat_map(|all| &all.bounds);
+    bounds.map(|bound| (-clearance_px(bound, twist)).max(0.0))
+}
+
+/// The part of a command that its dampers allow, its direction kept.
+pub(crate) fn within(dampers: Option<&Dampers>, twist: &Twist) -> Twist {
+    let share = dampers.map_or(1.0, |dampers| dampers.share(twist));
+    twist.map(|v| share * v)
+}

@@ -1,0 +1,267 @@
+//! An arm that carries the camera: its joints keep within their ranges whatever the law is shown,
+//! and futures go no farther than it does.
+
+use arm::{Arm, Chain, JOINTS, Joints, Model, Pose, READY};
+use nalgebra::{Point3, Rotation3, Translation3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scene::Scene;
+use vpc::{Law, Measurement, Refusal, Settings, Strategy};
+
+const PERIOD_NS: u64 = 33_333_333;
+
+/// The paper's robot scene at ten times its speed, with the shipped Panda or a free camera.
+fn scene(knows_arm: bool) -> Scene {
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../../ipc/scene/scenes/s.toml");
+    let key = if knows_arm {
+        "arm = \"panda.toml\"\n"
+    } else {
+        ""
+    };
+    let text = format!("{key}{}", scene::PAPER_ROBOT);
+    let mut scene = Scene::parse(&text, shipped).unwrap();
+    (scene.limits.linear, scene.limits.angular) = (0.1, 0.3);
+    scene
+}
+
+/// The arm of the scene.
+fn panda() -> Arm {
+    vpc::arm::of(&scene(true).arm.unwrap())
+}
+
+fn law(scene: &Scene, strategy: Strategy) -> Law<Vec<f64>> {
+    let settings = Settings {
+        strategy,
+        step_s: 0.4,
+        ..Settings::default()
+    };
+    Law::new(scene, settings, |len| vec![0.0; len]).unwrap()
+}
+
+/// How much a joint at least has left to the ends of its range, rad.
+fn room(arm: &Arm, q: &Joints) -> f64 {
+    let room = |k: usize| {
+        arm.limits.0[k]
+            .room(q[k])
+            .into_iter()
+            .fold(f64::INFINITY, f64::min)
+    };
+    (0..JOINTS).map(room).fold(f64::INFINITY, f64::min)
+}
+
+/// Inputs of each test that draws them: `VPC_LONG=1` a million.
+fn inputs() -> usize {
+    match std::env::var_os("VPC_LONG") {
+        Some(_) => 1_000_000,
+        None => 30_000,
+    }
+}
+
+#[test]
+fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let mut scene = scene(true);
+    let table = scene::Wall {
+        normal: [0.0, 0.0, 1.0],
+        offset: 0.1,
+    };
+    scene.arm.as_mut().unwrap().walls.push(table).unwrap();
+    let arm = panda();
+    let (mut nearest, mut lowest, mut bound) = (f64::INFINITY, f64::INFINITY, 0);
+    for strategy in [Strategy::Previous, Strategy::Foresight, Strategy::Ibvs] {
+        let mut law = law(&scene, strategy);
+        let (mut q, mut target) = (Joints::from(READY), [[0.0; 2]; 4]);
+        for k in 0..inputs() / 3 {
+            if k % 40 == 0 {
+                // Anywhere within the ranges; and another picture to run after.
+                q = Joints::from_fn(|k, _| {
+                    let [least, most] = arm.limits.0[k].range;
+                    random.random_range(least + arm.margin..most - arm.margin)
+                });
+                let [u, v] = [
+                    random.random_range(150.0..450.0),
+                    random.random_range(100.0..300.0),
+                ];
+                let size = random.random_range(20.0..120.0);
+                target = [[u, v], [u + size, v], [u + size, v + size], [u, v + size]];
+                law.reset();
+                law.sent(&[0.0; 6], k as u64 * PERIOD_NS);
+            }
+            let camera = arm.chain.pose(&q);
+            if camera.translation.z < 0.1 {
+                continue;
+            }
+            let now_ns = k as u64 * PERIOD_NS;
+            let noise = |x: f64, random: &mut ChaCha8Rng| x + random.random_range(-8.0..8.0);
+            let points = target.map(|p| p.map(|x| noise(x, &mut random)));
+            law.see_joints(q.as_slice(), now_ns);
+            let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
+            let Ok(step) = law.step(&measured, None) else {
+                law.sent(&[0.0; 6], now_ns);
+                continue;
+            };
+            law.sent(&step.twist, now_ns);
+            if k % 8 == 0 {
+                law.think(None);
+            }
+            // A robot that obeys at once, a millisecond at a time.
+            for _ in 0..33 {
+                q = arm.moved(&q, &step.twist, 1e-3);
+            }
+            let left = room(&arm, &q);
+            bound += usize::from(left < 1.05 * arm.margin);
+            nearest = nearest.min(left);
+            lowest = lowest.min(arm.chain.pose(&q).translation.z);
+        }
+    }
+    // Where a posture turns singular on the way, braking takes a part of the margin.
+    assert!(nearest > 0.6 * arm.margin, "{nearest} rad left");
+    assert!(lowest > 0.097, "{lowest} m above the base");
+    // The bounds were needed.
+    assert!(bound > 100, "{bound}");
+}
+
+#[test]
+fn a_start_whose_way_ends_at_a_joint_arrives_where_the_law_knows_the_arm() {
+    // The object lies half a metre before the arm; the camera starts high above it.
+    let object = Pose::from_parts(
+        Translation3::new(0.5, 0.0, 0.05),
+        Rotation3::from_matrix_unchecked(nalgebra::Matrix3::new(
+            0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0,
+        )),
+    );
+    let arm = panda();
+    let drawn = |random: &mut ChaCha8Rng| loop {
+        let mut place = || random.random_range(-1.0..1.0);
+        let q = Joints::from_fn(|k, _| READY[k] + 0.5 * place());
+        let camera = arm.chain.pose(&q);
+        let points = seen(&scene(false), &(camera.inverse() * object));
+        let inside = |p: &[f64; 2]| (20.0..620.0).contains(&p[0]) && (20.0..380.0).contains(&p[1]);
+        if room(&arm, &q) > 0.3 && points.is_some_and(|points| points.iter().all(inside)) {
+            return q;
+        }
+    };
+    let arrivals = [false, true].map(|knows| {
+        let mut random = ChaCha8Rng::seed_from_u64(6);
+        let scene = scene(knows);
+        let mut law = law(&scene, Strategy::Foresight);
+        let arrives = |_: &usize| {
+            law.reset();
+            arrives(&mut law, &scene, &arm, &object, drawn(&mut random))
+        };
+        (0..12).filter(arrives).count()
+    });
+    assert!(
+        arrivals[1] >= 11 && arrivals[1] > arrivals[0],
+        "{arrivals:?}"
+    );
+}
+
+/// Whether the law brings the camera to the goal with an arm that slows down as its bridge does.
+fn arrives(
+    law: &mut Law<Vec<f64>>,
+    scene: &Scene,
+    arm: &Arm,
+    object: &Pose,
+    mut q: Joints,
+) -> bool {
+    let bridge = Arm {
+        margin: 0.15,
+        speed: 0.3,
+        strain: 0.7,
+        ..arm.clone()
+    };
+    let acceleration = scene.limits.acceleration();
+    for k in 0..(scene.success.time_s * 30.0) as u64 / 3 {
+        let now_ns = k * PERIOD_NS;
+        let Some(points) = seen(scene, &(arm.chain.pose(&q).inverse() * object)) else {
+            return false;
+        };
+        law.see_joints(q.as_slice(), now_ns);
+        let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
+        let Ok(step) = law.step(&measured, None) else {
+            return false;
+        };
+        if step.error_px < scene.success.convergence_px {
+            return true;
+        }
+        law.sent(&step.twist, now_ns);
+        law.think(None);
+        let dampers = arm::Dampers::at(&bridge, &q, &acceleration, 0.033);
+        let share = dampers.share(&step.twist);
+        q = arm.moved(&q, &step.twist.map(|v| share * v), 1.0 / 30.0);
+    }
+    false
+}
+
+/// The points of the pattern in the image, px, if all are before the camera.
+fn seen(scene: &Scene, object: &Pose) -> Option<Vec<[f64; 2]>> {
+    let camera = &scene.camera;
+    let pixel = |point: &[f64; 3]| {
+        let x = object * Point3::from(*point);
+        let [a, b] = [x.x / x.z, x.y / x.z];
+        (x.z > 0.05).then_some([camera.fx * a + camera.cx, camera.fy * b + camera.cy])
+    };
+    scene.pattern.iter().map(pixel).collect()
+}
+
+#[test]
+fn the_shipped_arm_moves_as_the_bridges_know_it() {
+    let (arm, turned) = (
+        panda(),
+        Rotation3::new(Vector3::z() * std::f64::consts::FRAC_PI_4),
+    );
+    let aside = 0.07 * 0.5f64.sqrt();
+    let camera = Pose::from_parts(Translation3::new(aside, -aside, 0.04), turned);
+    let theirs = Chain::FRANKA.with_ee(camera);
+    for k in 0..50 {
+        let q = Joints::from_fn(|i, _| ((7 * k + 3 * i) % 11) as f64 * 0.2 - 1.0);
+        let apart = arm.chain.pose(&q).to_matrix() - theirs.pose(&q).to_matrix();
+        assert!(apart.norm() < 1e-12, "{apart}");
+        let apart = arm.chain.jacobian(&q) - theirs.jacobian(&q);
+        assert!(apart.norm() < 1e-12, "{apart}");
+    }
+    for (ours, theirs) in arm.limits.0.iter().zip(Model::Panda.limits().0) {
+        assert_eq!(*ours, theirs);
+    }
+}
+
+#[test]
+fn a_law_with_an_arm_waits_for_its_joints() {
+    let with = scene(true);
+    let mut law = law(&with, Strategy::Previous);
+    let points = law.task().goal.clone();
+    let measured = Measurement::from_points(&points);
+    assert_eq!(law.step(&measured, None), Err(Refusal::NoJoints));
+    // Of another arm.
+    law.see_joints(&READY[..6], 0);
+    assert_eq!(law.step(&measured, None), Err(Refusal::NoJoints));
+    law.see_joints(&READY, 0);
+    assert!(law.step(&measured, None).is_ok());
+}
+
+#[test]
+fn without_an_arm_joints_change_nothing() {
+    let without = scene(false);
+    let mut laws = [0, 1].map(|_| law(&without, Strategy::Foresight));
+    for k in 0..40 {
+        let now_ns = k * PERIOD_NS;
+        laws[1].see_joints(&READY, now_ns);
+        let points = [
+            [100.0, 100.0],
+            [200.0, 101.0],
+            [199.0, 180.0],
+            [99.0, 181.0],
+        ];
+        let points = points.map(|p| p.map(|x| x + k as f64));
+        let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
+        let [a, b] = laws.each_mut().map(|law| {
+            let step = law.step(&measured, None).unwrap();
+            law.sent(&step.twist, now_ns);
+            law.think(None);
+            step
+        });
+        assert_eq!(a, b);
+        assert_eq!(laws[0].state(), laws[1].state());
+    }
+}

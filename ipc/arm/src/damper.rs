@@ -1,0 +1,354 @@
+//! Velocity dampers: the bounds on the camera's velocity by which an arm keeps within its ranges,
+//! speeds and walls, and off its singular postures.
+//!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | v | | the camera's velocity along camera axes, m/s and rad/s |
+//! | dq = M v | [`Dampers::joints`] | velocities of the joints, the elbow held |
+//! | h(q) | | what is left: to the end of a range, to a wall, of the acceleration; negative beyond |
+//! | g v <= b | [`Bound`] | -dh/dt is no greater than what is left allows |
+//!
+//! Every b is at least 0, so that standing still is always allowed, and with a twist each shorter
+//! one. A motion that keeps to all bounds leaves no range that it is in.
+//!
+//! Nearness to a singular posture is measured by what the camera's accelerations ask of the joints'
+//! there, as in [`singularity`](crate::singularity): the robot refuses that first, and unlike a
+//! singular value it needs no exchange of metres for radians.
+//!
+//! Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
+//! manipulators with a high number of degrees of freedom", ICRA 1987.
+
+use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
+
+use crate::description::{Arm, MAX_POINTS, MAX_WALLS};
+use crate::ik::{held, inverse};
+use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};
+use crate::reserve::nearing;
+
+/// Deceleration with which joints near the ends of their ranges, rad/s^2 or m/s^2; also of points
+/// near a wall, m/s^2.
+const DECELERATION: f64 = 0.5;
+/// Least time in which what is left may be used up, s: some periods of the law.
+const LEAST_S: f64 = 0.15;
+/// Rate at which the share of the joints' accelerations that is left may shrink, 1/s.
+const RATE: f64 = 2.0;
+
+/// Most bounds of an arm.
+pub const MAX_BOUNDS: usize = 2 * JOINTS + 1 + MAX_WALLS * MAX_POINTS;
+
+/// What bounds a motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// The joint of this index, base to flange: the end of its range, or its speed.
+    Joint(usize),
+    /// A singular posture.
+    Singularity,
+    /// The wall of this index.
+    Wall(usize),
+}
+
+/// A bound on the camera's velocity: `gradient` times it is at most `most`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bound {
+    /// g, for a velocity along camera axes.
+    pub gradient: [f64; 6],
+    /// b, at least 0; rad/s of a joint that turns, m/s of one that slides and of a wall, 1/s of a
+    /// singularity.
+    pub most: f64,
+    /// What bounds.
+    pub cause: Cause,
+}
+
+impl Bound {
+    /// By how much a camera's velocity is beyond it, in its own unit; 0 within.
+    pub fn excess(&self, twist: &[f64; 6]) -> f64 {
+        let pairs = self.gradient.iter().zip(twist);
+        let sum: f64 = pairs.map(|(g, v)| g * v).sum();
+        (sum - self.most).max(0.0)
+    }
+}
+
+/// The bounds of a posture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dampers {
+    /// M: from the camera's velocity along its axes to those of the joints.
+    map: SMatrix<f64, JOINTS, 6>,
+    /// All bounds.
+    pub bounds: heapless::Vec<Bound, MAX_BOUNDS>,
+}
+
+impl Dampers {
+    /// Those of an arm at `q` whose camera changes its velocity by at most `accelerations`, m/s^2
+    /// and rad/s^2, for a velocity that is held for `seconds`. Where the accelerations are not
+    /// finite, no singular posture is known.
+    pub fn at(arm: &Arm, q: &Joints, accelerations: &[f64; 6], seconds: f64) -> Self {
+        let least_s = seconds.max(LEAST_S);
+        let damped = |left: f64| damped(left, least_s);
+        let (camera, jacobian) = arm.chain.at(q);
+        let along = along_camera(&camera);
+        let inverse = inverse(&jacobian);
+        let map = held(&inverse, &jacobian) * along;
+        let mut bounds = heapless::Vec::new();
+        let mut add = |gradient: [f64; 6], most, cause| {
+            // There is room for all.
+            let _ = bounds.push(Bound {
+                gradient,
+                most,
+                cause,
+            });
+        };
+        for k in 0..arm.chain.count() {
+            let joint = &arm.limits.0[k];
+            let row: [f64; 6] = map.row(k).transpose().into();
+            for (side, sign) in [(0, -1.0), (1, 1.0)] {
+                let left = joint.room(q[k])[side] - arm.margin;
+                let fastest = arm.speed * joint.speeds(q[k])[side];
+                add(
+                    row.map(|g| sign * g),
+                    damped(left).min(fastest),
+                    Cause::Joint(k),
+                );
+            }
+        }
+        if accelerations.iter().all(|a| a.is_finite()) {
+            let strain = Strain::at(arm, &jacobian, &inverse, accelerations);
+            let most = RATE.min(1.0 / least_s) * (arm.strain - strain.now).max(0.0);
+            let gradient = (strain.gradient * map).transpose().into();
+            add(gradient, most, Cause::Singularity);
+        }
+        for (i, wall) in arm.walls.iter().enumerate() {
+            let normal = Vector3::from(wall.normal);
+            for point in &arm.points {
+                let away = camera.rotation * Vector3::from(*point);
+                let left = wall.distance(&(camera.translation.vector + away));
+                let turned = camera.rotation.inverse() * normal;
+                let moment = camera.rotation.inverse() * away.cross(&normal);
+                let gradient = [turned.x, turned.y, turned.z, moment.x, moment.y, moment.z];
+                add(gradient.map(|g| -g), damped(left), Cause::Wall(i));
+            }
+        }
+        Self { map, bounds }
+    }
+
+    /// How much of a camera's velocity they allow, 0 to 1.
+    pub fn share(&self, twist: &[f64; 6]) -> f64 {
+        let share = |bound: &Bound| {
+            let excess = bound.excess(twist);
+            match excess > 0.0 {
+                true => bound.most / (bound.most + excess),
+                false => 1.0,
+            }
+        };
+        self.bounds.iter().map(share).fold(1.0, f64::min)
+    }
+
+    /// The velocities of the joints while the camera moves at `twist` along its axes.
+    pub fn joints(&self, twist: &[f64; 6]) -> Joints {
+        self.map * Twist::from(*twist)
+    }
+}
+
+impl Arm {
+    /// The joints after the camera has moved at `twist` along its axes for so long, with the elbow
+    /// held; by the midpoint rule.
+    pub fn moved(&self, q: &Joints, twist: &[f64; 6], seconds: f64) -> Joints {
+        let velocities = |q: &Joints| {
+            let (camera, jacobian) = self.chain.at(q);
+            held(&inverse(&jacobian), &jacobian) * (along_camera(&camera) * Twist::from(*twist))
+        };
+        let middle = q + velocities(q) * (0.5 * seconds);
+        q + velocities(&middle) * seconds
+    }
+}
+
+/// The greatest speed towards what is `left` away, and not to be used up in less than `least_s`.
+fn damped(left: f64, least_s: f64) -> f64 {
+    nearing(left, DECELERATION).min(left.max(0.0) / least_s)
+}
+
+/// From a velocity along camera axes to one along base axes.
+fn along_camera(camera: &Pose) -> Matrix6<f64> {
+    let mut along = Matrix6::zeros();
+    for at in [0, 3] {
+        let mut block = along.fixed_view_mut::<3, 3>(at, at);
+        block.copy_from(camera.rotation.matrix());
+    }
+    along
+}
+
+/// The largest share of a joint's acceleration that the camera's may ask for, and its derivative.
+struct Strain {
+    now: f64,
+    /// By each joint, 1/rad or 1/m.
+    gradient: RowSVector<f64, JOINTS>,
+}
+
+impl Strain {
+    fn at(
+        arm: &Arm,
+        jacobian: &Jacobian,
+        inverse: &SMatrix<f64, JOINTS, 6>,
+        accelerations: &[f64; 6],
+    ) -> Self {
+        let weights = Twist::from(*accelerations);
+        let share = |k: usize| {
+            inverse.row(k).abs().dot(&weights.transpose()) / arm.limits.0[k].acceleration
+        };
+        let shares = (0..arm.chain.count()).map(|k| (k, share(k)));
+        let (joint, now) = shares.fold((0, 0.0), |most, each| match each.1 > most.1 {
+            true => each,
+            false => most,
+        });
+        // s = u w, u the row of the inverse with its signs, w the weights; the derivative of
+        // J^T (J J^T)^-1 is -J# dJ J# + (1 - J# J) dJ^T (J J^T)^-1.
+        let row = inverse.row(joint);
+        let signed = Twist::from_fn(|a, _| weights[a] * row[a].signum());
+        let through = inverse * signed;
+        let mut rest = -(row * jacobian).transpose();
+        rest[joint] += 1.0;
+        let back = inverse.transpose() * through;
+        let gradient = RowSVector::from_fn(|_, i| {
+            let change = |x: &Joints| changed(arm, jacobian, i, x);
+            change(&rest).dot(&back) - (row * change(&through))[0]
+        });
+        Self {
+            now,
+            gradient: gradient / arm.limits.0[joint].acceleration,
+        }
+    }
+}
+
+/// dJ/dq_i x: how fast the velocity by these joint velocities changes as joint `i` moves.
+fn changed(arm: &Arm, jacobian: &Jacobian, i: usize, x: &Joints) -> SVector<f64, 6> {
+    let part = |k: usize, from: usize| Vector3::from(jacobian.fixed_view::<3, 1>(from, k));
+    let axis = part(i, 3);
+    let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
+    for k in 0..arm.chain.count() {
+        // A joint turns all that is behind it, and itself moves nothing before it.
+        linear += x[k]
+            * match k > i {
+                true => axis.cross(&part(k, 0)),
+                false => part(k, 3).cross(&part(i, 0)),
+            };
+        if k > i {
+            angular += axis.cross(&part(k, 3)) * x[k];
+        }
+    }
+    SVector::from([
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
+    ])
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Rotation3, Translation3};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::description::Wall;
+    use crate::limits::Model;
+    use crate::{Chain, READY};
+
+    const ACCELERATIONS: [f64; 6] = [0.5, 0.5, 0.5, 1.2, 1.2, 1.2];
+
+    fn arm() -> Arm {
+        let camera = Pose::from_parts(
+            Translation3::new(0.05, -0.05, 0.04),
+            Rotation3::new(Vector3::z() * 0.8),
+        );
+        let wall = Wall {
+            normal: [0.0, 0.0, 1.0],
+            offset: 0.3,
+        };
+        Arm {
+            chain: Chain::FRANKA.with_ee(camera),
+            limits: *Model::Panda.limits(),
+            margin: 0.2,
+            speed: 0.25,
+            strain: 0.6,
+            walls: [wall].into_iter().collect(),
+            points: [[0.0; 3], [0.0, 0.0, 0.1]].into_iter().collect(),
+        }
+    }
+
+    fn posture(random: &mut ChaCha8Rng) -> Joints {
+        Joints::from_fn(|k, _| READY[k] + random.random_range(-0.5..0.5))
+    }
+
+    #[test]
+    fn joint_velocities_and_walls_are_those_of_the_moved_arm() {
+        let (arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(1));
+        for _ in 0..50 {
+            let q = posture(&mut random);
+            let twist: [f64; 6] = core::array::from_fn(|_| random.random_range(-0.1..0.1));
+            let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 0.0);
+            let dq = dampers.joints(&twist);
+            let h = 1e-6;
+            let moved = (arm.moved(&q, &twist, h) - arm.moved(&q, &twist, -h)) / (2.0 * h);
+            assert!((moved - dq).norm() < 1e-8);
+            let height = |q: &Joints| {
+                let camera = arm.chain.pose(q);
+                arm.points
+                    .iter()
+                    .map(|p| (camera * nalgebra::Point3::from(*p)).z)
+                    .collect::<Vec<_>>()
+            };
+            let walls = dampers.bounds.iter().filter(|b| b.cause == Cause::Wall(0));
+            let (after, before) = (height(&(q + dq * h)), height(&(q - dq * h)));
+            for (bound, (after, before)) in walls.zip(after.iter().zip(before)) {
+                let sinks: f64 = bound.gradient.iter().zip(twist).map(|(g, v)| g * v).sum();
+                assert!((sinks + (after - before) / (2.0 * h)).abs() < 1e-8);
+            }
+        }
+    }
+
+    #[test]
+    fn the_strain_has_the_derivative_that_differences_have() {
+        let (arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(2));
+        for _ in 0..50 {
+            let q = posture(&mut random);
+            let strain = |q: &Joints| {
+                let jacobian = arm.chain.jacobian(q);
+                Strain::at(&arm, &jacobian, &inverse(&jacobian), &ACCELERATIONS)
+            };
+            let exact = strain(&q).gradient;
+            for k in 0..JOINTS {
+                let mut step = Joints::zeros();
+                step[k] = 1e-6;
+                let numeric = (strain(&(q + step)).now - strain(&(q - step)).now) / 2e-6;
+                assert!(
+                    (exact[k] - numeric).abs() < 1e-5,
+                    "{k}: {} {numeric}",
+                    exact[k]
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_motion_within_all_bounds_leaves_no_range() {
+        let (arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(3));
+        let period = 1.0 / 30.0;
+        let mut nearest = f64::INFINITY;
+        for _ in 0..40 {
+            let mut q = posture(&mut random);
+            let wanted: [f64; 6] = core::array::from_fn(|k| {
+                random.random_range(-1.0..1.0) * if k < 3 { 0.3 } else { 1.0 }
+            });
+            for _ in 0..300 {
+                let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, period);
+                let share = dampers.share(&wanted);
+                q = arm.moved(&q, &wanted.map(|v| share * v), period);
+                for (k, joint) in arm.limits.0.iter().enumerate() {
+                    let [below, above] = joint.room(q[k]);
+                    nearest = nearest.min(below).min(above);
+                }
+            }
+        }
+        assert!(
+            nearest > 0.99 * arm.margin && nearest < 1.1 * arm.margin,
+            "{nearest}"
+        );
+    }
+}
