@@ -19,7 +19,7 @@ impl Published {
     /// the scene comes last. Only the user may read them.
     ///
     /// # Errors
-    /// If a file cannot be written, or a mask has a name that leads out of the directory.
+    /// If a file cannot be written, or a file has a name that leads out of the directory.
     pub fn write(files: &SceneFiles, config: &str, domain: &Path) -> io::Result<Self> {
         let (scene, configuration) = (domain.join(SCENE_FILE), domain.join(CONFIG_FILE));
         let directory = |file: &Path| file.parent().unwrap_or(domain).to_owned();
@@ -29,7 +29,7 @@ impl Published {
             let mut parts = Path::new(name).components();
             if !parts.all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
                 return Err(io::Error::other(format!(
-                    "{name}: allowed: a path below the directory of the scene"
+                    "scene: file {name}; allowed: a path below the directory of the scene"
                 )));
             }
             replace(&directory(&scene).join(name), bytes)?;
@@ -91,13 +91,13 @@ mod tests {
     }
 
     #[test]
-    fn no_mask_is_written_outside_the_directory() {
+    fn no_file_is_written_outside_the_directory() {
         let place = tempfile::tempdir().unwrap();
         let mut files =
             SceneFiles::parse(scene::PAPER_SIM.to_owned(), "s", &|_| Ok(vec![])).unwrap();
         files.beside.insert("../up.png".to_owned(), vec![1]);
         let error = Published::write(&files, "", place.path()).unwrap_err();
-        assert!(error.to_string().contains("mask = ../up.png"), "{error}");
+        assert!(error.to_string().contains("file ../up.png"), "{error}");
         assert!(!place.path().join("up.png").exists());
     }
 }

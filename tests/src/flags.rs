@@ -192,6 +192,17 @@ pub struct RobotFlags {
     /// Send the 30 Hz commands to the robot without shaping them to 1 kHz.
     #[arg(long)]
     pub unshaped: bool,
+    /// Begin in postures near the ends of the joints' ranges and near singular postures, drawn by
+    /// this seed: as many as there are starts, which are not used.
+    #[arg(long, value_name = "SEED")]
+    pub edge: Option<u64>,
+    /// Between the law and the bridge is the rule of MoveIt Servo: it slows down by the Jacobian's
+    /// condition number, and stops at the joints' ends.
+    #[arg(long)]
+    pub servo_rule: bool,
+    /// Tell the law of no arm, although the scene has one.
+    #[arg(long)]
+    pub ignore_arm: bool,
     /// Run only this start.
     #[arg(long, value_name = "INDEX")]
     pub only: Option<usize>,

@@ -10,7 +10,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use hw_sim::following::FollowingReport;
 use hw_sim::motion::MotionKeys;
-use hw_sim::robot::inspector::ArmReport;
 use ipc::{Domain, Subscriber};
 use messages::CycleRecord;
 use scene::Scene;
@@ -122,7 +121,7 @@ pub fn row(setup: &Setup<'_>, name: &str, levels: &Levels<'_>) -> anyhow::Result
         summary,
         arrived_s: processes::arrival_s(all().filter(|run| run.is_good())),
         joint_speed: processes::largest(&runs, |arm| arm.joint_velocity),
-        slowed: slowed(runs.iter().map(|(_, run)| &run.arm)),
+        slowed: processes::slowed(runs.iter().map(|(_, run)| &run.arm)),
         least_clearance_px: all()
             .map(|run| run.least_clearance_px)
             .fold(f64::INFINITY, f64::min),
@@ -133,12 +132,6 @@ pub fn row(setup: &Setup<'_>, name: &str, levels: &Levels<'_>) -> anyhow::Result
         ),
         is_following: setup.follow_s > 0.0,
     })
-}
-
-/// The share of the controller's time in which bridges slowed the camera down.
-fn slowed<'a>(reports: impl Iterator<Item = &'a ArmReport> + Clone) -> f64 {
-    let sum = |ms: fn(&ArmReport) -> u64| reports.clone().map(ms).sum::<u64>() as f64;
-    sum(|arm| arm.slowed_ms) / sum(|arm| arm.steered_ms).max(1.0)
 }
 
 /// Three processes, and the starts that they run one after another.

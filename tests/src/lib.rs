@@ -6,6 +6,7 @@
 pub mod children;
 pub mod column;
 pub mod document;
+pub mod edge;
 pub mod fci_table;
 pub mod film;
 pub mod flags;

@@ -107,6 +107,12 @@ pub fn largest(runs: &[(usize, Run)], share: fn(&ArmReport) -> f64) -> f64 {
     shares.fold(0.0, f64::max)
 }
 
+/// The share of the controller's time in which bridges slowed the camera down.
+pub fn slowed<'a>(reports: impl Iterator<Item = &'a ArmReport> + Clone) -> f64 {
+    let sum = |ms: fn(&ArmReport) -> u64| reports.clone().map(ms).sum::<u64>() as f64;
+    sum(|arm| arm.slowed_ms) / sum(|arm| arm.steered_ms).max(1.0)
+}
+
 /// Mean time to arrival, s.
 pub fn arrival_s<'a>(runs: impl Iterator<Item = &'a Run>) -> Option<f64> {
     mean(runs.filter_map(|run| run.arrived_s))

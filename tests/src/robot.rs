@@ -15,6 +15,7 @@ use messages::{CycleRecord, Features, Hold, TwistState};
 use scene::{Pose, Scene};
 use serde::Serialize;
 
+use crate::edge::ServoRule;
 use crate::run::way_point;
 use crate::simulated::Simulated;
 use crate::steering::Steering;
@@ -29,6 +30,9 @@ pub struct RobotRun {
     pub success: bool,
     /// Why not.
     pub reason: Option<Reason>,
+    /// Why the controller held the camera in the last cycle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hold: Option<String>,
     /// Seconds until the run was decided.
     pub time_s: f64,
     /// Seconds until the features arrived.
@@ -108,26 +112,36 @@ pub struct Sample {
     pub arm: ArmRecord,
 }
 
+/// What happens to a run.
+#[derive(Clone, Debug)]
+pub struct Course<'a> {
+    /// How the object moves.
+    pub motion: Motion,
+    /// For how long the following is measured, from a second after the arrival on, s.
+    pub follow_s: f64,
+    /// What stands between the law and the bridge.
+    pub rule: Option<&'a ServoRule>,
+}
+
 /// Runs the daemon from a start until the run is decided. It decides once a period, from the newest
-/// frame that was delivered until then. The object moves, and from a second after the arrival the
-/// following is measured for `follow_s` seconds.
+/// frame that was delivered until then, and hears of the robot where the scene has an arm.
 ///
 /// # Errors
 /// [`RigError`]: the start is out of the robot's reach, or a setting out of its range.
 pub fn run(
     scene: &Scene,
     settings: &RigSettings,
-    (motion, follow_s): (Motion, f64),
+    course: Course<'_>,
     daemon: &mut Simulated,
     start: &Pose,
 ) -> Result<RobotRun, RigError> {
     daemon.restart();
-    let mut rig = Rig::new(scene, start, settings)?.follow(motion, follow_s);
+    let mut rig = Rig::new(scene, start, settings)?.follow(course.motion, course.follow_s);
     let np = daemon.law().settings().np as f64;
     let mut history = Vec::new();
     let (mut cycle, mut shot): (u32, Option<Shot>) = (0, None);
     let (mut shown, mut hidden, mut cost, mut cycles) = (None, 0, 0.0, 0.0_f64);
-    let (mut standing, mut stopped) = ([0.0; 6], None);
+    let (mut standing, mut stopped, mut hold) = ([0.0; 6], None, None);
     while rig.progress().end.is_none() && stopped.is_none() {
         let now_ns = rig.now_ns();
         let instant = rig.look(now_ns)?;
@@ -137,7 +151,8 @@ pub fn run(
             cycle += 1;
             let frame = shot.take();
             hidden += u64::from(frame.as_ref().is_some_and(|shot| !shot.is_whole()));
-            let inputs = Simulated::received(frame.map(message), now_ns);
+            let robot = scene.arm.as_ref().map(|_| rig.state());
+            let inputs = Simulated::heard(frame.map(message), robot, now_ns);
             let record = daemon.decide(&inputs);
             daemon.think();
             if record.cost.is_finite() {
@@ -147,13 +162,16 @@ pub fn run(
             let is_armed = record.state != TwistState::Disarmed.code();
             let is_within = daemon.is_within_limits(&record.twist, &standing);
             standing = record.twist;
+            let q = rig.record().q.into();
+            let ruled = course.rule.map(|rule| rule.scale(&q, &record.twist));
             rig.obey(&Order {
-                twist: record.twist,
+                twist: ruled.unwrap_or(record.twist),
                 sent_ns: now_ns,
                 until_ns: now_ns + (1e9 * PERIODS * scene.sampling_time()) as u64,
                 is_armed,
             });
             shown = way_point(&record);
+            hold = Hold::from_code(record.hold).map(|hold| hold.to_string());
             if rig.obeys_controller() {
                 stopped = stop(is_armed, is_within, &record);
             }
@@ -180,6 +198,7 @@ pub fn run(
     Ok(RobotRun {
         success: reason.is_none() && arm.is_clean(),
         reason,
+        hold,
         time_s: rig.progress().time_s,
         arrived_s: rig.progress().arrived_s,
         least_clearance_px: rig.progress().referee.least_clearance(),

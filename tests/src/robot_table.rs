@@ -16,8 +16,10 @@ use serde::Serialize;
 use vpc::Settings;
 
 use crate::column::{self, Column, Shown};
+use crate::edge::{self, ServoRule};
 use crate::flags::{Common, RobotFlags};
-use crate::robot::{Reason, RobotRun, run};
+use crate::processes::slowed;
+use crate::robot::{Course, Reason, RobotRun, run};
 use crate::simulated::Simulated;
 use crate::spec::Spec;
 use crate::statistics::mean;
@@ -49,6 +51,8 @@ pub struct RobotRow {
     pub cost: f64,
     /// Where markers have a size: the least clearance of any marker's edge, px.
     pub least_edge_px: Option<f64>,
+    /// Share of the time in which the bridge slowed the camera down, all runs.
+    pub slowed: f64,
     /// Largest shares of the joints' limits in any run: speed, acceleration, jerk.
     pub joint_shares: [f64; 3],
     /// The deepest that a point was inside an occlusion or outside the image at any of twelve
@@ -120,19 +124,34 @@ pub fn table(
     tick: &(dyn Fn() + Sync),
 ) -> anyhow::Result<Vec<(Spec, Vec<RobotRun>)>> {
     flags.check(starts.len())?;
+    let edges = flags
+        .edge
+        .map(|seed| edge::starts(scene, starts.len(), seed));
+    let edges = edges.unwrap_or_default();
     let chosen = flags.only.map_or(0..starts.len(), |only| only..only + 1);
     let mut all = Vec::new();
     let mut believed = scene.clone();
     if flags.ignore_marker_size {
         believed.marker_size = 0.0;
     }
+    if flags.ignore_arm {
+        believed.arm = None;
+    }
+    let rule = flags.servo_rule.then(ServoRule::new);
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
             let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
-            let cell = cell(scene, flags, common, start);
-            let motion = (common.motion(), common.follow_s);
-            let run = run(scene, &cell, motion, &mut daemon, &starts[start]);
+            let mut cell = cell(scene, flags, common, start);
+            let edge = edges.get(start);
+            cell.arm.joints = edge.map(|edge| edge.q).or(cell.arm.joints);
+            let pose = edge.map_or(&starts[start], |edge| &edge.pose);
+            let course = Course {
+                motion: common.motion(),
+                follow_s: common.follow_s,
+                rule: rule.as_ref(),
+            };
+            let run = run(scene, &cell, course, &mut daemon, pose);
             tick();
             run.with_context(|| format!("start {start}"))
         };
@@ -172,6 +191,7 @@ pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
             .map(|release| [release.m_s, release.rad_s])
             .reduce(|a, b| [0, 1].map(|k| a[k].max(b[k]))),
         is_following,
+        slowed: slowed(runs.iter().map(|run| &run.arm)),
         joint_shares: [
             most(|run| run.arm.joint_velocity),
             most(|run| run.arm.joint_acceleration),
@@ -184,7 +204,7 @@ const IS_FOLLOWING: Shown<RobotRow> = |_, row| row.is_following;
 const IS_RELEASED: Shown<RobotRow> = |_, row| row.release.is_some();
 
 /// The columns in their order. A new figure is a field of [`RobotRow`] and a line here.
-pub const COLUMNS: [Column<RobotRow>; 15] = [
+pub const COLUMNS: [Column<RobotRow>; 16] = [
     Column::always("strategy", |row| row.strategy.clone()),
     Column::always("success", |row| {
         format!("{:.0} %", 100.0 * row.success_rate)
@@ -225,5 +245,8 @@ pub const COLUMNS: [Column<RobotRow>; 15] = [
     Column::wide("joint speed, acceleration, jerk (% of limit)", |row| {
         let [speed, push, snap] = row.joint_shares.map(|share| 100.0 * share);
         format!("{speed:.0}, {push:.0}, {snap:.0}")
+    }),
+    Column::wide("slowed by the bridge (% of time)", |row| {
+        format!("{:.2}", 100.0 * row.slowed)
     }),
 ];

@@ -4,7 +4,7 @@
 use decision::control::State;
 use decision::{ControlStep, Input, Inputs, OnLoss, Rules, Safety};
 use memory_blob::MemoryFile;
-use messages::{ClockMode, CycleRecord, Features};
+use messages::{ClockMode, CycleRecord, Features, RobotState};
 use scene::Scene;
 use vpc::{Law, Settings, SettingsError};
 
@@ -71,6 +71,11 @@ impl<'m> Simulated<'m> {
     /// What a cycle receives `now_ns` after the begin of the run: a message whose exposure is
     /// counted from there, if one arrives.
     pub fn received(features: Option<Features>, now_ns: u64) -> Inputs {
+        Self::heard(features, None, now_ns)
+    }
+
+    /// The same with a state of the robot at this instant.
+    pub fn heard(features: Option<Features>, robot: Option<RobotState>, now_ns: u64) -> Inputs {
         let now_ns = BEGIN_NS + now_ns;
         let features = features.map_or(Input::Nothing, |mut features| {
             features.stamp.data_ns += BEGIN_NS;
@@ -80,7 +85,10 @@ impl<'m> Simulated<'m> {
         Inputs {
             now_ns,
             features,
-            robot: Input::Nothing,
+            robot: robot.map_or(Input::Nothing, |mut state| {
+                (state.stamp.data_ns, state.stamp.published_ns) = (now_ns, now_ns);
+                Input::Message(state)
+            }),
             missed: 0,
             suspended: false,
             shutdown: false,

@@ -2,16 +2,16 @@
 //! that they give the optimal-control problem.
 //!
 //! The state of the preview has the joints q beside the pose; every step moves them by the bridges'
-//! own mapping. A row is a velocity damper ([`arm::damper`](::arm::damper)) on each free command:
-//! what is left of a joint's range, of its speed, of the way to a wall or to a singular posture. So
-//! a simulated future goes no farther than the arm does, and one that would have to does not arrive.
+//! own mapping. A row is a velocity damper ([`::arm::damper`]) on each free command: what is left
+//! of a joint's range, of its speed, of the way to a wall or to a singular posture. So a simulated
+//! future goes no farther than the arm does, and one that would have to does not arrive.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
 //! | q | [`Posture::q`] | joint positions, rad or m |
 //! | g v <= b | `Bound` | a damper |
-//! | c = P (b - g v) | [`clearance_px`] | its clearance as the solver has it, px |
-//! | P | [`PX`] | weight of a damper against a clearance in the image |
+//! | c = P (b - g v) | `clearance_px` | its clearance as the solver has it, px |
+//! | P | `PX` | weight of a damper against a clearance in the image |
 
 use ::arm::description::{MAX_POINTS, MAX_WALLS};
 use ::arm::{Arm, Bound, Chain, Dampers, JOINTS, JointLimits, Joints, Limits, Pose, Screw, Wall};
@@ -46,6 +46,7 @@ pub fn of(scene: &scene::Arm) -> Arm {
     let points = core::iter::once([0.0; 3]).chain(scene.points.iter().copied());
     Arm {
         chain: Chain::new(&screws, camera),
+        shaped: Chain::new(&screws, Translation3::from(scene.end_effector).into()),
         limits: Limits(limits),
         margin: scene.margin,
         speed: scene.speed,

@@ -35,8 +35,8 @@ impl Size {
     /// free commands (1 to [`MAX_NC`]).
     pub fn of(task: &Task, np: usize, nc: usize) -> Self {
         let (np, points) = (np.clamp(1, MAX_NP), task.pattern.len());
-        // One for each damper and free command, and for each point and border in every step and on the
-        // way of the first command.
+        // One for each damper and free command, and for each point and border in every step and on
+        // the way of the first command.
         let obstacles = task.obstacles().count();
         let dampers = task.arm.as_ref().map_or(0, |_| nc * MAX_BOUNDS);
         let rows = dampers + (np + 1) * points * (SIDES + obstacles);

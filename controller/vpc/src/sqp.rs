@@ -77,7 +77,8 @@ struct Iterate<const N: usize> {
 /// [borders](constraint::border); or the damper of a free command.
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command; [`DAMPER`] none.
+    /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command; [`DAMPER`]
+    /// none.
     step: usize,
     point: usize,
     border: usize,

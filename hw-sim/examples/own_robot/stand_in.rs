@@ -79,10 +79,7 @@ impl Driver for Robot {
         };
         let (chain, limits) = (Chain::FRANKA.with_ee(state.f_t_ee), Model::Panda.limits());
         let shaper = ShaperSettings::default();
-        Room {
-            joints: reserve.room(&chain, limits, &shaper, &state.q_d, twist),
-            ..Room::FULL
-        }
+        reserve.room(&chain, limits, &shaper, &state.q_d, twist)
     }
 
     /// With libfranka give `robot.control` the arguments `limit_rate = false` and

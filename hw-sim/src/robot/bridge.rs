@@ -80,10 +80,7 @@ impl Driver for Emulated {
         let state = self.robot.state();
         let chain = Chain::FRANKA.with_ee(state.f_t_ee);
         let room = |shaper| RESERVE.room(&chain, self.limits, &shaper, &state.q_d, twist);
-        Room {
-            joints: self.shaper.map_or(1.0, room),
-            ..Room::FULL
-        }
+        self.shaper.map_or(Room::FULL, room)
     }
 
     fn command(&mut self, twist: &Twist) {

@@ -35,6 +35,7 @@ fn joints_after_a_step(bencher: divan::Bencher) {
 fn law() -> (Arm, Joints) {
     let arm = Arm {
         chain: Chain::FRANKA,
+        shaped: Chain::FRANKA,
         limits: *Model::Panda.limits(),
         margin: 0.2,
         speed: 0.25,

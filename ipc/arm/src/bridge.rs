@@ -31,6 +31,8 @@ pub struct Room {
     pub workspace: f64,
     /// By its joints and singularities.
     pub joints: f64,
+    /// For the shaper's ramps, by the joints' accelerations.
+    pub ramps: f64,
 }
 
 impl Room {
@@ -38,6 +40,7 @@ impl Room {
     pub const FULL: Self = Self {
         workspace: 1.0,
         joints: 1.0,
+        ramps: 1.0,
     };
 }
 
@@ -174,7 +177,7 @@ impl<D: Driver> Bridge<D> {
         };
         let share = room.workspace.min(room.joints);
         self.shaper.aim(&(wanted * share), self.until_ns);
-        let twist = self.shaper.step(&measured.echo, now_ns);
+        let twist = self.shaper.step_with(&measured.echo, room.ramps, now_ns);
         self.driver.command(&twist);
     }
 

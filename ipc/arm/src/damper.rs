@@ -11,9 +11,9 @@
 //! Every b is at least 0, so that standing still is always allowed, and with a twist each shorter
 //! one. A motion that keeps to all bounds leaves no range that it is in.
 //!
-//! Nearness to a singular posture is measured by what the camera's accelerations ask of the joints'
-//! there, as in [`singularity`](crate::singularity): the robot refuses that first, and unlike a
-//! singular value it needs no exchange of metres for radians.
+//! Nearness to a singular posture is what the end effector's accelerations ask of the joints'
+//! there, as bridges measure it ([`singularity`](crate::singularity)): the robot refuses that
+//! first, and unlike a singular value it needs no exchange of metres for radians.
 //!
 //! Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
 //! manipulators with a high number of degrees of freedom", ICRA 1987.
@@ -21,7 +21,7 @@
 use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
 
 use crate::description::{Arm, MAX_POINTS, MAX_WALLS};
-use crate::ik::{held, inverse};
+use crate::ik::{Inverse, held, inverse};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};
 use crate::reserve::nearing;
 
@@ -30,11 +30,13 @@ use crate::reserve::nearing;
 const DECELERATION: f64 = 0.5;
 /// Least time in which what is left may be used up, s: some periods of the law.
 const LEAST_S: f64 = 0.15;
+/// A joint counts whose share of acceleration is at least this part of the largest.
+const RIVAL: f64 = 0.8;
 /// Rate at which the share of the joints' accelerations that is left may shrink, 1/s.
 const RATE: f64 = 2.0;
 
 /// Most bounds of an arm.
-pub const MAX_BOUNDS: usize = 2 * JOINTS + 1 + MAX_WALLS * MAX_POINTS;
+pub const MAX_BOUNDS: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
 
 /// What bounds a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,9 +80,9 @@ pub struct Dampers {
 }
 
 impl Dampers {
-    /// Those of an arm at `q` whose camera changes its velocity by at most `accelerations`, m/s^2
-    /// and rad/s^2, for a velocity that is held for `seconds`. Where the accelerations are not
-    /// finite, no singular posture is known.
+    /// Those of an arm at `q` whose velocity changes by at most `accelerations`, m/s^2 and rad/s^2,
+    /// for a velocity that is held for `seconds`. Where the accelerations are not finite, no
+    /// singular posture is known.
     pub fn at(arm: &Arm, q: &Joints, accelerations: &[f64; 6], seconds: f64) -> Self {
         let least_s = seconds.max(LEAST_S);
         let damped = |left: f64| damped(left, least_s);
@@ -111,10 +113,13 @@ impl Dampers {
             }
         }
         if accelerations.iter().all(|a| a.is_finite()) {
-            let strain = Strain::at(arm, &jacobian, &inverse, accelerations);
-            let most = RATE.min(1.0 / least_s) * (arm.strain - strain.now).max(0.0);
-            let gradient = (strain.gradient * map).transpose().into();
-            add(gradient, most, Cause::Singularity);
+            let strain = Strain::at(arm, q, accelerations);
+            let rate = RATE.min(1.0 / least_s);
+            for k in strain.largest() {
+                let gradient = (strain.gradient(arm, k) * map).transpose().into();
+                let most = rate * (arm.strain - strain.shares[k]).max(0.0);
+                add(gradient, most, Cause::Singularity);
+            }
         }
         for (i, wall) in arm.walls.iter().enumerate() {
             let normal = Vector3::from(wall.normal);
@@ -176,31 +181,47 @@ fn along_camera(camera: &Pose) -> Matrix6<f64> {
     along
 }
 
-/// The largest share of a joint's acceleration that the camera's may ask for, and its derivative.
+/// What the end effector's accelerations along base axes, all at once, ask of the joints'.
 struct Strain {
-    now: f64,
-    /// By each joint, 1/rad or 1/m.
-    gradient: RowSVector<f64, JOINTS>,
+    jacobian: Jacobian,
+    inverse: Inverse,
+    weights: Twist,
+    /// Of each joint's, as a share of its limit.
+    shares: Joints,
 }
 
 impl Strain {
-    fn at(
-        arm: &Arm,
-        jacobian: &Jacobian,
-        inverse: &SMatrix<f64, JOINTS, 6>,
-        accelerations: &[f64; 6],
-    ) -> Self {
+    fn at(arm: &Arm, q: &Joints, accelerations: &[f64; 6]) -> Self {
+        let jacobian = arm.shaped.jacobian(q);
+        let inverse = inverse(&jacobian);
         let weights = Twist::from(*accelerations);
-        let share = |k: usize| {
-            inverse.row(k).abs().dot(&weights.transpose()) / arm.limits.0[k].acceleration
-        };
-        let shares = (0..arm.chain.count()).map(|k| (k, share(k)));
-        let (joint, now) = shares.fold((0, 0.0), |most, each| match each.1 > most.1 {
-            true => each,
-            false => most,
-        });
-        // s = u w, u the row of the inverse with its signs, w the weights; the derivative of
-        // J^T (J J^T)^-1 is -J# dJ J# + (1 - J# J) dJ^T (J J^T)^-1.
+        let asked = inverse.abs() * weights;
+        let shares = Joints::from_fn(|k, _| asked[k] / arm.limits.0[k].acceleration);
+        Self {
+            jacobian,
+            inverse,
+            weights,
+            shares,
+        }
+    }
+
+    /// The joints whose shares may become the largest soon.
+    fn largest(&self) -> impl Iterator<Item = usize> {
+        let least = RIVAL * self.shares.max();
+        (0..JOINTS).filter(move |k| self.shares[*k] > 0.0 && self.shares[*k] >= least)
+    }
+
+    /// The derivative of a joint's share by each joint, 1/rad or 1/m. Where the inverse is damped,
+    /// it is that without damping.
+    fn gradient(&self, arm: &Arm, joint: usize) -> RowSVector<f64, JOINTS> {
+        let Self {
+            jacobian,
+            inverse,
+            weights,
+            ..
+        } = self;
+        // A share is u w, u the joint's row of the inverse with its signs, w the weights. The
+        // derivative of J^T (J J^T)^-1 is -J# dJ J# + (1 - J# J) dJ^T (J J^T)^-1.
         let row = inverse.row(joint);
         let signed = Twist::from_fn(|a, _| weights[a] * row[a].signum());
         let through = inverse * signed;
@@ -208,22 +229,19 @@ impl Strain {
         rest[joint] += 1.0;
         let back = inverse.transpose() * through;
         let gradient = RowSVector::from_fn(|_, i| {
-            let change = |x: &Joints| changed(arm, jacobian, i, x);
+            let change = |x: &Joints| changed(arm.shaped.count(), jacobian, i, x);
             change(&rest).dot(&back) - (row * change(&through))[0]
         });
-        Self {
-            now,
-            gradient: gradient / arm.limits.0[joint].acceleration,
-        }
+        gradient / arm.limits.0[joint].acceleration
     }
 }
 
 /// dJ/dq_i x: how fast the velocity by these joint velocities changes as joint `i` moves.
-fn changed(arm: &Arm, jacobian: &Jacobian, i: usize, x: &Joints) -> SVector<f64, 6> {
+fn changed(count: usize, jacobian: &Jacobian, i: usize, x: &Joints) -> SVector<f64, 6> {
     let part = |k: usize, from: usize| Vector3::from(jacobian.fixed_view::<3, 1>(from, k));
     let axis = part(i, 3);
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
-    for k in 0..arm.chain.count() {
+    for k in 0..count {
         // A joint turns all that is behind it, and itself moves nothing before it.
         linear += x[k]
             * match k > i {
@@ -263,6 +281,7 @@ mod tests {
         };
         Arm {
             chain: Chain::FRANKA.with_ee(camera),
+            shaped: Chain::FRANKA,
             limits: *Model::Panda.limits(),
             margin: 0.2,
             speed: 0.25,
@@ -308,20 +327,16 @@ mod tests {
         let (arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(2));
         for _ in 0..50 {
             let q = posture(&mut random);
-            let strain = |q: &Joints| {
-                let jacobian = arm.chain.jacobian(q);
-                Strain::at(&arm, &jacobian, &inverse(&jacobian), &ACCELERATIONS)
-            };
-            let exact = strain(&q).gradient;
-            for k in 0..JOINTS {
-                let mut step = Joints::zeros();
-                step[k] = 1e-6;
-                let numeric = (strain(&(q + step)).now - strain(&(q - step)).now) / 2e-6;
-                assert!(
-                    (exact[k] - numeric).abs() < 1e-5,
-                    "{k}: {} {numeric}",
-                    exact[k]
-                );
+            let at = |q: &Joints| Strain::at(&arm, q, &ACCELERATIONS);
+            for joint in 0..JOINTS {
+                let exact = at(&q).gradient(&arm, joint);
+                for k in 0..JOINTS {
+                    let mut step = Joints::zeros();
+                    step[k] = 1e-6;
+                    let change = at(&(q + step)).shares[joint] - at(&(q - step)).shares[joint];
+                    let apart = exact[k] - change / 2e-6;
+                    assert!(apart.abs() < 1e-5, "{joint}, {k}: {apart}");
+                }
             }
         }
     }

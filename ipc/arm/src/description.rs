@@ -15,14 +15,16 @@ pub const MAX_POINTS: usize = 4;
 pub struct Arm {
     /// From its base to the camera, which is the end effector: x right, y down, z forward.
     pub chain: Chain,
+    /// The same to the end effector whose velocity the bridge shapes.
+    pub shaped: Chain,
     /// Limits of the joints.
     pub limits: Limits,
     /// Distance that joints keep from the ends of their ranges, rad, or m of those that slide.
     pub margin: f64,
     /// Greatest share of a joint's speed limit, 0 to 1.
     pub speed: f64,
-    /// Greatest share of a joint's acceleration that the camera's may take, 0 to 1: the nearness to
-    /// a singular posture.
+    /// Greatest share of a joint's acceleration that the end effector's may take, 0 to 1: the
+    /// nearness to a singular posture.
     pub strain: f64,
     /// Where its points may be.
     pub walls: heapless::Vec<Wall, MAX_WALLS>,

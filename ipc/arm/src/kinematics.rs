@@ -15,8 +15,8 @@ use nalgebra::{
 /// Most joints of an arm.
 pub const JOINTS: usize = 7;
 
-/// One number a joint, base to flange: rad, rad/s, rad/s^2 or rad/s^3 of one that turns, m and so on of one
-/// that slides.
+/// One number a joint, base to flange: rad, rad/s, rad/s^2 or rad/s^3 of one that turns, m and so
+/// on of one that slides.
 pub type Joints = SVector<f64, JOINTS>;
 
 /// A velocity (vx vy vz in m/s, wx wy wz in rad/s) of a frame's origin, along the axes that the

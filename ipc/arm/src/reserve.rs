@@ -2,7 +2,8 @@
 
 use libm::sqrt;
 
-use crate::ik::inverse;
+use crate::bridge::Room;
+use crate::ik::{held, inverse};
 use crate::kinematics::{Chain, JOINTS, Joints, Twist};
 use crate::limits::Limits;
 use crate::shaper::ShaperSettings;
@@ -10,6 +11,10 @@ use crate::singularity;
 
 /// Deceleration with which joints near the ends of their ranges, rad/s^2.
 const DECELERATION: f64 = 0.5;
+
+/// Speed at which joints may go on into the outer half of their margin, rad/s: to this a solver
+/// keeps a bound.
+const CREEP: f64 = 3e-4;
 
 /// Distances and speeds that a bridge keeps to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,8 +26,8 @@ pub struct Reserve {
 }
 
 impl Reserve {
-    /// How much of a motion of the end effector (base axes) the joints at `q`, rad, allow: by the
-    /// ends of their ranges, their speeds, and the nearness to a singularity; 0 to 1.
+    /// How much of a motion of the end effector (base axes), and of its ramps, the joints at `q`,
+    /// rad, allow: by the ends of their ranges, their speeds, and the nearness to a singularity.
     pub fn room(
         &self,
         chain: &Chain,
@@ -30,10 +35,15 @@ impl Reserve {
         shaper: &ShaperSettings,
         q: &Joints,
         twist: &Twist,
-    ) -> f64 {
-        let dq = inverse(&chain.jacobian(q)) * twist;
+    ) -> Room {
+        let jacobian = chain.jacobian(q);
+        let dq = held(&inverse(&jacobian), &jacobian) * twist;
         let clear = singularity::share(chain, limits, shaper, q, &dq);
-        clear.min(self.share(limits, q, &dq))
+        Room {
+            joints: clear.min(self.share(limits, q, &dq)),
+            ramps: singularity::ramps(chain, limits, shaper, q),
+            ..Room::FULL
+        }
     }
 
     /// How much of the joint velocities `dq`, rad/s, at `q`, rad, it allows; 0 to 1. A joint may
@@ -42,9 +52,12 @@ impl Reserve {
         let share = |k: usize| {
             let joint = &limits.0[k];
             let towards = usize::from(dq[k] > 0.0);
-            let room = joint.room(q[k])[towards] - self.margin;
+            let room = joint.room(q[k])[towards];
             let fastest = self.speed * joint.speeds(q[k])[towards];
-            part(dq[k], nearing(room, DECELERATION).min(fastest))
+            // A motion along the margin is not stopped for a hair.
+            let creep = if room > 0.5 * self.margin { CREEP } else { 0.0 };
+            let near = nearing(room - self.margin, DECELERATION).max(creep);
+            part(dq[k], near.min(fastest))
         };
         (0..JOINTS).map(share).fold(1.0, f64::min)
     }
@@ -86,8 +99,9 @@ mod tests {
     #[test]
     fn a_joint_slows_down_towards_its_margin_and_leaves_it_freely() {
         for model in [Model::Panda, Model::Fr3] {
-            assert_eq!(share(model, 0.15, 0.1), 0.0);
-            assert_eq!(share(model, 0.10, 0.1), 0.0);
+            assert_eq!(share(model, 0.15, 0.1), CREEP / 0.1);
+            assert!(share(model, 0.10, 0.1) == CREEP / 0.1);
+            assert_eq!(share(model, 0.07, 0.1), 0.0);
             assert_eq!(share(model, 0.10, -0.1), 1.0);
             let speed = 0.5 * share(model, 0.15 + 0.01, 0.5);
             assert!(

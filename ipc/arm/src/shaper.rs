@@ -117,12 +117,21 @@ impl Shaper {
     /// The twist that answers the state with this echo. Where the command is stale, on the way to
     /// zero.
     pub fn step(&self, echo: &Echo, now_ns: u64) -> Twist {
+        self.step_with(echo, 1.0, now_ns)
+    }
+
+    /// The same along ramps of which the robot allows this share.
+    pub fn step_with(&self, echo: &Echo, share: f64, now_ns: u64) -> Twist {
         let stale = self.is_stale(now_ns);
         Twist::from_fn(|axis, _| {
             let ramp = if axis < 3 {
                 &self.settings.linear
             } else {
                 &self.settings.angular
+            };
+            let ramp = Ramp {
+                acceleration: share * ramp.acceleration,
+                jerk: share * ramp.jerk,
             };
             let target = if stale { 0.0 } else { self.target[axis] };
             let (velocity, acceleration) = (echo.twist[axis], echo.acceleration[axis]);

@@ -5,11 +5,14 @@ use crate::kinematics::{Chain, JOINTS, Joints};
 use crate::limits::Limits;
 use crate::shaper::ShaperSettings;
 
-/// The most of a joint's acceleration and jerk that the ramps may take; the rest is for the curvature
-/// of the way.
+/// The most of a joint's acceleration and jerk that the ramps may take; the rest is for the
+/// curvature of the way.
 const MOST: f64 = 0.7;
 /// Rate at which the rest may shrink, 1/s: so it never ends.
 const RATE: f64 = 2.0;
+/// Rate at which it may shrink nevertheless, 1/s, until none is left: to this a solver keeps a
+/// bound.
+const CREEP: f64 = 2.5e-4;
 /// Time over which it is foreseen, s.
 const STEP: f64 = 1e-3;
 
@@ -30,10 +33,20 @@ pub fn strain(chain: &Chain, limits: &Limits, shaper: &ShaperSettings, q: &Joint
     (0..JOINTS).map(share).fold(0.0, f64::max)
 }
 
+/// How much of the shaper's ramps the joints have room for at `q`, 0 to 1: all of them, except
+/// where they would take more of a joint's acceleration than this module leaves them.
+pub fn ramps(chain: &Chain, limits: &Limits, shaper: &ShaperSettings, q: &Joints) -> f64 {
+    let strain = strain(chain, limits, shaper, q);
+    match strain > MOST {
+        true => MOST / strain,
+        false => 1.0,
+    }
+}
+
 /// How much of a motion, joint velocities `dq`, keeps the arm clear of its singularities, where the
-/// shaper's ramps would take more than the joints may; 0 to 1. A motion out of one is never
-/// slowed. Source of the form: A. Ames et al., "Control barrier functions: theory and applications",
-/// ECC 2019.
+/// shaper's ramps would take more than the joints may; 0 to 1. A motion out of one is never slowed.
+/// Source of the form: A. Ames et al., "Control barrier functions: theory and applications", ECC
+/// 2019.
 pub fn share(
     chain: &Chain,
     limits: &Limits,
@@ -43,7 +56,7 @@ pub fn share(
 ) -> f64 {
     let now = strain(chain, limits, shaper, q);
     let growth = (strain(chain, limits, shaper, &(q + dq * STEP)) - now) / STEP;
-    let allowed = RATE * (MOST - now).max(0.0);
+    let allowed = (RATE * (MOST - now)).max(if now < 1.0 { CREEP } else { 0.0 });
     match growth > allowed {
         true => allowed / growth,
         false => 1.0,

@@ -14,8 +14,9 @@ use crate::model::{Arm, ArmJoint, MAX_JOINTS, MAX_WALL_POINTS, MAX_WALLS, Wall};
 /// Fewest joints of an arm: with fewer the camera does not move in every direction.
 const FEWEST: usize = 6;
 
-/// The arm that carries the camera. A scene names this file by its key `arm`; the law then keeps the
-/// joints within their ranges and speeds, off singular postures, and points of the arm behind walls.
+/// The arm that carries the camera. A scene names this file by its key `arm`; the law then keeps
+/// joints within their ranges and speeds, off singular postures, and points of the arm behind
+/// walls.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Arm")]
@@ -46,6 +47,10 @@ struct Tables {
     #[serde(default = "strain")]
     #[schemars(range(min = 0.05, max = 1))]
     strain: f64,
+    /// The end effector, whose velocity the robot's bridge shapes, in the frame of the tip.
+    #[serde(default)]
+    #[schemars(inner(range(min = -2, max = 2)), extend("x-unit" = "m"))]
+    end_effector: [f64; 3],
     camera: Mounting,
     /// Walls, a table among them, in the base frame.
     #[serde(default)]
@@ -100,8 +105,8 @@ pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Tables>()
 }
 
-/// Checks an arm file; `name` and `directory` are how the scene calls it and where the scene is, and
-/// `read` returns the file of a name.
+/// Checks an arm file; `name` and `directory` are how the scene calls it and where the scene is,
+/// and `read` returns the file of a name.
 ///
 /// # Errors
 /// [`FileError`] names the file, the key, the value and what is allowed.
@@ -169,6 +174,7 @@ impl Checker {
             joints: heapless::Vec::new(),
             translation: [0.0; 3],
             rotation: [[0.0; 3]; 3],
+            end_effector: [0.0; 3],
             margin: tables.margin,
             speed: tables.speed,
             strain: tables.strain,
@@ -193,6 +199,7 @@ impl Checker {
         let rotation = Rotation3::new(Vector3::from(rotation));
         let mounted = IsometryMatrix3::from_parts(Translation3::from(translation), rotation);
         let camera = at * mounted;
+        arm.end_effector = (at * nalgebra::Point3::from(tables.end_effector)).into();
         arm.translation = camera.translation.vector.into();
         arm.rotation = camera.rotation.matrix().transpose().into();
         for (i, wall) in tables.wall.iter().enumerate() {

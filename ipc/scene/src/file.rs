@@ -92,8 +92,8 @@ impl Scene {
         Self::parse(&toml_schema::read_text(path)?, &path.display().to_string())
     }
 
-    /// Checks the text of a scene file; `path` is for messages, and the files that it names are looked
-    /// for beside it.
+    /// Checks the text of a scene file; `path` is for messages, and the files that it names are
+    /// looked for beside it.
     ///
     /// # Errors
     /// As [`Scene::read`].
@@ -101,8 +101,8 @@ impl Scene {
         Self::parse_with(text, path, &|name| read_beside(&beside(path, name)))
     }
 
-    /// As [`Scene::parse`], with the files that it names from elsewhere: `beside` returns the one of
-    /// a name in the text.
+    /// As [`Scene::parse`], with the files that it names from elsewhere: `beside` returns the one
+    /// of a name in the text.
     ///
     /// # Errors
     /// As [`Scene::read`].
@@ -131,7 +131,8 @@ fn beside(path: &str, name: &str) -> std::path::PathBuf {
     Path::new(path).parent().unwrap_or(Path::new("")).join(name)
 }
 
-/// Largest file that a scene names, bytes: four for each pixel that a mask may have, not compressed.
+/// Largest file that a scene names, bytes: four for each pixel that a mask may have, not
+/// compressed.
 const MOST_BESIDE: u64 = 4 * mask::MOST_PIXELS as u64;
 /// Longest time that a stop from the velocity limits may take, s.
 const MAX_STOP_S: f64 = 5.0;

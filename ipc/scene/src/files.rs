@@ -62,8 +62,8 @@ impl SceneFiles {
         })
     }
 
-    /// SHA-256 of the scene file and those beside it, 64 hexadecimal digits. Unlike the fingerprint,
-    /// which is the task's, it changes with every byte.
+    /// SHA-256 of the scene file and those beside it, 64 hexadecimal digits. Unlike the
+    /// fingerprint, which is the task's, it changes with every byte.
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();
         let mut put = |bytes: &[u8]| {

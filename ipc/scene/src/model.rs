@@ -65,11 +65,13 @@ pub struct Arm {
     pub translation: [f64; 3],
     /// Rows of the rotation from the camera's axes (x right, y down, z forward) to the base's.
     pub rotation: [[f64; 3]; 3],
+    /// The point whose velocity the robot's bridge shapes, m.
+    pub end_effector: [f64; 3],
     /// Distance that joints keep from the ends of their ranges, rad, or m of those that slide.
     pub margin: f64,
     /// Greatest share of a joint's speed limit, 0 to 1.
     pub speed: f64,
-    /// Greatest share of a joint's acceleration that the camera's may take, 0 to 1.
+    /// Greatest share of a joint's acceleration that the end effector's may take, 0 to 1.
     pub strain: f64,
     /// Walls of its workspace.
     pub walls: Vec<Wall, MAX_WALLS>,

@@ -30,7 +30,8 @@ fn the_shipped_files_describe_a_panda_and_a_research_3_with_their_camera() {
         let arm = read(&arm, urdf).unwrap().arm.unwrap();
         assert_eq!((arm.joints.len(), arm.joints[0].range), (7, [-end, end]));
         assert_eq!(arm.joints[1].acceleration, 7.5);
-        // Straight up with its hand forward and down; the camera 4 cm before the flange, 7 cm aside.
+        // Straight up with its hand forward and down; the camera 4 cm before the flange, 7 cm
+        // aside.
         let [x, y, z] = arm.translation;
         let aside = 0.07 * 0.5f64.sqrt();
         let there = [x - 0.088 - aside, y - aside, z - 0.926 + 0.04];

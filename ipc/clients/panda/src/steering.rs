@@ -165,7 +165,7 @@ impl Driver for Franka {
         let (reserve, shaper) = (&self.bounds.reserve, ShaperSettings::default());
         Room {
             workspace: self.walls(twist),
-            joints: reserve.room(&chain, self.limits, &shaper, q, twist),
+            ..reserve.room(&chain, self.limits, &shaper, q, twist)
         }
     }
 
