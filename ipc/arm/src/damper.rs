@@ -21,7 +21,7 @@
 use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
 
 use crate::description::{Arm, MAX_POINTS, MAX_WALLS};
-use crate::ik::{Inverse, held, inverse};
+use crate::ik::{Inverse, damped_square, damping_slope, held, inverse};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};
 use crate::reserve::nearing;
 
@@ -184,6 +184,8 @@ fn along_camera(camera: &Pose) -> Matrix6<f64> {
 /// What the end effector's accelerations along base axes, all at once, ask of the joints'.
 struct Strain {
     jacobian: Jacobian,
+    /// (J J^T + damping)^-1.
+    square: Matrix6<f64>,
     inverse: Inverse,
     weights: Twist,
     /// Of each joint's, as a share of its limit.
@@ -193,12 +195,14 @@ struct Strain {
 impl Strain {
     fn at(arm: &Arm, q: &Joints, accelerations: &[f64; 6]) -> Self {
         let jacobian = arm.shaped.jacobian(q);
-        let inverse = inverse(&jacobian);
+        let square = damped_square(&jacobian);
+        let inverse = jacobian.transpose() * square;
         let weights = Twist::from(*accelerations);
         let asked = inverse.abs() * weights;
         let shares = Joints::from_fn(|k, _| asked[k] / arm.limits.0[k].acceleration);
         Self {
             jacobian,
+            square,
             inverse,
             weights,
             shares,
@@ -211,26 +215,33 @@ impl Strain {
         (0..JOINTS).filter(move |k| self.shares[*k] > 0.0 && self.shares[*k] >= least)
     }
 
-    /// The derivative of a joint's share by each joint, 1/rad or 1/m. Where the inverse is damped,
-    /// it is that without damping.
+    /// The derivative of a joint's share by each joint, 1/rad or 1/m.
     fn gradient(&self, arm: &Arm, joint: usize) -> RowSVector<f64, JOINTS> {
         let Self {
             jacobian,
+            square,
             inverse,
             weights,
             ..
         } = self;
-        // A share is u w, u the joint's row of the inverse with its signs, w the weights. The
-        // derivative of J^T (J J^T)^-1 is -J# dJ J# + (1 - J# J) dJ^T (J J^T)^-1.
+        // A share is u w, u the joint's row of J^T S with its signs, w the weights, and
+        // S = (J J^T + damping)^-1; dS = -S (dJ J^T + J dJ^T + d damping) S.
         let row = inverse.row(joint);
         let signed = Twist::from_fn(|a, _| weights[a] * row[a].signum());
-        let through = inverse * signed;
+        let (through, back) = (inverse * signed, square * signed);
         let mut rest = -(row * jacobian).transpose();
         rest[joint] += 1.0;
-        let back = inverse.transpose() * through;
+        let damping = damping_slope(jacobian).map(|slope| slope * (row * back)[0]);
         let gradient = RowSVector::from_fn(|_, i| {
             let change = |x: &Joints| changed(arm.shaped.count(), jacobian, i, x);
-            change(&rest).dot(&back) - (row * change(&through))[0]
+            let undamped = change(&rest).dot(&back) - (row * change(&through))[0];
+            let damped = damping.map_or(0.0, |slope| {
+                let unit = |k: usize| Joints::from_fn(|j, _| f64::from(u8::from(j == k)));
+                (0..arm.shaped.count())
+                    .map(|k| slope.column(k).dot(&change(&unit(k))))
+                    .sum()
+            });
+            undamped - damped
         });
         gradient / arm.limits.0[joint].acceleration
     }
@@ -266,7 +277,7 @@ mod tests {
     use super::*;
     use crate::description::Wall;
     use crate::limits::Model;
-    use crate::{Chain, READY};
+    use crate::{Chain, READY, ShaperSettings, singularity};
 
     const ACCELERATIONS: [f64; 6] = [0.5, 0.5, 0.5, 1.2, 1.2, 1.2];
 
@@ -365,5 +376,32 @@ mod tests {
             nearest > 0.99 * arm.margin && nearest < 1.1 * arm.margin,
             "{nearest}"
         );
+    }
+
+    #[test]
+    fn the_strain_and_its_growth_are_those_that_bridges_see_damped_or_not() {
+        let (arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(4));
+        let (shaper, limits) = (ShaperSettings::default(), Model::Panda.limits());
+        let mut is_damped = 0;
+        for _ in 0..2000 {
+            let q = Joints::from_fn(|k, _| {
+                let [least, most] = limits.0[k].range;
+                random.random_range(least..most)
+            });
+            let strain = |q: &Joints| singularity::strain(&arm.shaped, limits, &shaper, q);
+            let ours = Strain::at(&arm, &q, &ACCELERATIONS);
+            assert!((ours.shares.max() - strain(&q)).abs() < 1e-12);
+            let dq = Joints::from_fn(|_, _| random.random_range(-0.5..0.5));
+            let h = 1e-6;
+            let seen = (strain(&(q + dq * h)) - strain(&(q - dq * h))) / (2.0 * h);
+            let exact = (ours.gradient(&arm, ours.shares.imax()) * dq)[0];
+            // Where damping sets in, and where shares are equal, the difference has two slopes.
+            assert!(
+                (seen - exact).abs() < 0.02 * (1.0 + exact.abs()),
+                "{seen} {exact}"
+            );
+            is_damped += u32::from(damping_slope(&ours.jacobian).is_some());
+        }
+        assert!((300..1700).contains(&is_damped), "{is_damped}");
     }
 }

@@ -41,11 +41,36 @@ pub type Inverse = SMatrix<f64, JOINTS, 6>;
 /// J^T (J J^T + damping)^-1, damped near a singularity only; zero for a Jacobian that is not
 /// finite.
 pub fn inverse(jacobian: &Jacobian) -> Inverse {
+    jacobian.transpose() * damped_square(jacobian)
+}
+
+/// (J J^T + damping)^-1.
+pub(crate) fn damped_square(jacobian: &Jacobian) -> Matrix6<f64> {
     let square = jacobian * jacobian.transpose();
-    let measure = Cholesky::new(square).map_or(0.0, |f| f.l_dirty().diagonal().product());
-    let missing = (1.0 - measure / SINGULAR).max(0.0) * DAMPING;
-    let damped = square + Matrix6::identity() * (missing * missing);
-    Cholesky::new(damped).map_or_else(Inverse::zeros, |f| jacobian.transpose() * f.inverse())
+    let damping = damping(measure(&square));
+    let damped = square + Matrix6::identity() * (damping * damping);
+    Cholesky::new(damped).map_or_else(Matrix6::zeros, |f| f.inverse())
+}
+
+/// Manipulability, from J J^T, m^3.
+fn measure(square: &Matrix6<f64>) -> f64 {
+    Cholesky::new(*square).map_or(0.0, |f| f.l_dirty().diagonal().product())
+}
+
+/// The damping at this manipulability.
+fn damping(measure: f64) -> f64 {
+    (1.0 - measure / SINGULAR).max(0.0) * DAMPING
+}
+
+/// How the square of the damping changes with J: its derivative by each entry of J; `None` where
+/// nothing is damped.
+pub(crate) fn damping_slope(jacobian: &Jacobian) -> Option<Jacobian> {
+    let square = jacobian * jacobian.transpose();
+    let (measure, inverse) = (measure(&square), Cholesky::new(square)?.inverse());
+    let damping = damping(measure);
+    // The derivative of sqrt(det(J J^T)) by J is that times (J J^T)^-1 J.
+    let slope = inverse * jacobian * measure;
+    (damping > 0.0).then(|| slope * (-2.0 * damping * DAMPING / SINGULAR))
 }
 
 /// The same with the elbow of seven joints held: joint 3 stands, as far as the free direction turns
