@@ -7,6 +7,7 @@ use scene::{FileError, Scene};
 
 const ARM: &str = include_str!("../scenes/panda.toml");
 const PANDA: &str = include_str!("../scenes/panda.urdf");
+const FR3_ARM: &str = include_str!("../scenes/fr3.toml");
 const FR3: &str = include_str!("../scenes/fr3.urdf");
 
 /// The paper's robot scene with an arm of these two files.
@@ -25,11 +26,12 @@ fn refused(arm: &str, urdf: &str) -> String {
 
 #[test]
 fn the_shipped_files_describe_a_panda_and_a_research_3_with_their_camera() {
-    for (name, urdf, end) in [("panda", PANDA, 2.8973), ("fr3", FR3, 2.7437)] {
-        let arm = ARM.replace("\"panda_link", &format!("\"{name}_link"));
+    for (arm, urdf, end, acceleration) in [(ARM, PANDA, 2.8973, 7.5), (FR3_ARM, FR3, 2.7437, 10.0)]
+    {
+        let arm = arm.replace("fr3.urdf", "panda.urdf");
         let arm = read(&arm, urdf).unwrap().arm.unwrap();
         assert_eq!((arm.joints.len(), arm.joints[0].range), (7, [-end, end]));
-        assert_eq!(arm.joints[1].acceleration, 7.5);
+        assert_eq!(arm.joints[1].acceleration, acceleration);
         // Straight up with its hand forward and down; the camera 4 cm before the flange, 7 cm
         // aside.
         let [x, y, z] = arm.translation;
@@ -136,5 +138,33 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
         for part in parts {
             assert!(error.contains(part), "{error}\nlacks {part}");
         }
+    }
+}
+
+#[test]
+fn no_byte_of_the_files_makes_the_reader_panic() {
+    let mut number = 1_u64;
+    let mut draw = |most: usize| {
+        number = number
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        (number >> 33) as usize % most
+    };
+    for k in 0..4000 {
+        let (mut arm, mut urdf) = (ARM.as_bytes().to_vec(), PANDA.as_bytes().to_vec());
+        let text = if k % 2 == 0 { &mut arm } else { &mut urdf };
+        for _ in 0..=k % 3 {
+            let (at, byte) = (draw(text.len()), draw(256) as u8);
+            match draw(3) {
+                0 => text[at] = byte,
+                1 => drop(text.remove(at)),
+                _ => text.insert(at, byte),
+            }
+        }
+        let text = format!("arm = \"a.toml\"\n{}", scene::PAPER_ROBOT);
+        let _ = Scene::parse_with(&text, "s.toml", &|name| match name {
+            "a.toml" => Ok(arm.clone()),
+            _ => Ok(urdf.clone()),
+        });
     }
 }
