@@ -206,7 +206,13 @@ impl<'m> ControlStep<'m> {
         }
         if let Input::Message(state) = &inputs.robot {
             let joints = state.q.get(..state.joints as usize).unwrap_or_default();
-            self.law.see_joints(joints, state.stamp.data_ns);
+            let Stamp {
+                data_ns,
+                published_ns,
+                ..
+            } = state.stamp;
+            let at_ns = if data_ns == 0 { published_ns } else { data_ns };
+            self.law.see_joints(joints, at_ns);
         }
         let proposed = self.propose(inputs, record);
         (record.predicted, record.drift) = (self.predicted, *self.law.drift());

@@ -1,8 +1,8 @@
 //! The arm that carries the camera, as far as the law knows it: where its joints are, and the rows
 //! that they give the optimal-control problem.
 //!
-//! The state of the preview has the joints q beside the pose; every step moves them by the bridges'
-//! own mapping. A row is a velocity damper ([`::arm::damper`]) on each free command: what is left
+//! The joints q are a part of the state; each step of a future moves them by the bridges' own
+//! mapping. A row is a velocity damper ([`::arm::damper`]) on each free command: what is left
 //! of a joint's range, of its speed, of the way to a wall or to a singular posture. So a simulated
 //! future goes no farther than the arm does, and one that would have to does not arrive.
 //!

@@ -64,6 +64,9 @@ const FEWEST_STEPS: u32 = 10;
 /// A future is at most this share of the scene's time long.
 const HORIZON: f64 = 0.5;
 
+/// Older positions of an arm's joints say nothing of now, ns.
+const OLDEST_JOINTS_NS: u64 = 500_000_000;
+
 /// Deviations that points keep clear of every border: those of a hidden point, and those by what is
 /// not known of the pattern's motion, of which no more than so many px count.
 const BACK_OFF: f64 = 2.0;
@@ -169,12 +172,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// Takes the positions of the arm's joints at an instant, base to flange, rad or m; only in a
-    /// scene with an arm, which asks for them before the first features.
+    /// scene with an arm. Without those of every joint, or with old ones, features are refused.
     pub fn see_joints(&mut self, q: &[f64], at_ns: u64) {
         let arm = self.task.arm.as_ref();
-        if arm.is_some_and(|arm| arm.chain.count() == q.len()) {
-            self.state.joints = Some(Posture::new(q, at_ns));
-        }
+        let is_whole = arm.is_some_and(|arm| arm.chain.count() == q.len());
+        self.state.joints = is_whole.then(|| Posture::new(q, at_ns));
     }
 
     /// Runs foresight in the spare time of a cycle, after its command was sent.
@@ -309,7 +311,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let before = self.state;
         let new = State::new(self.settings.strategy);
         self.state = match before.history.is_live() {
-            false => new,
+            false => State {
+                joints: before.joints,
+                ..new
+            },
             true => State {
                 standing: before.standing,
                 seen: before.seen,
@@ -569,6 +574,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let q = Joints::from(q);
         if seen_ns >= at_ns {
             return Some(q);
+        }
+        if at_ns - seen_ns > OLDEST_JOINTS_NS {
+            return None;
         }
         let mean = self.state.history.mean(seen_ns, at_ns);
         let seconds = (at_ns - seen_ns) as f64 * 1e-9;
@@ -850,9 +858,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             return *twist;
         }
         let unsure = (deviation_px / blind::most_px(&self.task)).min(1.0);
+        let dampers = self.task.dampers(initial.q.as_ref(), self.task.period);
+        let with = arm::within(dampers.as_ref(), &initial.drift.twist);
         let mut slower = *twist;
-        let pairs = slower.iter_mut().zip(initial.relative(twist));
-        pairs.for_each(|(v, relative)| *v -= unsure * relative);
+        let pairs = slower.iter_mut().zip(with);
+        pairs.for_each(|(v, with)| *v -= unsure * (*v - with));
         limit::approach(&slower, &self.state.standing, &self.task, self.task.period)
     }
 

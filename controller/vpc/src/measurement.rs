@@ -111,7 +111,7 @@ pub enum Refusal {
         ms(.age_ns), ms(.known_ns)
     )]
     Late { age_ns: u64, known_ns: u64 },
-    #[error("arm: no joint positions; allowed: those of every joint before the features")]
+    #[error("arm: no positions of the joints; allowed: those of every joint, not older than 0.5 s")]
     NoJoints,
     /// By the commands sent since the exposure, the pattern is behind the camera now.
     #[error(

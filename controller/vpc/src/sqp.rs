@@ -186,7 +186,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
         let (pixels, radii) = (initial.explained(task), initial.radii(task));
         let begins = pixels.into_iter().zip(radii);
         let begins = begins.map(|(pixel, radius)| Place { pixel, radius });
-        // Braking asks less of the joints than any other command, and may ask too much.
+        // Braking is always possible: no command may be further beyond the dampers than it.
         let most = |twist: &Twist| arm::violations_px(problem.dampers, twist).fold(0.0, f64::max);
         if problem.dampers.is_some()
             && most(&first_command(&plan)) > most(&problem.braking()).max(slack)
@@ -315,7 +315,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
     }
 
     /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
-    /// be used up. Those on the way of the first command come first; rows past the store's end
+    /// be used up. Dampers and those on the way of the first command come first; rows past the store's end
     /// belong to the last steps of the window, which the next cycles see again.
     fn collect_rows(&mut self, problem: &Problem<'_>, plan: &[f64; N], bounds: &Quadratic<N>) {
         self.rows.clear();

@@ -238,6 +238,13 @@ fn a_law_with_an_arm_waits_for_its_joints() {
     assert_eq!(law.step(&measured, None), Err(Refusal::NoJoints));
     law.see_joints(&READY, 0);
     assert!(law.step(&measured, None).is_ok());
+    // Old ones, and those of another arm after that.
+    let late = measured.taken(0, 600_000_000);
+    assert_eq!(law.step(&late, None), Err(Refusal::NoJoints));
+    law.see_joints(&READY, 500_000_000);
+    assert!(law.step(&late, None).is_ok());
+    law.see_joints(&READY[..6], 590_000_000);
+    assert_eq!(law.step(&late, None), Err(Refusal::NoJoints));
 }
 
 #[test]

@@ -171,7 +171,7 @@ impl<D: Driver> Bridge<D> {
         let room = self.driver.room(&wanted);
         self.limited = Limited {
             by_workspace: room.workspace < 1.0,
-            by_joint: room.joints < 1.0,
+            by_joint: room.joints < 1.0 || room.ramps < 1.0,
             is_stale: self.is_stale(now_ns),
             ..self.limited
         };

@@ -30,6 +30,8 @@ use crate::reserve::nearing;
 const DECELERATION: f64 = 0.5;
 /// Least time in which what is left may be used up, s: some periods of the law.
 const LEAST_S: f64 = 0.15;
+/// A motion along a bound is not stopped for rounding.
+const TOLERANCE: f64 = 1e-5;
 /// A joint counts whose share of acceleration is at least this part of the largest.
 const RIVAL: f64 = 0.8;
 /// Rate at which the share of the joints' accelerations that is left may shrink, 1/s.
@@ -140,7 +142,10 @@ impl Dampers {
         let share = |bound: &Bound| {
             let excess = bound.excess(twist);
             match excess > 0.0 {
-                true => bound.most / (bound.most + excess),
+                true => {
+                    let most = bound.most.max(TOLERANCE);
+                    (most / (bound.most + excess)).min(1.0)
+                }
                 false => 1.0,
             }
         };
@@ -195,7 +200,7 @@ struct Strain {
 impl Strain {
     fn at(arm: &Arm, q: &Joints, accelerations: &[f64; 6]) -> Self {
         let jacobian = arm.shaped.jacobian(q);
-        let square = damped_square(&jacobian);
+        let square = damped_square(&jacobian).unwrap_or_default();
         let inverse = jacobian.transpose() * square;
         let weights = Twist::from(*accelerations);
         let asked = inverse.abs() * weights;

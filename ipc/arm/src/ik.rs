@@ -41,15 +41,15 @@ pub type Inverse = SMatrix<f64, JOINTS, 6>;
 /// J^T (J J^T + damping)^-1, damped near a singularity only; zero for a Jacobian that is not
 /// finite.
 pub fn inverse(jacobian: &Jacobian) -> Inverse {
-    jacobian.transpose() * damped_square(jacobian)
+    damped_square(jacobian).map_or_else(Inverse::zeros, |square| jacobian.transpose() * square)
 }
 
-/// (J J^T + damping)^-1.
-pub(crate) fn damped_square(jacobian: &Jacobian) -> Matrix6<f64> {
+/// (J J^T + damping)^-1; `None` for a Jacobian that is not finite.
+pub(crate) fn damped_square(jacobian: &Jacobian) -> Option<Matrix6<f64>> {
     let square = jacobian * jacobian.transpose();
     let damping = damping(measure(&square));
     let damped = square + Matrix6::identity() * (damping * damping);
-    Cholesky::new(damped).map_or_else(Matrix6::zeros, |f| f.inverse())
+    Cholesky::new(damped).map(|f| f.inverse())
 }
 
 /// Manipulability, from J J^T, m^3.
@@ -74,8 +74,11 @@ pub(crate) fn damping_slope(jacobian: &Jacobian) -> Option<Jacobian> {
 }
 
 /// The same with the elbow of seven joints held: joint 3 stands, as far as the free direction turns
-/// it.
+/// it. An arm with fewer joints has no free direction.
 pub fn held(inverse: &Inverse, jacobian: &Jacobian) -> Inverse {
+    if jacobian.column(JOINTS - 1).amax() == 0.0 {
+        return *inverse;
+    }
     let free = free(inverse, jacobian, ELBOW);
     inverse - free * (inverse.row(ELBOW) / (free[ELBOW] + ELBOW_FADE))
 }

@@ -15,6 +15,9 @@ use crate::ramp::Ramp;
 /// The greatest speeds of a Panda's end effector, m/s and rad/s; an FR3 allows no less.
 const FASTEST: [f64; 2] = [1.7, 2.5];
 
+/// The least share of the ramps: without any there is no stop.
+const LEAST: f64 = 0.01;
+
 /// Bounds of the shaped commands, each axis for itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShaperSettings {
@@ -120,8 +123,10 @@ impl Shaper {
         self.step_with(echo, 1.0, now_ns)
     }
 
-    /// The same along ramps of which the robot allows this share.
+    /// The same along ramps of which the robot allows this share, of which a hundredth always counts.
     pub fn step_with(&self, echo: &Echo, share: f64, now_ns: u64) -> Twist {
+        // A NaN counts as none.
+        let share = if share > LEAST { share.min(1.0) } else { LEAST };
         let stale = self.is_stale(now_ns);
         Twist::from_fn(|axis, _| {
             let ramp = if axis < 3 {
@@ -225,6 +230,21 @@ mod tests {
         assert_eq!(shaper.step(&standing(), 0), Twist::zeros());
         shaper.aim(&Twist::new(30.0, 0.0, 40.0, 0.0, 0.0, 0.0), u64::MAX);
         assert!((shaper.target.norm() - 1.7).abs() < 1e-12);
+    }
+
+    #[test]
+    fn no_share_of_the_ramps_keeps_it_from_a_stop() {
+        let moving = Echo {
+            twist: Twist::repeat(0.01),
+            ..Echo::default()
+        };
+        for share in [f64::NAN, f64::INFINITY, 0.0, -1.0, 1.0] {
+            let next = shaper().step_with(&moving, share, 0);
+            assert!(
+                next.iter().all(|v| (0.0..0.01).contains(v)),
+                "{share}: {next}"
+            );
+        }
     }
 
     #[test]

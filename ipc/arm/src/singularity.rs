@@ -10,7 +10,8 @@ use crate::shaper::ShaperSettings;
 const MOST: f64 = 0.7;
 /// Rate at which the rest may shrink, 1/s, as a share of it.
 const RATE: f64 = 2.0;
-/// Rate at which it may shrink nevertheless, 1/s: to this a solver keeps a bound.
+/// Rate at which it may shrink nevertheless, 1/s, until none is left: a solver keeps a bound to
+/// this.
 const CREEP: f64 = 2.5e-4;
 /// Time over which it is foreseen, s.
 const STEP: f64 = 1e-3;
@@ -55,7 +56,7 @@ pub fn share(
 ) -> f64 {
     let now = strain(chain, limits, shaper, q);
     let growth = (strain(chain, limits, shaper, &(q + dq * STEP)) - now) / STEP;
-    let allowed = (RATE * (MOST - now)).max(CREEP);
+    let allowed = (RATE * (MOST - now)).max(if now < 1.0 { CREEP } else { 0.0 });
     match growth > allowed {
         true => allowed / growth,
         false => 1.0,

@@ -11,6 +11,10 @@ use urdf_rs::{Joint, JointType};
 
 use crate::model::{Arm, ArmJoint, MAX_JOINTS, MAX_WALL_POINTS, MAX_WALLS, Wall};
 
+/// Largest number of an origin, m and rad; a NaN is none.
+const MOST_ORIGIN: f64 = 1e3;
+/// Deepest nesting of a URDF's elements: the library recurses.
+const MOST_DEPTH: usize = 100;
 /// Fewest joints of an arm: with fewer the camera does not move in every direction.
 const FEWEST: usize = 6;
 
@@ -22,7 +26,7 @@ const FEWEST: usize = 6;
 #[schemars(title = "Arm")]
 struct Tables {
     /// The robot's description (URDF), relative to this file.
-    #[schemars(extend("x-allowed" = "a URDF file of up to 4 MB"))]
+    #[schemars(extend("x-allowed" = "a URDF file"))]
     urdf: String,
     /// Link that does not move; walls are in its frame.
     #[schemars(extend("x-allowed" = "a link of the URDF"))]
@@ -30,8 +34,7 @@ struct Tables {
     /// Link that carries the camera, 6 or 7 movable joints from the base.
     #[schemars(extend("x-allowed" = "a link of the URDF"))]
     tip: String,
-    /// Greatest acceleration of each joint, where the URDF gives none.
-    #[serde(default)]
+    /// Greatest acceleration of each joint, which a URDF does not give.
     #[schemars(length(max = MAX_JOINTS), inner(range(min = 0.01, max = 1e4)), extend("x-unit" = "rad/s^2"))]
     acceleration: Vec<f64>,
     /// Distance that joints keep from the ends of their ranges.
@@ -146,6 +149,10 @@ struct Checker {
 
 impl Checker {
     fn arm(&self, urdf: &str, tables: &Tables) -> Result<Arm, FileError> {
+        if depth(urdf) > MOST_DEPTH {
+            let message = format!("elements within elements; allowed: {MOST_DEPTH} deep");
+            return Err(self.bad(message));
+        }
         let robot = urdf_rs::read_from_string(urdf).map_err(|error| self.bad(error.to_string()))?;
         let links: Vec<&str> = robot.links.iter().map(|link| link.name.as_str()).collect();
         for (key, link) in [("base", &tables.base), ("tip", &tables.tip)] {
@@ -164,7 +171,7 @@ impl Checker {
             let allowed = format!("{FEWEST} to {MAX_JOINTS} movable joints");
             return Err(self.document.refuse("tip", found, &allowed));
         }
-        if !tables.acceleration.is_empty() && tables.acceleration.len() != count {
+        if tables.acceleration.len() != count {
             let found = format!("a list of {}", tables.acceleration.len());
             let allowed = format!("a list of {count}, one for each movable joint");
             return Err(self.document.refuse("acceleration", found, &allowed));
@@ -182,14 +189,22 @@ impl Checker {
             points: heapless::Vec::new(),
         };
         for joint in path {
+            let given = joint.origin.xyz.0.iter().chain(&joint.origin.rpy.0);
+            if !given.clone().all(|x| x.abs() < MOST_ORIGIN) {
+                return Err(self.wrong(joint, "origin", "numbers below 1000"));
+            }
             let (xyz, [roll, pitch, yaw]) = (joint.origin.xyz.0, joint.origin.rpy.0);
             let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
             at *= IsometryMatrix3::from_parts(Translation3::from(xyz), rotation);
             if joint.joint_type != JointType::Fixed {
                 let acceleration = tables.acceleration.get(arm.joints.len());
                 // There is room: they were counted.
-                arm.joints
-                    .extend([self.joint(joint, &at, acceleration.copied())?]);
+                arm.joints.extend([self.joint(
+                    joint,
+                    &at,
+                    acceleration.copied(),
+                    tables.margin,
+                )?]);
             }
         }
         let Mounting {
@@ -243,6 +258,7 @@ impl Checker {
         joint: &Joint,
         at: &IsometryMatrix3<f64>,
         acceleration: Option<f64>,
+        margin: f64,
     ) -> Result<ArmJoint, FileError> {
         let limit = &joint.limit;
         let range = match joint.joint_type {
@@ -258,20 +274,18 @@ impl Checker {
         for (holds, what, allowed) in [
             (joint.mimic.is_none(), "mimic", "none between base and tip"),
             (range[0] < range[1], "limit", "lower below upper"),
-            (limit.velocity > 0.0, "limit velocity", "above 0"),
             (
-                acceleration.is_some(),
-                "acceleration",
-                "given by the key `acceleration` of the arm file",
+                range[1] - range[0] > 2.0 * margin,
+                "limit",
+                "a range of more than twice the key `margin`",
             ),
             (
-                at.translation.vector.iter().all(|x| x.is_finite())
-                    && at.rotation.matrix().iter().all(|x| x.is_finite()),
-                "origin",
-                "finite numbers",
+                limit.velocity > 0.0 && limit.velocity.is_finite(),
+                "limit velocity",
+                "above 0, finite",
             ),
             (
-                axis.is_some_and(|axis| axis.iter().all(|x| x.is_finite())),
+                axis.is_some_and(|axis| (axis.norm() - 1.0).abs() < 1e-6),
                 "axis",
                 "a direction, not zero",
             ),
@@ -301,4 +315,19 @@ impl Checker {
             message,
         }
     }
+}
+
+/// How deep the elements of a document are nested, by its tags.
+fn depth(xml: &str) -> usize {
+    let (mut depth, mut most) = (0_usize, 0);
+    for tag in xml.split('<').skip(1) {
+        let is_empty = tag.split('>').next().is_some_and(|tag| tag.ends_with('/'));
+        if tag.starts_with('/') {
+            depth = depth.saturating_sub(1);
+        } else if !tag.starts_with(['?', '!']) && !is_empty {
+            depth += 1;
+        }
+        most = most.max(depth);
+    }
+    most
 }

@@ -94,10 +94,7 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
             arm("15.0, 7.5,", "15.0,"),
             vec!["acceleration = a list of 6", "a list of 7"],
         ),
-        (
-            arm("acceleration", "# "),
-            vec!["joint panda_joint1", "acceleration"],
-        ),
+        (arm("acceleration", "# "), vec!["acceleration"]),
         (
             arm(
                 "[camera]",
@@ -134,6 +131,25 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
             ),
             vec!["tip = panda_link8"],
         ),
+        (
+            urdf("<origin xyz=\"0 0 0.107\"", "<origin xyz=\"nan 0 0.107\""),
+            vec!["panda_joint8: origin"],
+        ),
+        (
+            urdf("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"1e200 0 0\"/>"),
+            vec!["panda_joint1: axis"],
+        ),
+        (
+            urdf("velocity=\"2.175\"", "velocity=\"inf\""),
+            vec!["panda_joint1: limit velocity"],
+        ),
+        (
+            urdf(
+                "lower=\"-2.8973\" upper=\"2.8973\"",
+                "lower=\"0\" upper=\"0.3\"",
+            ),
+            vec!["a range of more than twice the key `margin`"],
+        ),
     ] {
         for part in parts {
             assert!(error.contains(part), "{error}\nlacks {part}");
@@ -167,4 +183,15 @@ fn no_byte_of_the_files_makes_the_reader_panic() {
             _ => Ok(urdf.clone()),
         });
     }
+}
+
+#[test]
+fn a_urdf_that_nests_without_end_is_refused() {
+    let deep = format!(
+        "<robot>{}{}</robot>",
+        "<a>".repeat(200_000),
+        "</a>".repeat(200_000)
+    );
+    let error = refused(ARM, &deep);
+    assert!(error.contains("panda.urdf: elements within"), "{error}");
 }
