@@ -37,7 +37,7 @@ impl Recorder {
         Ok(Self::new(file, 0))
     }
 
-    /// Attaches a scene with the files beside it, and draws it; once for a recording.
+    /// Attaches a scene and the files that it names, and draws it; once for a recording.
     ///
     /// # Errors
     /// [`WriteError`].

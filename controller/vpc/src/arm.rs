@@ -89,8 +89,7 @@ pub(crate) fn moved(
 
 /// How far a command is within a damper, px; negative beyond it.
 pub(crate) fn clearance_px(bound: &Bound, twist: &Twist) -> f64 {
-    let along: f64 = bound.gradient.iter().zip(twist).map(|(g, v)| g * v).sum();
-    PX * (bound.most - along)
+    PX * bound.left(twist)
 }
 
 /// The derivative of [`clearance_px`] by the command.

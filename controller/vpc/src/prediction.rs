@@ -122,7 +122,7 @@ impl InitialState {
         self
     }
 
-    /// The same with an arm whose joints are there.
+    /// The same with these joints of the arm.
     pub(crate) fn with_joints(mut self, q: Option<Joints>) -> Self {
         self.q = q;
         self

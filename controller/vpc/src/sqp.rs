@@ -315,8 +315,8 @@ impl<'w, const N: usize> Sqp<'w, N> {
     }
 
     /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
-    /// be used up. Dampers and those on the way of the first command come first; rows past the store's end
-    /// belong to the last steps of the window, which the next cycles see again.
+    /// be used up. Dampers and those on the way of the first command come first; rows past the
+    /// store's end belong to the last steps of the window, which the next cycles see again.
     fn collect_rows(&mut self, problem: &Problem<'_>, plan: &[f64; N], bounds: &Quadratic<N>) {
         self.rows.clear();
         let (task, margin) = (problem.task, problem.margin);

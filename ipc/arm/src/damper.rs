@@ -32,7 +32,7 @@ const DECELERATION: f64 = 0.5;
 const LEAST_S: f64 = 0.15;
 /// A motion along a bound is not stopped for rounding.
 const TOLERANCE: f64 = 1e-5;
-/// A joint counts whose share of acceleration is at least this part of the largest.
+/// A joint's acceleration has a bound where its share is at least this part of the largest.
 const RIVAL: f64 = 0.8;
 /// Rate at which the share of the joints' accelerations that is left may shrink, 1/s.
 const RATE: f64 = 2.0;
@@ -64,11 +64,10 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// By how much a camera's velocity is beyond it, in its own unit; 0 within.
-    pub fn excess(&self, twist: &[f64; 6]) -> f64 {
+    /// How far a camera's velocity is within it, in its own unit; negative beyond it.
+    pub fn left(&self, twist: &[f64; 6]) -> f64 {
         let pairs = self.gradient.iter().zip(twist);
-        let sum: f64 = pairs.map(|(g, v)| g * v).sum();
-        (sum - self.most).max(0.0)
+        self.most - pairs.map(|(g, v)| g * v).sum::<f64>()
     }
 }
 
@@ -82,9 +81,9 @@ pub struct Dampers {
 }
 
 impl Dampers {
-    /// Those of an arm at `q` whose velocity changes by at most `accelerations`, m/s^2 and rad/s^2,
-    /// for a velocity that is held for `seconds`. Where the accelerations are not finite, no
-    /// singular posture is known.
+    /// The dampers of an arm at `q`, for a command that is held for `seconds` and changes by at
+    /// most `accelerations`, m/s^2 and rad/s^2. Where these are not finite, singular postures have
+    /// none.
     pub fn at(arm: &Arm, q: &Joints, accelerations: &[f64; 6], seconds: f64) -> Self {
         let least_s = seconds.max(LEAST_S);
         let damped = |left: f64| damped(left, least_s);
@@ -125,10 +124,10 @@ impl Dampers {
         }
         for (i, wall) in arm.walls.iter().enumerate() {
             let normal = Vector3::from(wall.normal);
+            let turned = camera.rotation.inverse() * normal;
             for point in &arm.points {
                 let away = camera.rotation * Vector3::from(*point);
                 let left = wall.distance(&(camera.translation.vector + away));
-                let turned = camera.rotation.inverse() * normal;
                 let moment = camera.rotation.inverse() * away.cross(&normal);
                 let gradient = [turned.x, turned.y, turned.z, moment.x, moment.y, moment.z];
                 add(gradient.map(|g| -g), damped(left), Cause::Wall(i));
@@ -140,13 +139,11 @@ impl Dampers {
     /// How much of a camera's velocity they allow, 0 to 1.
     pub fn share(&self, twist: &[f64; 6]) -> f64 {
         let share = |bound: &Bound| {
-            let excess = bound.excess(twist);
-            match excess > 0.0 {
-                true => {
-                    let most = bound.most.max(TOLERANCE);
-                    (most / (bound.most + excess)).min(1.0)
-                }
-                false => 1.0,
+            let excess = -bound.left(twist);
+            if excess > 0.0 {
+                (bound.most.max(TOLERANCE) / (bound.most + excess)).min(1.0)
+            } else {
+                1.0
             }
         };
         self.bounds.iter().map(share).fold(1.0, f64::min)
@@ -214,7 +211,7 @@ impl Strain {
         }
     }
 
-    /// The joints whose shares may become the largest soon.
+    /// The joints with the largest shares.
     fn largest(&self) -> impl Iterator<Item = usize> {
         let least = RIVAL * self.shares.max();
         (0..JOINTS).filter(move |k| self.shares[*k] > 0.0 && self.shares[*k] >= least)

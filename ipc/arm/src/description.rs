@@ -1,4 +1,4 @@
-//! An arm that carries a camera, as a controller is told of it.
+//! The description of an arm that carries a camera.
 
 use nalgebra::Vector3;
 
@@ -15,7 +15,7 @@ pub const MAX_POINTS: usize = 4;
 pub struct Arm {
     /// From its base to the camera, which is the end effector: x right, y down, z forward.
     pub chain: Chain,
-    /// The same to the end effector whose velocity the bridge shapes.
+    /// From its base to the end effector, whose velocity the bridge shapes.
     pub shaped: Chain,
     /// Limits of the joints.
     pub limits: Limits,

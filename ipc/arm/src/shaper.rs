@@ -123,7 +123,7 @@ impl Shaper {
         self.step_with(echo, 1.0, now_ns)
     }
 
-    /// The same along ramps of which the robot allows this share, of which a hundredth always counts.
+    /// The same along this share of the ramps, at least a hundredth.
     pub fn step_with(&self, echo: &Echo, share: f64, now_ns: u64) -> Twist {
         // A NaN counts as none.
         let share = if share > LEAST { share.min(1.0) } else { LEAST };

@@ -27,7 +27,7 @@ pub struct SceneFiles {
 }
 
 impl SceneFiles {
-    /// Reads a scene file and those beside it.
+    /// Reads a scene file and the files that it names.
     ///
     /// # Errors
     /// As [`Scene::read`].
