@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{Domain, Observer, OperatorPorts};
+use ipc::{Domain, Observer, OperatorPorts, now_ns};
 use messages::{Action, CycleRecord, Hold, Outcome, Request, TwistCommand, TwistState};
 use rand::{Rng, RngExt};
 pub use testkit::{
@@ -135,7 +135,8 @@ impl Witness {
         Self {
             observer: Observer::open(&domain).unwrap(),
             operator: OperatorPorts::open(&domain).unwrap(),
-            asked: 0,
+            // Ids that no other operator of the domain uses.
+            asked: now_ns(),
             stops: 0,
             _domain: domain,
         }
@@ -151,6 +152,7 @@ impl Witness {
             };
             let reply = self.operator.ask(&request, Duration::from_millis(200));
             let reply = reply.unwrap()?;
+            assert_eq!(reply.action, action.code(), "another operator's answer");
             self.stops = match reply.outcome() {
                 Some(Outcome::Stopped) => reply.stops,
                 _ => 0,
