@@ -1,7 +1,7 @@
 //! The whole loop with another team's robot: `vpcd` and `vpc-panda` as processes, and a camera of
 //! this test on the arm's flange, which sees by the measured joints.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -13,7 +13,7 @@ use hw_sim::referee::Referee;
 use hw_sim::robot::arm::base_from_object;
 use ipc::{CameraPorts, Domain, Observer, now_ns};
 use messages::{Features, RobotMode};
-use panda::{Chain, Joints, Model, Pose, place};
+use panda::{Chain, Joints, Model, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
@@ -40,8 +40,62 @@ enum End {
     Stalled(String),
 }
 
-fn run(test: &str, start: usize) -> Option<End> {
-    let scene = Scene::parse(scene::PAPER_ROBOT, "paper-robot.toml").unwrap();
+/// How fast the arm is driven.
+#[derive(Clone, Copy)]
+enum Pace {
+    /// As in the paper: 1 cm/s.
+    Paper,
+    /// Ten times as fast, with a law that knows the arm, and no memory, which another scene has.
+    Fast,
+}
+
+impl Pace {
+    /// The configurations of `vpcd` and `vpc-panda`.
+    fn files(self, place: &Place) -> [PathBuf; 2] {
+        match self {
+            Self::Paper => [
+                root().join("controller/vpcd-robot.toml"),
+                place.file("bridge.toml", ""),
+            ],
+            Self::Fast => {
+                for file in ["fr3.toml", "fr3.urdf"] {
+                    let shipped = root().join("ipc/scene/scenes").join(file);
+                    place.file(file, std::fs::read(shipped).unwrap());
+                }
+                [
+                    place.file("vpcd.toml", FAST_LAW),
+                    place.file("bridge.toml", FAST_BRIDGE),
+                ]
+            }
+        }
+    }
+
+    /// The text of the scene.
+    fn scene(self) -> String {
+        match self {
+            Self::Paper => scene::PAPER_ROBOT.to_owned(),
+            Self::Fast => {
+                let slow = "linear = 0.01\nangular = 0.03\n";
+                let fast = "linear = 0.1\nangular = 0.3\n";
+                assert!(scene::PAPER_ROBOT.contains(slow));
+                let text = scene::PAPER_ROBOT.replace(slow, fast);
+                format!("arm = \"fr3.toml\"\n{text}")
+            }
+        }
+    }
+}
+
+/// `vpcd-robot.toml`, but for the speed.
+const FAST_LAW: &str = "scene = \"scene.toml\"\n[law]\nstrategy = \"foresight\"\nnp = 3\n\
+    iterations = 10\ntolerance = 1e-6\nmargin_px = 12.0\n";
+/// The caps are no tighter than the scene's limits.
+const FAST_BRIDGE: &str = "linear = 0.2\nangular = 0.6\n";
+
+fn run(test: &str, pace: Pace, start: usize) -> Option<End> {
+    let place = Place::new();
+    let [law, settings] = pace.files(&place);
+    let path = place.file("scene.toml", pace.scene());
+    let scene = Scene::read(&path).unwrap();
     let starts = scene::parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
     let file = root().join("ipc/clients/panda/hand-eye.toml");
     let mount = hand_eye::read(&file, Frame::Flange)
@@ -50,25 +104,25 @@ fn run(test: &str, start: usize) -> Option<End> {
     // This robot has no hand: its end effector is the flange.
     let chain = Chain::default();
     let camera = base_from_object() * from_scene(&starts[start]).inverse();
-    let q = place(&chain, Model::Fr3.limits(), &mount.flange(&camera)).unwrap();
+    let q = panda::place(&chain, Model::Fr3.limits(), &mount.flange(&camera)).unwrap();
     let emulator = Emulator::start_at(test, &q.into())?;
-    let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
     let mut ports = CameraPorts::open(&domain).unwrap();
     let mut bridge = testkit::command(env!("CARGO_BIN_EXE_vpc-panda"));
     bridge.args(["--robot", &format!("fr3:{}", emulator.address())]);
-    bridge
-        .arg("--scene")
-        .arg(root().join("ipc/scene/scenes/paper-robot.toml"));
+    bridge.arg("--config").arg(settings);
+    bridge.arg("--scene").arg(&path);
     bridge
         .arg("--hand-eye")
         .arg(&file)
         .arg("--domain")
         .arg(place.domain());
     let mut bridge = Running::start(bridge.stdout(Stdio::null()).stderr(Stdio::piped()));
+    // What was commanded before its motion began would not count.
+    bridge.line("the robot follows vpc/twist");
     eventually("a state", || observer.robot.latest().unwrap());
-    let daemon = daemon(&place.domain());
+    let daemon = daemon(&law, &place.domain());
 
     let mut random = ChaCha8Rng::seed_from_u64(start as u64);
     let mut referee = Referee::new(&scene);
@@ -133,10 +187,9 @@ fn run(test: &str, start: usize) -> Option<End> {
     })
 }
 
-fn daemon(domain: &Path) -> Running {
+fn daemon(config: &Path, domain: &Path) -> Running {
     let mut vpcd = testkit::command(program("vpcd"));
-    vpcd.arg("--config")
-        .arg(root().join("controller/vpcd-robot.toml"));
+    vpcd.arg("--config").arg(config);
     vpcd.arg("--domain").arg(domain).arg("--arm");
     Running::start(vpcd.stdout(Stdio::null()).stderr(Stdio::piped()))
 }
@@ -144,8 +197,19 @@ fn daemon(domain: &Path) -> Running {
 #[test]
 #[ignore = "half a minute: CI runs it in a line of its own"]
 fn a_camera_on_another_teams_fr3_arrives() {
+    arrives("a camera on franka-sim", Pace::Paper);
+}
+
+#[test]
+#[ignore = "half a minute: CI runs it in a line of its own"]
+fn a_camera_on_another_teams_fr3_arrives_at_ten_times_the_speed() {
+    arrives("a camera on franka-sim, 10 cm/s", Pace::Fast);
+}
+
+/// From each start, in time, and without a fault of the robot.
+fn arrives(test: &str, pace: Pace) {
     let _turn = testkit::turn();
-    let count = repeats("franka-sim: starts", JOBS, 20);
+    let count = repeats(&format!("{test}: starts"), JOBS, 20);
     let next = AtomicUsize::new(0);
     let arrived = AtomicUsize::new(0);
     let job = || {
@@ -154,15 +218,15 @@ fn a_camera_on_another_teams_fr3_arrives() {
             if start >= count {
                 return true;
             }
-            let mut end = run("a camera on franka-sim", start);
+            let mut end = run(test, pace, start);
             if let Some(End::Stalled(log)) = &end {
                 tell(format_args!("start {start}: once more, after: {log}"));
-                end = run("a camera on franka-sim", start);
+                end = run(test, pace, start);
             }
             match end {
                 None => return false,
                 Some(end) => {
-                    tell(format_args!("franka-sim, start {start}: {end:?}"));
+                    tell(format_args!("{test}, start {start}: {end:?}"));
                     let has_arrived = matches!(end, End::Arrived(..));
                     arrived.fetch_add(usize::from(has_arrived), Ordering::Relaxed);
                 }
